@@ -38,9 +38,9 @@ enum { REASONS_TO_STAND = 0x1F0000 }; /* NOT_ARMED and all after it: it is to re
 enum {
     FAULT_ESTOP = 1 << 0,                 /* control.estop was seen */
     FAULT_HEARTBEAT_LOST = 1 << 1,        /* asyncio has not beaten for heartbeat_timeout_s while armed */
-    FAULT_FEEDBACK_STALE = 1 << 2,        /* a joint has not been heard for feedback_timeout_s while armed */
+    FAULT_FEEDBACK_STALE = 1 << 2,        /* a joint has sent no feedback for feedback_timeout_s while armed */
     FAULT_DRIVE = 1 << 3,                 /* a drive reports a fault (joint_feedback.drive_faults) while armed */
-    FAULT_DRIVE_DISABLED = 1 << 4,        /* a drive says it is not enabled while armed: nobody asked for that */
+    FAULT_DRIVE_DISABLED = 1 << 4,        /* a drive reports that it is not enabled while armed: not requested */
     FAULT_TIME_STEP = 1 << 5,             /* dt was NaN, infinite, zero or negative */
     FAULT_EXTERNAL = 1 << 6,              /* control.fault: raised by the daemon (a line lost, a check failed) */
     FAULT_STATE = 1 << 7,                 /* a value inside the core was not finite: never expected, always rest */
@@ -149,7 +149,7 @@ typedef struct {
 
 /* what a drive may say beside position; a value it does not say is NaN */
 typedef struct {
-    int64_t stamp_ns; /* middle of the exchange that brought it; 0: never heard */
+    int64_t stamp_ns; /* middle of the exchange that brought it; 0: never received */
     uint64_t count;   /* raw position counter, lowest counter_bits valid */
     double velocity_rad_s;
     double current_a;
@@ -194,7 +194,7 @@ typedef struct {
     double current_a;
     double voltage_v;
     double temperature_c;
-    double feedback_age_s; /* INFINITY: never heard */
+    double feedback_age_s; /* INFINITY: never received */
     uint32_t drive_faults;
     uint32_t enabled; /* as in joint_feedback */
     uint32_t stale;   /* 1: older than feedback_timeout_s */
@@ -210,7 +210,7 @@ typedef struct {
     uint32_t reasons; /* REASON_* */
     uint32_t faults;  /* FAULT_*, latched */
     uint32_t armed;   /* the core's own word */
-    uint32_t enabled; /* what the drives are told */
+    uint32_t enabled; /* what goes to the drives */
     uint32_t at_rest; /* set-points are zero and every fresh wheel is slower than rest_velocity_rad_s */
     uint32_t joint_count;
     uint32_t odometry_degraded; /* 1: a wheel is stale, or has no counter */
@@ -283,7 +283,7 @@ typedef struct {
     int64_t stamp_ns; /* of the last integration */
     uint32_t degraded;
     uint32_t epoch;
-    uint32_t blind;   /* 1: no wheel of one side is heard, nothing is integrated */
+    uint32_t blind;   /* 1: no wheel of one side sends feedback, nothing is integrated */
     uint32_t by_gyro; /* 1: the last turn was the gyro's */
     double x_m;
     double y_m;
@@ -339,12 +339,12 @@ typedef struct {
     uint64_t heartbeat_window_ns;
     core_goal goal;
     core_wheels wheels;
-    limit_state axis[AXES]; /* of the twist that the wheels are told */
+    limit_state axis[AXES]; /* of the twist that goes to the wheels */
     odometry_state odometry;
     speed_loop_state speed_loop[JOINTS_MAX];
     plausible_state plausible[JOINTS_MAX];
     robot_state snapshot;       /* of the last tick */
-    uint32_t stale[JOINTS_MAX]; /* 1: the joint has not been heard for feedback_timeout_s */
+    uint32_t stale[JOINTS_MAX]; /* 1: the joint has sent no feedback for feedback_timeout_s */
     uint64_t tick;
     uint32_t armed;
     uint32_t armed_seen; /* control.armed of the tick before: arming wants an edge */
@@ -354,7 +354,7 @@ typedef struct {
     uint32_t holding;      /* the drives stay enabled until rest (or for ever: STOP_HOLD) after a fault */
     uint32_t commanded;    /* a fresh command has come since arming */
     uint32_t silent;       /* a joint is stale */
-    uint32_t slow;         /* no wheel that is heard turned faster than rest_velocity_rad_s */
+    uint32_t slow;         /* no wheel with feedback turned faster than rest_velocity_rad_s */
     uint32_t at_rest;      /* after the last tick */
     uint32_t slewed;       /* 1: a joint has a duty slew */
     uint32_t torques;      /* 1: a joint's drive takes a torque */
@@ -397,7 +397,7 @@ size_t exchange_bytes(void);
 void exchange_init(exchange *x);                                                        /* memory aligned to 64 bytes */
 void exchange_put_control(exchange *x, const core_control *control);                    /* asyncio → loop */
 int exchange_put_feedback(exchange *x, uint32_t joint, const joint_feedback *feedback); /* line → loop */
-void exchange_put_imu(exchange *x, const imu_sample *sample);                           /* whoever reads the sensor → loop */
+void exchange_put_imu(exchange *x, const imu_sample *sample);                           /* the sensor's reader → loop */
 int exchange_take_setpoints(exchange *x, uint32_t line, setpoints *out);                /* loop → line */
 /* the loop's side. Each take copies the newest value, new or not, and returns 1 when it is new, 0 when not,
  * -EINVAL for a bad index. Never written: all zero. */
@@ -447,7 +447,7 @@ typedef struct {
     int32_t event_fd;            /* an eventfd, or -1 */
     int32_t command_fd;          /* an epoll of the datagram sockets on which commands come in, COMMAND_SOCKETS of them at
                                    most, each with itself as data.fd: one for each lease, or who floods would keep others
-                                   from being heard; -1: none */
+                                   from being received; -1: none */
     int32_t stop_fd;             /* a datagram socket for stop requests, with SO_PASSCRED; in that epoll too. -1: none */
     uint32_t lock_memory;        /* 1: mlockall(MCL_CURRENT | MCL_FUTURE) */
     uint32_t hold_dma_latency;   /* 1: /dev/cpu_dma_latency open and 0 while the loop runs */
@@ -481,7 +481,7 @@ enum {
     HISTOGRAM_KINDS = 3
 };
 
-exchange *loop_exchange(void); /* static, ready at once; loop_start empties it, so nobody may
+exchange *loop_exchange(void); /* static, ready at once; loop_start empties it, so no thread may
                                                           be using it then */
 /* 0; -EINVAL; -EBUSY; -errno of what cannot be done without */
 int loop_start(const loop_config *loop, const core_config *core);

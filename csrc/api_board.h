@@ -94,7 +94,7 @@ typedef struct {
     int64_t silence_ns;          /* so long without a word, and it is unresponsive: > 0 */
     int64_t setpoint_timeout_ns; /* set-points older than this: quick stop */
     double rest_velocity_rad_s;  /* a wheel slower than this is at rest: > 0 */
-    int64_t watchdog_ns;         /* told nothing for so long while armed: it has stopped; 0: never */
+    int64_t watchdog_ns;         /* without set-points for so long while armed: it has stopped; 0: never */
     uint8_t payload[BOARD_PAYLOAD_MAX]; /* before anything is written to it */
     board_setpoint setpoint[BOARD_SETPOINTS_MAX];
     board_field field[BOARD_FIELDS_MAX];
@@ -126,9 +126,9 @@ typedef struct {
     uint32_t fault_reasons; /* DRIVE_FAULT_* */
     uint32_t request_seen;
     uint32_t enabled;        /* 1, 0, 2: it has not said */
-    uint32_t stopping;       /* a quick stop was told, and the wheels have not been seen at rest since */
+    uint32_t stopping;       /* a quick stop was sent, and the wheels have not been seen at rest since */
     uint32_t sent_motion;    /* its newest set-points are not zero */
-    uint32_t stops;          /* how often it was told to stop, by C or by a request */
+    uint32_t stops;          /* how often a stop was sent to it, by C or by a request */
     uint32_t epoch;          /* of its feedback */
     uint32_t orders_sent;    /* they have gone out */
     uint32_t orders_dropped; /* guarded, and it was stopped; or it is unresponsive */
@@ -152,7 +152,7 @@ typedef struct {
 } board_report;
 
 typedef struct {
-    line_place at;  /* told of changes of the mode and of orders that were sent */
+    line_place at;  /* woken by changes of the mode and of orders that were sent */
     uint32_t epoch; /* of the feedback before this start; 0: there was none */
     uint32_t reserved;
 } board_config;
@@ -166,7 +166,7 @@ int board_stop(uint32_t line); /* joins; 0 or -ESRCH */
 void board_put_control(uint32_t line, const board_control *control);
 int board_put_order(uint32_t line, const board_order *order); /* 0; -EAGAIN: full; -EINVAL; -ESRCH: no thread */
 int board_read_report(uint32_t line, board_report *report);   /* 0 or -ESRCH: never started */
-int board_histogram_read(uint32_t line, histogram *out);      /* from set-points to the feedback that had heard them */
+int board_histogram_read(uint32_t line, histogram *out);      /* from set-points to the feedback that acknowledged them */
 
 /* The pure parts, for tests against the same in Python. */
 enum { BOARD_FRAME_MAX = 200, BOARD_WIRE_MAX = 258, BOARD_CLOCK_SAMPLES = 32 };

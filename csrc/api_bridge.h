@@ -6,7 +6,7 @@ enum { PWM_OUTPUTS_MAX = 32, BRIDGE_MODES = 4 };
 /* What a bridge does with its motor. COAST is what it is left in: no power. */
 enum { BRIDGE_COAST, BRIDGE_BRAKE, BRIDGE_FORWARD, BRIDGE_REVERSE };
 
-/* What the line is told: OFF no power, at once; STOP brakes for stopping_ns, then no power; ARMED follow the set-points. */
+/* What the line is to do: OFF no power, at once; STOP brakes for stopping_ns, then no power; ARMED follow the set-points. */
 enum { PWM_OFF, PWM_STOP, PWM_ARMED };
 
 /* One pin. Its level, 0 to 1, is base + slope × |duty| of the mode; a GPIO line is high from one half on. */
@@ -65,7 +65,7 @@ typedef struct {
     int32_t error_output;   /* at which output; -1: the GPIO request; -2 - n: the encoder of joint n */
     int32_t policy;
     int32_t scheduler_errno;
-    int32_t rest_error;  /* errno that kept a pin from COAST when it was told last, 0: all pins rest */
+    int32_t rest_error;  /* errno that kept a pin from COAST when it was written last, 0: all pins rest */
     int32_t rest_output; /* which, as error_output */
     uint32_t reserved;
     uint64_t active_inputs; /* bits of the input request */
@@ -86,7 +86,7 @@ typedef struct {
     uint32_t reserved;
     int64_t stop_until_ns; /* 0: not stopping */
     int64_t last_ns;
-    uint64_t enabled_count; /* how often the set-points have become enabled: whoever steps it writes it first */
+    uint64_t enabled_count; /* how often the set-points have become enabled: its stepper writes it first */
     uint64_t enabled_count_armed;
 } bridge_state;
 

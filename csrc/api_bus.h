@@ -51,7 +51,7 @@ typedef struct {
 
 /* The C library of Cyclone DDS, by path. 0 or -ELIBACC: not there, or without a function that is needed. */
 int receiver_library(const char *path);
-/* Number of a receiver that nobody has, or -EBUSY. */
+/* Number of a receiver that is free, or -EBUSY. */
 int receiver_claim(void);
 /* One that has been stopped, or was never started. */
 void receiver_release(int number);

@@ -96,8 +96,8 @@ typedef struct {
 typedef struct {
     uint32_t tries;           /* so often enabled without being armed, and it is said: 1.. */
     uint32_t slow_every;      /* cycles between two of what may wait: 1.. */
-    uint32_t idle_setpoints;  /* 1: zero is told in READY, too */
-    uint32_t reports_enabled; /* 0: it cannot say, so it is told to disarm again now and then in READY */
+    uint32_t idle_setpoints;  /* 1: zero is sent in READY, too */
+    uint32_t reports_enabled; /* 0: it cannot report it, so it gets its disarm again now and then in READY */
     uint32_t hello;           /* 1 + number of the input that alone says whether an unresponsive drive is back; 0: all that are
                                    waited for */
     uint32_t output_count;
@@ -109,7 +109,7 @@ typedef struct {
     uint32_t quick_stop_count;
     uint32_t disarm_count;
     uint32_t reserved;
-    int64_t watchdog_ns; /* told nothing for so long while armed: it may have stopped; 0: never */
+    int64_t watchdog_ns; /* without set-points for so long while armed: it may have stopped; 0: never */
     can_output output[CAN_OUTPUTS_MAX];
     can_packet poll[CAN_POLLS_MAX];
     can_packet slow[CAN_POLLS_MAX];
@@ -196,11 +196,11 @@ typedef struct {
 /* What is known of the drives from before the bus was opened; zeros: nothing. */
 typedef struct {
     uint32_t epoch;    /* of their feedback */
-    uint32_t may_turn; /* bit n: drive n does, so it is told to stop until it is heard and set up */
+    uint32_t may_turn; /* bit n: drive n does, so it gets a stop until it responds and is set up */
 } can_before;
 
 typedef struct {
-    line_place at; /* CAN_RAW, or SOCK_SEQPACKET that carries struct can_frame and canfd_frame; told of frames
+    line_place at; /* CAN_RAW, or SOCK_SEQPACKET that carries struct can_frame and canfd_frame; woken by frames
                                    for Python and of changes of a mode */
     can_before before;
 } can_config;

@@ -6,7 +6,7 @@
 
 /* ------------------------------------------------------------------------------------------------ commands
  * Who may command is decided in the loop's thread, for every source alike: a command is a datagram under a lease. Python
- * grants leases and ends them; who of them is in command, and whether he may move anything, is decided here. */
+ * grants leases and ends them; which of them is in command, and whether it may move anything, is decided here. */
 enum { LEASES_MAX = 16, TOKEN_BYTES = 16, COMMAND_VERSION = 1, COMMAND_MAGIC = 0x434D544D };
 enum { COMMAND_BYTES = 64, JOINT_COMMAND_BYTES = 112 };
 
@@ -45,8 +45,8 @@ typedef struct {
     uint32_t priority;         /* the higher one commands; among equals who came first */
     int64_t lifetime_ns;       /* of a command under it, at most */
     int64_t interval_least_ns; /* commands that come more often are refused, but for zero; 0: as often as they like */
-    int64_t barred_until_ns;   /* its owner was held when another lease of his ended: until then he is held here, too,
-                                   when his next command begins with motion. Only a later time is a new bar */
+    int64_t barred_until_ns;   /* its owner was held when another lease of its ended: until then it is held here, too,
+                                   when its next command begins with motion. Only a later time is a new bar */
 } lease_permission;
 
 typedef struct {
@@ -85,8 +85,8 @@ typedef struct {
 } lease_state;
 
 typedef struct {
-    uint32_t commander; /* number of the lease in command; 0: nobody */
-    uint32_t may_move;  /* somebody who asks for motion now is not held */
+    uint32_t commander; /* number of the lease in command; 0: none */
+    uint32_t may_move;  /* a source that requests motion now is not held */
     uint64_t accepted;
     uint64_t refused[REFUSAL_KINDS];
     lease_state lease[LEASES_MAX];

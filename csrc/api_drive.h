@@ -50,7 +50,7 @@ drive_stop drive_quick_stop(drive_state *drive, uint32_t why, int64_t now_ns);
 drive_stop drive_power_off(drive_state *drive);
 /* Quick stop is over: power off. */
 drive_stop drive_end_stopping(drive_state *drive, bool at_rest, int64_t now_ns);
-/* It has said whether it is enabled. `settled`: nobody is arming it. DISABLED_ITSELF, or still enabled for so many `tries`. */
+/* It has reported whether it is enabled. `settled`: no arming goes on. DISABLED_ITSELF, or still enabled for so many `tries`. */
 drive_stop drive_check_power(drive_state *drive, uint32_t tries, bool settled);
 drive_answer drive_obey(drive_state *drive, const mode_request *request, const drive_view *view);
 void drive_take_back(drive_state *drive, uint32_t why, uint32_t mode);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * api_encoder.h: quadrature encoders of wheels whose drive does not count: by the edges of two GPIO lines, by a counter of the
- * kernel, or by what a board says that somebody else talks to. Pure but for encoder_read. Read by cffi too. */
+ * kernel, or by the feedback of a board that another line runs. Pure but for encoder_read. Read by cffi too. */
 
 enum { ENCODER_NONE = 0, ENCODER_EDGES = 1, ENCODER_COUNTER = 2, ENCODER_REPORTED = 3 };
 

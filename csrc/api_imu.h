@@ -6,7 +6,7 @@
 
 /* What a sensor says, turned into the base's axes. NaN: it does not measure that. */
 typedef struct {
-    int64_t stamp_ns; /* when it was true; 0: never heard */
+    int64_t stamp_ns; /* when it was true; 0: never received */
     double angular_rad_s[3];
     double acceleration_m_s2[3];
     uint32_t saturated; /* 1: a rate was at the end of its scale, so it may have been more */
@@ -25,8 +25,8 @@ typedef struct {
 
 /* imu_state.state */
 enum {
-    GYRO_NONE = 0,     /* there is none, or it was never heard */
-    GYRO_UNBIASED = 1, /* heard, but the base has not stood still long enough to know its zero */
+    GYRO_NONE = 0,     /* there is none, or it was never received */
+    GYRO_UNBIASED = 1, /* received, but the base has not stood still long enough to know its zero */
     GYRO_USED = 2,     /* the heading follows it */
     GYRO_STALE = 3,    /* its last good sample is too old: the heading follows the wheels */
     GYRO_REVERSED = 4, /* it turned against the wheels, so it is mounted otherwise than was said: not used any more */
@@ -74,7 +74,7 @@ typedef struct {
 } gyro_state;
 
 void gyro_init(gyro_state *state);
-/* Takes in a sample if it is a new one. wheels_rest: by feedback, all wheels heard. */
+/* Takes in a sample if it is a new one. wheels_rest: by feedback, of all wheels. */
 void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *sample, int64_t now_ns, bool wheels_rest);
 /* How far the base has turned from the moment asked for last to this one, and with which variance. false: the gyro does
  * not know all of it. */

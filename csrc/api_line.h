@@ -5,7 +5,7 @@
  */
 
 /* ------------------------------------------------------------------------------------------ serial lines
- * One shared medium (an RS485 pair) under one thread. Who is told and asked what is a table: Python builds it from the
+ * One shared medium (an RS485 pair) under one thread. What goes to which drive is a table: Python builds it from the
  * drive profiles, C checks and copies it, and from then on the line runs from static memory, whatever Python does.
  * Everything that waits for a person or may fail in words (open, configure, arm, parameters) stays Python's: it goes
  * through the same line as asks, one in each cycle at most. */
@@ -32,14 +32,14 @@ typedef enum { SEAL_NONE = 0, SEAL_CRC16 = 1, SEAL_CRC8 = 2, SEAL_XMODEM = 3, SE
 /* A request and what its answer must look like. */
 typedef struct {
     uint32_t request_bytes; /* whole, with its checksum: 1..FRAME_BYTES_MAX */
-    uint32_t reply_bytes;   /* whole; 0: nobody answers, and the turn-around passes in silence */
+    uint32_t reply_bytes;   /* whole; 0: no drive answers, and the turn-around passes in silence */
     uint32_t echo_bytes;    /* the reply begins with so many bytes of the request as it was sent */
     uint32_t match_bytes;   /* else, with so many of match[] */
     uint32_t request_seal;  /* frame_seal; made anew when set-points have been put in */
     uint32_t reply_seal;
     uint32_t has_exceptions; /* 1: five bytes with the function's top bit set are a refusal (Modbus) */
     uint32_t exact;          /* 1: the reply does not say what it answers: it is all that comes, and after a failure
-                                   nobody is asked until a late one has passed */
+                                   no drive is asked until a late one has passed */
     uint8_t match[FRAME_MATCH_MAX];
     uint8_t request[FRAME_BYTES_MAX];
 } line_frame;
@@ -203,7 +203,7 @@ enum {
     DRIVE_FAULT_LOST_SETUP = 1 << 3,      /* a KEPT field differs: OFF */
     DRIVE_FAULT_DISABLED_ITSELF = 1 << 4, /* armed, but it says that it is not enabled: OFF */
     DRIVE_FAULT_UNRESPONSIVE = 1 << 5,
-    DRIVE_FAULT_STILL_ENABLED = 1 << 6 /* not armed, but it says that it is: told to disarm, held at zero */
+    DRIVE_FAULT_STILL_ENABLED = 1 << 6 /* not armed, but it reports that it is: gets a disarm, held at zero */
 };
 
 /* Python's request for a drive, obeyed once for each new count: what the line has taken back stays so until the next. */
@@ -225,7 +225,7 @@ typedef struct {
     uint64_t id; /* the caller's own */
     int64_t expires_ns;
     int64_t turnaround_ns;
-    uint32_t drive;  /* whose failures it counts to; LINE_DRIVES_MAX: nobody's */
+    uint32_t drive;  /* whose failures it counts to; LINE_DRIVES_MAX: none */
     uint32_t urgent; /* 1: before the other asks */
     line_frame frame;
 } line_request;
@@ -257,7 +257,7 @@ typedef struct {
     uint32_t fault_reasons; /* DRIVE_FAULT_* */
     uint32_t request_seen;  /* count of the last request that was obeyed */
     uint32_t enabled;       /* 1, 0, 2: it has not said since the last request */
-    uint32_t stopping;      /* a quick stop was told, and the wheels have not been seen at rest since */
+    uint32_t stopping;      /* a quick stop was sent, and the wheels have not been seen at rest since */
     uint32_t sent_motion;   /* it was sent set-points that are not zero, and has not acknowledged zero since */
     uint32_t failures;      /* in a row */
     uint32_t last_failure;  /* answer_kind */
@@ -270,7 +270,7 @@ typedef struct {
     uint64_t no_reply;
     uint64_t bad_reply;
     uint64_t refused;
-    uint64_t late;         /* replies that came after their time: nobody was told what they said */
+    uint64_t late;         /* replies that came after their time: their content was not used */
     uint64_t unresponsive; /* how often it became UNRESPONSIVE */
     int64_t received_ns;   /* last good reply */
     int64_t turnaround_ns; /* smoothed */
@@ -303,7 +303,7 @@ typedef struct {
 /* Where a line's thread runs and what it writes to. The descriptors stay the caller's. */
 typedef struct {
     int32_t fd;       /* the medium, open, set up, not blocking */
-    int32_t event_fd; /* eventfd, written on all that asyncio wants to hear and at the thread's end; -1: none */
+    int32_t event_fd; /* eventfd, written on all that asyncio wants to know and at the thread's end; -1: none */
     int32_t priority; /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
     uint32_t reserved;
     uint64_t cpu_mask;  /* bit n: CPU n; 0: no affinity */
@@ -311,12 +311,12 @@ typedef struct {
 } line_place;
 
 typedef struct {
-    line_place at;        /* told of answers and of changes of a drive's mode */
+    line_place at;        /* woken by answers and by changes of a drive's mode */
     int64_t de_before_ns; /* from the edge to the first bit */
     int64_t de_after_ns;  /* from the last bit to the edge back */
     int32_t de_fd;        /* GPIO line request (v2) that turns the transceiver; -1: none */
     uint32_t de_active_high;
-    uint32_t may_turn; /* bit n: drive n, since before the port was opened: it is told to stop first */
+    uint32_t may_turn; /* bit n: drive n, since before the port was opened: it gets a stop first */
     uint32_t reserved;
 } line_config;
 

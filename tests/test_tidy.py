@@ -6,6 +6,7 @@ import io
 import re
 import subprocess
 import tokenize
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -174,7 +175,7 @@ def test_limits_on_waiting_hold_in_cleanups_too():
     )
 
 
-def test_an_error_without_words_is_said_in_others():
+def test_an_error_without_words_is_reported_in_others():
     rows = matching(PYTHON, r"\berror or [\"']")
     report(rows, "an exception is always true: str(error) or ...")
 
@@ -306,6 +307,106 @@ def names_in(path: Path) -> set[str]:
         return set(re.findall(r"[A-Za-z_]\w*", C_TEXT.sub(" ", text)))
     tokens = tokenize.generate_tokens(io.StringIO(text).readline)
     return {token.string for token in tokens if token.type == tokenize.NAME}
+
+
+PRIVATE_MESSAGE = re.compile(
+    r"\b(desk|sparing|wish(es|ed)?|told|tells?|heard|hears?|deaf|quiet|demoted|hurry|said|says?"
+    r"|ways?|whoever|nobody|somebody|anybody|asks? for|asked for|under way)\b",
+    re.IGNORECASE,
+)
+
+
+PRIVATE_TEXT = re.compile(
+    r"\b(desk|sparing|wish(es|ed)?|told|heard|hears?|deaf|quiet|demoted|hurry|whoever|nobody"
+    r"|somebody|anybody|whom|he|his|him|asked for|under way)\b",
+    re.IGNORECASE,
+)
+PAGES = [
+    path
+    for path in TRACKED
+    if path.suffix == ".md"
+    and path.relative_to(ROOT).parts[0] in ("README.md", "CONTRIBUTING.md", "docs")
+]
+
+
+def test_pages_are_in_the_terms_of_the_glossary():
+    rows = [
+        f"{where(path, number)}: {found[0]}"
+        for path in PAGES
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if (found := PRIVATE_TEXT.search(line))
+    ]
+    report(rows, "write who does what to what, in the terms of docs/glossary.md")
+
+
+PRIVATE_COMMENT = re.compile(
+    r"\b(desk|sparing|wish(es|ed)?|[Tt]old|[Hh]eard|[Hh]ears?|deaf|[Qq]uiet|demoted|hurry"
+    r"|[Ww]hoever|[Nn]obody|[Ss]omebody|[Aa]nybody|whom|[Hh]e|[Hh]is|him)\b"
+)
+
+
+def comments_in(path: Path) -> Iterator[tuple[int, str]]:
+    """Every line of a comment or docstring, with its number."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".py":
+        for token in tokenize.generate_tokens(io.StringIO(text).readline):
+            if token.type == tokenize.COMMENT or token.string.startswith('"""'):
+                yield from enumerate(token.string.splitlines(), token.start[0])
+        return
+    for found in C_TEXT.finditer(text):
+        if found[0].startswith("/"):
+            first = text.count("\n", 0, found.start()) + 1
+            yield from enumerate(found[0].splitlines(), first)
+
+
+@pytest.mark.parametrize("paths", [PRODUCT, CSRC], ids=["Python", "C"])
+def test_comments_are_in_the_terms_of_the_glossary(paths):
+    rows = [
+        f"{where(path, number)}: {found[0]}"
+        for path in paths
+        for number, line in comments_in(path)
+        if (found := PRIVATE_COMMENT.search(line)) and "@" not in line
+    ]
+    report(rows, "write who does what to what, in the terms of docs/glossary.md")
+
+
+def messages_in(path: Path) -> Iterator[tuple[int, str]]:
+    """Every string of the code that is no docstring, with its line."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    bodies = (getattr(node, "body", None) for node in ast.walk(tree))
+    texts = {
+        id(statement.value)
+        for body in bodies
+        if isinstance(body, list)
+        for statement in body
+        if isinstance(statement, ast.Expr)
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in texts:
+            yield node.lineno, node.value
+
+
+def test_messages_are_terms_of_the_glossary():
+    rows = [
+        f"{path.relative_to(ROOT)}:{line}: {found[0]}"
+        for path in PRODUCT
+        for line, text in messages_in(path)
+        if " " in text.strip() and "\n" not in text and (found := PRIVATE_MESSAGE.search(text))
+    ]
+    report(rows, "docs/glossary.md has a term for it")
+
+
+def test_names_of_tests_are_in_the_terms_of_the_glossary():
+    words = PRIVATE_WORD.pattern.replace("|ways?|", "|")  # what goes both ways, in a sentence
+    private = re.compile(f"(?:^|_)({words}|says?|nobody|somebody|whom|his|him)(?=_|$)")
+    rows = [
+        f"{where(path, number)}: {found[1]}"
+        for path in PYTHON
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if (name := re.match(r"\s*(?:async )?def (test_\w+)", line))
+        and (found := private.search(name[1]))
+    ]
+    report(rows, "write who does what to what, in the terms of docs/glossary.md")
 
 
 @pytest.mark.parametrize("paths", [PRODUCT, CSRC], ids=["Python", "C"])

@@ -27,7 +27,7 @@ int64_t clock_now_ns(void)
     return read_ns(CLOCK_MONOTONIC);
 }
 
-/* Whoever looks first after a resume notes it, before the others can find the clocks as they should be. One that was held
+/* The first thread that looks after a resume notes it, before the others can find the clocks as they should be. One that was held
  * up while it looked changes nothing that another has noted since. */
 int64_t clock_resumed_ns(void)
 {

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fresh.h: when a stamp is fresh. The one rule for set-points on every medium and for what the core is told. */
+ * fresh.h: when a stamp is fresh. The one rule for set-points on every medium and for the core's heartbeat. */
 #ifndef MOTORD_FRESH_H
 #define MOTORD_FRESH_H
 

@@ -78,7 +78,7 @@ void histogram_copy(histogram *to, const histogram *from)
     to->min_ns = __atomic_load_n(&from->min_ns, __ATOMIC_RELAXED);
 }
 
-/* Nearest rank; the value is the upper edge of the bucket, so no percentile is told too low. */
+/* Nearest rank; the value is the upper edge of the bucket, so no percentile is too low. */
 int64_t histogram_percentile_ns(const histogram *h, double fraction)
 {
     if (h->samples == 0) {

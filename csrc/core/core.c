@@ -181,7 +181,7 @@ static uint32_t joints_with_power(const core_state *state)
     return state->armed | state->holding ? state->config.joint_count : 0;
 }
 
-/* Does a wheel do what it is told? */
+/* Does a wheel follow its set-point? */
 static void doubt(core_state *state, tick *t)
 {
     feedback_doubt why;

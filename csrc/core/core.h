@@ -44,7 +44,7 @@ bool plausible(plausible_state *state, const plausible_config *config, const joi
 /* Every number of it is finite; in core.c, which asks in each tick. */
 bool odometry_finite(const odometry_state *state, uint32_t joint_count);
 
-/* A side of the base is not heard: let the variance grow as if nothing were known of what the set-points
+/* A side of the base sends no feedback: let the variance grow as if nothing were known of what the set-points
  * make the wheels do meanwhile. */
 void odometry_drift(odometry_state *state, const core_config *config, const joint_setpoint *setpoint, double dt_s);
 

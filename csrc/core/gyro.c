@@ -18,7 +18,7 @@ static const int64_t WINDOW_NS = 1000000000;
 static const uint64_t WINDOW_SAMPLES_MIN = 20;
 /* A zero that wanders by 1e-3 rad/s in a quarter of an hour, as those of cheap sensors do when they warm up. */
 static const double BIAS_WANDER_RAD2_S3 = 1e-9;
-/* A mean that is farther from the known zero than this is a slow turn: somebody moves the robot. */
+/* A mean that is farther from the known zero than this is a slow turn: the robot is being moved. */
 static const double BIAS_STEP_MAX_RAD_S = 0.02;
 static const double STILL_RAD_S = 0.01; /* of a base that stands, or so many deviations of the noise */
 static const double STILL_DEVIATIONS = 5.0;

@@ -2,7 +2,7 @@
  *
  * odometry.c: from counters to a pose with its uncertainty.
  *
- * Each joint gathers its travel from its own samples; when every joint that is heard has brought one, the
+ * Each joint gathers its travel from its own samples; when every joint with feedback has brought one, the
  * gathered travel is integrated as one exact arc. Where a counter cannot say how far a wheel has gone (it
  * jumped, its origin moved, there is none), the drive's measured velocity stands in, and `degraded` says so.
  */

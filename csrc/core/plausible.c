@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * plausible.c: does a wheel do what it is told, and can its feedback be true?
+ * plausible.c: does a wheel follow its set-point, and can its feedback be true?
  *
  * A check that holds for its time is a fault. None of those that compare with the set-point counts while the wheel comes
  * nearer to it: a drive whose own ramp is slower than the core's lags for as long as it takes. Speeds are smoothed, so that a

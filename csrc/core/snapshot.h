@@ -43,7 +43,7 @@ static inline void write_joint(const core_state *state, const joint_feedback *fe
     to->stale = state->stale[j];
     to->jumps = odometry->jumps;
     if (feedback->stamp_ns <= 0) {
-        /* never heard: all of it is zero, and zero volts would be a lie */
+        /* never received: all of it is zero, and zero volts would be a lie */
         to->current_a = to->voltage_v = to->temperature_c = (double)NAN;
         to->enabled = 2;
     }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * watch.h: who may move. Ages of what was heard, faults and their latch, arming. Each comparison that lets
+ * watch.h: who may move. Ages of what was received, faults and their latch, arming. Each comparison that lets
  * something move is written so that NaN does not pass it. A part of core.c, as snapshot.h is.
  */
 #ifndef MOTORD_WATCH_H
@@ -56,7 +56,7 @@ static inline void read_command(core_state *state, tick *t)
     t->reasons = t->command_fresh ? goal->command_reasons : (uint32_t)REASON_COMMAND_STALE;
 }
 
-/* Which joints are heard, and since when. */
+/* Which joints send feedback, and since when. */
 static inline void judge_feedback(core_state *state, tick *t)
 {
     int64_t now_ns = t->input->now_ns;

@@ -37,7 +37,7 @@ static inline drive_stop end_stop(const line_ending *end, drive_state *drive, in
     return stop;
 }
 
-/* True: all drives are to be told to lose their power now. */
+/* True: all drives are to lose their power now. */
 static inline bool end_takes_power(line_ending *end, bool stopping, int64_t now_ns)
 {
     bool takes = end->stage == END_RESTING && (!stopping || now_ns >= end->rest_by_ns);

@@ -62,7 +62,7 @@ uint64_t line_thread_take_setpoints(const line_thread *t, setpoints *out);
 void line_thread_put_feedback(const line_thread *t, uint32_t mask, const void *joints, size_t joint_bytes);
 /* A report: its life is filled in here. */
 void line_thread_put_report(line_thread *t, line_life *report, bool running, int error);
-/* There is something that asyncio wants to hear. */
+/* There is something that asyncio wants to know. */
 void line_thread_notify(const line_thread *t);
 /* Page faults count from when it has `worked`: its memory has been touched by then. */
 void line_thread_count_page_faults(line_thread *t, bool worked);

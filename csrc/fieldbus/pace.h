@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * pace.h: the clock of the cycles of a medium whose drives are all told in one, and how soon anything is looked at. */
+ * pace.h: the clock of the cycles of a medium whose drives all get theirs in one, and how soon anything is looked at. */
 #ifndef MOTORD_PACE_H
 #define MOTORD_PACE_H
 

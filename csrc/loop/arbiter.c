@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * arbiter.c: who is in command. The fresh lease with the highest priority; among equals the one who came first. Who asks
- * for motion while nobody may move is held: his command counts as zero until he has asked for zero himself or has let
+ * for motion while nothing may move is held: its command counts as zero until it has sent zero itself or has let
  * it lapse. So a source that goes on sending through a stop, or before arming, moves nothing. */
 #include <math.h>
 #include <stddef.h>
@@ -135,7 +135,7 @@ static double larger(double a, double b)
     return a > b ? a : b;
 }
 
-/* Of the robot file's limit and the one in force the greater counts: who slows the robot down by a limit stops nobody. */
+/* Of the robot file's limit and the one in force the greater counts: a source that slows the robot down by a limit stops none. */
 static bool in_range(const arbiter *a, const command_datagram *command)
 {
     if (a->base == NULL) {
@@ -255,7 +255,7 @@ void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *o
     const lease_state *lease = commander(a, now_ns, may_move);
     a->report.may_move = may_move;
     a->report.commander = lease != NULL ? lease->number : 0;
-    *out = (twist_command){.stamp_ns = a->last_stamp_ns}; /* nobody: its end lies behind us */
+    *out = (twist_command){.stamp_ns = a->last_stamp_ns}; /* none: its end lies behind us */
     if (lease == NULL) {
         return;
     }

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * guard.c: when the emergency stop's contact stops the robot, and whether everybody lives for whom the watchdog's pin
+ * guard.c: when the emergency stop's contact stops the robot, and whether all threads live for which the watchdog's pin
  * moves. Pure: time is an argument. */
 #include "guard.h"
 
@@ -29,7 +29,7 @@ static bool is_within(int64_t now_ns, int64_t stamp_ns, int64_t timeout_ns)
 }
 
 /* A line with enabled drives has to go on. One that hangs counts until it goes on again, though the core has long taken
- * its enable back: nobody but its drives knows what they do. */
+ * its enable back: only its drives know what they do. */
 static bool line_lives(watchdog_state *state, const guard_config *config, const watchdog_input *input, uint32_t line)
 {
     int64_t timeout_ns = config->line_timeout_ns[line];

@@ -16,7 +16,7 @@ typedef struct {
 typedef struct {
     int64_t now_ns;
     int64_t heartbeat_ns;      /* of asyncio; 0: never */
-    bool enabled;              /* drives are told to be enabled */
+    bool enabled;              /* drives are to be enabled */
     uint64_t takes[LINES_MAX]; /* how often each line has taken its set-points */
 } watchdog_input;
 

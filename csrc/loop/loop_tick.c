@@ -111,7 +111,7 @@ static void clear_histograms_on_request(loop_work *work)
     }
 }
 
-/* Whoever asks for motion before the core is armed, or while it stops, shall not move when that changes. */
+/* A source that requests motion before the core is armed, or while it stops, shall not move when that changes. */
 static bool may_move(const loop_work *work)
 {
     const core_control *control = &work->input.control;
@@ -207,7 +207,7 @@ static void notify(loop_work *work, bool always)
     }
     const uint64_t one = 1;
     work->notified = *now;
-    /* Full means that the reader has been woken 2^64 - 2 times and has not looked: it is told already. */
+    /* Full means that the reader has been woken 2^64 - 2 times and has not looked: it will look. */
     if (write(work->event_fd, &one, sizeof one) < 0) {
         return;
     }
@@ -279,7 +279,7 @@ static void work_once(loop_work *work, int64_t now_ns)
     bool stopping = moves_nothing(&work->out);
     bool new_command = !same_command(&work->input.command, &before);
     /* A new command, or a stop, does not wait for a line's next turn. What the first instant of a ramp changes may be less
-     * than a drive can be told, so the next tick wakes the lines again. What was refused wakes none. */
+     * than a drive can be sent, so the next tick wakes the lines again. What was refused wakes none. */
     if (new_command || work->woken || (stopping && !work->stopping)) {
         wake_lines(work);
     }

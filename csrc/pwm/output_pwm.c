@@ -47,7 +47,7 @@ typedef struct {
     bridge_report out;
     encoder_state encoder[JOINTS_MAX];
     uint64_t duty_ns[PWM_OUTPUTS_MAX];
-    bool known[PWM_OUTPUTS_MAX]; /* duty_ns is what the file was told */
+    bool known[PWM_OUTPUTS_MAX]; /* duty_ns is what the file got */
     uint64_t bits;
     bool bits_known;
     int64_t reported_ns;
@@ -284,7 +284,7 @@ static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns, u
     }
     const uint64_t one = 1;
     if (notify && t->config.event_fd >= 0 && write(t->config.event_fd, &one, sizeof one) < 0) {
-        return; /* full: it is told already */
+        return; /* full: its reader is woken already */
     }
 }
 

@@ -78,7 +78,7 @@ def find_sockets(
     robot: str | None = None, folders: list[Path] | None = None, *, barred: bool = True
 ) -> list[Path]:
     """The sockets of all running daemons, or of those of `robot`. `barred`: one that this user may
-    not ask counts, too; the kernel refuses before it looks whether somebody listens (unix(7)), so
+    not ask counts, too; the kernel refuses before it looks whether a program listens (unix(7)), so
     its daemon may be dead. Raises ClientError where there is none."""
     found: list[Path] = []
     for folder in socket_folders() if folders is None else folders:
@@ -116,7 +116,7 @@ def why_unreachable(path: Path, error: OSError) -> str:
 
 
 def trusted_owners(folder: Path) -> set[int]:
-    """Whose files are believed in a folder: ours, root's, and those of the user to whom root
+    """Whose files are believed in a folder: ours, root's, and those of the user that root
     has given it (a service's /run/motord): where only root writes, only root makes folders."""
     above = folder.parent.stat()
     by_root = above.st_uid == 0 and not above.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
@@ -124,7 +124,7 @@ def trusted_owners(folder: Path) -> set[int]:
 
 
 def _lives(path: Path, barred: bool) -> bool:
-    """A socket that somebody listens at, and that is no stranger's trap."""
+    """A socket that a program listens at, and that is no stranger's trap."""
     info = path.stat()
     if not stat.S_ISSOCK(info.st_mode) or info.st_uid not in trusted_owners(path.parent):
         return False

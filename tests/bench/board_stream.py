@@ -31,7 +31,7 @@ def hog() -> None:
 
 
 async def drive(port: str, seconds: float) -> dict[str, float]:
-    from motord_hal.drives.load import find_profile
+    from motord.config.drives.load import find_profile
     from motord_hal.fieldbus.open_line import open_line
     from motord_hal.fieldbus.ports import DriveState, JointSpec, LineSpec
     from motord_hal.realtime.exchange import Exchange

@@ -116,7 +116,7 @@ def speak(end: socket.socket, until_s: float, frames: Frames) -> None:
 # --------------------------------------------------------------------------------------- the sides
 async def with_line(engine: str, path: str, seconds: float) -> dict[str, int]:
     """motord's, set up and at rest."""
-    from motord_hal.drives.load import find_profile
+    from motord.config.drives.load import find_profile
     from motord_hal.fieldbus.open_line import open_line
     from motord_hal.fieldbus.ports import DriveState, JointSpec, LineSpec
     from motord_hal.realtime.exchange import Exchange

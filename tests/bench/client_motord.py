@@ -14,7 +14,7 @@ import sys
 import threading
 from pathlib import Path
 
-from motord_hal.drives.load import load_profile
+from motord.config.drives.load import load_profile
 from motord_hal.drives.profile import Gap
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import DriveState, Echo, JointSpec, LineSpec

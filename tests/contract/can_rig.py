@@ -5,8 +5,8 @@ import math
 
 import can
 
+from motord.config.drives.load import find_profile
 from motord_hal.can.bus import CanBus
-from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.ports import (
     JointSpec,
     LineSpec,

@@ -3,7 +3,7 @@
 
 import dataclasses
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.drives.profile import Channel, Register, RegisterType, Step
 
 SET, QUERY, MODE, SPEED = 0x64, 0x74, 0xA0, 2

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A line of boards that speak the binary frames, and a board that a test scripts."""
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import (
     JointSpec,
     LineSpec,

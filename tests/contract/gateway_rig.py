@@ -6,7 +6,7 @@ import threading
 
 from sim_bench import rig_of
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.sim.control import SimControl
 from motord_hal.sim.rig import PortSpec
 from motord_hal.sim.runner import run

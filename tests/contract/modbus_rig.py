@@ -3,7 +3,7 @@
 
 import math
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import (
     JointSpec,
     LineSpec,

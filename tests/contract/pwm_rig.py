@@ -6,8 +6,8 @@ import contextlib
 
 from loop_side import GENEROUS_S
 
+from motord.config.drives.load import find_profile
 from motord_hal.base.errors import HalError
-from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.ports import (
     DriveState,
     JointSpec,

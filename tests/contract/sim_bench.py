@@ -7,7 +7,7 @@ import os
 import select
 import threading
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import JointSpec, LineSpec, TextSpec, TextWheel
 from motord_hal.modbus.codec import Function, Request, build_request, parse_reply
 from motord_hal.sim.can.port import free_address

@@ -115,7 +115,7 @@ async def test_a_rate_in_the_text_reaches_the_core_as_it_is_mounted(peer):
         assert sample.angular_rad_s[0] != sample.angular_rad_s[0]
 
 
-async def test_without_feedback_the_port_says_whether_it_is_there(tmp_path):
+async def test_without_feedback_the_port_reports_whether_it_is_there(tmp_path):
     peer = Reader(tmp_path / "board")
     async with running(spec_of(peer.link, "{left:d},{right:d}\n")) as rig:
         await rig.arm()
@@ -133,7 +133,7 @@ async def test_a_board_that_a_dead_program_left_is_sent_zero_again_and_again(pee
 
 def test_a_template_that_leaves_a_joint_out_is_refused(tmp_path):
     spec = spec_of(tmp_path / "x", "{left:d}\n")
-    with pytest.raises(ProfileError, match="it must say left, right"):
+    with pytest.raises(ProfileError, match="it must contain left, right"):
         open_line(spec, Exchange.private(), print)
 
 

@@ -9,8 +9,8 @@ from loop_side import running, until
 from mcu_peer import McuPeer, compiled
 from pwm_rig import PERIOD_NS, Chip, armed, spec_of
 
+from motord.config.drives.load import find_profile
 from motord_hal.base.clock import now_ns
-from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.ports import BoardEncoder, DriveState, EventKind, JointSpec
 
 PER_COUNT = math.tau / 1320
@@ -92,7 +92,9 @@ async def test_a_board_that_counts_is_never_enabled_though_the_bridges_are(rig, 
     assert not any(sent.enabled for sent in peer.sent)
 
 
-async def test_a_silent_board_lets_the_feedback_of_its_wheels_get_old_and_is_said_once(rig, peer):
+async def test_a_silent_board_lets_the_feedback_of_its_wheels_get_old_and_is_reported_once(
+    rig, peer
+):
     peer.do("m")
     await until(lambda: EventKind.DRIVE_WARNING in rig.kinds(), "it is said")
     assert "left, right" in rig.events[-1].text

@@ -33,7 +33,7 @@ async def rig(peer):
         yield rig
 
 
-async def test_bus_off_is_said_once_and_the_drives_come_back_disarmed(rig, peer):
+async def test_bus_off_is_reported_once_and_the_drives_come_back_disarmed(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
     await until(lambda: any(peer.axes[0].velocities()))
@@ -74,7 +74,7 @@ async def test_error_frames_are_counted_by_kind_and_lose_nothing(rig, peer):
     assert rig.states() == {DriveState.ARMED}
 
 
-async def test_what_error_frames_foretell_is_said_in_words_and_not_with_each_of_them(rig, peer):
+async def test_what_error_frames_foretell_is_reported_in_words_and_not_with_each_of_them(rig, peer):
     await rig.arm()
     for count in range(1, 4):
         peer.send_raw(CONTROLLER | NO_ACK, bytes((0, 0x30, 0, 0, 0, 0, 0, 0)), is_error_frame=True)

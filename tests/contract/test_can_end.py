@@ -45,7 +45,7 @@ def said_at_the_end(rig):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-async def test_a_drive_that_cannot_be_switched_off_is_said_by_name(bus, engine):
+async def test_a_drive_that_cannot_be_switched_off_is_reported_by_name(bus, engine):
     async with rig_on(bus, engine) as rig:
         await opened(rig, bus)
         await arm(rig, bus)

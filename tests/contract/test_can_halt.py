@@ -27,17 +27,17 @@ async def test_every_drive_is_sent_zero_and_then_loses_its_power(peer):
         assert CLOSED_LOOP not in axis.states()
 
 
-async def test_a_drive_that_turns_on_is_switched_off_all_the_same_and_one_that_is_deaf_is_said(
+async def test_a_drive_that_turns_on_is_switched_off_all_the_same_and_a_silent_one_is_reported(
     peer,
 ):
     peer.axes[0].velocity_turns_s = 2.0
     peer.axes[3].deaf_to.add(STATE)
     problems = await halt_line(spec_of(peer, 0, 3))
     assert peer.axes[0].state == IDLE
-    assert problems == ["wheel3: says that it is enabled still"]
+    assert problems == ["wheel3: reports that it is still enabled"]
 
 
-async def test_a_silent_drive_is_sent_all_the_same_and_said(peer):
+async def test_a_silent_drive_is_sent_all_the_same_and_reported(peer):
     peer.axes[0].silent = True
     (problem,) = await halt_line(spec_of(peer, 0, 3))
     assert "wheel0: no heartbeat frame" in problem

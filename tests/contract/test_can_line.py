@@ -73,7 +73,7 @@ async def test_a_drive_that_was_left_running_is_stopped_when_the_line_opens(peer
         assert peer.axes[0].states()[0] == IDLE
 
 
-async def test_a_drive_that_does_not_let_itself_be_set_up_is_said_once_and_tried_seldom(peer):
+async def test_a_drive_that_does_not_let_itself_be_set_up_is_reported_once_and_tried_seldom(peer):
     peer.axes[0].state, peer.axes[0].stuck = CLOSED_LOOP, True
     async with running(spec_of(peer, 0)) as rig:
         await until(lambda: len(peer.axes[0].states()) >= 3)
@@ -128,7 +128,7 @@ async def test_feedback_comes_in_si_at_the_wheel_with_a_count(rig, peer):
     assert rig.loop.exchange.take_feedback(1).velocity_rad_s == pytest.approx(-TURN)
 
 
-async def test_feedback_says_enabled_once_armed(rig):
+async def test_feedback_reports_enabled_once_armed(rig):
     await rig.arm()
     await until(lambda: rig.loop.exchange.take_feedback(0).enabled is True)
 
@@ -227,7 +227,7 @@ async def test_cancelling_the_line_stops_and_disarms_every_drive(peer):
 
 
 # ----------------------------------------------------------------------------------------- arming
-async def test_arming_fails_when_a_drive_does_not_say_it_is_enabled(rig, peer):
+async def test_arming_fails_when_a_drive_does_not_report_it_is_enabled(rig, peer):
     await rig.ready()
     peer.axes[3].deaf_to.add(STATE)
     with pytest.raises(DriveFault, match="axis_state"):
@@ -276,7 +276,7 @@ async def test_disarming_is_zero_and_power_off(rig, peer):
     await until(lambda: peer.axes[0].velocities()[-1] == 0.0)
 
 
-async def test_a_closed_line_says_so(peer):
+async def test_a_closed_line_reports_so(peer):
     async with running(spec_of(peer, 0, port="socketcan:nothing0")) as rig:
         await until(lambda: EventKind.LINE_LOST in rig.kinds())
         for order in (rig.line.arm, rig.line.disarm, rig.line.clear_faults):
@@ -287,7 +287,7 @@ async def test_a_closed_line_says_so(peer):
 
 
 # ----------------------------------------------------------------------------------- unresponsive
-async def test_a_drive_that_never_speaks_is_said_once(peer):
+async def test_a_drive_that_never_speaks_is_reported_once(peer):
     peer.axes[0].silent = True
     async with running(spec_of(peer, 0, 3)) as rig:
         await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds())
@@ -326,7 +326,7 @@ async def test_sends_that_succeed_do_not_make_a_drive_present(rig, peer):
     assert rig.line.stats().errors == {}
 
 
-async def test_a_drive_that_says_it_is_not_enabled_is_set_up_again_disarmed(rig, peer):
+async def test_a_drive_that_reports_it_is_not_enabled_is_set_up_again_disarmed(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
     await until(lambda: any(peer.axes[0].velocities()))
@@ -339,7 +339,7 @@ async def test_a_drive_that_says_it_is_not_enabled_is_set_up_again_disarmed(rig,
 
 
 # ----------------------------------------------------------------------------------------- faults
-async def test_faults_are_said_once_in_words_and_once_when_gone(rig, peer):
+async def test_faults_are_reported_once_in_words_and_once_when_gone(rig, peer):
     await rig.ready()
     peer.axes[0].error = 0x4000 | 0x40
     await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())

@@ -65,7 +65,7 @@ async def test_bytes_that_are_no_frames_are_counted_and_the_line_goes_on(adapter
         assert rig.kinds().count(EventKind.LINE_OPEN) == 1
 
 
-async def test_noise_that_its_driver_cannot_get_over_is_a_lost_line_and_not_a_deaf_one(
+async def test_noise_that_its_driver_cannot_get_over_is_a_lost_line_and_not_a_unresponsive_one(
     adapter, peer
 ):
     async with running(spec_of(peer, 0)) as rig:
@@ -89,7 +89,7 @@ async def test_an_adapter_that_is_pulled_comes_back_with_its_drives_disarmed(ada
         assert set(peer.axes[0].velocities()[mark:]) <= {0.0}
 
 
-async def test_a_drive_that_nobody_drives_is_stopped(peer):
+async def test_a_drive_that_nothing_drives_is_stopped(peer):
     peer.axes[0].state = CLOSED_LOOP
     assert await halt_line(spec_of(peer, 0)) == []
     assert peer.axes[0].state == IDLE

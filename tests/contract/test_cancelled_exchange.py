@@ -10,7 +10,7 @@ from modbus_rig import spec_of as line_spec_of
 from scripted_gateway import peer_on
 from sim_bench import simulated, spec_of
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.modbus.codec import Function, Request
 from motord_hal.modbus.guard import GuardedClient

@@ -8,9 +8,9 @@ from cia402_node import FAULT, OPERATION, QUICK_STOP_ACTIVE, READY, Cia402Node
 from loop_side import running, until
 from scripted_odrive import BUSES, engine_asked, new_address, open_bus
 
+from motord.config.drives.load import find_profile, load_profile
 from motord_hal.base.errors import DriveFault, HalError
 from motord_hal.base.paths import config_dir
-from motord_hal.drives.load import find_profile, load_profile
 from motord_hal.fieldbus.open_line import halt_line
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 
@@ -90,7 +90,7 @@ async def test_old_set_points_are_a_quick_stop_and_then_no_power(rig, node):
     await until(lambda: node.controls[-1] in (0x06, 0x00))
 
 
-async def test_a_fault_is_said_and_reset_by_an_edge(rig, node):
+async def test_a_fault_is_reported_and_reset_by_an_edge(rig, node):
     await rig.arm()
     node.error_code, node.status = 0x3220, FAULT
     await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
@@ -189,7 +189,7 @@ async def test_a_drive_that_turns_and_is_pre_operational_is_stopped_when_its_set
 
 
 @pytest.mark.parametrize("state", ["OPERATIONAL", "PRE-OPERATIONAL"])
-async def test_a_drive_that_nobody_drives_is_stopped_in_either_state_and_says_so(node, state):
+async def test_a_drive_that_nothing_drives_is_stopped_in_either_state_and_reports_so(node, state):
     await left_turning(node)
     node.node.nmt.state = state
     assert await halt_line(spec_of(node)) == []
@@ -198,8 +198,8 @@ async def test_a_drive_that_nobody_drives_is_stopped_in_either_state_and_says_so
     assert set(node.controls) <= {0x02, 0x06}
 
 
-async def test_a_pre_operational_drive_that_keeps_its_power_is_said(node):
+async def test_a_pre_operational_drive_that_keeps_its_power_is_reported(node):
     await left_turning(node)
     node.node.nmt.state, node.stuck = "PRE-OPERATIONAL", True
     (problem,) = await halt_line(spec_of(node))
-    assert problem == "wheel: says that it is enabled still"
+    assert problem == "wheel: reports that it is still enabled"

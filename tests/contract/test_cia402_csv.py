@@ -11,9 +11,9 @@ from cia402_node import OPERATION, Cia402Node
 from loop_side import running, until
 from shared_bus import KINDS, end_of, shared_bus
 
+from motord.config.drives.load import find_profile
 from motord_hal.base.errors import ProfileError
 from motord_hal.can.halt import halt_line
-from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 from motord_hal.realtime.exchange import Exchange
@@ -148,7 +148,7 @@ async def test_a_pause_of_this_program_makes_no_drive_unresponsive(rig, nodes):
     assert EventKind.DRIVE_UNRESPONSIVE not in rig.kinds()
 
 
-async def test_stop_all_stops_drives_that_nobody_synchronises_any_more(nodes, spec):
+async def test_stop_all_stops_drives_that_nothing_synchronises_any_more(nodes, spec):
     async with running(spec) as rig:
         await rig.arm()
     for node in nodes:
@@ -160,7 +160,7 @@ async def test_stop_all_stops_drives_that_nobody_synchronises_any_more(nodes, sp
 
 def test_a_cycle_that_the_drive_cannot_be_sent_is_refused(spec):
     odd = dataclasses.replace(spec, cycle_hz=300.0)
-    with pytest.raises(ProfileError, match=r"cannot say the line's cycle, 3\.333 ms"):
+    with pytest.raises(ProfileError, match=r"cannot hold the line's cycle, 3\.333 ms"):
         open_line(odd, Exchange.private(), lambda event: None)
 
 

@@ -14,9 +14,9 @@ import pytest
 from loop_side import running, until
 from shared_bus import KINDS, end_of, shared_bus
 
+from motord.config.drives.load import load_profile
 from motord_hal.base.errors import DriveFault
 from motord_hal.base.paths import config_dir
-from motord_hal.drives.load import load_profile
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 
 ROOT = Path(__file__).parents[2]
@@ -156,7 +156,7 @@ async def test_old_set_points_are_a_quick_stop_and_then_no_power(rig, drive):
     assert drive.said["velocity"] == 0
 
 
-async def test_a_fault_is_said_and_reset_by_an_edge(rig, drive):
+async def test_a_fault_is_reported_and_reset_by_an_edge(rig, drive):
     await rig.arm()
     drive.tell(fault=0x3220)
     await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())

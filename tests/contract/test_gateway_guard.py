@@ -104,7 +104,7 @@ async def test_a_gateway_that_has_forgotten_the_connection_is_called_anew(
 
 
 @pytest.mark.parametrize("kind", GATEWAYS)
-async def test_nobody_listening_is_a_port_error(kind):
+async def test_nothing_listening_is_a_port_error(kind):
     peer = peer_on(kind, None)
     peer.pull()
     client = GatewayClient(spec_of(peer, hub_servo()))

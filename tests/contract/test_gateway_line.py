@@ -8,7 +8,7 @@ from gateway_rig import served
 from loop_side import running, until
 from sim_bench import line_of
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState, EventKind
 
 KINDS = {"modbus-tcp": False, "rtu-over-tcp": True}

@@ -116,7 +116,7 @@ def opened(kind, device, range_rad_s=8.0, rate_hz=100.0):
 
 @each_kind
 @pytest.mark.parametrize("range_dps", [250, 500, 1000, 2000])
-def test_counts_are_what_the_data_sheet_says_at_each_scale(
+def test_counts_are_what_the_data_sheet_reports_at_each_scale(
     kind, model, identity, per_dps, per_g, range_dps
 ):
     device = model(identity)
@@ -149,7 +149,7 @@ def test_a_relative_is_named():
 
 @each_kind
 @pytest.mark.parametrize("count", [32767, -32768])
-def test_a_rate_at_the_end_of_the_scale_is_said(kind, model, identity, per_dps, per_g, count):
+def test_a_rate_at_the_end_of_the_scale_is_reported(kind, model, identity, per_dps, per_g, count):
     device = model(identity)
     chip = opened(kind, device)
     device.gyro = [0, 0, count]
@@ -167,7 +167,7 @@ def test_a_chip_that_lost_its_power_is_noticed(kind, model, identity, per_dps, p
             chip.read()
 
 
-def test_a_sensor_that_says_the_same_for_ever_stands_still():
+def test_a_sensor_that_reports_the_same_for_ever_stands_still():
     device = Mpu(0x68)
     chip = opened("mpu6050", device)
     device.noisy = False
@@ -269,7 +269,7 @@ def test_two_answers_that_are_missing_are_no_end_and_three_are():
     assert device.closed
 
 
-def test_a_chip_that_is_opened_again_says_so_by_its_epoch():
+def test_a_chip_that_is_opened_again_reports_so_by_its_epoch():
     device = Mpu(0x68)
     running = Running(device)
     running.until(lambda: running.reader.samples > 3)
@@ -284,7 +284,7 @@ def test_a_chip_that_is_opened_again_says_so_by_its_epoch():
     assert running.exchange.take_imu().epoch == 2
 
 
-def test_a_bus_on_which_every_transfer_is_late_says_so_and_hands_nothing_on(monkeypatch):
+def test_a_bus_on_which_every_transfer_is_late_reports_so_and_hands_nothing_on(monkeypatch):
     monkeypatch.setattr(imu_reader, "LATE_NS", -1)
     running = Running(Mpu(0x68))
     running.thread.join(30)

@@ -81,7 +81,7 @@ def test_an_ina238_measures_3_125_mv_5_uv_and_an_eighth_of_a_kelvin_a_count():
     assert power.chip_c == pytest.approx(-10.0)
 
 
-def test_a_chip_without_a_thermometer_says_no_temperature():
+def test_a_chip_without_a_thermometer_reports_no_temperature():
     assert math.isnan(Ina("ina226", ina226(x02=0x2570), 0.002).read().chip_c)
 
 
@@ -91,7 +91,7 @@ def test_the_two_with_a_thermometer_are_not_taken_for_each_other(kind, other):
         Ina(kind, other, 0.01)
 
 
-def test_a_range_that_somebody_changes_later_tells_nothing():
+def test_a_range_that_something_changes_later_reports_nothing():
     bus = ina228(x05=245760 << 4)
     chip = Ina("ina228", bus, 0.01)
     bus.words[0] = 0x0010
@@ -132,7 +132,7 @@ def test_an_ina226_is_known_by_its_maker_before_anything_is_written():
     assert stranger.words[0] == 0x1234
 
 
-def test_a_chip_that_lost_power_tells_nothing_until_it_is_set_up_again():
+def test_a_chip_that_lost_power_reports_nothing_until_it_is_set_up_again():
     bus = ina219(x02=1492 << 3)
     chip = Ina("ina219", bus, 0.1)
     bus.words[0] = 0x399F

@@ -23,8 +23,8 @@ from modbus_rig import (
 )
 from scripted_slave import ScriptedSlave, Unit
 
+from motord.config.drives.load import find_profile
 from motord_hal.base.errors import HalError
-from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
 from motord_hal.modbus.codec import Function
 
@@ -57,7 +57,7 @@ async def set_off(rig, peer):
     await until(lambda: 60 in peer.written(TARGET_1))
 
 
-async def test_a_drive_that_hears_but_is_not_received_is_sent_to_stop(rig, peer):
+async def test_a_drive_that_receives_but_is_not_received_is_sent_to_stop(rig, peer):
     await set_off(rig, peer)
     mute(peer)
     await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
@@ -125,7 +125,7 @@ async def test_no_drive_is_enabled_without_its_watchdog(rig, peer):
     assert ENABLE not in peer.written(CONTROL)
 
 
-async def test_a_drive_that_is_enabled_unasked_is_switched_off_and_it_is_said_once(rig, peer):
+async def test_a_drive_that_is_enabled_unasked_is_switched_off_and_it_is_reported_once(rig, peer):
     await rig.ready()
     offs = len(peer.written(CONTROL))
 
@@ -226,7 +226,7 @@ async def test_a_stop_that_was_lost_on_a_slow_line_is_sent_again_at_once(peer):
         assert second - first < 0.8
 
 
-async def test_shutting_down_tells_also_an_unresponsive_drive(peer):
+async def test_shutting_down_reports_also_an_unresponsive_drive(peer):
     async with running(spec_of(peer, hub_servo())) as rig:
         await set_off(rig, peer)
         peer.units[1].silent = True

@@ -9,7 +9,7 @@ from loop_side import running, until
 from modbus_rig import ENGINES, mute, registers_of, spec_of
 from scripted_slave import ScriptedSlave, Unit
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
 
 TARGET, ENABLE, STATUS = 0x0200, 0x0201, 0x0202
@@ -100,7 +100,7 @@ async def test_a_missing_drive_does_not_keep_the_stop_of_its_neighbour_back(peer
     assert any(one.unit == 2 and one.address == ENABLE and OFF in one.values for one in after)
 
 
-async def test_a_drive_that_hears_but_is_not_received_is_switched_off_at_the_end(peer):
+async def test_a_drive_that_receives_but_is_not_received_is_switched_off_at_the_end(peer):
     unit = peer.units[1]
     async with running(spec_of(peer, [WHEEL]), in_haste=True) as rig:
         await set_off(rig, unit)

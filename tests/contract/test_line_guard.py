@@ -133,12 +133,12 @@ async def test_a_reply_may_come_byte_by_byte(client, peer):
     assert (await client.exchange(read(0x10, 2), LONG_S)).values == (0x1111, 0x2222)
 
 
-async def test_bytes_that_nobody_asked_for_are_thrown_away(client, peer):
+async def test_bytes_that_nothing_asked_for_are_thrown_away(client, peer):
     peer.send(build_reply(READ, (0xDEAD,)))
     assert (await client.exchange(READ, LONG_S)).values == (0x1111,)
 
 
-async def test_an_exception_says_its_code_and_meaning(client, peer):
+async def test_an_exception_reports_its_code_and_meaning(client, peer):
     peer.tricks.append(instead(build_exception(1, Function.READ_HOLDING, 4)))
     with pytest.raises(Refused, match="server device failure") as error:
         await client.exchange(READ, LONG_S)
@@ -170,7 +170,7 @@ async def test_a_reply_in_the_buffer_counts_though_the_loop_was_late(client, pee
     assert (await client.exchange(READ, SHORT_S)).values == (0x1111,)
 
 
-async def test_a_line_that_is_never_silent_is_said_to_be_so(peer):
+async def test_a_line_that_is_never_silent_is_reported_to_be_so(peer):
     client = GuardedClient(str(peer.path), 115200, "none", 1, gap_s=0.15)
     await client.open()
     async with asyncio.TaskGroup() as group:
@@ -187,7 +187,7 @@ async def test_a_line_that_is_never_silent_is_said_to_be_so(peer):
     client.close()
 
 
-async def test_one_request_is_in_flight_whoever_asks(client, peer):
+async def test_one_request_is_in_flight_whatever_asks(client, peer):
     answers = await asyncio.gather(*(client.exchange(read(0x10 + n % 2), LONG_S) for n in range(6)))
     assert [answer.values for answer in answers] == [(0x1111,), (0x2222,)] * 3
 

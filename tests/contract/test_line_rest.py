@@ -25,9 +25,9 @@ from scripted_gateway import GATEWAYS, peer_on
 from scripted_odrive import BUSES, CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
 from scripted_slave import Unit
 
+from motord.config.drives.load import find_profile
 from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import HalError
-from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState, JointSpec
 from motord_hal.realtime.drive_state import DriveRules
 
@@ -49,7 +49,7 @@ async def bus(request):
         yield peer
 
 
-async def test_a_disarming_that_nobody_waits_for_any_more_takes_the_power_all_the_same(peer):
+async def test_a_disarming_that_nothing_waits_for_any_more_takes_the_power_all_the_same(peer):
     mute = [
         replace(joint, profile=replace(joint.profile, enabled=None)) for joint in hub_servo()
     ]  # a drive that says that it is enabled would be told again
@@ -152,7 +152,7 @@ SLOW_RAD_S = 0.02
 """Slower is at rest: what these wheels creep at is faster, and slower than any usual limit."""
 
 
-async def test_a_modbus_drive_keeps_its_power_until_it_is_as_slow_as_the_robot_file_says(peer):
+async def test_a_modbus_drive_keeps_its_power_until_it_is_as_slow_as_the_robot_file_demands(peer):
     peer.units[1].registers[VELOCITY_1] = 5  # 0.5 rpm: 0.05 rad/s
     async with running(spec_of(peer, hub_servo(), rest_velocity_rad_s=SLOW_RAD_S)) as rig:
         await rig.arm()
@@ -167,7 +167,7 @@ async def test_a_modbus_drive_keeps_its_power_until_it_is_as_slow_as_the_robot_f
         await until(lambda: peer.written(CONTROL)[-1] == OFF)
 
 
-async def test_a_can_drive_keeps_its_power_until_it_is_as_slow_as_the_robot_file_says(bus):
+async def test_a_can_drive_keeps_its_power_until_it_is_as_slow_as_the_robot_file_demands(bus):
     axis = bus.axes[0]
     async with running(can_spec_of(bus, rest_velocity_rad_s=SLOW_RAD_S)) as rig:
         await rig.arm()

@@ -69,7 +69,7 @@ async def test_a_board_is_set_up_with_its_watchdog_and_not_armed(rig, peer):
     assert not any(sent.enabled for sent in peer.sent)
 
 
-async def test_a_board_that_never_speaks_is_said_to_be_unresponsive_once(board_of, monkeypatch):
+async def test_a_board_that_never_speaks_is_reported_to_be_unresponsive_once(board_of, monkeypatch):
     monkeypatch.setattr(board_drive, "START_GRACE_S", 0.1)
     peer = board_of()
     peer.do("m")
@@ -90,7 +90,7 @@ async def test_no_set_point_but_zero_leaves_before_arming(rig, peer):
     assert all(sent.left_mrad_s == sent.right_mrad_s == 0 for sent in peer.sent)
 
 
-async def test_arming_enables_at_zero_and_feedback_says_so(rig, peer):
+async def test_arming_enables_at_zero_and_feedback_reports_so(rig, peer):
     rig.loop.velocity_rad_s = {0: 3.0}  # wished, but the loop has not enabled anything
     await rig.arm()
     await until(lambda: peer.now.enabled, "the peer has told it, too")
@@ -106,7 +106,7 @@ async def test_it_cannot_be_armed_without_fresh_set_points(rig):
         await rig.line.arm()
 
 
-async def test_a_board_that_does_not_hear_is_not_armed(rig, peer):
+async def test_a_board_that_does_not_receive_is_not_armed(rig, peer):
     await rig.ready()
     peer.do("d")
     with pytest.raises(HalError):
@@ -196,7 +196,7 @@ async def test_cancelling_the_line_brakes_and_takes_the_power(board_of):
     peer.pull()
 
 
-async def test_a_board_that_hears_nothing_any_more_stops_by_itself_and_stays_off(rig, peer):
+async def test_a_board_that_receives_nothing_any_more_stops_by_itself_and_stays_off(rig, peer):
     await armed_and_turning(rig, peer)
     peer.do("d")
     await until(lambda: not peer.now.enabled and peer.now.braking, "its own watchdog")
@@ -230,7 +230,7 @@ async def test_a_board_that_was_restarted_is_set_up_again_disarmed_in_a_new_epoc
     assert not peer.now.enabled
 
 
-async def test_a_port_that_goes_away_is_said_once_and_comes_back_disarmed(board_of):
+async def test_a_port_that_goes_away_is_reported_once_and_comes_back_disarmed(board_of):
     peer = board_of()
     async with running(spec_of(peer)) as rig:
         await rig.arm()
@@ -300,14 +300,14 @@ async def test_a_new_line_is_received_by_a_board_that_a_dead_program_left_turnin
         await rig.arm()
 
 
-async def test_a_board_that_says_nothing_when_it_is_stopped_is_named(peer):
+async def test_a_board_that_reports_nothing_when_it_is_stopped_is_named(peer):
     peer.do("m")
     problems = await halt_line(spec_of(peer))
     assert problems == ["the board of left, right has sent nothing"]
 
 
 # ----------------------------------------------------------------------------------------- faults
-async def test_a_fault_stops_is_said_in_words_and_is_cleared_when_it_is_gone(rig, peer):
+async def test_a_fault_stops_is_reported_in_words_and_is_cleared_when_it_is_gone(rig, peer):
     await armed_and_turning(rig, peer)
     peer.do("f")
     await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())

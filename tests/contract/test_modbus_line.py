@@ -31,9 +31,9 @@ from modbus_rig import (
 from scripted_gateway import GATEWAYS, peer_on
 from scripted_slave import Unit
 
+from motord.config.drives.load import find_profile
 from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import DriveFault, HalError, NoReply, PortError, ProfileError
-from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import (
     DriveState,
@@ -130,7 +130,7 @@ async def test_feedback_comes_in_si_at_the_wheel_with_a_raw_count(rig, peer):
     assert right(1).temperature_c == -16
 
 
-async def test_feedback_says_enabled_once_armed(rig):
+async def test_feedback_reports_enabled_once_armed(rig):
     await rig.arm()
     await until(lambda: rig.loop.exchange.take_feedback(0).enabled is True)
 
@@ -171,7 +171,7 @@ async def test_old_set_points_stop_the_drive_quickly_and_then_take_its_power(rig
     assert set(peer.written(TARGET_1)[count:]) == {0}
 
 
-async def test_a_stop_that_was_not_answered_is_told_again(rig, peer):
+async def test_a_stop_that_was_not_answered_is_sent_again(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))
@@ -203,7 +203,7 @@ async def test_cancelling_the_line_stops_and_disarms_every_drive(peer):
 
 
 # ----------------------------------------------------------------------------------------- arming
-async def test_arming_fails_when_a_drive_does_not_say_it_is_enabled(peer):
+async def test_arming_fails_when_a_drive_does_not_report_it_is_enabled(peer):
     def deaf(address, value):
         if (address, value) == (CONTROL, ENABLE):
             peer.units[2].registers[CONTROL] = OFF
@@ -249,7 +249,7 @@ async def test_disarming_is_zero_and_power_off(rig, peer):
     await until(lambda: peer.written(TARGET_1)[-1] == 0)
 
 
-async def test_a_closed_line_says_so(peer, tmp_path):
+async def test_a_closed_line_reports_so(peer, tmp_path):
     spec = spec_of(peer, hub_servo(), port=str(tmp_path / "nothing"))
     async with running(spec) as rig:
         for order in (rig.line.arm, rig.line.disarm, rig.line.clear_faults):
@@ -258,7 +258,9 @@ async def test_a_closed_line_says_so(peer, tmp_path):
 
 
 # ----------------------------------------------------------------------------------- unresponsive
-async def test_an_unresponsive_drive_is_said_once_and_comes_back_configured_and_disarmed(rig, peer):
+async def test_an_unresponsive_drive_is_reported_once_and_comes_back_configured_and_disarmed(
+    rig, peer
+):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))
@@ -310,7 +312,7 @@ async def test_an_unresponsive_drive_whose_bytes_are_no_frames_hints_at_the_baud
     assert "baud rate or parity?" in said
 
 
-async def test_a_drive_that_refuses_its_configuration_is_said_once(peer):
+async def test_a_drive_that_refuses_its_configuration_is_reported_once(peer):
     peer.units[1].refuses.add(MODE)
     async with running(spec_of(peer, hub_servo())) as rig:
         await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds())
@@ -320,7 +322,7 @@ async def test_a_drive_that_refuses_its_configuration_is_said_once(peer):
         assert "illegal data address" in rig.events[-1].text
 
 
-async def test_a_drive_that_says_it_is_not_enabled_is_set_up_again_disarmed(rig, peer):
+async def test_a_drive_that_reports_it_is_not_enabled_is_set_up_again_disarmed(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))
@@ -349,7 +351,7 @@ async def test_an_armed_drive_that_lost_its_set_up_loses_its_power_before_it_is_
 
 
 # ----------------------------------------------------------------------------------------- faults
-async def test_faults_are_said_once_in_words_and_once_when_gone(rig, peer):
+async def test_faults_are_reported_once_in_words_and_once_when_gone(rig, peer):
     await rig.ready()
     peer.units[1].registers[FAULT_1] = 0b101
     await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
@@ -441,7 +443,7 @@ async def test_a_fault_code_is_one_fault_and_an_unlisted_one_too(peer):
 
 
 # ------------------------------------------------------------------------------------------ books
-async def test_the_books_are_kept(rig, peer):
+async def test_the_counters_are_kept(rig, peer):
     await rig.ready()
     await until(lambda: rig.line.stats().cycles > 20)
     stats = rig.line.stats()

@@ -33,7 +33,7 @@ async def rig(peer):
         yield rig
 
 
-async def test_a_pulled_port_is_said_once_and_comes_back_disarmed(rig, peer):
+async def test_a_pulled_port_is_reported_once_and_comes_back_disarmed(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))
@@ -74,12 +74,12 @@ async def test_an_armed_drive_is_sent_to_stop_after_a_replug_though_it_does_not_
     assert rig.line.drive_states["left1"] is not DriveState.READY
 
 
-async def test_an_absent_port_is_said_once_and_opened_when_it_comes(peer):
+async def test_an_absent_port_is_reported_once_and_opened_when_it_comes(peer):
     peer.pull()
     async with running(spec_of(peer, hub_servo())) as rig:
         await until(lambda: rig.kinds() == [EventKind.LINE_LOST])
         assert any(
-            w in rig.events[0].text for w in ("no such port", "No such file", "nobody listens")
+            w in rig.events[0].text for w in ("no such port", "No such file", "no server listens")
         )
         pause_s = rig.line._backoff._next_s
         await until(lambda: rig.line._backoff._next_s > pause_s, "it has tried again")

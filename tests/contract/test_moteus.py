@@ -11,9 +11,9 @@ from loop_side import running, until
 from scripted_moteus import FAULT, POSITION, STOPPED, TIMEOUT, ZERO_VELOCITY, Moteus
 from shared_bus import KINDS, shared_bus
 
+from motord.config.drives.load import find_profile
 from motord_hal.can.halt import halt_line
 from motord_hal.can.plan import CanPlan
-from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 
 TURN = 2 * math.pi
@@ -75,7 +75,7 @@ async def turning(rig, drives):
     await until(lambda: [drive.values[0x002] for drive in drives] == [2.0, -3.0])
 
 
-def test_the_server_says_what_the_documents_say_of_their_example(address):
+def test_the_server_answers_what_the_documents_show_of_their_example(address):
     """docs/protocol/can.md, Example."""
     drive = Moteus(address, 1)
     try:
@@ -89,7 +89,7 @@ def test_the_server_says_what_the_documents_say_of_their_example(address):
         drive.close()
 
 
-def test_a_command_that_says_nothing_is_a_stop(address):
+def test_a_command_that_reports_nothing_is_a_stop(address):
     plan = CanPlan([JointSpec(index=0, name="w", profile=find_profile("moteus"), unit=3)])
     drive = Moteus(address, 3)
     try:
@@ -187,7 +187,7 @@ async def test_a_pause_of_this_program_makes_no_drive_unresponsive(rig, drives):
     await until(lambda: rig.line.drive_states["wheel_3"] is DriveState.UNRESPONSIVE)
 
 
-async def test_a_fault_is_said_and_set_points_do_not_start_it_again(rig, drives):
+async def test_a_fault_is_reported_and_set_points_do_not_start_it_again(rig, drives):
     await turning(rig, drives)
     drives[1].fail(33)
     await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
@@ -201,7 +201,7 @@ async def test_a_fault_is_said_and_set_points_do_not_start_it_again(rig, drives)
     assert drives[1].mode == STOPPED
 
 
-async def test_a_fault_is_said_also_where_this_program_had_a_pause_and_the_stop_has_cleared_it(
+async def test_a_fault_is_reported_also_where_this_program_had_a_pause_and_the_stop_has_cleared_it(
     rig, drives
 ):
     await turning(rig, drives)

@@ -9,8 +9,8 @@ import pytest
 from loop_side import running, until
 from pwm_rig import Chip, spec_of
 
+from motord.config.drives.load import find_profile
 from motord_hal.base.errors import PortError
-from motord_hal.drives.load import find_profile
 from motord_hal.encoder.counter import find_counter, open_counter
 from motord_hal.encoder.edges import open_edges
 from motord_hal.fieldbus.ports import CounterEncoder, EdgesEncoder, EventKind, JointSpec, LineState
@@ -94,7 +94,7 @@ async def test_a_wheel_that_turns_is_measured_and_one_that_stands_is_at_rest(chi
         await until(lambda: rig.loop.exchange.take_feedback(0).velocity_rad_s == 0.0, "rest")
 
 
-async def test_a_counter_that_says_no_number_ends_the_line_at_rest_with_the_joints_name(
+async def test_a_counter_that_reports_no_number_ends_the_line_at_rest_with_the_joints_name(
     chip, counter
 ):
     async with running(line_with(chip, counter)) as rig:
@@ -135,7 +135,7 @@ def test_a_count_that_is_not_there_is_named(counter):
         open_counter(counter_of(counter.folder, 3), "left")
 
 
-def test_a_function_that_the_counter_does_not_take_is_said(counter):
+def test_a_function_that_the_counter_does_not_take_is_reported(counter):
     file = counter.folder / "count0/function"
     file.unlink()
     os.mkfifo(file)
@@ -145,7 +145,7 @@ def test_a_function_that_the_counter_does_not_take_is_said(counter):
         open_counter(counter_of(counter.folder), "left")
 
 
-def test_a_counter_that_would_never_count_is_said(tmp_path):
+def test_a_counter_that_would_never_count_is_reported(tmp_path):
     made = Counter(tmp_path / "counter0", ceiling="0")
     with pytest.raises(PortError, match="its ceiling is 0"):
         open_counter(counter_of(made.folder), "left")
@@ -159,7 +159,7 @@ def test_a_counter_without_a_ceiling_is_as_wide_as_it_can_be(tmp_path, text):
     assert found.ceiling == 2**64 - 1
 
 
-def test_gpio_lines_that_are_not_there_are_said_with_joint_and_channel(tmp_path):
+def test_gpio_lines_that_are_not_there_are_reported_with_joint_and_channel(tmp_path):
     encoder = EdgesEncoder(gpio_chip="pinctrl-rp1", a="1", b="2", pull="up", rad_per_count=1.0)
     with pytest.raises(PortError, match='no GPIO chip "pinctrl-rp1"'):
         open_edges(encoder, "left", "motord", dev=tmp_path)

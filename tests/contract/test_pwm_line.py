@@ -17,9 +17,9 @@ from pwm_rig import PERIOD_NS, Chip, armed, spec_of
 
 import motord_hal.pwm
 import motord_hal.rt_engine
+from motord.config.drives.load import find_profile
 from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import HalError, PortError
-from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.open_line import halt_line, open_line
 from motord_hal.fieldbus.ports import (
     DriveState,
@@ -111,7 +111,7 @@ async def test_it_cannot_be_armed_without_fresh_set_points(chip):
                 await rig.line.arm()
 
 
-async def test_a_line_that_could_not_be_armed_does_not_say_that_it_was_stopped(chip):
+async def test_a_line_that_could_not_be_armed_does_not_report_that_it_was_stopped(chip):
     async with running(spec_of(chip)) as rig:
         await rig.ready()
         rig.loop.running = False
@@ -167,7 +167,7 @@ async def test_a_pin_that_keeps_its_duty_is_no_success_of_disarming(chip):
     assert "joint left, pin rpwm: No space left on device" in text
 
 
-async def test_a_line_that_ends_and_leaves_a_pin_its_duty_says_so(chip):
+async def test_a_line_that_ends_and_leaves_a_pin_its_duty_reports_so(chip):
     async with running(spec_of(chip)) as rig:
         await half_forward(rig, chip)
         kept = broken(chip, 0)
@@ -177,7 +177,7 @@ async def test_a_line_that_ends_and_leaves_a_pin_its_duty_says_so(chip):
     assert "joint left, pin rpwm: No space left on device" in said[0].text
 
 
-async def test_pulses_that_cannot_be_ended_are_said_by_the_line_that_ends(chip):
+async def test_pulses_that_cannot_be_ended_are_reported_by_the_line_that_ends(chip):
     enable = chip.folder / "pwm2/enable"
     async with running(spec_of(chip)) as rig:
         await rig.ready()
@@ -197,7 +197,7 @@ async def test_a_channel_that_is_gone_at_the_end_is_no_reason_for_a_warning(chip
     assert EventKind.DRIVE_WARNING not in rig.kinds()
 
 
-async def test_feedback_is_fresh_though_a_bridge_says_nothing(chip):
+async def test_feedback_is_fresh_though_a_bridge_reports_nothing(chip):
     async with running(spec_of(chip)) as rig:
         await until(lambda: rig.loop.exchange.take_feedback(0).stamp_ns > 0)
         first = rig.loop.exchange.take_feedback(0)
@@ -208,7 +208,7 @@ async def test_feedback_is_fresh_though_a_bridge_says_nothing(chip):
             await rig.line.read_register("left", "duty")
 
 
-async def test_pins_that_are_not_there_are_said_once_and_found_later(tmp_path):
+async def test_pins_that_are_not_there_are_reported_once_and_found_later(tmp_path):
     spec = spec_of(Chip(tmp_path / "other"), pins=PinsSpec(pwm_chip=str(tmp_path / "chip")))
     async with running(spec) as rig:
         await until(lambda: EventKind.LINE_LOST in rig.kinds())
@@ -277,7 +277,7 @@ async def test_pins_that_a_dead_program_left_driven_are_brought_to_rest(chip):
     assert [chip.read(number, "enable") for number in range(4)] == ON_AT_REST
 
 
-async def test_a_channel_that_somebody_drives_is_left_alone_and_its_owner_named(chip):
+async def test_a_channel_that_something_drives_is_left_alone_and_its_owner_named(chip):
     async with running(spec_of(chip)) as rig:
         await half_forward(rig, chip)
         problems = await halt_line(spec_of(chip))
@@ -310,7 +310,7 @@ def test_a_channel_whose_owner_was_killed_can_be_had(chip):
     assert chip.duties() == REST
 
 
-async def test_a_line_whose_channel_is_taken_says_so_and_waits(chip):
+async def test_a_line_whose_channel_is_taken_reports_so_and_waits(chip):
     with (chip.folder / "pwm2/duty_cycle").open("r+") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
         async with running(spec_of(chip)) as rig:
@@ -321,7 +321,9 @@ async def test_a_line_whose_channel_is_taken_says_so_and_waits(chip):
             await until(lambda: rig.line.state is LineState.READY)
 
 
-async def test_pulses_that_reach_no_pin_are_said_when_the_line_opens(chip, tmp_path, monkeypatch):
+async def test_pulses_that_reach_no_pin_are_reported_when_the_line_opens(
+    chip, tmp_path, monkeypatch
+):
     """As root sees it on a Pi 5 that has no overlay."""
     (tmp_path / "1f00098000.pwm").mkdir()
     (chip.folder / "device").symlink_to(tmp_path / "1f00098000.pwm")
@@ -376,7 +378,7 @@ async def test_no_channel_waits_for_another_one_to_rest(chip):
     assert halt.result() == []
 
 
-async def test_lines_rest_also_where_nobody_waits_for_a_channel_any_more(chip, monkeypatch):
+async def test_lines_rest_also_where_nothing_waits_for_a_channel_any_more(chip, monkeypatch):
     (chip.folder / "pwm0/period").unlink()
     opened = []
 
@@ -406,7 +408,7 @@ async def test_a_line_that_cannot_be_opened_brings_to_rest_what_it_can(chip):
         assert chip.duties() == REST
 
 
-async def test_a_line_that_cannot_be_opened_says_what_else_it_could_not_bring_to_rest(chip):
+async def test_a_line_that_cannot_be_opened_reports_what_else_it_could_not_bring_to_rest(chip):
     for number in (0, 2):
         (chip.folder / f"pwm{number}/period").unlink()
     async with running(spec_of(chip)) as rig:

@@ -10,8 +10,8 @@ from dataclasses import replace
 import pytest
 from loop_side import running, until
 
+from motord.config.drives.load import find_profile
 from motord_hal.base.errors import ProfileError
-from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.open_line import halt_line, open_line
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 from motord_hal.realtime.exchange import Exchange
@@ -129,7 +129,7 @@ async def test_a_mute_controller_is_unresponsive_and_comes_back_disarmed(peer):
         assert EventKind.DRIVE_BACK in rig.kinds()
 
 
-async def test_an_answer_that_comes_late_is_nobody_s(peer):
+async def test_an_answer_that_comes_late_is_nothing_s(peer):
     async with running(spec_of(peer.link)) as rig:
         await rig.ready()
         seen = rig.line.stats().exchanges

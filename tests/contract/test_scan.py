@@ -67,23 +67,23 @@ def test_a_person_gets_the_lines_for_the_robot_file(line):
     assert f"baudrate = {baudrate_of(line)}" in run.stdout
 
 
-def test_another_baud_rate_hears_nobody_until_the_right_one_is_tried(line):
+def test_another_baud_rate_receives_nothing_until_the_right_one_is_tried(line):
     wrong = "57600" if baudrate_of(line) != "57600" else "9600"
     run = scan(port_of(line), "--unit", "1", "--baudrate", wrong)
     assert run.returncode == 1
-    assert "nobody answers" in run.stderr
+    assert "no unit answers" in run.stderr
     usual = scan(port_of(line), "--unit", "1", "--json")
     assert usual.returncode == 0, usual.stderr
     assert str(json.loads(usual.stdout)["found"][0]["baudrate"]) == baudrate_of(line)
 
 
-def test_nobody_there_is_said_within_the_bound(line):
+def test_nothing_there_is_reported_within_the_bound(line):
     run = scan(port_of(line), "--units", "100-247", "--within-s", "1")
     assert run.returncode == 1
     assert "stopped after 1 s" in run.stderr
 
 
-def test_a_port_that_somebody_has_is_refused_with_his_name(line):
+def test_a_port_that_another_program_has_is_refused_with_its_name(line):
     from motord.tools.scan import spec_of
     from motord_hal.fieldbus.ports import DirectionSpec
     from motord_hal.serial.port import open_port
@@ -108,7 +108,7 @@ def test_units_that_are_none_are_wrong_usage(units):
     assert scan("/dev/null", "--units", units).returncode == 2
 
 
-def test_the_self_test_says_which_direction_works(line):
+def test_the_self_test_reports_which_direction_works(line):
     line.control.inject("echo")
     port, baudrate = port_of(line), baudrate_of(line)
     run = scan(port, "--directions", "--unit", "1", "--baudrate", baudrate)

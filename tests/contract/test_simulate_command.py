@@ -64,7 +64,7 @@ def simulate(*arguments):
             process.kill()
 
 
-def test_its_first_line_says_where_everything_is(sim, tmp_path_factory):
+def test_its_first_line_reports_where_everything_is(sim, tmp_path_factory):
     assert sim.robot == "demo"
     assert sim.seed == 5
     assert sim.ports.keys() == {"rs485"}
@@ -114,7 +114,7 @@ def test_a_pulled_port_is_gone_until_it_is_plugged(sim):
         ("fly", {}, "known: truth"),
     ],
 )
-def test_a_refusal_says_why(sim, method, params, says):
+def test_a_refusal_reports_why(sim, method, params, says):
     with pytest.raises(ControlError, match=says):
         sim.control.call(method, **params)
     assert sim.control.truth().at_rest
@@ -171,7 +171,7 @@ def test_a_signal_ends_it_well(tmp_path, number):
         ((str(DEMO), "--control", "/proc/no.sock"), 1, "/proc/no.sock"),
     ],
 )
-def test_what_cannot_be_simulated_is_said_with_its_status(arguments, status, says):
+def test_what_cannot_be_simulated_is_reported_with_its_status(arguments, status, says):
     with simulate(*arguments) as process:
         errors = process.stderr.read()
         assert process.wait(ARRIVAL_DEADLINE_S) == status
@@ -180,7 +180,7 @@ def test_what_cannot_be_simulated_is_said_with_its_status(arguments, status, say
 
 
 @pytest.mark.parametrize("taken", ["rs485", "control.sock"])
-def test_a_file_of_somebody_else_is_not_replaced(tmp_path, taken):
+def test_a_file_of_something_else_is_not_replaced(tmp_path, taken):
     (tmp_path / taken).write_text("mine", encoding="ascii")
     with simulate(str(DEMO), "--link-dir", str(tmp_path)) as process:
         errors = process.stderr.read()
@@ -262,7 +262,7 @@ def test_wrong_usage_is_sent_and_has_its_status(arguments, says):
 
 
 @pytest.mark.parametrize("option", ["--tcp", "--rtu-over-tcp"])
-def test_it_says_where_its_sockets_are_and_answers_there(tmp_path, option):
+def test_it_reports_where_its_sockets_are_and_answers_there(tmp_path, option):
     request = build_request(VELOCITIES)
     raw = option == "--rtu-over-tcp"
     question = request if raw else struct.pack(">HHH", 1, 0, len(request) - 2) + request[:-2]
@@ -273,7 +273,7 @@ def test_it_says_where_its_sockets_are_and_answers_there(tmp_path, option):
             assert connection.recv(1) == question[:1]
 
 
-def test_a_tagged_robot_tells_what_it_has_answered(tmp_path):
+def test_a_tagged_robot_reports_what_it_has_answered(tmp_path):
     with start_simulator(DEMO, link_dir=tmp_path, options=("--tagged", "--units", "3")) as sim:
         before_ns = time.monotonic_ns()
         for unit in (1, 3):
@@ -300,7 +300,7 @@ def test_a_line_behind_a_gateway_is_served_there_without_being_asked(tmp_path, k
             assert host == "127.0.0.1"
 
 
-def test_what_it_says_to_set_is_what_the_robot_file_takes(tmp_path):
+def test_what_it_reports_to_set_is_what_the_robot_file_takes(tmp_path):
     robot = tmp_path / "robot.toml"
     text = DEMO.read_text().replace('"modbus-rtu"', '"modbus-tcp"')
     robot.write_text(text.replace('port = "/dev/ttyUSB0"', 'host = "192.0.2.1"'))

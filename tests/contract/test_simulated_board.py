@@ -22,7 +22,7 @@ def frames_in(data):
             continue  # the first may have begun before
 
 
-def test_after_a_standstill_a_board_says_of_what_time_it_speaks(tmp_path):
+def test_after_a_standstill_a_board_reports_of_what_time_it_speaks(tmp_path):
     with Bench(tmp_path, "mcu-velocity", watchdog_s=0.0) as bench:
         dialect = FrameDialect(line_of(bench.profile))
         steps = [{"control": 8}, {"control": 0}, {"control": 1}]

@@ -5,7 +5,7 @@ import pytest
 from loop_side import running, until
 from sim_bench import RT, folder_of, simulated, spec_of, with_rt
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState, EventKind
 
 SPEED_RAD_S = 3.0

@@ -42,7 +42,7 @@ def test_a_mode_is_taken_and_not_answered(bench):
     assert bench.line.counters.bad_crc == 0
 
 
-def test_an_armed_motor_turns_as_sent_and_tells_how(bench):
+def test_an_armed_motor_turns_as_sent_and_reports_how(bench):
     arm(bench)
     bench.exchange(request(bench, SET, speed_wanted=60))
     bench.go_on(0.6)

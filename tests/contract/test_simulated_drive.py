@@ -12,7 +12,7 @@ import pytest
 from loop_side import running, until
 from sim_bench import GEAR, RT, can_reverse, folder_of, simulated, spec_of, with_rt
 
-from motord_hal.drives.load import find_profile, list_profiles
+from motord.config.drives.load import find_profile, list_profiles
 from motord_hal.fieldbus.ports import DriveState, EventKind
 
 SPEED_RAD_S = 6.0
@@ -196,7 +196,7 @@ async def test_dead_set_points_stop_the_wheels(rig, sim):
 
 
 @pytest.mark.parametrize("variant", profiles_that(lambda p: p.faults), indirect=True)
-async def test_a_fault_is_said_stops_its_wheel_and_is_cleared_disarmed(rig, sim, profile):
+async def test_a_fault_is_reported_stops_its_wheel_and_is_cleared_disarmed(rig, sim, profile):
     await set_off(rig, sim)
     fault = next(fault for fault in profile.faults if fault.severity == "fault")
     which = f"bit={fault.bit}" if fault.code is None else f"code={fault.code}"
@@ -278,7 +278,7 @@ CHECKED = one_of_each_protocol(profiles_that(has_check_sums))
 
 
 @pytest.mark.parametrize("variant", CHECKED, indirect=True)
-async def test_a_bad_wire_never_bends_what_the_drive_says(profile, folder):
+async def test_a_bad_wire_never_bends_what_the_drive_reports(profile, folder):
     noise = ("drop:p=0.02", "corrupt:p=0.03", "glitch:p=0.1", "tear:nth=29", "wrong-unit:nth=41")
     async with contextlib.AsyncExitStack() as stack:
         sim = stack.enter_context(simulated(profile, folder, seed=11))

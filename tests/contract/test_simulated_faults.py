@@ -83,7 +83,7 @@ def test_an_adapter_that_drives_for_long_lets_nothing_be_received(tmp_path):
         assert bench.exchange(FRAME) == REPLY
 
 
-def test_a_turnaround_is_as_long_as_the_script_says(tmp_path):
+def test_a_turnaround_is_as_long_as_the_script_reports(tmp_path):
     with Bench(tmp_path, faults=("turnaround:ms=7",)) as bench:
         bench.send(FRAME)
         bench.go_on((len(FRAME) + len(REPLY) - 0.5) * CHARACTER_S + 0.007)
@@ -119,7 +119,7 @@ def test_a_turnaround_spreads_from_its_least_to_its_most(tmp_path):
         (termios.B115200, PARITY_BITS, b""),
     ],
 )
-def test_a_drive_hears_only_a_master_with_its_own_settings(tmp_path, speed, parity, received):
+def test_a_drive_receives_only_a_master_with_its_own_settings(tmp_path, speed, parity, received):
     with Bench(tmp_path) as bench:
         set_up(bench.fd, speed, parity)
         assert bench.exchange(FRAME, 0.1) == received
@@ -152,7 +152,7 @@ SETTING, VALUE = "control_mode", 3
 """Written when a zlac8015d is set up, and at no other time."""
 
 
-def test_a_drive_is_deaf_while_it_stores_a_setting(tmp_path):
+def test_a_drive_is_unresponsive_while_it_stores_a_setting(tmp_path):
     with Bench(tmp_path, faults=("slow-flash:ms=100",)) as bench:
         assert bench.write(SETTING, VALUE) is None
         assert bench.exchange(FRAME, 0.02) == b""
@@ -210,7 +210,7 @@ def test_thirty_two_drives_share_a_line(tmp_path):
         assert bench.rig.truth()["joints"].keys() == {"left", "right"}
 
 
-def test_a_tagged_count_tells_its_unit_and_the_journal_what_was_said(tmp_path):
+def test_a_tagged_count_reports_its_unit_and_the_journal_what_was_reported(tmp_path):
     with Bench(tmp_path, tagged=True, faults=("corrupt:nth=2",)) as bench:
         good = bench.exchange(FRAME)
         spoiled = bench.exchange(FRAME)

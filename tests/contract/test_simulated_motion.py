@@ -145,7 +145,7 @@ def test_a_set_point_that_counts_only_with_others_is_obeyed_when_all_came_in_one
         assert bench.wheel().velocity_rad_s == pytest.approx(60 * RPM, abs=0.1)
 
 
-def test_a_direction_register_says_which_way(tmp_path):
+def test_a_direction_register_reports_which_way(tmp_path):
     with Bench(tmp_path, "bld-305s") as bench:
         bench.run_steps(bench.profile.configure)
         assert bench.write("target_velocity", 100) is None

@@ -52,7 +52,7 @@ def test_mbpoll_writes_reads_and_is_refused(tmp_path, options, where):
 
 
 @needs_mbpoll
-def test_mbpoll_at_another_baud_rate_hears_nothing(tmp_path):
+def test_mbpoll_at_another_baud_rate_receives_nothing(tmp_path):
     with start_simulator(DEMO, link_dir=tmp_path) as sim:
         settings = ["-m", "rtu", "-b", "9600", "-P", "none", "-o", "0.3", sim.ports["rs485"]]
         status, words, said = mbpoll("-c", "1", "-r", str(TARGET_VELOCITY), *settings)

@@ -14,10 +14,9 @@ from loop_side import running, until
 from pwm_rig import armed
 
 from motord.config import load_robot
-from motord.config.sections.wheels import profile_of
+from motord.config.drives.load import find_profile, list_profiles
 from motord.config.wiring import line_specs
 from motord.tools.simulator import start_simulator
-from motord_hal.drives.load import find_profile, list_profiles
 from motord_hal.fieldbus.ports import CounterEncoder, DriveState, JointSpec, LineSpec, PinsSpec
 from motord_hal.sim.rig import Rig, RigSpec, WheelSpec
 from motord_hal.sim.runner import HELD_UP_S, PausingClock
@@ -97,7 +96,7 @@ def counted(rad_per_count=PER_COUNT):
 # ------------------------------------------------------------------------------------ the bridges
 @pytest.mark.parametrize("drive", BRIDGES)
 @pytest.mark.parametrize(("mode", "way"), [("forward", 1.0), ("reverse", -1.0)])
-def test_every_bridge_turns_its_motor_as_fast_as_its_duty_says(tmp_path, drive, mode, way):
+def test_every_bridge_turns_its_motor_as_fast_as_its_duty_demands(tmp_path, drive, mode, way):
     with Bench(tmp_path, drive) as bench:
         bench.mode(mode, 0.5)
         bench.go_on(2.0)
@@ -121,7 +120,7 @@ def test_a_bridge_that_brakes_stops_its_motor_and_one_that_coasts_lets_it_turn(t
             assert bench.enabled() != turns_on
 
 
-def test_nothing_turns_before_the_pins_say_so(tmp_path):
+def test_nothing_turns_before_the_pins_report_so(tmp_path):
     with Bench(tmp_path) as bench:
         bench.go_on(0.5)
         assert bench.rig.plant.truth.moved_max_m_s == 0.0
@@ -172,7 +171,7 @@ def test_levels_of_no_mode_give_no_power_and_are_counted(tmp_path):
         assert bench.rig.stats()["lines"]["pins"]["no_mode"] == 100
 
 
-def test_a_file_that_is_being_written_says_what_it_said_before(tmp_path):
+def test_a_file_that_is_being_written_reports_what_it_reported_before(tmp_path):
     with Bench(tmp_path, pins={"rpwm": "pwm0", "lpwm": "pwm1"}) as bench:
         bench.tell(0.5, 0)
         bench.tell(0.0, 1)
@@ -268,7 +267,7 @@ def test_the_files_are_gone_when_it_ends(tmp_path):
 
 
 # ----------------------------------------------------------------------------------- held up
-def test_its_clock_goes_on_where_it_was_when_nobody_could_ask():
+def test_its_clock_goes_on_where_it_was_when_nothing_could_ask():
     now_s = 100.0
     clock = PausingClock(99.0, lambda: now_s)
     assert clock() == pytest.approx(1.0)
@@ -335,7 +334,7 @@ def simulator(tmp_path_factory):
 
 def spec_of(simulator, path=ROBOT):
     robot = load_robot(path, simulator.settings)
-    profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
+    profiles = robot.profiles
     return line_specs(robot, profiles)[0]
 
 

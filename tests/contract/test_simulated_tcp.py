@@ -13,7 +13,7 @@ from pymodbus.client import ModbusTcpClient
 from pymodbus.framer import FramerType
 from sim_bench import ARRIVAL_DEADLINE_S, rig_of
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.modbus.codec import (
     Function,
     Request,
@@ -68,7 +68,7 @@ def test_a_gateway_answers_with_the_transaction_of_the_request(tmp_path):
         assert ask(connection, FRAME, 7) == (7, REPLY[:-2])
 
 
-def test_a_gateway_says_that_an_absent_unit_did_not_respond(tmp_path):
+def test_a_gateway_reports_that_an_absent_unit_did_not_respond(tmp_path):
     with served(tmp_path, raw=False) as (_, address), dial(address) as connection:
         refusal = build_exception(9, Function.READ_HOLDING, TARGET_SILENT)
         assert ask(connection, ABSENT, 1) == (1, refusal[:-2])
@@ -103,7 +103,7 @@ def test_a_broadcast_through_a_gateway_is_obeyed_and_not_answered(tmp_path):
         assert ask(connection, build_request(back), 2) == (2, build_reply(back, (5,))[:-2])
 
 
-def test_a_simulator_that_was_held_up_does_not_say_that_a_drive_was(tmp_path):
+def test_a_simulator_that_was_held_up_does_not_report_that_a_drive_was(tmp_path):
     ports = {"bus": PortSpec(raw=False)}
     with rig_of(find_profile("zlac8015d"), tmp_path, ports=ports) as rig:
         host, _, port = rig.ports()["bus"].rpartition(":")

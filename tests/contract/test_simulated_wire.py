@@ -229,7 +229,7 @@ def test_a_script_can_pull_and_plug(tmp_path):
         assert bench.link.is_symlink()
 
 
-def test_whoever_opens_the_port_after_another_gets_no_old_bytes(bench):
+def test_whatever_opens_the_port_after_another_gets_no_old_bytes(bench):
     bench.send(FRAME)
     bench.hang_up()
     bench.go_on(0.5)
@@ -237,7 +237,7 @@ def test_whoever_opens_the_port_after_another_gets_no_old_bytes(bench):
     assert bench.exchange(FRAME) == REPLY
 
 
-def test_bytes_that_nobody_reads_are_lost_and_hurt_nobody(bench):
+def test_bytes_that_nothing_reads_are_lost_and_hurt_nothing(bench):
     for _ in range(3000):
         os.write(bench.fd, FRAME)
         bench.go_on(0.02, step_s=0.01)

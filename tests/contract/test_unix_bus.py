@@ -44,7 +44,7 @@ def path(tmp_path):
     return str(tmp_path / "bus")
 
 
-def test_a_program_that_leaves_while_a_thread_sends_harms_nobody(path):
+def test_a_program_that_leaves_while_a_thread_sends_harms_nothing(path):
     left = threading.Event()
     bus = UnixBus(path)
 

@@ -24,8 +24,8 @@ from mutate import mutated
 from scripted_gateway import GATEWAYS, ScriptedGateway, peer_on
 from scripted_slave import Bytes, ScriptedSlave, Unit
 
+from motord.config.drives.load import find_profile
 from motord_hal.base.clock import now_s
-from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState, JointSpec, LineState
 from motord_hal.modbus.codec import Request, build_exception, seal
 

@@ -38,7 +38,7 @@ def stage(tmp_path_factory, port):
         yield stage
 
 
-async def test_what_foxglove_subscribes_to_comes_and_is_what_the_daemon_says(stage, port):
+async def test_what_foxglove_subscribes_to_comes_and_is_what_the_daemon_reports(stage, port):
     typestore = get_typestore(Stores.ROS2_JAZZY)
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:
         odom = (await client.advertised(7))["/odom"]
@@ -98,7 +98,7 @@ async def test_a_client_that_stops_reading_costs_the_others_nothing(stage, port)
     assert stage.robot.status()["loop"]["ticks"] > ticks
 
 
-async def test_whoever_begins_to_read_is_sent_what_the_robot_looks_like(stage, port):
+async def test_whatever_begins_to_read_is_sent_what_the_robot_looks_like(stage, port):
     for _ in range(2):  # the second who comes, too
         async with asyncio.timeout(DEADLINE_S), wired(port) as client:
             channels = await client.advertised(len(OFFERED) + 1)

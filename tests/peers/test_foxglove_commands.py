@@ -126,7 +126,7 @@ async def test_a_message_may_show_the_token_itself(stage, port):
 
 
 @pytest.mark.parametrize("message", [TWIST, TWIST | {"token": "wrong"}, [1], b"{", b"[" * 60000])
-async def test_a_message_without_the_token_is_refused_counted_and_said(stage, port, message):
+async def test_a_message_without_the_token_is_refused_counted_and_reported(stage, port, message):
     before, refused = stage.robot.status()["commands"]["accepted"], inputs(stage)["refused"]
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:
         channel = await client.advertise("/cmd_vel")
@@ -181,7 +181,7 @@ async def test_strangers_do_not_push_out_who_commands(stage, port):
 
 
 @pytest.mark.parametrize(("topic", "encoding"), [("/odom", "json"), ("/cmd_vel", "cdr")])
-async def test_what_cannot_be_published_is_said(stage, port, topic, encoding):
+async def test_what_cannot_be_published_is_reported(stage, port, topic, encoding):
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:
         said = await complaint(client, "publish", lambda: client.advertise(topic, encoding))
         assert said == "publish: taken are /cmd_vel, /joint_commands, in json"
@@ -208,7 +208,7 @@ async def test_limits_are_read_changed_and_sent_to_who_subscribed(stage, port):
         await watcher.said("parameterValues", of(all_[LIMIT]))
 
 
-async def test_no_limit_is_said_as_in_the_robot_file(stage, port):
+async def test_no_limit_is_reported_as_in_the_robot_file(stage, port):
     jerk = "limits.linear_m_s3"
     before = stage.robot.call("params.get", names=[jerk])
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:
@@ -230,7 +230,7 @@ async def test_no_limit_is_said_as_in_the_robot_file(stage, port):
         ("limits.nothing", 1.0, "no parameter"),
     ],
 )
-async def test_a_change_that_is_refused_changes_nothing_and_the_reason_is_said(
+async def test_a_change_that_is_refused_changes_nothing_and_the_reason_is_reported(
     stage, port, name, value, words
 ):
     before = stage.robot.call("params.get")

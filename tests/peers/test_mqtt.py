@@ -157,12 +157,12 @@ def test_what_there_is_is_described_to_who_comes_late(stage, peer):
     assert message["topics"]["odom"] == {"type": "nav_msgs/msg/Odometry", "rate_hz": 20.0}
 
 
-def test_cbor_says_the_same(stage, peer):
+def test_cbor_reports_the_same(stage, peer):
     raw = peer.get("site/short/odom", "-N")
     assert cbor2.loads(raw)["child_frame_id"] == "base_link"
 
 
-def test_the_broker_says_that_a_process_that_died_is_offline_and_it_comes_back(stage, peer):
+def test_the_broker_reports_that_a_process_that_died_is_offline_and_it_comes_back(stage, peer):
     assert peer.get("site/r2/status") == b"online"
     with subprocess.Popen(
         ["mosquitto_sub", "-p", str(peer.port), "-t", "site/r2/status"], stdout=subprocess.PIPE

@@ -83,7 +83,7 @@ def test_a_daemon_with_another_robot_file_is_not_commanded(tmp_path):
         assert not stage.robot.status()["leases"]
 
 
-def test_it_waits_for_a_daemon_and_says_so_once(tmp_path):
+def test_it_waits_for_a_daemon_and_reports_so_once(tmp_path):
     with (
         ros(tmp_path),
         bridge(tmp_path, "--socket", tmp_path / "daemon.sock") as waiting,
@@ -140,7 +140,7 @@ def test_a_parameter_that_is_none_is_named(parameters, why):
         options_of(parameters)
 
 
-def test_parameters_of_the_node_are_wishes():
+def test_parameters_of_the_node_are_requests():
     given = {"use_sim_time": False, "robot": "", "socket": "/run/r2.sock", "stamped": False}
     options = options_of(given | {"limits.linear_m_s": 1})
     assert (options.robot, options.socket, options.input) == (None, Path("/run/r2.sock"), "ros")
@@ -159,7 +159,7 @@ def test_it_needs_the_standard_library_alone():
 
 
 @pytest.mark.skipif(REAL, reason="ROS 2 is here")
-def test_without_ros_it_says_so():
+def test_without_ros_it_reports_so():
     run = subprocess.run(
         [sys.executable, "-m", "motord.ros2_rclpy"], capture_output=True, timeout=DEADLINE_S
     )

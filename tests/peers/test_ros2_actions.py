@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Actions, asked for by another DDS participant in another process."""
+"""Actions, requested by another DDS participant in another process."""
 
 import contextlib
 import json

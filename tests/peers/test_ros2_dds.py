@@ -99,7 +99,7 @@ def test_a_command_moves_nothing_that_is_not_armed(stage):
     nobody_commands(stage)
 
 
-def test_services_say_what_the_daemon_says(stage):
+def test_services_report_what_the_daemon_reports(stage):
     answer = called("disarm")
     assert answer["success"]
     assert answer["message"] in ("idle", "configuring")
@@ -381,7 +381,7 @@ def test_what_is_absurd_moves_nothing_is_counted_and_has_a_name(armed, speed_m_s
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", speed_m_s, 0.0, 0, "broken"):
         wait_until(lambda: count() > before + 10, "refusals")
         # The graph may name him later than his first command comes.
-        wait_until(lambda: "input.ros2: /broken asks for " in armed.said(), "his name")
+        wait_until(lambda: "input.ros2: /broken requests " in armed.said(), "his name")
     assert armed.sim.truth().x_m == x_m
 
 

@@ -128,7 +128,7 @@ def test_colcon_builds_it_and_the_index_finds_it(tmp_path, how):
     assert found.split() == [str(prefix), str(prefix / "share" / PACKAGE)]
 
 
-def test_the_package_says_of_itself_what_the_project_says():
+def test_the_package_reports_of_itself_what_the_project_reports():
     manifest = ET.parse(SOURCE / "package.xml").getroot()
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert manifest.findtext("name") == PACKAGE

@@ -62,7 +62,7 @@ def test_a_thread_of_its_own_waits_for_commands(stage):
     ],
     ids=["no stamp", "ahead", "too long"],
 )
-def test_what_the_desk_refuses_is_counted_and_moves_nothing(stage, words, why):
+def test_what_the_gate_refuses_is_counted_and_moves_nothing(stage, words, why):
     wait_until(lambda: called("arm")["success"], "armed")
     before, x_m, sent = ours(stage)["refused"], stage.sim.truth().x_m, ours(stage)["sent"]
     with peer(*words):

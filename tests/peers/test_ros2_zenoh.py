@@ -68,7 +68,7 @@ def twist(linear_m_s):
     return bytes(STORE.serialize_cdr(message, TWIST))
 
 
-async def test_humble_hears_and_calls_by_keys_without_hashes():
+async def test_humble_receives_and_calls_by_keys_without_hashes():
     port, unhashed = free_port(), "TypeHashNotSupported"
     async with router(port):
         robot = Robot(port, distribution="humble")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Actions by ROS 2's ways over a real Zenoh router: asked for by another session, whose messages
+"""Actions by ROS 2's ways over a real Zenoh router: requested by another session, whose messages
 another encoder makes."""
 
 import threading
@@ -110,7 +110,7 @@ def test_a_distance_is_driven_with_feedback_and_a_result(robot):
     assert client.feedback[-1].distance_m > client.feedback[0].distance_m
 
 
-def test_a_goal_is_cancelled_while_somebody_waits_for_its_result(robot):
+def test_a_goal_is_cancelled_while_something_waits_for_its_result(robot):
     stage, driver = robot
     with armed(stage, driver):
         client, results = Client(driver.session, 2), []
@@ -132,7 +132,7 @@ def test_a_robot_that_is_not_armed_takes_no_goal(robot):
     assert stage.state() == "idle"
 
 
-def test_a_goal_that_nobody_knows_has_no_result_and_is_not_cancelled(robot):
+def test_a_goal_that_nothing_knows_has_no_result_and_is_not_cancelled(robot):
     _, driver = robot
     client = Client(driver.session, 4)
     assert client.result().status == 0

@@ -21,7 +21,7 @@ def test_another_node_arms_drives_and_receives_the_distance(robot):
         assert driver.received[-1].header.frame_id == "r2/odom"
 
 
-def test_the_robot_stops_when_the_other_node_says_nothing_more(robot):
+def test_the_robot_stops_when_the_other_node_reports_nothing_more(robot):
     stage, driver = robot
     with armed(stage, driver):
         driver.drive_until(lambda: stage.state() == "moving", "moving")
@@ -55,7 +55,7 @@ def test_a_command_that_waited_somewhere_moves_nothing(robot):
         assert states == {"armed"}
 
 
-def test_an_emergency_stop_is_latched_and_arming_says_why_not(robot):
+def test_an_emergency_stop_is_latched_and_arming_reports_why_not(robot):
     stage, driver = robot
     assert driver.call("estop").success
     stage.wait_for("estop")

@@ -131,7 +131,7 @@ async def test_who_has_no_token_does_not_even_connect(stage, ports, query):
             pass
 
 
-async def test_strangers_who_say_nothing_make_room_for_who_has_the_token(tmp_path, monkeypatch):
+async def test_strangers_who_report_nothing_make_room_for_who_has_the_token(tmp_path, monkeypatch):
     monkeypatch.setattr(http_server, "ANSWER_WITHIN_S", 3600.0)  # none goes because it is silent
     port, count = free_port(), 3 * http_server.STRANGERS_MAX
     section = RosbridgeInput(kind="rosbridge", token_file=str(token_file(tmp_path)), port=port)
@@ -182,14 +182,16 @@ TWIST = {"linear": {"x": 0.2, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.
         ([1], "JSON object"),
     ],
 )
-async def test_a_server_that_only_tells_says_what_it_does_not_do(stage, ports, request_, words):
+async def test_a_server_that_only_publishes_reports_what_it_does_not_do(
+    stage, ports, request_, words
+):
     accepted = stage.robot.status()["commands"]["accepted"]
     answer = await exchanged(ports[1], request_, until=is_status)
     assert words in answer["msg"]
     assert stage.robot.status()["commands"]["accepted"] == accepted
 
 
-async def test_a_service_of_a_server_that_only_tells_does_nothing(stage, ports):
+async def test_a_service_of_a_server_that_only_reports_does_nothing(stage, ports):
     request = {"op": "call_service", "service": "/arm", "id": "1"}
     answer = await exchanged(ports[1], request, until=lambda one: one["op"] == "service_response")
     assert (answer["result"], answer["id"]) == (False, "1")
@@ -245,7 +247,7 @@ async def test_a_client_is_sent_no_faster_than_it_asked_for(stage, ports):
     assert stamps[-1] - stamps[0] > 0.3
 
 
-async def test_a_reader_that_stops_reading_costs_samples_and_nobody_else_anything(stage, ports):
+async def test_a_reader_that_stops_reading_costs_samples_and_nothing_else_anything(stage, ports):
     ticks = stage.robot.status()["loop"]["ticks"]
     url = f"ws://127.0.0.1:{ports[1]}/"
     async with connect(url, max_queue=1, ping_interval=None) as stuck:

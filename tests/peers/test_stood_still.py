@@ -95,7 +95,7 @@ def test_what_waited_while_it_stood_still_moves_nothing(stage, port, name, by):
 
 
 @pytest.mark.parametrize("ahead_s", [0.0, 3600.0, -3600.0])
-def test_what_waited_at_the_sender_moves_nothing_whatever_its_clock_says(stage, ahead_s):
+def test_what_waited_at_the_sender_moves_nothing_whatever_its_clock_reports(stage, ahead_s):
     wait_until(lambda: stage.robot.arm(), "armed")
     with peer("twist", f"rt{NAMESPACE}/cmd_vel", SPEED_M_S, 0.0, ahead_s) as sender:
         stage.wait_for("moving")

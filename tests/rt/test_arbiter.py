@@ -29,7 +29,7 @@ def commander(arbiter, at_ms):
     return None if lease is None else lease.owner
 
 
-def test_nobody_commands_before_the_first_command():
+def test_nothing_commands_before_the_first_command():
     assert commander(Arbiter(), 0) is None
 
 
@@ -98,7 +98,7 @@ def test_leases_end_with_their_connection():
     assert [lease.owner for lease in arbiter.leases(START_NS)] == ["c"]
 
 
-def test_a_release_of_somebody_elses_lease_does_nothing():
+def test_a_release_of_something_elses_lease_does_nothing():
     arbiter = Arbiter()
     submit(arbiter, 0, "a", connection=1)
     arbiter.release(2, "a")
@@ -266,7 +266,7 @@ def test_a_sequence_of_zero_is_a_replay_also_after_the_end_of_the_64_bits():
     assert raw(arbiter, 50, sequence=1) is None
 
 
-def test_who_was_held_is_held_on_his_next_connection_until_his_lease_has_lapsed():
+def test_a_held_source_is_held_on_its_next_connection_until_its_lease_has_lapsed():
     arbiter = Arbiter()
     submit(arbiter, 0)
     arbiter.hold()
@@ -276,7 +276,7 @@ def test_who_was_held_is_held_on_his_next_connection_until_his_lease_has_lapsed(
     assert not submit(arbiter, 400, connection=3).held
 
 
-def test_who_was_held_is_free_on_his_next_connection_when_he_has_sent_zero():
+def test_a_held_source_is_free_on_its_next_connection_when_it_has_sent_zero():
     arbiter = Arbiter()
     submit(arbiter, 0)
     arbiter.hold()

@@ -9,9 +9,9 @@ from _motord_rt import ffi, lib
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from motord.config.drives.load import find_profile
 from motord_hal.ascii.dialect import TextDialect
 from motord_hal.ascii.text import Text
-from motord_hal.drives.load import find_profile
 from motord_hal.fieldbus.ports import JointSpec, LineSpec, TextSpec, TextWheel
 from motord_hal.mcu.frames import FRAME_BYTES_MAX, Frame, FrameError, build, parse
 from motord_hal.modbus.plan import DrivePlan
@@ -194,7 +194,7 @@ def same(text, line):
 @example("E .5 2e2, +3E-1\v end")
 @example("E 1e999 2, 3 end")
 @example("E 1 2, 3e end")
-def test_any_line_says_the_same_to_both(line):
+def test_any_line_reports_the_same_to_both(line):
     same(Text(FEEDBACK, ("left_count", "right_count", "left_rad_s")), line.encode())
 
 

@@ -176,7 +176,7 @@ def test_a_lost_command_ramps_to_rest_and_stays_armed(action):
     assert rig.speeds[0] > 0.0, "a lost command is not latched"
 
 
-def test_a_lost_command_brakes_at_once_where_the_robot_file_says_so():
+def test_a_lost_command_brakes_at_once_where_the_robot_file_wants_it():
     rig = Rig(core_config(on_timeout=lib.STOP_BRAKE))
     rig.moving()
     rig.hold.add("command")
@@ -184,7 +184,7 @@ def test_a_lost_command_brakes_at_once_where_the_robot_file_says_so():
     assert_rest(rig, enabled=1)
 
 
-def test_a_lost_command_coasts_and_disarms_where_the_robot_file_says_so():
+def test_a_lost_command_coasts_and_disarms_where_the_robot_file_wants_it():
     rig = Rig(core_config(on_timeout=lib.STOP_COAST))
     rig.moving()
     rig.hold.add("command")
@@ -252,7 +252,7 @@ def test_a_command_that_is_no_number_ramps_to_rest_and_never_to_full_reverse(axi
     assert rig.shown.wanted_linear_m_s == 0.0
 
 
-def test_a_wish_smaller_than_any_motor_can_show_is_zero():
+def test_a_set_point_smaller_than_any_motor_can_show_is_zero():
     rig = Rig()
     rig.arm()
     rig.drive(5e-324, -1e-200)

@@ -91,7 +91,7 @@ def test_a_reset_while_the_cause_is_there_is_refused_and_not_remembered(name):
     assert rig.shown.faults == getattr(lib, name)
 
 
-def test_a_reset_while_somebody_commands_motion_is_refused():
+def test_a_reset_while_something_commands_motion_is_refused():
     rig = Rig()
     rig.moving()
     estop_level(rig)
@@ -132,7 +132,7 @@ def test_faults_of_an_unarmed_base_are_not_latched_but_those_of_the_house_are():
     assert_rest(rig, enabled=0)
 
 
-def test_a_drive_that_was_off_before_arming_may_say_so_until_it_is_received_again():
+def test_a_drive_that_was_off_before_arming_may_report_so_until_it_is_received_again():
     rig = Rig()
     rig.hold.add("feedback")
     rig.tick()
@@ -146,7 +146,7 @@ def test_a_drive_that_was_off_before_arming_may_say_so_until_it_is_received_agai
     assert rig.tick().faults == lib.FAULT_DRIVE_DISABLED
 
 
-def test_a_drive_that_cannot_say_whether_it_is_enabled_is_no_fault():
+def test_a_drive_that_cannot_report_whether_it_is_enabled_is_no_fault():
     rig = Rig()
     for feedback in rig.feedback:
         feedback.enabled = 2

@@ -125,7 +125,7 @@ def test_a_counter_is_followed_across_its_wrap_both_ways(ceiling, begin, travels
         assert state.count == wrapped
 
 
-def test_a_counter_beyond_its_ceiling_says_nothing():
+def test_a_counter_beyond_its_ceiling_reports_nothing():
     config = ffi.new(
         "encoder_config *", {"kind": lib.ENCODER_COUNTER, "ceiling": 999, "rad_per_count": 1.0}
     )

@@ -73,7 +73,7 @@ def test_a_take_gives_the_newest_put_whatever_came_before(steps, line):
     enabled=st.sampled_from([True, False, None]),
     drive_faults=st.integers(0, 2**32 - 1),
 )
-def test_feedback_arrives_as_it_was_said(stamp_ns, count, floats, epoch, enabled, drive_faults):
+def test_feedback_arrives_as_it_was_reported(stamp_ns, count, floats, epoch, enabled, drive_faults):
     exchange = Exchange.private()
     velocity_rad_s, current_a, voltage_v, temperature_c = floats
     exchange.put_feedback(
@@ -96,7 +96,7 @@ def test_feedback_arrives_as_it_was_said(stamp_ns, count, floats, epoch, enabled
     assert got.drive_faults == drive_faults
 
 
-def test_what_a_drive_does_not_say_is_nan():
+def test_what_a_drive_does_not_report_is_nan():
     exchange = Exchange.private()
     put(exchange, 0, 1)
     got = exchange.take_feedback(0)

@@ -304,7 +304,7 @@ NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
 @given(
     st.lists(st.tuples(NUMBERS, st.integers(-(2**63), 2**63 - 1), st.integers(0, 1)), max_size=40)
 )
-def test_whatever_the_sensor_says_the_pose_stays_finite_and_its_covariance_positive(said):
+def test_whatever_the_sensor_reports_the_pose_stays_finite_and_its_covariance_positive(said):
     rig = GyroRig()
     rig.moving(0.4, 0.4)
     rig.received = False

@@ -98,7 +98,7 @@ def test_wheels_of_one_side_that_want_apart_are_refused_and_the_lease_commands_z
     assert made.arbiter.c.report.refused[Refusal.JOINTS] == 1
 
 
-def test_a_wheel_that_nobody_named_does_not_drag_the_others_along():
+def test_a_wheel_that_nothing_named_does_not_drag_the_others_along():
     made = Wheels(base(4))
     assert made.say(2.0, 0.0, 0.0, 0.0) is Refusal.JOINTS
     assert made.twist() == (0.0, 0.0)
@@ -158,7 +158,7 @@ def test_a_kind_has_its_own_length(change):
     assert made.judged(bytes(raw) + b"\0") is Refusal.FORM
 
 
-def test_the_newest_wish_of_an_owner_counts_whatever_its_kind():
+def test_the_newest_command_of_an_owner_counts_whatever_its_kind():
     made = Wheels()
     assert made.say_twist(0.5, 0.0) is None
     assert made.say(0.0, 2.0) is None

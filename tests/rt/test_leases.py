@@ -32,7 +32,7 @@ async def stop_and_go(loop, leases):
     assert not (await drive(leases, 9, 0.1, owner="somebody else")).held
 
 
-async def test_who_was_held_stays_so_on_his_next_connection(loop):
+async def test_a_held_source_stays_so_on_its_next_connection(loop):
     leases = Leases(loop)
     assert not (await drive(leases, 1, 0.3)).held
     await stop_and_go(loop, leases)

@@ -120,7 +120,7 @@ def test_a_second_loop_in_the_process_is_refused_and_the_first_runs_on(loop):
     until(lambda: loop.status().ticks > seen)
 
 
-def test_stopping_what_does_not_run_says_so():
+def test_stopping_what_does_not_run_reports_so():
     assert lib.loop_stop() == -3
     assert lib.loop_histogram_clear() == -3
     with pytest.raises(OSError, match="No such process"):

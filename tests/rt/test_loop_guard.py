@@ -67,7 +67,7 @@ def test_an_input_that_cannot_be_read_is_an_emergency_stop_from_the_first_tick_o
         assert loop.status().estop_input == "lost"
 
 
-def test_no_reset_clears_it_while_the_input_says_stop(pipe):
+def test_no_reset_clears_it_while_the_input_reports_stop(pipe):
     with looped(estop=1, estop_fd=pipe[0]) as loop:
         hear_wheels()
         loop.put_control(rt.Control(reset_count=1, limits=LIMITS))

@@ -85,7 +85,7 @@ def test_the_thread_stays_on_the_cpus_of_the_robot_file():
         assert "affinity" not in loop.status().refusals
 
 
-def test_a_cpu_that_is_not_there_is_said_and_the_loop_runs():
+def test_a_cpu_that_is_not_there_is_reported_and_the_loop_runs():
     if (os.cpu_count() or 0) > 63:
         pytest.skip("CPU 63 exists")
     with rt.Loop(core_config(), settings(cpu=(63,))) as loop:
@@ -113,7 +113,7 @@ def test_the_cpu_is_kept_awake_while_the_loop_runs_and_no_longer():
     assert not held()
 
 
-def test_without_privileges_it_runs_and_says_what_was_refused_and_what_to_do():
+def test_without_privileges_it_runs_and_reports_what_was_refused_and_what_to_do():
     answer = subprocess.run(
         without_privileges(command("refused")),
         capture_output=True,

@@ -60,7 +60,7 @@ def control(**levels):
     return rt.Control(limits=LIMITS, **levels)
 
 
-def test_a_stop_holds_while_asyncio_still_says_go_on(loop, wire):
+def test_a_stop_holds_while_asyncio_still_reports_go_on(loop, wire):
     lease = driving(loop)
     wire[0].send(datagram("stop"))
     until(lambda: rests(loop))

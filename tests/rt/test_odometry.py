@@ -73,7 +73,7 @@ def test_the_same_stamp_and_an_older_stamp_are_no_new_sample():
     assert base.state.stamp_ns == before_ns
 
 
-def test_a_counter_jump_is_refused_counted_and_said():
+def test_a_counter_jump_is_refused_counted_and_reported():
     base = Base()
     base.step(0, 0)
     base.step(50, 50)
@@ -95,7 +95,7 @@ def test_a_robot_at_rest_stays_where_it_is_when_a_counter_jumps():
     assert base.state.joint[LEFT].position_rad == 0.0
 
 
-def test_measured_velocity_stands_in_where_the_counter_cannot_say():
+def test_measured_velocity_stands_in_where_the_counter_cannot_report():
     base = Base()
     base.step(0, 0)
     base.feedback[LEFT].velocity_rad_s = base.feedback[RIGHT].velocity_rad_s = 5.0
@@ -140,7 +140,7 @@ def test_after_a_silence_in_which_the_counter_may_have_gone_round_it_is_seeded_a
     assert base.state.degraded == 1
 
 
-def test_after_a_silence_a_wide_counter_tells_all_that_was_missed():
+def test_after_a_silence_a_wide_counter_reports_all_that_was_missed():
     base = Base(counter_bits=32)
     base.step(0, 0)
     base.now_ns += 5_000_000_000
@@ -278,7 +278,7 @@ def test_the_sides_of_a_skid_base_are_means_of_their_wheels():
     assert base.state.distance_m == pytest.approx(expected)
 
 
-def test_a_stale_wheel_is_left_out_said_and_not_counted_twice_when_it_is_back():
+def test_a_stale_wheel_is_left_out_reported_and_not_counted_twice_when_it_is_back():
     base = Base(4)
     base.step(0, 0, 0, 0)
     base.stale[2] = 1
@@ -292,7 +292,7 @@ def test_a_stale_wheel_is_left_out_said_and_not_counted_twice_when_it_is_back():
     assert base.state.heading_rad == 0.0
 
 
-def test_a_stale_side_stops_the_integration_and_its_return_tells_what_was_missed():
+def test_a_stale_side_stops_the_integration_and_its_return_reports_what_was_missed():
     base = Base()
     base.step(0, 0)
     base.stale[RIGHT] = 1
@@ -323,7 +323,7 @@ def test_a_side_that_is_seeded_later_makes_no_turn_of_the_others_travel():
 
 
 @pytest.mark.parametrize("measured", [True, False])
-def test_without_counters_travel_comes_from_velocity_measured_or_wished(measured):
+def test_without_counters_travel_comes_from_velocity_measured_or_requested(measured):
     base = Base(counter_bits=0)
     base.step(0, 0)
     for j in (LEFT, RIGHT):

@@ -52,7 +52,7 @@ def test_a_narrow_counter_that_went_round_unseen_is_sent_by_the_measured_velocit
 @pytest.mark.parametrize(
     ("wheel", "speed_rad_s", "silence_s"), [(DDSM115, 34.5, 0.110), (GEAR_30, 18.0, 0.200)]
 )
-def test_a_narrow_counter_without_a_velocity_says_that_it_may_have_gone_round(
+def test_a_narrow_counter_without_a_velocity_reports_that_it_may_have_gone_round(
     wheel, speed_rad_s, silence_s
 ):
     base = narrow(**wheel)
@@ -65,7 +65,7 @@ def test_a_narrow_counter_without_a_velocity_says_that_it_may_have_gone_round(
     assert base.state.x_m == pytest.approx(known_rad * RADIUS_M)
 
 
-def test_where_the_velocity_changed_too_much_it_stands_in_and_the_odometry_says_so():
+def test_where_the_velocity_changed_too_much_it_stands_in_and_the_odometry_reports_so():
     base = narrow(**DDSM115)
     turn_for(base, STEP_S, 0.0, 0.0)
     turn_for(base, 0.110, 17.0, 34.0)

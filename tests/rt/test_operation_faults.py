@@ -36,7 +36,7 @@ def say(operation, kind, text):
     operation.on_line_event(LineEvent(kind, "rs485", ("left",), text))
 
 
-def test_a_drive_that_says_why_only_after_it_was_seen_to_be_off_is_named_too(operation):
+def test_a_drive_that_reports_why_only_after_it_was_seen_to_be_off_is_named_too(operation):
     operation.fault(OFF)
     assert operation.state is State.FAULT
     say(operation, EventKind.DRIVE_FAULT, OVER_CURRENT)
@@ -75,7 +75,7 @@ def test_the_reason_of_an_emergency_stop_takes_the_place_of_the_cores_bare_word(
     operation.look()
     assert (operation.state, operation.why) == (State.ESTOP, ("estop",))
     operation.estop(1)
-    assert operation.why == (f"asked for by {process_name(1)}",)
+    assert operation.why == (f"requested by {process_name(1)}",)
     operation.estop(1, "the panel")
     assert operation.why == (f"the panel ({process_name(1)})",)
 

@@ -60,7 +60,7 @@ def test_memory_out_of_line_is_refused():
     assert lib.page_init(Page().pointer + 8) == -errno.EINVAL
 
 
-def test_a_page_without_a_snapshot_says_so(page):
+def test_a_page_without_a_snapshot_reports_so(page):
     assert page.read() == -errno.ENODATA
 
 

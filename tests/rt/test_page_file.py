@@ -105,7 +105,7 @@ def test_the_refusal_names_the_process_that_the_header_names():
     page.close()
 
 
-def test_a_file_that_is_somebody_elses_by_now_is_left_alone():
+def test_a_file_that_is_something_elses_by_now_is_left_alone():
     page = PageFile.open("robot")
     page.path.unlink()
     page.path.write_text("another's")
@@ -176,7 +176,7 @@ def stranger(path, deed):
             process.kill()
 
 
-def test_a_stranger_who_makes_the_folder_first_keeps_nobody_out_and_is_not_read(shared):
+def test_a_stranger_who_makes_the_folder_first_keeps_nothing_out_and_is_not_read(shared):
     """Without root the stranger is another process of this user that lets everybody write."""
     taken = shared / f"motord-{os.geteuid()}"
     with stranger(taken / "robot.page", "makes the folder") as process:
@@ -194,7 +194,7 @@ def test_a_stranger_who_makes_the_folder_first_keeps_nobody_out_and_is_not_read(
                 PageFile.open("robot")
 
 
-def test_nobody_else_can_write_in_the_folder():
+def test_nothing_else_can_write_in_the_folder():
     with PageFile.open("robot") as page:
         info = page.path.parent.stat()
         assert info.st_uid == os.geteuid()
@@ -202,7 +202,7 @@ def test_nobody_else_can_write_in_the_folder():
 
 
 @pytest.mark.parametrize("deed", ["locks", "locks for reading"])
-def test_a_lock_of_a_reader_on_a_dead_daemons_page_keeps_nobody_out(folder, deed):
+def test_a_lock_of_a_reader_on_a_dead_daemons_page_keeps_nothing_out(folder, deed):
     path = folder / "robot.page"
     path.touch(0o644)
     with stranger(path, deed), PageFile.open("robot") as page:

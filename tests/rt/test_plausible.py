@@ -199,7 +199,7 @@ def test_a_wheel_that_turns_the_wrong_way_and_does_not_stop_has_no_power_sooner(
     assert_rest(rig, enabled=0)
 
 
-def test_rest_that_a_frozen_counter_tells_is_not_believed():
+def test_rest_that_a_frozen_counter_reports_is_not_believed():
     """Told to brake, the wheel still turns; its counter says that it stands."""
     rig = Wheels(reports=False, on_fault=lib.STOP_BRAKE, slope_rad_s2=10.0)
     rig.moving()
@@ -214,7 +214,7 @@ def test_rest_that_a_frozen_counter_tells_is_not_believed():
     assert_rest(rig, enabled=0)
 
 
-def test_power_does_not_wait_for_a_rest_that_broken_feedback_never_tells():
+def test_power_does_not_wait_for_a_rest_that_broken_feedback_never_reports():
     rig = Wheels()
     rig.moving()
     wild_velocity(rig)

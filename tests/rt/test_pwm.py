@@ -62,7 +62,7 @@ def test_the_output_jumps_over_the_dead_band(pwm, velocity):
     assert velocity == 0.0 or clamped or abs(duty) >= pwm.dead_band
 
 
-def test_too_fast_a_wish_is_clamped_and_said():
+def test_too_fast_a_set_point_is_clamped_and_reported():
     assert Map(duty_max=0.8).step(100.0) == (0.8, lib.REASON_DUTY_CLAMPED)
     assert Map(duty_min=-0.3).step(-100.0) == (-0.3, lib.REASON_DUTY_CLAMPED)
 

@@ -9,7 +9,7 @@ from _motord_rt import ffi, lib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord_hal.drives.load import find_profile, list_profiles
+from motord.config.drives.load import find_profile, list_profiles
 from motord_hal.realtime.pwm import MODES
 
 NOW_NS = 10_000_000_000
@@ -157,7 +157,7 @@ def test_a_thread_that_was_held_up_does_not_go_on_where_it_was():
     assert bench.state.fault_reasons == lib.DRIVE_FAULT_LEFT_ALONE
 
 
-def test_arming_needs_fresh_set_points_and_a_new_wish():
+def test_arming_needs_fresh_set_points_and_a_new_request():
     bench = Bench()
     bench.request_mode(lib.PWM_ARMED)
     assert bench.step(0.5, age_ns=TIMEOUT_NS + 1) == bench.levels("coast")

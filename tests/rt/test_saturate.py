@@ -56,7 +56,7 @@ def test_no_number_whatsoever_gives_a_factor_outside_of_zero_to_one(rows):
 
 
 @pytest.mark.parametrize("broken", [math.nan, math.inf, -math.inf])
-def test_a_wish_that_is_no_number_stops_the_whole_base(broken):
+def test_a_set_point_that_is_no_number_stops_the_whole_base(broken):
     assert factor([1.0, broken], [(-2.0, 2.0), (-2.0, 2.0)]) == 0.0
 
 

@@ -115,7 +115,7 @@ def test_a_flag_is_true_alone(flag):
 
 
 @pytest.mark.parametrize(("said", "meant"), [(0, False), (1, True), (2, None)])
-def test_a_drive_that_cannot_say_whether_it_is_enabled_is_not_called_enabled(said, meant):
+def test_a_drive_that_cannot_report_whether_it_is_enabled_is_not_called_enabled(said, meant):
     raw = raw_state()
     raw.joint[1].enabled = said
     assert rt._snapshot(raw).joints[1].enabled is meant
@@ -141,7 +141,7 @@ def test_json_never_holds_what_json_does_not_have(values):
     assert read["joints"][0]["current_a"] == (current_a if math.isfinite(current_a) else None)
 
 
-def test_json_says_words_lists_and_its_version():
+def test_json_reports_words_lists_and_its_version():
     read = rt._snapshot(raw_state()).to_json()
     assert read["reasons"] == ["linear_jerk", "command_stale"]
     assert read["faults"] == ["estop", "state"]

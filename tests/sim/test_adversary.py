@@ -76,7 +76,7 @@ def test_a_disarming_lets_the_ramp_of_a_fault_end(tmp_path):
         assert not any(joint.enabled for joint in front)
 
 
-def test_a_log_that_nobody_reads_does_not_hold_up_the_robot(tmp_path):
+def test_a_log_that_nothing_reads_does_not_hold_up_the_robot(tmp_path):
     reading, writing = os.pipe()
     fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
     os.set_blocking(writing, False)
@@ -129,7 +129,7 @@ def test_a_source_that_connects_anew_for_each_command_is_held_as_any_other(tmp_p
             source.drive(0.4, 0.0, owner="again", lease_s=5.0)
 
 
-def test_drives_that_cannot_say_they_stopped_do_not_start_again_after_a_pause(tmp_path):
+def test_drives_that_cannot_report_they_stopped_do_not_start_again_after_a_pause(tmp_path):
     """A suspended daemon: the drives' watchdogs set the duty to 0, and its return writes none."""
     with running(tmp_path, "safety.drive_watchdog_s=0.5", robot=FORWARD_ONLY) as stage:
         set_off(stage)
@@ -141,7 +141,7 @@ def test_drives_that_cannot_say_they_stopped_do_not_start_again_after_a_pause(tm
         assert stage.sim.truth().moved_max_m_s < 0.01
 
 
-def test_when_one_of_two_drives_is_deaf_and_mute_the_other_wheel_stops_too(tmp_path):
+def test_when_one_of_two_drives_is_unresponsive_and_mute_the_other_wheel_stops_too(tmp_path):
     with running(tmp_path, robot=TWO_SINGLE_DRIVES) as stage:
         set_off(stage, 0.3, 2.0)
         stage.sim.inject("drop:unit=1")
@@ -275,7 +275,7 @@ main()
 """
 
 
-def test_an_error_that_nobody_expected_ends_the_daemon_at_rest_and_without_power(tmp_path):
+def test_an_error_that_nothing_expected_ends_the_daemon_at_rest_and_without_power(tmp_path):
     code = BREAKING.replace("sys.argv[-1]", repr(str(tmp_path / "publisher")))
     settings = (
         "publish.console.kind=stdout",

@@ -51,7 +51,7 @@ def test_a_good_battery_is_reported_and_published_and_unknown_when_its_drives_ar
         wait_until(lambda: level(stage) == "normal", "normal again")
 
 
-def test_what_registers_of_a_drive_say_of_the_pack_is_in_the_battery(tmp_path):
+def test_what_registers_of_a_drive_report_of_the_pack_is_in_the_battery(tmp_path):
     named = [f"battery.{key}_from=left.{name}" for key, name in REGISTERS.items()]
     with running(tmp_path, *FULL, *named) as stage:
 
@@ -72,7 +72,9 @@ def test_what_registers_of_a_drive_say_of_the_pack_is_in_the_battery(tmp_path):
         assert stage.robot.status()["battery"]["temperature_c"] is None
 
 
-def test_a_critical_battery_is_said_and_lets_the_robot_drive_unless_the_file_says_stop(tmp_path):
+def test_a_critical_battery_is_reported_and_lets_the_robot_drive_unless_the_file_wants_stop(
+    tmp_path,
+):
     with running(tmp_path, *EMPTY) as stage:
         wait_until(lambda: level(stage) == "critical", "critical")
         wait_until(lambda: "the battery is critical" in stage.said(), "the log's word")
@@ -80,7 +82,7 @@ def test_a_critical_battery_is_said_and_lets_the_robot_drive_unless_the_file_say
         set_off(stage)
 
 
-def test_where_the_file_says_stop_a_critical_battery_lets_nobody_arm(tmp_path):
+def test_where_the_file_wants_stop_a_critical_battery_lets_nothing_arm(tmp_path):
     with running(tmp_path, *EMPTY, STOPS) as stage:
         wait_until(lambda: level(stage) == "critical", "critical")
         stage.wait_for("idle")
@@ -106,7 +108,7 @@ def test_a_robot_that_drives_comes_to_rest_when_its_battery_gets_critical(tmp_pa
         wait_until(lambda: stage.robot.status()["at_rest"], "rest")
 
 
-def test_a_sensor_that_is_not_there_is_said_once_and_the_battery_is_unknown(tmp_path):
+def test_a_sensor_that_is_not_there_is_reported_once_and_the_battery_is_unknown(tmp_path):
     missing = ("battery.source=ina226", f"battery.bus={tmp_path / 'i2c'}", *FULL[1:])
     with running(tmp_path, *missing, STOPS) as stage:
         wait_until(lambda: "the battery is unknown" in stage.said(), "the log's word")

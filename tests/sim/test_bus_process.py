@@ -77,7 +77,7 @@ def ticks(stage):
     return stage.robot.status()["loop"]["ticks"]
 
 
-def test_what_prometheus_reads_is_what_the_daemon_says(stage, port):
+def test_what_prometheus_reads_is_what_the_daemon_reports(stage, port):
     figures = wait_until(
         lambda: found if (found := full(port))["motord_up",] == 1.0 else None, "a loop that runs"
     )
@@ -238,7 +238,7 @@ def test_it_ends_with_its_daemon(tmp_path):
         wait_until(lambda: not Path(f"/proc/{pid}").exists(), "motord-bus gone")
 
 
-def test_somebody_else_may_start_it(tmp_path):
+def test_something_else_may_start_it(tmp_path):
     port = free_port()
     settings = ("publish.prom.kind=prometheus", f"publish.prom.port={port}")
     with running(tmp_path, *settings, options=("--no-bus",)) as stage:

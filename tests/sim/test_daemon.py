@@ -124,10 +124,10 @@ def test_it_starts_disarmed_and_arms_drives_stops_and_disarms_on_request(stage):
     wait_until(lambda: not any(power(stage)), "the power is off")
 
 
-def test_nothing_moves_before_arming_and_the_refusal_says_what_to_do(stage):
+def test_nothing_moves_before_arming_and_the_refusal_reports_what_to_do(stage):
     with Source(stage, SPEED_M_S, 0.0) as source:
         wait_until(lambda: len(source.refusals) > 3, "refusals")
-        with pytest.raises(Refused, match="socket asks for motion"):
+        with pytest.raises(Refused, match="socket requests motion"):
             stage.robot.arm()
     assert "motord arm" in source.refusals[0]
     assert stage.sim.truth().moved_max_m_s == 0.0
@@ -181,7 +181,7 @@ def test_the_emergency_stop_stops_latches_and_wants_a_reset_and_an_arm(stage):
         for attempt in (stage.robot.arm, stage.robot.reset):
             with pytest.raises(Refused):  # the one is latched, the other sees the source go on
                 attempt()
-        assert stage.robot.status()["why"][0].startswith("asked for by process")
+        assert stage.robot.status()["why"][0].startswith("requested by process")
         assert any("motord reset" in refusal for refusal in source.refusals)
     assert stage.robot.disarm() == "estop"
     assert stage.robot.reset() == "idle"
@@ -313,7 +313,7 @@ def test_limits_change_under_way_as_one_group_or_not_at_all(stage):
         assert "linear_velocity" in stage.robot.status()["reasons"]
 
 
-def test_parameters_tell_their_unit_and_range(stage):
+def test_parameters_report_their_unit_and_range(stage):
     found = stage.robot.params_list()["limits.linear_m_s"]
     assert found["unit"] == "m/s"
     assert found["minimum"] <= found["value"] <= found["maximum"]
@@ -378,7 +378,7 @@ def motord(stage, *words):
     )  # fmt: skip
 
 
-def test_the_commands_do_what_they_say(stage):
+def test_the_commands_do_what_they_report(stage):
     assert motord(stage, "arm").stdout == "armed\n"
     drive = motord(stage, "drive", "-0.2", "0.1", "--seconds", "0.5", "--json")
     assert json.loads(drive.stdout)["sent"] > 1
@@ -412,12 +412,12 @@ def test_ctrl_c_ends_the_drive_command_and_the_robot_stops(stage):
     assert stage.wait_for("armed")
 
 
-def test_the_commands_exit_status_tells_a_fault_from_a_refusal(stage):
+def test_the_commands_exit_status_reports_a_fault_from_a_refusal(stage):
     assert motord(stage, "drive", "0.1", "0").returncode == 1
     assert motord(stage, "params", "set", "limits.linear_m_s").returncode == 2
     assert motord(stage, "estop").returncode == 0
     latched = motord(stage, "status")
-    assert (latched.returncode, "asked for by process" in latched.stdout) == (3, True)
+    assert (latched.returncode, "requested by process" in latched.stdout) == (3, True)
     refused = motord(stage, "arm")
     assert (refused.returncode, "motord reset" in refused.stderr) == (3, True)
     assert motord(stage, "disarm").returncode == 3
@@ -454,7 +454,7 @@ def motord_at(stage, *arguments):
     return CliRunner().invoke(cli, [*arguments, "--socket", str(stage.socket)])
 
 
-def test_a_speed_above_the_limit_is_said_with_what_it_was_limited_to(stage):
+def test_a_speed_above_the_limit_is_reported_with_what_it_was_limited_to(stage):
     stage.robot.arm()
     done = motord_at(stage, "drive", "5", "0", "--seconds", "0.1")
     assert done.exit_code == 0, done.output
@@ -468,7 +468,7 @@ def test_a_limit_out_of_range_is_refused_with_its_range_and_unit(stage):
     assert "limits.linear_m_s: -1.0 is out of range (0.001 to 50 m/s)" in done.stderr
 
 
-def test_a_robot_that_nobody_drives_shows_no_stale_command(stage):
+def test_a_robot_that_nothing_drives_shows_no_stale_command(stage):
     shown = motord_at(stage, "status").stdout
     assert "command_stale" not in shown
     assert "may command  local socket (socket, priority 100)" in shown

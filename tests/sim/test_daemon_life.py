@@ -36,7 +36,7 @@ def moving(stage):
     set_off(stage, 0.5)
 
 
-def test_a_supervisor_hears_ready_life_and_the_end(tmp_path, supervisor):
+def test_a_supervisor_receives_ready_life_and_the_end(tmp_path, supervisor):
     environ = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "200000"}
     with running(tmp_path, environ=environ) as stage:
         received = hear_until(supervisor, "STATUS=idle")
@@ -98,7 +98,7 @@ def test_a_base_that_coasts_when_the_command_ends_is_disarmed_by_it(tmp_path):
         assert stage.robot.status()["faults"] == []
 
 
-def test_without_a_port_it_waits_says_so_once_and_ends_well(tmp_path):
+def test_without_a_port_it_waits_reports_so_once_and_ends_well(tmp_path):
     with running(tmp_path, simulated=False) as stage:
         wait_until(lambda: "nothing" in stage.said(), "the port is missed")
         with pytest.raises(Refused, match="not ready"):
@@ -113,7 +113,7 @@ def test_without_a_port_it_waits_says_so_once_and_ends_well(tmp_path):
         )
 
 
-def test_it_says_in_one_object_that_it_listens_and_where(tmp_path):
+def test_it_reports_in_one_object_that_it_listens_and_where(tmp_path):
     with running(tmp_path, simulated=False, stdout=subprocess.PIPE, options=("--json",)) as stage:
         ready = json.loads(stage.daemon.stdout.readline())
         assert ready["pid"] == stage.daemon.pid

@@ -9,7 +9,6 @@ import pytest
 from daemon_stage import ROOT
 
 from motord.config import load_robot
-from motord.config.sections.wheels import profile_of
 from motord.tools.demo_words import Source, worth
 
 ROBOTS = sorted(path.stem for path in (ROOT / "config/robots").glob("*.toml"))
@@ -26,7 +25,7 @@ def patient(name):
     robot = load_robot(path)
     yield "safety.feedback_timeout_s=3.0"
     yield "safety.heartbeat_timeout_s=5.0"
-    if any(profile_of(robot, joint.drive).watchdog for joint in robot.joint.values()):
+    if any(robot.profiles[joint.drive].watchdog for joint in robot.joint.values()):
         yield "safety.drive_watchdog_s=2.0"
     if robot.imu is not None:
         yield "imu.timeout_s=1.0"
@@ -49,7 +48,7 @@ def demo(name, *options):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_a_shipped_robot_drives_the_course_and_says_what_its_odometry_is_worth(name):
+def test_a_shipped_robot_drives_the_course_and_reports_what_its_odometry_is_worth(name):
     run = demo(name, "--json")
     assert run.returncode == 0, run.stdout + run.stderr
     result = json.loads(run.stdout)

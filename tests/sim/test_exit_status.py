@@ -58,7 +58,7 @@ def test_a_motion_of_a_disarmed_robot_has_failed(idle, words):
     [("arm",), ("drive", "0.1", "0"), ("drive", "0", "0", "--seconds", "0.1"), ("move", "1"),
      ("turn", "1"), ("stop",), ("disarm",), ("status",), ("reset-odometry",)],
 )  # fmt: skip
-def test_each_command_says_that_a_fault_is_latched(idle, words):
+def test_each_command_reports_that_a_fault_is_latched(idle, words):
     idle.robot.estop()
     assert ended(command(idle, *words))[0] == 3
     idle.robot.reset()
@@ -67,7 +67,7 @@ def test_each_command_says_that_a_fault_is_latched(idle, words):
 @pytest.mark.parametrize(
     "words", [("arm",), ("reset",), ("drive", "0.1", "0"), ("move", "1"), ("turn", "1")]
 )
-def test_each_command_says_that_hardware_is_missing(tmp_path_factory, words, unplugged):
+def test_each_command_reports_that_hardware_is_missing(tmp_path_factory, words, unplugged):
     status, found = ended(command(unplugged, *words))
     assert (status, found["exit_status"]) == (3, 3)
 

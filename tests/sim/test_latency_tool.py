@@ -235,7 +235,7 @@ def without_real_time():
 
 
 @pytest.mark.skipif(shutil.which(without_real_time()[0]) is None, reason="no setpriv, no prlimit")
-def test_a_refused_priority_is_said_loudly_and_measured_all_the_same():
+def test_a_refused_priority_is_reported_loudly_and_measured_all_the_same():
     done = subprocess.run(
         [*without_real_time(), *COMMAND, "--seconds", "0.3", "--json"],
         capture_output=True, text=True, timeout=DEADLINE_S, env=ENVIRONMENT,

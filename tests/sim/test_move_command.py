@@ -86,7 +86,7 @@ def test_a_distance_and_a_turn_are_driven(armed):
     assert armed.robot.status()["leases"] == []
 
 
-def test_interrupted_it_comes_to_rest_and_says_so(armed):
+def test_interrupted_it_comes_to_rest_and_reports_so(armed):
     with command(armed, "move", "20") as process:
         under_way(armed)
         process.send_signal(signal.SIGINT)

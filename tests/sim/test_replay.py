@@ -134,12 +134,12 @@ def test_records_that_are_missing_cost_a_gap_and_the_rest_is_compared(recording,
     assert 0 < found["skipped"] <= 1024
 
 
-def test_a_damaged_message_is_said(recording, tmp_path):
+def test_a_damaged_message_is_reported(recording, tmp_path):
     short = rewritten(recording, tmp_path / "s.mcap", lambda n, d: d[:-9] if n == 2 else d)
     assert "damaged" in command(short, status=2).stderr
 
 
-def test_what_is_no_recording_or_has_no_journal_is_said(recording, tmp_path):
+def test_what_is_no_recording_or_has_no_journal_is_reported(recording, tmp_path):
     (tmp_path / "no.mcap").write_bytes(b"nothing of that kind" * 9)
     assert "no whole MCAP file" in command(tmp_path / "no.mcap", status=2).stderr
     empty = rewritten(recording, tmp_path / "e.mcap", lambda *_: None)

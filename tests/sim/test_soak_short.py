@@ -16,7 +16,7 @@ from fault_mix import SERIAL_KINDS, batches
 from hurt_robot import PROFILE, limit_m_s, live
 from said import Said
 
-from motord_hal.drives.load import load_profile
+from motord.config.drives.load import load_profile
 
 SEED = 20
 FAULTS = 100
@@ -97,7 +97,7 @@ WORDS = (0, 0, 0x0100, 0x0007, 0, 0)
         pytest.param(f"0 {900 * MS} {0x01000007} 0", 1, id="before it was said"),
     ],
 )
-def test_only_a_count_that_the_drive_has_said_passes(said, row, wrong):
+def test_only_a_count_that_the_drive_has_reported_passes(said, row, wrong):
     said.tap.write_text(row + "\n", encoding="ascii")
     said.check(Journal(unit_1=[(1001 * MS, AT, WORDS), (1001 * MS, 0x2000, (0x0100, 0x0006))]))
     assert (said.checked, len(said.violations)) == (1, wrong)

@@ -18,7 +18,7 @@ def stage(tmp_path_factory):
         yield stage
 
 
-def test_everything_that_status_says_has_a_type_and_is_still_the_answer(stage):
+def test_everything_that_status_reports_has_a_type_and_is_still_the_answer(stage):
     status = stage.robot.status()
 
     def compare(typed, raw, where):
@@ -47,7 +47,7 @@ def shown(stage):
     return CliRunner().invoke(cli, ["status", "--socket", str(stage.socket)]).stdout
 
 
-def test_a_line_whose_port_is_missing_says_what_it_waits_for(tmp_path):
+def test_a_line_whose_port_is_missing_reports_what_it_waits_for(tmp_path):
     with running(tmp_path, simulated=False) as stage:
         wait_until(lambda: "there is no such port" in shown(stage), "the port that is missing")
         (waits,) = (row for row in shown(stage).splitlines() if "waits:" in row)

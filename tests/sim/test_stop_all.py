@@ -184,7 +184,7 @@ def test_a_drive_whose_answers_are_lost_stops_all_the_same(stage):
     wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
 
 
-def test_an_adapter_that_is_gone_is_said(tmp_path):
+def test_an_adapter_that_is_gone_is_reported(tmp_path):
     status, lines = stop_all(f'line.rs485.port="{tmp_path}/nothing"')
     assert status == 3
     assert "there is no such port" in lines[0]["problems"][0]
@@ -237,7 +237,7 @@ def test_can_drives_on_a_bus_that_is_a_socket_stop_too(tmp_path):
     assert f"unix:{path}" in lines[0]["problems"][0]
 
 
-def test_an_error_that_nobody_foresaw_on_one_line_leaves_the_others_sent(tmp_path):
+def test_an_error_that_nothing_foresaw_on_one_line_leaves_the_others_sent(tmp_path):
     """A chip whose files no kernel would write, before one whose bridge is left running."""
     for name, period in (("broken", "no number"), ("left_running", "50000")):
         for number in range(2):

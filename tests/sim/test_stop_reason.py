@@ -29,7 +29,7 @@ def test_a_stop_request_names_its_sender_until_the_call_gives_the_reason(tmp_pat
     with running(tmp_path) as stage:
         stage.wait_for("idle")
         send(stage.socket, "estop", 5.0)
-        asked = f"asked for by process {os.getpid()}, {NAME}"
+        asked = f"requested by process {os.getpid()}, {NAME}"
         wait_until(lambda: stage.robot.status()["why"] == [asked], "the sender")
         stage.robot.call("estop", why="the button of the panel")
         assert stage.robot.status()["why"] == [

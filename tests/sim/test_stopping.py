@@ -138,7 +138,7 @@ def test_a_demonstration_that_is_terminated_leaves_no_process_behind(tmp_path):
         demo.kill()
 
 
-def test_the_demonstration_ends_well_and_prints_what_the_contract_says(tmp_path):
+def test_the_demonstration_ends_well_and_prints_what_the_contract_reports(tmp_path):
     patient = tmp_path / "demo.toml"  # a busy machine is no fault
     text = ROBOT.read_text(encoding="utf-8")
     for old in ("feedback_timeout_s = 0.25", "heartbeat_timeout_s = 0.5", "drive_watchdog_s = 0.5"):

@@ -25,8 +25,8 @@ from said import Said
 
 from motord.api.page_file import own_page
 from motord.client import Client, ClientError, Refused
+from motord.config.drives.load import load_profile
 from motord.tools.simulator import start_simulator
-from motord_hal.drives.load import load_profile
 from motord_hal.sim.control import ControlError, SimControl
 from motord_hal.sim.plant import WheelModel
 

@@ -14,7 +14,7 @@ TEMPLATE = r'template = "{left:d},{right:d}\n"'
 @pytest.mark.parametrize(
     ("right", "wrong", "row"),
     [
-        (TEMPLATE, r'template = "{left:d}\n"', "line.board.template: it must say left, right"),
+        (TEMPLATE, r'template = "{left:d}\n"', "line.board.template: it must contain left, right"),
         (TEMPLATE, r'template = "{left},{mid}\n"', "line.board.template: {mid} is unknown"),
         ("{left_count},", "{left_counts},", "line.board.feedback: {left_counts} is unknown"),
         (
@@ -40,7 +40,7 @@ TEMPLATE = r'template = "{left:d},{right:d}\n"'
         ),
     ],
 )
-def test_what_does_not_fit_is_said(tmp_path, right, wrong, row):
+def test_what_does_not_fit_is_reported(tmp_path, right, wrong, row):
     path = tmp_path / "robot.toml"
     assert right in TEXT
     path.write_text(TEXT.replace(right, wrong, 1), encoding="utf-8")

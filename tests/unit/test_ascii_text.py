@@ -20,7 +20,7 @@ def test_the_classic_line_is_what_it_looks_like():
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_what_is_no_number_is_said_as_zero(bad):
+def test_what_is_no_number_is_reported_as_zero(bad):
     assert Text("{left},{right}", BOTH).say({"left": bad, "right": 1.0}) == b"0.000,1.000"
 
 
@@ -35,7 +35,7 @@ def test_another_line_is_none(line):
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
-def test_what_is_said_is_read_again(left, right):
+def test_what_is_reported_is_read_again(left, right):
     text = Text("m {left:.4f} {right:.4f}\n", BOTH)
     read = text.read(text.say({"left": left, "right": right}))
     assert read == {"left": pytest.approx(left, abs=1e-4), "right": pytest.approx(right, abs=1e-4)}

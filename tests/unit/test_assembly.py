@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from motord.config import Limits, load_robot
 from motord.config.schema import robot_schema
-from motord.control.assembly import base_limits, core_config, line_specs, loop_settings, profiles_of
+from motord.control.assembly import base_limits, core_config, line_specs, loop_settings
 from motord.realtime import loop as rt
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
@@ -18,7 +18,7 @@ ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
 
 def assembled(name, *overrides):
     robot = load_robot(ROBOTS / f"{name}.toml", overrides)
-    profiles = profiles_of(robot)
+    profiles = robot.profiles
     return robot, profiles, core_config(robot, profiles)
 
 
@@ -57,7 +57,7 @@ def test_a_skid_base_turns_as_if_its_track_were_wider():
     assert [joint["side"] for joint in config["joint"]] == [-1.0, 1.0, -1.0, 1.0]
 
 
-def test_a_wheel_that_cannot_reverse_never_gets_a_negative_wish():
+def test_a_wheel_that_cannot_reverse_never_gets_a_negative_set_point():
     _, _, config = assembled("forward-only")
     for joint in config["joint"]:
         assert joint["velocity_min_rad_s"] == 0.0
@@ -97,7 +97,7 @@ def test_a_check_of_the_feedback_that_is_switched_off_is_off_in_the_core():
     assert [*times, checks["apart_s"], checks["jumps_max"]] == [0] * 6
 
 
-def test_a_duty_holds_no_speed_so_only_much_of_it_is_judged_unless_the_file_says_so():
+def test_a_duty_holds_no_speed_so_only_much_of_it_is_judged_unless_the_file_wants_it():
     _, _, config = assembled("pi4-encoders")
     checks = config["joint"][0]["plausible"]
     assert checks["following_s"] == 0
@@ -111,7 +111,7 @@ def test_a_duty_holds_no_speed_so_only_much_of_it_is_judged_unless_the_file_says
     assert checks["beyond_rad_s"] < 9.5
 
 
-def test_a_coarse_encoder_widens_what_it_cannot_tell():
+def test_a_coarse_encoder_widens_what_it_cannot_report():
     wheels = [f"joint.{side}.counts_per_turn=4" for side in ("left", "right")]
     _, _, fine = assembled("esp32")
     _, _, coarse = assembled("esp32", *wheels)
@@ -123,7 +123,7 @@ def test_a_speed_limit_that_is_not_given_is_what_the_drive_can_do_at_the_wheel()
     robot = load_robot(ROBOTS / "two-single-drives.toml")
     left = robot.joint["left"].model_copy(update={"velocity_max_rad_s": None})
     robot = robot.model_copy(update={"joint": {**robot.joint, "left": left}})
-    config = core_config(robot, profiles_of(robot))
+    config = core_config(robot, robot.profiles)
     drive_rad_s = 4000 * 2 * math.pi / 60  # the profile's 4000 rpm
     assert config["joint"][0]["velocity_max_rad_s"] == pytest.approx(drive_rad_s / 20)
 
@@ -192,4 +192,4 @@ def test_the_core_takes_both_ends_of_every_range(section, name, value):
     robot = load_robot(ROBOTS / "demo.toml")
     changed = getattr(robot, section).model_copy(update={name: float(value)})
     robot = robot.model_copy(update={section: changed})
-    rt.Loop(core_config(robot, profiles_of(robot)), loop_settings(robot))
+    rt.Loop(core_config(robot, robot.profiles), loop_settings(robot))

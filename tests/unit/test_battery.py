@@ -28,7 +28,7 @@ def measured(watch, voltage_v, at_s, **more):
     return watch.take(Measure(stamp_ns=int(at_s * S), voltage_v=voltage_v, **more), int(at_s * S))
 
 
-def test_each_change_of_level_is_said_once_with_the_voltage():
+def test_each_change_of_level_is_reported_once_with_the_voltage():
     watch = BatteryWatch(section(), 0)
     said = [measured(watch, v, at_s) for at_s, v in enumerate((24.0, 24.0, 21.9, 21.8, 19.9))]
     assert said == [
@@ -66,7 +66,7 @@ def test_a_dip_that_is_shorter_than_settle_s_changes_nothing():
     assert measured(watch, 19.0, 8.0) == "the battery is critical: 19.00 V (was normal)"
 
 
-def test_what_registers_say_of_the_pack_is_taken_with_the_sign_of_a_discharge():
+def test_what_registers_report_of_the_pack_is_taken_with_the_sign_of_a_discharge():
     seen = view(1, joints=(joint(voltage_v=23.0), joint(voltage_v=25.0))).snapshot
     readings = {"voltage_from": 24.5, "current_from": 3.0, "temperature_from": 31.0}
     named = {"voltage_from": "left.a", "current_from": "left.b", "temperature_from": "left.c"}
@@ -82,7 +82,7 @@ def test_what_registers_say_of_the_pack_is_taken_with_the_sign_of_a_discharge():
 
 
 @pytest.mark.parametrize("nothing", [None, math.nan, math.inf, 0.0, -1.0])
-def test_without_a_measure_the_battery_is_unknown_which_is_said_once(nothing):
+def test_without_a_measure_the_battery_is_unknown_which_is_reported_once(nothing):
     watch = BatteryWatch(section(silent_s=5.0), 0)
     measured(watch, 24.0, 1)
     said = []
@@ -117,7 +117,7 @@ def test_whatever_is_measured_what_is_reported_is_a_voltage_or_nothing(values):
         assert report["state"] == "unknown" or sent is not None
 
 
-def test_drives_tell_the_lowest_voltage_of_those_that_are_received_and_nothing_else():
+def test_drives_report_the_lowest_voltage_of_those_that_are_received_and_nothing_else():
     joints = (joint(voltage_v=24.0), joint(voltage_v=23.5))
     measure = of_drives(section(), BODY.joints, view(1, joints=joints).snapshot)
     assert (measure.voltage_v, math.isnan(measure.current_a)) == (23.5, True)

@@ -82,7 +82,7 @@ def test_a_way_that_was_no_straight_line_gives_nothing():
     assert "turned" in found.why
 
 
-def test_another_way_than_was_said_gives_nothing():
+def test_another_way_than_was_reported_gives_nothing():
     found = pushed(begun("wheel_radius", 2.0), straight(3.0))
     assert (found.end, found.factor) == (End.ABORTED, 0.0)
 
@@ -97,7 +97,7 @@ def test_without_a_way_it_ends_at_its_time_out():
     "change",
     [{"joints": (joint(stale=True), joint())}, {"odometry_epoch": 1.0}, {"x_m": math.nan}],
 )
-def test_an_odometry_that_says_nothing_gives_nothing(change):
+def test_an_odometry_that_reports_nothing_gives_nothing(change):
     found = begun("wheel_radius", 2.0).step(state(20, **change), 20_000_000)
     assert (found.end, found.factor) == (End.ABORTED, 0.0)
 

@@ -52,7 +52,7 @@ def test_commands_with_a_token_by_tls_or_from_this_machine_are_taken(tmp_path, m
         ),
     ],
 )
-def test_what_does_not_fit_together_is_said(tmp_path, more, row):
+def test_what_does_not_fit_together_is_reported(tmp_path, more, row):
     assert errors(tmp_path, f'[publish.fleet]\nkind = "mqtt"\n{more}\n') == [row]
 
 

@@ -14,13 +14,13 @@ def bus(*words):
     )
 
 
-def test_a_robot_file_that_cannot_be_used_is_said_as_motord_check_says_it(tmp_path):
+def test_a_robot_file_that_cannot_be_used_is_reported_as_motord_check_reports_it(tmp_path):
     done = bus(str(tmp_path / "none.toml"))
     assert done.returncode == 2
     assert "none.toml: cannot be read" in done.stderr
 
 
-def test_without_a_daemon_it_says_which_robot_does_not_run():
+def test_without_a_daemon_it_reports_which_robot_does_not_run():
     done = bus(str(DEMO), "--set", "robot.name=nobody-runs-me")
     assert done.returncode == 1
     assert "no robot nobody-runs-me runs here" in done.stderr

@@ -89,7 +89,7 @@ def test_no_topic_is_offered_faster_than_its_rate(rate_hz, gaps_ms):
     assert 1 <= kept <= 2 + sum(gaps_ms) / 1000 * rate_hz
 
 
-async def test_what_cannot_be_said_is_left_out():
+async def test_what_cannot_be_reported_is_left_out():
     feed = Feed(BODY, {"odom": 1000.0, "loop_statistics": 1000.0, "diagnostics": 1000.0})
     feed.offer(view(1, x_m=math.nan))
     (sample,) = await taken(feed, 1)
@@ -152,7 +152,7 @@ def test_every_kind_of_the_tables_is_there(table):
         assert callable(find("here", kind, table, "no.such.group"))
 
 
-def test_a_kind_that_nobody_offers_is_named_with_those_there_are():
+def test_a_kind_that_nothing_offers_is_named_with_those_there_are():
     with pytest.raises(LookupError, match=r'input.x: .*"smoke".*mqtt'):
         find("input.x", "smoke", INPUTS, INPUT_POINTS)
 
@@ -169,7 +169,7 @@ def test_another_package_may_bring_a_kind(tmp_path, monkeypatch, group):
     assert find("here", name, {}, group).__name__ == "Smoke"
 
 
-def test_an_adapter_that_cannot_be_had_is_said_and_the_others_are_made(tmp_path, caplog):
+def test_an_adapter_that_cannot_be_had_is_reported_and_the_others_are_made(tmp_path, caplog):
     text = DEMO.read_text(encoding="utf-8") + (
         '\n[publish.smoke]\nkind = "other"\nadapter = "smoke"\n'
         '[publish.prom]\nkind = "prometheus"\n'
@@ -244,13 +244,15 @@ async def answering(path, answer, *, stay=False):
         (b"x" * (1 << 21), ClientError, "did not answer"),
     ],
 )
-async def test_what_the_daemon_answers_instead_of_a_result_is_said(tmp_path, answer, error, words):
+async def test_what_the_daemon_answers_instead_of_a_result_is_reported(
+    tmp_path, answer, error, words
+):
     async with answering(tmp_path / "sock", answer):
         with pytest.raises(error, match=words):
             await call(tmp_path / "sock", "arm")
 
 
-async def test_nobody_at_the_socket_is_said(tmp_path):
+async def test_nothing_at_the_socket_is_reported(tmp_path):
     with pytest.raises(ClientError, match="No such file"):
         await call(tmp_path / "sock", "arm")
 
@@ -270,7 +272,7 @@ async def test_without_a_lease_a_command_is_lost_and_counted(tmp_path):
     assert (source.ready, source.lost, source.sent) == (False, 1, 0)
 
 
-async def test_a_command_that_the_full_socket_does_not_take_is_not_said_to_be_without_a_lease(
+async def test_a_command_that_the_full_socket_does_not_take_is_not_reported_to_be_without_a_lease(
     tmp_path,
 ):
     grant = {"result": {"socket": str(tmp_path / "door"), "token": "00" * 16, "number": 1}}
@@ -293,7 +295,7 @@ async def test_a_command_that_the_full_socket_does_not_take_is_not_said_to_be_wi
     assert "no lease" in source.why_lost
 
 
-async def test_a_lease_that_is_refused_is_said_once_and_asked_for_again(
+async def test_a_lease_that_is_refused_is_reported_once_and_asked_for_again(
     tmp_path, caplog, monkeypatch
 ):
     monkeypatch.setattr(link, "LEASE_AGAIN_S", 0.01)

@@ -26,7 +26,7 @@ def outcome(encode, one, offset_ns):
 
 
 @pytest.mark.parametrize("name", sorted(TOPICS))
-def test_it_says_what_the_message_says_byte_for_byte(name):
+def test_it_reports_what_the_message_reports_byte_for_byte(name):
     """Several views one after the other: what is kept from one may not show in the next."""
     topic, rng = TOPICS[name], random.Random(name)
     said = 0

@@ -44,7 +44,7 @@ async def over(gap):
             await asyncio.sleep(0.01)
 
 
-async def test_whoever_asks_first_after_it_is_sent():
+async def test_whatever_asks_first_after_it_is_sent():
     gap = Gap(LONGEST_S)
     async with watched(gap):
         assert not gap.just_over()
@@ -82,7 +82,7 @@ async def test_a_command_without_a_time_that_may_have_waited_is_refused(
             getattr(gate, method)(message)
 
 
-async def test_one_that_says_its_time_is_judged_by_that():
+async def test_one_that_reports_its_time_is_judged_by_that():
     section = Ros2Input(kind="ros2", lease_s=LONGEST_S)
     gate = CommandGate("net", section, Runtime(load_robot(DEMO), Path("no.sock")))
     async with watched(gate._gap):

@@ -44,7 +44,7 @@ def _soon(monkeypatch):
 ERRORS = (RuntimeError("camera is gone"), OSError(5), UnicodeError("x"), asyncio.CancelledError())
 
 
-async def test_it_is_run_again_until_it_works_and_each_failure_is_counted_but_said_once(caplog):
+async def test_it_is_run_again_until_it_works_and_each_failure_is_counted_but_reported_once(caplog):
     adapter, failures = Adapter(*ERRORS), {}
     async with asyncio.timeout(DEADLINE_S), asyncio.TaskGroup() as tasks:
         task = tasks.create_task(guard.keep("publish.bad", adapter, failures))

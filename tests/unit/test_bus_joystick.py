@@ -32,7 +32,7 @@ def test_nothing_moves_before_the_button_is_pressed():
     assert pad.twist() == (0.5, 0.0)
 
 
-def test_letting_go_is_zero_whatever_the_axes_say():
+def test_letting_go_is_zero_whatever_the_axes_report():
     pad = stick()
     pad.take(EV_KEY, BUTTON, 1)
     pad.take(EV_ABS, X, 32767)
@@ -110,7 +110,7 @@ def test_the_middle_is_zero(value):
     assert pad.twist() == (0.0, 0.0)
 
 
-def test_an_axis_that_the_device_has_not_is_said():
+def test_an_axis_that_the_device_has_not_is_reported():
     with pytest.raises(ValueError, match="no axis"):
         Stick(SECTION, Codes(BUTTON, Y, X), {Y: (0, 255)})
 

@@ -25,7 +25,7 @@ def _with_and_without_msgspec(request, monkeypatch):
 
 @pytest.mark.usefixtures("_with_and_without_msgspec")
 @pytest.mark.parametrize("name", sorted(TOPICS))
-def test_it_says_what_the_message_says(name):
+def test_it_reports_what_the_message_reports(name):
     """Several views one after the other: what is kept from one may not show in the next."""
     topic, rng = TOPICS[name], random.Random(name)
     said = 0

@@ -111,7 +111,7 @@ async def test_a_file_does_not_grow_for_ever_and_the_oldest_go_first(tmp_path):
     assert read(first)
 
 
-async def test_a_disk_that_is_full_is_said_once_and_nothing_is_written(tmp_path, caplog):
+async def test_a_disk_that_is_full_is_reported_once_and_nothing_is_written(tmp_path, caplog):
     async with recording(tmp_path, free_min_mb=10_000_000) as stage:
         await stage.until(lambda: stage.feed.dropped > 0 and caplog.records)
     assert stage.files() == []

@@ -134,7 +134,7 @@ def test_the_battery_is_the_lowest_voltage_of_a_fresh_drive_and_the_rest_unknown
     assert all(map(math.isnan, (found.current, found.percentage, found.temperature)))
 
 
-def test_a_stale_drive_tells_nothing_of_the_battery():
+def test_a_stale_drive_reports_nothing_of_the_battery():
     assert message("battery_state", snapshot()) is None
     old = snapshot(joints=(joint(voltage_v=9.0, stale=True), joint()))
     assert message("battery_state", old) is None
@@ -160,7 +160,7 @@ def test_degraded_odometry_is_a_warning():
     assert base.level is Level.WARN
 
 
-def test_motor_status_says_who_commands_and_one_value_a_joint():
+def test_motor_status_reports_who_commands_and_one_value_a_joint():
     boss = {
         "number": 3, "owner": "autopilot", "priority": 50, "why": "in command: the only one"
     }  # fmt: skip
@@ -205,7 +205,7 @@ def test_an_imu_has_its_own_stamp_no_orientation_and_the_variance_that_was_measu
     assert found.linear_acceleration_covariance == (0.0,) * 9
 
 
-def test_what_an_imu_does_not_measure_is_said_to_be_so():
+def test_what_an_imu_does_not_measure_is_reported_to_be_so():
     bare = inertial(angular_rad_s=(math.nan, math.nan, 0.3), acceleration_m_s2=(math.nan,) * 3)
     found = message("imu", bare)
     assert found.linear_acceleration_covariance[0] == -1.0
@@ -238,7 +238,7 @@ def test_an_old_imu_or_one_without_a_number_is_no_message(changes):
         ("reversed", Level.ERROR),
     ],
 )
-def test_diagnostics_say_how_the_imu_does(state, level):
+def test_diagnostics_report_how_the_imu_does(state, level):
     found = message("diagnostics", inertial(state=state, refused=7)).status[-1]
     assert (found.name, found.level, found.message) == ("r2: imu", level, state)
     assert {pair.key: pair.value for pair in found.values}["refused"] == "7"

@@ -35,7 +35,7 @@ def now_ms():
     return time.monotonic_ns() // 1_000_000
 
 
-def test_without_a_robot_there_is_one_figure_that_says_so():
+def test_without_a_robot_there_is_one_figure_that_reports_so():
     assert {key: sample.value for key, sample in parsed(exposition(BODY, None)).items()} == {
         ("motord_up",): 0.0
     }

@@ -151,7 +151,7 @@ def moving():
         ({"odometry_stamp_ns": 1}, "stale"),
     ],
 )
-def test_what_is_amiss_ends_it_at_once_with_a_wish_of_zero(change, why):
+def test_what_is_amiss_ends_it_at_once_with_a_command_of_zero(change, why):
     base, motion = moving()
     step = motion.step(base.snapshot(**change), base.at_ms * 1_000_000)
     assert step.end is End.ABORTED
@@ -175,7 +175,7 @@ def test_a_way_that_was_not_looked_at_for_long_is_not_known_any_more():
     assert "not looked at" in step.why
 
 
-@pytest.mark.parametrize(("owner", "why"), [(0, "nobody takes"), (LEASE + 1, "another source")])
+@pytest.mark.parametrize(("owner", "why"), [(0, "nothing takes"), (LEASE + 1, "another source")])
 def test_it_does_not_wait_for_the_command_for_ever(owner, why):
     _, motion = begun(Goal(axis="linear", distance_u=1.0))
     late_ms = round(COMMANDS_WITHIN_S * 1000)
@@ -259,14 +259,14 @@ def test_a_stop_that_was_over_before_it_was_seen_is_not_driven_on_after():
     base, motion = rested_beside_its_goal()
     base.stops = 1
     step = carried_out(base, motion)
-    assert (step.end, step.why) == (End.ABORTED, "a stop was asked for")
+    assert (step.end, step.why) == (End.ABORTED, "a stop was requested")
     assert base.distance_u == pytest.approx(1.05, abs=0.01)
 
 
 def test_a_stop_that_is_only_counted_ends_a_motion_under_way():
     base, motion = moving()
     base.stops = 1
-    assert looked(base, motion) == MotionStep(end=End.ABORTED, why="a stop was asked for")
+    assert looked(base, motion) == MotionStep(end=End.ABORTED, why="a stop was requested")
 
 
 @pytest.mark.parametrize("asked_before", [True, False])

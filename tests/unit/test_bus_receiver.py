@@ -112,7 +112,7 @@ def test_the_age_of_a_stamp_is_the_desks(stamped, said_s):
     assert code != 0 or out[0] == gates_s
 
 
-def test_a_message_of_python_is_what_the_desk_is_sent(stamped):
+def test_a_message_of_python_is_what_the_gate_is_sent(stamped):
     now = time.time_ns() - 200_000_000
     raw = bytes(encode(TYPE, message(now // 10**9, now % 10**9, "base_link", 0.5, math.nan)))
     linear_m_s, angular_rad_s, age_s = stamped._twist(_as_mapping(decode(TYPE, raw)))
@@ -176,7 +176,7 @@ def test_a_lease_is_numbered_on_through_an_outlet_and_back(leased, outlet):
     assert source.sent == 4
 
 
-def test_an_outlet_without_a_lease_says_so_and_nothing_is_sent(leased, outlet):
+def test_an_outlet_without_a_lease_reports_so_and_nothing_is_sent(leased, outlet):
     source, _ = leased
     source.lend(outlet)
     outlet.let_go()

@@ -76,7 +76,7 @@ async def test_its_word_on_itself_is_the_daemons():
 
 
 @pytest.mark.parametrize("line", [b"\n", b"{\n", b"[warning] no route\n"])
-async def test_a_flood_is_said_once_and_the_daemon_does_all_else_meanwhile(line, caplog):
+async def test_a_flood_is_reported_once_and_the_daemon_does_all_else_meanwhile(line, caplog):
     flood = f"flood = {line!r} * 3000\nwhile True: os.write(1, flood)"
     async with child(flood) as supervisor:
         await until(lambda: "no figures" in caplog.text)
@@ -94,7 +94,9 @@ async def test_a_beat_of_many_figures_is_received_whole():
 
 
 @pytest.mark.parametrize("line", [b"noise\n", b"x"])
-async def test_who_says_much_and_no_figures_is_ended_as_one_that_hangs(line, caplog, monkeypatch):
+async def test_a_child_that_sends_much_and_no_figures_is_ended_as_one_that_hangs(
+    line, caplog, monkeypatch
+):
     monkeypatch.setattr(bus_supervisor, "START_WITHIN_S", 1.0)
     async with child(f"while True: os.write(1, {line!r} * 3000)") as supervisor:
         await until(lambda: supervisor.report()["restarts"] >= 1)

@@ -42,7 +42,7 @@ async def test_a_daemon_that_does_not_answer_is_asked_again(caplog):
         await door.answered.wait()
     assert door.calls == ["estop"] * 3
     assert door.params == {"why": "input.pad: by its button"}
-    assert caplog.text.count("asked again until") == 1
+    assert caplog.text.count("repeated until") == 1
     assert "input.pad: estop by its button" in caplog.text
 
 

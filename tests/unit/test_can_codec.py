@@ -11,11 +11,11 @@ from cantools.database.conversion import BaseConversion
 from hypothesis import given
 from hypothesis import strategies as st
 
+from motord.config.drives.load import find_profile
 from motord_hal.can.codec import build, frame_bits, frame_time_s, parse
 from motord_hal.can.errors import WARN_EVERY_S, BusTrouble, BusWarnings, error_words
 from motord_hal.can.netlink import answer_error, restart_request
 from motord_hal.drives.can_profile import Frame, Sender, Signal
-from motord_hal.drives.load import find_profile
 from motord_hal.drives.profile import RegisterType
 
 FRAME = Frame(
@@ -108,7 +108,7 @@ def test_a_value_that_does_not_fit_is_refused():
         build(FRAME, (signal(length=4, kind="u32"),), {"s": 16})
 
 
-def test_what_a_frame_begins_with_tells_it_from_others():
+def test_what_a_frame_begins_with_reports_it_from_others():
     sent = Frame(**{**{f: getattr(FRAME, f) for f in FRAME.__slots__}, "begins": b"\x9c"})
     place = signal(start_bit=8, length=8, kind="u8")
     assert build(sent, (place,), {"s": 7}) == bytes((0x9C, 7, 0, 0, 0, 0, 0, 0))
@@ -140,7 +140,7 @@ def test_an_fd_frame_is_faster_where_its_data_are():
         ("4B 5A 60 01 02 00 00 00", False),
     ],
 )
-def test_a_reply_to_an_sdo_upload_need_not_say_its_size_but_no_other_one(reply, understood):
+def test_a_reply_to_an_sdo_upload_need_not_report_its_size_but_no_other_one(reply, understood):
     profile = find_profile("cia402")
     frame = profile.can.frames["sdo_read_quick_stop_option"]
     assert frame.matches(bytes.fromhex(reply)) is understood
@@ -165,7 +165,7 @@ def test_the_restart_is_asked_for_as_the_kernel_wants_it():
         answer_error(refused[:12])
 
 
-def test_a_warning_is_said_again_when_it_goes_on_for_long():
+def test_a_warning_is_reported_again_when_it_goes_on_for_long():
     warnings = BusWarnings()
     assert len(warnings.new(["no_ack", "error_passive", "protocol"], 100.0)) == 2
     assert warnings.new(["no_ack"], 100.0 + WARN_EVERY_S / 2) == []

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from motord.config import load_robot
+from motord.config.drives.load import find_profile, load_profile
 from motord.config.problems import ConfigError
 from motord.config.rules.can import bus_load
-from motord.config.sections.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord_hal.base.errors import HalError, ProfileError
 from motord_hal.base.paths import config_dir
@@ -17,7 +17,6 @@ from motord_hal.can.address import bus_arguments
 from motord_hal.can.codec import build, parse
 from motord_hal.can.plan import CanPlan
 from motord_hal.drives.can_profile import signals_of
-from motord_hal.drives.load import find_profile, load_profile
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import JointSpec
 from motord_hal.realtime.exchange import Exchange, JointSetpoint
@@ -45,18 +44,22 @@ def problems(tmp_path, right, wrong, count=1, drive="odrive-0.5"):
         ("node_max = 63", "node_max = 64", "with node 64 it is beyond 0x7ff"),
         ("silence_s = 0.35", "silence_s = 0.1", "shorter than two periods"),
         ("period_s = 0.01\nsilence_s = 0.2", "period_s = 0.01", "silence_s: is missing"),
-        ('ask = "rtr"\nperiod_s = 0.01', "", "neither sent unasked"),
+        ('ask = "rtr"\nperiod_s = 0.01', "", "has neither period_s"),
         ('ask = "rtr"', 'ask = "heartbeat"', "is no frame that motord sends"),
         ("id = 0x003", "id = 0x001", "cannot be distinguished from frame heartbeat"),
         ('sender = "motord"', 'sender = "motord"\nperiod_s = 1', "only for frames of the drive"),
         ("bitrate = 250000", "bitrate = 9", "can.bitrate: 9 is out of range"),
-        ('type = "u32"', 'type = "u64"', '"u64" is not one of'),
+        ('type = "u32"', 'type = "u64"', '"u64" is unknown ("u8"'),
         ('unit = "turn"', 'unit = "v"', "must be"),
-        ("id = 0x001", "id = 0x001\nbegins = [1, 256]", "whole numbers, each -1 to 255"),
-        ('protocol = "can"', 'protocol = "can"\n[serial]\nunit = 1', "serial: unknown key"),
+        ("id = 0x001", "id = 0x001\nbegins = [1, 256]", "256 is out of range (-1 to 255)"),
+        (
+            'protocol = "can"',
+            'protocol = "can"\nregister = {}',
+            'register: is not for protocol "can"',
+        ),
     ],
 )
-def test_a_mistake_in_a_profile_is_said(tmp_path, right, wrong, said):
+def test_a_mistake_in_a_profile_is_reported(tmp_path, right, wrong, said):
     assert said in problems(tmp_path, right, wrong)
 
 
@@ -90,7 +93,7 @@ def test_a_torque_is_divided_by_the_gear_that_multiplies_it():
 
 def loaded(*overrides):
     robot = load_robot(ROBOT, overrides)
-    profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
+    profiles = robot.profiles
     return robot, line_specs(robot, profiles)[0]
 
 
@@ -120,7 +123,7 @@ def test_a_watchdog_that_was_set_by_the_maker_s_tool_is_held_against_what_motord
     assert "shorter than two cycles" in wrong("joint.left.drive_watchdog_s=0.015")
 
 
-def test_a_watchdog_that_motord_sets_or_that_is_on_no_can_bus_is_not_said():
+def test_a_watchdog_that_motord_sets_or_that_is_on_no_can_bus_is_not_reported():
     with pytest.raises(ConfigError, match="is not used: motord sets that of drive"):
         load_robot(CIA402, ("joint.left.drive_watchdog_s=0.5",))
     with pytest.raises(ConfigError, match="is only for a drive on a CAN bus"):
@@ -212,12 +215,12 @@ def test_a_serial_drive_on_a_can_line_is_refused_by_the_line_too():
         open_line(changed, Exchange.private(), lambda event: None)
 
 
-def test_a_cycle_that_a_synchronous_drive_cannot_be_sent_is_said_with_its_line():
+def test_a_cycle_that_a_synchronous_drive_cannot_be_sent_is_reported_with_its_line():
     csv = ("joint.left.drive=cia402-csv", "joint.right.drive=cia402-csv")
     load_robot(CIA402, csv)
     with pytest.raises(ConfigError) as error:
         load_robot(CIA402, (*csv, "line.can0.cycle_hz=30"))
-    said = "cycle_hz: cia402-csv: interpolation_time cannot say the line's cycle, 33.33 ms"
+    said = "cycle_hz: cia402-csv: interpolation_time cannot hold the line's cycle, 33.33 ms"
     assert said in "\n".join(map(str, error.value.problems))
 
 
@@ -236,7 +239,7 @@ CSV = (config_dir() / "drives" / "cia402-csv.toml").read_text(encoding="utf-8")
         ('"status_object"\nso', '"mode_shown"\nso', "mode_shown has another type, scale or unit"),
     ],
 )
-def test_a_mistake_about_sync_or_an_object_is_said(tmp_path, right, wrong, said):
+def test_a_mistake_about_sync_or_an_object_is_reported(tmp_path, right, wrong, said):
     assert right in CSV
     path = tmp_path / "cia402-csv.toml"
     path.write_text(CSV.replace(right, wrong, 1), encoding="utf-8")
@@ -256,11 +259,11 @@ MOTEUS = (config_dir() / "drives" / "moteus.toml").read_text(encoding="utf-8")
         ('reply = "reply"', 'reply = "query"', "is the drive's frame for a signal"),
         ("start_bit = 120", "start_bit = 100", "overlaps"),
         ("bytes = 48", "bytes = 16", "watchdog reaches beyond the 16 bytes"),
-        ("0x21, 0x00, -1,", "0x21, 0x00, -2,", "whole numbers, each -1 to 255"),
+        ("0x21, 0x00, -1,", "0x21, 0x00, -2,", "-2 is out of range (-1 to 255)"),
         ("node_shift = 8", "node_shift = 24", "with node 127 it is beyond 0x1fffffff"),
     ],
 )
-def test_a_mistake_about_frames_that_answer_is_said(tmp_path, right, wrong, said):
+def test_a_mistake_about_frames_that_answer_is_reported(tmp_path, right, wrong, said):
     assert right in MOTEUS
     path = tmp_path / "moteus.toml"
     path.write_text(MOTEUS.replace(right, wrong, 1), encoding="utf-8")

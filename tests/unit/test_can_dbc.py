@@ -7,12 +7,12 @@ import cantools.database
 import pytest
 
 from motord.config import load_robot
+from motord.config.drives.load import find_profile, load_profile
 from motord.config.problems import ConfigError
 from motord_hal.base.errors import ProfileError
 from motord_hal.base.paths import config_dir
 from motord_hal.can.codec import build, parse
 from motord_hal.drives.can_profile import Sender, signals_of
-from motord_hal.drives.load import find_profile, load_profile
 
 FOLDER = config_dir() / "drives"
 PROFILE = (FOLDER / "dbc-example.toml").read_text(encoding="utf-8")
@@ -91,11 +91,11 @@ def test_scales_offsets_and_units_come_from_the_file():
             "",
             "Reserved of DRV_Command has no [signal]",
         ),
-        ('[dbc]\nfile = "dbc-example.dbc"', "[dbc]\nfile = 5", "dbc.file: 5 must be a string"),
+        ('[dbc]\nfile = "dbc-example.dbc"', "[dbc]\nfile = 5", "dbc.file: 5 is not a string"),
         ('frame = "power"', 'frame = "pover"', '"pover" is no frame'),
     ],
 )
-def test_a_mapping_that_does_not_fit_the_file_is_said(tmp_path, right, wrong, said):
+def test_a_mapping_that_does_not_fit_the_file_is_reported(tmp_path, right, wrong, said):
     assert said in problems(tmp_path, right, wrong)
 
 
@@ -123,13 +123,13 @@ def test_a_file_that_is_wrong_is_named_with_its_line(tmp_path, right, wrong, whe
     [
         ('"degC"', '"K"', 'signal.temperature.unit: is missing: "K"'),
         ("(0.1,0) [-3000|3000]", "(0.1,5) [-3000|3000]", "its offset and default must be 0"),
-        ("(0.1,0) [-3000|3000]", "(0.1,0) [10|3000]", "cannot say zero"),
+        ("(0.1,0) [-3000|3000]", "(0.1,0) [10|3000]", "has no zero in its range"),
         ("BO_ 641", "BO_ 385", "cannot be distinguished from frame status"),
         ("SG_ 641 Supply 2400", "SG_ 513 Command 1", "Command starts with 1 in dbc-example.dbc"),
         ('32|32@1- (1,0) [0|0] "counts"', '32|32@1- (1,3) [0|0] "counts"', "position.offset"),
     ],
 )
-def test_what_the_file_says_is_judged_as_if_the_profile_said_it(tmp_path, right, wrong, said):
+def test_what_the_file_has_is_judged_as_if_the_profile_had_it(tmp_path, right, wrong, said):
     assert said in problems(tmp_path, "", "", right, wrong)
 
 
@@ -145,7 +145,7 @@ def test_signals_with_29_bits_and_can_fd_are_marked_in_their_frames(tmp_path):
     assert (frames["status"].extended, frames["status"].fd) == (False, False)
 
 
-def test_a_robot_file_says_what_is_wrong_with_its_dbc_file(tmp_path):
+def test_what_is_wrong_with_a_dbc_file_is_reported_with_the_robot_file(tmp_path):
     written(tmp_path, "", "", "(1,-40)", "(0,-40)")
     robot = tmp_path / "odrive-two.toml"
     shutil.copy(config_dir() / "robots" / "odrive-two.toml", robot)

@@ -6,9 +6,9 @@ import tomllib
 
 import pytest
 
+from motord.config.drives.load import load_profile
 from motord_hal.base.errors import ProfileError
 from motord_hal.base.paths import config_dir
-from motord_hal.drives.load import load_profile
 
 PROFILE = (config_dir() / "drives" / "cia402-csv.toml").read_text(encoding="utf-8")
 TYPES = {"i8": 2, "i16": 3, "i32": 4, "u8": 5, "u16": 6, "u32": 7}
@@ -83,7 +83,7 @@ def test_a_sheet_that_agrees_changes_nothing(tmp_path):
     assert load_profile(written(tmp_path)).registers == plain.registers
 
 
-def test_types_and_start_values_need_not_be_said_twice(tmp_path):
+def test_types_and_start_values_need_not_be_reported_twice(tmp_path):
     no_type = 'index = 0x6079\nsub = 0\ntype = "u32"\naccess = "r"\nscale = 0.001\nunit = "v"\n'
     path = written(tmp_path, no_type + "default = 24000", no_type.replace('type = "u32"\n', ""))
     register = load_profile(path).registers["bus_voltage"]
@@ -103,7 +103,7 @@ def test_types_and_start_values_need_not_be_said_twice(tmp_path):
          'index = 0x6079\nsub = 0\ntype = "u32"', "cannot be written (ro)"),
     ],
 )  # fmt: skip
-def test_what_the_drive_does_not_have_is_said(tmp_path, right, wrong, said):
+def test_what_the_drive_does_not_have_is_reported(tmp_path, right, wrong, said):
     found = problems(tmp_path, right, wrong)
     assert said in found
     assert re.search(r"cia402-csv\.toml:\d+: ", found)

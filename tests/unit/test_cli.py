@@ -76,7 +76,7 @@ def test_check_of_a_good_file_ends_well(motord):
     )
 
 
-def test_check_with_a_warning_ends_well_and_says_it(motord):
+def test_check_with_a_warning_ends_well_and_reports_it(motord):
     result = motord("check", DEMO, "--set", "limits.linear_m_s=1.3")
     assert result.exit_code == Exit.DONE
     assert "limits.linear_m_s: warning: 1.3 m/s is never reached" in result.stdout
@@ -160,7 +160,7 @@ def test_a_failure_ends_a_command_with_its_status(motord):
     assert (result.exit_code, result.stderr) == (Exit.FAULT, "Error: the drive is hot\n")
 
 
-def test_a_command_that_needs_a_robot_says_problems_and_warnings_on_stderr(capsys):
+def test_a_command_that_needs_a_robot_reports_problems_and_warnings_on_stderr(capsys):
     with pytest.raises(Failure, match=r"base.track_m: -1 is out of range") as caught:
         load_or_exit(DEMO, ["base.track_m=-1"])
     assert caught.value.exit_code == Exit.USAGE

@@ -111,7 +111,7 @@ def test_other_errors_are_no_refusals(path):
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
-def test_what_json_cannot_say_is_never_sent(path, value):
+def test_what_json_cannot_report_is_never_sent(path, value):
     with Client(path) as robot:
         with pytest.raises(ClientError, match="linear_m_s is NaN or infinite"):
             robot.drive(value, 0.0)

@@ -110,7 +110,7 @@ def test_a_flipped_bit_is_never_an_answer(request_, data):
 
 
 @given(REQUESTS, REQUESTS, st.data())
-def test_the_answer_to_another_request_is_no_answer_where_the_wire_can_tell(one, other, data):
+def test_the_answer_to_another_request_is_no_answer_where_the_wire_can_report(one, other, data):
     frame, _ = reply_of(other, data)
     tells_apart = (
         one.unit != other.unit

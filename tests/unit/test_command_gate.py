@@ -153,6 +153,6 @@ async def test_a_daemon_that_is_not_there_is_the_answer_to_a_call(tmp_path_facto
 
 
 @given(value=JSON)
-def test_what_a_stranger_sent_is_said_shortly_and_repeated_only_where_it_is_plain(value):
+def test_what_a_stranger_sent_is_reported_shortly_and_repeated_only_where_it_is_plain(value):
     assert len(short(value)) <= 500
     assert tag(value) is None or tag(value) is value

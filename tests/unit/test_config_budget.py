@@ -9,7 +9,6 @@ import pytest
 
 from motord.config import ConfigError, load_robot
 from motord.config.rules.wire import budget, cycle_limit_hz, helps
-from motord.config.sections.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord_hal.drives.profile import Gap
 
@@ -37,7 +36,7 @@ def bare(spec):
 @pytest.fixture
 def spec():
     robot = load_robot(ROBOTS / "demo.toml")
-    return bare(line_specs(robot, {"zlac8015d": profile_of(robot, "zlac8015d")})[0])
+    return bare(line_specs(robot, {"zlac8015d": robot.profiles["zlac8015d"]})[0])
 
 
 # By hand: both set-points in 13 bytes, answered by 8; 20A5h to 20ACh in 8, answered by 21; one

@@ -6,9 +6,9 @@ import tomllib
 import pytest
 
 from motord.config import ConfigError, load_robot
+from motord.config.drives.load import load_profile
 from motord_hal.base import bounded
 from motord_hal.base.errors import ProfileError
-from motord_hal.drives.load import load_profile
 
 BOMBS = {
     "arrays": "a = " + "[" * 50_000,

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from motord.config import ConfigError, load_robot
-from motord.config.sections.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord_hal.drives.profile import Gap
 from motord_hal.fieldbus.ports import DirectionKind, DirectionSpec, Echo
@@ -29,7 +28,7 @@ def load(tmp_path):
 
 
 def spec_of(robot):
-    profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
+    profiles = robot.profiles
     return line_specs(robot, profiles)[0]
 
 
@@ -39,7 +38,7 @@ def problems(load, **edits):
     return [f"{row.key}: {row.text}" for row in caught.value.problems]
 
 
-def test_a_serial_line_that_says_nothing_gets_careful_defaults(load):
+def test_a_serial_line_that_reports_nothing_gets_careful_defaults(load):
     spec = spec_of(load())
     assert (spec.kind, spec.port, spec.engine) == ("modbus-rtu", "/dev/ttyUSB0", "auto")
     assert (spec.gap, spec.gap_s, spec.echo) == (None, None, Echo.AUTO)
@@ -47,7 +46,7 @@ def test_a_serial_line_that_says_nothing_gets_careful_defaults(load):
     assert (spec.priority, spec.cpu) == (70, ())
 
 
-def test_what_a_serial_line_says_reaches_the_hardware_layer(load):
+def test_what_a_serial_line_reports_reaches_the_hardware_layer(load):
     more = 'gap = "3.5char"\necho = "yes"\npriority = 60\ncpu = [2, 3]\n'
     delays = "direction_before_s = 1e-5\ndirection_after_s = 2e-5\ndirection_active_high = false\n"
     spec = spec_of(load(more=more + GPIO + delays))

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motord.config import ConfigError, load_robot
-from motord.config.sections.wheels import profile_of
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
 DEMO = (ROBOTS / "demo.toml").read_text(encoding="utf-8") + '[publish.console]\nkind = "stdout"\n'
@@ -58,7 +57,7 @@ def load(tmp_path, text, overrides=()):
     return load_robot(path, overrides)
 
 
-def test_what_is_not_said_is_slow_and_careful(tmp_path):
+def test_what_is_not_reported_is_slow_and_careful(tmp_path):
     robot = load(tmp_path, MINIMAL)
     assert robot.limits.linear_m_s == 0.5
     assert robot.limits.linear_m_s3 == math.inf
@@ -106,7 +105,7 @@ def test_joints_keep_the_order_of_the_file():
         ("cpu = [1,\n 64]", "7: loop.cpu[1]: 64 is out of range (0 to 63)"),
     ],
 )
-def test_a_wrong_value_is_said_with_its_line_and_what_is_right(problems_of, wrong, row):
+def test_a_wrong_value_is_reported_with_its_line_and_what_is_right(problems_of, wrong, row):
     text = re.sub(r"rate_hz = 1000\npriority = 80", wrong, DEMO)
     assert problems_of(text) == [row]
 
@@ -141,7 +140,7 @@ def test_names_and_texts_are_checked(problems_of, right, wrong, row):
     assert any(problem.startswith(row) for problem in found), found
 
 
-def test_what_only_follows_from_a_mistake_is_not_said(problems_of):
+def test_what_only_follows_from_a_mistake_is_not_reported(problems_of):
     """A misspelt key that must be there is not missing too; a line of an unknown kind has no
     unknown keys."""
     text = DEMO.replace("track_m", "trak_m").replace(
@@ -189,7 +188,7 @@ def test_no_robot_at_all_names_what_a_robot_needs(problems_of):
 
 
 @pytest.mark.parametrize("text", ["base = 3", "joint = [1]", "line.a = 3", "publish.a = 3"])
-def test_what_should_be_a_table_is_said_to_be_none(problems_of, text):
+def test_what_should_be_a_table_is_reported_to_be_none(problems_of, text):
     assert any(" is not a table" in row for row in problems_of(f"{text}\n"))
 
 
@@ -220,7 +219,7 @@ def test_an_override_replaces_a_value_and_its_type_is_tomls(tmp_path):
     assert robot.loop.cpu == (1, 2)
 
 
-def test_a_wrong_override_is_said_by_its_own_text(problems_of):
+def test_a_wrong_override_is_reported_by_its_own_text(problems_of):
     assert problems_of(MINIMAL, ["base.track_m=-1"]) == [
         "--set base.track_m=-1: base.track_m: -1 is out of range (0.02 to 20 m)"
     ]
@@ -303,7 +302,7 @@ def test_another_encoder_on_a_drive_that_counts_its_speed_in_edges_needs_no_prof
     claw = (ROBOTS / "roboclaw.toml").read_text(encoding="utf-8")
     robot = load(tmp_path, claw.replace("channel =", "counts_per_turn = 2640\nchannel ="))
     shipped = load(tmp_path, claw)
-    finer, usual = profile_of(robot, "roboclaw"), profile_of(shipped, "roboclaw")
+    finer, usual = robot.profiles["roboclaw"], shipped.profiles["roboclaw"]
     assert usual.registers["target_velocity_1"].to_si(1320) == pytest.approx(2 * math.pi)
     assert finer.registers["target_velocity_1"].to_si(2640) == pytest.approx(2 * math.pi)
 

@@ -8,7 +8,6 @@ import pytest
 
 from motord.config import ConfigError, load_robot
 from motord.config.rules.wire import cycle_limit_hz
-from motord.config.sections.wheels import profile_of
 from motord.config.wiring import line_specs
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
@@ -224,7 +223,7 @@ def test_a_torque_drive_needs_a_speed_loop(tmp_path):
     assert row.startswith("joint.left.speed_loop: is missing: drive")
 
 
-def test_a_broken_profile_is_said_with_its_own_first_problem(tmp_path):
+def test_a_broken_profile_is_reported_with_its_own_first_problem(tmp_path):
     (tmp_path / "dog.toml").write_text("schema = 1\n", encoding="utf-8")
     path = edited(tmp_path, "demo", ('drive = "zlac8015d"', 'drive = "./dog.toml"'))
     (row,) = errors(path)
@@ -375,7 +374,7 @@ def test_no_shipped_robot_has_an_axis_that_lengthens_a_stop(path):
     assert not any("lengthens" in row for row in warnings(path))
 
 
-def test_a_drive_without_a_watchdog_is_said_once_with_what_to_do():
+def test_a_drive_without_a_watchdog_is_reported_once_with_what_to_do():
     rows = [row for row in warnings(ROBOTS / "two-single-drives.toml") if "watchdog" in row]
     (row,) = rows
     assert row.startswith('joint.left.drive: drive "bld-305s" without a communication watchdog: ')
@@ -385,7 +384,7 @@ def test_a_drive_without_a_watchdog_is_said_once_with_what_to_do():
 def test_the_wire_carries_more_with_a_shorter_gap():
     robot = load_robot(ROBOTS / "demo.toml")
     short = load_robot(ROBOTS / "demo.toml", ["line.rs485.gap_s=0.0005"])
-    profiles = {"zlac8015d": profile_of(robot, "zlac8015d")}
+    profiles = {"zlac8015d": robot.profiles["zlac8015d"]}
     (long_gap,), (short_gap,) = line_specs(robot, profiles), line_specs(short, profiles)
     assert 50 < cycle_limit_hz(long_gap) < cycle_limit_hz(short_gap) < 400
 
@@ -459,7 +458,7 @@ def with_pins(tmp_path, text):
     return edited(tmp_path, "demo", ("[line.rs485]", f"{text}[line.rs485]"))
 
 
-def test_a_contact_is_normally_closed_to_ground_where_nothing_else_is_said(tmp_path):
+def test_a_contact_is_normally_closed_to_ground_where_nothing_else_is_reported(tmp_path):
     estop = load_robot(with_pins(tmp_path, ESTOP + WATCHDOG)).safety.estop
     assert (estop.contact, estop.switches_to, estop.stop_is_high) == (
         "normally-closed",

@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The schema of the robot file: shipped fresh, and complete for those who read it in an editor."""
+"""The schemas of the robot file and of drive profiles: shipped fresh, and complete for those who
+read them in an editor."""
 
 import json
 import math
 import re
+import tomllib
 from pathlib import Path
 
+import jsonschema
 import pytest
+from jsonschema.exceptions import best_match
 
 from motord.config import load_robot
-from motord.config.schema import robot_schema
+from motord.config.schema import drive_schema, robot_schema
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 UNITS = {
@@ -22,6 +26,9 @@ UNITS = {
 }  # fmt: skip
 
 
+SCHEMAS = {"robot": robot_schema, "drive": drive_schema}
+
+
 def numbers():
     """(name, schema) of every number of the robot file."""
     for section in robot_schema()["$defs"].values():
@@ -31,11 +38,42 @@ def numbers():
                 yield name, {**node, **inner}
 
 
-def test_the_shipped_schema_is_that_of_the_program():
-    shipped = (CONFIG / "schema/robot.schema.json").read_text(encoding="utf-8")
-    assert json.loads(shipped) == json.loads(json.dumps(robot_schema())), (
-        "make it again: .venv/bin/motord schema > config/schema/robot.schema.json"
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_the_shipped_schema_is_that_of_the_program(name):
+    shipped = (CONFIG / f"schema/{name}.schema.json").read_text(encoding="utf-8")
+    assert json.loads(shipped) == json.loads(json.dumps(SCHEMAS[name]())), (
+        f"make it again: .venv/bin/motord schema {name} > config/schema/{name}.schema.json"
     )
+
+
+@pytest.mark.parametrize("path", sorted(CONFIG.glob("drives/*.toml")), ids=lambda path: path.stem)
+def test_an_editor_finds_nothing_wrong_with_a_shipped_profile(path):
+    validator = jsonschema.Draft202012Validator(drive_schema())
+    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    assert [error.message for error in validator.iter_errors(data)] == []
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "found"),
+    [
+        ("bitrate = 500000", "bitrate = 5", "5 is less than the minimum of 10000"),
+        ('dbc = "DRV_Power"\n', "", "is not valid under any of the given schemas"),
+        ("[can]", "[serial]", "'can' is a required property"),
+    ],
+)
+def test_an_editor_finds_a_mistake_in_a_profile(right, wrong, found):
+    text = (CONFIG / "drives/dbc-example.toml").read_text(encoding="utf-8").replace(right, wrong, 1)
+    validator = jsonschema.Draft202012Validator(drive_schema())
+    errors = validator.iter_errors(tomllib.loads(text))
+    said = [best_match([error]).message for error in errors]
+    assert any(found in message for message in said), said
+
+
+def test_every_key_of_a_profile_has_a_description():
+    schema = drive_schema()
+    for table in (schema, *schema["$defs"].values()):
+        for name, node in table["properties"].items():
+            assert node.get("description") or "$ref" in str(node), name
 
 
 def test_every_number_has_a_range_a_unit_and_a_description():
@@ -63,8 +101,9 @@ def test_every_default_lies_within_its_range():
             assert node["minimum"] <= default <= node.get("maximum", math.inf), name
 
 
-def test_the_schema_is_json_without_infinities():
-    text = json.dumps(robot_schema(), allow_nan=False)
+@pytest.mark.parametrize("schema", SCHEMAS.values())
+def test_the_schema_is_json_without_infinities(schema):
+    text = json.dumps(schema(), allow_nan=False)
     assert not re.search(r"Infinity|NaN", text)
 
 

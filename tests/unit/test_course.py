@@ -97,7 +97,9 @@ def test_a_base_that_cannot_turn_on_the_spot_always_goes_forward():
         ("roboclaw", COURSE, Source.COUNTERS),
     ],
 )
-def test_the_robot_file_says_which_course_it_is_and_what_odometry_comes_from(name, course, source):
+def test_the_robot_file_decides_which_course_it_is_and_what_odometry_comes_from(
+    name, course, source
+):
     robot = load_robot(robot_path(name))
     assert course_of(robot) == course
     assert source_of(robot) is source
@@ -187,7 +189,7 @@ def test_how_many_errors_a_line_had_decides_what_to_do(errors, words):
     assert bool(said) == bool(words)
 
 
-def test_a_machine_that_was_too_busy_is_said_to_be(capsys):
+def test_a_machine_that_was_too_busy_is_reported_to_be(capsys):
     assert "this machine was busy" not in shown(capsys)
     assert "simulated drives waited up to 0.80 s" in shown(capsys, held_up_s=0.8)
 

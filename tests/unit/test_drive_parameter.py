@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.drives.profile import Register, RegisterType
 from motord_hal.fieldbus.parameter import kept_back, raw_to_write, readable
 

@@ -37,7 +37,7 @@ def rows(load, *edits):
 
 
 def sent(robot):
-    profiles = assembly.profiles_of(robot)
+    profiles = robot.profiles
     (spec,) = line_specs(robot, profiles)
     return assembly.core_config(robot, profiles)["joint"], [j.encoder for j in spec.joints]
 
@@ -106,11 +106,11 @@ def test_a_board_that_counts_is_handed_on_and_may_count_for_both(load):
         ([(EDGES, BOARD.replace("motor = 1", ""))], "joint.left.encoder.motor: is missing"),
     ],
 )
-def test_a_board_that_cannot_count_so_is_said(load, edits, words):
+def test_a_board_that_cannot_count_so_is_reported(load, edits, words):
     assert any(row.startswith(words) for row in rows(load, *edits)), rows(load, *edits)
 
 
-def test_with_encoders_nothing_is_said_of_missing_counters(load):
+def test_with_encoders_nothing_is_reported_of_missing_counters(load):
     assert not [row for row in load().warnings if "counter" in row.text]
 
 
@@ -124,7 +124,7 @@ def test_with_encoders_nothing_is_said_of_missing_counters(load):
         ([('a = "GPIO17"', 'a = "GPIO5"')], "a: GPIO5 is taken already (joint left, pin in1)"),
         (
             [("full_duty_rad_s = 18.0", "full_duty_rad_s = 18.0\ncounts_per_turn = 5")],
-            "is that of the encoder: say it there",
+            "belongs to the encoder: set it there",
         ),
         (
             [("counts_per_turn = 1320", "")],
@@ -136,7 +136,7 @@ def test_with_encoders_nothing_is_said_of_missing_counters(load):
         ),
     ],
 )
-def test_what_does_not_fit_is_said(load, edits, words):
+def test_what_does_not_fit_is_reported(load, edits, words):
     assert any(words in row for row in rows(load, *edits)), rows(load, *edits)
 
 

@@ -56,7 +56,7 @@ def script(*texts, seed=1):
         ("fault:bit=1,code=1", "either bit= or code="),
     ],
 )
-def test_a_wrong_entry_says_what_is_wrong_with_it(text, says):
+def test_a_wrong_entry_reports_what_is_wrong_with_it(text, says):
     with pytest.raises(FaultError) as caught:
         parse_fault(text)
     assert says in str(caught.value)
@@ -187,7 +187,7 @@ def test_noise_loses_characters_but_makes_none_and_its_seed_decides(data, ber, s
         assert received == data
 
 
-def test_noise_hits_as_many_bits_as_its_rate_says():
+def test_noise_hits_as_many_bits_as_its_rate_reports():
     ber, bits, size = 0.01, 10, 40_000
     received, hits = disturb(bytes(size), ber, bits, random.Random(11))
     deviation = math.sqrt(size * bits * ber * (1.0 - ber))

@@ -37,7 +37,7 @@ def test_one_that_fails_is_enough():
     assert verdict.stalled == ("heart 1",)
 
 
-def test_a_stop_is_said_once_and_its_end_once():
+def test_a_stop_is_reported_once_and_its_end_once():
     health = Health()
     said = [judge(health, at_s, 5).messages for at_s in range(8)]
     said += [judge(health, 8 + at_s, 6 + at_s).messages for at_s in range(4)]
@@ -68,7 +68,7 @@ def test_a_stalled_heart_that_is_excused_is_well_again():
 
 
 @given(steps=st.lists(st.tuples(st.integers(0, 3), st.integers(0, 2), st.booleans()), max_size=30))
-def test_what_is_said_and_what_is_judged_never_disagree(steps):
+def test_what_is_reported_and_what_is_judged_never_disagree(steps):
     health, at_s, count, before = Health(), 0, 0, True
     for wait_s, moved, excused in steps:
         at_s, count = at_s + wait_s, count + moved

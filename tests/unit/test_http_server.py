@@ -54,7 +54,7 @@ async def test_a_request_is_answered_and_the_connection_ends_with_it(port):
     writer.close()
 
 
-async def test_a_request_that_fails_ends_no_other_and_is_said(port, caplog):
+async def test_a_request_that_fails_ends_no_other_and_is_reported(port, caplog):
     assert (await asked(port, "/broken"))[0] == 500
     assert "LookupError: no such figure" in caplog.text
     assert await asked(port, "/b") == (200, "hello /b")

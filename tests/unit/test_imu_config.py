@@ -45,7 +45,7 @@ def rows(load, *edits):
 
 def test_the_core_and_the_line_are_sent_of_a_boards_sensor(load):
     robot = load(('up = "z"', 'up = "-y"'))
-    profiles = assembly.profiles_of(robot)
+    profiles = robot.profiles
     (spec,) = line_specs(robot, profiles)
     assert spec.imu == Mounting(up="-y", forward="x")
     gyro = assembly.core_config(robot, profiles)["gyro"]
@@ -56,14 +56,14 @@ def test_the_core_and_the_line_are_sent_of_a_boards_sensor(load):
 
 def test_a_chip_is_no_business_of_the_line(load):
     robot = load((OF_LINE, CHIP))
-    profiles = assembly.profiles_of(robot)
+    profiles = robot.profiles
     assert line_specs(robot, profiles)[0].imu is None
     assert assembly.core_config(robot, profiles)["gyro"]["used"] == 1
 
 
 def test_the_core_takes_the_gyro_as_the_file_gives_it_by_default(load):
     robot = load()
-    Loop(assembly.core_config(robot, assembly.profiles_of(robot)),
+    Loop(assembly.core_config(robot, robot.profiles),
          LoopSettings(rate_hz=100.0, priority=0))  # fmt: skip
 
 
@@ -88,7 +88,7 @@ def test_the_core_takes_the_gyro_as_the_file_gives_it_by_default(load):
         ),
     ],
 )
-def test_what_does_not_fit_is_said(load, edits, row):
+def test_what_does_not_fit_is_reported(load, edits, row):
     assert row in rows(load, *edits)
 
 
@@ -106,7 +106,7 @@ def text_robot(feedback, up="z"):
     return drive, line, ('up = "z"', f'up = "{up}"'), ("cycle_hz = 100", "cycle_hz = 50")
 
 
-def test_a_line_of_text_has_to_say_the_rate_about_z(load):
+def test_a_line_of_text_has_to_report_the_rate_about_z(load):
     said = rows(load, *text_robot(""))
     assert any("the template of the feedback has no {gyro_z_rad_s}" in row for row in said)
     said = rows(load, *text_robot(" {gyro_z_rad_s}", up="y"))
@@ -114,9 +114,9 @@ def test_a_line_of_text_has_to_say_the_rate_about_z(load):
     assert load(*text_robot(" {gyro_z_rad_s}", up="-z")).imu.up == "-z"
 
 
-def test_the_rate_in_a_line_of_text_is_received_and_said(load):
+def test_the_rate_in_a_line_of_text_is_received_and_reported(load):
     robot = load(*text_robot(" {gyro_z_rad_s}"))
-    (spec,) = line_specs(robot, assembly.profiles_of(robot))
+    (spec,) = line_specs(robot, robot.profiles)
     dialect = TextDialect(spec)
     (said,) = dialect.feed(b"half a line\n10 20 -0.25\n", 5)
     assert said.imu.angular_rad_s[2] == -0.25
@@ -132,7 +132,7 @@ def test_the_rate_in_a_line_of_text_is_received_and_said(load):
     assert float(sent.split()[2]) == pytest.approx(gyro.bias_rad_s[2], abs=0.02)
 
 
-def test_a_simulated_gyro_says_the_plants_turn_with_its_offset_in_the_sensors_axes():
+def test_a_simulated_gyro_reports_the_plants_turn_with_its_offset_in_the_sensors_axes():
     wheels = {"left": Wheel(WheelModel()), "right": Wheel(WheelModel())}
     contacts = {side: Contact(side=side, wheel_radius_m=0.05) for side in wheels}
     plant = Plant(wheels, contacts, 0.2)

@@ -92,7 +92,7 @@ def test_priority_zero_asks_for_the_ordinary_scheduler():
     assert not [word for word in line if word.startswith(("-p", "-a"))]
 
 
-async def test_where_it_is_missing_the_result_is_none_and_says_so(monkeypatch, tmp_path):
+async def test_where_it_is_missing_the_result_is_none_and_reports_so(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     async with beside(1000.0, 60.0, 80, ()) as cyclictest:
         found = await cyclictest.result()

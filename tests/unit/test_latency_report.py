@@ -49,7 +49,7 @@ def test_nothing_measured_is_null_in_json():
 
 
 @given(values_ns)
-def test_a_tally_tells_no_value_too_low_and_none_much_too_high(values):
+def test_a_tally_reports_no_value_too_low_and_none_much_too_high(values):
     tally = Tally()
     for value in values:
         tally.add(value)
@@ -117,7 +117,7 @@ def test_ticks_that_asyncio_slept_through_count_with_the_age_that_they_had():
     assert ages(arrivals) == [1, 11, 21, 31]
 
 
-def test_ticks_between_notifications_wake_nobody_and_are_not_counted():
+def test_ticks_between_notifications_wake_nothing_and_are_not_counted():
     arrivals = Arrivals(every_ticks=4)
     arrivals.take(tick=6, stamp_ns=60, taken_ns=60)
     arrivals.take(tick=7, stamp_ns=70, taken_ns=99)

@@ -63,7 +63,7 @@ def test_a_stderr_that_is_not_the_journals_gets_plain_lines_with_the_time(journa
     )
 
 
-def test_a_journal_that_is_away_stops_nobody(journal):
+def test_a_journal_that_is_away_stops_nothing(journal):
     path = journal.getsockname()
     os.unlink(path)
     assert said(journal, "nobody hears this") == ""

@@ -86,7 +86,7 @@ def test_no_path_leads_from_a_latched_state_to_power_without_reset_and_then_arm(
 
 
 @given(state=st.sampled_from(State), about=facts)
-def test_arming_needs_ready_lines_fresh_feedback_no_drive_fault_and_nobody_driving(state, about):
+def test_arming_needs_ready_lines_fresh_feedback_no_drive_fault_and_nothing_driving(state, about):
     target = step(state, Event.ARM, about)
     if target is State.ARMED and state is State.IDLE:
         assert not about.unready_lines
@@ -96,7 +96,7 @@ def test_arming_needs_ready_lines_fresh_feedback_no_drive_fault_and_nobody_drivi
 
 
 @given(state=st.sampled_from(LATCHED), about=facts)
-def test_reset_needs_the_cause_gone_rest_and_nobody_driving(state, about):
+def test_reset_needs_the_cause_gone_rest_and_nothing_driving(state, about):
     if step(state, Event.RESET, about) is State.IDLE:
         assert about.at_rest
         assert not about.unready_lines
@@ -156,8 +156,8 @@ def test_the_numbers_of_the_state_page_stay_what_they_are():
     }  # fmt: skip
 
 
-def test_the_emergency_stops_contact_forbids_the_reset_and_says_why():
-    why = "the emergency stop's contact (GPIO17 of pinctrl-rp1) says stop"
+def test_the_emergency_stops_contact_forbids_the_reset_and_reports_why():
+    why = "the emergency stop's contact (GPIO17 of pinctrl-rp1) is active"
     refusal = step(State.ESTOP, Event.RESET, Facts(estop_input=why))
     assert isinstance(refusal, Refusal)
     assert refusal.reason == why

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from motord.config import ConfigError, load_robot
-from motord.config.sections.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord_hal.fieldbus.open_line import engine_of
 
@@ -35,7 +34,7 @@ def rows(load, **edits):
 
 def test_a_board_s_line_reaches_the_hardware_layer(load):
     robot = load()
-    profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
+    profiles = robot.profiles
     (spec,) = line_specs(robot, profiles)
     assert (spec.kind, spec.port, spec.cycle_hz) == ("mcu", "/dev/ttyUSB0", 100.0)
     assert spec.watchdog_s == 0.25

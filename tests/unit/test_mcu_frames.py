@@ -166,7 +166,7 @@ def test_what_has_no_value_is_sent_as_zero():
     assert payload == bytes((0, 2, 0, 0, 20, 0, *bytes(6), 0xFE, 0xFF, 0xFF, 0xFF, 0, 0))
 
 
-def test_a_board_says_which_set_points_it_has_received_and_when():
+def test_a_board_reports_which_set_points_it_has_received_and_when():
     payload = feedback_payload([], {}, 1, 20, Received(0x1234, 0.0052))
     assert received_in(payload) == Received(0x1234, pytest.approx(0.0052))
     with pytest.raises(FrameError):
@@ -202,6 +202,6 @@ def test_an_axis_that_is_not_measured_is_no_number_and_the_scale_has_an_end():
     assert found.acceleration_m_s2[1:] == pytest.approx((-32.767, 0.0))
 
 
-def test_a_feedback_that_does_not_say_so_carries_no_sensor():
+def test_a_feedback_that_does_not_report_so_carries_no_sensor():
     payload = feedback_payload([], {}, 1, 20, Received(1, 0.0))
     assert imu_in(payload + bytes(20)) is None

@@ -59,7 +59,7 @@ def test_a_bus_that_was_opened_again_begins_anew(gate):
     assert not gate.is_shut(9.0)
 
 
-def test_where_nothing_says_what_has_left_it_is_open():
+def test_where_nothing_reports_what_has_left_it_is_open():
     gate = MotionGate(CYCLE_S, receives_own=False)
     cycle(gate, 1.0, "+")
     cycle(gate, 1.01, "-")

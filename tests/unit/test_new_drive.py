@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from motord.cli.drives import drives
-from motord_hal.drives.load import load_profile
+from motord.config.drives.load import load_profile
 
 PAGE = (Path(__file__).parents[2] / "docs/drives/your-own-drive.md").read_text(encoding="utf-8")
 

@@ -74,7 +74,7 @@ def test_a_pin_that_the_robot_file_uses_otherwise_is_not_proposed(tmp_path):
         (RK3399, "spi0", "take that driver out of the device tree"),
     ],
 )
-def test_what_frees_a_pin_from_the_kernel_is_said_by_board(tmp_path, compatible, owner, words):
+def test_what_frees_a_pin_from_the_kernel_is_reported_by_board(tmp_path, compatible, owner, words):
     assert words in freeing_step(owner, tree(tmp_path, compatible))
 
 
@@ -110,7 +110,7 @@ def test_the_device_that_has_a_pin_is_named(tmp_path):
     assert mux_owner("pinctrl-rp1", 2, tmp_path / "none") == ""
 
 
-def test_a_channel_that_has_no_pin_is_said_with_the_step(tmp_path):
+def test_a_channel_that_has_no_pin_is_reported_with_the_step(tmp_path):
     machine = tree(tmp_path, PI5)
     debug = pinmux(
         tmp_path,
@@ -124,7 +124,7 @@ def test_a_channel_that_has_no_pin_is_said_with_the_step(tmp_path):
     assert "no pin to pwm2 of" in not_muxed("1f00098000.pwm", [0, 2], machine, debug)
 
 
-def test_nothing_is_said_of_pins_that_are_given_or_cannot_be_seen(tmp_path):
+def test_nothing_is_reported_of_pins_that_are_given_or_cannot_be_seen(tmp_path):
     machine = tree(tmp_path, PI5)
     assert not_muxed("1f00098000.pwm", [0], machine, tmp_path / "none") == ""
     row = "pin 12 (gpio12): 1f00098000.pwm (GPIO UNCLAIMED) function pwm0 group gpio12"

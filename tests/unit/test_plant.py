@@ -57,7 +57,7 @@ def test_a_coasting_wheel_loses_energy_in_every_step_until_it_rests(speed_rad_s)
 
 @settings(deadline=None)
 @given(st.lists(SPEEDS, min_size=1, max_size=5))
-def test_no_wish_gets_more_torque_than_the_motor_has(speeds_rad_s):
+def test_no_set_point_gets_more_torque_than_the_motor_has(speeds_rad_s):
     wheel = Wheel(MODEL)
     for speed_rad_s in speeds_rad_s:
         wheel.turn(speed_rad_s)

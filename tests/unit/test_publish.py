@@ -97,7 +97,7 @@ def test_every_kind_of_the_table_can_be_opened(kind):
     assert type(open_publisher("mine", kind, section)).__name__.lower().startswith(kind)
 
 
-def test_a_kind_that_nobody_offers_is_named_with_those_there_are():
+def test_a_kind_that_nothing_offers_is_named_with_those_there_are():
     with pytest.raises(LookupError, match=r'publish.mine: .*"smoke".*stdout'):
         open_publisher("mine", "smoke", STDOUT)
 
@@ -149,13 +149,13 @@ async def test_udp_without_a_listener_goes_on():
     await feeding(Samples("r2", 1000.0), publisher, lambda: publisher.sent >= 5)
 
 
-async def test_udp_says_once_that_a_sample_cannot_be_sent(caplog):
+async def test_udp_reports_once_that_a_sample_cannot_be_sent(caplog):
     publisher = UdpPublisher("mine", UdpPublish(kind="udp", host="255.255.255.255"))
     await feeding(Samples("r2", 1000.0), publisher, lambda: publisher.dropped >= 5)
     assert len([row for row in caplog.records if row.levelname == "WARNING"]) == 1
 
 
-async def test_udp_to_what_is_no_name_at_all_is_said_and_goes_on(caplog):
+async def test_udp_to_what_is_no_name_at_all_is_reported_and_goes_on(caplog):
     section = UdpPublish.model_construct(kind="udp", host="broker..example", port=9870, rate_hz=1.0)
     publisher = UdpPublisher("mine", section)
     await feeding(Samples("r2", 1000.0), publisher, lambda: bool(caplog.records))
@@ -180,7 +180,7 @@ async def test_stdout_is_a_line_a_sample(pipe):
     assert ticks == sorted(set(ticks))
 
 
-async def test_a_reader_that_stops_reading_costs_samples_and_nobody_waits(pipe):
+async def test_a_reader_that_stops_reading_costs_samples_and_nothing_waits(pipe):
     publisher, reading = pipe
     samples = Samples("r2", 1000.0)
     slowest_s = await feeding(samples, publisher, lambda: publisher.dropped >= 50)
@@ -192,7 +192,7 @@ async def test_a_reader_that_stops_reading_costs_samples_and_nobody_waits(pipe):
             os.read(reading.fileno(), 65536)
 
 
-async def test_a_reader_that_goes_away_ends_the_publisher_and_is_said(pipe, caplog):
+async def test_a_reader_that_goes_away_ends_the_publisher_and_is_reported(pipe, caplog):
     publisher, reading = pipe
     reading.close()
     await feeding(Samples("r2", 1000.0), publisher, lambda: bool(caplog.records))

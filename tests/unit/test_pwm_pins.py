@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from motord.config import ConfigError, load_robot
+from motord.config.drives.load import find_profile, load_profile
 from motord_hal.base.errors import PortError, ProfileError
-from motord_hal.drives.load import find_profile, load_profile
 from motord_hal.fieldbus.ports import JointSpec, LineSpec, PinsSpec
 from motord_hal.gpio.lines import Wanted, request_outputs
 from motord_hal.gpio.pinmux import freeing_step, pwm_step
@@ -82,7 +82,7 @@ def test_a_pin_is_a_channel_or_a_line_and_may_be_active_low():
         ("drv8871", {"in1": "pwm0", "in2": "!"}, "in2 is nowhere"),
     ],
 )
-def test_what_a_bridge_cannot_do_with_its_pins_is_said(drive, pins, words):
+def test_what_a_bridge_cannot_do_with_its_pins_is_reported(drive, pins, words):
     with pytest.raises(ValueError, match=words):
         places_of(0, joint(drive, **pins))
 
@@ -113,7 +113,7 @@ def test_a_pwm_chip_is_found_by_its_device_whatever_its_number(tmp_path):
     assert find_chip("pwmchip0", root).name == "pwmchip0"
 
 
-def test_no_chip_and_too_many_chips_are_said_with_what_is_there(tmp_path):
+def test_no_chip_and_too_many_chips_are_reported_with_what_is_there(tmp_path):
     root = pwm_tree(tmp_path, "soc/fan.pwm", "soc/1f00098000.pwm")
     with pytest.raises(PortError, match=r'2 PWM chips fit "soc".*pwmchip0 \(fan.pwm\)'):
         find_chip("soc", root)
@@ -121,7 +121,7 @@ def test_no_chip_and_too_many_chips_are_said_with_what_is_there(tmp_path):
         find_chip("fe20c000.pwm", root)
 
 
-def test_a_chip_that_is_not_there_is_said_with_joint_pin_and_step():
+def test_a_chip_that_is_not_there_is_reported_with_joint_pin_and_step():
     spec = line_of(joint("drv8871", in1="pwm0", in2="pwm1"))
     with pytest.raises(PortError) as caught:
         asyncio.run(open_pins(spec))
@@ -129,14 +129,14 @@ def test_a_chip_that_is_not_there_is_said_with_joint_pin_and_step():
     assert str(caught.value).endswith(pwm_step("no-such.pwm", [0, 1]))
 
 
-def test_a_channel_that_the_kernel_has_is_said_with_what_frees_it(tmp_path):
+def test_a_channel_that_the_kernel_has_is_reported_with_what_frees_it(tmp_path):
     chip = find_chip("pwmchip0", pwm_tree(tmp_path, "soc/1f00098000.pwm"))
     busy = OSError(errno.EBUSY, os.strerror(errno.EBUSY))
     assert _why(busy, chip, 0).startswith("a driver of the kernel has it (a fan, a backlight): ")
     assert _why(busy, chip, 0).endswith(freeing_step(""))
 
 
-def test_a_channel_that_is_not_there_is_said_with_the_chip(tmp_path):
+def test_a_channel_that_is_not_there_is_reported_with_the_chip(tmp_path):
     root = pwm_tree(tmp_path, "soc/1f00098000.pwm")
     chip = find_chip("pwmchip0", root)
     chip.chmod(0o555)
@@ -145,7 +145,7 @@ def test_a_channel_that_is_not_there_is_said_with_the_chip(tmp_path):
     assert not os.path.lexists(chip / "pwm5")
 
 
-def test_a_chip_that_is_gone_while_its_error_is_worded_is_said_to_be_gone(tmp_path):
+def test_a_chip_that_is_gone_while_its_error_is_worded_is_reported_to_be_gone(tmp_path):
     chip = find_chip("pwmchip0", pwm_tree(tmp_path, "soc/1f00098000.pwm"))
     no_device = OSError(errno.ENODEV, os.strerror(errno.ENODEV))
     assert _why(no_device, chip, 5) == "the chip has 2 channels, from 0 on"
@@ -153,7 +153,7 @@ def test_a_chip_that_is_gone_while_its_error_is_worded_is_said_to_be_gone(tmp_pa
     assert _why(no_device, chip, 5) == "the chip is gone"
 
 
-def test_an_absent_gpio_chip_is_said(tmp_path):
+def test_an_absent_gpio_chip_is_reported(tmp_path):
     with pytest.raises(PortError, match='no GPIO chip "pinctrl-rp1"; there: none'):
         request_outputs("pinctrl-rp1", [Wanted(line="4", purpose="a test")], "x", tmp_path)
 
@@ -179,7 +179,7 @@ def test_an_absent_gpio_chip_is_said(tmp_path):
         ),
     ],
 )
-def test_a_mistake_in_a_bridge_is_said(tmp_path, right, wrong, words):
+def test_a_mistake_in_a_bridge_is_reported(tmp_path, right, wrong, words):
     assert right in BTS
     path = tmp_path / "bts7960.toml"
     path.write_text(BTS.replace(right, wrong, 1), encoding="utf-8")
@@ -238,7 +238,7 @@ def test_two_lines_cannot_have_the_same_channel_of_a_chip(tmp_path):
         ('drive = "bts7960"', 'drive = "zlac8015d"', "joint.left.drive: drive"),
     ],
 )
-def test_what_a_robot_file_says_wrong_of_pins_is_said(tmp_path, right, wrong, row):
+def test_what_a_robot_file_has_wrong_about_pins_is_reported(tmp_path, right, wrong, row):
     assert right in ROBOT
     path = tmp_path / "robot.toml"
     path.write_text(ROBOT.replace(right, wrong, 1), encoding="utf-8")

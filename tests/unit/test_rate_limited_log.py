@@ -15,7 +15,7 @@ def test_a_thousand_of_one_matter_are_one_line(caplog):
     assert caplog.messages == ["not understood"]
 
 
-def test_how_many_were_not_said_is_said(caplog, monkeypatch):
+def test_how_many_were_not_reported_is_reported(caplog, monkeypatch):
     voice = sparing.RateLimitedLog(logging.getLogger("test"))
     for _ in range(4):
         voice.say("not understood")
@@ -35,7 +35,7 @@ def library():
     log.removeFilter(spared)
 
 
-def test_a_library_that_says_each_of_a_thousand_fills_no_log(caplog, library):
+def test_a_library_that_reports_each_of_a_thousand_fills_no_log(caplog, library):
     for _ in range(1000):
         library.warning("Message queue is full. Discarding message.")
         library.warning("There are %d pending publish calls.", 7)
@@ -45,7 +45,7 @@ def test_a_library_that_says_each_of_a_thousand_fills_no_log(caplog, library):
     ]
 
 
-def test_an_exception_of_a_library_is_said_with_its_traceback(caplog, library):
+def test_an_exception_of_a_library_is_reported_with_its_traceback(caplog, library):
     try:
         raise IndexError("a mistake")
     except IndexError:

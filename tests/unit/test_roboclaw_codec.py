@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.modbus.codec import Function, Request
 from motord_hal.roboclaw.codec import (
     ACKNOWLEDGED,

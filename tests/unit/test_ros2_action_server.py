@@ -172,7 +172,7 @@ async def test_only_the_newest_goals_are_remembered():
     assert await bench.result(number(GOALS_KEPT + 3)) == Status.SUCCEEDED
 
 
-async def test_each_reason_of_a_refusal_is_said_but_not_each_time(caplog):
+async def test_each_reason_of_a_refusal_is_reported_but_not_each_time(caplog):
     bench = Bench()
     async with running(bench):
         for _ in range(50):
@@ -183,7 +183,7 @@ async def test_each_reason_of_a_refusal_is_said_but_not_each_time(caplog):
         await bench.result(number(2))
     said = [record.getMessage() for record in caplog.records]
     assert sum("a way of 0" in text for text in said) == 1
-    assert sum("under way" in text for text in said) == 1
+    assert sum("is running" in text for text in said) == 1
 
 
 @pytest.mark.parametrize("status", [Status.SUCCEEDED, Status.CANCELED, Status.ABORTED])

@@ -21,7 +21,7 @@ def steady(delays, offset_ns, start_ns, count, sender="a"):
 
 
 @given(offset_ns=OFFSETS)
-def test_whatever_the_senders_clock_says_a_steady_stream_does_not_wait(offset_ns):
+def test_whatever_the_senders_clock_reports_a_steady_stream_does_not_wait(offset_ns):
     assert set(steady(Delays(), offset_ns, 0, 300)) == {0.0}
 
 

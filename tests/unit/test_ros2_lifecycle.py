@@ -125,7 +125,7 @@ async def test_a_robot_whose_drives_are_not_ready_is_not_configured_by_asking():
         assert node.state is state
 
 
-async def test_a_held_node_says_what_the_machine_does_as_soon_as_it_is_not_idle():
+async def test_a_held_node_reports_what_the_machine_does_as_soon_as_it_is_not_idle():
     node = Managed()
     assert await node.change(CLEANUP)
     node.become(State.CONFIGURING)

@@ -82,7 +82,7 @@ def test_a_package_that_is_there_is_left_as_it_is(package):
     assert changed.read_text(encoding="utf-8") == before
 
 
-def test_a_folder_that_cannot_be_made_is_said(tmp_path):
+def test_a_folder_that_cannot_be_made_is_reported(tmp_path):
     file = tmp_path / "file"
     file.touch()
     result = CliRunner().invoke(cli, ["ros2-msgs", str(file)])

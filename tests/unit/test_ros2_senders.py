@@ -68,7 +68,7 @@ def gid(number):
     return SimpleNamespace(data=bytes([number]) * 16)
 
 
-def test_an_endpoint_has_the_name_of_its_node_as_its_participant_last_said():
+def test_an_endpoint_has_the_name_of_its_node_as_its_participant_last_reported():
     graph = Graph()
     node = SimpleNamespace(
         node_namespace="/", node_name="teleop", writer_gid_seq=[gid(2)], reader_gid_seq=[gid(3)]

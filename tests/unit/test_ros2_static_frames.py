@@ -31,12 +31,12 @@ def test_the_description_that_is_made_has_the_footprint_and_no_wheels():
     assert frame.header.stamp == SimpleNamespace(sec=1, nanosec=2)
 
 
-def test_frames_have_the_prefix_that_tells_robots_apart():
+def test_frames_have_the_prefix_that_reports_robots_apart():
     (frame,) = static_transforms(fixed(), STAMP_NS, "r2/").transforms
     assert (frame.header.frame_id, frame.child_frame_id) == ("r2/base_link", "r2/lidar")
 
 
-def test_a_sensor_is_where_the_users_own_description_says():
+def test_a_sensor_is_where_the_users_own_description_reports():
     (frame,) = static_transforms(fixed('<origin xyz="0.1 -0.2 0.3"/>'), STAMP_NS).transforms
     place = frame.transform.translation
     assert (place.x, place.y, place.z) == (0.1, -0.2, 0.3)
@@ -84,6 +84,6 @@ def test_joints_that_turn_are_left_to_who_reads_joint_states():
         fixed('<origin rpy="a b c"/>'), fixed(ends='<parent link="base_link"/>'),
     ],
 )  # fmt: skip
-def test_what_is_no_description_is_said(wrong):
+def test_what_is_no_description_is_reported(wrong):
     with pytest.raises(ValueError):
         static_transforms(wrong, STAMP_NS)

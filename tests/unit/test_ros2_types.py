@@ -108,6 +108,6 @@ def test_a_line_that_is_none_of_a_description_is_refused():
         descriptions("=== odom nav_msgs/msg/Odometry\nheader . = x")
 
 
-def test_the_page_of_messages_is_what_the_descriptions_say():
+def test_the_page_of_messages_is_what_the_descriptions_report():
     page = Path(__file__).resolve().parents[2] / "docs/messages.md"
     assert page.read_text() == messages_page(), "python -m motord.bus.messages > docs/messages.md"

@@ -42,14 +42,14 @@ def test_a_client_that_the_graph_does_not_name_yet_is_waited_for(caplog):
     assert "/panel (Fast DDS)" in caplog.text
 
 
-def test_a_client_without_a_node_is_said_by_its_endpoint(caplog):
+def test_a_client_without_a_node_is_reported_by_its_endpoint(caplog):
     made = Unanswered({}.get)
     made.add(gid(1), ARM, 0.0)
     made.say(NAMED_WITHIN_S)
     assert f"endpoint {gid(1).hex()} (Fast DDS) asks {ARM}" in caplog.text
 
 
-def test_many_clients_are_few_lines_and_nobody_is_lost_between_them(caplog):
+def test_many_clients_are_few_lines_and_nothing_is_lost_between_them(caplog):
     names = {gid(number): f"/panel{number}" for number in range(8)}
     made = Unanswered(names.get)
     for number in names:

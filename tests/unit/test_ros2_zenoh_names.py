@@ -48,7 +48,7 @@ SEEN = [
 
 
 @pytest.mark.parametrize(("token", "quality", "attachment"), SEEN)
-def test_a_publisher_says_of_itself_what_those_of_ros_2_say(token, quality, attachment):
+def test_a_publisher_reports_of_itself_what_those_of_ros_2_report(token, quality, attachment):
     parts = token.split("/")
     names = node(session_id=parts[2], name=parts[8])
     topic = parts[9].replace("%", "/")

@@ -160,7 +160,7 @@ async def test_a_refusal_carries_its_reason(path):
         (b'{"jsonrpc":"2.0","id":1,"method":"add","params":{"a":1,"b":11}}\n', -32602),
     ],
 )
-async def test_what_is_wrong_is_said_and_the_connection_goes_on(path, raw, code):
+async def test_what_is_wrong_is_reported_and_the_connection_goes_on(path, raw, code):
     async with hosted(path):
         peer = await Peer.at(path)
         assert await peer.error(raw) == code
@@ -279,7 +279,7 @@ async def test_who_has_been_silent_longest_makes_room(path):
             peer.close()
 
 
-async def test_a_connection_that_stays_makes_room_for_nobody(path):
+async def test_a_connection_that_stays_makes_room_for_nothing(path):
     staying = set()
     with listening(path) as listener:
         host = Host()
@@ -342,7 +342,7 @@ async def test_without_a_free_file_descriptor_it_tries_again(path, caplog):
             assert json.loads(await loop.sock_recv(late, 1000))["id"] == 1
 
 
-async def test_the_caller_is_who_the_kernel_says(path):
+async def test_the_caller_is_who_the_kernel_reports(path):
     async with hosted(path) as host:
         peer = await Peer.at(path)
         await peer.call("who")

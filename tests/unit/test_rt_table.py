@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord_hal.drives.load import find_profile, list_profiles
+from motord.config.drives.load import find_profile, list_profiles
 from motord_hal.fieldbus.ports import Echo, JointSpec, LineSpec
 from motord_hal.modbus.codec import (
     Function,

@@ -6,9 +6,9 @@ import math
 
 import pytest
 
+from motord.config.drives.load import find_profile
 from motord_hal.base.errors import ProfileError
 from motord_hal.ddsm.codec import Command, build_reply, build_request, pick
-from motord_hal.drives.load import find_profile
 from motord_hal.drives.profile import Channel, Register, RegisterType, Step
 from motord_hal.fieldbus.ports import JointSpec, LineSpec
 from motord_hal.realtime.table import FieldKind, Form, Seal
@@ -66,7 +66,7 @@ def drive(index=0):
     return drive_table(frames_of(spec)[index], spec)
 
 
-def test_one_exchange_tells_the_speed_and_brings_the_feedback():
+def test_one_exchange_reports_the_speed_and_brings_the_feedback():
     (exchange,) = drive().cyclic
     assert exchange.frame.request == build_request(1, Command.SET, {})
     assert exchange.frame.match == b"\x01"

@@ -3,7 +3,7 @@
 
 import pytest
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.open_line import engine_of
 from motord_hal.fieldbus.ports import JointSpec, LineSpec
 from motord_hal.realtime.line import check_table

@@ -38,7 +38,7 @@ def test_a_supervisor_that_went_away_is_no_error(tmp_path):
     assert not Notifier({"NOTIFY_SOCKET": str(tmp_path / "gone")}).ready()
 
 
-def test_a_supervisor_that_does_not_read_holds_nobody_up(supervisor):
+def test_a_supervisor_that_does_not_read_holds_nothing_up(supervisor):
     _, name = supervisor
     notifier = Notifier({"NOTIFY_SOCKET": name})
     assert notifier.watchdog()

@@ -115,12 +115,12 @@ def test_a_port_is_opened_once_and_again_after_it_was_closed(pty_path):
     open_port(spec_of(pty_path)).close()
 
 
-def test_a_port_that_is_not_there_is_said(tmp_path):
+def test_a_port_that_is_not_there_is_reported(tmp_path):
     with pytest.raises(PortError, match="there is no such port"):
         open_port(spec_of(tmp_path / "nothing"))
 
 
-def test_a_refused_direction_says_what_to_do_and_leaves_the_port_free(pty_path):
+def test_a_refused_direction_reports_what_to_do_and_leaves_the_port_free(pty_path):
     kernel = DirectionSpec(kind=DirectionKind.KERNEL)
     with pytest.raises(PortError, match=r'overlay.*"auto".*"gpio"'):
         open_port(spec_of(pty_path, direction=kernel))
@@ -135,7 +135,7 @@ def test_the_holder_of_a_file_is_named(tmp_path):
     assert holders("/dev/some-port", tmp_path / "proc") == ("minicom (pid 4711)",)
 
 
-def test_rs485_wishes_are_packed_as_the_kernel_reads_them():
+def test_rs485_requests_are_packed_as_the_kernel_reads_them():
     spec = DirectionSpec(kind=DirectionKind.KERNEL, before_s=0.001, after_s=0.0015)
     assert struct.unpack("=8I", pack_rs485(spec)) == (1 | 2, 1, 2, 0, 0, 0, 0, 0)
     low = DirectionSpec(kind=DirectionKind.KERNEL, active_high=False)
@@ -148,7 +148,7 @@ def test_a_delay_that_no_driver_takes_is_refused(delay_s):
         pack_rs485(DirectionSpec(before_s=delay_s))
 
 
-def test_what_a_driver_keeps_differently_is_said():
+def test_what_a_driver_keeps_differently_is_reported():
     asked = pack_rs485(DirectionSpec(before_s=0.002))
     assert kept_problem(asked, asked) == ""
     assert "switch" in kept_problem(asked, bytes(32))
@@ -157,7 +157,7 @@ def test_what_a_driver_keeps_differently_is_said():
     assert "delays" in kept_problem(asked, struct.pack("=3I20x", 1 | 2, 0, 0))
 
 
-def test_an_absent_gpio_chip_is_said(tmp_path):
+def test_an_absent_gpio_chip_is_reported(tmp_path):
     spec = DirectionSpec(kind=DirectionKind.GPIO, gpio_chip="pinctrl", gpio_line="17")
     with pytest.raises(PortError, match="there: none"):
         request_line(spec, "bus", tmp_path)
@@ -193,7 +193,7 @@ def test_a_port_without_counters_or_low_latency_is_no_error(pty_path):
         (None, Traffic(frames=9), ""),
     ],
 )
-def test_a_hint_says_what_was_counted(after, now, said):
+def test_a_hint_reports_what_was_counted(after, now, said):
     hint = unresponsive_hint(Counters(0, 0, 0, 0), after, Traffic(), now)
     assert hint.startswith(said)
     assert bool(hint) == bool(said)

@@ -82,7 +82,7 @@ def test_a_child_answers_as_this_process_would(override):
     )
 
 
-def test_a_child_that_fails_is_said_and_gives_no_robot():
+def test_a_child_that_fails_is_reported_and_gives_no_robot():
     lines = """
 sys.executable = "/bin/false"
 validation.elsewhere()

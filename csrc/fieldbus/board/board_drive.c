@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * board_drive.c: what a board is told to be, whether it is there, and when it has to stop. */
+ * board_drive.c: what a board is to be, whether it is there, and when it has to stop. */
 #include "board_machine.h"
 #include "fresh.h"
 
@@ -36,7 +36,7 @@ static void becomes_unresponsive(board_machine *m, int64_t now_ns)
 {
     m->unresponsive++;
     board_begin_stop(m, drive_quick_stop(&m->state, 0, now_ns),
-                     now_ns); /* it may hear us all the same: in every cycle from now on */
+                     now_ns); /* it may receive all the same: in every cycle from now on */
     drive_take_back(&m->state, DRIVE_FAULT_UNRESPONSIVE, DRIVE_UNRESPONSIVE);
     m->state.stopping = m->state.back = false;
     m->feedback_bytes = 0;
@@ -61,7 +61,7 @@ void board_sent(board_machine *m, int64_t now_ns)
 }
 
 /* ------------------------------------------------------------------------------------------------- its word */
-/* The drive's own words count when it had heard by then what stays in its payload. */
+/* The drive's own words count when it had received by then what stays in its payload. */
 static void believe(board_machine *m, bool kept, int64_t now_ns)
 {
     bool settled = now_ns >= m->control.request.arming_until_ns;
@@ -111,7 +111,7 @@ void board_guard(board_machine *m, int64_t now_ns)
 }
 
 /* -------------------------------------------------------------------------------------------------- requests */
-/* What stays in its payload is what it does: it is told to be off, whatever it was. */
+/* What stays in its payload is what it does: it is switched off, whatever it was. */
 void board_obey_request(board_machine *m, int64_t now_ns)
 {
     drive_view view = view_of(m, now_ns);

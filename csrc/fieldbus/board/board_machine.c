@@ -6,7 +6,7 @@
 #include <string.h>
 
 static const int64_t NS_PER_US = 1000, HELD_UNIT_NS = 100000;
-/* Heard earlier than sent: the number is that of set-points of an earlier program. */
+/* Received earlier than sent: the number is that of set-points of an earlier program. */
 static const int64_t HELD_TOLERANCE_NS = 2 * BOARD_MS;
 static const board_place RECEIVED_SEQUENCE = {.byte = 6, .bytes = 2}, RECEIVED_AGO = {.byte = 8, .bytes = 2};
 
@@ -32,7 +32,7 @@ int board_machine_init(board_machine *m, const board_table *table, uint32_t epoc
 }
 
 /* -------------------------------------------------------------------------------------------------- receiving */
-/* Which of our frames the board had heard by then, and how long it kept that to itself. One of an earlier program may be
+/* Which of our frames the board had received by then, and how long it kept that to itself. One of an earlier program may be
  * newer than ours: the board would take none before we are ahead of it. */
 static void note_what_it_knows(board_machine *m, int64_t now_ns)
 {

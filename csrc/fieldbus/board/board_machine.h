@@ -8,7 +8,7 @@
  * board_clock.c    the board's clock on ours
  * board_imu.c      what an inertial sensor on the board says
  * board_values.c   set-points into a payload, a payload into feedback
- * board_drive.c    what it is told, whether it is there, when it has to stop
+ * board_drive.c    what it gets, whether it is there, when it has to stop
  * board_machine.c  what comes, what is sent and when, and its end
  */
 #ifndef MOTORD_BOARD_MACHINE_H
@@ -34,7 +34,7 @@ typedef struct {
 /* The piece of the stream that has not ended yet. */
 typedef struct {
     uint32_t count;
-    bool whole; /* text: its beginning was heard */
+    bool whole; /* text: its beginning was received */
     uint8_t bytes[BOARD_WIRE_MAX];
 } board_tail;
 
@@ -59,12 +59,12 @@ typedef struct {
     imu_sample imu;                       /* the newest */
     bool imu_is_new;                      /* since it was taken */
     uint8_t last_sent[BOARD_PAYLOAD_MAX]; /* the newest payload that went out */
-    bool notify;                          /* something that Python wants to hear */
+    bool notify;                          /* something that Python wants to know */
     uint8_t held[BOARD_PAYLOAD_MAX];
     uint8_t feedback_payload[BOARD_PAYLOAD_MAX];
     uint32_t feedback_bytes;
     uint16_t sequence;
-    uint16_t next; /* sequence: newer than what the board has heard, of us or of an earlier program */
+    uint16_t next; /* sequence: newer than what the board has received, of us or of an earlier program */
     int64_t sent_ns[BOARD_SEQUENCES_KEPT];
     int64_t written_ns;
     int64_t last_sent_ns; /* a frame went out last */
@@ -89,7 +89,7 @@ int board_machine_init(board_machine *m, const board_table *table, uint32_t epoc
 void board_machine_receive(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns);
 /* false: the one before has not gone out */
 bool board_machine_order(board_machine *m, const board_order *order);
-/* The loop has woken the line: set-points that are not what it was told last do not wait for their cycle. */
+/* The loop has woken the line: set-points that differ from the last ones do not wait for their cycle. */
 void board_machine_kick(board_machine *m, int64_t now_ns);
 /* Sends what is due; returns when to step again, if nothing comes. */
 int64_t board_machine_step(board_machine *m, int64_t now_ns);
@@ -126,7 +126,7 @@ void board_obey_request(board_machine *m, int64_t now_ns);
 void board_guard(board_machine *m, int64_t now_ns);
 /* A good word has come. */
 void board_received(board_machine *m, int64_t now_ns);
-/* What it was told last has gone out. */
+/* What goes to it last has gone out. */
 void board_sent(board_machine *m, int64_t now_ns);
 
 #endif

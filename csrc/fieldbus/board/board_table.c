@@ -155,7 +155,7 @@ const char *board_table_check(const board_table *table, char *name)
         check_text(&f, table, &table->read);
     } else if (!f.bad) {
         need(&f, table->answers == 1 && table->feedback_bytes >= 10,
-             "feedback_bytes"); /* which set-points were heard, and when */
+             "feedback_bytes"); /* which set-points were received, and when */
     }
     return f.bad ? name : NULL;
 }

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_drive.c: one drive of a bus: what it is told and asked, whether it is there, and when it has to stop. */
+ * can_drive.c: one drive of a bus: what it gets, whether it is there, and when it has to stop. */
 #include <string.h>
 
 #include "can_machine.h"
@@ -126,7 +126,7 @@ void can_send_stop(can_machine *m, uint32_t number)
     uint32_t count = quick ? table->quick_stop_count : table->disarm_count;
     for (; drive->stop_place < count; drive->stop_place++) {
         if (!can_write_out(m, number, &write[drive->stop_place])) {
-            return; /* told again with the next look */
+            return; /* sent again with the next look */
         }
     }
     if (!quick && m->table.drive[number].idle_setpoints == 0) {
@@ -187,7 +187,7 @@ static void becomes_unresponsive(can_machine *m, uint32_t number, int64_t now_ns
     }
 }
 
-/* It may hear us though we do not hear it: one that may turn is told to stop. */
+/* It may receive though it sends nothing: one that may turn gets a stop. */
 static void probe(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
@@ -273,7 +273,7 @@ void can_obey_request(can_machine *m, uint32_t number, int64_t now_ns)
 }
 
 /* ------------------------------------------------------------------------------------------------ its cycle */
-/* What may wait. A drive that cannot say whether it has power is told again that it shall have none: the frame that took
+/* What may wait. A drive that cannot report its power gets its power-off again: the frame that took
  * it may have been lost. */
 static void now_and_then(can_machine *m, uint32_t number, int64_t now_ns)
 {

@@ -230,7 +230,7 @@ static void send_stops(can_machine *m, int64_t now_ns)
     }
 }
 
-/* A cable that is pulled fills the kernel's queue, and what is in it goes out when it is plugged in again, whoever lives
+/* A cable that is pulled fills the kernel's queue, and what is in it goes out when it is plugged in again, whatever runs
  * then: so little motion waits there, and zero behind it. */
 static void look_at_queue(can_machine *m, int64_t now_ns)
 {
@@ -242,7 +242,7 @@ static void look_at_queue(can_machine *m, int64_t now_ns)
 static void sync_all(can_machine *m)
 {
     for (uint32_t i = 0; i < m->table.sync_count; i++) {
-        (void)can_send(m, &m->table.sync[i]); /* the drives do now, all at once, what they were told */
+        (void)can_send(m, &m->table.sync[i]); /* the drives do now, all at once, what they got */
     }
 }
 
@@ -315,7 +315,7 @@ int64_t can_machine_step(can_machine *m, int64_t now_ns)
         send_early(m, now_ns);
     }
     m->early = false;
-    shut_down(m, now_ns); /* all are told: that was it */
+    shut_down(m, now_ns); /* all have got it: that was it */
     return next_look_ns(m, now_ns);
 }
 

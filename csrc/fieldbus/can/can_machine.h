@@ -86,9 +86,9 @@ typedef struct {
     bool receives_own;       /* the bus says when a set-point frame of ours has left */
     bool clogged;            /* it has taken nothing in a whole cycle, nor since */
     bool motion_stays;       /* in this step: set-points are zero, for motion would wait for a bus that is dead */
-    int64_t motion_since_ns; /* set-points that are not zero went out, and nothing was heard to have left since; 0: no */
+    int64_t motion_since_ns; /* set-points that are not zero went out, and nothing was seen to leave since; 0: no */
     line_ending end;
-    bool notify; /* something that Python wants to hear */
+    bool notify; /* something that Python wants to know */
     cycle_clock cycle;
     bool early; /* the set-points do not wait for the cycle */
     uint64_t received;
@@ -99,17 +99,17 @@ typedef struct {
     void *sink;
 } can_machine;
 
-/* 0 or -EINVAL. Every drive OFF; one that may turn is told to stop until it is heard. */
+/* 0 or -EINVAL. Every drive OFF; one that may turn gets a stop until it responds. */
 int can_machine_init(can_machine *m, const can_table *table, const can_before *before, can_sender send, void *sink,
                      int64_t now_ns);
-/* A frame has come. Returns who is to be told: the number of its drive, CAN_DRIVES_MAX for an error frame, or
+/* A frame has come. Returns the receiver: the number of its drive, CAN_DRIVES_MAX for an error frame, or
  * CAN_FOR_NOBODY. Nothing is sent. */
 uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t stamp_ns, int64_t now_ns);
 /* A set-point frame of ours has left. */
 void can_machine_left(can_machine *m);
 /* false: no room */
 bool can_machine_order(can_machine *m, const can_order *order);
-/* The loop has woken the line: set-points that are not what the drives were told last do not wait for their cycle. */
+/* The loop has woken the line: set-points that differ from the last ones do not wait for their cycle. */
 void can_machine_kick(can_machine *m, int64_t now_ns);
 /* Sends what is due; returns when to step again, if nothing comes. */
 int64_t can_machine_step(can_machine *m, int64_t now_ns);

@@ -156,7 +156,7 @@ static int receive(can_thread *t)
     return count < 0 ? count : 0;
 }
 
-/* The socket was opened to hear its own set-point frames when they have left; sockets of other kinds cannot. */
+/* The socket was opened to receive its own set-point frames when they have left; sockets of other kinds cannot. */
 static bool receives_own(int fd)
 {
     int own = 0;
@@ -219,7 +219,7 @@ static int wait_for_wakeup(can_thread *t, int64_t until_ns)
 
 static int go_round(can_thread *t, int64_t *wake_ns)
 {
-    /* the control first: what is heard while Python listens is for it */
+    /* the control first: what comes while Python listens is for it */
     line_thread_take_control(&t->life, &t->machine.control);
     int error = receive(t);
     t->machine.enabled_count = line_thread_take_setpoints(&t->life, &t->machine.newest);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_drive.c: one drive of a line: what it is told and asked, whether it is there, and when it has to stop. */
+ * line_drive.c: one drive of a line: what it gets, whether it is there, and when it has to stop. */
 #include <string.h>
 
 #include "line_machine.h"
@@ -337,7 +337,7 @@ static void stop_frame_done(line_machine *m, uint32_t number)
     }
 }
 
-/* At the end all is told, whatever the drive does not answer: it may hear us though we do not hear it. */
+/* At the end all is sent, whatever the drive does not answer: it may receive though it sends nothing. */
 static void stop_frame_failed(line_machine *m, uint32_t number, uint32_t failure)
 {
     line_drive_state *drive = &m->drive[number];

@@ -2,7 +2,7 @@
  * line_end.c: a line is shut down: all its drives come to rest, then lose their power, then it is silent. */
 #include "line_machine.h"
 
-/* Beyond the end's time: until each drive was sent its whole power-off once. One that is not heard may hear. */
+/* Beyond the end's time: until each drive was sent its whole power-off once. A silent one may still receive. */
 static const int64_t POWER_OFF_EXTRA_NS = 2500 * LINE_MS;
 
 static bool was_sent_its_power_off(const line_machine *m, uint32_t number)

@@ -92,7 +92,7 @@ void line_owe(line_machine *m, uint32_t number)
     line_drive_state *drive = &m->drive[number];
     const line_frame *frame = &m->transaction.frame;
     if (frame->exact != 0 || frame->reply_bytes == 0) {
-        return; /* nobody at all is asked until its late reply has passed */
+        return; /* no drive at all is asked until its late reply has passed */
     }
     forget_old(drive, m->start_ns);
     line_owed owed = {.look = look_of(frame), .count = 1};
@@ -107,7 +107,7 @@ void line_owe(line_machine *m, uint32_t number)
     }
     drive->owed[drive->owed_count++] = owed;
     drive->owed[drive->owed_count - 1].until_ns = until_ns(m, number);
-    if (full) { /* more than can be told apart: a silence sorts them out */
+    if (full) { /* more than can be distinguished: a silence sorts them out */
         drive->held_until_ns = drive->owed[drive->owed_count - 1].until_ns;
     }
     drive->failed_ns = m->end_ns;
@@ -233,7 +233,7 @@ void line_stray(line_machine *m, const uint8_t *bytes, uint32_t count, int64_t n
     }
 }
 
-/* What was heard beside the answer, if there was one. The copy that an adapter hears of its request is no noise. */
+/* What came beside the answer, if there was one. The copy that an adapter receives of its request is no noise. */
 void line_sort_received(line_machine *m, const received *verdict, int64_t now_ns)
 {
     const line_transaction *t = &m->transaction;

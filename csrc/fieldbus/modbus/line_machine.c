@@ -61,7 +61,7 @@ static bool stops_wait(const line_machine *m)
     return waits;
 }
 
-/* Then nobody is waited for longer than is usual. */
+/* Then no drive is waited for longer than is usual. */
 static void shorten_wait(line_machine *m, int64_t now_ns)
 {
     if (m->sent && m->worker < m->table.drive_count && stops_wait(m)) {
@@ -97,7 +97,7 @@ static void finish_request(line_machine *m, uint32_t kind, const received *verdi
     }
 }
 
-/* Nobody is understood: an adapter that was found to hear itself may not do so any more. */
+/* No drive is understood: an adapter that was found to echo may not do so any more. */
 static void doubt_echo(line_machine *m)
 {
     bool understood = false;
@@ -171,7 +171,7 @@ static bool will_read(const line_machine *m)
     return table->probe > 0 || table->extra_count > 0;
 }
 
-/* What the bytes since the request say. Where it is not known whether the adapter hears itself, an answer that looks
+/* What the bytes since the request say. Where it is not known whether the adapter echoes, an answer that looks
  * like its request is taken: only what is read decides (and set-ups are read back). */
 static received listen(line_machine *m, const uint8_t *bytes, uint32_t count)
 {
@@ -338,7 +338,7 @@ static bool take_cycle(line_machine *m, int64_t now_ns, line_output *out)
                 begin(m, WORK_CYCLE, number, &frame, out);
                 return true;
             }
-            if (take_stop(m, out)) { /* its end may have told to stop */
+            if (take_stop(m, out)) { /* its end may have sent a stop */
                 return true;
             }
         }
@@ -403,7 +403,7 @@ static void decide(line_machine *m, int64_t now_ns, line_output *out)
     } else if (m->end.stage < END_POWER_OFF) {
         (void)take_cycle(m, now_ns, out);
     } else {
-        line_shut_down(m, now_ns); /* all are told: that was it */
+        line_shut_down(m, now_ns); /* all have got it: that was it */
     }
 }
 

@@ -44,7 +44,7 @@ typedef struct {
 
 typedef enum { ECHO_NONE = 0, ECHO_FIRST = 1, ECHO_UNKNOWN = 2 } line_echo;
 
-/* One request under way, and all that was heard since it was sent. */
+/* One request under way, and all that came since it was sent. */
 typedef struct {
     line_frame frame;    /* request as it goes out */
     uint64_t request_id; /* WORK_REQUEST: whose it is, and how long its drive may take */
@@ -70,7 +70,7 @@ typedef struct {
     uint32_t stage;  /* line_stage */
     uint32_t place;  /* within the stage */
     uint32_t extra_next;
-    uint32_t stop_place; /* the frame that is told next, or has been told */
+    uint32_t stop_place; /* the frame that is sent next, or has been sent */
     uint32_t stop_done;  /* bit n: frame n was acknowledged, or is refused for good */
     uint32_t stop_sent;  /* bit n: frame n was sent at the end, and not answered */
     uint32_t stop_failures;
@@ -129,13 +129,13 @@ typedef struct line_machine {
     uint32_t work;   /* line_work under way; NONE: the line is ours */
     uint32_t worker; /* its drive; LINE_DRIVES_MAX: none */
     bool sent;       /* its request has left */
-    bool notify;     /* something that Python wants to hear */
+    bool notify;     /* something that Python wants to know */
     bool notified_shut;
     uint32_t broadcasts; /* frames of broadcast_stop still to be sent */
     uint32_t current;    /* drive in the middle of its cycle; LINE_DRIVES_MAX: none */
     line_ending end;
-    int64_t ours_ns;      /* earliest time of the next request on a line where nobody else sends */
-    int64_t free_ns;      /* the same, after the newest byte that was heard */
+    int64_t ours_ns;      /* earliest time of the next request on a line where nothing else sends */
+    int64_t free_ns;      /* the same, after the newest byte that came */
     int64_t silent_ns;    /* when the line was seen silent last */
     bool noisy;           /* what was urgent has gone out since then all the same */
     int64_t urgent_by_ns; /* an urgent request goes out then, silence or not; 0: none waits */
@@ -168,18 +168,18 @@ typedef struct {
     int64_t wake_ns; /* step again then, or when bytes, asks or a wake come */
 } line_output;
 
-/* line_begin.c: 0 or -EINVAL. Every drive OFF; one that `may_turn` is told to stop before all else. */
+/* line_begin.c: 0 or -EINVAL. Every drive OFF; one that `may_turn` gets a stop before all else. */
 int line_machine_init(line_machine *m, const line_table *table, uint32_t may_turn, int64_t now_ns);
 /* false: no room */
 bool line_machine_request(line_machine *m, const line_request *request);
-/* The core has made new set-points of a new command: who is to be told something else is due at once. */
+/* The core has made new set-points of a new command: a drive that is to get something else is due at once. */
 void line_machine_kick(line_machine *m, int64_t now_ns);
 void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t count, line_output *out);
 void line_machine_sent(line_machine *m, int64_t now_ns);
 void line_machine_report(const line_machine *m, line_report *report);
 
 /* ------------------------------------------------------------------------ line_table.c */
-/* Whether a request can be sent and its answer told: nothing beyond its own bytes is ever looked at. */
+/* Whether a request can be sent and its answer recognised: nothing beyond its own bytes is ever looked at. */
 bool line_frame_is_good(const line_frame *frame);
 
 /* ------------------------------------------------------------------------- line_requests.c */
@@ -196,10 +196,10 @@ bool line_build(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out)
 void line_read(line_machine *m, uint32_t drive, const line_exchange *turn, const uint8_t *reply, int64_t stamp_ns);
 /* The direction that the newest set-points want: REST, FORWARD, REVERSE. */
 uint32_t line_direction_wanted(const line_machine *m, uint32_t drive, uint32_t direction);
-/* What the drive may be told now: the joint's set-point, or 0 unless armed, fresh and enabled. */
+/* What may go to the drive now: the joint's set-point, or 0 unless armed, fresh and enabled. */
 double line_wanted(const line_machine *m, uint32_t drive, uint32_t joint, uint32_t kind);
 bool line_wants_motion(const line_machine *m, uint32_t drive);
-/* Whether what it was last told differs from what it would be told now. */
+/* Whether what it got last differs from what it would get now. */
 bool line_differs(line_machine *m, uint32_t drive);
 /* Its values are not known any more. */
 void line_forget(line_machine *m, uint32_t drive);

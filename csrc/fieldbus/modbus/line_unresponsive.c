@@ -33,7 +33,7 @@ void line_becomes_unresponsive(line_machine *m, uint32_t number, int64_t now_ns)
     }
     drive_take_back(&drive->state, DRIVE_FAULT_UNRESPONSIVE, DRIVE_UNRESPONSIVE);
     if (m->end.stage < END_POWER_OFF) {
-        drive->state.stop = STOP_NOTHING; /* its probes stop it; later there are none: it is told until the end */
+        drive->state.stop = STOP_NOTHING; /* its probes stop it; later there are none: it gets the stop until the end */
     }
     drive->state.stopping = drive->state.back = false;
     drive->stage = STAGE_IDLE;

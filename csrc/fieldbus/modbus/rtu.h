@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * rtu.h: frames on a serial line: seals, values, and the answer among the bytes that were heard. Pure. */
+ * rtu.h: frames on a serial line: seals, values, and the answer among the bytes that came. Pure. */
 #ifndef MOTORD_RTU_H
 #define MOTORD_RTU_H
 
@@ -41,7 +41,7 @@ int64_t rtu_masked(int64_t raw, uint32_t mask, uint32_t form);
 
 /* True when the answer looks the same as the request: then only `echo` tells one from the other. */
 bool rtu_answer_is_request(const line_frame *frame, const uint8_t *request);
-/* The answer to `request` (frame's, as it was sent) among what was heard since. echo: as line_table.echo. Garbage
+/* The answer to `request` (frame's, as it was sent) among what came since. echo: as line_table.echo. Garbage
  * before it is passed over; nothing but prefix, whole length and seal makes an answer. */
 received rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo, const uint8_t *bytes, uint32_t count);
 

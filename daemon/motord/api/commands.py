@@ -35,7 +35,7 @@ class Refusal(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeaseGrant:
-    """What a source may do: whoever has the token commands under it."""
+    """What a source may do: the token is enough to command under it."""
 
     number: int
     """Grows with each lease, from 1."""
@@ -79,7 +79,7 @@ class CommandReport:
     """The arbiter's word after its newest look at what came."""
 
     commander: int
-    """Number of the lease in command; 0: nobody."""
+    """Number of the lease in command; 0: none."""
     accepted: int
     refused: dict[Refusal, int]
     leases: dict[int, LeaseState]

@@ -29,7 +29,7 @@ STUCK_S = 3.0
 TURN_RATE_MAX_RAD_S = math.pi
 """So that the base does not turn by half a turn between two looks: which way would not be known."""
 CORRECTIONS_MAX, CORRECTION_TOLERANCES = 3, 10.0
-"""A base that rests beside the goal, because somebody was late, goes the rest of it, also back:
+"""A base that rests beside the goal, because something was late, goes the rest of it, also back:
 so often, and by so many tolerances at most."""
 STOPS_EVERY_S = 0.1
 """So often the daemon is asked whether a stop came, beside what the state page says."""
@@ -158,7 +158,7 @@ def planned(goal: Goal, bounds: Bounds) -> Plan:
 def problem(snapshot: Snapshot, now_ns: int, stale_s: float) -> str | None:
     """Why the odometry says nothing that one may go by. None: it does."""
     if (now_ns - snapshot.stamp_ns) * _NS > stale_s:
-        return "the loop says nothing any more"
+        return "the loop sends nothing any more"
     if any(joint.stale for joint in snapshot.joints):
         return "the odometry is stale: a wheel sends no feedback"
     if (now_ns - snapshot.odometry_stamp_ns) * _NS > stale_s:
@@ -174,7 +174,7 @@ def obstacle(snapshot: Snapshot) -> str | None:
     if not snapshot.armed:
         return "it is not armed"
     if "stop_requested" in snapshot.reasons:
-        return "a stop was asked for"
+        return "a stop was requested"
     return None
 
 
@@ -273,7 +273,7 @@ class Motion:
         """What ends it at once."""
         why = problem(snapshot, now_ns, self._stale_s) or obstacle(snapshot)
         if self._stopped:
-            why = why or "a stop was asked for"
+            why = why or "a stop was requested"
         why = why or self.travel.add(snapshot)
         if why is not None:
             return why
@@ -282,7 +282,7 @@ class Motion:
         elif self._commanding:
             return "another source commands" if snapshot.owner else "its commands did not get there"
         elif (now_ns - self._start_ns) * _NS > COMMANDS_WITHIN_S:
-            return "another source commands" if snapshot.owner else "nobody takes its commands"
+            return "another source commands" if snapshot.owner else "nothing takes its commands"
         return None
 
     def _end(self, how: End, why: str, now_ns: int) -> None:

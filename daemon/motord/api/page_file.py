@@ -6,7 +6,7 @@ Every user can create files in /dev/shm. So the daemon keeps its files in a fold
 another user has created that name first, the daemon makes a folder with a random ending.
 
 Locks say that its daemon lives. The kernel takes them off whatever way a process dies, so a stale
-file is told from a live one without trusting process numbers, which are given again. Who may only
+file differs from a live one without trusting process numbers, which are given again. Who may only
 read the file can lock it as well, but not with an open file description lock for writing
 (fcntl(2)): that one counts.
 """
@@ -188,7 +188,7 @@ def _remove(path: Path) -> None:
 
 
 def _lock(fd: int, path: Path) -> bool:
-    """False: somebody who may only read it has locked it. Raises PageInUse."""
+    """False: a user that may only read it has locked it. Raises PageInUse."""
     try:
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0))
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)

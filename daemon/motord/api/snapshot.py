@@ -46,7 +46,7 @@ class JointSnapshot:
     voltage_v: float
     temperature_c: float
     feedback_age_s: float
-    """Infinity: never heard."""
+    """Infinity: never received."""
     drive_faults: U32
     enabled: bool | None
     stale: bool
@@ -134,7 +134,7 @@ class Snapshot:
     """vv, vw, ww in m2/s2, m rad/s2, rad2/s2."""
     joints: tuple[JointSnapshot, ...]
     imu: ImuSnapshot | None = None
-    """None: there is none, or it was never heard."""
+    """None: there is none, or it was never received."""
     doubt: DoubtSnapshot | None = None
     version: int = SNAPSHOT_VERSION
 

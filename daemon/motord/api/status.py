@@ -162,7 +162,7 @@ class LineStatus:
 
 @dataclass(frozen=True, kw_only=True)
 class LeaseStatus:
-    """Somebody who commands, or would; the one in command stands first."""
+    """A source that commands, or would; the one in command stands first."""
 
     number: int = 0
     owner: str = ""

@@ -66,7 +66,7 @@ class _Writer(logging.Handler):
         return self.format(record).encode(errors="backslashreplace") + b"\n"
 
     def write(self, entry: bytes) -> None:
-        """Raises OSError where nobody can ever read it. What finds no room now is lost."""
+        """Raises OSError where it can never be read. What finds no room now is lost."""
         try:
             while entry:
                 entry = entry[os.write(self._fd, entry) :]
@@ -134,7 +134,7 @@ def _entry(message: str, priority: int, fields: Iterable[tuple[str, str]]) -> by
 
 
 def _field(name: str, value: str) -> bytes:
-    """A value of several lines is told by its length."""
+    """A value of several lines comes with its length."""
     data = value.encode(errors="backslashreplace")
     if b"\n" not in data:
         return b"%s=%s\n" % (name.encode(), data)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a service manager is told: sd_notify(3), sd_watchdog_enabled(3)."""
+"""What goes to a service manager: sd_notify(3), sd_watchdog_enabled(3)."""
 
 from __future__ import annotations
 

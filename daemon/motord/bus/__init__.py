@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is told and who may tell: buses. No devices, no C core."""
+"""Buses: they publish the state and take commands. No devices, no C core."""

@@ -47,7 +47,7 @@ class Adapter(Protocol):
 
 
 def find(where: str, kind: str, table: Mapping[str, str], group: str) -> Any:
-    """What makes an adapter of that kind. Raises LookupError for a kind that nobody offers, and
+    """What makes an adapter of that kind. Raises LookupError for a kind that no package offers, and
     ImportError where a package that it needs is missing."""
     if kind in table:
         module, _, attribute = table[kind].partition(":")
@@ -55,5 +55,5 @@ def find(where: str, kind: str, table: Mapping[str, str], group: str) -> Any:
     offered = {point.name: point for point in entry_points(group=group)}
     if kind not in offered:
         known = ", ".join([*table, *offered])
-        raise LookupError(f'{where}: nobody offers kind "{kind}"; there are: {known}')
+        raise LookupError(f'{where}: no installed package offers kind "{kind}"; there are: {known}')
     return offered[kind].load()

@@ -12,7 +12,7 @@ from motord.bus.adapters import Adapter
 
 AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 30.0
 WELL_AFTER_S = 60.0
-"""Who has worked for so long may come back at once, and is heard of again."""
+"""A bus that has worked for so long may come back at once, and is reported again."""
 
 _log = logging.getLogger(__name__)
 
@@ -47,7 +47,7 @@ async def _life(adapter: Adapter) -> BaseException | None:
         await adapter.run()
     except* MemoryError:
         raise
-    except* Exception as errors:  # noqa: BLE001  somebody else's code may raise anything
+    except* Exception as errors:  # noqa: BLE001  code of another package may raise anything
         error = first(errors)
     return error
 

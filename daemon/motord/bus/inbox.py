@@ -56,7 +56,7 @@ class ThreadBridge:
         self._over = False
 
     async def run(self) -> None:
-        """Until cancelled: who waits then, and who comes later, is told that it ends."""
+        """Until cancelled: callers that wait then, or come later, learn that it ends."""
         self._asked.open()
         async with asyncio.TaskGroup() as self._tasks:
             self._asked.empty()  # who came before

@@ -43,8 +43,8 @@ _log = logging.getLogger(__name__)
 @click.option(
     "--supervised",
     is_flag=True,
-    help="The daemon started it: ends with standard input, and says on standard output that it"
-    " lives.",
+    help="The daemon started it: ends with standard input, and writes signs of life to standard"
+    " output.",
 )
 @click.option("--checked-fd", type=int, hidden=True, help="What the daemon has read in the file.")
 def main(
@@ -86,7 +86,7 @@ def _checked(fd: int) -> Robot:
 
 
 def _own_output() -> int:
-    """A descriptor of the daemon's pipe that nobody else writes to: what libraries print goes to
+    """A descriptor of the daemon's pipe that nothing else writes to: what libraries print goes to
     standard error."""
     fd = fcntl.fcntl(1, fcntl.F_DUPFD_CLOEXEC, 3)  # never 2, if the daemon has none
     elsewhere = os.open(os.devnull, os.O_WRONLY) if sys.stderr is None else 2

@@ -246,7 +246,7 @@ class Runtime:
     def _feed(self, snapshot: Snapshot) -> None:
         before = self.view
         if before is not None and before.snapshot.owner != snapshot.owner:
-            self._asked.set()  # somebody else commands: who, only the daemon knows
+            self._asked.set()  # another source commands: which, only the daemon knows
         if before is not None and before.snapshot.faults != snapshot.faults:
             self._asked.set()  # so it is with the reason
         self.view = View(
@@ -258,7 +258,7 @@ class Runtime:
             feed.offer(self.view)
 
     async def _ask(self) -> None:
-        """The daemon's own words, from time to time and when somebody else commands."""
+        """The daemon's own status, from time to time and when another source commands."""
         while True:
             try:
                 asked_ns, status = time.monotonic_ns(), await self.call("status")

@@ -86,7 +86,7 @@ def robot_path(name: str) -> Path:
 
 
 def progress(text: str) -> None:
-    """One line on a terminal's stderr, written over; nothing where nobody looks."""
+    """One line on a terminal's stderr, written over; nothing where there is no terminal."""
     if sys.stderr.isatty():
         click.echo(f"\r\033[K{text}", nl=False, err=True)
 

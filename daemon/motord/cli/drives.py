@@ -11,8 +11,8 @@ import click
 
 from motord.cli.common import Exit, Failure, json_option, print_json
 from motord.cli.new_drive import new_drive
+from motord.config.drives.load import find_profile, list_profiles, load_profile
 from motord_hal.base.errors import ProfileError
-from motord_hal.drives.load import find_profile, list_profiles, load_profile
 from motord_hal.drives.profile import SI_UNITS, DriveProfile, Register
 
 

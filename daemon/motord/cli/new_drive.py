@@ -11,9 +11,10 @@ from pathlib import Path
 import click
 
 from motord.cli.common import Exit, Failure
+from motord.config.drives.load import load_profile
 from motord_hal.base import bounded
 from motord_hal.base.errors import ProfileError
-from motord_hal.drives.load import load_profile
+from motord_hal.base.paths import config_dir
 
 QUESTIONS: tuple[tuple[str, str, str | int], ...] = (
     ("title", "Maker and model", "My drive"),
@@ -28,6 +29,7 @@ QUESTIONS: tuple[tuple[str, str, str | int], ...] = (
     ("watchdog_address", "Address of its communication time-out in ms (-1: it has none)", -1),
 )
 _TEMPLATE = """\
+#:schema {schema}
 # {title}: begun by `motord drives new`. Every address has a source: put its page there.
 schema = 1
 name = "{name}"
@@ -150,4 +152,5 @@ def _filled(name: str, answers: dict[str, str | int]) -> str:
     has_one = int(answers["watchdog_address"]) >= 0
     watchdog = _WATCHDOG.format(**answers) if has_one else ""
     note = "" if has_one else _NOTE
-    return _TEMPLATE.format(name=name, note=note, watchdog=watchdog, **answers)
+    schema = (config_dir() / "schema" / "drive.schema.json").as_uri()
+    return _TEMPLATE.format(schema=schema, name=name, note=note, watchdog=watchdog, **answers)

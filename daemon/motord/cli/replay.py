@@ -117,7 +117,7 @@ def _shown(robot_file: Path, overrides: Sequence[str]) -> Iterator[_Player]:
                 page = cleanup.enter_context(ReplayPage(robot.robot.name))
         except PageInUse as error:
             raise Failure(str(error)) from error
-        # the socket does not exist: who wants to command a recording is told that nobody is there
+        # the socket does not exist: a command to a recording fails: no daemon is there
         nobody = page.path.with_suffix(".replay")
         command = [sys.executable, "-m", "motord.bus", str(robot_file), *options]
         bus = cleanup.enter_context(

@@ -43,7 +43,7 @@ _log = logging.getLogger(__name__)
     "--bus/--no-bus",
     default=True,
     show_default=True,
-    help="Start motord-bus for the networked buses of the file, or leave that to somebody else.",
+    help="Start motord-bus for the networked buses of the file, or leave that to you.",
 )
 @json_option
 def run(
@@ -60,7 +60,7 @@ def run(
     Example: motord run robot.toml
              motord run robot.toml --set line.rs485.port=/dev/ttyUSB1
     """
-    log.set_up()  # first: whoever does not read stderr any more must not keep the robot waiting
+    log.set_up()  # first: a full stderr must not keep the robot waiting
     robot = load_or_exit(robot_file, overrides, _log.warning)
 
     def say_ready(socket: Path) -> None:

@@ -31,7 +31,11 @@ def _units(_context: click.Context, _option: click.Parameter, text: str) -> rang
 @click.command
 @click.argument("port")
 @click.option(
-    "--units", "--unit", callback=_units, default="1-16", help="Units to ask, such as 1-16 or 7."
+    "--units",
+    "--unit",
+    callback=_units,
+    default="1-16",
+    help="Units to look for, such as 1-16 or 7.",
 )
 @click.option("--baudrate", type=click.IntRange(300, 4_000_000), help="Try only this one.")
 @click.option("--parity", type=click.Choice(["none", "even", "odd"]), help="Try only this one.")
@@ -100,7 +104,7 @@ def _scan(
             _print(port, one)
     if not found:
         _say(
-            "nobody answers: A and B swapped? power, ground, unit? docs/rs485.md goes on from here"
+            "no unit answers: A and B swapped? power, ground, unit? docs/rs485.md goes on from here"
         )
         raise click.exceptions.Exit(Exit.FAILED)
 
@@ -131,7 +135,7 @@ def _try_directions(
     from motord_hal.fieldbus.ports import DirectionKind, DirectionSpec
 
     if len(units) != 1:
-        raise click.UsageError("--directions asks one unit: give it with --unit")
+        raise click.UsageError("--directions needs one unit: give it with --unit")
     kernel, line = DirectionKind.KERNEL, DirectionKind.GPIO
     low = "direction_active_high = false"
     directions = [
@@ -160,4 +164,4 @@ def _try_directions(
         echo = "yes" if best.echoes else "no"
         click.echo("\n".join([*best.lines, f'echo = "{echo}"']))
     if not best.answers:
-        raise Failure(f"unit {units[0]} does not answer, whoever turns the transceiver")
+        raise Failure(f"unit {units[0]} does not answer in any of the modes of the transceiver")

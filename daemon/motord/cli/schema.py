@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord schema`: the JSON Schema of the robot file."""
+"""`motord schema`: the JSON Schemas of the robot file and of drive profiles."""
 
 from __future__ import annotations
 
@@ -8,20 +8,25 @@ import json
 import click
 
 from motord.cli.common import json_option, print_json
-from motord.config.schema import robot_schema
+from motord.config.schema import drive_schema, robot_schema
 
 
 @click.command
+@click.argument("file", type=click.Choice(["robot", "drive"]), default="robot")
 @json_option
-def schema(as_json: bool) -> None:
-    """Print the JSON Schema of the robot file, with the SI unit of each number, for editors.
+def schema(file: str, as_json: bool) -> None:
+    """Print the JSON Schema of the robot file, or of drive profiles, for editors.
+
+    It has the unit of each number.
 
     The output is indented; with --json it is on one line.
 
     \b
     Example: motord schema > robot.schema.json
+             motord schema drive > drive.schema.json
     """
+    found = drive_schema() if file == "drive" else robot_schema()
     if as_json:
-        print_json(robot_schema())
+        print_json(found)
     else:
-        click.echo(json.dumps(robot_schema(), indent=2, ensure_ascii=False, allow_nan=False))
+        click.echo(json.dumps(found, indent=2, ensure_ascii=False, allow_nan=False))

@@ -27,7 +27,6 @@ from motord.cli.common import (
     set_option,
 )
 from motord.config import Joint, Robot
-from motord.config.sections.wheels import profile_of
 from motord.config.wiring import line_specs
 from motord_hal.modbus.codec import UNIT_MAX
 from motord_hal.sim.fault_kinds import KINDS, FaultError, list_kinds
@@ -199,8 +198,8 @@ def _ports(robot: Robot, first: _Address | None, *, raw: bool) -> dict[str, Port
 
 
 def rig_spec(robot: Robot, faults: tuple[str, ...], seed: int) -> RigSpec:
-    """The robot file as the simulator wants to be told."""
-    profiles = {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
+    """The robot file as the simulator wants it."""
+    profiles = robot.profiles
     return RigSpec(
         robot=robot.robot.name,
         track_m=robot.base.effective_track_m,
@@ -227,7 +226,9 @@ def _say_faults(*, as_json: bool) -> None:
     for name, kind in KINDS.items():
         click.echo(f"{name}: {kind.text}")
         for key, limits in kind.keys.items():
-            default = "" if limits.default is None else f", {limits.default:g} unless told"
+            default = (
+                "" if limits.default is None else f", {limits.default:g} unless you give another"
+            )
             needed = ", needed" if limits.needed else ""
             click.echo(f"    {key}= {limits.low:g} to {limits.high:g}{default}{needed}")
 

@@ -36,7 +36,7 @@ def show_status(found: dict[str, Any]) -> None:
 
 
 def _telling(reasons: Sequence[str], state: str) -> list[str]:
-    """Without what is so of every robot that nobody drives."""
+    """Without what is so of every robot that is not driven."""
     usual = () if state in ("armed", "moving", "stopping") else ("not_armed", "command_stale")
     return [reason for reason in reasons if reason not in usual]
 
@@ -45,7 +45,7 @@ def _command(found: dict[str, Any]) -> str:
     command = found["command"]
     return (
         f"{command['setpoint_linear_m_s']:.3f} m/s {command['setpoint_angular_rad_s']:.3f} rad/s, "
-        f"asked for {command['wanted_linear_m_s']:.3f} and {command['wanted_angular_rad_s']:.3f}"
+        f"requested {command['wanted_linear_m_s']:.3f} and {command['wanted_angular_rad_s']:.3f}"
     )
 
 
@@ -140,7 +140,7 @@ def commanders_text(inputs: Sequence[Mapping[str, Any]]) -> str:
     """Who may command, the highest priority first; `inputs` as in the answer of `status`."""
     rows = sorted(inputs, key=lambda source: -source["priority"])
     texts = (f"{row['name']} ({row['kind']}, priority {row['priority']})" for row in rows)
-    return ", ".join(texts) or "nobody: every input of the robot file is switched off"
+    return ", ".join(texts) or "no source: every input of the robot file is switched off"
 
 
 def _lease(lease: dict[str, Any]) -> str:

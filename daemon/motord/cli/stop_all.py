@@ -78,8 +78,8 @@ def _as_it_ran(robot_file: Path) -> Robot | None:
         return None
     if _now(robot_file) != ran.text.encode():
         click.echo(
-            f"{robot_file} has changed since motord was started by it: the drives that it had then "
-            "are told",
+            f"{robot_file} has changed since motord started: the stop goes to the drives that it "
+            "had then",
             err=True,
         )
     return robot

@@ -16,7 +16,7 @@ def main() -> None:
     """Answer, if there is a question."""
     if raw := sys.stdin.buffer.read():
         answered = pickle.dumps(answer(*pickle.loads(raw)))
-        # nobody wants to know any more: no error
+        # the reader has gone: no error
         with contextlib.suppress(BrokenPipeError), os.fdopen(os.dup(1), "wb") as answers:
             answers.write(answered)
 

@@ -13,8 +13,9 @@ from typing import Any
 
 from pydantic_core import ErrorDetails
 
+from motord.config.drives.parts import CHANNEL, PART_NAME
 from motord.config.problems import candidates
-from motord.config.schema import Node, allowed, choices, describe, robot_schema
+from motord.config.schema import Node, allowed, choices, describe
 from motord.config.sections.bus import HOST, ROUTER
 from motord.config.sections.quantities import conversion
 from motord.config.toml_lines import Path
@@ -27,7 +28,6 @@ _LATER: dict[Path, frozenset[str]] = {
     ("input", "*", "kind"): frozenset({"zenoh"}),
     ("publish", "*", "kind"): frozenset({"zenoh"}),
     ("robot",): frozenset({"namespace"}),
-    ("safety",): frozenset({"estop"}),
     ("publish", "*"): frozenset({"qos"}),
 }
 _NOT_A = {
@@ -45,6 +45,8 @@ _BAD_NAME = "a name is letters, digits, _ and -, begins with a letter, at most 3
 _BAD_TEXT = {
     HOST: "is neither the name of a machine nor an address",
     ROUTER: "is neither tcp/HOST:PORT nor tls/HOST:PORT",
+    PART_NAME: "must be lower-case letters, digits and _, and begin with a letter",
+    CHANNEL: "is no channel: channels are numbered 1 to 8",
 }
 """By patterns; all others are those of names."""
 _NOTHING = object()
@@ -62,9 +64,9 @@ class Complaint:
     factor: float = 1.0
 
 
-def explain(errors: Sequence[ErrorDetails]) -> list[Complaint]:
-    """One complaint for each mistake: what only follows from another one is left out."""
-    schema = robot_schema()
+def explain(schema: Node, errors: Sequence[ErrorDetails]) -> list[Complaint]:
+    """One complaint for each mistake in a file of this schema: what only follows from another one
+    is left out."""
     found = [
         _complaint(schema, error)
         for error in errors
@@ -85,9 +87,10 @@ def mended(data: dict[str, Any], complaints: Sequence[Complaint]) -> dict[str, A
     for hit in complaints:
         around: Any = data
         # an element's list goes as a whole
-        *parents, key = (part for part in hit.path if not isinstance(part, int))
+        *parents, key = hit.path[:-1] if isinstance(hit.path[-1], int) else hit.path
         for part in parents:
-            around = around.get(part) if isinstance(around, dict) else None
+            inside = isinstance(around, dict | list) and (part in around or isinstance(part, int))
+            around = around[part] if inside else None
         if not isinstance(around, dict):
             continue
         value = around.pop(key, None)
@@ -162,14 +165,14 @@ def _unknown_key(path: Path, around: Node, value: Any) -> Complaint:
         return Complaint(path, f"unknown key{_hint('known: ' + ', '.join(known))}")
     unit = around["properties"][near].get("unit", "1")
     last = near.rpartition("_")[2]
-    in_unit = "" if unit == "1" or key.endswith(last) else f", in {unit}"
+    in_unit = "" if unit == "1" or last == near or key.endswith(last) else f", in {unit}"
     return Complaint(path, f"unknown key (did you mean {near}{in_unit}?)", rename=near)
 
 
 def _no_choice(path: Path, node: Node, value: Any) -> str:
     if isinstance(value, str) and value in _LATER.get(_general(path), ()):
         return f"{_shown(value)} is not in this version of motord{_hint(allowed(node))}"
-    near = candidates(value, choices(node)) if isinstance(value, str) else []
+    near = candidates(value, map(str, choices(node))) if isinstance(value, str) else []
     meant = f"; did you mean {' or '.join(map(_shown, near))}?" if near else ""
     return f"{_shown(value)} is unknown{_hint(allowed(node) + meant)}"
 
@@ -181,9 +184,9 @@ def _general(path: Path) -> Path:
 
 
 def _stand_in(node: Node, value: Any) -> Any:
-    """Something that may stand here, as near to what stands here as can be told."""
+    """Something that may stand here, as near to what stands here as possible."""
     if words := choices(node):
-        return (nearest(value, words) if isinstance(value, str) else None) or words[0]
+        return (nearest(value, map(str, words)) if isinstance(value, str) else None) or words[0]
     if "default" in node:
         return _NOTHING
     simple = {"integer": node.get("minimum"), "number": node.get("minimum"), "string": "x"}

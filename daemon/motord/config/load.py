@@ -10,16 +10,14 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from motord.config.explain import Complaint, explain, mended, touched
 from motord.config.finding import Finding
-from motord.config.problems import ConfigError, Problem, dotted
+from motord.config.problems import ConfigError, Problem
+from motord.config.reading import Places, all_problems, parse, read_text
 from motord.config.rules.checks import findings
+from motord.config.schema import robot_schema
 from motord.config.sections.model import Robot
-from motord.config.syntax import explain_syntax
-from motord.config.toml_lines import Path, line_of, lines_of
+from motord.config.toml_lines import Path
 from motord_hal.base import bounded
-
-_MENDING_ROUNDS = 3  # a renamed key may show a value that needs mending too
 
 
 def answer(
@@ -33,84 +31,25 @@ def answer(
 
 
 def _robot(file: File, overrides: Sequence[str], text: str | None) -> Robot:
-    text = _read(file) if text is None else text
-    data = _parse(file, text)
-    places = _Places(str(file), lines_of(text))
+    text = read_text(file) if text is None else text
+    data = parse(file, text)
+    places = Places(str(file), text)
     for option in overrides:
         places.options[_override(data, option)] = f"--set {option}"
     try:
         robot = Robot.model_validate(data).read_from(file)
     except ValidationError as error:
-        raise ConfigError(_all_problems(file, data, error, places)) from None
-    found = findings(robot)
+
+        def rules(mended: Robot) -> list[Finding]:
+            return findings(mended.read_from(file))[0]
+
+        problems = all_problems(places, data, error, robot_schema(), Robot.model_validate, rules)
+        raise ConfigError(problems) from None
+    found, profiles = findings(robot)
     if any(not hit.warning for hit in found):
         raise ConfigError(places.sorted(found, warnings=False))
-    return robot.read_from(file, text, places.sorted(found, warnings=True), overrides)
-
-
-class _Places:
-    """Where in the file, or in which option, a path was said."""
-
-    def __init__(self, file: str, lines: dict[Path, int]) -> None:
-        self.file = file
-        self.lines = lines
-        self.options: dict[Path, str] = {}
-
-    def problem(self, path: Path, text: str) -> Problem:
-        for place, option in self.options.items():
-            if path[: len(place)] == place:
-                return Problem(option, 0, dotted(path), text)
-        return Problem(self.file, line_of(self.lines, path), dotted(path), text)
-
-    def sorted(
-        self, found: Sequence[Finding], *, warnings: bool, more: Sequence[Complaint] = ()
-    ) -> list[Problem]:
-        """In the file's order, errors or warnings."""
-        chosen = [(hit.paths[0], hit.text) for hit in found if hit.warning == warnings]
-        chosen += [(hit.path, hit.text) for hit in more]
-        problems = dict.fromkeys(self.problem(path, text) for path, text in chosen)
-        return sorted(problems, key=lambda problem: problem.line)
-
-
-def _all_problems(
-    file: File, data: dict[str, Any], error: ValidationError, places: _Places
-) -> list[Problem]:
-    """What pydantic found, and what the checks find in a mended copy."""
-    complaints = explain(error.errors())
-    mends, unsure = complaints, touched(complaints)
-    copied = data
-    for _ in range(_MENDING_ROUNDS):
-        copied = mended(copied, mends)
-        try:
-            robot = Robot.model_validate(copied)
-        except ValidationError as again:
-            mends = explain(again.errors())
-            unsure |= touched(mends)
-            continue
-        found = [hit for hit in findings(robot.read_from(file)) if unsure.isdisjoint(hit.paths)]
-        return places.sorted(found, warnings=False, more=complaints)
-    return places.sorted((), warnings=False, more=complaints)
-
-
-def _read(file: File) -> str:
-    try:
-        return bounded.read(file).decode()
-    except OSError as error:
-        problem = Problem(str(file), 0, "", f"cannot be read: {error.strerror}")
-    except UnicodeDecodeError as error:
-        line = error.object.count(b"\n", 0, error.start) + 1
-        problem = Problem(str(file), line, "syntax", "is not UTF-8")
-    raise ConfigError([problem])
-
-
-def _parse(file: File, text: str) -> dict[str, Any]:
-    try:
-        return bounded.toml(text)
-    except tomllib.TOMLDecodeError as error:
-        line, words = explain_syntax(text, error)
-        raise ConfigError([Problem(str(file), line, "syntax", words)]) from None
-    except (ValueError, RecursionError) as error:  # thousands of digits, or of brackets
-        raise ConfigError([Problem(str(file), 0, "syntax", str(error))]) from None
+    warnings = places.sorted(found, warnings=True)
+    return robot.read_from(file, text, warnings, overrides, profiles)
 
 
 def _override(data: dict[str, Any], option: str) -> Path:

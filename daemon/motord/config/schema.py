@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The JSON Schema of the robot file: for editors (`motord schema`) and for the words of errors."""
+"""The JSON Schemas of the robot file and of drive profiles: for editors (`motord schema`) and for
+the words of errors."""
 
 from __future__ import annotations
 
@@ -7,34 +8,44 @@ import ast
 import functools
 import inspect
 import itertools
+import json
 import math
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from motord.config.drives.tables import DriveFile
 from motord.config.sections.model import Robot
 from motord.config.sections.section import Section
 from motord.config.toml_lines import Path
 
 Node = Mapping[str, Any]
 
-SCHEMA_ID = "urn:motord:robot-file:1"
-"""The schema's name, which does not change with the place of its file."""
-
 
 def robot_schema() -> dict[str, Any]:
     """JSON Schema, draft 2020-12; each number's SI unit stands beside it as `unit`."""
+    return _schema(Robot, "urn:motord:robot-file:1", "motord robot file")
+
+
+def drive_schema() -> dict[str, Any]:
+    """The same of a drive profile; of a number in the drive's own unit, `unit` is "1"."""
+    return _schema(DriveFile, "urn:motord:drive-profile:1", "motord drive profile")
+
+
+def _schema(root: type[Section], identifier: str, title: str) -> dict[str, Any]:
+    """`identifier` does not change with the place of the schema's file."""
     schema = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "$id": SCHEMA_ID,
-        **Robot.model_json_schema(),
-        "title": "motord robot file",
+        "$id": identifier,
+        **root.model_json_schema(),
+        "title": title,
     }
     _drop_infinities(schema)
     for model in _sections(Section):
-        table = schema if model is Robot else schema["$defs"].get(model.__name__)
+        table = schema if model is root else schema["$defs"].get(model.__name__)
         for name, text in _texts_of(model).items() if table else ():
-            table["properties"].get(name, {}).setdefault("description", text)
+            if field := model.model_fields.get(name):
+                table["properties"][field.alias or name].setdefault("description", text)
     return schema
 
 
@@ -68,7 +79,7 @@ def _texts(body: ast.ClassDef) -> Iterator[tuple[str, str]]:
 
 
 def _drop_infinities(node: Any) -> None:
-    """JSON has no infinity; a default of it is told by the description."""
+    """JSON has no infinity; the description names a default of it."""
     if isinstance(node, dict):
         default = node.get("default")
         if isinstance(default, float) and math.isinf(default):
@@ -91,6 +102,8 @@ def describe(schema: Node, place: Iterable[str | int]) -> tuple[Path, Node, Node
         kinds = _kinds(node)
         if part in kinds:
             node = _resolve(schema, {"$ref": kinds[str(part)]})
+        elif named := _option(node, part):
+            node = _resolve(schema, named)
         elif part != "[key]":
             path, around = (*path, part), node
             node = _resolve(schema, _child(node, part))
@@ -102,12 +115,22 @@ def _kinds(node: Node) -> Mapping[str | int, str]:
     return mapping
 
 
+def _option(node: Node, part: str | int) -> Node | None:
+    """The table of that name among several that may stand here, or the word."""
+    for option in node.get("oneOf", ()):
+        if option.get("$ref", "#/$defs/word") == f"#/$defs/{part}":
+            found: Node = option
+            return found
+    return None
+
+
 def _child(node: Node, part: str | int) -> Node:
     if isinstance(part, int):
         items: Node = node.get("items", {})
         return items
     named: Node = node.get("properties", {})
-    found: Node = named.get(part) or next(iter(node.get("patternProperties", {}).values()), {})
+    others = [*node.get("patternProperties", {}).values(), node.get("additionalProperties")]
+    found: Node = named.get(part) or next((other for other in others if other), {})
     return found
 
 
@@ -122,8 +145,8 @@ def _resolve(schema: Node, node: Node) -> Node:
     return node
 
 
-def choices(node: Node) -> list[str]:
-    """The words that may stand here; none where any may."""
+def choices(node: Node) -> list[str | int]:
+    """The words or numbers that may stand here; none where any may."""
     if "const" in node:
         return [node["const"]]
     return list(node.get("enum", ())) or [str(kind) for kind in _kinds(node)]
@@ -135,5 +158,9 @@ def allowed(node: Node) -> str:
     suffix = "" if unit == "1" else f" {unit}"
     low, high = node.get("minimum"), node.get("maximum")
     if low is not None:
-        return f"{low:g} to {high:g}{suffix}" if high is not None else f"at least {low:g}{suffix}"
-    return ", ".join(f'"{choice}"' for choice in choices(node))
+        form = "" if node.get("type") == "integer" else "g"
+        least = f"{low:{form}}"
+        if high is None:
+            return f"at least {least}{suffix}"
+        return f"{least} to {high:{form}}{suffix}"
+    return ", ".join(json.dumps(choice) for choice in choices(node))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the robot file to what the core, the loop and the lines want to be told. Pure."""
+"""From the robot file to the settings of the core, the loop and the lines. Pure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from motord.config.sections.model import Joint, Limits, Robot
 from motord.config.sections.wheels import (
     Profiles,
     counter_bits,
-    profile_of,
     rad_per_count,
     takes_duty,
     takes_torque,
@@ -20,7 +19,7 @@ from motord.realtime import loop as rt
 from motord.realtime.types import GuardConfig, PlausibleConfig, SpeedLoopConfig
 from motord_hal.drives.profile import DriveProfile
 
-__all__ = ["profiles_of", "core_config", "base_limits", "line_specs", "loop_settings"]
+__all__ = ["core_config", "base_limits", "line_specs", "loop_settings"]
 
 _NOTIFY_HZ = 50.0
 """How often asyncio looks at the state when no publisher wants more."""
@@ -31,16 +30,11 @@ _APART_PART = 0.1
 _PROGRESS_PART = 0.01
 """and each such step nearer to the set-point shows a drive that is only slow."""
 _DUTY_THAT_TURNS = 0.4
-"""Nobody knows the dead band of a motor and its load; at this duty it has ended."""
+"""The dead band of a motor and its load is unknown; at this duty it has ended."""
 _UNSURE_COUNTS_PER_S = 20.0
 """What four counts come to when speeds are smoothed over 0.2 s (csrc/core/plausible.c)."""
 _STALL_COUNTS = 8.0
 """So many have to be missing before an encoder is said to stand."""
-
-
-def profiles_of(robot: Robot) -> dict[str, DriveProfile]:
-    """The profiles of its drives, by the name that the file gives them. Raises ProfileError."""
-    return {joint.drive: profile_of(robot, joint.drive) for joint in robot.joint.values()}
 
 
 def loop_settings(

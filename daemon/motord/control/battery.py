@@ -48,7 +48,7 @@ def of_drives(
     snapshot: Snapshot,
     readings: Mapping[str, float] = MappingProxyType({}),
 ) -> Measure:
-    """The lowest voltage among drives that are heard. A motor's current is not the battery's, and
+    """The lowest voltage among drives that respond. A motor's current is not the battery's, and
     a drive's temperature neither: they come from `readings`, which are of the pack itself, by the
     section's keys, in V, A and °C; what is not there is NaN."""
     volts = [

@@ -8,8 +8,8 @@ import math
 from motord.api.snapshot import DoubtSnapshot
 
 _CHECK = {
-    "direction": "turns the wrong way: check the joint's `inverted`, the motor's and the encoder's"
-    " wires",
+    "direction": "turns in the wrong direction: check the joint's `inverted`, the motor's and the "
+    "encoder's wires",
     "stall": "does not turn: check that it is free, its motor's wires, its encoder and the cable",
     "following_error": "does not follow: check the load, the drive's current and speed limits, and"
     " counts_per_turn and gear_ratio of the joint",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does everything that must move still move? Heartbeats, judged: pure, told the time.
+"""Does everything that must move still move? Heartbeats, judged: pure, given the time.
 
 A heart is a counter. It beats when the counter has moved within the heart's own time. One may be
 excused (a line that is being reopened has no cycles, and says so by itself); an excused heart

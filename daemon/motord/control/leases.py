@@ -2,9 +2,9 @@
 """Who may command: leases by connection and owner. Python grants them and ends them; who of them is
 in command, and who is held, is decided by the loop (csrc/loop/arbiter.c), which reports it.
 
-The fresh lease with the highest priority commands; among equals the one who came first. Who asks
-for motion while nobody may move is held: his lease says zero until he has asked for zero himself or
-has let it lapse, also when he connects anew for each command.
+The fresh lease with the highest priority commands; among equals the first one. A source that
+requests motion while nothing may move is held: its lease counts as zero until it has sent zero
+itself or has let it lapse, also when it connects anew for each command.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class Leases:
             raise ValueError(f"lease_s is {lease_s}: {LEASE_MIN_S} to {LEASE_MAX_S} s")
         now = now_ns()
         lifetime_ns = round(lease_s * 1e9)
-        barred_until_ns = self._gone.pop(owner, 0)  # who has a lease already was told
+        barred_until_ns = self._gone.pop(owner, 0)  # the holder of a lease knows already
         before = self._granted.get((connection, owner, kept))
         if before is None:
             self._make_room(now)
@@ -156,14 +156,14 @@ class Leases:
         self._loop.grant(granted.grant for granted in self._granted.values())
 
     def release(self, connection: int, owner: str) -> None:
-        """The owner gives his lease back; no lease: nothing."""
+        """The owner gives its lease back; no lease: nothing."""
         ended = [self._granted.pop((connection, owner, kept), None) for kept in (False, True)]
         if any(ended):
             self._publish()
 
     def disconnect(self, connection: int) -> None:
-        """Every lease of a connection ends with it. Who is held stays so on his other connections,
-        those that are there and the next one."""
+        """Every lease of a connection ends with it. A held source stays so on its other
+        connections, those that are there and the next one."""
         now = now_ns()
         states = self._loop.commands().leases
         ended = [key for key in self._granted if key[0] == connection]
@@ -179,7 +179,7 @@ class Leases:
         self._gone[owner] = max(self._gone.get(owner, 0), until_ns)
         for other in self._granted.values():
             if other.owner == owner:
-                # Later than any that he was told: the loop must see that it is another one.
+                # Later than any that it knows: the loop must see that it is another one.
                 sent_ns = max(other.grant.barred_until_ns + 1, until_ns)
                 other.grant = replace(other.grant, barred_until_ns=sent_ns)
 
@@ -258,7 +258,7 @@ class Leases:
         return next(iter(self.fresh()), None)
 
     def wanting(self) -> str | None:
-        """Somebody who asks for motion, whether it is granted or not."""
+        """A source that requests motion, whether it is granted or not."""
         return next((lease.owner for lease in self.fresh() if lease.wants_motion), None)
 
 

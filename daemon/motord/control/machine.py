@@ -31,7 +31,7 @@ class State(enum.StrEnum):
 
     @property
     def live(self) -> bool:
-        """The drives are under power because somebody armed."""
+        """The drives are under power because a client armed."""
         return self in (State.ARMED, State.MOVING, State.STOPPING)
 
 
@@ -85,13 +85,13 @@ class Facts:
     estop_input: str = ""
     """Why the emergency stop's contact stops the robot now."""
     battery_forbids: bool = False
-    """It is critical, and the robot file lets nobody drive it then."""
+    """It is critical, and the robot file forbids driving then."""
 
 
 _SAME = {state: state for state in State}
 _LIVE_TO_STOPPING = {state: State.STOPPING for state in State if state.live}
 _NOT_OFF = "the daemon is not running yet"
-_CONFIGURING = "the drives are not ready yet: motord status says which line is waiting for what"
+_CONFIGURING = "the drives are not ready yet: motord status shows which line is waiting for what"
 _LATCHED = "a fault is latched: look at motord status, remove the cause, then motord reset"
 _ESTOPPED = "the emergency stop is latched: see that it is safe, then motord reset"
 
@@ -149,7 +149,7 @@ def step(state: State, event: Event, facts: Facts) -> State | Refusal:
 
 
 def _arm_refusal(facts: Facts) -> Refusal | None:
-    """Arming needs every drive ready, heard and without a fault, and nobody asking for motion."""
+    """Arming needs every drive ready, responsive and without a fault, and no request for motion."""
     if facts.drive_faults:
         return Refusal(f"a drive reports a fault ({_list(facts.drive_faults)}): motord reset")
     if facts.battery_forbids:
@@ -178,7 +178,7 @@ def _presence_refusal(facts: Facts) -> Refusal | None:
 
 def _command_refusal(facts: Facts) -> Refusal | None:
     if facts.commanding is not None:
-        return Refusal(f"{facts.commanding} asks for motion: it has to send zero, or to end, first")
+        return Refusal(f"{facts.commanding} requests motion: it must send zero, or end, first")
     return None
 
 

@@ -5,7 +5,7 @@ One object brings machine, leases, core and lines together; its methods run in t
 asyncio thread and return at once, but for `drive`, which waits for the loop's word. What has to
 wait for drives or wheels is in `procedures.py`.
 
-Rule of the house: what the core is told is made anew from the state each time (`_control`), so that
+Rule of the house: the core's levels are made anew from the state each time (`put_control`), so that
 no level can be forgotten.
 """
 
@@ -45,7 +45,7 @@ _WORRYING = {
 }
 _MAY_MOVE = (State.ARMED, State.MOVING)
 _ESTOP_INPUTS = {
-    "active": "the emergency stop's contact ({}) says stop: release the button, or mend the wire",
+    "active": "the emergency stop's contact ({}) is active: release the button, or mend the wire",
     "lost": "the emergency stop's input ({}) cannot be read any more: start the daemon again",
 }
 _LATCHED = (State.FAULT, State.ESTOP)
@@ -90,7 +90,7 @@ class Operation:
         self.stops = 0
         """How often it was brought to rest by a stop, an emergency stop or a fault."""
         self.battery = BatteryWatch(robot.battery, now_ns()) if robot.battery else None
-        """None: nobody measures it."""
+        """None: it is not measured."""
         self.busy = asyncio.Lock()
         """Held by a procedure: one at a time."""
         self.disarming = False
@@ -178,7 +178,7 @@ class Operation:
             if drive not in (DriveState.READY, DriveState.ARMED)
         ]
 
-    # ------------------------------------------------------------------------- what the core hears
+    # ------------------------------------------------------------------------- what the core gets
     def put_control(self) -> None:
         """All levels as they follow from the state, and a heartbeat."""
         self.loop.put_control(
@@ -247,7 +247,7 @@ class Operation:
             raise Refused(f"the state is {self.state}, so the robot does not move: {how}")
         if lease.held:
             raise Refused(
-                f"{owner} went on asking for motion while nobody might move: "
+                f"{owner} went on requesting motion while the robot could not move: "
                 "send zero once, or nothing for lease_s, then go on"
             )
         return lease
@@ -269,7 +269,7 @@ class Operation:
             raise Refused(str(error)) from error
 
     def release(self, connection: int, owner: str) -> None:
-        """The owner gives his lease back."""
+        """The owner gives its lease back."""
         self.leases.release(connection, owner)
 
     def disconnect(self, connection: int) -> None:
@@ -278,12 +278,12 @@ class Operation:
 
     # ---------------------------------------------------------------------------- what is reported
     def estop(self, pid: int, why: str = "") -> None:
-        """At once, from every state, whatever else is going on. `pid`: who asks; `why`: his words,
-        which take the place of what is known of him without them."""
+        """At once, from every state, whatever else is going on. `pid`: the process that asks;
+        `why`: its text, which takes the place of what is known of it otherwise."""
         self._estop = True
         self.estops += 1
         sender = process_name(pid)
-        anonymous = f"asked for by {sender}"
+        anonymous = f"requested by {sender}"
         reason = f"{printable(why)} ({sender})" if why else anonymous
         before = self.why if self.state is State.ESTOP else ()
         known = reason in before or any(sender in one for one in before if not why)
@@ -400,7 +400,7 @@ class Operation:
             _log.warning("fault: %s", why, extra=about(event="fault", faults=[why]))
 
     def beat(self) -> None:
-        """What has to be looked at now and then, though nobody reports it; and a heartbeat."""
+        """What has to be looked at now and then, though nothing reports it; and a heartbeat."""
         self.look()
         if self._unready():
             self.take(Event.LOST)
@@ -411,7 +411,7 @@ class Operation:
         self.put_control()
 
     def _cross_check(self) -> None:
-        """Under power, every drive has to be armed: nobody else may have told it otherwise."""
+        """Under power, every drive has to be armed: nothing else may have changed that."""
         unarmed = self._unready() or [
             f"{joint} is not armed any more"
             for line in self.lines

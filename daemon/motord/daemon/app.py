@@ -15,7 +15,7 @@ from motord.base.sdnotify import Notifier
 from motord.bus.publish import KINDS, open_publisher
 from motord.bus.publish.samples import Samples
 from motord.config import Robot
-from motord.control.assembly import core_config, line_specs, loop_settings, profiles_of
+from motord.control.assembly import core_config, line_specs, loop_settings
 from motord.control.health import Health, Heart
 from motord.control.machine import Event
 from motord.control.operation import Operation
@@ -51,13 +51,13 @@ async def run(
 ) -> None:
     """The daemon, until a signal asks it to end: starts disarmed, ends at rest and disarmed.
     `on_ready` is called once, with the socket's path, when it listens. `starts_bus`: motord-bus is
-    started where the robot file has something for it; else somebody else does that.
+    started where the robot file has something for it; else another program does that.
 
     Raises ConfigRefused, ProfileError and LookupError for what the robot file asks for in vain,
     PageInUse and SocketInUse where such a daemon runs already, OSError for what cannot be done
     without.
     """
-    profiles, notifier, health = profiles_of(robot), Notifier(), Health()
+    profiles, notifier, health = robot.profiles, Notifier(), Health()
     specs = line_specs(robot, profiles)
     name, path = robot.robot.name, path or socket_path(robot.robot.name)
     ours = {key: section for key, section in robot.publish.items() if section.kind in KINDS}

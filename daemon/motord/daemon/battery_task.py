@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Asks whoever measures the battery, again and again, and acts on what it says."""
+"""Reads the battery's measurement, again and again, and acts on it."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class _Readings:
         self._reported: dict[str, str] = {}
 
     async def measure(self) -> Measure:
-        """A drive that is not heard is not asked: it would only be waited for."""
+        """A drive that is silent is not asked: it would only be waited for."""
         readings = {}
         for key, where in self._section.readings.items():
             joint = where.partition(".")[0]

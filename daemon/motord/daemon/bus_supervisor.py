@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps the second process alive, and at arm's length: started by exec, heard by a pipe, ended by
+"""Keeps the second process alive, and at arm's length: started by exec, watched by a pipe, ended by
 force when it is silent. What it does or fails to do costs the daemon a line of the log."""
 
 from __future__ import annotations
@@ -129,14 +129,14 @@ class BusSupervisor:
             try:
                 self._figures = _figures(line)
             except (ValueError, RecursionError):
-                self._voice.say(f"motord-bus says what are no figures: {line[:80]!r}")
+                self._voice.say(f"motord-bus sends what are no figures: {line[:80]!r}")
             else:
                 return True
         return False
 
 
 def _figures(line: bytes) -> dict[str, Any]:
-    """Raises ValueError and RecursionError for what could not be told to others as it is."""
+    """Raises ValueError and RecursionError for what could not be passed on as it is."""
     figures = json.loads(line)
     if not isinstance(figures, dict):
         raise ValueError("no object")
@@ -156,7 +156,7 @@ def _in_memory(content: bytes) -> Iterator[int]:
 @contextlib.asynccontextmanager
 async def _pipe() -> AsyncIterator[tuple[asyncio.StreamReader, int]]:
     """To read from, and the end to write to, which is the caller's. asyncio's own pipe of a child
-    has to be read to its end before the child counts as gone: nobody would read out a flood."""
+    has to be read to its end before the child counts as gone: a flood would never be read out."""
     reading, writing = os.pipe()
     output = asyncio.StreamReader(READ_BYTES)
     transport, _ = await asyncio.get_running_loop().connect_read_pipe(
@@ -190,7 +190,7 @@ def _without_a_thread() -> Iterator[None]:
 
 
 async def _end(process: Process) -> None:
-    """It ends when its standard input does; by force if it does not. Nobody waits for long."""
+    """It ends when its standard input does; by force if it does not. The wait is short."""
     if process.returncode is not None:
         return
     assert process.stdin is not None  # it was asked for

@@ -68,7 +68,7 @@ async def write(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, fl
         if abs(value) > sys.float_info.max:  # a whole number may have any size
             raise RpcError(f"{name}: is too large a number", INVALID_PARAMS)
     if operation.busy.locked():
-        raise Refused("something else is under way (arm, disarm or reset): try again")
+        raise Refused("something else is running (arm, disarm or reset): try again")
     async with operation.busy:
         done: dict[str, float | None] = {}
         for name, place in found.items():

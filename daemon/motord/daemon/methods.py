@@ -23,7 +23,7 @@ from motord.local_socket.server import INVALID_PARAMS, Caller, Method, Refused, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnerParams(Params):
-    """Of whom a lease is."""
+    """The owner of a lease."""
 
     owner: str = text(64, r"[\w.:/-]+", default="socket")
 

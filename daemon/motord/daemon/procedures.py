@@ -2,7 +2,7 @@
 """What takes its time because drives and wheels do: arm, disarm, stop, reset, the way down.
 
 Each ends well or leaves the robot with no more power than it had; `Refused` says why. One at a
-time, but for stop and the emergency stop, which wait for nobody.
+time, but for stop and the emergency stop, which wait for nothing.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ async def reset(operation: Operation) -> State:
 
 
 def _no_other_estop(operation: Operation, estops: int) -> None:
-    """Who pressed it meanwhile was told that it holds."""
+    """Each client that pressed it meanwhile learns that it holds."""
     if operation.estops != estops:
         raise Refused("not reset: an emergency stop came meanwhile")
 
@@ -170,7 +170,7 @@ async def shut_down(operation: Operation, force: asyncio.Event) -> list[str]:
 @contextlib.asynccontextmanager
 async def _alone(operation: Operation) -> AsyncIterator[None]:
     if operation.busy.locked():
-        raise Refused("something else is under way (arm, disarm or reset): try again")
+        raise Refused("something else is running (arm, disarm or reset): try again")
     async with operation.busy:
         yield
 
@@ -186,7 +186,7 @@ async def _come_down(operation: Operation, ramp_max_s: float, force: asyncio.Eve
             deadline_s,
         )
         if force.is_set():
-            return ["asked not to wait for rest"]
+            return ["requested without waiting for rest"]
         if not rests:
             _log.warning("not at rest after %.1f s: the power goes off anyway", deadline_s)
         operation.set_armed(False)

@@ -106,7 +106,7 @@ def _age_s(stamp_ns: int) -> float | None:
 
 
 def _imu(snapshot: Snapshot, shown: dict[str, Any] | None) -> dict[str, Any] | None:
-    """None: there is none, or it was never heard."""
+    """None: there is none, or it was never received."""
     if snapshot.imu is None or shown is None:
         return None
     return shown | {"age_s": _age_s(snapshot.imu.stamp_ns)}
@@ -176,7 +176,7 @@ def _commands(report: CommandReport) -> dict[str, Any]:
 
 
 def _leases(operation: Operation) -> list[dict[str, Any]]:
-    """Who commands stands first, and why; the others wait for him."""
+    """The source in command stands first, and why; the others wait for it."""
     now = now_ns()
     living = operation.leases.fresh()
     return [
@@ -203,7 +203,7 @@ def _why(lease: Lease, living: Sequence[Lease]) -> str:
         which = "a higher priority" if first.priority > lease.priority else "come first"
         return f"waits: {first.owner} has {which}"
     if lease.held:
-        return "in command, held: it asked for motion while nothing may move"
+        return "in command, held: it requested motion while the robot could not move"
     if not others:
         return "in command: the only one"
     if others[0].priority == lease.priority:

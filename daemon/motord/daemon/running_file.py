@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The robot file as it was when the daemon started, kept beside its socket: after a crash the
-drives that were driven are to be told, whatever has become of the file meanwhile."""
+drives that were driven are to be stopped, whatever has become of the file meanwhile."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def find(robot_file: Path, folders: Sequence[Path] | None = None) -> RunningFile
 
 
 def forget(robot_file: Path) -> None:
-    """Its drives have been told."""
+    """Its drives have been stopped."""
     for folder in socket_folders():
         with contextlib.suppress(OSError):
             (folder / _name(robot_file)).unlink()

@@ -16,7 +16,7 @@ LINE_CYCLES = 5
 
 @contextlib.contextmanager
 def open_guard(robot: Robot, cycle_hz: Mapping[str, float]) -> Iterator[GuardConfig | None]:
-    """What the loop is to be told, None where the robot file has no such pins. `cycle_hz` of each
+    """What the loop gets, None where the robot file has no such pins. `cycle_hz` of each
     line by its name. Raises PortError."""
     safety = robot.safety
     if safety.estop is None and safety.watchdog is None:

@@ -27,11 +27,11 @@ class CommandSockets:
     """Where commands may be sent to. `fds` stay open as long as the daemon runs."""
 
     section: RtInput | None = None
-    """What anybody may ask for who may command."""
+    """What every client that may command may request."""
     inputs: Mapping[str, BusInput] = field(default_factory=dict)
     """What the second process may ask for, by the names of its inputs."""
     paths: tuple[Path, ...] = ()
-    """Of a lease each: who floods his own keeps nobody else from being heard."""
+    """Of a lease each: a source that floods its own blocks no other."""
     udp_port: int | None = None
     fds: tuple[int, ...] = ()
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The local socket: JSON-RPC 2.0, one object a line, on a Unix stream socket.
 
-Whoever connects is known by SO_PEERCRED: root, the daemon's own user and members of the socket's
-group may command, everybody else may look. Nobody there can hurt: lines, answers not yet read,
+A client is known by SO_PEERCRED: root, the daemon's own user and members of the socket's
+group may command, every other user may look. No client can do harm: lines, answers not yet read,
 calls under way and connections are all bounded, and what is beyond is dropped.
 """
 
@@ -60,7 +60,7 @@ class Refused(RpcError):
 
 
 class SocketInUse(RuntimeError):
-    """Somebody listens there already."""
+    """A program listens there already."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,12 +110,12 @@ def socket_path(robot: str, folders: Sequence[Path] = ()) -> Path:
 def listening(path: Path) -> Iterator[socket.socket]:
     """A listening socket at `path`, removed afterwards. What a dead daemon left there is replaced.
 
-    Raises SocketInUse where somebody listens, or where something else than a socket is; OSError for
-    a path that cannot be used.
+    Raises SocketInUse where a program listens, or where something else than a socket is; OSError
+    for a path that cannot be used.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as listener:
         _clear_away(path)
-        # The file is made with this mode: nobody else connects before the chmod.
+        # The file is made with this mode: no other user connects before the chmod.
         os.fchmod(listener.fileno(), SOCKET_MODE)
         try:
             listener.bind(str(path))
@@ -320,7 +320,7 @@ class _Connection:
     def _admit(self, call: Coroutine[Any, Any, Any], *, urgent: bool) -> None:
         if self._calls >= CALLS_MAX and not urgent:
             call.close()
-            raise Refused(f"{CALLS_MAX} calls of yours are under way: wait for them")
+            raise Refused(f"{CALLS_MAX} of your calls are running: wait for them")
         self._calls += 1
 
     async def _finish(self, number: Any, call: Coroutine[Any, Any, Any]) -> None:

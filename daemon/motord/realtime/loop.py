@@ -171,8 +171,8 @@ class Loop:
         self.stop()
 
     def start(self) -> None:
-        """Returns after the first tick, disarmed. Nobody may be using the exchange meanwhile: it is
-        emptied.
+        """Returns after the first tick, disarmed. Nothing may be using the exchange meanwhile: it
+        is emptied.
 
         Raises RuntimeError when a loop runs in this process already, PageInUse when another daemon
         owns the page, ValueError for settings out of range, OSError for what cannot be done
@@ -242,7 +242,7 @@ class Loop:
             _raise_for(lib.loop_stop(), "loop_stop")
 
     def grant(self, leases: Iterable[LeaseGrant]) -> None:
-        """From the next tick on these may command, and nobody else. At most LEASES_MAX."""
+        """From the next tick on these may command, and no other. At most LEASES_MAX."""
         raw = self._buffers.permissions
         ffi.memmove(raw, bytes(ffi.sizeof("lease_permissions")), ffi.sizeof("lease_permissions"))
         for place, lease in zip(raw.lease, leases, strict=False):

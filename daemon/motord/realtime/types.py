@@ -116,7 +116,7 @@ class GuardConfig(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class Percentiles:
-    """Never told too low: the upper edge of a bucket that is at most 1/16 of its value wide."""
+    """Never too low: the upper edge of a bucket that is at most 1/16 of its value wide."""
 
     samples: int
     p50_ns: int

@@ -198,7 +198,7 @@ class RclpyNode:
             thread_bridge = tasks.create_task(self._thread_bridge.run())
             try:
                 await asyncio.to_thread(_spin, executor)
-                raise Ended("ROS 2 was told to shut down")
+                raise Ended("ROS 2 is shutting down")
             finally:
                 rclpy.try_shutdown(
                     context=self._node.context

@@ -24,7 +24,7 @@ from motord.api.page_file import own_page
 from motord.client import Client, ClientError, Refused
 from motord.config import Robot
 from motord.config.sections.imu import ChipImu
-from motord.config.sections.wheels import counter_bits, profile_of, velocity_range_rad_s
+from motord.config.sections.wheels import counter_bits, velocity_range_rad_s
 from motord.tools.course import COURSE, CURVES, Course, Pose, Score, command_at, score
 from motord.tools.demo_words import Source, held_up_words, worth
 from motord.tools.simulator import start_simulator
@@ -294,7 +294,7 @@ def run_demo(
 def course_of(robot: Robot) -> Course:
     """One that this base can drive."""
     turns = all(
-        velocity_range_rad_s(joint, profile_of(robot, joint.drive))[0] < 0.0
+        velocity_range_rad_s(joint, robot.profiles[joint.drive])[0] < 0.0
         for joint in robot.joint.values()
     )
     return COURSE if turns else CURVES
@@ -304,7 +304,7 @@ def source_of(robot: Robot) -> Source:
     """Where odometry comes from; of several wheels, the least exact."""
     sources = {Source.COUNTERS}
     for joint in robot.joint.values():
-        profile = profile_of(robot, joint.drive)
+        profile = robot.profiles[joint.drive]
         if not counter_bits(joint, profile):
             measures = profile.channels[joint.channel].velocity is not None
             sources.add(Source.SPEEDS if measures else Source.SETPOINTS)

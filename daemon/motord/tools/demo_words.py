@@ -35,13 +35,13 @@ _WORTH = {
     ),
     Source.SPEEDS: (
         "an estimate, not judged by a limit: a wheel without a position counter is followed by "
-        "the speed that its drive reports, so the error grows with the way and with every reply "
-        "that is late; add encoders, or correct the pose by a lidar or a camera"
+        "the speed that its drive reports, so the error grows with the distance and with every "
+        "late reply; add encoders, or correct the pose by a lidar or a camera"
     ),
     Source.SETPOINTS: (
         "an estimate, not judged by a limit: a wheel without a counter and without a measured "
-        "speed is taken to do what it is asked; it is not noticed when it lags, slips or stands; "
-        "add encoders, or correct the pose by a lidar or a camera"
+        "speed is taken to follow its set-point; motord does not notice when it lags, slips or "
+        "stands; add encoders, or correct the pose by a lidar or a camera"
     ),
 }
 
@@ -58,7 +58,7 @@ def overrun_words(loop: Mapping[str, Any]) -> str:
     if loop["policy"] == "SCHED_OTHER":
         return (
             "ticks are skipped when the loop gets no processor: normal without SCHED_FIFO; on a "
-            "robot, allow it as docs/service.md says"
+            "robot, allow it as in docs/service.md"
         )
     if 100.0 * loop["overruns"] <= OVERRUNS_NORMAL_PERCENT * loop["ticks"]:
         return (
@@ -99,6 +99,6 @@ def held_up_words(drives_s: float, program_s: float, daemon_part: float) -> str:
     return (
         f"this machine was busy: the simulated drives waited up to {drives_s:.2f} s for a "
         f"processor, the program that drives them up to {program_s:.2f} s, the daemon "
-        f"{100.0 * daemon_part:.0f} % of its time; a fault or a wide error then says nothing about "
+        f"{100.0 * daemon_part:.0f} % of its time; a fault or a wide error then means nothing for "
         "the robot file: try again when the machine is idle"
     )

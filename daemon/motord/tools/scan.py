@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from motord.config.drives.load import list_profiles, load_profile
 from motord_hal.base.errors import PortError, ProfileError
 from motord_hal.ddsm import codec as ddsm
-from motord_hal.drives.load import list_profiles, load_profile
 from motord_hal.drives.profile import DriveProfile, Register
 from motord_hal.fieldbus.ports import DirectionSpec, LineSpec
 from motord_hal.modbus.codec import (
@@ -65,7 +65,7 @@ class Match:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """Somebody who answers."""
+    """A unit that answers."""
 
     unit: int
     baudrate: int
@@ -178,7 +178,7 @@ def scan(
     within_s: float,
     say: Callable[[str], None],
 ) -> Iterator[Found]:
-    """Everybody who answers, setting by setting. Once somebody does, other baud rates are left out:
+    """Every unit that answers, setting by setting. Once one does, other baud rates are left out:
     one line has one. Raises PortError."""
     end_s = time.monotonic() + within_s
     for baudrate, parity in settings:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""After a daemon has died: every drive of its robot is told to stop. All lines at once, bounded."""
+"""After a daemon has died: every drive of its robot gets a stop. All lines at once, bounded."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from motord.client import ClientError, find_socket
 from motord.config import Robot
-from motord.control.assembly import line_specs, profiles_of
+from motord.control.assembly import line_specs
 from motord_hal.base.clock import within
 from motord_hal.base.errors import HalError
 from motord_hal.fieldbus.open_line import halt_line
@@ -16,7 +16,7 @@ from motord_hal.fieldbus.ports import LineSpec
 
 
 class DaemonRuns(Exception):
-    """A daemon drives this robot: it is the one to be told."""
+    """A daemon drives this robot: the request belongs there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +38,9 @@ async def stop_all(robot: Robot, within_s: float) -> tuple[Halted, ...]:
         pass
     else:
         raise DaemonRuns(f"the daemon of {name} runs ({socket}): use motord estop")
-    specs = line_specs(robot, profiles_of(robot))
-    # exceptions come back as values, of whatever kind: one that nobody foresaw on one line must not
-    # leave the motors of the other lines running
+    specs = line_specs(robot, robot.profiles)
+    # exceptions come back as values, of whatever kind: one that was not foreseen on one line must
+    # not leave the motors of the other lines running
     results = await asyncio.gather(
         *(_problems(spec, within_s) for spec in specs), return_exceptions=True
     )

@@ -20,7 +20,7 @@ def generate_launch_description() -> LaunchDescription:
     arguments = (
         ("namespace", "", "of the node"),
         ("name", "motord", "of the node; motord-bus has the same one on DDS"),
-        ("robot", "", "its name, where several run here; what params_file says counts"),
+        ("robot", "", "its name, where several run here; params_file outranks it"),
         ("params_file", file, "parameters of the node"),
         ("cmd_vel", "cmd_vel", "topic of commands"),
         ("joint_commands", "joint_commands", "topic of commands by wheel"),

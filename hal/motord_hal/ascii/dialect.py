@@ -35,7 +35,7 @@ def check_setpoints(text: Text, joints: tuple[str, ...]) -> None:
     """Raises ValueError for a template that does not say everything."""
     sent = set(text.fields)
     if sent not in (set(joints), {LINEAR, ANGULAR}):
-        raise ValueError(f"it must say {', '.join(joints)}, or v and w, and nothing else")
+        raise ValueError(f"it must contain {', '.join(joints)}, or v and w, and nothing else")
 
 
 def texts_of(spec: LineSpec) -> tuple[TextSpec, Text, Text | None]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stopping a board that reads text and that nobody talks to any more."""
+"""Stopping a board that reads text and after its program has ended."""
 
 from __future__ import annotations
 

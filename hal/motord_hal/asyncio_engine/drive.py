@@ -75,7 +75,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
     @property
     @abc.abstractmethod
     def has_stopped_itself(self) -> bool:
-        """It was told nothing for so long that its watchdog has bitten, if it has one: a pause of
+        """It got nothing for so long that its watchdog has bitten, if it has one: a pause of
         the whole process. One that cannot say so would start again with the next set-point."""
 
     @abc.abstractmethod
@@ -84,7 +84,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
 
     @abc.abstractmethod
     async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
-        """All writes at once, ahead of all jobs. Returns those that have to be told again. Raises
+        """All writes at once, ahead of all jobs. Returns those that have to be repeated. Raises
         PortError."""
 
     # ---------------------------------------------------------------------------------- what it is
@@ -99,7 +99,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
 
     @property
     def is_stopping(self) -> bool:
-        """A quick stop was told, and the wheel has not been seen at rest since."""
+        """A quick stop was sent, and the wheel has not been seen at rest since."""
         return self._rules.is_stopping
 
     def lose(self, error: HalError) -> None:
@@ -118,7 +118,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         return ""
 
     def _becomes_unresponsive(self, error: HalError) -> bool:
-        """Nothing is heard of it. Returns whether that is new, and was said."""
+        """It sends nothing. Returns whether that is new, and was reported."""
         self._forget(error)
         self._rules.unresponsive()
         if self._reported_unresponsive:
@@ -147,7 +147,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         )
 
     def _judge_power(self, enabled: bool | None) -> None:
-        """It has said whether it is enabled. Armed and without power: somebody took it. Not armed
+        """It has reported whether it is enabled. Armed, without power: it was taken away. Not armed
         and with power: a power-off was lost or refused."""
         before = self._rules.fault_reasons
         if self._rules.check_power(enabled, self.tries, settled=not self.jobs) is Stop.NOTHING:
@@ -173,7 +173,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
             self._take_power()
 
     def _take_power(self) -> None:
-        """It shall have none, and nobody waits for that."""
+        """It shall have none, and no caller waits for that."""
         self._submit_power_off()
 
     # ------------------------------------------------------------------------------------ its jobs
@@ -266,14 +266,14 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         return not await self._write_now(self.plan.profile.disarm)
 
     async def _send_now(self, name: str, steps: Sequence[Step]) -> None:
-        """What does not get through becomes a job, but for a drive that is not heard: that one is
+        """What does not get through becomes a job, but for a drive that is silent: that one is
         probed."""
         left = await self._write_now(steps)
         if left and self.state is not DriveState.UNRESPONSIVE:
             self.submit(Job(name, left, urgent=True))
 
     def _powerless(self) -> None:
-        """It is told to have no power, whether it was stopping or not."""
+        """Its power is switched off, whether it was stopping or not."""
         self._disarmed()
         self._drop_quick_stop()
         self._rules.power_off()

@@ -30,13 +30,13 @@ SHUTDOWN_STOPPING_S = 0.35
 """So much of it may pass until the wheels are at rest; then the power goes off all the same."""
 POWER_OFF_WITHIN_S = 2.5
 """So long it may take until each drive was sent its whole power-off once, also beyond
-SHUTDOWN_WITHIN_S: one that is not heard may hear."""
+SHUTDOWN_WITHIN_S: a silent one may still receive."""
 STOPPING_CYCLE_S = 0.01
 LOOK_EVERY_S = 0.02
 """Between cycles: how often it is looked whether the wheels have to stop."""
 JOB_ALLOWANCE_S = 1.0
-"""Whoever waits for jobs waits so much longer than they can take on the wire: the event loop may be
-late. Nothing moves meanwhile: a drive that is not armed is told zero, or nothing."""
+"""A caller that waits for jobs waits so much longer than they can take on the wire: the event loop
+may be late. Nothing moves meanwhile: a drive that is not armed gets zero, or nothing."""
 
 AnyDrive = TypeVar("AnyDrive", bound=AsyncioDrive[Plan])
 
@@ -71,11 +71,12 @@ class AsyncioLine(DriveLine[AnyDrive]):
 
     @abc.abstractmethod
     async def _cycle(self) -> None:
-        """Tell all drives, hear them, and let them go on with their jobs. Raises PortError."""
+        """Send to all drives, receive from them, and let them go on with their jobs. Raises
+        PortError."""
 
     @abc.abstractmethod
     async def _cycle_at_rest(self, drives: Sequence[AnyDrive]) -> None:
-        """Tell these drives zero and hear them, and let time pass. Raises PortError."""
+        """Send zero to these drives, receive, and let time pass. Raises PortError."""
 
     @abc.abstractmethod
     def _limit_s(self, jobs: Sequence[Job]) -> float:
@@ -114,7 +115,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
 
     # ------------------------------------------------------------------------------------- safety
     def _wanted(self, drive: AnyDrive) -> Wanted:
-        """The newest set-points, or nothing at all: the drive is then told zero."""
+        """The newest set-points, or nothing at all: the drive then gets zero."""
         newest = self._exchange.take_setpoints(self.spec.index)
         good = fresh(newest.stamp_ns, self.spec.setpoint_timeout_s)
         if drive.state is not DriveState.ARMED or not newest.enabled or not good:
@@ -139,7 +140,8 @@ class AsyncioLine(DriveLine[AnyDrive]):
     async def _shut_down(self) -> None:
         """Quick stop, then power off, on every drive. The power-off is sent whatever the stop ends
         in, also in a mistake of this program."""
-        # an unresponsive drive may hear it all the same, but it shall not keep the others waiting
+        # an unresponsive drive may receive it all the same, but it shall not keep the others
+        # waiting
         left = sorted(self._drives, key=lambda drive: drive.state is DriveState.UNRESPONSIVE)
         end_s = now_s() + SHUTDOWN_WITHIN_S
         try:
@@ -150,8 +152,8 @@ class AsyncioLine(DriveLine[AnyDrive]):
             await self._switch_all_off(left, end_s)
 
     async def _switch_all_off(self, left: list[AnyDrive], end_s: float) -> None:
-        """Each once, then until each has got it, or it is too late. Whoever has got it is taken
-        from `left`."""
+        """Each once, then until each has got it, or it is too late. A drive that has got it is
+        taken from `left`."""
         why = self.unresponsive_text
         try:
             async with within(POWER_OFF_WITHIN_S):
@@ -225,7 +227,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
 
     async def _finish(self, jobs: Sequence[Job]) -> None:
         """Wait for all; raise the first HalError, or NoReply when it takes too long. Who gives up
-        waiting withdraws them, but for urgent ones: power goes off whoever waits for it."""
+        waiting withdraws them, but for urgent ones: power goes off also when no caller waits."""
         limit_s = JOB_ALLOWANCE_S + self._limit_s(jobs)
         waits = [asyncio.shield(job.done) if job.urgent else job.done for job in jobs]
         try:

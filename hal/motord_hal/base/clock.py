@@ -27,7 +27,7 @@ async def sleep_until_s(deadline_s: float) -> None:
 
 
 class _Within:
-    """asyncio.timeout whose end is told as what it is."""
+    """asyncio.timeout whose end raises what it is."""
 
     __slots__ = ("_asked_before", "_limit", "_task")
 

@@ -2,11 +2,10 @@
 """What can go wrong on a wire, sorted by what the reader can do about it.
 
     HalError
-    ├── PortError        the port is absent, busy or was pulled: look at the cable, the path, the
-    owner
-    ├── NoReply          (also TimeoutError) a drive said nothing in time: power, unit id, baud rate
+    ├── PortError        the port is absent, busy or was pulled: check cable, path and owner
+    ├── NoReply          (also TimeoutError) a drive sent nothing in time: power, unit id, baud rate
     ├── BadReply         something came that is not the answer: noise, wrong unit id, two masters
-    ├── Refused          the drive understood and said no (Modbus exception): profile or drive state
+    ├── Refused          the drive understood and refused (Modbus exception): profile or drive state
     ├── DriveFault       the drive reports a fault of its own: its manual, then reset
     └── ProfileError     the drive profile cannot be used: mend the file
 
@@ -23,11 +22,11 @@ class PortError(HalError):
 
 
 class NoReply(HalError, TimeoutError):
-    """The other side said nothing in time."""
+    """The other side sent nothing in time."""
 
 
 class BadReply(HalError):
-    """Bytes came, but not the answer that was asked for."""
+    """Bytes came, but not the requested answer."""
 
 
 class Refused(HalError):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The word that somebody probably meant, for every "did you mean"."""
+"""The word that was probably meant, for every "did you mean"."""
 
 from __future__ import annotations
 

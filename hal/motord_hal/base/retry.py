@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When to try again. Pure: it counts, somebody else waits."""
+"""When to try again. Pure: it counts, its caller waits."""
 
 from __future__ import annotations
 

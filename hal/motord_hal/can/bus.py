@@ -265,7 +265,7 @@ def _shut(bus: can.BusABC) -> None:
 
 
 def _shut_late(opening: asyncio.Future[can.BusABC]) -> None:
-    """It was opened when nobody waited for it any more."""
+    """It was opened when no caller waited for it any more."""
     if not opening.cancelled() and opening.exception() is None:
         _shut(opening.result())
 

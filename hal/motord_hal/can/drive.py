@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One drive on a CAN bus: what it is told each cycle, what it says, whether it is still there.
+"""One drive on a CAN bus: what it gets each cycle, what it reports, whether it is still there.
 
 That a frame was sent says nothing: presence is judged by what the drive has sent.
 """
@@ -150,7 +150,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
 
     def _asked_for(self, *frames: Frame) -> None:
         """They are to come now. The bus need not have taken the question: one that takes nothing
-        has no drives to hear."""
+        has no drives to receive from."""
         for frame in frames:
             since_s, questions = self._unanswered.get(frame.name, (now_s(), 0))
             self._unanswered[frame.name] = (since_s, questions + 1)
@@ -199,8 +199,8 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._probe_at_s = 0.0
 
     def _probe(self) -> None:
-        """Ask for what does not come by itself. It may hear us though we do not hear it, and then
-        do what it was last told: so one that may turn is told to stop."""
+        """Request what does not come by itself. It may receive though it sends nothing, and then
+        follow its last set-point: so one that may turn gets a stop."""
         if now_s() < self._probe_at_s:
             return
         self._probe_at_s = now_s() + self._backoff.next_s()
@@ -229,7 +229,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._slot()
 
     def _now_and_then(self, turn: int) -> None:
-        """Ask for one thing that may wait. A drive that cannot say whether it has power is told
+        """Ask for one thing that may wait. A drive that cannot report its power is sent
         again that it shall have none: the frame that took it may have been lost."""
         slow = self.plan.asked_slow
         if slow:
@@ -286,7 +286,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._waits_since_s = now_s()
 
     def opened(self) -> None:
-        """The drive may speak. One that may turn is told to stop, as one that has just fallen
+        """The drive may speak. One that may turn gets a stop, as one that has just fallen
         silent."""
         self._waits_since_s = self._unresponsive_since_s = now_s()
         self._probe_at_s = 0.0
@@ -295,7 +295,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
     def _slot(self) -> None:
         """One step of the first job."""
         job = self.jobs[0]
-        if job.done.done():  # whoever wanted it has gone
+        if job.done.done():  # its caller has gone
             self._drop(job)
             return
         try:
@@ -327,7 +327,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
 
     # ----------------------------------------------------------------------------------- stopping
     def _powerless(self) -> None:
-        """As AsyncioDrive._powerless. What has no power is told no zero either."""
+        """As AsyncioDrive._powerless. What has no power gets no zero either."""
         super()._powerless()
         self.sent_motion = False
 

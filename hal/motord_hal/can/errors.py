@@ -27,7 +27,7 @@ WARN_EVERY_S = 60.0
 _WARNINGS = MappingProxyType(
     {
         "error_passive": "error-passive: many frames fail (cable, termination, bit rate)",
-        "no_ack": "nobody acknowledges its frames (cable, drives without power, bit rate)",
+        "no_ack": "no node acknowledges its frames (cable, drives without power, bit rate)",
     }
 )
 

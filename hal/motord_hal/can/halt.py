@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stopping the drives of a CAN bus that nobody talks to any more.
+"""Stopping the drives of a CAN bus after their program has ended.
 
 A frame that was sent is no acknowledgement: what a drive says of its power is, where it can say.
 """
@@ -15,14 +15,13 @@ from motord_hal.base.clock import now_s
 from motord_hal.base.errors import HalError, NoReply, Refused
 from motord_hal.can.bus import CanBus
 from motord_hal.can.plan import CanPlan
-from motord_hal.drives.can_objects import ABORT_CODE
-from motord_hal.drives.can_profile import Frame
+from motord_hal.drives.can_profile import ABORT_CODE, Frame
 from motord_hal.fieldbus.halt import halt_unit
 from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.fieldbus.units import joints_by_unit
 
 SEND_WITHIN_S = 0.1
-"""A queue that is full for longer is one that nobody empties."""
+"""A queue that is full for longer is never emptied."""
 CONFIRM_WITHIN_S = 0.25
 RECEIVE_WITHIN_S = 0.5
 LOOK_EVERY_S = 0.005
@@ -100,12 +99,12 @@ class _Unit:
     async def _confirm(self) -> str:
         place = self.profile.enabled
         if place is None:
-            return f"{self.name}: told to stop; it cannot say whether it has power"
+            return f"{self.name}: the stop was sent; the drive cannot report whether it has power"
         until_s = now_s() + RECEIVE_WITHIN_S
         try:
             while await self.read(place.register) & place.mask == place.equals:
                 if now_s() > until_s:
-                    return f"{self.name}: says that it is enabled still"
+                    return f"{self.name}: reports that it is still enabled"
         except HalError as error:
             return f"{self.name}: {error}"
         return ""

@@ -36,7 +36,7 @@ async def make_ready(address: str, errors: Counter[str], *, fd_frames: bool) -> 
         raise PortError(f"{address} is down: {how}")
     if fd_frames and _number(channel, "mtu", address, 10) < CANFD_MTU:
         how = f"ip link set {channel} type can bitrate ... dbitrate ... fd on"
-        raise PortError(f"{address} carries no CAN FD, which the robot file asks for: {how}")
+        raise PortError(f"{address} carries no CAN FD, which the robot file needs: {how}")
     refused = await asyncio.to_thread(_restart_if_off, channel)  # at most twice ANSWER_WITHIN_S
     if refused:
         errors["restart_refused"] += 1

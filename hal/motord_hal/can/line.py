@@ -130,7 +130,7 @@ class CanLine(AsyncioLine[CanDrive]):
         await asyncio.sleep(STOPPING_CYCLE_S)
 
     def _synchronise(self) -> None:
-        """The drives do now, all at once, what they were told in this cycle. Raises PortError."""
+        """The drives do now, all at once, what they got in this cycle. Raises PortError."""
         for sync in self._syncs:
             self._bus.send(sync)
         for drive in self._drives:

@@ -2,7 +2,7 @@
 """How much motion may wait in the kernel for a CAN bus that may be dead.
 
 A cable that is pulled fills the kernel's queue, and what is in it goes out when it is plugged in
-again, whoever lives then: so little motion waits there, and zero behind it.
+again, whatever runs then: so little motion waits there, and zero behind it.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ SLOW_EVERY_CYCLES = 8
 """What may wait (current, voltage, temperature) is asked for so seldom, one frame at a time."""
 
 CYCLE_TOLERANCE = 0.001
-"""A drive that is told its cycle interpolates over it: one that is off by more drifts by a whole
+"""A drive that knows its cycle interpolates over it: one that is off by more drifts by a whole
 cycle in less than a thousand."""
 
 
@@ -66,7 +66,7 @@ def with_cycle(profile: DriveProfile, cycle_s: float) -> DriveProfile:
         register = profile.registers[step.register]
         raw = register.from_si(cycle_s)
         if abs(register.to_si(raw) - cycle_s) > CYCLE_TOLERANCE * cycle_s:
-            problem = f"{step.register} cannot say the line's cycle, {cycle_s * 1e3:.4g} ms"
+            problem = f"{step.register} cannot hold the line's cycle, {cycle_s * 1e3:.4g} ms"
             raise ProfileError(f"{profile.name}: {problem}: choose another cycle_hz")
         return replace(step, value=raw, cycle=False)
 
@@ -120,7 +120,7 @@ class CanPlan(Plan):
         self.measuring = self._frames_of(self._measuring_names())
         """What odometry is made of."""
         self.probed = tuple(frame for frame in self.fast if not frame.period_s)
-        """Asked for when the drive is not heard."""
+        """Requested when the drive is silent."""
         sent = {frame.name for frame in self.setpoint_frames if self.table.idle_setpoints}
         self.asked_fast = tuple(frame for frame in self.probed if frame.answers not in sent)
         """Asked for in every cycle: what does not answer the set-points."""
@@ -161,7 +161,7 @@ class CanPlan(Plan):
 
     def signal(self, name: str) -> Signal:
         signal = self.profile.registers[name]
-        assert isinstance(signal, Signal)  # can_load made them
+        assert isinstance(signal, Signal)  # profiles of CAN drives have signals
         return signal
 
     def frame_of(self, signal: str) -> Frame:
@@ -178,7 +178,7 @@ class CanPlan(Plan):
         found = readable(self.profile, signal)
         frame = self.read_frame_of(signal)
         if not frame.period_s and not frame.ask:
-            raise LookupError(f"{signal}: the drive neither sends it nor can be asked for it")
+            raise LookupError(f"{signal}: the drive neither sends it nor answers a request for it")
         return found
 
     @property

@@ -23,7 +23,7 @@ class UnixClient(can.BusABC):
     """One who is on such a bus."""
 
     def __init__(self, path: str) -> None:
-        """Raises OSError where nobody is there."""
+        """Raises OSError where no bus is there."""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         try:
             self._socket.connect(path)
@@ -53,7 +53,7 @@ class UnixClient(can.BusABC):
         except BlockingIOError:
             return None, False
         if not frame:
-            raise can.CanOperationError("whoever made the bus has gone", errno.ENODEV)
+            raise can.CanOperationError("the program that made the bus has ended", errno.ENODEV)
         ((_, _, stamp),) = ancillary
         seconds, nanoseconds = _TIME.unpack(stamp)
         try:

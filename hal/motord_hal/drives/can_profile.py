@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a drive says and hears on a CAN bus, as values: frames, and signals as places in them.
+"""What a drive sends and receives on a CAN bus, as values: frames, and signals as places in them.
 
 A signal is a register whose address is its frame. Its raw value is the whole number that stands in
 the frame; of a floating-point number that is its IEEE 754 pattern.
@@ -17,7 +17,10 @@ from motord_hal.drives.profile import SI_UNITS, Register, RegisterType
 
 FLOAT_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
 """The greatest finite number of 32 bits (IEEE 754, binary32)."""
-STANDARD_ID_MAX = 0x7FF
+STANDARD_ID_MAX, EXTENDED_ID_MAX = 0x7FF, 0x1FFF_FFFF
+NODE_MAX = 255
+ABORT_FRAME, ABORT_CODE = "sdo_abort", "sdo_abort_code"
+"""Of a drive with objects: the frame by which it refuses a transfer, and the signal in it."""
 SIZES_FD = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Bytes that a frame may carry: ISO 11898-1, 8.4.2.4 (a classic frame: up to 8)."""
 

@@ -26,7 +26,7 @@ class FaultWatch:
 
     @property
     def stopping(self) -> int:
-        """The word without warnings: what the core must hear."""
+        """The word without warnings: what the core must know."""
         return self._profile.stopping_faults(self.word)
 
     def update(self, word: int) -> None:

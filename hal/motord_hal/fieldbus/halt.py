@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stopping a drive that nobody drives any more: its program has died, and its wheels may turn.
+"""Stopping a drive whose program has died and whose wheels may turn.
 
-Nothing is known of the drive and nothing is asked before it is told: quick stop, zero, and power
-off when its wheels rest. None of these can make a motor turn.
+Nothing is known of the drive and nothing is read before the stop is sent: quick stop, zero, and
+power off when its wheels rest. None of these can make a motor turn.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ async def _write(unit: Unit, raw: dict[str, int]) -> str:
 
 async def _wait_for_rest(unit: Unit) -> None:
     """Until every wheel is seen at rest. One that cannot say so gets the whole time; one that is
-    silent gets none: what it is told next may be all that it hears."""
+    silent gets none: the next frame may be all that it receives."""
     names = [channel.velocity for channel in unit.profile.channels.values()]
     until_s = now_s() + STOPPING_WITHIN_S
     while now_s() < until_s:

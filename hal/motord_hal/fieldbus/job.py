@@ -19,7 +19,7 @@ VERIFY_WITHIN_S = 0.5
 
 
 class Job:
-    """Steps, how far they are, and the future of whoever waits for the end."""
+    """Steps, how far they are, and the future of the caller that waits for the end."""
 
     def __init__(self, name: str, steps: Sequence[Step], *, urgent: bool = False) -> None:
         from asyncio import get_running_loop  # who only reads a robot file needs no asyncio
@@ -57,7 +57,7 @@ class Job:
     def fail(self, error: HalError) -> None:
         if not self.done.done():
             self.done.set_exception(error)
-            self.done.exception()  # whoever started it may not wait for it
+            self.done.exception()  # its caller may not wait for it
 
     def limit_s(self, slot_s: float, tries: int) -> float:
         """How long it may take at worst, when a slot comes every `slot_s`."""

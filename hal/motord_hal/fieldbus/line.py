@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every line does, whoever runs its cycle. This is where a line begins and where it ends:
+"""What every line does, on each engine. This is where a line begins and where it ends:
 whatever ends it, its drives are brought to rest before its medium is closed.
 """
 
@@ -26,7 +26,7 @@ from motord_hal.realtime.exchange import is_fresh
 REOPEN_FIRST_S = 0.1
 REOPEN_LIMIT_S = 2.0
 PRESENT = (DriveState.READY, DriveState.ARMED)
-"""Set up, and heard."""
+"""Set up, and responsive."""
 
 
 def fresh(stamp_ns: int, timeout_s: float) -> bool:
@@ -121,7 +121,7 @@ class LineTask(abc.ABC):
             self._say_all(EventKind.LINE_LOST, f"{self.spec.name}: {error}")
 
     def _close(self, error: HalError) -> None:
-        """`error` is for whoever waits for something of a drive."""
+        """`error` is for callers that wait for something of a drive."""
         self._is_open = False
         self._close_medium()
         for drive in self._drives:
@@ -187,8 +187,8 @@ class DriveLine(LineTask, Generic[AnyDrive]):
 
     @abc.abstractmethod
     async def _stand_down(self, drives: Sequence[AnyDrive]) -> None:
-        """Zero and no power: begun at once on all of these, and done also when nobody waits for it
-        any more. Raises the first HalError when all are through."""
+        """Zero and no power: begun at once on all of these, and done also when no caller waits for
+        it any more. Raises the first HalError when all are through."""
 
     @abc.abstractmethod
     async def _clear(self, drives: Sequence[AnyDrive]) -> None:

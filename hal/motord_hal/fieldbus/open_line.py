@@ -79,8 +79,8 @@ def open_line(spec: LineSpec, exchange: Exchange, listener: Listener) -> Line:
 
 
 async def halt_line(spec: LineSpec) -> list[str]:
-    """Quick stop, then power off, on every drive of a line that nobody runs. Returns what was not
-    acknowledged, in words. Raises HalError where the line cannot be had at all."""
+    """Quick stop, then power off, on every drive of a line that no daemon runs. Returns what was
+    not acknowledged, in words. Raises HalError where the line cannot be had at all."""
     module, _, name = HALTS[spec.kind].partition(":")
     halt = cast("Halt", getattr(import_module(module), name))
     return await halt(spec)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a line is to the rest of the house: plain values in, plain values out, one protocol.
+"""What a line is to the other packages: plain values in, plain values out, one protocol.
 
 A line is one shared medium (an RS485 pair, a CAN bus). The daemon builds a LineSpec from the robot
 file, `open_line` (motord_hal.fieldbus.open_line) turns it into a Line, and `Line.run()` does the
@@ -18,7 +18,7 @@ from motord_hal.drives.profile import DriveProfile, Gap
 SETPOINT_TIMEOUT_S = 0.1
 """A line takes set-points older than this for none: it stops and disarms its drives."""
 REST_VELOCITY_RAD_S = 0.05
-"""A wheel slower than this is at rest, where the robot file says nothing else."""
+"""A wheel slower than this is at rest, unless the robot file sets another limit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,7 +114,7 @@ class DirectionSpec:
 
 
 class Echo(enum.StrEnum):
-    """Whether the adapter hears what it says itself."""
+    """Whether the adapter receives what it sends itself."""
 
     NO = "no"
     YES = "yes"
@@ -333,15 +333,13 @@ class Line(Protocol):
 
     async def run(self) -> None:
         """Open, configure, exchange; reopen with back-off, disarmed; for ever. Does not raise for
-        the world's
-        faults. On cancellation: stop and disarm every drive within a short deadline, close,
-        re-raise."""
+        the world's faults. On cancellation: stop and disarm every drive within a short deadline,
+        close, re-raise."""
         ...
 
     async def arm(self) -> None:
-        """Enable all drives at zero speed and see that they say so; on any failure all are
-        disarmed again and
-        the first HalError is raised. Deadline inside."""
+        """Enable all drives at zero speed and see that they report it; on any failure all
+        are disarmed again and the first HalError is raised. Deadline inside."""
         ...
 
     async def disarm(self) -> None:

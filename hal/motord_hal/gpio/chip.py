@@ -50,7 +50,7 @@ class Chip:
         return _only_line([self.info(offset)[0] for offset in range(self.lines)], wanted)
 
     def info(self, offset: int) -> tuple[str, str]:
-        """A line's name, and who uses it: empty where nobody does. Raises OSError."""
+        """A line's name, and its user: empty where there is none. Raises OSError."""
         info = self.gpio.get_line_info(offset)
         return info.name, (info.consumer or "the kernel") if info.used else ""
 

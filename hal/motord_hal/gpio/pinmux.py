@@ -75,9 +75,10 @@ def why_no_pull(label: str) -> str:
     if not label.startswith(_WITHOUT_PULLS):
         return ""
     return (
-        f'the chip "{label}" has no pulls that Linux can switch on, and Linux does not say so: an '
-        "open line would float, and an open contact be no stop. Put a resistor outside (pull up: "
-        'from the line to 3.3 V; down: to ground), and say pull = false (of an encoder: "none")'
+        f'the chip "{label}" has no pulls that Linux can switch on, and Linux does not report '
+        "that: an open line would float, and an open contact be no stop. Put a resistor outside "
+        "(pull up: from the line to 3.3 V; down: to ground), and set pull = false (of an "
+        'encoder: "none")'
     )
 
 

@@ -24,7 +24,7 @@ ROW_BYTES_MAX = 32
 _I2C_SLAVE = 0x0703
 """linux/i2c-dev.h."""
 _SILENT = (errno.ENXIO, errno.EREMOTEIO, errno.ETIMEDOUT, errno.EAGAIN)
-"""No acknowledge, or a bus that somebody holds: Documentation/i2c/fault-codes.rst."""
+"""No acknowledge, or a bus that is held: Documentation/i2c/fault-codes.rst."""
 
 
 class Registers(Protocol):

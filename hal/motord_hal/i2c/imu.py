@@ -21,7 +21,7 @@ from motord_hal.i2c.bus import ByteRegisters
 STANDARD_GRAVITY_M_S2 = 9.80665
 """CODATA."""
 STUCK_SAMPLES = 50
-"""So many equal ones in a row, of six noisy numbers: nobody converts any more."""
+"""So many equal ones in a row, of six noisy numbers: the chip converts no more."""
 CHECK_EVERY_SAMPLES = 100
 """The set-up is read back: a chip that was without power has lost it and reads zero."""
 _COUNTS_MAX = 32767

@@ -16,9 +16,9 @@ from motord_hal.i2c.imu import ImuChip
 from motord_hal.realtime.exchange import Exchange
 
 LATE_NS = 20_000_000
-"""A transfer takes some 0.5 ms; nobody knows when what came after so long was true."""
+"""A transfer takes some 0.5 ms; what came after so long has no known time."""
 LATE_MAX = 50
-"""So many late ones in a row are no busy machine: the bus is too slow, or somebody holds it."""
+"""So many late ones in a row are no busy machine: the bus is too slow, or it is held."""
 TRIES = 3
 """Failed reads in a row before the chip is given up."""
 
@@ -35,7 +35,7 @@ class ImuSpec:
 
 
 class ImuReader:
-    """`run` is the thread. Samples go to the loop's mailbox; nobody else may write to it."""
+    """`run` is the thread. Samples go to the loop's mailbox; nothing else may write to it."""
 
     def __init__(
         self, spec: ImuSpec, open_device: Callable[[], ByteRegisters], exchange: Exchange

@@ -5,7 +5,7 @@ last two their own temperature.
 Sources: the register maps of Texas Instruments' data sheets SBOS448 (INA219), SBOS547 (INA226),
 SLYS021 (INA228) and SLYS025 (INA238); counts and set-up compared with the kernel's
 drivers/hwmon/ina2xx.c and ina238.c. Current is shunt voltage over resistance: the chips'
-calibration register is not used, so that nobody else's value in it counts.
+calibration register is not used, so that a value of another program in it does not count.
 """
 
 from __future__ import annotations

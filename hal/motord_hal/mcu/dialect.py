@@ -19,7 +19,7 @@ class BoardFeedback:
     stamp_ns: int
     """When it was true, CLOCK_MONOTONIC."""
     received_ns: int
-    """When the newest set-points that the board had heard by then were sent; where the protocol
+    """When the newest set-points that the board had received by then were sent; where the protocol
     cannot say, when the feedback came."""
     round_trip_s: float | None
     """From sending those set-points to this feedback, without the time that the board held it."""

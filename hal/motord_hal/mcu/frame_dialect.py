@@ -33,7 +33,7 @@ NS_PER_US = 1000
 
 SEQUENCES_KEPT = 256
 HELD_TOLERANCE_S = 0.002
-"""Heard earlier than sent: the number is that of set-points of an earlier program."""
+"""Received earlier than sent: the number is that of set-points of an earlier program."""
 
 
 class FrameDialect:

@@ -31,7 +31,7 @@ FEEDBACK_MOTOR_BYTES = 10
 OWN_BYTES_W = frozenset({1, 4, 5})
 """Bytes of the set-points that the line itself fills: motors, feedback period."""
 OWN_BYTES_R = frozenset({1, 4, 5, 6, 7, 8, 9})
-"""Bytes of the feedback that the line itself reads: also which set-points were heard, and when."""
+"""Bytes of the feedback that the line itself reads: also which set-points it received, and when."""
 RESTARTED = 8
 """The bit of status that a board sets when it starts, until the same bit of control is set."""
 HAS_IMU = 16
@@ -170,7 +170,7 @@ def setpoints_payload(
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """What the board says of the set-points that it heard last."""
+    """What the board reports of the set-points that it received last."""
 
     sequence: int
     held_s: float

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stopping a board that nobody talks to any more: brake, then no power, said again and again."""
+"""Stopping a board whose program has ended: brake, then no power, sent again and again."""
 
 from __future__ import annotations
 

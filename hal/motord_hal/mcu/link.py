@@ -18,7 +18,7 @@ FRAMES_WAITING_MAX = 2
 
 
 class Stream:
-    """One port. `heard` is called with what came, from the event loop."""
+    """One port. `received` is called with what came, from the event loop."""
 
     def __init__(self, spec: LineSpec, received: Callable[[bytes], None]) -> None:
         self._spec = spec

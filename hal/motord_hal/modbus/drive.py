@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One drive on the line: what it is told each cycle, what it says, whether it is still there."""
+"""One drive on the line: what it gets each cycle, what it reports, whether it is still there."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class Drive(AsyncioDrive[DrivePlan]):
         raw = self.plan.setpoints(wanted)
         motion = any(raw.values())
         self.sent_motion |= motion
-        # made before a pause of the process, motion is not told after it
+        # made before a pause of the process, motion is not sent after it
         good_for_s = min(self._watchdog_s, self._setpoint_timeout_s + self.plan.slowest_cycle_s())
         send_by_s = now_s() + good_for_s if motion else math.inf
         armed = self.state is DriveState.ARMED
@@ -145,7 +145,7 @@ class Drive(AsyncioDrive[DrivePlan]):
                     await self._turn(directions)
 
     async def _turn(self, directions: Mapping[str, int]) -> None:
-        """Tell the directions that are not known to have been told."""
+        """Send the directions that are not known to have arrived."""
         for register, direction in directions.items():
             if self._directions.pop(register, None) != direction:
                 await self._write({register: direction})
@@ -205,7 +205,7 @@ class Drive(AsyncioDrive[DrivePlan]):
     async def slot(self) -> None:
         """One exchange of the first job. Failures are counted, not raised; PortError passes."""
         job = self.jobs[0]
-        if job.done.done():  # whoever wanted it has gone
+        if job.done.done():  # its caller has gone
             self._drop(job)
             return
         try:
@@ -284,7 +284,7 @@ class Drive(AsyncioDrive[DrivePlan]):
         self.probe_at_s = now_s() + self._probe_pause_s()
 
     def _probe_requests(self) -> Iterable[Request]:
-        """It may hear us though we do not hear it, and then do what it was last told, as long as
+        """It may receive though it sends nothing, and then follow its last set-point, as long as
         questions keep its watchdog fed: so one that may turn is sent a stop."""
         if self._may_turn:
             for step in self.plan.profile.quick_stop:
@@ -325,7 +325,7 @@ class Drive(AsyncioDrive[DrivePlan]):
 
     async def send_power_off(self) -> bool:
         """As AsyncioDrive.tell_power_off: all of it, whatever is not answered, for the drive may
-        hear us though we do not hear it. The next time only what was not answered."""
+        receive though it sends nothing. The next time only what was not answered."""
         self._powerless()
         left, unanswered = self._power_off_left or self.plan.profile.disarm, []
         while left := await self._write_now(left):

@@ -118,7 +118,7 @@ class Strict(FramerBase):
 class StrictFramer(Strict, FramerRTU):
     """RTU frames, wherever in the bytes they begin.
 
-    An adapter that hears itself brings each request before its reply; of function 6 both are alike.
+    An adapter with echo brings each request before its reply; of function 6 both are alike.
     Whether it does is known from the robot file, or from the newest read: then the first copy of a
     write is no acknowledgement.
     """
@@ -193,7 +193,7 @@ class GuardedClient:
         self._received_bytes = 0
         self._frames = 0
         self._noise_bytes = 0
-        """Heard since the request; heard since opening without an answer among them."""
+        """Received since the request; received since opening without an answer among them."""
 
     def wire_time_s(self, size_bytes: int) -> float:
         return frame_time_s(size_bytes, *self._serial)
@@ -355,7 +355,7 @@ class GuardedClient:
             self._unit_silent_until_s[request.unit] = max(now, sent + within_s) + within_s
 
     async def _wait_for_silence(self, unit: int, *, urgent: bool) -> None:
-        """Until the line was silent for the gap and nobody is to be left alone. Raises BadReply
+        """Until the line was silent for the gap and no drive is to be left alone. Raises BadReply
         when it is never silent; an urgent request is sent then."""
         asked_s = self._unit_silent_until_s.get(unit, 0.0)
         patience_s = NEVER_SILENT_S
@@ -387,7 +387,7 @@ class GuardedClient:
         return self._witness.hint(self._port.fileno(), self._traffic)
 
     def _drain(self) -> None:
-        """Throw away what nobody asked for, and note when it came. Raises PortError."""
+        """Throw away what was not requested, and note when it came. Raises PortError."""
         if self._port is None or not self.connected:
             raise PortError(f"{self.port} is not open")
         self._witness.look(self._port.fileno(), self._traffic)

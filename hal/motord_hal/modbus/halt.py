@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stopping the drives behind a gateway that nobody talks to any more."""
+"""Stopping the drives behind a gateway after their program has ended."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 """The same guard (guard.py) for drives behind a gateway in the network: Modbus TCP, or RTU frames
 through a serial server.
 
-What TCP adds: a reply names the transaction that it belongs to, so one that comes late is told from
+What TCP adds: a reply names the transaction that it belongs to, so one that comes late differs from
 the next (MODBUS Messaging on TCP/IP Implementation Guide V1.0b, 3.1.3). And what the network has
 not taken at once it may deliver much later: requests that are stuck are thrown away with their
 connection, so that no old set-point ever reaches a drive.
@@ -144,7 +144,9 @@ class GatewayClient(GuardedClient):
             except TimeoutError:
                 raise PortError(f"{self.port} did not accept in {CONNECT_WITHIN_S:g} s") from None
             if not connected:
-                raise PortError(f"{self.port} cannot be reached: no such host, or nobody listens")
+                raise PortError(
+                    f"{self.port} cannot be reached: no such host, or no server listens"
+                )
             undo.pop_all()
         self._client, self._framer = client, framer
         self._silent_since_s = math.inf
@@ -210,7 +212,7 @@ class GatewayClient(GuardedClient):
             await sleep_until_s(now_s() + LOOK_EVERY_S)
 
     def _drain(self) -> None:
-        """What nobody asked for has gone to the framer, which drops it. Raises PortError."""
+        """What was not requested has gone to the framer, which drops it. Raises PortError."""
         if isinstance(self._framer, StrictTcpFramer) and self._framer.lost:
             self.close()
             raise PortError(f"{self.port}: {self._framer.lost}")

@@ -15,11 +15,11 @@ PROC = Path("/proc")
 
 
 class Taken(OSError):
-    """Somebody who lives has it; the text says who, where that can be seen."""
+    """A living program has it; the text names it, where that can be seen."""
 
 
 def claim(fd: int, proc: Path = PROC) -> None:
-    """For whoever has this descriptor, until it is closed. Raises Taken, OSError."""
+    """For the holder of this descriptor, until it is closed. Raises Taken, OSError."""
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:

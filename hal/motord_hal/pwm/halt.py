@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Taking the power from bridges whose pins nobody writes any more."""
+"""Taking the power from bridges whose program has ended."""
 
 from __future__ import annotations
 

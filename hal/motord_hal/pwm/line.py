@@ -40,11 +40,11 @@ LOOK_EVERY_S = 0.005
 WATCH_EVERY_S = 0.05
 AT_ENCODER = -2
 """BridgeReport.error_output from here down: the encoder of a joint."""
-FAULT_WORDS = ("the bridge says fault",)
+FAULT_WORDS = ("the bridge reports a fault",)
 
 
 class PwmLine(LineTask):
-    """ports.Line for `kind = "pwm"`, engine "rt". Nobody can see whether a bridge is there: its
+    """ports.Line for `kind = "pwm"`, engine "rt". Nothing shows whether a bridge is there: its
     drives are as present as their pins are."""
 
     def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:

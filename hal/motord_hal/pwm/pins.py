@@ -90,7 +90,8 @@ def places_of(number: int, joint: JointSpec) -> list[Place]:
         if soft:
             raise ValueError(
                 f"pin {place.pin} needs a PWM channel, {place.gpio} is a GPIO line: motors are not "
-                "driven by PWM made in software, but by the kernel's pwm-gpio where it is asked for"
+                "driven by PWM made in software, but by the kernel's pwm-gpio where the "
+                "robot file allows it"
             )
         if place.pin in (FAULT, PUMP) and place.channel is not None:
             what = "an input" if place.pin == FAULT else "no PWM"
@@ -282,8 +283,8 @@ def _allow_software(spec: LineSpec, places: list[Place]) -> None:
 
 async def rest_pins(spec: LineSpec) -> list[str]:
     """Every pin to no power, whatever another one says; then they are let go. Channels first, all
-    at once; the lines also where nobody waits for the channels any more. Returns what could not be
-    done, in words. A motor whose pulses go on is not turned: lines that only say its way stay as
+    at once; the lines also where no caller waits for the channels any more. Returns what could not
+    be done, in words. A motor whose pulses go on is not turned: those of its direction stay as
     they are. Raises ProfileError."""
     places = _places(spec)
     channels = [place for place in places if place.channel is not None]

@@ -39,7 +39,7 @@ class Channel:
     rests_low: bool = True
 
     def close(self) -> None:
-        """No pulses, then let it go. What the channel was told last is the caller's care. One that
+        """No pulses, then let it go. The channel's last value is the caller's care. One that
         rests high stays enabled: disabled it would be low, and an active-low pin have power. Raises
         PortError where pulses may go on; also then it is let go."""
         try:
@@ -83,7 +83,7 @@ def made_in_software(chip: Path) -> bool:
 
 async def open_channel(chip: Path, number: int, period_ns: int, rest_ns: int) -> Channel:
     """Export it, claim it, let it rest, and enable it at `rest_ns` of `period_ns`. Raises
-    PortError; a channel that somebody else drives is not touched."""
+    PortError; a channel that another program drives is not touched."""
     folder = chip / f"pwm{number}"
     with contextlib.ExitStack() as undo:
         try:

@@ -101,7 +101,7 @@ class BoardThread(LineThreadHandle):
         self._histogram = ffi.new("histogram *")
 
     def start(self, table: Plain, **config: int) -> None:
-        """`config` as in board_config; the descriptors stay the caller's: he closes them after
+        """`config` as in board_config; the descriptors stay the caller's, to be closed after
         `stop`. Raises HalError."""
         raw = ffi.new("board_table *", table)
         raw_config = ffi.new("board_config *", config_of(config, self._exchange))
@@ -147,7 +147,7 @@ class BoardThread(LineThreadHandle):
         )
 
     def round_trips(self) -> RoundTrips:
-        """From set-points to the feedback that had heard them, since the start."""
+        """From set-points to the feedback that acknowledged them, since the start."""
         lib.board_histogram_read(self._line, self._histogram)
         p50, p99 = (lib.histogram_percentile_ns(self._histogram, f) for f in (0.5, 0.99))
         return RoundTrips(p50_us=p50 / 1e3, p99_us=p99 / 1e3, max_us=self._histogram.max_ns / 1e3)

@@ -100,7 +100,7 @@ class CanThread(LineThreadHandle):
 
     def start(self, table: Plain, *, before: Plain, **config: int) -> None:
         """`before` as in can_before, `config` as in can_config; the descriptors stay the caller's:
-        he closes them after `stop`. Raises HalError."""
+        to be closed after `stop`. Raises HalError."""
         raw = ffi.new("can_table *", table)
         own = config_of(config, self._exchange) | {"before": before}
         raw_config = ffi.new("can_config *", own)

@@ -31,7 +31,7 @@ class FaultReason(enum.IntFlag):
 
 
 class Stop(enum.IntEnum):
-    """What a drive has to be told because a rule says so."""
+    """What has to be sent to a drive because a rule demands it."""
 
     NOTHING = lib.STOP_NOTHING
     QUICK = lib.STOP_QUICK
@@ -101,6 +101,6 @@ class DriveRules:
         return Stop(lib.drive_end_stopping(self._state, at_rest, now_ns))
 
     def check_power(self, enabled: bool | None, tries: int, *, settled: bool) -> Stop:
-        """What its own word demands. `settled`: nobody is arming it."""
+        """What its own word demands. `settled`: it is not being armed."""
         self._state.enabled = 2 if enabled is None else enabled
         return Stop(lib.drive_check_power(self._state, tries, settled))

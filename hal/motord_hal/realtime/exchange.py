@@ -194,7 +194,7 @@ class Exchange:
         saturated: bool,
         epoch: int,
     ) -> None:
-        """Of whoever reads the inertial sensor: about the base's x, y, z."""
+        """Of the reader of the inertial sensor: about the base's x, y, z."""
         raw = self._imu
         raw.stamp_ns = stamp_ns
         raw.angular_rad_s = angular_rad_s

@@ -46,7 +46,7 @@ class AnswerKind(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThreadSpec:
-    """The thread's port and place. The file descriptors stay the caller's: he closes them after
+    """The thread's port and place. The file descriptors stay the caller's, to be closed after
     `LineThread.stop`."""
 
     fd: int
@@ -58,7 +58,7 @@ class ThreadSpec:
     de_before_ns: int = 0
     de_after_ns: int = 0
     may_turn: int = 0
-    """Bit n: drive n was armed before the port was opened; it is told to stop first."""
+    """Bit n: drive n was armed before the port was opened; it gets a stop first."""
 
     @classmethod
     def of(

@@ -112,7 +112,7 @@ class BridgeReport:
     late_cycles: int = 0
     writes: int = 0
     encoder_illegal: int = 0
-    """Pulses that were too short to be told apart."""
+    """Pulses that were too short to be distinguished."""
     encoder_lost: int = 0
     """Edges that the kernel could not keep."""
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How asyncio hears of what a line's thread has done."""
+"""How asyncio learns what a line's thread has done."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def kept_problem(asked: bytes, kept: bytes) -> str:
     if kept_flags & _RX_DURING_TX:
         return "the driver goes on listening to itself while it talks"
     if any(kept_ms < ms for ms, kept_ms in zip(delays_ms, kept_delays_ms, strict=True)):
-        return f"the driver keeps delays of {kept_delays_ms} ms, asked were {delays_ms}"
+        return f"the driver keeps delays of {kept_delays_ms} ms, requested were {delays_ms}"
     return ""
 
 

@@ -53,6 +53,6 @@ def shorten_latency_timer(device: str, sys: Path = Path("/sys")) -> str:
     if after_ms <= _TIMER_MS:
         return ""
     return (
-        f"{device} holds bytes back for up to {after_ms} ms (FTDI latency timer) and may not be "
-        f"told otherwise; a udev rule mends it: {_UDEV_LINE}"
+        f"{device} holds bytes back for up to {after_ms} ms (FTDI latency timer) and motord may "
+        f"not change it; a udev rule mends it: {_UDEV_LINE}"
     )

@@ -93,7 +93,7 @@ class LoopPort(Serial):
 
     # ------------------------------------------------------------------- what the transport calls
     def write(self, data: bytes) -> int:  # type: ignore[override]  # of what pymodbus sends
-        """Never waits: of a full port the transport hears BlockingIOError."""
+        """Never waits: of a full port the transport gets BlockingIOError."""
         try:
             return os.write(self.fileno(), data)
         except BlockingIOError:
@@ -103,7 +103,7 @@ class LoopPort(Serial):
             return len(data)
 
     def flush(self) -> None:
-        """Nobody waits for what has not gone out."""
+        """No caller waits for what has not gone out."""
 
     def close(self) -> None:
         """As Serial.close, which two threads must not enter: a descriptor closed twice may be

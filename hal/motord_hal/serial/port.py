@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Opens a serial port: found anew each time, for nobody else, raw, its transceiver's direction
+"""Opens a serial port: found anew each time, exclusive, raw, its transceiver's direction
 set, and without waiting in the adapter."""
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def tune(fd: int, path: str, spec: LineSpec) -> tuple[str, ...]:
 
 
 def open_exclusively(path: str) -> int:
-    """A descriptor that does not block, of a port that nobody else has. Raises PortError."""
+    """A descriptor that does not block, of a port that no other program has. Raises PortError."""
     try:
         fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
@@ -97,7 +97,9 @@ def open_exclusively(path: str) -> int:
 def reason(path: str, error: OSError) -> str:
     """Why a port cannot be opened, and what to do."""
     if busy(error):
-        return f"another program has it open: {', '.join(holders(path)) or 'who, cannot be seen'}"
+        return (
+            f"another program has it open: {', '.join(holders(path)) or 'not visible to this user'}"
+        )
     if isinstance(error, PermissionError):
         return (
             "this user may not use it: run this with sudo, or sudo usermod -aG dialout $USER and "

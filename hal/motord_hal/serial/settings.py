@@ -65,7 +65,7 @@ def _check(fd: int, baudrate: int, control: int) -> None:
 
 
 def claim(fd: int) -> None:
-    """For nobody else: TIOCEXCL keeps other openers out, the lock those that may pass it (root).
+    """Exclusive: TIOCEXCL keeps other openers out, the lock those that may pass it (root).
     Raises OSError."""
     fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     fcntl.ioctl(fd, termios.TIOCEXCL)

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from motord_hal.base.nearest import nearest
-from motord_hal.drives.can_load import NODE_MAX
+from motord_hal.drives.can_profile import NODE_MAX
 
 
 class FaultError(ValueError):
@@ -96,7 +96,7 @@ KINDS = MappingProxyType(
             ms=_ms(1.0),
             spread_ms=_ms(0.0),
         ),
-        "echo": _state("the adapter hears what it says: requests come back"),
+        "echo": _state("the adapter receives what it sends: requests come back"),
         "noise": _state(
             "bit errors in both directions at this rate; a hit start or stop bit loses the byte",
             ber=Key(0.0, 0.1, default=1e-4),
@@ -109,7 +109,9 @@ KINDS = MappingProxyType(
             unit=_UNIT,
             baudrate=Key(300, 4_000_000, whole=True, needed=True),
         ),
-        "wrong-parity": _state("the unit is set to another parity: noise both ways", unit=_UNIT),
+        "wrong-parity": _state(
+            "the unit is set to another parity: noise in both directions", unit=_UNIT
+        ),
         "slip": _state(
             "this share of the travel of one side's wheels (0 left, 1 right) is slip",
             side=Key(0, 1, whole=True, needed=True),

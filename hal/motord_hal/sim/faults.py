@@ -133,7 +133,7 @@ class FaultScript:
         }
 
     def silent(self, unit: int, now_s: float) -> bool:
-        """Whether this unit hears nothing now."""
+        """Whether this unit receives nothing now."""
         return any(True for _ in self.states("silence", unit, now_s))
 
     def turnaround_s(self, unit: int, now_s: float) -> float | None:

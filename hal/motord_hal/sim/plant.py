@@ -285,7 +285,7 @@ class Plant:
 
 
 class Encoder:
-    """Counts edges of a motor shaft, modulo 2^bits, from a counter that starts where it is told."""
+    """Counts edges of a motor shaft, modulo 2^bits, from a given start."""
 
     def __init__(self, counts_per_turn: int, bits: int, start: int = 0) -> None:
         self._counts_per_rad = counts_per_turn / (2.0 * math.pi)

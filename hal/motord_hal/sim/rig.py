@@ -258,7 +258,7 @@ class Rig:
     # ------------------------------------------------------------------------------------- running
     @property
     def pauses(self) -> bool:
-        """Whether its time has to stand still while nobody works on it. A frame that is late is
+        """Whether its time has to stand still while no work is done on it. A frame that is late is
         only late, but a counter that leaps is read in time, and no wheel turns so far."""
         return any(line.kind == "pwm" for line in self.spec.lines)
 

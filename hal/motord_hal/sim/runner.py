@@ -84,7 +84,7 @@ def run(
 
 
 class PausingClock:
-    """Seconds since `began_s`, without those for which nobody could ask."""
+    """Seconds since `began_s`, without those in which nothing could be requested."""
 
     def __init__(self, began_s: float, now_s: Clock = time.monotonic) -> None:
         self._began_s = began_s

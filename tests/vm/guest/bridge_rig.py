@@ -5,7 +5,7 @@ import itertools
 
 from pin_rig import LABEL, LINES
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import JointSpec, LineSpec, PinsSpec
 
 

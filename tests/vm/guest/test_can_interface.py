@@ -21,7 +21,7 @@ from loop_side import running, until
 from scripted_odrive import IDLE, Peer, living, open_bus
 from shell import output
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineState
 
 TURN = 2 * math.pi
@@ -85,7 +85,9 @@ async def back_disarmed(rig, peer):
     assert peer.axes[0].state == IDLE
 
 
-async def test_an_interface_that_is_set_down_is_said_and_the_drives_come_back_disarmed(rig, peer):
+async def test_an_interface_that_is_set_down_is_reported_and_the_drives_come_back_disarmed(
+    rig, peer
+):
     await drive(rig, peer)
     ip("set", OWN, "down")
     try:

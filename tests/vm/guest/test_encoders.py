@@ -14,7 +14,7 @@ from bridge_rig import places, spec_of
 from loop_side import running, until
 from pin_rig import LABEL, PWM, pins
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import EdgesEncoder, EventKind, JointSpec, LineState
 from motord_hal.gpio.lines import Wanted, request_outputs
 
@@ -97,7 +97,7 @@ async def test_edges_of_before_the_line_was_opened_do_not_count(rig):
         assert line.loop.exchange.take_feedback(0).count == 0
 
 
-async def test_a_channel_that_is_somebody_else_s_is_said_with_joint_channel_and_owner(rig):
+async def test_a_channel_that_is_something_else_s_is_reported_with_joint_channel_and_owner(rig):
     fd = request_outputs(LABEL, [Wanted(line=B, purpose="a test")], "coffee machine")
     try:
         async with running(with_encoder(rig)) as line:

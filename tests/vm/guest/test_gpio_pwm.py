@@ -18,8 +18,8 @@ from pin_rig import LABEL, LINES, PWM, pins, wait_until
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "contract"))
 from loop_side import GENEROUS_S, running, until
 
+from motord.config.drives.load import find_profile, list_profiles
 from motord_hal.base.errors import DriveFault, HalError, PortError
-from motord_hal.drives.load import find_profile, list_profiles
 from motord_hal.fieldbus.open_line import halt_line
 from motord_hal.fieldbus.ports import (
     DriveState,
@@ -149,7 +149,7 @@ async def test_cancelling_the_line_leaves_no_power_and_no_pulses(rig):
     assert (rig.chip / "pwm0/enable").read_text().strip() == "0"
 
 
-async def test_a_fault_pin_is_seen_said_and_keeps_it_from_being_armed(rig):
+async def test_a_fault_pin_is_seen_reported_and_keeps_it_from_being_armed(rig):
     rig.drive("PIN11", 1)
     async with running(spec_of(rig, "drv8871", fault=True)) as line:
         await line.ready()
@@ -179,7 +179,7 @@ async def test_a_pump_pin_changes_for_as_long_as_the_motor_may_move(rig):
         assert rig.level("PIN10") == 0.0
 
 
-async def test_a_line_that_is_somebody_else_s_is_said_with_joint_pin_and_owner(rig):
+async def test_a_line_that_is_something_else_s_is_reported_with_joint_pin_and_owner(rig):
     fd = request_outputs(LABEL, [Wanted(line="PIN0", purpose="a test")], "coffee machine")
     try:
         async with running(spec_of(rig, "bts7960")) as line:
@@ -204,7 +204,7 @@ async def test_a_line_that_is_somebody_else_s_is_said_with_joint_pin_and_owner(r
         ({"where": {"rpwm": "pwm0", "lpwm": "pwm1", "r_en": "GPIO99"}}, "pin r_en: no GPIO line"),
     ],
 )
-async def test_what_is_not_there_is_said_with_what_there_is(rig, changes, words):
+async def test_what_is_not_there_is_reported_with_what_there_is(rig, changes, words):
     async with running(spec_of(rig, "bts7960", **changes)) as line:
         await until(lambda: EventKind.LINE_LOST in line.kinds())
         assert words in line.events[0].text
@@ -248,7 +248,7 @@ async def test_a_motor_that_still_runs_from_before_and_cannot_be_stopped_is_not_
 
 
 @pytest.mark.skipif(not FAILING.exists(), reason="only the module pwm-sim fails when it is told to")
-async def test_a_chip_that_fails_is_said_and_the_line_comes_back_without_power(rig):
+async def test_a_chip_that_fails_is_reported_and_the_line_comes_back_without_power(rig):
     async with running(spec_of(rig, "pwm-pwm")) as line:
         await armed(line)
         line.loop.enabled, line.loop.duty = True, {0: 0.5}

@@ -95,7 +95,7 @@ def test_a_uart_hands_bytes_on_at_once():
         os.close(fd)
 
 
-def test_a_uart_that_cannot_turn_a_transceiver_says_what_else_can():
+def test_a_uart_that_cannot_turn_a_transceiver_reports_what_else_can():
     asked = DirectionSpec(kind=DirectionKind.KERNEL)
     with pytest.raises(PortError, match=r'not offered by this port .*direction = "gpio"'):
         open_port(spec_of(UART, 115200, "none", asked))

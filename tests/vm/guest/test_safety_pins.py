@@ -113,7 +113,7 @@ def test_a_label_or_a_name_that_is_not_the_only_one_is_refused():
         request_edges("motord-twice", wanted, "motord", Bias.AS_IS, rising=True)
 
 
-def test_a_line_that_somebody_has_is_named_with_its_owner():
+def test_a_line_that_something_has_is_named_with_its_owner():
     wanted = Wanted(line=CONTACT, purpose="safety.estop")
     with chip(), contextlib.ExitStack() as unless_ended:
         first = request_edges(LABEL, wanted, "somebody", Bias.PULL_UP, rising=True)

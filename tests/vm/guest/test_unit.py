@@ -61,7 +61,7 @@ def test_it_reaches_the_devices_of_motors_and_no_other(unit):
     assert "0 bytes copied" in done
 
 
-def test_members_of_its_group_command_it_and_nobody_else(unit):
+def test_members_of_its_group_command_it_and_nothing_else(unit):
     output("useradd", "--groups", "motord", "driver")
     output("useradd", "visitor")
     try:

@@ -8,7 +8,7 @@ gpiolib_dbg_show) and drivers/pwm/pwm-bcm2835.c.
 import re
 from pathlib import Path
 
-from motord_hal.drives.load import find_profile
+from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import JointSpec, LineSpec, PinsSpec
 
 CHANNELS = Path("/sys/class/pwm/pwmchip0")

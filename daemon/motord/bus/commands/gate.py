@@ -105,7 +105,7 @@ class CommandGate:
         ):
             return
         self._voice.say(
-            f"input.{self._name}: {sender or 'somebody'} asks for {linear_m_s:g} m/s,"
+            f"input.{self._name}: {sender or 'somebody'} requests {linear_m_s:g} m/s,"
             f" {angular_rad_s:g} rad/s: no number, or more than {ABSURD:g} times the limit in"
             " the robot file, so it counts as"
             " zero unless a higher limit is in force: is the unit right?"
@@ -208,8 +208,8 @@ class CommandGate:
         return await self._runtime.call(method, **params)
 
     def busy(self) -> NotTaken:
-        """What a call is told that others have left no room for."""
-        return self._no("busy: too many calls are under way")
+        """The answer to a call that others have left no room for."""
+        return self._no("busy: too many calls are running")
 
     def refuse(self, why: str, count: int = 1) -> None:
         """So many commands were not passed on: counted, and said from time to time."""

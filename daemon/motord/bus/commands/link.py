@@ -3,7 +3,7 @@
 
 Every call has a connection of its own and a deadline; what stops the robot is sent as a datagram
 first. A lease lives as long as its connection; when the daemon ends it, another is asked for.
-Nobody answers a command: docs/commands.md.
+A command gets no answer: docs/commands.md.
 """
 
 from __future__ import annotations

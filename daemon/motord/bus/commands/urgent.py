@@ -51,6 +51,6 @@ class Urgent:
         except Refused as error:
             self._trouble.say(f"{self._what}: refused: {error}")
         except ClientError as error:
-            self._trouble.say(f"{self._what}: {error}: asked again until the daemon answers")
+            self._trouble.say(f"{self._what}: {error}: repeated until the daemon answers")
             return False
         return True

@@ -73,7 +73,7 @@ class Looks(ServerListener):
     """What the robot looks like, for each who begins to read it."""
 
     def __init__(self, looks: tuple[Channel, bytes]) -> None:
-        """Where it is told, and the message."""
+        """Its topic, and the message."""
         self._channel, self._message = looks
 
     def on_subscribe(
@@ -108,7 +108,7 @@ class Commands(Looks):
         self._advertising = threading.Lock()
         self._friends: Inbox[_Message] = Inbox(WAITING_MAX, self._take)
         self._strangers: Inbox[_Message] = Inbox(WAITING_MAX, self._take)
-        """Two, so that nobody pushes out the commands of who is let in."""
+        """Two, so that no stranger pushes out the commands of clients that are let in."""
         self._complained_s: dict[str, float] = {}
         self.server: WebSocketServer | None = None
 
@@ -230,7 +230,7 @@ class Commands(Looks):
         parameters: list[Parameter],
         request_id: str | None = None,  # noqa: ARG002  # the SDK's
     ) -> list[Parameter]:
-        """As ServerListener: all or none. The answer, which is also told to who has subscribed, is
+        """As ServerListener: all or none. The answer, which also goes to subscribers, is
         what is in force afterwards."""
         try:
             self._thread_bridge.ask(partial(self._change, client.id, parameters), CHANGE_WITHIN_S)
@@ -253,7 +253,7 @@ class Commands(Looks):
         return [Parameter(name, value=known[name]) for name in names or known if name in known]
 
     async def _watch(self) -> None:
-        """Whoever changed them, who has subscribed to them is told."""
+        """Subscribers get every change, of whatever origin."""
         while True:
             if self._runtime.view is not None:
                 await self._look()

@@ -43,7 +43,7 @@ class Stick:
                 raise ValueError(f"it has no axis {axis}")
         self._ranges = ranges
         self.held = False
-        """Released, lost or never pressed: nobody commands."""
+        """Released, lost or never pressed: no command."""
         self.doubted = False
         """Events were lost, and the e-stop button's may be among them: look at the device itself,
         and set it back."""

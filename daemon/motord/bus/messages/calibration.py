@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the wheels' radius or the track should be, by a way that somebody has measured.
+"""What the wheels' radius or the track should be, by a distance that a person has measured.
 
-Nothing here moves the robot: it is watched while somebody drives or pushes it from one mark to
+Nothing here moves the robot: it is watched while a person drives or pushes it from one mark to
 another. The true way is known beforehand; the odometry says its own.
 
 A side rolls radius x angle, so true / measured is the radius' factor. The heading is the
@@ -88,7 +88,7 @@ class Calibration:
         if halfway and (now_ns - self._moved_ns) * _NS >= REST_S:
             return self._found()
         if (now_ns - self._start_ns) * _NS > self._asked.timeout_s:
-            why = f"no way of {self._asked.true_u:g} within {self._asked.timeout_s:g} s"
+            why = f"no distance of {self._asked.true_u:g} within {self._asked.timeout_s:g} s"
             return Found(End.ABORTED, why=why)
         return None
 
@@ -99,7 +99,7 @@ class Calibration:
     def _found(self) -> Found:
         if self._asked.quantity == "wheel_radius":
             if abs(self.travel.angle_rad) > TURN_MAX_RAD:
-                why = f"it turned by {self.travel.angle_rad:.2f} rad: the way is to be straight"
+                why = f"it turned by {self.travel.angle_rad:.2f} rad: the path must be straight"
                 return Found(End.ABORTED, why=why)
             factor = self._asked.true_u / self._done_u()
         else:

@@ -23,7 +23,7 @@ NOT_MEASURED = (-1.0, *[0.0] * 8)
 ERROR_UNKNOWN = (0.0,) * 9
 """Covariance of what is measured with an unknown error (sensor_msgs/Imu)."""
 NOT_PUBLISHED = ("stale", "reversed")
-"""States of a sensor that nobody should believe."""
+"""States of a sensor that must not be believed."""
 _NS = 1_000_000_000
 
 
@@ -142,7 +142,7 @@ def oldest_ns(joints: Sequence[JointSnapshot]) -> int:
 
 def rate_variance(rate_rad_s: float, yaw_variance: float) -> float:
     """An axis without a known error counts as good as the yaw rate, and one that is not measured
-    not at all. Zero: before the gyro has a zero, nobody knows how good it is."""
+    not at all. Zero: before the gyro has a zero, its quality is unknown."""
     if not isfinite(yaw_variance):
         return 0.0
     return yaw_variance if isfinite(rate_rad_s) else UNMEASURED

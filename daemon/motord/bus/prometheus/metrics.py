@@ -86,9 +86,9 @@ def _base(view: View) -> Iterator[Family]:
         "command_age_seconds": ("Age of the newest command.", now.command_age_s),
         "speed_metres_per_second": ("Measured speed.", now.linear_m_s),
         "turn_rate_radians_per_second": ("Measured turn rate.", now.angular_rad_s),
-        "setpoint_metres_per_second": ("Speed that is asked for.", now.setpoint_linear_m_s),
+        "setpoint_metres_per_second": ("Requested speed.", now.setpoint_linear_m_s),
         "setpoint_radians_per_second": (
-            "Turn rate that is asked for.",
+            "Requested turn rate.",
             now.setpoint_angular_rad_s,
         ),
         "odometry_degraded": (
@@ -100,7 +100,7 @@ def _base(view: View) -> Iterator[Family]:
         yield Family(f"motord_{name}", "gauge", text, (({}, value),))
     yield Family("motord_ticks_total", "counter", "Ticks of the loop.", (({}, now.tick),))
     yield Family(
-        "motord_distance_metres_total", "counter", "Way that was driven.", (({}, now.distance_m),)
+        "motord_distance_metres_total", "counter", "Distance driven.", (({}, now.distance_m),)
     )
 
 

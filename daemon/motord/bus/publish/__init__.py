@@ -27,6 +27,6 @@ class Publisher(Protocol):
 
 
 def open_publisher(name: str, kind: str, section: Publish) -> Publisher:
-    """The publisher for [publish.NAME]. Raises LookupError for a kind that nobody offers."""
+    """The publisher for [publish.NAME]. Raises LookupError for a kind that no package offers."""
     made = find(f"publish.{name}", kind, KINDS, PUBLISHER_POINTS)
     return cast("Publisher", made(name, section))

@@ -27,7 +27,7 @@ class Samples:
 
     def offer(self, snapshot: Snapshot, battery: Mapping[str, Any] | None = None) -> None:
         """Kept when its time has come, by its own stamp; a late one is not caught up. `battery`: as
-        `status` has it; None: nobody measures it."""
+        `status` has it; None: it is not measured."""
         if snapshot.stamp_ns < self._due_ns:
             return
         self._due_ns = max(self._due_ns + self._period_ns, snapshot.stamp_ns)

@@ -30,7 +30,7 @@ class StdoutPublisher:
         """Lost because the reader of standard output was slow."""
 
     async def run(self, samples: Samples) -> None:
-        """As Publisher.run. Ends when nobody can ever read it."""
+        """As Publisher.run. Ends when it can never be read."""
         if (
             self._output is None
         ):  # closed by who started us: its number may be another file's by now

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One datagram of JSON for each sample. Whether anybody listens is not known and not asked."""
+"""One datagram of JSON for each sample. Whether a program listens is not known and not checked."""
 
 from __future__ import annotations
 

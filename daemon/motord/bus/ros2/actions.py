@@ -2,7 +2,7 @@
 """A ROS 2 action's server: two services and a topic of its own, cancelling, and the goals' states
 (design.ros2.org, "Actions"; rcl_action). What a goal does is not known here.
 
-Goals that take turns share a Turn: a new one is refused while another is under way.
+Goals that take turns share a Turn: a new one is refused while another is running.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class ActionServer:
         if number in self._goals:
             return self._no(refused, "a goal of that number is known already")
         if self._turn.holder is not None:
-            return self._no(refused, f"{self._turn.holder} is under way")
+            return self._no(refused, f"{self._turn.holder} is running")
         self._turn.holder = self._name
         try:
             work = await self._accept(request.goal)
@@ -170,7 +170,7 @@ class ActionServer:
         return SimpleNamespace(accepted=True, stamp=_time(goal.stamp_ns))
 
     def _no(self, answer: SimpleNamespace, why: str) -> SimpleNamespace:
-        """The answer has no word for it: the log has, sparing with each reason by itself."""
+        """The answer has no word for it: the log has, rate-limited for each reason by itself."""
         reason = _NUMBER.sub("", why)
         voice = self._voices.setdefault(reason, RateLimitedLog(_log))
         voice.say(f"action {self._name}: refused: {why}")

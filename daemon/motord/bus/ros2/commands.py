@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from motord.config import Ros2Input, ZenohInput
 
 NEWEST = Quality(depth=1, reliable=False)
-"""Hears reliable writers and others; an old command is worth nothing."""
+"""Receives from reliable writers and others; an old command is worth nothing."""
 URGENT_RELIABLE = Quality(alone=False)
 """Beside NEWEST: a reliable writer's word is sent again where the network lost it."""
 

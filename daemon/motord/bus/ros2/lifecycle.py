@@ -3,7 +3,7 @@
 disarmed, active is armed. A fault or an emergency stop is an error, from which no transition leads:
 managers walk transitions by themselves, and a latch is for a person to reset.
 
-The daemon makes its drives ready by itself, so that the node is inactive before anybody asks;
+The daemon makes its drives ready by itself, so that the node is inactive before any request;
 `configure` is taken there too, for managers begin with it. `cleanup` and `shutdown` are the node's
 own: the one holds a disarmed robot's node unconfigured, the other ends its transitions.
 """
@@ -59,7 +59,7 @@ _TRANSITIONS = (
 )
 """Number, label, start, goal, and what the daemon is asked for."""
 _SUCCEEDED, _FAILED = (97, "transition_success"), (99, "transition_error")
-"""Of transitions that nobody can ask for: TRANSITION_CALLBACK_* and rcl_lifecycle's labels."""
+"""Of transitions that cannot be requested: TRANSITION_CALLBACK_* and rcl_lifecycle's labels."""
 LOOK_EVERY_S = 0.1
 SEEN_WITHIN_S = 1.0
 """What the daemon has answered is on the state page by then."""
@@ -95,7 +95,7 @@ class Lifecycle:
             await asyncio.sleep(LOOK_EVERY_S)
 
     def _look(self) -> tuple[int, str]:
-        """The state now; who listens is told of a new one."""
+        """The state now; listeners get a new one."""
         before, self._sent = self._sent, self._now()
         if self._sent != before and UNKNOWN not in (self._sent, before):
             self._events.publish(_event(before, self._sent, _between(before, self._sent)))
@@ -109,7 +109,7 @@ class Lifecycle:
             return UNKNOWN
         machine = _OF_MACHINE.get(state_name(view.snapshot), UNKNOWN)
         if machine == ACTIVE:
-            self._held = None  # somebody else has armed the robot
+            self._held = None  # another client has armed the robot
         return self._held if self._held and machine == INACTIVE else machine
 
     async def _get(self, _: SimpleNamespace) -> SimpleNamespace:
@@ -170,7 +170,7 @@ class Lifecycle:
 
 
 def _between(before: tuple[int, str], now: tuple[int, str]) -> tuple[int, str]:
-    """The transition that was walked, whoever walked it."""
+    """The transition that was walked, by whatever cause."""
     for number, label, start, goal, _ in _TRANSITIONS:
         if (start, goal) == (before, now):
             return number, label

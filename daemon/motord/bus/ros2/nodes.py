@@ -46,7 +46,7 @@ class Node(Protocol):
         take: Callable[[SimpleNamespace, float, str], None],
         quality: Quality | None = None,
     ) -> None:
-        """`take` is called for each message, and told how long in s it waited on its way, and whose
+        """`take` is called with each message, how long in s it waited on its way, and whose
         it is."""
         ...
 

@@ -17,9 +17,9 @@ class Quality:
     depth: int = 10
     reliable: bool = True
     latched: bool = False
-    """TRANSIENT_LOCAL: who comes later is told the newest, too."""
+    """TRANSIENT_LOCAL: a later reader gets the newest, too."""
     alone: bool = True
-    """False: another endpoint beside it serves whom this one does not go with."""
+    """False: another endpoint beside it serves those that this one does not match."""
 
 
 _LATCHED = Quality(depth=1, latched=True)
@@ -32,5 +32,5 @@ _OFFERED = {
 
 
 def offered(topic: str) -> Quality:
-    """By whoever publishes that topic of ours."""
+    """By the publisher of that topic of ours."""
     return _OFFERED.get(topic, Quality())

@@ -68,7 +68,7 @@ class Service:
         def type_of(of: str) -> str:
             return f"serviceid={service_id};typehash={type_hash(of)};"
 
-        # The reader last: nobody finds it with one writer.
+        # The reader last: no client finds it with one writer.
         participant.mute_writer(
             names.reply(name), self._reply, quality, f"typehash={type_hash(self._reply)};"
         )
@@ -106,8 +106,8 @@ class Service:
             self.writer.write(bytearray(HEADER + who) + reply[len(HEADER) :])
 
     async def _matched(self, client: int) -> None:
-        """Until the client hears replies: one that was just made may not yet. A client that says no
-        name, or goes, is answered at once."""
+        """Until the client receives replies: one that was just made may not yet. A client that says
+        no name, or goes, is answered at once."""
         name = self._client_id(client)
         if name is None:
             return

@@ -86,7 +86,7 @@ class RosbridgeAdapter:
         return None
 
     async def _send(self) -> None:
-        """Each sample is written once, whoever wants it."""
+        """Each sample is written once, for all clients."""
         async for sample in self._feed:
             wanting = [client for client in self._clients if client.wants(sample.topic.name)]
             if wanting:

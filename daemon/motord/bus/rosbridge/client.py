@@ -43,7 +43,7 @@ class RosbridgeClient:
 
     # ------------------------------------------------------------------------------------- telling
     def wants(self, topic: str) -> bool:
-        """Subscribed to, and not told too short a time ago."""
+        """Subscribed to, and not sent too short a time ago."""
         every_s = self._every_s.get(topic)
         if every_s is None:
             return False

@@ -72,7 +72,11 @@ def _servers_on_every_interface(robot: Robot) -> Iterator[Finding]:
     for table, sections in (("publish", robot.publish), ("input", robot.input)):
         for name, section in sections.items():
             if isinstance(section, AnyServer) and section.host in EVERY_INTERFACE:
-                risk = "who has the token commands" if table == "input" else "anybody can read it"
+                risk = (
+                    "the token is enough to command the robot"
+                    if table == "input"
+                    else "every user can read it"
+                )
                 text = (
                     f"{section.host} is every network interface of this machine, and {risk} from "
                     "there: name one address, or close the port to others in the firewall"
@@ -189,7 +193,7 @@ def _ros2_commands_of_this_machine(robot: Robot) -> Iterator[Finding]:
     """The local socket asks the kernel who calls; DDS has no such question."""
     for path, section in _ros2_nodes(robot):
         if isinstance(section, Ros2Input) and section.discovery == "localhost":
-            text = "every user of this machine may arm and drive by it: DDS asks nobody who he is"
+            text = "every user of this machine can arm and drive by it: DDS does not authenticate"
             yield Finding(((*path, "kind"), (*path, "discovery")), text, warning=True)
 
 
@@ -209,7 +213,8 @@ def _ros2_domains(robot: Robot) -> Iterator[Finding]:
         before, first = domains.setdefault(section.domain_id, (path, section))
         for key in ("discovery", "interface", "distribution"):
             if getattr(section, key) != getattr(first, key):
-                text = f"a domain is reached in one way: {'.'.join(map(str, before))} says another"
+                other = ".".join(map(str, before))
+                text = f"a domain has one configuration: {other} has another"
                 yield Finding(((*path, key), (*before, key)), text)
 
 
@@ -234,7 +239,10 @@ def _zenoh_commands_are_meant(robot: Robot) -> Iterator[Finding]:
         if not isinstance(section, ZenohInput):
             continue
         if not section.trust_router:
-            text = "all whom the router lets in could move the robot: trust_router = true, if meant"
+            text = (
+                "every client of the router could move the robot: set trust_router = true if you "
+                "mean that"
+            )
             yield Finding(((*path, "trust_router"), (*path, "router")), text)
         if section.router_host not in LOOPBACK and not section.encrypted:
             text = f"commands by {section.router_host} would cross the network unprotected: tls/"
@@ -255,7 +263,7 @@ def _zenoh_routers(robot: Robot) -> Iterator[Finding]:
         before, first = routers.setdefault(node, (path, section))
         for key in (*keys, "distribution"):
             if getattr(section, key) != getattr(first, key):
-                text = f"a node has one router: {'.'.join(map(str, before))} says another"
+                text = f"a node has one router: {'.'.join(map(str, before))} has another"
                 yield Finding(((*path, key), (*before, key)), text)
 
 

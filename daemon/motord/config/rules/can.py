@@ -18,7 +18,7 @@ from motord_hal.fieldbus.ports import JointSpec, LineSpec
 
 LOAD_MAX = 1.0
 LOAD_WARNING = 0.8
-"""Above it, frames of low priority wait long: they go only when nobody else wants to send."""
+"""Above it, frames of low priority wait long: they go only when no other node sends."""
 _BITRATES = (125_000, 250_000, 500_000, 800_000, 1_000_000)
 
 
@@ -87,7 +87,7 @@ def _times(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _cycles(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """A drive that interpolates between set-points is told how far apart they are."""
+    """A drive that interpolates between set-points must know how far apart they are."""
     for name, joint in robot.joint.items():
         line, profile = robot.line[joint.line], profiles[joint.drive]
         if not isinstance(line, CanLine):
@@ -120,9 +120,9 @@ def _counts(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """The watchdog that somebody has set with the maker's tool. motord cannot read it, but it
+    """The watchdog that was set with the maker's tool. motord cannot read it, but it
     counts on safety.drive_watchdog_s: for so long a wheel may go on when motord dies, and a drive
-    that was told nothing for so long has stopped itself."""
+    that got nothing for so long has stopped itself."""
     wanted_s = robot.safety.drive_watchdog_s
     for name, joint in robot.joint.items():
         own_s, line = joint.drive_watchdog_s, robot.line[joint.line]

@@ -5,25 +5,25 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from motord.config.drives.load import find_profile, is_file_name, list_profiles, load_profile
 from motord.config.finding import Finding
 from motord.config.rules.bus import BUS_RULES
 from motord.config.rules.drive import drive_rules
 from motord.config.rules.line import LINE_RULES
 from motord.config.rules.robot import ROBOT_RULES
 from motord.config.sections.model import Joint, Robot
-from motord.config.sections.wheels import Profiles, profile_of
+from motord.config.sections.wheels import Profiles, encoders_of
 from motord_hal.base.errors import ProfileError
 from motord_hal.base.nearest import nearest
-from motord_hal.drives.load import is_file_name, list_profiles
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.modbus.codec import UNIT_MAX
 
 _REFERENCES = (("line",), ("drive",), ("channel",), ("unit",))
 
 
-def findings(robot: Robot) -> list[Finding]:
-    """Everything that does not fit together. Rules that need drives are asked about the joints that
-    have a line, a drive, an address and a channel."""
+def findings(robot: Robot) -> tuple[list[Finding], Profiles]:
+    """Everything that does not fit together, and the profiles of the drives. Rules that need drives
+    are asked about the joints that have a line, a drive, an address and a channel."""
     found = [hit for rule in (*ROBOT_RULES, *LINE_RULES, *BUS_RULES) for hit in rule(robot)]
     profiles, wrong = _profiles(robot)
     found += wrong
@@ -32,7 +32,7 @@ def findings(robot: Robot) -> list[Finding]:
     if joints:
         rest = robot.model_copy(update={"joint": joints})
         found += [hit for rule in drive_rules(rest) for hit in rule(rest, profiles)]
-    return found
+    return found, profiles
 
 
 def _profiles(robot: Robot) -> tuple[Profiles, list[Finding]]:
@@ -47,7 +47,7 @@ def _profiles(robot: Robot) -> tuple[Profiles, list[Finding]]:
             wrong.append(Finding((path,), f'there is no drive profile "{joint.drive}" ({hint})'))
             continue
         try:
-            profiles[joint.drive] = profile_of(robot, joint.drive)
+            profiles[joint.drive] = _profile(robot, joint.drive)
         except ProfileError as error:
             first, *more = str(error).splitlines()
             text = f"{first}{f' (and {len(more)} more)' if more else ''}"
@@ -60,6 +60,17 @@ def _profiles(robot: Robot) -> tuple[Profiles, list[Finding]]:
             wrong.append(Finding((("joint", name, "channel"), path), text))
         wrong += _address(name, joint, profiles[joint.drive])
     return profiles, wrong
+
+
+def _profile(robot: Robot, drive: str) -> DriveProfile:
+    """By name, or by path from the robot file's folder, for the encoders that its joints have.
+    Raises ProfileError."""
+    file = robot.path.parent / drive
+    profile = load_profile(file) if is_file_name(drive) else find_profile(drive)
+    encoders = encoders_of(robot, drive, profile)
+    if len(encoders) == 1 and profile.counts_per_turn not in encoders:
+        return load_profile(profile.path, encoders.pop())
+    return profile
 
 
 def _address(name: str, joint: Joint, profile: DriveProfile) -> Iterator[Finding]:

@@ -163,7 +163,7 @@ def _counter(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         elif not counts_per_turn(joint, profile) and joint.drive not in reported:
             reported.add(joint.drive)
             measures = profile.channels[joint.channel].velocity is not None
-            source = "the measured speed" if measures else "what the wheel was told"
+            source = "the measured speed" if measures else "the wheel's set-point"
             text = f"without a position counter: odometry comes from {source}, and is less exact"
             yield Finding((drive, path), text, warning=True)
 
@@ -258,7 +258,7 @@ def _times(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _budget(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """Rates that somebody asked for and the wire cannot carry are an error, defaults are not."""
+    """Rates that the file sets and the wire cannot carry are an error, defaults are not."""
     for spec in line_specs(robot, profiles):
         if not spec.joints or spec.kind == "can":
             continue

@@ -74,7 +74,7 @@ def _encoders(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
                 yield from _edges(line, joint, encoder)
             if robot.joint[joint.name].counts_per_turn is not None:
                 path: Path = ("joint", joint.name, "counts_per_turn")
-                yield Finding((path, at), "is that of the encoder: say it there")
+                yield Finding((path, at), "belongs to the encoder: set it there")
 
 
 def _edges(line: PwmLine, joint: JointSpec, encoder: GpioEncoder) -> Iterator[Finding]:

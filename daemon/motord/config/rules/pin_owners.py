@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every pin that a robot file names, whoever wants it: no pin may serve two of them."""
+"""Every pin that a robot file names, with its users: no pin may serve two of them."""
 
 from __future__ import annotations
 

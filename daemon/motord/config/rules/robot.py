@@ -79,7 +79,7 @@ def _slip_factor(robot: Robot) -> Iterator[Finding]:
 
 
 def _geometry(robot: Robot) -> Iterator[Finding]:
-    """A base of another size than it is drives at another speed than it is told."""
+    """A base of another size than it is drives at another speed than its set-point."""
     base = robot.base
     radii: list[tuple[Path, float]] = [(("base", "wheel_radius_m"), base.wheel_radius_m)]
     radii += [

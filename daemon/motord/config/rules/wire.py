@@ -26,11 +26,11 @@ _WORTH_SAYING = 1.02
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """What a line needs of its wire at the wished rates, with one acyclic exchange a cycle."""
+    """What a line needs of its wire at the requested rates, with one acyclic exchange a cycle."""
 
     drives: int
     cycle_hz: float
-    """The highest wished rate."""
+    """The highest requested rate."""
     share: float
     """Of the time; 1: all of it."""
 

@@ -44,7 +44,7 @@ Reading = Annotated[str, Field(pattern=r"^[^.\s]+\.[^.\s]+$")]
 
 
 class DrivesBattery(Battery):
-    """The supply voltage that the drives measure: the lowest one of those that are heard; and what
+    """The supply voltage that the drives measure: the lowest one of those that respond; and what
     registers of theirs, or fields of a board, say of the pack itself."""
 
     source: Literal["drives"]

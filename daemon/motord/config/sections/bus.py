@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Buses of the robot file: who is told, and who may command. One section a kind."""
+"""Buses of the robot file: where the state goes, and where commands come from. One section a
+kind."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
 class Publish(Section):
-    """Who is told how the robot does."""
+    """Where the robot's state goes."""
 
     rate_hz: float = number("samples a second at most", 0.01, 1000, "Hz", 10.0)
 
@@ -54,7 +55,7 @@ class UdpPublish(Publish):
 
 
 class BusPublish(Publish):
-    """Who is told by the second process, topic by topic."""
+    """Where the second process publishes, topic by topic."""
 
     topics: tuple[Topic, ...] = Field(default=ALL_TOPICS, strict=False)
     """What is published: all, unless topics are named."""
@@ -198,8 +199,8 @@ class FoxglovePublish(FoxgloveServer):
 
 
 class FoxgloveInput(TokenInput, FoxgloveServer):
-    """A WebSocket to which Foxglove connects: it tells whoever connects, and obeys who shows the
-    token to its service authorize, or in the command itself."""
+    """A WebSocket to which Foxglove connects: it publishes to every client, and obeys those with
+    the token to its service authorize, or in the command itself."""
 
     kind: Literal["foxglove"]
 
@@ -231,7 +232,7 @@ class JoystickInput(BusInput):
     dead_man: str = Field(default="BTN_TL", pattern=r"^BTN_[A-Z0-9_]+$")
     """Button to be held, by the kernel's name."""
     estop_button: str | None = Field(default=None, pattern=r"^BTN_[A-Z0-9_]+$")
-    """Button that is an emergency stop, whoever commands and whatever else is held."""
+    """Button that is an emergency stop, whatever source commands and whatever else is held."""
     linear_axis: str = Field(default="ABS_Y", pattern=r"^ABS_[A-Z0-9_]+$")
     """Axis of the speed: away from you is forward."""
     angular_axis: str = Field(default="ABS_X", pattern=r"^ABS_[A-Z0-9_]+$")
@@ -249,7 +250,7 @@ RosName = Annotated[str, Field(pattern=_ROS_NAME, max_length=200)]
 class RosNode(Section):
     """Which node we are. Sections that say the same are one node."""
 
-    domain_id: int = number("ROS_DOMAIN_ID of those who are to see us", 0, 232, "1", 0)
+    domain_id: int = number("ROS_DOMAIN_ID of the nodes that are to see motord", 0, 232, "1", 0)
     namespace: str = Field(default="/", pattern=r"^/([A-Za-z]\w*(/[A-Za-z]\w*)*)?$")
     """Goes before the name of every topic and service."""
     node_name: str = Field(default="motord", pattern=r"^[A-Za-z]\w*$")
@@ -336,8 +337,8 @@ class Ros2Input(StampedInput, Ros2Node):
 
     kind: Literal["ros2"]
     trust_network: bool = False
-    """DDS asks nobody who he is: with discovery subnet, whoever reaches the domain may move the
-    robot. It has to be said that this is meant."""
+    """DDS does not authenticate: with discovery subnet, all that reach the domain may move the
+    robot. Set it to confirm that this is meant."""
 
 
 class ZenohInput(StampedInput, ZenohNode):
@@ -345,8 +346,8 @@ class ZenohInput(StampedInput, ZenohNode):
 
     kind: Literal["ros2-zenoh"]
     trust_router: bool = False
-    """Whoever the router lets in may move the robot, also when it is on this machine: it listens to
-    the network unless it is told not to. It has to be said that this is meant."""
+    """Every client that the router admits may move the robot, also when it is on this machine: it
+    listens to the network by default. Set it to confirm that this is meant."""
 
 
 class RclpyInput(BusInput):
@@ -355,8 +356,8 @@ class RclpyInput(BusInput):
 
     kind: Literal["ros2-rclpy"]
     trust_network: bool = False
-    """ROS 2 asks nobody who he is: whoever reaches the bridge's domain may move the robot. It has
-    to be said that this is meant."""
+    """ROS 2 does not authenticate: all that reach the bridge's domain may move the robot. Set
+    it to confirm that this is meant."""
 
 
 class OtherPublish(BusPublish):
@@ -366,7 +367,7 @@ class OtherPublish(BusPublish):
     adapter: str = Field(min_length=1)
     """Name of the entry point."""
     options: dict[str, Any] = Field(default_factory=dict)
-    """What the adapter is told; it checks that itself."""
+    """Options of the adapter, which checks them itself."""
 
 
 class OtherInput(BusInput):
@@ -376,4 +377,4 @@ class OtherInput(BusInput):
     adapter: str = Field(min_length=1)
     """Name of the entry point."""
     options: dict[str, Any] = Field(default_factory=dict)
-    """What the adapter is told; it checks that itself."""
+    """Options of the adapter, which checks them itself."""

@@ -19,7 +19,7 @@ class Imu(Section):
     forward: Axis = "x"
     """The sensor's axis that points forward."""
     timeout_s: float = number(
-        "a sample older than this says nothing: the wheels give the heading", 0.005, 1, "s", 0.1
+        "a sample older than this is not used: the wheels give the heading", 0.005, 1, "s", 0.1
     )
     bias_max_rad_s: float = number(
         "greatest zero-rate offset that is believed", 0.001, 2, "rad/s", 0.5

@@ -52,7 +52,7 @@ class SerialLine(Line):
     direction_gpio_line: str | None = None
     """The GPIO line's name, or its number on the chip."""
     echo: Literal["auto", "yes", "no"] = "auto"
-    """Whether the adapter hears what it says itself; auto: found out after opening."""
+    """Whether the adapter receives what it sends itself; auto: found out after opening."""
     priority: int = number(
         "SCHED_FIFO priority of the line's thread, below the loop's; 0: ordinary scheduling",
         0,
@@ -215,7 +215,7 @@ class PwmLine(Section):
     software_pwm: bool = False
     """A PWM chip will do whose pulses the kernel makes by timer interrupts (pwm-gpio)."""
     pwm_hz: float | None = number(
-        "carrier; as each bridge's profile says where it is not given", 10, 1_000_000, "Hz", None
+        "carrier frequency; if left out, that of each bridge's profile", 10, 1_000_000, "Hz", None
     )
     cycle_hz: float = number("writes a second at most", 10, 1000, "Hz", 200.0)
     engine: Literal["auto", "rt"] = "auto"

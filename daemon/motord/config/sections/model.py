@@ -9,9 +9,11 @@ on the slow and careful side.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+import pickle
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from motord.config.problems import Problem
 from motord.config.sections.battery import DrivesBattery, InaBattery
@@ -45,6 +47,10 @@ from motord.config.sections.section import Field, Name, PrivateAttr, Section, nu
 from motord.config.sections.speed_loop import SpeedLoop
 from motord_hal.fieldbus.ports import REST_VELOCITY_RAD_S
 
+if TYPE_CHECKING:
+    from motord_hal.drives.profile import DriveProfile
+
+_NONE: Mapping[str, DriveProfile] = MappingProxyType({})
 StopAction = Literal["ramp", "brake", "hold", "coast"]
 
 
@@ -191,8 +197,9 @@ class Safety(Section):
     watchdog: WatchdogOutput | None = None
     feedback: FeedbackChecks = Field(default_factory=FeedbackChecks)
     on_battery_critical: Literal["none", "stop"] = "none"
-    """What a critical battery does: "none" says it, "stop" stops the robot by on_fault and lets
-    nobody arm. "none" is the default because a robot that still drives can drive to its charger."""
+    """What a critical battery does: "none" reports it, "stop" stops the robot by on_fault and lets
+    no client arm. "none" is the default because a robot that still drives can drive to its
+    charger."""
 
 
 class Odometry(Section):
@@ -379,6 +386,8 @@ class Robot(Section):
     _text: str = PrivateAttr("")
     _overrides: tuple[str, ...] = PrivateAttr(())
     _warnings: tuple[Problem, ...] = PrivateAttr(())
+    _profiles: bytes = PrivateAttr(b"")
+    """Pickled: motord-bus has the robot too, and must not load what knows drives."""
 
     @property
     def path(self) -> Path:
@@ -420,7 +429,7 @@ class Robot(Section):
 
     @property
     def has_bus(self) -> bool:
-        """Somebody is told, or may command, by the second process."""
+        """Whether the second process has anything to publish or to take commands from."""
         inputs = any(
             isinstance(section, BusInput) and not isinstance(section, RclpyInput)
             for section in self.input.values()
@@ -430,7 +439,7 @@ class Robot(Section):
 
     @property
     def has_journal(self) -> bool:
-        """Somebody records what goes into the core."""
+        """Whether what goes into the core is recorded."""
         return any(
             isinstance(section, McapPublish) and section.journal
             for section in self.publish.values()
@@ -442,12 +451,20 @@ class Robot(Section):
         text: str = "",
         warnings: Iterable[Problem] = (),
         overrides: Iterable[str] = (),
+        profiles: Mapping[str, DriveProfile] = _NONE,
     ) -> Robot:
-        """Note the file, what was in it, what deserves a look there, and its --set options; returns
-        self."""
+        """Note the file, what was in it, what deserves a look there, its --set options, and the
+        profiles of its drives; returns self."""
         self._path, self._text = path, text
         self._warnings, self._overrides = tuple(warnings), tuple(overrides)
+        self._profiles = pickle.dumps(dict(profiles))
         return self
+
+    @property
+    def profiles(self) -> dict[str, DriveProfile]:
+        """The profiles of its drives, by the name that the file gives them."""
+        found: dict[str, DriveProfile] = pickle.loads(self._profiles)
+        return found
 
     def wheel_radius_m(self, joint: str) -> float:
         """A joint's own radius, else the base's."""

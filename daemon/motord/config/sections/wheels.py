@@ -7,22 +7,10 @@ import math
 from collections.abc import Mapping
 
 from motord.config.sections.model import Joint, Robot
-from motord_hal.drives.load import find_profile, is_file_name, load_profile
 from motord_hal.drives.profile import DriveProfile, Register
 
 Profiles = Mapping[str, DriveProfile]
 """By the drive's name as the robot file writes it."""
-
-
-def profile_of(robot: Robot, drive: str) -> DriveProfile:
-    """The profile by name, or by path from the robot file's folder, for the encoders that its
-    joints have. Raises ProfileError."""
-    file = robot.path.parent / drive
-    profile = load_profile(file) if is_file_name(drive) else find_profile(drive)
-    encoders = encoders_of(robot, drive, profile)
-    if len(encoders) == 1 and profile.counts_per_turn not in encoders:
-        return load_profile(profile.path, encoders.pop())
-    return profile
 
 
 def encoders_of(robot: Robot, drive: str, profile: DriveProfile) -> set[int]:

@@ -18,7 +18,7 @@ from motord.tools.latency.report import Bar, Spread
 from motord_hal.base.clock import within
 
 HISTOGRAM_US = 20_000
-"""Later than this is counted as overflow, and told as the maximum."""
+"""Later than this is counted as overflow, and given as the maximum."""
 END_DEADLINE_S = 5.0
 
 
@@ -76,7 +76,7 @@ class Beside:
             async with within(END_DEADLINE_S):
                 out, err = await self._process.communicate()
         except TimeoutError:
-            return CyclictestResult(None, (), "cyclictest did not end when it was asked to")
+            return CyclictestResult(None, (), "cyclictest did not end when it was stopped")
         try:
             spread_us, histogram = parse(out.decode(errors="replace"))
         except CyclictestError as error:

@@ -236,7 +236,7 @@ class Run:
 
 @contextlib.contextmanager
 def asked_to_end() -> Iterator[asyncio.Event]:
-    """Set by SIGINT and SIGTERM; outside the main thread, where signals do not come, by nobody."""
+    """Set by SIGINT and SIGTERM; never outside the main thread, where signals do not come."""
     asked = asyncio.Event()
     if threading.current_thread() is not threading.main_thread():
         yield asked

@@ -30,7 +30,7 @@ CODES = 250
 
 class Tally:
     """Nanoseconds, counted in 64 steps an octave: a run of a day takes no more memory than one of a
-    minute. A value is told as its step's upper end, at most 1.6 % too high; the maximum is exact.
+    minute. A value is given as its step's upper end, at most 1.6 % too high; the maximum is exact.
     """
 
     def __init__(self) -> None:

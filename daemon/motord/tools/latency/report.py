@@ -46,7 +46,7 @@ class Spread:
     @classmethod
     def of_counts(cls, counts: Mapping[int, int], samples: int, maximum: float) -> Spread:
         """From how often each value was seen. `samples` may be more than were counted: the rest is
-        beyond, up to `maximum`. No percentile is told above it."""
+        beyond, up to `maximum`. No percentile is above it."""
         if samples == 0:
             return NOTHING
         p50, p99, p99_9 = (

@@ -21,7 +21,7 @@ START_GRACE_S = 2.5
 
 
 class BoardRtDrive(RtDrive):
-    """The one drive of its line. Presence is judged by what C has heard."""
+    """The one drive of its line. Presence is judged by what C has received."""
 
     def __init__(
         self,

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Jobs of a board whose cycle runs in C: what is written stays in every frame, and what is waited
-for is in what the board says after it has heard that."""
+for is in what the board sends after it has received that."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SEEN_WITHIN_S = 1.0
 WAIT_LEAST_S = 0.25
 """For a step that waits: a frame there and one back, also where the profile gives it no time."""
 ARM = "arm"
-"""Of this job nothing is written any more once the board was told to stop."""
+"""Of this job nothing is written any more once a stop was sent to the board."""
 
 
 class BoardJobs:
@@ -46,7 +46,7 @@ class BoardJobs:
         return self._period_s + SENT_WITHIN_S
 
     def value(self, register: str) -> int | None:
-        """The newest raw value; None: it is not heard."""
+        """The newest raw value; None: the board is silent."""
         return self._layout.raw(register, self._drive_report().payload)
 
     async def run(
@@ -92,7 +92,7 @@ class BoardJobs:
         raise NoReply(f"{self._name}: {name}: not written: stopped, or the port takes no bytes")
 
     async def _wait_for(self, name: str, step: Step, check: Check) -> None:
-        """Until a word that was said after it had heard all that was written says so."""
+        """Until a word that was sent after it had received all that was written shows it."""
         until_s = now_s() + max(step.within_s, WAIT_LEAST_S)
         while True:
             report = self._drive_report()

@@ -56,7 +56,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
 
     def stats(self) -> LineStats:
         """As ports.Line.stats, to this moment. An exchange is a feedback; a round trip is from
-        set-points to the feedback that says that they were heard, without the time that the board
+        set-points to the feedback that acknowledges them, without the time that the board
         kept it."""
         stats = LineStats(
             exchanges=self._exchanges,

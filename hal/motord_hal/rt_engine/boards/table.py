@@ -34,7 +34,7 @@ _U32 = 0xFFFF_FFFF
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where registers stand in what the board is told, and in what it says."""
+    """Where registers stand in what goes to the board, and in what it sends."""
 
     sent: Mapping[str, Plain]
     reported: Mapping[str, Plain]

@@ -23,7 +23,7 @@ ORDER_WITHIN_S = 0.5
 """So long a frame may wait while the bus takes nothing."""
 SEEN_WITHIN_S = 1.0
 ARM = "arm"
-"""Of this job nothing is sent any more once the drive was told to stop."""
+"""Of this job nothing is sent any more once a stop was sent to the drive."""
 
 
 class CanJobs:

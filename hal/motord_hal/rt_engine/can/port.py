@@ -27,7 +27,7 @@ _ERRORS_ALL = 0x1FFF_FFFF
 def open_socket(
     address: str, identifiers: Iterable[tuple[int, bool]], *, fd_frames: bool
 ) -> socket.socket:
-    """Not blocking, heard by who is on the bus from now on; SocketCAN's hears frames of its own,
+    """Not blocking, on the bus from now on; SocketCAN's receives frames of its own,
     too, when they have left. Raises PortError."""
     interface, channel = split_address(address)
     try:

@@ -23,7 +23,7 @@ from motord_hal.realtime.table import FieldKind
 from motord_hal.rt_engine.decoding import harmless_words, setpoint_scale, sources_of
 
 SAMPLE_PART = 0.5
-"""As of the asyncio engine: measurements that the bus has bunched are told apart by this part of
+"""As of the asyncio engine: measurements that the bus has bunched are kept apart by this part of
 their period."""
 _NS_PER_S = 1e9
 _U32 = 0xFFFF_FFFF

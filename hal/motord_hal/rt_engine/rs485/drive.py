@@ -29,7 +29,7 @@ from motord_hal.rt_engine.rs485.request_queue import Check, exception_text
 RETRY_FIRST_S = 0.1
 RETRY_LIMIT_S = 2.0
 OBEYED_WITHIN_S = 1.0
-"""C obeys or refuses a request within milliseconds; asyncio may hear of it later."""
+"""C obeys or refuses a request within milliseconds; asyncio may learn of it later."""
 
 _STATES = MappingProxyType(
     {
@@ -64,7 +64,7 @@ class AnyDriveReport(Protocol):
     def cycles(self) -> int: ...
     @property
     def stop_waits(self) -> bool:
-        """It has not been told, or has not acknowledged, all of its newest stop."""
+        """It has not got, or has not acknowledged, all of its newest stop."""
         ...
 
 
@@ -117,9 +117,9 @@ class RtDrive(abc.ABC):
         self._failed_setup = False
         self._reported_unresponsive = False
         self.stops = 0
-        """How often it was told to stand down: an arming that began before is over."""
+        """How often it was stood down: an arming that began before is over."""
         self._standing_down = 0
-        """The request by which it was told so last."""
+        """The last request that did so."""
         self._powering_off: asyncio.Future[None] | None = None
 
     def __str__(self) -> str:
@@ -158,7 +158,7 @@ class RtDrive(abc.ABC):
 
     @property
     def is_stopping(self) -> bool:
-        """A quick stop was told, and the wheel has not been seen at rest since."""
+        """A quick stop was sent, and the wheel has not been seen at rest since."""
         return self._report is not None and self._report.stopping
 
     def lose(self, error: HalError) -> None:
@@ -217,7 +217,7 @@ class RtDrive(abc.ABC):
             await asyncio.sleep(self._backoff.next_s())
 
     async def keep_powered_off(self) -> None:
-        """Whenever it has been told to stand down: power off, ahead of all other requests. For
+        """Whenever it has been stood down: power off, ahead of all other requests. For
         ever."""
         while True:
             await self._notifier.until(lambda: self._powering_off is not None)
@@ -237,7 +237,7 @@ class RtDrive(abc.ABC):
             future.set_result(None)
         else:
             future.set_exception(error)
-            future.exception()  # nobody may be waiting for it
+            future.exception()  # no caller may be waiting for it
 
     async def _obeyed(self, request: int) -> None:
         """Until C has seen it: then it is obeyed, or refused. Raises HalError."""
@@ -249,7 +249,7 @@ class RtDrive(abc.ABC):
         except TimeoutError:
             raise HalError(f"{self}: the line's thread does not answer") from None
 
-    # --------------------------------------------------------------------------- what it is told
+    # -------------------------------------------------------------------------- what is sent to it
     def stand_down(self) -> asyncio.Future[None]:
         """Zero from now on, and no arming goes on; then power off. The future is shared: who waits
         for it shields it."""
@@ -279,7 +279,7 @@ class RtDrive(abc.ABC):
         check()
 
     async def go(self, began: int) -> None:
-        """The second half: from now on it is told the core's set-points. Raises HalError."""
+        """The second half: from now on it gets the core's set-points. Raises HalError."""
         self._check_arming(began, Mode.READY)
         await self._obeyed(self._thread.request_mode(self._index, Mode.ARMED))
         if self.mode is not Mode.ARMED:

@@ -50,7 +50,7 @@ class DriveFrames(Protocol):
         ...
 
     def broadcasts(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:
-        """The same to all units at once; nobody answers. Empty: the protocol has no such thing."""
+        """The same to all units at once; no unit answers. Empty: the protocol has no such thing."""
         ...
 
     def read(self, name: str) -> LineFrame:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stopping the drives of a serial line that nobody runs, by the line's own thread: gaps, echo and
+"""Stopping the drives of a serial line without a daemon, by the line's own thread: gaps, echo and
 the transceiver's direction are its business."""
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ async def _running(
 async def _attend(
     spec: LineSpec, thread: LineThread, notifier: Notifier, queue: RequestQueue
 ) -> None:
-    """Until the port goes away: then whoever waits for an answer is told."""
+    """Until the port goes away: then every caller that waits gets the error."""
     while (report := thread.report()).running:
         queue.take_answers()
         await notifier.wait()

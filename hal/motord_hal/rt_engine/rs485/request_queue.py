@@ -15,8 +15,8 @@ from motord_hal.realtime.line import Answer, AnswerKind, LineRequest, LineThread
 from motord_hal.realtime.table import LineFrame
 
 ANSWER_ALLOWANCE_S = 1.0
-"""Whoever waits for an answer waits so much longer than the line may take: the event loop may be
-late."""
+"""A caller that waits for an answer waits so much longer than the line may take: the event loop may
+be late."""
 
 Check = Callable[[], None]
 """Raises HalError where a request must not be made any more."""
@@ -137,7 +137,7 @@ class RequestQueue:
                 future.set_result(answer)
 
     def lose(self, error: HalError) -> None:
-        """The line is gone: nobody is answered any more."""
+        """The line is gone: no caller gets an answer any more."""
         for future in self._waiting.values():
             future.set_exception(error)
             future.exception()  # its caller may have gone

@@ -20,7 +20,7 @@ _WORD_BYTES = 2
 
 
 def packet_frame(request: Request) -> LineFrame:
-    """A packet with what its answer must look like: it names nobody, so it is all that comes."""
+    """A packet with what its answer must look like: it names no unit, so it is all that comes."""
     reads = request.function is Function.READ_HOLDING
     return LineFrame(
         request=codec.build(request),

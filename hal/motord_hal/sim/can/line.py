@@ -134,7 +134,7 @@ class SimulatedCanLine:
         self.counters.unanswered += not known
 
     def _execute(self, unit: int, frame: Frame, message: can.Message, now_s: float) -> bool:
-        """Whether the drive has heard and understood it."""
+        """Whether the drive has received and understood it."""
         drive = self.drives[unit]
         if not drive.on or self._script.silent(unit, now_s):
             return False

@@ -25,7 +25,7 @@ class BusSettings:
 
 
 def free_address() -> str:
-    """A bus of UDP datagrams on this machine that nobody else is on."""
+    """A bus of UDP datagrams on this machine, without other users."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))
         return f"udp_multicast:{GROUP}:{probe.getsockname()[1]}"

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A CAN bus on this machine without CAN in the kernel: a SOCK_SEQPACKET socket at a path, whose
-datagrams are struct can_frame and canfd_frame (linux/can.h). Who made it hears all; what one says
-all others hear. Nothing waits: a reader whose buffer is full loses the frame, as on a bus.
+datagrams are struct can_frame and canfd_frame (linux/can.h). Its maker receives all; what one
+sends, all others receive. Nothing waits: a reader whose buffer is full loses the frame, as on a
+bus.
 
 One thread receives, any number send, any may close. A socket is closed under the lock that its
-users hold, so nobody ever uses a closed descriptor, or one that another file has got since."""
+users hold, so no thread ever uses a closed descriptor, or one that another file has got since."""
 
 from __future__ import annotations
 
@@ -115,7 +116,7 @@ class UnixBus(can.BusABC):
             return None
         try:
             message = unpacked(frame, time.time())
-        except struct.error:  # not a frame: nobody on a bus would see it
+        except struct.error:  # not a frame: no node on a bus would see it
             return None
         self._spread(frame, client)
         return message

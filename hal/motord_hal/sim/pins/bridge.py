@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A simulated motor bridge: does at once what its pins say, and for as long as they say it.
 
-No watchdog, no sequences: a bridge has power while its pins give it some, whoever wrote them.
+No watchdog, no sequences: a bridge has power while its pins give it some, whatever wrote them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from motord_hal.sim.plant import Encoder
 from motord_hal.sim.rs485.drive import SimulatedDrive
 
 LEVEL_TOLERANCE = 1e-4
-"""Of a period: channels are told whole nanoseconds, and half of one is less than this up to
+"""Of a period: channels take whole nanoseconds, and half of one is less than this up to
 200 kHz."""
 
 
@@ -41,7 +41,7 @@ def _duty(pins: Mapping[str, tuple[float, float]], levels: Mapping[str, float]) 
 
 
 class SimulatedBridge(SimulatedDrive):
-    """Without power until it is told otherwise."""
+    """Without power until its pins give it some."""
 
     def __init__(
         self,

@@ -17,7 +17,7 @@ from pathlib import Path
 COUNTER_BITS = 16
 """As wide as those of many timers: a run of some minutes goes across the wrap."""
 COUNT_DIGITS = 7
-"""With the newline eight bytes, which are written as one: nobody reads half a number."""
+"""With the newline eight bytes, which are written as one: no reader gets half a number."""
 NUMBER_BYTES = 24
 _CHANNEL = {"period": "0", "duty_cycle": "0", "enable": "0", "polarity": "normal"}
 _COUNT = {
@@ -30,7 +30,7 @@ _COUNT = {
 
 @dataclass(slots=True)
 class _Number:
-    """What somebody else writes into a file."""
+    """What another program writes into a file."""
 
     fd: int
     value: int = 0

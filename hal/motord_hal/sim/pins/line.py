@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A line of simulated motor bridges on the files of a PWM chip, their encoders on those of a
-counter. Files tell nobody that they were written, so they are looked at often."""
+counter. Files do not report that they were written, so they are looked at often."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class PinCounters:
 
 
 class SimulatedPins:
-    """As SimulatedLine. Pulled: the bridges get no pulses, and nobody is told; encoders count."""
+    """As SimulatedLine. Pulled: the bridges get no pulses, without an error; encoders count."""
 
     def __init__(
         self, spec: LineSpec, drives: Mapping[int, SimulatedBridge], port: PinFolder

@@ -13,7 +13,7 @@ FRAME_CONTENT_BYTES = 8
 
 
 class NamedContent:
-    """What a drive's profile lists, by name. A live one is computed when it is told."""
+    """What a drive's profile lists, by name. A live one is computed when it is read."""
 
     def __init__(self, profile: DriveProfile) -> None:
         self._registers = profile.registers

@@ -4,7 +4,7 @@
 The profile's sequences give the control words their meaning: the drive is enabled when the writes
 of `arm` have been made in their order, and not any more after those of `disarm` or `quick_stop`.
 It is as strict as a real one: set-points stay where they were written, also through a disarming, so
-whoever enables it with an old set-point moves the motor.
+a master that enables it with an old set-point moves the motor.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class SimulatedDrive:
 
     # -------------------------------------------------------------------------------- the wire
     def receives(self, now_s: float) -> bool:
-        """False while it stores a setting and listens to nobody."""
+        """False while it stores a setting and does not listen."""
         return self._flash_busy or now_s >= self._flash_until_s
 
     def takes_setting(self) -> bool:
@@ -124,7 +124,7 @@ class SimulatedDrive:
         return taken
 
     def flash(self, until_s: float, *, busy: bool) -> None:
-        """Store a setting until then: deaf, or refusing with exception 6."""
+        """Store a setting until then: without an answer, or refusing with exception 6."""
         self.stats.flashed += 1
         self._flash_until_s, self._flash_busy = until_s, busy
 

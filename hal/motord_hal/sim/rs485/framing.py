@@ -144,7 +144,7 @@ class RoboclawFraming:
 
 
 class Unaddressed:
-    """Of a board alone on its port: nobody else is there, and it refuses nothing."""
+    """Of a board alone on its port: no other unit is there, and it refuses nothing."""
 
     def refusal(self, frame: bytes, code: int) -> bytes:
         del frame, code

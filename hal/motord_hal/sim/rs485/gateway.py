@@ -84,7 +84,7 @@ class GatewayPort(TcpPort):
         return self._begin(self._requests.popleft(), now_s)
 
     def put(self, data: bytes, now_s: float) -> int:
-        """Bytes of the wire; those that nobody has asked for are dropped."""
+        """Bytes of the wire; those that were not requested are dropped."""
         if self._in_progress is None:
             return len(data)
         self._reply += data

@@ -35,7 +35,7 @@ class LineCounters:
     frames: int = 0
     bad_crc: int = 0
     """Frames with a wrong check sum, torn ones, those that ran into each other and those at a baud
-    rate or parity that nobody here is set to."""
+    rate or parity that no unit here is set to."""
     unanswered: int = 0
     """Requests for units that are not on this line, have no power or are silenced."""
     replies: int = 0
@@ -118,7 +118,7 @@ class SimulatedLine:
 
     # ----------------------------------------------------------------------------- from the master
     def _take_in(self, now_s: float, clock: Clock) -> bool:
-        """Whether somebody is connected. Bytes are stamped behind the read, so that a silence is
+        """Whether a master is connected. Bytes are stamped behind the read, so that a silence is
         never measured shorter than it was."""
         data = self.port.take_in(now_s)
         if data is None:
@@ -236,8 +236,8 @@ class SimulatedLine:
         self.counters.replies += 1
 
     def _babble(self, now_s: float, *, connected: bool) -> None:
-        """Bytes out of nothing: the master hears them, and so do the drives while a request comes
-        in."""
+        """Bytes out of nothing: the master receives them, and so do the drives while a request
+        comes in."""
         for fault in self._script.faults:
             if fault.kind != "babble" or now_s < fault.waits_until_s:
                 continue

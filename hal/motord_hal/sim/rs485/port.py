@@ -14,12 +14,12 @@ from types import MappingProxyType
 from typing import Protocol
 
 ABSENT_RETRY_S = 0.005
-"""How often to look whether somebody has opened the port."""
+"""How often to look whether a program has opened the port."""
 
 _RATES = (300, 600, 1200, 2400, 4800, 9600, 19200, 57600, 115200, 230400, 460800, 500000, 576000)
 _FAST_RATES = (921600, 1000000, 1152000, 1500000, 2000000, 2500000, 3000000, 3500000, 4000000)
 _BAUDRATES = MappingProxyType({getattr(termios, f"B{r}"): r for r in (*_RATES, *_FAST_RATES)})
-"""Without 38400, at which a pseudo-terminal stands that nobody has set up."""
+"""Without 38400, at which a pseudo-terminal stands that was never set up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class Port(Protocol):
         """Be there. Raises OSError."""
 
     def pull(self) -> None:
-        """Be gone: whoever is connected is told so."""
+        """Be gone: a connected program gets a hang-up."""
 
     def filenos(self, now_s: float) -> list[int]:
         """What to wait for with select."""
@@ -56,13 +56,13 @@ class Port(Protocol):
         """When `take_in` has to be called without a ready file."""
 
     def take_in(self, now_s: float) -> bytes | None:
-        """What has come; None: nobody is connected (any more)."""
+        """What has come; None: no program is connected (any more)."""
 
     def put(self, data: bytes, now_s: float) -> int:
-        """Send; how many bytes went. What nobody takes is lost, as in a UART's full buffer."""
+        """Send; how many bytes went. What no reader takes is lost, as in a UART's full buffer."""
 
     def settings(self) -> MasterSettings | None:
-        """None: nobody has set them, or there are none."""
+        """None: they were never set, or there are none."""
 
     def hold_reply(self) -> bool:
         """Keep the next reply back until the next request, if the port itself pairs them."""
@@ -94,7 +94,7 @@ class PtyPort:
     def plug(self) -> None:
         """A new pty, and the link to it."""
         if self.link.exists() and not self.link.is_symlink():
-            raise FileExistsError(errno.EEXIST, "is in the way of a line's port", str(self.link))
+            raise FileExistsError(errno.EEXIST, "is in the place of a line's port", str(self.link))
         try:
             self._fd, slave_fd = os.openpty()
         except OSError as error:  # it names no file
@@ -112,7 +112,8 @@ class PtyPort:
         self._absent_until_s = -math.inf
 
     def pull(self) -> None:
-        """The adapter is gone, with its device file: whoever has the port open gets a hang-up."""
+        """The adapter is gone, with its device file: a program that has the port open gets a
+        hang-up."""
         if self._fd is None:
             return
         os.close(self._fd)
@@ -134,7 +135,7 @@ class PtyPort:
             return os.read(self._fd, 4096)
         except BlockingIOError:
             return b""
-        except OSError:  # nobody has the other side open
+        except OSError:  # no program has the other side open
             self._absent_until_s = now_s + ABSENT_RETRY_S
             return None
 

@@ -30,7 +30,7 @@ class Answer:
 
 
 def answer(frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float) -> Answer | None:
-    """What the units do with a whole frame whose CRC is good. None: nobody answers, because it is
+    """What the units do with a whole frame whose CRC is good. None: no unit answers, because it is
     a broadcast or for a unit that is not here or has no power."""
     unit, function = frame[0], frame[1]
     if unit == BROADCAST_UNIT:

@@ -98,6 +98,6 @@ class Wire:
             if upto < len(first.frame):
                 return
             self.lateness.add(clock() - first.starts_s - upto * self.character_s)
-            # Read off before the write: whoever was preempted behind it must accuse nobody.
+            # Read off before the write: being preempted behind it must blame no unit.
             self.free_s = max(self.free_s, now_s)
             self._outgoing.popleft()

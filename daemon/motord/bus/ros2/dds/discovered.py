@@ -75,7 +75,7 @@ class Discovered:
         try:
             found = self._readers[side].take(N=1)
         except DDSException as error:
-            self._voices[side].say(f"DDS does not tell of {side}s: {error.msg}")
+            self._voices[side].say(f"DDS does not report {side}s: {error.msg}")
             return False
         for one in found:
             topic = one.topic_name

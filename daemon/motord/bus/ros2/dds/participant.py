@@ -40,7 +40,7 @@ from motord.bus.ros2.quality import Quality
 
 Discovery = Literal["localhost", "subnet"]
 URI = "CYCLONEDDS_URI"
-"""Cyclone's own configuration, from the environment: with discovery subnet, whoever sets it knows
+"""Cyclone's own configuration, from the environment: with discovery subnet, its author knows
 better than we. It cannot open what the robot file keeps on this machine."""
 BLOCKING_MAX = duration(milliseconds=5)
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
@@ -124,7 +124,8 @@ class Writer:
         return True
 
     def say_mismatch(self) -> None:
-        """A reader that asks for more than this writer offers hears nothing: said once for each."""
+        """A reader that requests more than this writer offers gets nothing: logged once for
+        each."""
         entity: Any = self.entity
         status = entity.get_offered_incompatible_qos_status()
         if status is not None and status.total_count > self._reported:
@@ -181,14 +182,15 @@ class Reader:
                 self._take(raw, info)
 
     def say_mismatch(self) -> None:
-        """A writer that offers less than this reader asks for is not heard: said once for each."""
+        """A writer that offers less than this reader requests does not match: logged once for
+        each."""
         if not self._quality.alone:
             return
         entity: Any = self.entity
         status = entity.get_requested_incompatible_qos_status()
         if status is not None and status.total_count > self._reported:
             self._reported = status.total_count
-            _log.warning(_MISMATCH, self.name, "writer", _policy(status.last_policy_id), "ask for")
+            _log.warning(_MISMATCH, self.name, "writer", _policy(status.last_policy_id), "request")
 
 
 _MISMATCH = "%s: a %s is not served: it does not go with the %s that we %s"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands from DDS to the daemon without Python on their way: the thread of `_motord_bus` waits
 for cmd_vel, judges it as the command gate does, and sends it under the input's lease
-(csrc/bus/bus_receiver.c). Python hears of it afterwards, for the log, the figures and the motions.
+(csrc/bus/bus_receiver.c). Python learns of it afterwards, for the log, the figures and the motions.
 """
 
 from __future__ import annotations

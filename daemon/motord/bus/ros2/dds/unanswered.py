@@ -12,7 +12,7 @@ from motord.base.rate_limited_log import AGAIN_S
 from motord.bus.ros2.senders import unnamed
 
 NAMED_WITHIN_S = 6.0
-"""A node is told in the graph after its endpoints; then it is said without its name."""
+"""A node appears in the graph after its endpoints; until then it is logged without its name."""
 _WAITING_MAX = 64
 _REPORTED_MAX = 256
 _IN_A_LINE = 4

@@ -124,7 +124,7 @@ class Subscription:
         quality: Quality,
         take: Callable[[SimpleNamespace, float, str], None],
     ) -> None:
-        """`take` is told how long in s a message waited on its way, too, and whose it is."""
+        """`take` also gets how long in s a message waited on its way, and whose it is."""
         self._topic, self._kind, self._quality = topic, kind, quality
         self._hand_over = take
         self._inbox: Inbox[tuple[bytes, bytes]] = Inbox(quality.depth, self._take)
@@ -171,7 +171,7 @@ class Subscription:
             return
         try:
             sent = Attachment.decode(attachment)
-        except ValueError:  # ROS 2 did not send it; it is heard all the same
+        except ValueError:  # ROS 2 did not send it; it is taken all the same
             self._hand_over(message, 0.0, "a program that is no ROS 2 node")
             return
         sender = self._names.get(sent.gid) or unnamed(sent.gid)
@@ -228,7 +228,7 @@ class Service:
                 _refuse(query, str(error))
 
     async def _serve(self, query: zenoh.Query) -> None:
-        """Raises ValueError for what no ROS 2 client asks. Somebody who looks at all keys, by a
+        """Raises ValueError for what no ROS 2 client asks. A client that looks at all keys, by a
         wildcard, calls nothing."""
         if str(query.key_expr) != self._key:
             raise ValueError(f"{query.key_expr} is not the key of a request")

@@ -43,7 +43,7 @@ class NodeNames:
         return f"{self._token(number, what)}/{topic_text}"
 
     def any_publisher(self, topic: str) -> str:
-        """The tokens of whoever publishes a topic, of whatever type, as a key expression."""
+        """The tokens of the publishers of a topic, of whatever type, as a key expression."""
         return f"{_SPACE}/{self.domain_id}/*/*/*/{PUBLISHER}/*/*/*/{_mangled(topic)}/*/*/*"
 
     def key(self, topic: str, kind: str) -> str:

@@ -42,7 +42,7 @@ class Router:
     key_file: str | None = None
 
     def configuration(self) -> str:
-        """Of the session, in JSON. It looks for nobody by itself, and stamps messages as those who
+        """Of the session, in JSON. It does not scout by itself, and stamps messages as those who
         ask for latched ones need it."""
         tls_options = {
             "root_ca_certificate": self.ca_file,
@@ -120,7 +120,7 @@ class ZenohNode:
         take: Callable[[SimpleNamespace, float, str], None],
         quality: Quality | None = None,
     ) -> None:
-        """`take` is called for each message, in the event loop, and told how long in s it waited on
+        """`take` is called with each message, in the event loop, and how long in s it waited on
         its way, and whose it is."""
         self.types.add(kind)
         self._endpoints.append(Subscription(self.full(name), kind, quality or Quality(), take))

@@ -5,8 +5,10 @@ from __future__ import annotations
 
 from itertools import combinations
 
+from motord.config.drives.problems import Problems
 from motord_hal.base.nearest import did_you_mean
 from motord_hal.drives.can_profile import (
+    EXTENDED_ID_MAX,
     STANDARD_ID_MAX,
     CanTable,
     Frame,
@@ -15,9 +17,6 @@ from motord_hal.drives.can_profile import (
     signals_of,
 )
 from motord_hal.drives.profile import DriveProfile, Register
-from motord_hal.drives.toml_table import Problems
-
-_EXTENDED_MAX = 0x1FFF_FFFF
 
 
 def check_can(profile: DriveProfile, table: CanTable, problems: Problems) -> None:
@@ -62,7 +61,7 @@ def _same_beginning(one: Frame, other: Frame) -> bool:
 
 def _check_frame(table: CanTable, frame: Frame, problems: Problems) -> None:
     key = f"frame.{frame.name}"
-    most = _EXTENDED_MAX if frame.extended else STANDARD_ID_MAX
+    most = EXTENDED_ID_MAX if frame.extended else STANDARD_ID_MAX
     if frame.identifier(table.node_max) > most:
         problems.add(f"{key}.id", f"with node {table.node_max} it is beyond {most:#x}")
     if len(frame.begins) > frame.size_bytes:
@@ -159,5 +158,6 @@ def _check_presence(profile: DriveProfile, table: CanTable, problems: Problems) 
             problems.add(f"frame.{frame.name}.silence_s", f"is missing: {name} comes in it")
         if not frame.period_s and not frame.ask:
             problems.add(
-                f"frame.{frame.name}", "is neither sent unasked (period_s) nor asked for (ask)"
+                f"frame.{frame.name}",
+                "has neither period_s (the drive sends it) nor ask (motord requests it)",
             )

@@ -11,10 +11,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from motord.config.drives.can_tables import CanFrame, CanSignal, DbcFile
+from motord.config.drives.problems import Problems
+from motord.config.drives.tables import DriveFile
+from motord.config.problems import ConfigError, Problem
+from motord.config.reading import Places
 from motord_hal.base import bounded
-from motord_hal.base.errors import ProfileError
 from motord_hal.base.nearest import did_you_mean
-from motord_hal.drives.toml_table import Problems, Table
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
@@ -50,39 +53,53 @@ _MAY_DIFFER = ("source", "period_s", "minimum", "maximum", "default")
 """What a profile may say otherwise than the file does."""
 
 
-def with_dbc(values: dict[str, Any], path: Path, problems: Problems) -> dict[str, Any]:
-    """The profile with all that its DBC file says of it; without [dbc] as it is. Raises
-    ProfileError with every problem that the two have with each other."""
-    if "dbc" not in values:
-        return values
-    root = Table("", values, problems)
-    dbc, can = root.table("dbc"), root.table("can")
-    file, drive = dbc.text("file"), dbc.text("drive")
-    shift = can.integer("node_shift", 0, 24, 0)
-    node = dbc.integer("node", 0, 255, can.integer("node", 0, 255))
-    dbc.finish()
-    if not problems.rows:
-        reader = _Reader(path.parent / file, drive, problems)
-        whole = {key: value for key, value in values.items() if key != "dbc"}
-        whole["frame"] = reader.frames(root.table("frame"), node, shift)
-        whole["signal"] = reader.signals(root.table("signal"))
+def with_dbc(
+    data: dict[str, Any], profile: DriveFile, path: Path, places: Places
+) -> dict[str, Any]:
+    """The profile's tables with all that its DBC file says of them; without [dbc] as they are.
+    Raises ConfigError with every problem that the two have with each other."""
+    if profile.dbc is None:
+        return data
+    reader = _Reader(path.parent / profile.dbc.file, profile.dbc)
+    if reader.loaded:
+        can = profile.can
+        node = profile.dbc.node
+        node = (can.node if can else 0) if node is None else node
+        shift = can.node_shift if can else 0
+        frames = {
+            name: reader.frame(name, frame, data["frame"][name], node, shift)
+            for name, frame in profile.frames.items()
+        }
+        signals = {
+            name: reader.signal(name, signal, data["signal"][name])
+            for name, signal in profile.signals.items()
+        }
         reader.check_whole()
-    if problems.rows:
-        raise ProfileError("\n".join(dict.fromkeys(problems.rows)))
-    return whole
+        data = {**data, "frame": frames, "signal": signals}
+    if problems := [*reader.of_file, *places.sorted(reader.problems.found, warnings=False)]:
+        raise ConfigError(problems)
+    return data
 
 
 class _Reader:
     """One DBC file, and what of it the profile names."""
 
-    def __init__(self, file: Path, drive: str, problems: Problems) -> None:
-        self._file, self._drive, self._problems = file, drive, problems
+    def __init__(self, file: Path, dbc: DbcFile) -> None:
+        self.problems = Problems()
+        """Of the profile."""
+        self.of_file: list[Problem] = []
+        self._file, self._drive = file, dbc.drive
         self._lines: list[str] = []
         self._messages = self._load()
         self._named: dict[str, Message] = {}
         """Frame of the profile → message."""
         self._mapped: set[tuple[str, str]] = set()
         """(frame, signal in the DBC file)."""
+
+    @property
+    def loaded(self) -> bool:
+        """Whether there is a file to compare the profile with."""
+        return not self.of_file and not self.problems.found
 
     # ------------------------------------------------------------------------------------ the file
     def _load(self) -> dict[str, Message]:
@@ -94,7 +111,7 @@ class _Reader:
                 _ENCODING, errors="replace"
             )
         except OSError as error:
-            self._problems.add("dbc.file", f"{self._file}: cannot be read: {error.strerror}")
+            self.problems.add("dbc.file", f"{self._file}: cannot be read: {error.strerror}")
             return {}
         self._lines = text.splitlines()
         try:
@@ -107,11 +124,11 @@ class _Reader:
         names = [node.name for node in found.nodes]
         if self._drive not in names:
             hint = did_you_mean(self._drive, names) or f"; it has {', '.join(names) or 'none'}"
-            self._problems.add("dbc.drive", f'"{self._drive}" is no node of {self._file}{hint}')
+            self.problems.add("dbc.drive", f'"{self._drive}" is no node of {self._file}{hint}')
         return {message.name: message for message in found.messages}
 
     def _complain(self, line: int, what: str, problem: str) -> None:
-        self._problems.rows.append(f"{self._file}:{line}: {what}: {problem}")
+        self.of_file.append(Problem(str(self._file), line, what, problem))
 
     def _line_of(self, message: str, signal: str = "") -> int:
         """Where the file says it."""
@@ -127,27 +144,22 @@ class _Reader:
         return 1
 
     # ---------------------------------------------------------------------------------- the frames
-    def frames(self, parent: Table, node: int, shift: int) -> dict[str, object]:
-        return {
-            name: self._frame(name, parent.table(name), node, shift)
-            if parent.is_table(name)
-            else None
-            for name in parent
-        }
-
-    def _frame(self, name: str, table: Table, node: int, shift: int) -> dict[str, object]:
-        given = table.without("dbc")
-        if "dbc" not in table:
+    def frame(
+        self, name: str, table: CanFrame, given: Mapping[str, Any], node: int, shift: int
+    ) -> Mapping[str, Any]:
+        """The frame's table: what is `given`, and what the file says."""
+        if table.dbc is None:
             return given
-        message = self._messages.get(self._name(table, self._messages))
+        key = f"frame.{name}"
+        message = self._messages.get(self._known(key, table.dbc, self._messages))
         if message is None or not self._is_simple(message):
             return given
         self._named[name] = message
-        own = table.flag("addressed", default=True)
-        base = message.frame_id - (node << table.integer("node_shift", 0, 24, shift)) * own
+        shift = shift if table.node_shift is None else table.node_shift
+        base = message.frame_id - (node << shift) * table.addressed
         if base < 0:
             problem = f"{message.frame_id:#x} of {message.name} is too small for node {node}"
-            table.complain("dbc", f"{problem}: see node and node_shift")
+            self.problems.add(f"{key}.dbc", f"{problem}: see node and node_shift")
         by_drive = self._drive in message.senders
         found: dict[str, object] = {
             "id": max(base, 0),
@@ -159,7 +171,7 @@ class _Reader:
         }
         if by_drive and message.cycle_time and "ask" not in given:
             found["period_s"] = message.cycle_time / 1000
-        return self._agreed(table, given, found)
+        return self._agreed(key, given, found)
 
     def _is_simple(self, message: Message) -> bool:
         import cantools
@@ -176,37 +188,31 @@ class _Reader:
             return False
         return True
 
-    def _name(self, table: Table, known: Iterable[str]) -> str:
-        """What the table names."""
-        name, known = table.text("dbc"), list(known)
-        if name and name not in known:
+    def _known(self, key: str, name: str, known: Iterable[str]) -> str:
+        """The name; one that is unknown is a problem."""
+        known = list(known)
+        if name not in known:
             hint = did_you_mean(name, known) or f"; there are {', '.join(known) or 'none'}"
-            table.complain("dbc", f'"{name}" is not in {self._file}{hint}')
+            self.problems.add(f"{key}.dbc", f'"{name}" is not in {self._file}{hint}')
         return name
 
     # --------------------------------------------------------------------------------- the signals
-    def signals(self, parent: Table) -> dict[str, object]:
-        return {
-            name: self._signal(parent.table(name)) if parent.is_table(name) else None
-            for name in parent
-        }
-
-    def _signal(self, table: Table) -> dict[str, object]:
-        given = table.without("dbc")
-        if "dbc" not in table:
+    def signal(self, name: str, table: CanSignal, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The signal's table: what is `given`, and what the file says."""
+        if table.dbc is None:
             return given
-        frame = table.text("frame")
+        key, frame = f"signal.{name}", table.frame
         message = self._named.get(frame)
         if message is None:
-            if not self._problems.rows:
-                table.complain("frame", f'"{frame}" is no frame of the DBC file')
+            if self.loaded:
+                self.problems.add(f"{key}.frame", f'"{frame}" is no frame of the DBC file')
             return given
         signals = {one.name: one for one in message.signals}
-        signal = signals.get(self._name(table, signals))
+        signal = signals.get(self._known(key, table.dbc, signals))
         if signal is None or not self._is_sayable(message, signal):
             return given
         self._mapped.add((frame, signal.name))
-        unit, factor = self._unit(table, signal)
+        unit, factor = self._unit(key, given, signal)
         start_bit, big = signal.start, signal.byte_order == "big_endian"
         found: dict[str, object] = {
             "start_bit": 8 * (start_bit // 8) + 7 - start_bit % 8 if big else start_bit,
@@ -222,11 +228,12 @@ class _Reader:
         if by_drive and isinstance(start, int) and not signal.is_float:
             found["default"] = start
         if not by_drive:
-            found |= self._limits(table, given, signal, factor)
+            found |= self._limits(key, given, signal, factor)
             if start and "default" not in given:  # it might be the command that lets the motor run
                 problem = f"is missing: {signal.name} starts with {start} in {self._file.name},"
-                table.complain("default", f"{problem} motord would send 0 until it is written")
-        return self._agreed(table, given, found)
+                problem = f"{problem} motord would send 0 until it is written"
+                self.problems.add(f"{key}.default", problem)
+        return self._agreed(key, given, found)
 
     def _is_sayable(self, message: Message, signal: DbcSignal) -> bool:
         problem = ""
@@ -234,52 +241,58 @@ class _Reader:
             problem = f"{signal.length} bits: motord reads whole numbers of up to 32, and floats"
             problem += " of 32"
         elif not (math.isfinite(signal.scale) and math.isfinite(signal.offset) and signal.scale):
-            problem = f"a scale of {signal.scale} and an offset of {signal.offset} say nothing"
+            problem = f"a scale of {signal.scale} and an offset of {signal.offset} give no value"
         if problem:
             line = self._line_of(message.name, signal.name)
             self._complain(line, f"{message.name}.{signal.name}", problem)
         return not problem
 
-    def _unit(self, table: Table, signal: DbcSignal) -> tuple[str, float]:
+    def _unit(self, key: str, given: Mapping[str, Any], signal: DbcSignal) -> tuple[str, float]:
         """The unit in the words of a profile, and the factor to it. What the profile says holds
         where the file has none, or one that is unknown; electrical turns are turns to a file."""
         text = (signal.unit or "").replace("\u00c2", "").strip()  # a degree sign that was UTF-8
         known = _UNITS.get(text.lower())
-        wanted = table.text("unit", "") if "unit" in table else None
+        wanted: str | None = given.get("unit")
         if wanted is None:
             if known is None:
-                table.complain("unit", f'is missing: "{text}" of {signal.name} is unknown here')
+                self.problems.add(
+                    f"{key}.unit", f'is missing: "{text}" of {signal.name} is unknown here'
+                )
             return known or ("", 1.0)
         if known is None or not text:
             return wanted, 1.0
         if wanted != known[0] and (wanted, known[0]) != ("erpm", "rpm"):
-            table.complain("unit", f'"{wanted}" is not "{text}", as {self._file.name} has it')
+            self.problems.add(
+                f"{key}.unit", f'"{wanted}" is not "{text}", as {self._file.name} has it'
+            )
         return wanted, known[1]
 
     def _limits(
-        self, table: Table, given: Mapping[str, object], signal: DbcSignal, factor: float
+        self, key: str, given: Mapping[str, Any], signal: DbcSignal, factor: float
     ) -> dict[str, object]:
         """What may be sent. The profile may be narrower than the file."""
         found: dict[str, object] = {}
         ends = (("minimum", signal.minimum, 1), ("maximum", signal.maximum, -1))
-        for key, limit, inward in ends:
+        for end, limit, inward in ends:
             if limit is None or not math.isfinite(limit):
                 continue
-            found[key] = limit * factor
-            own = given.get(key)
-            if isinstance(own, int | float) and (own - limit * factor) * inward < 0:
-                table.complain(key, f"{own:g} is beyond the {limit * factor:g} of the DBC file")
+            found[end] = limit * factor
+            own = given.get(end)
+            if own is not None and (own - limit * factor) * inward < 0:
+                problem = f"{own:g} is beyond the {limit * factor:g} of the DBC file"
+                self.problems.add(f"{key}.{end}", problem)
         return found
 
     # ----------------------------------------------------------------------------- what both say
     def _agreed(
-        self, table: Table, given: Mapping[str, object], found: Mapping[str, object]
-    ) -> dict[str, object]:
+        self, key: str, given: Mapping[str, Any], found: Mapping[str, object]
+    ) -> dict[str, Any]:
         """Both together; what is said in both must be the same."""
-        for key, value in found.items():
-            own = given.get(key, value)
-            if key not in _MAY_DIFFER and not _same(own, value):
-                table.complain(key, f"{own!r} is not {value!r}, as {self._file.name} has it")
+        for part, value in found.items():
+            own = given.get(part, value)
+            if part not in _MAY_DIFFER and not _same(own, value):
+                problem = f"{own!r} is not {value!r}, as {self._file.name} has it"
+                self.problems.add(f"{key}.{part}", problem)
         return {**found, **given}
 
     def check_whole(self) -> None:
@@ -290,7 +303,7 @@ class _Reader:
             for signal in message.signals:
                 if (name, signal.name) not in self._mapped:
                     problem = f"{signal.name} of {message.name} has no [signal]: 0 would be sent"
-                    self._problems.add(f"frame.{name}.dbc", problem)
+                    self.problems.add(f"frame.{name}.dbc", problem)
 
 
 def _type_of(signal: DbcSignal) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from itertools import combinations
 
+from motord.config.drives.can_check import check_can
+from motord.config.drives.problems import Problems
 from motord_hal.base.nearest import did_you_mean
-from motord_hal.drives.can_check import check_can
 from motord_hal.drives.profile import Channel, Direction, DriveProfile, Gap, Register, Step
-from motord_hal.drives.toml_table import Problems
 
 _SPEED_UNITS = ("rpm", "rad/s", "turn/s")
 # what a channel's entry must be: units, and whether it is written
@@ -71,7 +71,10 @@ def _check_serial(profile: DriveProfile, problems: Problems) -> None:
         problems.add("serial.gap", "and gap_s exclude each other")
     if profile.protocol == "modbus-rtu":
         if profile.read_write_function and profile.write_function != 16:
-            problems.add("serial.read_write_function", "a drive that has 23 has 16 too: say it")
+            problems.add(
+                "serial.read_write_function",
+                "a drive that has 23 has 16 too: set write_function = 16",
+            )
         return
     for key, has_it in (
         ("read_write_function", profile.read_write_function),
@@ -229,7 +232,7 @@ def _check_setpoint(
         problems.add(f"{key}.direction", "the set-point is signed: it needs no direction")
     low, high = register.minimum, register.maximum
     if (low is not None and low > 0) or (high is not None and high < 0):
-        problems.add(key, f'the set-point "{register.name}" cannot say zero')
+        problems.add(key, f'the set-point "{register.name}" has no zero in its range')
 
 
 def _check_together(
@@ -275,7 +278,7 @@ def _check_steps(
     profile: DriveProfile, name: str, steps: tuple[Step, ...], problems: Problems
 ) -> None:
     for index, step in enumerate(steps):
-        key = f"steps.{name}.{index}"
+        key = f"steps.{name}[{index}]"
         register = _reference(
             profile, key, step.register, "r" if step.value is None else "w", (), problems
         )
@@ -333,9 +336,9 @@ def _check_faults(profile: DriveProfile, problems: Problems) -> None:
     seen = set()
     for index, fault in enumerate(profile.faults):
         if (fault.bit, fault.code) in seen:
-            problems.add(f"fault.{index}", "is listed twice")
+            problems.add(f"fault[{index}]", "is listed twice")
         seen.add((fault.bit, fault.code))
         for name in words:
             register = profile.registers.get(name or "")
             if register and fault.bit is not None and fault.bit >= register.type.bits:
-                problems.add(f"fault.{index}.bit", f"{fault.bit} is beyond {register.name}")
+                problems.add(f"fault[{index}].bit", f"{fault.bit} is beyond {register.name}")

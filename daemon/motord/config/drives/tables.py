@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The drive profile as its file writes it: each table with its keys, their types and ranges. What
+follows only from several of them together is checked in `check.py`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, ConfigDict, Discriminator, StringConstraints, Tag
+
+from motord.config.drives.can_tables import (
+    CanBus,
+    CanFrame,
+    CanObject,
+    CanSignal,
+    DbcFile,
+    EdsFile,
+)
+from motord.config.drives.parts import (
+    CHANNEL,
+    RAW_MAX,
+    RAW_MIN,
+    WHOLE,
+    Access,
+    Mask,
+    PartName,
+    Scaled,
+    Text,
+    Unit,
+)
+from motord.config.sections.section import Field, Section, number
+
+Protocol = Literal["modbus-rtu", "ddsm", "can", "mcu-frame", "ascii", "roboclaw", "pwm"]
+ChannelNumber = Annotated[str, StringConstraints(pattern=CHANNEL)]
+
+
+class SerialWire(Section):
+    """[serial]: the drive on a serial line, as delivered."""
+
+    baudrate: int = number("bits a second", 300, 4_000_000, "1/s")
+    parity: Literal["none", "even", "odd"]
+    """Parity bit of each character."""
+    stop_bits: Annotated[Literal[1, 2], WHOLE]
+    """Stop bits of each character."""
+    unit: int = number("the drive's address", 1, 247, "1")
+    turnaround_s: float = number(
+        "longest time from the request's last byte to the reply's first one", 1e-5, 1.0, "s"
+    )
+    gap: Literal["spec", "3.5char"] = "spec"
+    """Silent interval before a request: that of the Modbus specification, or 3.5 characters at
+    every baud rate."""
+    gap_s: float | None = number("the same interval as a time", 1e-5, 0.1, "s", None)
+    max_registers: int | None = number("most registers in one request", 1, 123, "1", None)
+    write_function: Annotated[Literal[6, 16], WHOLE] | None = None
+    """Modbus function that writes set-points."""
+    read_write_function: Annotated[Literal[23], WHOLE] | None = None
+    """23 where the drive reads and writes in one exchange."""
+    broadcast_stop: bool = False
+    """The drive obeys writes to unit 0: one frame stops all drives of the line."""
+
+
+class Motor(Section):
+    """[motor]: what hangs on the drive."""
+
+    counts_per_turn: int = number("encoder counts of a motor turn; 0: none", 0, 1 << 30, "1", 0)
+    counter_bits: Annotated[Literal[0, 8, 15, 16, 24, 32], WHOLE] = 0
+    """Width of the position counter; 0: there is none."""
+    pole_pairs: int = number("pole pairs; 0: not needed", 0, 100, "1", 0)
+
+
+class HoldingRegister(Scaled):
+    """[register.NAME]: one value of the drive."""
+
+    address: int = number("Modbus address, or the place that the protocol gives it", 0, 65535, "1")
+    type: Literal["u8", "i8", "u16", "i16", "u32", "i32", "u32-low-first", "i32-low-first"]
+    """Width and sign; two words come high word first unless the name says otherwise."""
+    unit: Literal[Unit, "hz", "count/s"] = ""
+    """Unit of the scaled value."""
+    access: Access
+    """What motord may do with it: read, write, or both."""
+    source: Text
+    """The page or table where this can be checked."""
+    mask: int | None = number("adjacent bits of the word that hold it", 1, 65535, "1", None)
+
+
+class ReverseRegister(Section):
+    """[channel.N.direction]: for a set-point that is a magnitude."""
+
+    register_name: Text = Field(alias="register")
+    """The register that holds the direction."""
+    forward: int = number("its value for forward", 0, 65535, "1")
+    reverse: int = number("its value for reverse", 0, 65535, "1")
+    rest: int = number("its value with a set-point of zero", 0, 65535, "1")
+
+
+class MotorChannel(Section):
+    """[channel.N]: one motor of the drive, by the names of its registers."""
+
+    velocity_setpoint: Text | None = None
+    """Register of the velocity that the motor shall have."""
+    duty_setpoint: Text | None = None
+    """Register of the duty that the motor shall have."""
+    torque_setpoint: Text | None = None
+    """Register of the torque that the motor shall have; motord closes the speed loop."""
+    position: Text | None = None
+    """Register of the position."""
+    velocity: Text | None = None
+    """Register of the measured velocity."""
+    current: Text | None = None
+    """Register of the motor current."""
+    temperature: Text | None = None
+    """Register of the temperature."""
+    fault: Text | None = None
+    """Register of the fault word."""
+    direction: ReverseRegister | None = None
+    """For a set-point without sign."""
+    setpoint_with: dict[str, Annotated[int, Field(ge=-(1 << 15), le=(1 << 16) - 1)]] = Field(
+        default_factory=dict
+    )
+    """Registers that get a fixed raw value in the same request as each set-point."""
+
+
+class WriteStep(Section):
+    """A step that writes a register."""
+
+    write: Text
+    """The register."""
+    value: int | None = number("raw value", RAW_MIN, RAW_MAX, "1", None)
+    verify: bool = True
+    """Whether the register keeps what was written, so that it can be read back."""
+    plus_node: bool = False
+    """The drive's own node number is added to the value."""
+    cycle: bool = False
+    """The value is the time of the line's cycle, in the unit of the register."""
+
+
+class WaitStep(Section):
+    """A step that waits until (register & mask) = equals."""
+
+    wait: Text
+    """The register."""
+    mask: int = Mask(0xFFFFFFFF)
+    equals: int = number("raw value to wait for", 0, 0xFFFFFFFF, "1")
+    within_s: float = number("longest time", 0.001, 10.0, "s")
+
+
+def _kind_of_step(step: Any) -> str | None:
+    keys = step if isinstance(step, dict) else ()
+    return {(True, False): "WriteStep", (False, True): "WaitStep"}.get(
+        ("write" in keys, "wait" in keys)
+    )
+
+
+AnyStep = Annotated[
+    Annotated[WriteStep, Tag("WriteStep")] | Annotated[WaitStep, Tag("WaitStep")],
+    Discriminator(
+        _kind_of_step,
+        custom_error_type="no_step",
+        custom_error_message='a step has either "write" or "wait"',
+    ),
+]
+
+
+class Sequences(Section):
+    """[steps]: what is written to the drive, in order."""
+
+    configure: list[AnyStep] = Field(default_factory=list)
+    """Once, when the drive is found."""
+    arm: list[AnyStep] = Field(default_factory=list)
+    """Before the first set-point."""
+    disarm: list[AnyStep] = Field(default_factory=list)
+    """To take the motor's power."""
+    quick_stop: list[AnyStep] = Field(default_factory=list)
+    """To stop it as fast as the drive can."""
+    clear_fault: list[AnyStep] = Field(default_factory=list)
+    """To leave a fault, when a person asks for it."""
+
+
+class EnabledWhen(Section):
+    """[enabled]: the drive has power when (register & mask) = equals."""
+
+    register_name: Text = Field(alias="register")
+    """The register."""
+    mask: int = Mask()
+    equals: int = number("its value then", 0, 0xFFFFFFFF, "1")
+
+
+class DriveWatchdog(Section):
+    """[watchdog]: the drive's own communication watchdog."""
+
+    register_name: Text = Field(alias="register")
+    """The register that holds its time."""
+    minimum_s: float = number("shortest time that it takes", 0.001, 3600.0, "s")
+    maximum_s: float = number("longest time that it takes", 0.001, 3600.0, "s")
+    action: Text
+    """What the drive does when the time is over, in words."""
+
+
+class FaultCode(Section):
+    """[[fault]]: one fault, by its bit or by its code."""
+
+    bit: int | None = number("its bit in the fault word", 0, 31, "1", None)
+    code: int | None = number("its number, on drives that number them", 1, 65535, "1", None)
+    text: Text
+    """What is wrong, in words."""
+    severity: Literal["fault", "warning"]
+    """A fault stops the robot."""
+
+
+class LevelLine(Section):
+    """A pin's level as base + slope × |duty|."""
+
+    base: float = number("level at a duty of 0", 0.0, 1.0, "1")
+    slope: float = number("level for each 1 of duty", -1.0, 1.0, "1", 0.0)
+
+
+PinLevel = Annotated[
+    Annotated[Literal["low", "high", "duty", "inverse"], Tag("word")]
+    | Annotated[LevelLine, Tag("LevelLine")],
+    Discriminator(lambda level: "LevelLine" if isinstance(level, dict) else "word"),
+]
+Pins = dict[str, PinLevel]
+
+
+class MotorBridge(Section):
+    """[bridge]: which level each pin of a motor bridge has in each mode."""
+
+    pwm_hz: float = number("carrier frequency", 10.0, 1e6, "Hz", 20000.0)
+    pwm_min_hz: float = number("lowest carrier frequency", 10.0, 1e6, "Hz", 10.0)
+    pwm_max_hz: float = number("highest carrier frequency", 10.0, 1e6, "Hz")
+    rest: Literal["brake", "coast"] = "brake"
+    """Mode at a duty of zero while armed."""
+    coast: Pins
+    """Levels without power."""
+    brake: Pins
+    """Levels that short the motor."""
+    forward: Pins
+    """Levels that drive it forward."""
+    reverse: Pins
+    """Levels that drive it in reverse."""
+
+
+def _one_line(value: Any) -> Any:
+    return " ".join(value.split()) if isinstance(value, str) else value
+
+
+class DriveFile(Section):
+    """A drive profile: docs/drives/README.md."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "if": {"properties": {"protocol": {"const": "can"}}},
+            "then": {"required": ["can", "frame"]},
+            "else": {"required": ["serial", "register"]},
+        }
+    )
+
+    schema_version: Annotated[Literal[1], WHOLE] = Field(alias="schema")
+    """Version of this format."""
+    name: Text
+    """The file's name without its ending."""
+    title: Annotated[Text, BeforeValidator(_one_line)]
+    """Maker and model."""
+    protocol: Protocol
+    """What the drive speaks."""
+    source: Text
+    """Where all this is from: manual, version, table."""
+    bus_voltage: Text | None = None
+    """Register of the supply voltage."""
+    watchdog_note: Text | None = None
+    """Why there is no [watchdog], and what to do instead."""
+    serial: SerialWire | None = None
+    can: CanBus | None = None
+    dbc: DbcFile | None = None
+    eds: EdsFile | None = None
+    motor: Motor = Field(default_factory=Motor)
+    registers: dict[PartName, HoldingRegister] = Field(default_factory=dict, alias="register")
+    """The drive's registers by name."""
+    frames: dict[PartName, CanFrame] = Field(default_factory=dict, alias="frame")
+    """The drive's CAN frames by name."""
+    signals: dict[PartName, CanSignal] = Field(default_factory=dict, alias="signal")
+    """Values in CAN frames by name."""
+    objects: dict[PartName, CanObject] = Field(default_factory=dict, alias="object")
+    """Entries of a CANopen object dictionary by name."""
+    channels: dict[ChannelNumber, MotorChannel] = Field(alias="channel")
+    """The drive's motors, numbered 1, 2, ..."""
+    steps: Sequences
+    enabled: EnabledWhen | None = None
+    watchdog: DriveWatchdog | None = None
+    faults: list[FaultCode] = Field(default_factory=list, alias="fault")
+    """The drive's faults."""
+    bridge: MotorBridge | None = None
