@@ -63,6 +63,15 @@ trim() {
     rm -rf tree
 }
 
+# The configuration's reader stays here: the line gets a drive's profile made, as it does in the daemon.
+make_profile() {
+    "$project/.venv/bin/python" - "$1" >"$2" <<'CODE'
+import pickle, sys
+from motord.config.drives.load import find_profile
+pickle.dump(find_profile(sys.argv[1]), sys.stdout.buffer)
+CODE
+}
+
 compile_core() {
     "$project/.venv/bin/python" - "$project" "$1" >&2 <<'CODE'
 import os, sys
@@ -80,8 +89,8 @@ add_project() {
     local to=$1/project
     mkdir -p "$to"
     cp -r "$project/hal/motord_hal" "$to/"
-    cp -r "$project/config" "$to/motord_hal/_config"
     cp "$here"/{conftest,test_pins,rig}.py "$here/../guest/pytest.ini" "$project/tests/contract/loop_side.py" "$to/"
+    make_profile bts7960 "$to/bts7960.pickle"
     compile_core "$1/motord_rt.c" "$to/_motord_rt.abi3.so"
     rm "$1/motord_rt.c"
     (cd "$1" && find project | cpio -o -H newc --quiet | gzip -1)

@@ -5,21 +5,22 @@ Source: kernel, drivers/pinctrl/bcm/pinctrl-bcm2835.c, gpiolib's debugfs (driver
 gpiolib_dbg_show) and drivers/pwm/pwm-bcm2835.c.
 """
 
+import pickle
 import re
 from pathlib import Path
 
-from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import JointSpec, LineSpec, PinsSpec
 
 CHANNELS = Path("/sys/class/pwm/pwmchip0")
 GPIO = Path("/sys/kernel/debug/gpio")
 BRIDGE = "bts7960"
+PROFILE = pickle.loads(Path(__file__).with_name(f"{BRIDGE}.pickle").read_bytes())
 PLACES = {"rpwm": "pwm0", "lpwm": "pwm1", "r_en": "GPIO5", "l_en": "GPIO6"}
 NEAR = 0.001
 
 
 def spec_of(**changes):
-    joint = JointSpec(index=0, name="left", profile=find_profile(BRIDGE), unit=1, pins=PLACES)
+    joint = JointSpec(index=0, name="left", profile=PROFILE, unit=1, pins=PLACES)
     values = {
         "index": 0, "name": "pins", "kind": "pwm", "port": "", "baudrate": 115200,
         "parity": "none", "stop_bits": 1, "cycle_hz": 20.0, "gap_s": None, "engine": "auto",
@@ -44,7 +45,7 @@ def level(where):
 
 def are(mode, duty=0.0):
     """Whether all pins have the levels of a mode."""
-    levels = find_profile(BRIDGE).bridge.levels
+    levels = PROFILE.bridge.levels
 
     def check():
         return all(
