@@ -28,6 +28,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "drive": ("motord.cli.talk:drive", "Drive at a speed and a turn rate."),
     "move": ("motord.cli.move:move", "Drive a distance in metres."),
     "turn": ("motord.cli.move:turn", "Turn by an angle in radians."),
+    "teleop": ("motord.cli.teleop:teleop", "Drive with the keyboard or a gamepad."),
     "stop": ("motord.cli.talk:stop", "Come to rest and stay armed."),
     "estop": ("motord.cli.talk:estop", "Emergency stop; latched until reset."),
     "stop-all": ("motord.cli.stop_all:stop_all", "Stop every drive after the daemon crashed."),

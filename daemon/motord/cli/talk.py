@@ -62,14 +62,14 @@ def talking(command: Callable[..., None]) -> Callable[..., None]:
     return connected
 
 
-def halting(command: Callable[..., None]) -> Callable[..., None]:
-    """As `talking`, for a command that stops the robot: it gets the daemon's socket, and no
-    connection, for others may leave none."""
+def located(command: Callable[..., None]) -> Callable[..., None]:
+    """As `talking`, for a command that makes its own connections: it gets the daemon's socket. One
+    that stops the robot needs none, for others may leave none."""
 
     @_robot_option
     @_socket_option
     @functools.wraps(command)
-    def located(*, robot: str | None, path: Path | None, **options: Any) -> None:
+    def with_socket(*, robot: str | None, path: Path | None, **options: Any) -> None:
         try:
             command(path or find_socket(robot), **options)
         except Refused as error:
@@ -77,7 +77,7 @@ def halting(command: Callable[..., None]) -> Callable[..., None]:
         except ClientError as error:
             raise Failure(str(error)) from error
 
-    return located
+    return with_socket
 
 
 def status_of_refusal(client: Client) -> Exit:
@@ -151,7 +151,7 @@ def arm(client: Client, as_json: bool) -> None:
 
 @click.command
 @json_option
-@halting
+@located
 def disarm(path: Path, as_json: bool) -> None:
     """Come to rest, then power the drives off.
 
@@ -163,7 +163,7 @@ def disarm(path: Path, as_json: bool) -> None:
 
 @click.command
 @json_option
-@halting
+@located
 def stop(path: Path, as_json: bool) -> None:
     """Come to rest and stay armed.
 

@@ -34,12 +34,7 @@ class Joystick:
         self._name = name
         self._section = section
         self._source: Source = runtime.source(name)
-        self._codes = Codes(
-            dead_man=_code(section.dead_man),
-            linear=_code(section.linear_axis),
-            angular=_code(section.angular_axis),
-            estop=None if section.estop_button is None else _code(section.estop_button),
-        )
+        self._codes = codes_of(section)
         self._estop = Urgent(name, "estop", runtime.call)
         self._gap = runtime.gap(section.lease_s)
 
@@ -55,7 +50,7 @@ class Joystick:
         failing = False
         while True:
             try:
-                with closing(self._found()) as device:
+                with closing(find_device(self._section.device)) as device:
                     _log.info("input.%s: %s at %s", self._name, device.name, device.path)
                     failing = False
                     await self._listen(device)
@@ -66,23 +61,9 @@ class Joystick:
             raise_if_cancelled()
             await asyncio.sleep(LOOK_AGAIN_S)
 
-    def _found(self) -> evdev.InputDevice[str]:
-        """Raises OSError."""
-        wanted = self._section.device
-        if wanted.startswith("/"):
-            return evdev.InputDevice(wanted)
-        for path in evdev.list_devices():
-            device = evdev.InputDevice(path)
-            if wanted in device.name:
-                return device
-            device.close()
-        raise FileNotFoundError(f'no input device that we may read is named "{wanted}"')
-
     async def _listen(self, device: evdev.InputDevice[str]) -> None:
         """Until the device is gone: OSError."""
-        infos = {axis: device.absinfo(axis) for axis in (self._codes.linear, self._codes.angular)}
-        ranges = {axis: (info.min, info.max) for axis, info in infos.items()}
-        stick = Stick(self._section, self._codes, ranges)
+        stick = stick_of(device, self._section, self._codes)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._command(stick))
             self._look_for_estop(device)
@@ -119,6 +100,35 @@ class Joystick:
     def _rest(self) -> None:
         self._source.drive(0.0, 0.0)
         self._source.release()
+
+
+def find_device(wanted: str) -> evdev.InputDevice[str]:
+    """By its file, or by a part of its name. Raises OSError."""
+    if wanted.startswith("/"):
+        return evdev.InputDevice(wanted)
+    for path in evdev.list_devices():
+        device = evdev.InputDevice(path)
+        if wanted in device.name:
+            return device
+        device.close()
+    raise FileNotFoundError(f'no input device that we may read is named "{wanted}"')
+
+
+def codes_of(section: JoystickInput) -> Codes:
+    """The kernel's numbers for the section's names. Raises ValueError."""
+    return Codes(
+        dead_man=_code(section.dead_man),
+        linear=_code(section.linear_axis),
+        angular=_code(section.angular_axis),
+        estop=None if section.estop_button is None else _code(section.estop_button),
+    )
+
+
+def stick_of(device: evdev.InputDevice[str], section: JoystickInput, codes: Codes) -> Stick:
+    """Raises ValueError for an axis that the device has not, OSError."""
+    infos = {axis: device.absinfo(axis) for axis in (codes.linear, codes.angular)}
+    ranges = {axis: (info.min, info.max) for axis, info in infos.items()}
+    return Stick(section, codes, ranges)
 
 
 def _code(name: str) -> int:

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the bytes of a terminal mean, and which motion is still requested. No I/O, no clock.
+
+A terminal does not report that a key was released: it repeats the key that is held, after a delay
+(250 to 660 ms), about 30 times a second. So the motion ends when the repeats end.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+KEY_AGE_MAX_S = 0.4
+"""An older key does not move the robot: it was held back on the way."""
+BURST = 8
+BURST_WITHIN_S = 0.1
+"""So many keys in so short a time come from a buffer: no keyboard repeats faster than 50 Hz."""
+SILENCE_S = 0.25
+"""After keys from a buffer, nothing moves until no key has come for so long."""
+PINGS_MAX = 20
+UNANSWERED_AFTER_S = 1.0
+PING = b"\x1b[5n"
+"""Device status report (ECMA-48, DSR 5): the terminal answers PONG, in order with its keys."""
+PONG = "\x1b[0n"
+
+_SEQUENCE = re.compile(rb"\x1b\[[0-?]*[ -/]*[@-~]|\x1bO[@-~]|\x1b[^\[O]|[^\x1b]", re.DOTALL)
+_SEQUENCE_BYTES_MAX = 32
+_ARROWS = {"A": "w", "B": "s", "C": "d", "D": "a"}
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Parts of the speed: -1, 0 or 1; forward and left are positive."""
+
+    linear: float
+    angular: float
+
+
+MOTIONS = {
+    "w": Motion(1.0, 0.0), "s": Motion(-1.0, 0.0),
+    "a": Motion(0.0, 1.0), "d": Motion(0.0, -1.0),
+    "q": Motion(1.0, 1.0), "e": Motion(1.0, -1.0),
+}  # fmt: skip
+
+
+class Decoder:
+    """Bytes to keys. An escape sequence that is not complete waits for its rest."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, data: bytes) -> Iterator[str]:
+        """Each key: a letter in lower case, PONG, or another sequence as it is. Arrows are w, a, s
+        and d."""
+        data, end = self._rest + data, 0
+        while found := _SEQUENCE.match(data, end):
+            end = found.end()
+            text = found[0].decode("latin-1")
+            arrow = _ARROWS.get(text[-1]) if text[:2] in ("\x1b[", "\x1bO") else None
+            yield arrow or (text.lower() if len(text) == 1 else text)
+        self._rest = data[end:]
+        if len(self._rest) > _SEQUENCE_BYTES_MAX:  # noise
+            self._rest = b""
+
+
+class Link:
+    """How old a key can be: terminals answer in order, so a key that comes after the answer to a
+    ping was pressed after that ping was sent."""
+
+    def __init__(self, now_s: float) -> None:
+        self._began_s = now_s
+        self._sent_s: deque[float] = deque()
+        self._proved_s: float | None = None
+        self.round_trip_s: float | None = None
+
+    @property
+    def may_ping(self) -> bool:
+        """False: too many are unanswered. They are not forgotten: a late answer must not be taken
+        for that to a later ping."""
+        return len(self._sent_s) < PINGS_MAX
+
+    def pinged(self, now_s: float) -> None:
+        self._sent_s.append(now_s)
+
+    def answered(self, now_s: float) -> None:
+        """An answer that no ping is waiting for proves nothing."""
+        if self._sent_s:
+            self._proved_s = self._sent_s.popleft()
+            self.round_trip_s = now_s - self._proved_s
+
+    @property
+    def pending(self) -> bool:
+        """An answer is still to come."""
+        return bool(self._sent_s)
+
+    def answers(self, now_s: float) -> bool | None:
+        """Whether this terminal answers; None: not known yet."""
+        if self._proved_s is not None:
+            return True
+        return False if now_s - self._began_s > UNANSWERED_AFTER_S else None
+
+    def key_age_s(self, now_s: float) -> float:
+        """At most so old is a key that is read now. 0 for a terminal that never answers: then only
+        bursts show a slow link."""
+        if self._proved_s is None:
+            return 0.0 if self.answers(now_s) is False else now_s - self._began_s + KEY_AGE_MAX_S
+        return now_s - self._proved_s
+
+
+class DeadMan:
+    """The motion that is requested while its key is held, and no longer."""
+
+    def __init__(self, *, hold_s: float, first_s: float) -> None:
+        """`hold_s`: how long a repeat counts. `first_s`: how long the first press counts, until
+        the terminal repeats it."""
+        self._hold_s, self._first_s = hold_s, first_s
+        self._key = ""
+        self._until_s = -1.0
+        self._recent_s: deque[float] = deque(maxlen=BURST)
+        self._barred_until_s = -1.0
+
+    def take(self, keys: list[str], now_s: float, age_s: float) -> None:
+        """Motion keys that were read at once, the newest last, and how old they may be. Only the
+        newest counts."""
+        self._recent_s.extend([now_s] * len(keys))
+        full = len(self._recent_s) == BURST
+        if age_s > KEY_AGE_MAX_S or (full and now_s - self._recent_s[0] < BURST_WITHIN_S):
+            self.bar(now_s)
+        elif now_s < self._barred_until_s:
+            self._barred_until_s = now_s + SILENCE_S
+        else:
+            held = keys[-1] == self._key and now_s < self._until_s
+            first = len(keys) == 1 and not held
+            self._key = keys[-1]
+            self._until_s = now_s + (self._first_s if first else self._hold_s)
+
+    def bar(self, now_s: float) -> None:
+        """No motion until no key has come for SILENCE_S."""
+        self.let_go()
+        self._barred_until_s = now_s + SILENCE_S
+
+    def let_go(self) -> None:
+        """No motion until the next key."""
+        self._until_s = -1.0
+
+    def barred(self, now_s: float) -> bool:
+        """Keys have come from a buffer: release the key and press it again."""
+        return now_s < self._barred_until_s
+
+    def motion(self, now_s: float) -> Motion | None:
+        """None: no key is held."""
+        return MOTIONS[self._key] if now_s < self._until_s else None

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord teleop` at a real pseudo-terminal, with a whole daemon on simulated drives."""
+
+import contextlib
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from tests.sim.daemon_stage import running, wait_until
+from tests.sim.pseudo_terminal import at_terminal
+
+from motord.client import ClientError
+
+SETTINGS = (
+    "input.socket.kind=socket", "input.socket.lease_s=1.0", "safety.command_timeout_s=1.0",
+    "joint.left.tries=10", "joint.right.tries=10",
+)  # fmt: skip
+"""A busy machine is no fault."""
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    with running(tmp_path_factory.mktemp("teleop"), *SETTINGS) as stage:
+        stage.wait_for("idle")
+        yield stage
+
+
+@pytest.fixture
+def armed(stage):
+    def ready():
+        with contextlib.suppress(ClientError):
+            if stage.state() in ("fault", "estop"):
+                stage.robot.reset()
+            return stage.robot.arm() == "armed"
+        return False
+
+    wait_until(ready, "armed")
+    yield stage
+    with contextlib.suppress(ClientError):
+        stage.robot.disarm()
+    rests(stage)
+
+
+def rests(stage):
+    wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+
+
+@contextlib.contextmanager
+def teleop(stage, **options):
+    words = ("teleop", "--socket", str(stage.socket), "--first-s", "1.0")
+    with at_terminal(*words, **options) as terminal:
+        terminal.wait_for("m/s")
+        yield terminal
+
+
+def hold(stage, terminal, key="w"):
+    """Until the wheels turn. A slow machine makes keys too old; then the key is pressed again."""
+
+    def turning():
+        if "slow link" in terminal.text[-300:]:
+            end_s = time.monotonic() + 0.5
+            terminal.wait_until(lambda: time.monotonic() > end_s, "silence")
+        return not stage.sim.truth().at_rest
+
+    terminal.wait_until(turning, "the wheels turn", keys=key)
+
+
+def test_a_held_key_drives_and_its_release_stops(armed):
+    with teleop(armed) as terminal:
+        hold(armed, terminal)
+        terminal.wait_until(lambda: armed.sim.truth().at_rest, "the wheels rest")
+        hold(armed, terminal, "\x1b[D")
+        terminal.wait_until(lambda: armed.sim.truth().at_rest, "the wheels rest")
+        assert armed.robot.status()["leases"] == []
+        terminal.type("x")
+        assert terminal.exit_status() == 0
+        assert terminal.settings == terminal.before
+    assert armed.state() == "armed"
+
+
+def test_keys_that_a_slow_link_held_back_move_nothing(armed):
+    with teleop(armed) as terminal:
+        hold(armed, terminal)
+        terminal.answers = False  # the link stands still, and the key is released meanwhile
+        rests(armed)
+        terminal.wait_until(lambda: not armed.robot.status()["leases"], "no lease")
+        accepted = armed.robot.status()["commands"]["accepted"]
+        terminal.type("w" * 4)
+        terminal.type("w")
+        terminal.wait_for("slow link")
+        terminal.type("x")
+        assert terminal.exit_status() == 0
+    assert armed.sim.truth().at_rest
+    assert armed.robot.status()["commands"]["accepted"] - accepted <= 1  # the zero at the end
+
+
+def test_the_space_bar_is_an_emergency_stop(armed):
+    with teleop(armed) as terminal:
+        hold(armed, terminal)
+        terminal.type(" ")
+        terminal.wait_for("emergency stop: estop")
+        rests(armed)
+        terminal.type("\x03")
+        assert terminal.exit_status() == 3
+        assert terminal.settings == terminal.before
+
+
+def test_what_is_armed_here_is_disarmed_at_the_end(stage):
+    wait_until(lambda: stage.state() in ("idle", "fault", "estop"), "at rest")
+    with teleop(stage) as terminal:
+        terminal.type("r")
+        terminal.wait_for("reset:")
+        terminal.type("m")
+        terminal.wait_for("arm: armed")
+        terminal.process.send_signal(signal.SIGTERM)
+        assert terminal.exit_status() == 1
+        assert "ended by SIGTERM" in terminal.text
+        assert terminal.settings == terminal.before
+    assert not stage.robot.status()["armed"]
+
+
+def test_a_closed_terminal_ends_at_rest(armed):
+    with teleop(armed) as terminal:
+        hold(armed, terminal)
+        terminal.hang_up()
+        rests(armed)
+        terminal.process.wait(100)
+    assert armed.robot.status()["leases"] == []
+
+
+def test_a_program_that_stands_still_stops_the_robot(armed):
+    with teleop(armed) as terminal:
+        hold(armed, terminal)
+        terminal.process.send_signal(signal.SIGSTOP)
+        for _ in range(5):
+            terminal.type("w")  # waits in the terminal's buffer
+        rests(armed)
+        accepted = armed.robot.status()["commands"]["accepted"]
+        terminal.process.send_signal(signal.SIGCONT)
+        terminal.type("x")
+        terminal.exit_status()
+        assert armed.robot.status()["commands"]["accepted"] - accepted <= 2
+
+
+def test_a_lost_daemon_ends_it_and_the_robot_rests(armed):
+    with teleop(armed) as terminal:
+        hold(armed, terminal)
+        armed.daemon.send_signal(signal.SIGSTOP)
+        try:
+            assert terminal.exit_status() == 1
+            rests(armed)  # by the watchdog of its drives
+            assert terminal.settings == terminal.before
+        finally:
+            armed.daemon.send_signal(signal.SIGCONT)
+    armed.wait_for("fault", "armed", "idle", "moving")
+
+
+def test_without_a_terminal_it_is_wrong_usage(stage):
+    done = subprocess.run(
+        [sys.executable, "-m", "motord", "teleop", "--socket", str(stage.socket)],
+        stdin=subprocess.DEVNULL, capture_output=True, text=True, start_new_session=True,
+        timeout=100,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "ssh -t" in done.stderr
