@@ -137,13 +137,21 @@ def running(
     motord=("-m", "motord"),
     stderr=None,
     options=(),
+    sim_options=(),
+    faults=(),
 ):
     """Its name is its own: tests run side by side, and a robot's state page is there once."""
     with contextlib.ExitStack() as cleanup:
         sim, places = None, [f"line.rs485.port={json.dumps(str(folder / 'nothing'))}"]
         if simulated:
             simulator = cleanup.enter_context(
-                start_simulator(robot, link_dir=folder, timeout_s=DEADLINE_S)
+                start_simulator(
+                    robot,
+                    link_dir=folder,
+                    timeout_s=DEADLINE_S,
+                    options=sim_options,
+                    faults=faults,
+                )
             )
             sim, places = simulator.control, simulator.settings
         name = f"t{uuid.uuid4().hex[:12]}"

@@ -34,7 +34,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "stop-all": ("motord.cli.stop_all:stop_all", "Stop every drive after the daemon crashed."),
     "reset": ("motord.cli.talk:reset", "Clear a fault or an emergency stop."),
     "reset-odometry": ("motord.cli.talk:reset_odometry", "Set the pose to zero."),
-    "params": ("motord.cli.talk:params", "List, get and set parameters of the running robot."),
+    "params": ("motord.cli.params:params", "List, get, set and save parameters of the robot."),
     "scan": ("motord.cli.scan:scan", "Find the drives on an RS485 line."),
     "drives": ("motord.cli.drives:drives", "List, show, check or create drive profiles."),
     "robots": ("motord.cli.robots:robots", "List the example robot files, or print one."),

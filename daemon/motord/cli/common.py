@@ -92,6 +92,11 @@ json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object on stdout."
 )
 
+yes_option = click.option("--yes", is_flag=True, help="Answer every yes-or-no question with yes.")
+dry_run_option = click.option(
+    "--dry-run", is_flag=True, help="Show the difference and write nothing."
+)
+
 
 def print_json(value: Any) -> None:
     """One JSON object on stdout. NaN and infinity are our own mistake: JSON has neither."""

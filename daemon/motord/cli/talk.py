@@ -5,11 +5,9 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import math
 import signal
 import sys
 import time
-import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,6 @@ from motord.api.local_rpc import WrongParams
 from motord.cli.common import FINITE, Exit, Failure, json_option, print_json
 from motord.cli.status_text import show_status
 from motord.client import Client, ClientError, Refused, find_socket, find_sockets
-from motord_hal.base import bounded
 
 SEND_PERIOD_S = 0.05
 WHY_WITHIN_S = 1.0
@@ -335,117 +332,3 @@ def _progress(
     if answer is not None and not answer["in_command"]:
         text += f"   {answer['owner']} is in command, not {owner}"
     click.echo(f"\r\033[K{text}", nl=last, err=True)
-
-
-@click.group
-def params() -> None:
-    """Limits of the running robot, and registers of its drives: list, get, set, dump, load.
-
-    Limits last until the daemon ends. Registers (drive.JOINT.REGISTER, as the profile names them,
-    in SI) are set while the robot is disarmed, are read back, and last until the drive loses its
-    power: nothing is stored in the drive.
-
-    \b
-    Example: motord params list
-             motord params set limits.linear_m_s=0.3 limits.linear_m_s3=inf
-             motord params get drive.left.bus_voltage
-    """
-
-
-@params.command("list")
-@json_option
-@talking
-def params_list(client: Client, as_json: bool) -> None:
-    """Every parameter with its unit and range; r: it can only be read."""
-    found = client.params_list()
-    if as_json:
-        print_json(found)
-        return
-    width = max(map(len, found))
-    for name, about in found.items():
-        most = "inf" if about["maximum"] is None else f"{about['maximum']:g}"
-        unit, least, access = about["unit"], about["minimum"], about.get("access")
-        value = access or _number(about["value"])  # drives are asked by get
-        click.echo(
-            f"{name:{width}}  {value:>7} {unit:6} {least:g} to {most}; {about['description']}"
-        )
-
-
-@params.command("get")
-@click.argument("names", nargs=-1)
-@json_option
-@talking
-def params_get(client: Client, names: tuple[str, ...], as_json: bool) -> None:
-    """Values by name, all limits without a name: motord params get limits.linear_m_s."""
-    _show_values(client.params_get(*names), as_json=as_json)
-
-
-@params.command("set")
-@click.argument("assignments", metavar="NAME=VALUE...", nargs=-1, required=True)
-@json_option
-@talking
-def params_set(client: Client, assignments: tuple[str, ...], as_json: bool) -> None:
-    """Change values, all or none: motord params set limits.linear_m_s=0.3. inf: no limit."""
-    _show_values(client.params_set(**dict(map(_assignment, assignments))), as_json=as_json)
-
-
-@params.command("dump")
-@talking
-def params_dump(client: Client) -> None:
-    """Limits and what can be set in the drives, as TOML: motord params dump > tuned.toml."""
-    found = client.params_list()
-    names = [name for name, about in found.items() if about.get("access") != "r"]
-    for name, value in client.params_get(*names).items():
-        click.echo(f"{name} = {'inf' if value is None else repr(float(value))}")
-
-
-@params.command("load")
-@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@json_option
-@talking
-def params_load(client: Client, file: Path, as_json: bool) -> None:
-    """Set what a file of `dump` says, limits first: motord params load tuned.toml."""
-    try:
-        wanted = dict(_leaves("", bounded.toml(bounded.read(file).decode())))
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise click.UsageError(f"{file}: {error}") from error
-    assignments = [_assignment(f"{name}={value}") for name, value in wanted.items()]
-    of_drives = dict(one for one in assignments if one[0].startswith("drive."))
-    ours = dict(one for one in assignments if one[0] not in of_drives)
-    done = client.params_set(**ours) if ours else {}
-    if of_drives:
-        done |= client.params_set(**of_drives)
-    _show_values(done, as_json=as_json)
-
-
-def _leaves(prefix: str, table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _leaves(f"{prefix}{key}.", value)
-        else:
-            yield f"{prefix}{key}", value
-
-
-def _assignment(text: str) -> tuple[str, float | None]:
-    name, equals, value = text.partition("=")
-    if not equals:
-        raise click.UsageError(f"{text!r} is not NAME=VALUE, as in limits.linear_m_s=0.3")
-    try:
-        number = float(value)
-    except ValueError:
-        number = math.nan
-    if math.isnan(number):
-        raise click.UsageError(f"{name}: {value!r} is not a number, as 0.3 or inf (no limit)")
-    return name, None if number == math.inf else number
-
-
-def _show_values(values: dict[str, float | None], *, as_json: bool) -> None:
-    if as_json:
-        print_json(values)
-        return
-    for name, value in values.items():
-        click.echo(f"{name} = {_number(value)}")
-
-
-def _number(value: float | None) -> str:
-    return "inf" if value is None else f"{value:g}"

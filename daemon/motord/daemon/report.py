@@ -75,9 +75,13 @@ def description(operation: Operation) -> dict[str, Any]:
     robot = operation.robot
     return {
         "robot": robot.robot.name,
+        "file": str(robot.path.absolute()),
         "joints": list(robot.joint),
+        "sides": {name: joint.side for name, joint in robot.joint.items()},
         "track_m": robot.base.track_m,
+        "effective_track_m": robot.base.effective_track_m,
         "wheel_radius_m": robot.base.wheel_radius_m,
+        "wheel_radii_m": {name: robot.wheel_radius_m(name) for name in robot.joint},
         "feedback_timeout_s": robot.safety.feedback_timeout_s,
         "inputs": robot.commanders(),
     }

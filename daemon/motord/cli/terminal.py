@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The person at a terminal, for the procedures of `motord.commission`."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import select
+import signal
+import sys
+import termios
+import tty
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any, Self
+
+import click
+
+from motord.cli.common import Exit, Failure
+from motord.client import ClientError, Refused
+from motord.commission.person import Aborted, Failed
+from motord.commission.robot_file_edit import EditError, RobotFileEdit
+from motord.config import ConfigError
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+ABORTED_TEXT = "aborted: nothing was written"
+
+
+class Terminal:
+    """A Person. Answers come from stdin; all text goes to stderr. Between two questions any key
+    aborts. Use it as a context: it puts the terminal and the signal handlers back."""
+
+    def __init__(self, *, yes: bool = False) -> None:
+        """`yes`: answers every yes-or-no question with yes, and chooses the first answer."""
+        self._yes = yes
+        self._keys = sys.stdin.isatty()
+        self._cooked: list[Any] | None = None
+        self._asking = False
+        self._stopped = False
+        self._before: dict[int, Any] = {}
+        self._line_open = False
+
+    def __enter__(self) -> Self:
+        self._before = {number: signal.signal(number, self._signal) for number in SIGNALS}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._cook()
+        self._end_line()
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    # ----------------------------------------------------------------------------------- a Person
+    def show(self, text: str) -> None:
+        self._end_line()
+        with contextlib.suppress(OSError):  # a terminal that is gone: `aborted` finds out
+            click.echo(text, err=True)
+
+    def progress(self, text: str) -> None:
+        if sys.stderr.isatty():
+            with contextlib.suppress(OSError):
+                click.echo(f"\r\033[K{text}", nl=False, err=True)
+            self._line_open = True
+
+    def confirm(self, question: str) -> bool:
+        if self._yes:
+            self.show(f"{question} yes")
+            return True
+        while True:
+            answer = self._ask(f"{question} [y/n] ").lower()
+            if answer in ("y", "yes"):
+                return True
+            if answer in ("n", "no"):
+                return False
+
+    def choose(self, question: str, answers: Sequence[str]) -> str:
+        if self._yes:
+            self.show(f"{question} {answers[0]}")
+            return answers[0]
+        while True:
+            answer = self._ask(f"{question} [{'/'.join(answers)}] ").lower()
+            found = [one for one in answers if answer and one.lower().startswith(answer)]
+            if len(found) == 1 or answer in found:
+                return answer if answer in found else found[0]
+
+    def number(self, question: str, unit: str, low: float, high: float) -> float:
+        while True:
+            text = self._ask(f"{question} [{unit}] ")
+            try:
+                value = float(text.replace(",", "."))
+            except ValueError:
+                value = math.nan
+            if low <= value <= high:
+                return value
+            self.show(f'"{text}" is no number of {low:g} to {high:g} {unit}')
+
+    def text(self, question: str, default: str = "") -> str:
+        """A line; empty: the default."""
+        return self._ask(f"{question} [{default}] " if default else f"{question} ") or default
+
+    def aborted(self) -> bool:
+        if self._keys and not self._stopped:
+            self._uncook()
+            ready = select.select([sys.stdin], [], [], 0.0)[0]
+            # a key, or the end of a terminal that is gone
+            self._stopped = bool(ready)
+            if ready:
+                with contextlib.suppress(OSError):
+                    os.read(sys.stdin.fileno(), 1024)
+        return self._stopped
+
+    # ------------------------------------------------------------------------------------ terminal
+    def _signal(self, _number: int, _frame: FrameType | None) -> None:
+        self._stopped = True
+        if self._asking:
+            raise Aborted(ABORTED_TEXT)
+
+    def _ask(self, prompt: str) -> str:
+        if self._stopped:
+            raise Aborted(ABORTED_TEXT)
+        self._cook()
+        self._end_line()
+        self._asking = True
+        try:
+            click.echo(prompt, nl=False, err=True)
+            line = sys.stdin.readline()
+        except OSError as error:
+            raise Aborted(f"the terminal is gone ({error.strerror})") from error
+        finally:
+            self._asking = False
+        if not line:
+            raise Aborted("there is no answer: give it as an option, or use a terminal")
+        return line.strip()
+
+    def _uncook(self) -> None:
+        """Keys come without Enter, and are not shown."""
+        if self._cooked is not None:
+            return
+        try:
+            self._cooked = termios.tcgetattr(sys.stdin)
+            tty.setcbreak(sys.stdin, termios.TCSAFLUSH)  # what was typed before is no key
+        except termios.error:
+            self._stopped = True
+
+    def _cook(self) -> None:
+        if self._cooked is not None:
+            with contextlib.suppress(termios.error):
+                termios.tcsetattr(sys.stdin, termios.TCSAFLUSH, self._cooked)
+            self._cooked = None
+
+    def _end_line(self) -> None:
+        if self._line_open:
+            self._line_open = False
+            with contextlib.suppress(OSError):
+                click.echo(err=True)
+
+
+@contextlib.contextmanager
+def failing() -> Iterator[None]:
+    """What a procedure raises, as the end of a command."""
+    try:
+        yield
+    except Aborted as error:
+        raise Failure(str(error) or ABORTED_TEXT) from error
+    except ConfigError as error:
+        raise Failure(str(error), Exit.USAGE) from error
+    except Refused as error:
+        raise Failure(str(error), Exit.FAULT) from error
+    except (Failed, EditError, ClientError) as error:
+        raise Failure(str(error)) from error
+
+
+def write_asking(person: Terminal, edit: RobotFileEdit, *, dry_run: bool = False) -> Path | None:
+    """Show the difference, ask, write; returns the backup of the old file. None: nothing written.
+    Raises ConfigError, EditError, Aborted."""
+    if not edit.changed:
+        person.show(f"{edit.path}: nothing changes")
+        return None
+    person.show(edit.diff().rstrip())
+    if dry_run or not person.confirm(f"Write {edit.path}?"):
+        person.show("nothing was written")
+        return None
+    backup = edit.save()
+    person.show(f"{edit.path}: written; the old file is {backup.name}")
+    return backup

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was set while the robot ran goes into its robot file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from motord.commission.person import Failed
+from motord.commission.robot_file_edit import RobotFileEdit
+from motord.config import Robot
+
+PREFIX = "limits."
+_ROUNDS = 2
+"""A value that the file does not give may follow from another one."""
+
+
+def put_limits(edit: RobotFileEdit, in_force: Mapping[str, float | None]) -> dict[str, float]:
+    """Give the file the limits in force that it does not have; which ones, by name. `in_force` is
+    the answer of `params.get`; null: no limit. Raises ConfigError, Failed."""
+    wanted = {name: math.inf if value is None else value for name, value in in_force.items()}
+    if other := [name for name in wanted if not name.startswith(PREFIX)]:
+        raise Failed(
+            f"{other[0]}: is a register of a drive, and the robot file holds none: store it in the "
+            "drive with its maker's tool"
+        )
+    put: dict[str, float] = {}
+    for _ in range(_ROUNDS):
+        for name, value in _differing(edit.checked(), wanted).items():
+            edit.set(("limits", name.removeprefix(PREFIX)), value)
+            put[name] = value
+    if left := _differing(edit.checked(), wanted):
+        raise Failed(f"{', '.join(left)}: the file does not take the value in force")
+    return put
+
+
+def _differing(robot: Robot, wanted: Mapping[str, float]) -> dict[str, float]:
+    return {
+        name: value
+        for name, value in wanted.items()
+        if getattr(robot.limits, name.removeprefix(PREFIX)) != value
+    }

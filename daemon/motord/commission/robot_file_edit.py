@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Change keys of a robot file: comments and order stay, and a file that would not pass `motord
+check` is not written."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import stat
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import tomlkit
+from tomlkit.container import Container, OutOfOrderTableProxy
+from tomlkit.items import InlineTable, Table
+
+from motord.config import ConfigError, Robot, load_robot
+from motord_hal.base import bounded
+
+KeyPath: TypeAlias = tuple[str, ...]
+"""As ("joint", "left", "inverted")."""
+_AnyTable: TypeAlias = "Container | Table | InlineTable | OutOfOrderTableProxy"
+
+
+class EditError(Exception):
+    """The file cannot be read or written; the message names it, the cause and the cure."""
+
+
+class RobotFileEdit:
+    """One robot file with changes that are not on disk before `save`."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises EditError for a file that cannot be read, ConfigError for one that is no TOML."""
+        self.path = path.resolve()  # the file itself: `save` must not replace a link to it
+        try:
+            self._found = bounded.read(self.path)
+        except OSError as error:
+            raise EditError(f"{path}: cannot be read: {error.strerror}") from error
+        self.before = load_robot(self.path)
+        self._document = tomlkit.parse(self._found.decode())
+
+    @property
+    def text(self) -> str:
+        """The file with all changes."""
+        return self._document.as_string()
+
+    @property
+    def changed(self) -> bool:
+        """Whether `save` has anything to write."""
+        return self.text.encode() != self._found
+
+    def get(self, path: KeyPath) -> Any:
+        """The value that the file gives for a key; None: the file does not give it."""
+        value: Any = self._document.unwrap()
+        for part in path:
+            if not isinstance(value, dict) or part not in value:
+                return None
+            value = value[part]
+        return value
+
+    def set(self, path: KeyPath, value: Any) -> None:
+        """Give a key this value, in the table where it belongs. A value that is there already
+        keeps its spelling."""
+        if self.get(path) == value:
+            return
+        *parents, key = path
+        table: _AnyTable = self._document
+        for part in parents:
+            if part not in table:
+                table[part] = tomlkit.table()
+            table = table[part]
+        if key in table or not isinstance(table, Table):
+            table[key] = value
+            return
+        tail = _tail(table.value)
+        table[key] = value
+        table.value.body.extend(tail)
+
+    def update(self, values: Mapping[KeyPath, Any]) -> None:
+        """`set` for each."""
+        for path, value in values.items():
+            self.set(path, value)
+
+    def diff(self) -> str:
+        """What changes, as `diff -u` shows it; empty: nothing."""
+        before, after = self._found.decode(), self.text
+        name = self.path.name
+        rows = difflib.unified_diff(
+            before.splitlines(keepends=True), after.splitlines(keepends=True),
+            f"{name} (now)", f"{name} (new)", n=1,
+        )  # fmt: skip
+        return "".join(row if row.endswith("\n") else f"{row}\n" for row in rows)
+
+    def checked(self) -> Robot:
+        """The robot that the changed file describes. Raises ConfigError."""
+        return load_robot(self.path, text=self.text)
+
+    def save(self) -> Path:
+        """Write the file at once or not at all; returns the backup of the old one. Raises
+        ConfigError for a file that does not pass, EditError for one that cannot be written or has
+        changed since it was read."""
+        self.checked()
+        try:
+            if bounded.read(self.path) != self._found:
+                raise EditError(f"{self.path}: has changed since it was read: run this again")
+            backup = self._backup()
+            replace_file(self.path, self.text.encode())
+        except OSError as error:
+            raise EditError(_why_not_written(self.path, error)) from error
+        self._found = self.text.encode()
+        return backup
+
+    def _backup(self) -> Path:
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        for number in range(100):
+            again = f"-{number}" if number else ""
+            backup = self.path.with_name(f"{self.path.name}.{stamp}{again}.bak")
+            try:
+                descriptor = os.open(backup, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            except FileExistsError:
+                continue
+            with open(descriptor, "wb") as file:
+                _like(file.fileno(), self.path)
+                file.write(self._found)
+            return backup
+        raise EditError(f"{self.path}: has 100 backups of this second")
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Put these bytes in the place of a file, at once or not at all, with the mode and owner that
+    it has. Raises OSError."""
+    new = path.with_name(f".{path.name}.{os.getpid()}.new")
+    descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    try:
+        with open(descriptor, "wb") as file:
+            _like(file.fileno(), path)
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(path)
+    finally:
+        new.unlink(missing_ok=True)
+
+
+def write_new(path: Path, content: bytes) -> None:
+    """Make a file that is not there yet. Raises EditError."""
+    try:
+        with path.open("xb") as file:
+            file.write(content)
+    except FileExistsError as error:
+        raise EditError(f"{path}: is there already: name another file") from error
+    except OSError as error:
+        raise EditError(_why_not_written(path, error)) from error
+
+
+def _like(descriptor: int, path: Path) -> None:
+    """Mode and owner as those of `path`; a new file has the usual ones."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        os.fchmod(descriptor, 0o644)
+        return
+    if (found.st_uid, found.st_gid) != (os.geteuid(), os.getegid()):
+        try:
+            os.fchown(descriptor, found.st_uid, found.st_gid)
+        except PermissionError:
+            # a file with passwords of buses must not become readable to another group
+            os.fchmod(descriptor, stat.S_IMODE(found.st_mode) & 0o600)
+            return
+    os.fchmod(descriptor, stat.S_IMODE(found.st_mode))
+
+
+def _why_not_written(path: Path, error: OSError) -> str:
+    if isinstance(error, PermissionError):
+        return (
+            f"{path}: cannot be written: this user may not write in {path.parent}: run this with "
+            f"sudo, or copy the file to a folder of yours and run motord by the copy"
+        )
+    return f"{path}: cannot be written: {error.strerror}"
+
+
+def _tail(body: Container) -> list[Any]:
+    """Blank lines and comments behind the last key, taken off: a new key comes before them. Empty
+    where tables follow, whose places tomlkit keeps by number."""
+    if any(isinstance(item, Table) for _, item in body.body):
+        return []
+    tail: list[Any] = []
+    while body.body and body.body[-1][0] is None:
+        tail.insert(0, body.body.pop())
+    return tail
+
+
+__all__ = ["ConfigError", "EditError", "KeyPath", "RobotFileEdit", "replace_file", "write_new"]

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A command of motord at a real pseudo-terminal, and a person who reads and types there; a robot
+whose file is a copy, and whose simulated truth may differ from it."""
+
+import contextlib
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from tests.sim.daemon_stage import DEADLINE_S, ROBOT, ROOT, SLOW, running
+
+SETTINGS = (
+    *SLOW, "input.socket.kind=socket", "input.socket.lease_s=1.0", "safety.command_timeout_s=1.0",
+    "joint.left.tries=10", "joint.right.tries=10",
+)  # fmt: skip
+"""A busy machine is no fault."""
+
+
+class Screen:
+    """What the command has written, and its keyboard."""
+
+    def __init__(self, process, master):
+        self.process, self.master, self.text, self._seen = process, master, "", 0
+
+    def _read(self, within_s):
+        if not select.select([self.master], [], [], within_s)[0]:
+            return True
+        try:
+            data = os.read(self.master, 65536)
+        except OSError:  # the other end is closed
+            return False
+        self.text += data.decode(errors="replace").replace("\r\n", "\n")
+        return bool(data)
+
+    def wait(self, pattern):
+        """Until it stands behind what was waited for before."""
+        end_s = time.monotonic() + DEADLINE_S
+        while not (found := re.search(pattern, self.text[self._seen :])):
+            assert time.monotonic() < end_s, f"{pattern}: not within {DEADLINE_S} s\n{self.text}"
+            assert self._read(0.1), f"{pattern}: it ended before\n{self.text}"
+        self._seen += found.end()
+        return found
+
+    def type(self, text):
+        os.write(self.master, text.encode())
+
+    def answer(self, pattern, text):
+        found = self.wait(pattern)
+        self.type(f"{text}\n")
+        return found
+
+    def end(self):
+        """Its exit status; `text` is complete then."""
+        end_s = time.monotonic() + DEADLINE_S
+        while self._read(0.1) and time.monotonic() < end_s:
+            pass
+        return self.process.wait(DEADLINE_S)
+
+    def hang_up(self):
+        """The terminal is gone, as when an SSH connection breaks."""
+        os.close(self.master)
+        self.master = -1
+
+
+@contextlib.contextmanager
+def at_terminal(*words):
+    """`motord WORDS` with a controlling terminal of its own."""
+    master, slave = pty.openpty()
+    process = subprocess.Popen(
+        ["setsid", "--ctty", "--wait", sys.executable, "-m", "motord", *map(str, words)],
+        stdin=slave, stdout=slave, stderr=slave, cwd=ROOT, env={**os.environ, "TERM": "xterm"},
+    )  # fmt: skip
+    os.close(slave)
+    screen = Screen(process, master)
+    try:
+        yield screen
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            process.send_signal(signal.SIGKILL)
+        process.wait()
+        if screen.master >= 0:
+            os.close(master)
+
+
+def copied(folder, robot=ROBOT, **replaced):
+    """A robot file of one's own."""
+    place = Path(folder) / "cart.toml"
+    text = robot.read_text(encoding="utf-8")
+    for old, new in replaced.items():
+        assert old in text
+        text = text.replace(old, new)
+    place.write_text(text, encoding="utf-8")
+    return place
+
+
+@contextlib.contextmanager
+def robot_of(folder, file, *settings, truth=(), faults=()):
+    """A daemon that runs by `file`, on drives and wheels that differ from it by `truth`: settings
+    of the simulator."""
+    options = [part for setting in truth for part in ("--set", setting)]
+    with running(
+        Path(folder), *SETTINGS, *settings, robot=file, sim_options=options, faults=faults
+    ) as stage:
+        stage.wait_for("idle")
+        yield stage
