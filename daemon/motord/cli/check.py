@@ -8,9 +8,10 @@ from pathlib import Path
 
 import click
 
+from motord.cli.check_text import understood_rows
 from motord.cli.common import Exit, json_option, print_json, robot_argument, set_option
-from motord.cli.status_text import commanders_text
 from motord.config import ConfigError, Problem, Robot, load_robot
+from motord.config.understood import understood
 
 
 @click.command
@@ -19,6 +20,9 @@ from motord.config import ConfigError, Problem, Robot, load_robot
 @json_option
 def check(robot_file: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     """Check a robot file and print every problem as `file:line: key: problem`.
+
+    A file without a problem is explained: top speed, stopping distance, travel per count, load of
+    each line, who may command, what stops the drives after kill -9, and defaults in force.
 
     A warning (`file:line: key: warning: ...`) marks a setting that works but is probably not what
     you want. The exit status is 2 if there is a problem and 0 if there is none.
@@ -41,6 +45,7 @@ def check(robot_file: Path, overrides: tuple[str, ...], as_json: bool) -> None:
                 "file": str(robot_file),
                 "robot": robot.robot.name if robot else None,
                 "inputs": robot.commanders() if robot else [],
+                "understood": asdict(understood(robot)) if robot else None,
                 "problems": [asdict(problem) for problem in problems],
                 "warnings": [asdict(warning) for warning in warnings],
             }
@@ -64,4 +69,5 @@ def _print(
     if robot:
         joints = ", ".join(robot.joint)
         click.echo(f"{robot_file}: ok: {robot.robot.name}, {robot.base.kind} base, joints {joints}")
-        click.echo(f"may command: {commanders_text(robot.commanders())}")
+        for row in understood_rows(robot):
+            click.echo(row)

@@ -18,6 +18,7 @@ from motord.config.sections.wheels import (
     counts_per_turn,
     drive_can_reverse,
     drive_velocity_max_rad_s,
+    rad_per_count,
     takes_duty,
     takes_torque,
     torque_max_n_m,
@@ -26,6 +27,8 @@ from motord.config.sections.wheels import (
 from motord.config.toml_lines import Path
 from motord.config.wiring import line_specs
 
+TRAVEL_PER_COUNT_USUAL_MM = (1e-5, 8.0)
+"""From an encoder of 22 bits on a geared motor to the Hall sensors of a hub motor."""
 _ROUNDING = 1e-6  # a limit computed by hand from rpm may be off in the last digit
 _SPEAKS = {
     "ddsm": "ddsm",
@@ -166,6 +169,24 @@ def _counter(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             source = "the measured speed" if measures else "the wheel's set-point"
             text = f"without a position counter: odometry comes from {source}, and is less exact"
             yield Finding((drive, path), text, warning=True)
+
+
+def _resolution(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    """Where a count is much travel or nearly none, the counts or the gear are usually wrong."""
+    for name, joint in robot.joint.items():
+        profile = profiles[joint.drive]
+        if not counts_per_turn(joint, profile):
+            continue
+        travel_mm = abs(rad_per_count(joint, profile)) * robot.wheel_radius_m(name) * 1e3
+        if TRAVEL_PER_COUNT_USUAL_MM[0] <= travel_mm <= TRAVEL_PER_COUNT_USUAL_MM[1]:
+            continue
+        path: Path = ("joint", name, "encoder" if joint.encoder else "counts_per_turn")
+        on = (path, ("joint", name, "gear_ratio"), ("joint", name, "drive"))
+        text = (
+            f"a count is {travel_mm:.3g} mm of travel: counts are of a motor turn (four for each "
+            f"pulse of an encoder), and the motor turns {joint.gear_ratio:g} times for a wheel turn"
+        )
+        yield Finding(on, f"{text}: is that so?", warning=True)
 
 
 def _edges(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
@@ -315,6 +336,7 @@ _RULES: tuple[Rule, ...] = (
     _duty,
     _reverse,
     _counter,
+    _resolution,
     _edges,
     _reach,
     _serial,

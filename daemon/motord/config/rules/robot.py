@@ -16,6 +16,8 @@ JOINTS_MIN, JOINTS_MAX = 2, 8  # JOINTS_MAX, LINES_MAX: csrc/api.h
 LINES_MAX = 4
 _WHEEL_RADIUS_USUAL_M, _TRACK_USUAL_M = 0.4, 3.0
 """Small robots have less; more is allowed, and asked about."""
+STOP_USUAL_M = 3.0
+"""Braking distance of a fast delivery robot; small robots have less."""
 REST_RATIO_MAX = 1.5
 """Between the stopping times of the two axes."""
 
@@ -72,6 +74,18 @@ def _axes_stop_alike(robot: Robot) -> Iterator[Finding]:
     yield Finding((("limits", keys[0]), ("limits",)), text, warning=True)
 
 
+def _long_stop(robot: Robot) -> Iterator[Finding]:
+    limits = robot.limits
+    stop_m = limits.linear_m_s * limits.linear_rest_s(limits.linear_m_s) / 2.0
+    if stop_m > STOP_USUAL_M:
+        text = (
+            f"from {limits.linear_m_s:g} m/s the robot takes {stop_m:.1f} m to rest: is there so "
+            "much room? raise linear_deceleration_m_s2 or lower linear_m_s"
+        )
+        keys = ("linear_m_s", "linear_deceleration_m_s2")
+        yield Finding(tuple(("limits", key) for key in keys), text, warning=True)
+
+
 def _slip_factor(robot: Robot) -> Iterator[Finding]:
     if isinstance(robot.base, SkidBase) and "track_slip_factor" not in robot.base.model_fields_set:
         text = "a skid base without track_slip_factor turns less than commanded (1.5 is usual)"
@@ -116,6 +130,7 @@ ROBOT_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _line_count,
     _stops_in_time,
     _axes_stop_alike,
+    _long_stop,
     _slip_factor,
     _geometry,
     battery_alone,

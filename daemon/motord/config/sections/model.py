@@ -136,9 +136,13 @@ class Limits(Section):
     )
     angular_rad_s3: float = number("turn jerk; inf: no limit", 0.001, None, "rad/s³", math.inf)
 
+    def linear_rest_s(self, linear_m_s: float) -> float:
+        """How long a stop takes from this speed on a straight line."""
+        return _ramp_s(linear_m_s, self.linear_deceleration_m_s2, self.linear_m_s3)
+
     def axes_rest_s(self) -> tuple[float, float]:
         """How long each axis alone takes from full speed to rest: linear, angular."""
-        linear_s = _ramp_s(self.linear_m_s, self.linear_deceleration_m_s2, self.linear_m_s3)
+        linear_s = self.linear_rest_s(self.linear_m_s)
         angular_s = _ramp_s(
             self.angular_rad_s, self.angular_deceleration_rad_s2, self.angular_rad_s3
         )

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a robot file means: the numbers that follow from it, for a person to compare with the
+robot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from motord.config.rules.can import bus_load
+from motord.config.rules.wire import budget
+from motord.config.sections.model import Robot
+from motord.config.sections.section import Section
+from motord.config.sections.wheels import rad_per_count, velocity_range_rad_s
+from motord.config.wiring import line_specs
+
+RPM_PER_RAD_S = 60.0 / math.tau
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wheel:
+    """One joint at the robot's top speed."""
+
+    joint: str
+    velocity_rad_s: float
+    velocity_rpm: float
+    motor_rpm: float
+    wheel_radius_m: float
+    travel_per_count_mm: float | None
+    """On the ground. None: nothing counts."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wire:
+    """One line. `cycle_hz`: requested; `share`: of the wire's time, 1 is all of it."""
+
+    line: str
+    cycle_hz: float
+    share: float
+    most_hz: float
+    """Rate at which the wire is full."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Watchdog:
+    """What a drive does when motord is killed (`kill -9`) or the computer dies."""
+
+    drive: str
+    joints: tuple[str, ...]
+    stops_within_s: float | None
+    """None: the drive does not stop."""
+    note: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Understood:
+    """A robot file in numbers."""
+
+    top_m_s: float
+    on_spot_rad_s: float
+    stop_time_s: float
+    stop_distance_m: float
+    """From top speed, by a stop."""
+    lost_distance_m: float
+    """From top speed, when the commands end: with the time until that is noticed."""
+    wheels: tuple[Wheel, ...]
+    wires: tuple[Wire, ...]
+    watchdogs: tuple[Watchdog, ...]
+    defaults: dict[str, dict[str, float | str | bool | None]]
+    """Table → key → value of what the file does not give; null: no limit."""
+
+
+def understood(robot: Robot) -> Understood:
+    """The numbers; of a robot file without problems."""
+    profiles = robot.profiles
+    ranges = {
+        name: velocity_range_rad_s(joint, profiles[joint.drive])
+        for name, joint in robot.joint.items()
+    }
+    radii = {name: robot.wheel_radius_m(name) for name in robot.joint}
+    wheels_m_s = min(ranges[name][1] * radii[name] for name in ranges)
+    spot_m_s = min(min(ranges[name][1], -ranges[name][0]) * radii[name] for name in ranges)
+    top_m_s = min(robot.limits.linear_m_s, wheels_m_s)
+    spot_rad_s = 2.0 * spot_m_s / robot.base.effective_track_m
+    stop_s = robot.limits.linear_rest_s(top_m_s)
+    # a symmetric S-curve: half of top speed on average
+    stop_m = top_m_s * stop_s / 2.0
+    return Understood(
+        top_m_s=top_m_s,
+        on_spot_rad_s=min(robot.limits.angular_rad_s, spot_rad_s),
+        stop_time_s=stop_s,
+        stop_distance_m=stop_m,
+        lost_distance_m=stop_m + top_m_s * robot.safety.command_timeout_s,
+        wheels=tuple(_wheel(robot, name, top_m_s) for name in robot.joint),
+        wires=tuple(_wires(robot)),
+        watchdogs=tuple(_watchdogs(robot)),
+        defaults={
+            name: found
+            for name in ("limits", "safety", "loop")
+            if (found := _defaults(getattr(robot, name)))
+        },
+    )
+
+
+def _wheel(robot: Robot, name: str, top_m_s: float) -> Wheel:
+    joint, radius_m = robot.joint[name], robot.wheel_radius_m(name)
+    per_count_rad = abs(rad_per_count(joint, robot.profiles[joint.drive]))
+    counts = per_count_rad != 1.0  # what rad_per_count returns without a counter
+    top_rad_s = top_m_s / radius_m
+    return Wheel(
+        joint=name,
+        velocity_rad_s=top_rad_s,
+        velocity_rpm=top_rad_s * RPM_PER_RAD_S,
+        motor_rpm=top_rad_s * joint.gear_ratio * RPM_PER_RAD_S,
+        wheel_radius_m=radius_m,
+        travel_per_count_mm=per_count_rad * radius_m * 1e3 if counts else None,
+    )
+
+
+def _wires(robot: Robot) -> list[Wire]:
+    found = []
+    for spec in line_specs(robot, robot.profiles):
+        if not spec.joints:
+            continue
+        if spec.kind == "can":
+            own, cycle_s = bus_load(spec)
+            share, cycle_hz = own + cycle_s * spec.cycle_hz, spec.cycle_hz
+            most_hz = max(1.0 - own, 0.0) / cycle_s
+        else:
+            need = budget(spec)
+            share, cycle_hz = need.share, need.cycle_hz
+            most_hz = need.most_hz if share else cycle_hz
+        found.append(Wire(line=spec.name, cycle_hz=cycle_hz, share=share, most_hz=most_hz))
+    return found
+
+
+def _watchdogs(robot: Robot) -> list[Watchdog]:
+    found = []
+    for drive, profile in robot.profiles.items():
+        joints = tuple(name for name, joint in robot.joint.items() if joint.drive == drive)
+        within_s, note = None, profile.watchdog_note
+        if profile.watchdog is not None:
+            within_s, note = robot.safety.drive_watchdog_s, profile.watchdog.action
+        elif all(robot.joint[name].drive_watchdog_s for name in joints):
+            within_s = max(robot.joint[name].drive_watchdog_s or 0.0 for name in joints)
+            note = "set in the drive with its maker's tool"
+        found.append(Watchdog(drive=drive, joints=joints, stops_within_s=within_s, note=note))
+    return found
+
+
+def _defaults(section: Section) -> dict[str, float | str | bool | None]:
+    values = {
+        key: getattr(section, key)
+        for key in type(section).model_fields
+        if key not in section.model_fields_set
+    }
+    return {
+        key: None if value == math.inf else value
+        for key, value in values.items()
+        if isinstance(value, float | int | str)
+    }
