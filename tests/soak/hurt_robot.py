@@ -35,7 +35,7 @@ ROOT = HERE.parents[1]
 ROBOT = HERE / "four-drives.toml"
 PROFILE = HERE / "soak-servo.toml"
 LINE = "rs485"
-DEADLINE_S = 30.0
+DEADLINE_S = 100.0
 RECOVER_S = 30.0
 """From the last fault's end until the robot moves again: back-off of 2 s, opening, set-up and
 arming, each of which a busy machine may draw out."""
@@ -231,7 +231,9 @@ def standing(folder: Path, seed: int, engine: str) -> Iterator[HurtRobot]:
     """Simulator, daemon and driver of one robot; all are gone at the end."""
     with contextlib.ExitStack() as cleanup:
         simulator = cleanup.enter_context(
-            start_simulator(ROBOT, seed=seed, link_dir=folder, options=("--tagged",))
+            start_simulator(
+                ROBOT, seed=seed, link_dir=folder, options=("--tagged",), timeout_s=DEADLINE_S
+            )
         )
         name = f"soak{uuid.uuid4().hex[:12]}"
         cleanup.callback(own_page(name).unlink, missing_ok=True)
