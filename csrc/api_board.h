@@ -152,9 +152,9 @@ typedef struct {
 } board_report;
 
 typedef struct {
-    line_place at;  /* woken by changes of the mode and of orders that were sent */
-    uint32_t epoch; /* of the feedback before this start; 0: there was none */
-    uint32_t reserved;
+    line_place at;         /* woken by changes of the mode and of orders that were sent */
+    uint32_t epoch;        /* of the feedback before this start; 0: there was none */
+    uint32_t left_running; /* another program left the board so: it begins with a quick stop, with no set-up before it */
 } board_config;
 
 /* NULL when good; else the name of the first bad field. Static storage of the caller: name[FIELD_NAME_BYTES]. */

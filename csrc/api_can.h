@@ -195,8 +195,10 @@ typedef struct {
 
 /* What is known of the drives from before the bus was opened; zeros: nothing. */
 typedef struct {
-    uint32_t epoch;    /* of their feedback */
-    uint32_t may_turn; /* bit n: drive n does, so it gets a stop until it responds and is set up */
+    uint32_t epoch;        /* of their feedback */
+    uint32_t may_turn;     /* bit n: drive n does, so it gets a stop until it responds and is set up */
+    uint32_t left_running; /* another program left all drives so: each begins with a quick stop, with no set-up before it */
+    uint32_t reserved;
 } can_before;
 
 typedef struct {

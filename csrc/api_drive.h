@@ -3,6 +3,9 @@
  * yet. The rules of when a drive has to stop stand in drive_state.c and nowhere else; a medium says what it knows and sends
  * the stop. Read by cffi too: lines in asyncio ask the same rules. */
 
+/* After a quick stop the power stays on until the wheels are at rest, so long at most. */
+enum { DRIVE_STOPPING_NS = 1000000000 };
+
 typedef enum { STOP_NOTHING = 0, STOP_QUICK = 1, STOP_POWER_OFF = 2 } drive_stop;
 
 typedef struct {

@@ -316,8 +316,8 @@ typedef struct {
     int64_t de_after_ns;  /* from the last bit to the edge back */
     int32_t de_fd;        /* GPIO line request (v2) that turns the transceiver; -1: none */
     uint32_t de_active_high;
-    uint32_t may_turn; /* bit n: drive n, since before the port was opened: it gets a stop first */
-    uint32_t reserved;
+    uint32_t may_turn;     /* bit n: drive n, since before the port was opened: it gets a stop first */
+    uint32_t left_running; /* another program left all drives so: each begins with a quick stop, with no set-up before it */
 } line_config;
 
 /* NULL when good; else the name of the first bad field. Static storage of the caller: name[FIELD_NAME_BYTES]. */

@@ -8,9 +8,6 @@
 
 #include "rt.h"
 
-/* After a quick stop the power stays on until the wheels are at rest, so long at most. */
-static const int64_t DRIVE_STOPPING_NS = 1000000000;
-
 static inline bool drive_is_cycled(const drive_state *drive)
 {
     return drive->mode == DRIVE_READY || drive->mode == DRIVE_ARMED;

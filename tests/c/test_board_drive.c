@@ -124,8 +124,30 @@ static void an_order_counts_when_it_has_gone_out(void)
     CHECK(m->orders_sent == 8 && m->notify && !m->has_order && !m->order_written);
 }
 
+static void a_board_that_another_program_left_running_is_braked_before_it_loses_its_power(void)
+{
+    board_table table = frames_table();
+    for (uint32_t i = table.field_count; i-- > 0;) { /* nothing is set up, so nothing of it can be lost */
+        if (table.field[i].meaning.kind == FIELD_KEPT) {
+            table.field[i] = table.field[--table.field_count];
+        }
+    }
+    begin_with(table);
+    w.stuck = true;
+    w.measured[0].velocity_mrad_s = 3000;
+    w.peer.enabled = 1;
+    board_take_over(m, w.now_ns);
+    CHECK(m->state.mode == DRIVE_READY && m->state.stopping && m->state.stop == STOP_QUICK && m->received_ns == w.now_ns);
+    go_on(500 * MS);
+    CHECK(w.peer.braking == 1 && w.peer.enabled == 0 && m->state.mode == DRIVE_READY && w.moving_count == 0);
+    w.stuck = false;
+    go_on(60 * MS);
+    CHECK(w.peer.braking == 0 && !m->state.stopping && m->state.mode == DRIVE_READY);
+}
+
 int main(void)
 {
+    a_board_that_another_program_left_running_is_braked_before_it_loses_its_power();
     a_board_is_unresponsive_after_its_silence_and_not_before();
     a_board_is_left_alone_after_its_watchdog_and_not_before();
     it_is_at_rest_by_a_word_of_after_its_stop();

@@ -210,8 +210,45 @@ static void what_is_said_to_have_left_some_milliseconds_late_goes_on(void)
     CHECK(moving(0) == count_sent(SPEED) && moving(0) >= 50);
 }
 
+static void drives_that_another_program_left_running_stop_before_they_lose_their_power(void)
+{
+    begin_with(2);
+    w.powered = true;
+    w.said_rad_s = 1.0;
+    can_take_over(&w.machine, w.now_ns);
+    go_on(500 * MS);
+    for (uint32_t i = 0; i < 2; i++) {
+        CHECK(state_of(i)->state.mode == DRIVE_READY && state_of(i)->state.stopping && state_of(i)->may_turn);
+    }
+    for (uint32_t i = 0; i < w.sent_count; i++) {
+        CHECK(w.sent[i].data[0] == QUICK_STOP && w.sent[i].data[2] == 0 && w.sent[i].data[3] == 0); /* and zero speed */
+    }
+    CHECK(count_sent(SPEED) > 2 && count_sent(SPEED + 1) > 2);
+    w.said_rad_s = 0.0;
+    forget_sent();
+    go_on(30 * MS);
+    CHECK(w.sent_count > 0 && w.sent[w.sent_count - 1].data[0] == DISABLE);
+    CHECK(!state_of(0)->state.stopping && !state_of(1)->state.stopping);
+}
+
+static void of_those_one_that_sends_nothing_has_its_time_and_then_gets_stops_again_and_again(void)
+{
+    begin_with(1);
+    w.silent = true;
+    can_take_over(&w.machine, w.now_ns);
+    go_on(190 * MS);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->last_sent_ns >= w.now_ns - 11 * MS);
+    go_on(210 * MS);
+    CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE);
+    forget_sent();
+    go_on(500 * MS);
+    CHECK(count_sent(SPEED) > 1 && w.sent[0].data[0] == QUICK_STOP);
+}
+
 int main(void)
 {
+    drives_that_another_program_left_running_stop_before_they_lose_their_power();
+    of_those_one_that_sends_nothing_has_its_time_and_then_gets_stops_again_and_again();
     a_bus_that_took_nothing_for_a_cycle_is_given_zero_first_and_then_the_newest();
     a_bus_that_takes_some_frames_of_a_cycle_is_given_motion();
     no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_behind_them();

@@ -182,6 +182,41 @@ static void one_that_does_not_answer_then_is_sent_again_and_again(void)
     CHECK(w.quick_stop_sent[0] > 4);
 }
 
+static void drives_that_another_program_left_running_stop_before_they_lose_their_power(void)
+{
+    begin_with(2, 0);
+    line_take_over(&w.machine, w.now_ns);
+    w.turning = 1;
+    int64_t began_ns = w.now_ns;
+    while (w.now_ns < began_ns + 500 * MS) {
+        go_on();
+        CHECK(!w.machine.drive[0].state.sent_motion && !w.machine.drive[1].state.sent_motion);
+    }
+    for (uint32_t i = 0; i < 2; i++) {
+        CHECK(w.quick_stop_ns[i] > 0 && w.quick_stop_ns[i] < began_ns + 50 * MS && w.machine.drive[i].may_turn);
+        CHECK(w.machine.drive[i].state.mode == DRIVE_READY);
+    }
+    CHECK(w.machine.drive[0].state.stopping && w.power_offs[0] == 0);
+    CHECK(!w.machine.drive[1].state.stopping && w.power_off_ns[1] > w.quick_stop_ns[1]);
+    w.turning = 0;
+    while (w.now_ns < began_ns + 600 * MS) {
+        go_on();
+    }
+    CHECK(w.power_off_ns[0] > began_ns + 500 * MS && w.power_offs[0] == 2);
+}
+
+static void of_those_one_that_does_not_answer_is_sent_its_stop_again_and_again(void)
+{
+    begin_with(1, 0);
+    w.dead = 1;
+    line_take_over(&w.machine, w.now_ns);
+    int64_t began_ns = w.now_ns;
+    while (w.now_ns < began_ns + 1200 * MS) {
+        go_on();
+    }
+    CHECK(w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE && w.quick_stop_sent[0] > 4);
+}
+
 static void a_wheel_that_turns_is_stopped_before_it_loses_its_power(void)
 {
     begin_with(2, 0);
@@ -372,6 +407,8 @@ int main(void)
     a_missing_drive_does_not_keep_the_others_from_being_seen_at_rest();
     one_that_hears_but_is_not_received_is_sent_every_frame_at_the_end();
     the_answer_to_an_older_stop_does_not_stand_for_a_newer_one();
+    drives_that_another_program_left_running_stop_before_they_lose_their_power();
+    of_those_one_that_does_not_answer_is_sent_its_stop_again_and_again();
     a_wheel_that_turns_is_stopped_before_it_loses_its_power();
     a_wheel_that_does_not_stop_loses_its_power_in_time();
     the_echo_of_a_stop_does_not_bring_a_dead_drive_back();

@@ -10,7 +10,8 @@ from loop_side import running, until
 from text_board_rig import Reader, spec_of
 
 from motord_hal.base.errors import ProfileError
-from motord_hal.fieldbus.open_line import halt_line, open_line
+from motord_hal.fieldbus.halt import halt_line
+from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import (
     DriveState,
     EventKind,
@@ -152,7 +153,7 @@ async def test_a_port_that_takes_no_bytes_any_more_leaves_the_event_loop_alive(t
             refused = rig.line.stats().errors["no_room"]
             await until(lambda: rig.line.stats().errors["no_room"] > refused + 10)
             assert DriveState.ARMED not in rig.states()
-        assert rig.events[-1].kind is EventKind.DRIVE_WARNING
+        assert rig.events[-1].kind is EventKind.DRIVE_LEFT_ON
         assert "left, right not switched off at the end" in rig.events[-1].text
     finally:
         os.close(master)

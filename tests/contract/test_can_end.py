@@ -41,7 +41,7 @@ async def fill(rig, bus):
 
 
 def said_at_the_end(rig):
-    return [e for e in rig.events if e.kind is EventKind.DRIVE_WARNING]
+    return [e for e in rig.events if e.kind is EventKind.DRIVE_LEFT_ON]
 
 
 @pytest.mark.parametrize("engine", ENGINES)

@@ -6,7 +6,7 @@ from can_rig import spec_of
 from scripted_odrive import BUSES, CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
 
 from motord_hal.base.errors import PortError
-from motord_hal.fieldbus.open_line import halt_line
+from motord_hal.fieldbus.halt import halt_line
 
 
 @pytest.fixture(params=BUSES)
@@ -40,7 +40,8 @@ async def test_a_drive_that_turns_on_is_switched_off_all_the_same_and_a_silent_o
 async def test_a_silent_drive_is_sent_all_the_same_and_reported(peer):
     peer.axes[0].silent = True
     (problem,) = await halt_line(spec_of(peer, 0, 3))
-    assert "wheel0: no heartbeat frame" in problem
+    assert "wheel0" in problem
+    assert "no heartbeat frame" in problem
     assert peer.axes[0].state == peer.axes[3].state == IDLE
 
 

@@ -7,7 +7,7 @@ from loop_side import running, until
 from scripted_odrive import CLOSED_LOOP, IDLE, Peer, living
 from slcan_adapter import SlcanAdapter
 
-from motord_hal.fieldbus.open_line import halt_line
+from motord_hal.fieldbus.halt import halt_line
 from motord_hal.fieldbus.ports import DriveState, EventKind
 
 

@@ -11,7 +11,7 @@ from scripted_odrive import BUSES, engine_asked, new_address, open_bus
 from motord.config.drives.load import find_profile, load_profile
 from motord_hal.base.errors import DriveFault, HalError
 from motord_hal.base.paths import config_dir
-from motord_hal.fieldbus.open_line import halt_line
+from motord_hal.fieldbus.halt import halt_line
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 
 RPM = 2 * math.pi / 60

@@ -13,7 +13,7 @@ from shared_bus import KINDS, end_of, shared_bus
 
 from motord.config.drives.load import find_profile
 from motord_hal.base.errors import ProfileError
-from motord_hal.can.halt import halt_line
+from motord_hal.fieldbus.halt import halt_line
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 from motord_hal.realtime.exchange import Exchange

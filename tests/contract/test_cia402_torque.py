@@ -10,7 +10,7 @@ from loop_side import running, until
 from shared_bus import KINDS, end_of, shared_bus
 
 from motord.config.drives.load import find_profile
-from motord_hal.can.halt import halt_line
+from motord_hal.fieldbus.halt import halt_line
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 
 RPM = 2 * math.pi / 60

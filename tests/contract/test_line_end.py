@@ -50,7 +50,7 @@ async def test_a_drive_that_is_not_reached_for_a_moment_at_the_end_is_switched_o
         await set_off(rig, unit)
         unit.loses = lost
     assert (unit.registers[TARGET], unit.registers[ENABLE]) == (0, OFF)
-    assert EventKind.DRIVE_WARNING not in rig.kinds()
+    assert EventKind.DRIVE_LEFT_ON not in rig.kinds()
 
 
 async def test_an_unresponsive_drive_that_is_reached_during_the_end_is_switched_off(peer):
@@ -68,7 +68,7 @@ async def test_a_drive_that_is_not_reached_until_the_end_is_named(peer):
     async with running(spec_of(peer, [WHEEL]), in_haste=True) as rig:
         await set_off(rig, unit)
         unit.silent = True
-    assert rig.kinds()[-1] is EventKind.DRIVE_WARNING
+    assert rig.kinds()[-1] is EventKind.DRIVE_LEFT_ON
     assert "wheel not switched off at the end" in rig.events[-1].text
 
 

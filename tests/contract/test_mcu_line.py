@@ -6,12 +6,14 @@ import os
 
 import pytest
 from frame_board_rig import joints_of, spec_of
+from frame_sender import FrameSender
 from loop_side import PATIENT_S, running, until
 from mcu_peer import McuPeer, compiled
 
 from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import DriveFault, HalError, NoReply, PortError, ProfileError
-from motord_hal.fieldbus.open_line import halt_line, open_line
+from motord_hal.fieldbus.halt import halt_line
+from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import (
     DriveState,
     EventKind,
@@ -19,7 +21,6 @@ from motord_hal.fieldbus.ports import (
     LineState,
     Mounting,
 )
-from motord_hal.mcu.frame_dialect import FrameDialect
 from motord_hal.mcu.link import Stream
 from motord_hal.realtime.exchange import Exchange
 from motord_hal.rt_engine.boards import drive as board_drive
@@ -267,13 +268,13 @@ async def test_a_port_that_goes_away_while_it_is_opened_is_opened_again(peer, mo
 async def left_turning(peer, spec, spoke=0):
     """As a program leaves it that was killed: enabled, turning, its watchdog two seconds away; it
     had sent some frames before."""
-    dialect = FrameDialect(spec)
+    sender = FrameSender(spec)
     for _ in range(spoke):
-        dialect.setpoints({}, now_ns())
+        sender.setpoints({}, now_ns())
     stream = Stream(spec, lambda data: None)
     stream.open()
     for raw in ({"control": 8}, {"control": 1}, {"control": 1, "target_velocity_1": 5000}):
-        assert stream.send(dialect.setpoints({"watchdog": 2000, **raw}, now_ns()))
+        assert stream.send(sender.setpoints({"watchdog": 2000, **raw}, now_ns()))
     await until(lambda: peer.sent and peer.now.left_mrad_s == 5000, "it turns")
     stream.close()
 
@@ -303,7 +304,7 @@ async def test_a_new_line_is_received_by_a_board_that_a_dead_program_left_turnin
 async def test_a_board_that_reports_nothing_when_it_is_stopped_is_named(peer):
     peer.do("m")
     problems = await halt_line(spec_of(peer))
-    assert problems == ["the board of left, right has sent nothing"]
+    assert problems == ["the board of left, right has not reported its status"]
 
 
 # ----------------------------------------------------------------------------------------- faults

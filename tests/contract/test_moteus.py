@@ -12,8 +12,8 @@ from scripted_moteus import FAULT, POSITION, STOPPED, TIMEOUT, ZERO_VELOCITY, Mo
 from shared_bus import KINDS, shared_bus
 
 from motord.config.drives.load import find_profile
-from motord_hal.can.halt import halt_line
 from motord_hal.can.plan import CanPlan
+from motord_hal.fieldbus.halt import halt_line
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 
 TURN = 2 * math.pi

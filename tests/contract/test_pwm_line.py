@@ -20,7 +20,8 @@ import motord_hal.rt_engine
 from motord.config.drives.load import find_profile
 from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import HalError, PortError
-from motord_hal.fieldbus.open_line import halt_line, open_line
+from motord_hal.fieldbus.halt import halt_line
+from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import (
     DriveState,
     EventKind,

@@ -12,7 +12,8 @@ from loop_side import running, until
 
 from motord.config.drives.load import find_profile
 from motord_hal.base.errors import ProfileError
-from motord_hal.fieldbus.open_line import halt_line, open_line
+from motord_hal.fieldbus.halt import halt_line
+from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 from motord_hal.realtime.exchange import Exchange
 from motord_hal.roboclaw.codec import build_reply, packet_bytes

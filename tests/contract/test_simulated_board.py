@@ -5,9 +5,9 @@ import math
 import os
 
 import pytest
+from frame_sender import FrameSender
 from sim_bench import Bench, line_of
 
-from motord_hal.mcu.frame_dialect import FrameDialect
 from motord_hal.mcu.frames import FrameError, Splitter, parse, pick
 
 TURN_RAD_S = 10.0
@@ -24,11 +24,11 @@ def frames_in(data):
 
 def test_after_a_standstill_a_board_reports_of_what_time_it_speaks(tmp_path):
     with Bench(tmp_path, "mcu-velocity", watchdog_s=0.0) as bench:
-        dialect = FrameDialect(line_of(bench.profile))
+        sender = FrameSender(line_of(bench.profile))
         steps = [{"control": 8}, {"control": 0}, {"control": 1}]
         turning = {"control": 1, "target_velocity_1": round(TURN_RAD_S * 1000)}
         for sent in (*steps, *[turning] * 50):
-            bench.send(dialect.setpoints({"watchdog": 2000, **sent}, 0))
+            bench.send(sender.setpoints({"watchdog": 2000, **sent}, 0))
             bench.go_on(TICK_S)
         assert bench.wheel().velocity_rad_s == pytest.approx(TURN_RAD_S, rel=0.01)
         before = list(frames_in(os.read(bench.fd, 65536)))[-1]

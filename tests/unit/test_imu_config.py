@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """[imu] in a robot file: what it may say, and what core and line are told."""
 
-import math
 from pathlib import Path
 
 import pytest
@@ -10,7 +9,6 @@ from motord.config import ConfigError, load_robot
 from motord.config.wiring import line_specs
 from motord.control import assembly
 from motord.realtime.loop import Loop, LoopSettings
-from motord_hal.ascii.dialect import TextDialect
 from motord_hal.fieldbus.ports import Mounting
 from motord_hal.sim.boards.text_talk import TextTalk
 from motord_hal.sim.gyro import SimulatedGyro
@@ -114,14 +112,9 @@ def test_a_line_of_text_has_to_report_the_rate_about_z(load):
     assert load(*text_robot(" {gyro_z_rad_s}", up="-z")).imu.up == "-z"
 
 
-def test_the_rate_in_a_line_of_text_is_received_and_reported(load):
+def test_a_simulated_board_reports_the_rate_in_its_line_of_text(load):
     robot = load(*text_robot(" {gyro_z_rad_s}"))
     (spec,) = line_specs(robot, robot.profiles)
-    dialect = TextDialect(spec)
-    (said,) = dialect.feed(b"half a line\n10 20 -0.25\n", 5)
-    assert said.imu.angular_rad_s[2] == -0.25
-    assert math.isnan(said.imu.angular_rad_s[0])
-    assert not said.imu.saturated
     plant = Plant(
         {"left": Wheel(WheelModel()), "right": Wheel(WheelModel())},
         {side: Contact(side=side, wheel_radius_m=0.05) for side in ("left", "right")},

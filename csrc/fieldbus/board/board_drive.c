@@ -31,6 +31,12 @@ void board_power_off(board_machine *m, int64_t now_ns)
     board_begin_stop(m, drive_power_off(&m->state), now_ns);
 }
 
+void board_take_over(board_machine *m, int64_t now_ns)
+{
+    m->received_ns = now_ns;
+    board_begin_stop(m, drive_quick_stop(&m->state, 0, now_ns), now_ns);
+}
+
 /* -------------------------------------------------------------------------------------------------- presence */
 static void becomes_unresponsive(board_machine *m, int64_t now_ns)
 {

@@ -85,6 +85,8 @@ typedef struct {
 
 /* 0 or -EINVAL. OFF; `epoch` and `sequence`: of what was before. */
 int board_machine_init(board_machine *m, const board_table *table, uint32_t epoch, uint16_t sequence, int64_t now_ns);
+/* A board that another program left running: it is READY and has a quick stop to get, as if it had been armed here. */
+void board_take_over(board_machine *m, int64_t now_ns);
 /* Bytes have come. Nothing is sent. */
 void board_machine_receive(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns);
 /* false: the one before has not gone out */

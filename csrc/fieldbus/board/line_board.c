@@ -166,6 +166,9 @@ static int prepare(board_thread *t, uint32_t line, const board_config *config, c
     if (error != 0) {
         return error;
     }
+    if (config->left_running != 0) {
+        board_take_over(&t->machine, clock_now_ns());
+    }
     t->machine.send = send_bytes;
     t->machine.sink = t;
     t->machine.round_trips = &t->life.round_trips;

@@ -241,15 +241,31 @@ void can_guard(can_machine *m, uint32_t number, int64_t now_ns)
 }
 
 /* -------------------------------------------------------------------------------------------------- requests */
+/* What comes only from now on has its time. */
+static void begin_listening(can_drive_state *drive, int64_t now_ns)
+{
+    drive->last_sent_ns = now_ns;
+    for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
+        drive->received_ns[i] = now_ns;
+    }
+}
+
 static void set_up(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     drive->may_turn = drive->state.sent_motion || drive->state.stopping;
     drive->slow_cycles = 0;
-    drive->last_sent_ns = now_ns;
     can_forget(m, number);
-    for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
-        drive->received_ns[i] = now_ns; /* what comes only from now on has its time, too */
+    begin_listening(drive, now_ns);
+}
+
+void can_take_over(can_machine *m, int64_t now_ns)
+{
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        can_drive_state *drive = &m->drive[i];
+        drive->may_turn = true;
+        begin_listening(drive, now_ns);
+        can_begin_stop(m, i, drive_quick_stop(&drive->state, 0, now_ns));
     }
 }
 

@@ -102,6 +102,8 @@ typedef struct {
 /* 0 or -EINVAL. Every drive OFF; one that may turn gets a stop until it responds. */
 int can_machine_init(can_machine *m, const can_table *table, const can_before *before, can_sender send, void *sink,
                      int64_t now_ns);
+/* Drives that another program left running: each is READY and has a quick stop to get, as if it had been armed here. */
+void can_take_over(can_machine *m, int64_t now_ns);
 /* A frame has come. Returns the receiver: the number of its drive, CAN_DRIVES_MAX for an error frame, or
  * CAN_FOR_NOBODY. Nothing is sent. */
 uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t stamp_ns, int64_t now_ns);

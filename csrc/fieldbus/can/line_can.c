@@ -260,6 +260,9 @@ static int prepare(can_thread *t, uint32_t line, const can_config *config, const
     if (error != 0) {
         return error;
     }
+    if (config->before.left_running != 0) {
+        can_take_over(&t->machine, clock_now_ns());
+    }
     t->machine.receives_own = receives_own(config->at.fd);
     t->emptied_ns = clock_now_ns();
     for (uint32_t i = 0; i < CAN_DRIVES_MAX; i++) {

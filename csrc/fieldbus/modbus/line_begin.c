@@ -63,3 +63,11 @@ int line_machine_init(line_machine *m, const line_table *table, uint32_t may_tur
     }
     return 0;
 }
+
+void line_take_over(line_machine *m, int64_t now_ns)
+{
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        m->drive[i].may_turn = true;
+        line_begin_stop(m, i, drive_quick_stop(&m->drive[i].state, 0, now_ns), now_ns);
+    }
+}

@@ -170,6 +170,8 @@ typedef struct {
 
 /* line_begin.c: 0 or -EINVAL. Every drive OFF; one that `may_turn` gets a stop before all else. */
 int line_machine_init(line_machine *m, const line_table *table, uint32_t may_turn, int64_t now_ns);
+/* Drives that another program left running: each is READY and has a quick stop to get, as if it had been armed here. */
+void line_take_over(line_machine *m, int64_t now_ns);
 /* false: no room */
 bool line_machine_request(line_machine *m, const line_request *request);
 /* The core has made new set-points of a new command: a drive that is to get something else is due at once. */

@@ -213,6 +213,9 @@ static int prepare(rtu_thread *t, uint32_t line, const line_config *config, cons
     uint32_t epoch = last_epoch(&t->machine);
     int error = line_thread_prepare(&t->life, line, &config->at, &slots);
     error = error == 0 ? line_machine_init(&t->machine, table, config->may_turn, clock_now_ns()) : error;
+    if (error == 0 && config->left_running != 0) {
+        line_take_over(&t->machine, clock_now_ns());
+    }
     if (error != 0) {
         return error;
     }

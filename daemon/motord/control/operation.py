@@ -42,6 +42,7 @@ _WORRYING = {
     EventKind.DRIVE_UNRESPONSIVE,
     EventKind.DRIVE_FAULT,
     EventKind.DRIVE_WARNING,
+    EventKind.DRIVE_LEFT_ON,
 }
 _MAY_MOVE = (State.ARMED, State.MOVING)
 _ESTOP_INPUTS = {

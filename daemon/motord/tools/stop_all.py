@@ -11,7 +11,7 @@ from motord.config import Robot
 from motord.control.assembly import line_specs
 from motord_hal.base.clock import within
 from motord_hal.base.errors import HalError
-from motord_hal.fieldbus.open_line import halt_line
+from motord_hal.fieldbus.halt import halt_line
 from motord_hal.fieldbus.ports import LineSpec
 
 

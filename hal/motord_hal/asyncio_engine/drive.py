@@ -66,6 +66,8 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         """Register → the newest raw value."""
         self._rules = DriveRules()
         self._reported_unresponsive = False
+        self._may_turn = False
+        """It has been armed since it was last seen set up: at rest and without power."""
 
     # --------------------------------------------------------------------------------- its own wire
     @abc.abstractmethod
@@ -247,6 +249,12 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
             await self.quick_stop()
         elif stop is Stop.POWER_OFF:
             await self.power_off()
+
+    async def take_over(self) -> None:
+        """Instead of `opened`, where another program left it running: it is stopped as if it had
+        been armed here. Raises PortError."""
+        self._may_turn = True
+        await self.quick_stop()
 
     async def quick_stop(self) -> None:
         """Stop now, ahead of everything else; the power goes off when the wheel is at rest. Of the

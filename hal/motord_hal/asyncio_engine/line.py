@@ -91,7 +91,10 @@ class AsyncioLine(DriveLine[AnyDrive]):
         """Cycle for ever, once a period at most; a late cycle is not caught up. Raises
         PortError."""
         for drive in self._drives:
-            drive.opened()
+            if self.spec.left_running:
+                await drive.take_over()
+            else:
+                drive.opened()
         due_s = now_s()
         while True:
             self._look()

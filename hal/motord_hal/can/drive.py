@@ -18,11 +18,11 @@ from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent, with_cycle
 from motord_hal.drives.can_profile import Frame
 from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.faults import Say
-from motord_hal.fieldbus.halt import STOPPING_WITHIN_S
 from motord_hal.fieldbus.job import Job, configure_steps
 from motord_hal.fieldbus.line import PRESENT
 from motord_hal.fieldbus.plan import Wanted
 from motord_hal.fieldbus.ports import DriveState, LineSpec
+from motord_hal.realtime.drive_state import STOPPING_WITHIN_S
 from motord_hal.realtime.exchange import Exchange
 
 PROBE_FIRST_S = 0.1
@@ -78,8 +78,6 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._unresponsive_since_s = 0.0
         self._probe_at_s = 0.0
         self._cycles = 0
-        self._may_turn = False
-        """It has been armed since it was last seen set up: at rest and without power."""
 
     def __str__(self) -> str:
         return f"{', '.join(self.names)} (node {self.plan.node})"
@@ -291,6 +289,12 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._waits_since_s = self._unresponsive_since_s = now_s()
         self._probe_at_s = 0.0
         self._backoff.reset()
+
+    async def take_over(self) -> None:
+        """As AsyncioDrive.take_over. What comes only from now on has its time."""
+        self.opened()
+        self._received_s.update(dict.fromkeys((f.name for f in self.plan.watched), now_s()))
+        await super().take_over()
 
     def _slot(self) -> None:
         """One step of the first job."""

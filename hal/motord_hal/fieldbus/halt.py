@@ -1,96 +1,150 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stopping a drive whose program has died and whose wheels may turn.
-
-Nothing is known of the drive and nothing is read before the stop is sent: quick stop, zero, and
-power off when its wheels rest. None of these can make a motor turn.
-"""
+"""Stopping the drives of a line whose program has died: an ordinary line, which begins with a quick
+stop instead of a set-up, and is shut down when its drives report that they have no power."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
-from typing import Protocol
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
 
-from motord_hal.base.clock import now_s
-from motord_hal.base.errors import BadReply, HalError, NoReply
-from motord_hal.drives.profile import DriveProfile, Step
+from motord_hal.base.clock import now_s, within
+from motord_hal.base.errors import HalError, PortError
+from motord_hal.drives.can_profile import Signal
+from motord_hal.drives.profile import DriveProfile
+from motord_hal.fieldbus.line import DriveLine
+from motord_hal.fieldbus.open_line import open_line
+from motord_hal.fieldbus.ports import (
+    DriveState,
+    EventKind,
+    JointSpec,
+    LineEvent,
+    LineSpec,
+    LineState,
+)
+from motord_hal.fieldbus.units import joints_by_unit
+from motord_hal.realtime.drive_state import STOPPING_WITHIN_S
+from motord_hal.realtime.exchange import Exchange
 
-STOPPING_WITHIN_S = 1.0
-"""After the quick stop the power stays on until the wheels rest, so long at most."""
-TRIES = 3
-PAUSE_S = 0.02
-
-
-class Unit(Protocol):
-    """One drive that can be written to and read from, once each. Both raise HalError."""
-
-    name: str
-    profile: DriveProfile
-    rest_velocity_rad_s: float
-    """A wheel slower than this is at rest."""
-
-    async def write(self, raw: Mapping[str, int]) -> None: ...
-
-    async def read(self, register: str) -> int: ...
-
-
-async def halt_unit(unit: Unit) -> str:
-    """Tells it all of it, whatever it does not answer. Returns the first thing that it did not
-    acknowledge, in words; empty: it has stopped and is without power."""
-    problems = [await _write_all(unit, _writes(unit.profile.quick_stop))]
-    problems.append(await _write_all(unit, [{name: 0} for name in _setpoints(unit.profile)]))
-    await _wait_for_rest(unit)
-    problems.append(await _write_all(unit, _writes(unit.profile.disarm)))
-    return next((f"{unit.name}: {problem}" for problem in problems if problem), "")
+CONFIRM_WITHIN_S = 0.75
+"""After the longest quick stop: until a drive reports that it has no power."""
+LOOK_EVERY_S = 0.01
 
 
-def _writes(steps: tuple[Step, ...]) -> list[dict[str, int]]:
-    """What a sequence writes; its waits are left out."""
-    return [{step.register: step.value} for step in steps if step.value is not None]
+async def halt_line(spec: LineSpec) -> list[str]:
+    """Quick stop, then power off, on every drive of a line that no daemon runs. Nothing is read
+    before the stop is sent, and nothing else is written. Returns what was not confirmed, in words.
+    Raises PortError where the line cannot be had at all."""
+    if spec.kind == "pwm":
+        from motord_hal.pwm.pins import rest_pins  # a robot loads only the lines that it has
 
-
-def _setpoints(profile: DriveProfile) -> list[str]:
-    return [channel.setpoint for channel in profile.channels.values()]
-
-
-async def _write_all(unit: Unit, writes: list[dict[str, int]]) -> str:
-    """Each of them, also when the one before it failed. Returns the first problem."""
-    problems = [await _write(unit, raw) for raw in writes]
-    return next((problem for problem in problems if problem), "")
-
-
-async def _write(unit: Unit, raw: dict[str, int]) -> str:
-    problem = ""
-    for _ in range(TRIES):
+        return await rest_pins(spec)
+    events = _Events()
+    line = cast("DriveLine[Any]", open_line(_left_running(spec), Exchange.private(), events.take))
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(line.run())
         try:
-            await unit.write(raw)
-        except (NoReply, BadReply) as error:
-            problem = str(error)
+            problems = await _until_off(line, events)
+        finally:
+            running.cancel()
+    if events.lost and not events.opened:
+        raise PortError(events.lost)
+    problems |= {names: text for names, text in events.left_on.items() if names not in problems}
+    return list(problems.values())
+
+
+def _left_running(spec: LineSpec) -> LineSpec:
+    """The same line, with nothing to set up."""
+    joints = (
+        replace(joint, profile=replace(joint.profile, configure=(), watchdog=None))
+        for joint in spec.joints
+    )
+    return replace(spec, left_running=True, joints=tuple(joints))
+
+
+@dataclass(slots=True)
+class _Events:
+    """What the line reports."""
+
+    first: asyncio.Event = field(default_factory=asyncio.Event)
+    opened: bool = False
+    lost: str = ""
+    """Why the medium is not there."""
+    left_on: dict[tuple[str, ...], str] = field(default_factory=dict)
+    """Names of a drive's joints → why it may have power still."""
+
+    def take(self, event: LineEvent) -> None:
+        self.first.set()
+        match event.kind:
+            case EventKind.LINE_OPEN:
+                self.opened = True
+            case EventKind.LINE_LOST:
+                self.lost = event.text
+            case EventKind.DRIVE_LEFT_ON:
+                self.left_on[event.joints] = event.text
+            case _:
+                pass
+
+
+async def _until_off(line: DriveLine[Any], events: _Events) -> dict[tuple[str, ...], str]:
+    """Until all drives have stopped and have no power, or it has taken too long. Returns what is
+    not so, in words, by the names of a drive's joints."""
+    await events.first.wait()
+    until_s = now_s() + STOPPING_WITHIN_S + CONFIRM_WITHIN_S
+    drives = list(joints_by_unit(line.spec))
+    doubts = await asyncio.gather(*(_until_drive_off(line, each, until_s) for each in drives))
+    named = zip((tuple(joint.name for joint in each) for each in drives), doubts, strict=True)
+    return {names: doubt for names, doubt in named if doubt}
+
+
+async def _until_drive_off(
+    line: DriveLine[Any], joints: Sequence[JointSpec], until_s: float
+) -> str:
+    """Returns why it may not be off; empty: it is."""
+    names = ", ".join(joint.name for joint in joints)
+    report, failure = "", "did not report whether it has power"
+    while line.state is not LineState.CLOSED:
+        try:
+            async with within(until_s - now_s()):
+                report = await _report(line, joints[0])
         except HalError as error:
-            return str(error)  # refused, or the port has gone: asking again changes nothing
+            failure = str(error)
+        except TimeoutError:
+            break
         else:
-            return ""
-    return problem
+            if not report:
+                return ""
+        if now_s() > until_s:
+            break
+        await asyncio.sleep(LOOK_EVERY_S)
+    else:
+        failure = "the line was lost before it was stopped"
+    doubt = report or failure
+    return doubt if names in doubt else f"{names}: {doubt}"
 
 
-async def _wait_for_rest(unit: Unit) -> None:
-    """Until every wheel is seen at rest. One that cannot say so gets the whole time; one that is
-    silent gets none: the next frame may be all that it receives."""
-    names = [channel.velocity for channel in unit.profile.channels.values()]
-    until_s = now_s() + STOPPING_WITHIN_S
-    while now_s() < until_s:
-        try:
-            moving = [await _moves(unit, name) for name in names]
-        except HalError:
-            return
-        if not any(moving):
-            return
-        await asyncio.sleep(PAUSE_S)
+async def _report(line: DriveLine[Any], joint: JointSpec) -> str:
+    """Why the drive may have power, or may turn, by its own report; empty: it is off. Raises
+    HalError."""
+    register, place = _power_register(joint.profile), joint.profile.enabled
+    if register and place is not None:
+        found = joint.profile.registers[register]
+        raw = found.from_si(await line.read_register(joint.name, register))
+        return "reports that it is still enabled" if raw & place.mask == place.equals else ""
+    if line.drive_states[joint.name] is DriveState.UNRESPONSIVE:
+        return "is unresponsive"
+    if line.is_stopping(joint.name):
+        return "is still stopping"
+    if joint.profile.can is not None:  # a frame that was sent is no acknowledgement
+        return "the stop was sent; the drive cannot report whether it has power"
+    return ""
 
 
-async def _moves(unit: Unit, velocity: str | None) -> bool:
-    """True also where there is no such register."""
-    if velocity is None:
-        return True
-    velocity_rad_s = unit.profile.registers[velocity].to_si(await unit.read(velocity))
-    return not abs(velocity_rad_s) < unit.rest_velocity_rad_s
+def _power_register(profile: DriveProfile) -> str:
+    """What is read to see whether it has power: of a CAN drive the object, which answers also where
+    its frames do not come."""
+    if profile.enabled is None:
+        return ""
+    found = profile.registers[profile.enabled.register]
+    return (isinstance(found, Signal) and found.object) or profile.enabled.register

@@ -169,12 +169,15 @@ class DriveLine(LineTask, Generic[AnyDrive]):
     def drive_faults(self) -> dict[str, tuple[str, ...]]:
         return {name: watch.words for drive in self._drives for name, watch in drive.faults.items()}
 
+    def is_stopping(self, joint: str) -> bool:
+        """Its drive was sent a quick stop, and its power has not been taken since."""
+        return self._drive_of(joint).is_stopping
+
     def _say_left_on(self, drives: Sequence[AnyDrive], why: str = "") -> None:
-        """They may have power still when the medium is closed; nothing is said of none."""
-        names = tuple(name for drive in drives for name in drive.names)
-        if names:
-            text = f"{self.spec.name}: {', '.join(names)} not switched off at the end"
-            self._say(EventKind.DRIVE_WARNING, names, ": ".join(filter(None, (text, why))))
+        """They may have power still when the medium is closed."""
+        for drive in drives:
+            text = f"{self.spec.name}: {', '.join(drive.names)} not switched off at the end"
+            self._say(EventKind.DRIVE_LEFT_ON, drive.names, ": ".join(filter(None, (text, why))))
 
     # --------------------------------------------------------------------------------- its engine's
     @abc.abstractmethod
@@ -193,6 +196,10 @@ class DriveLine(LineTask, Generic[AnyDrive]):
     @abc.abstractmethod
     async def _clear(self, drives: Sequence[AnyDrive]) -> None:
         """Power off, then the steps that clear a fault. Raises the first HalError."""
+
+    @abc.abstractmethod
+    async def read_register(self, joint: str, register: str) -> float:
+        """As ports.Line.read_register."""
 
     # ---------------------------------------------------------------------------------- its orders
     async def arm(self) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from importlib import import_module
 from types import MappingProxyType
@@ -12,8 +11,6 @@ from typing import cast
 from motord_hal.base.errors import HalError
 from motord_hal.fieldbus.ports import Line, LineSpec, Listener
 from motord_hal.realtime.exchange import Exchange
-
-Halt = Callable[[LineSpec], Awaitable[list[str]]]
 
 # Tables of strings: a robot loads only the lines that it has.
 KINDS = MappingProxyType(
@@ -34,21 +31,6 @@ KINDS = MappingProxyType(
 
 RT_CAN_INTERFACES = ("socketcan", "unix")
 """Of the others only python-can knows how they are reached."""
-
-HALTS = MappingProxyType(
-    {
-        "modbus-rtu": "motord_hal.rt_engine.rs485.halt:halt_line",
-        "ddsm": "motord_hal.rt_engine.rs485.halt:halt_line",
-        "modbus-tcp": "motord_hal.modbus.halt:halt_line",
-        "rtu-over-tcp": "motord_hal.modbus.halt:halt_line",
-        "mcu": "motord_hal.mcu.halt:halt_line",
-        "ascii": "motord_hal.ascii.halt:halt_line",
-        "roboclaw": "motord_hal.rt_engine.rs485.halt:halt_line",
-        "pwm": "motord_hal.pwm.halt:halt_line",
-        "can": "motord_hal.can.halt:halt_line",
-    }
-)
-"""By kind: what stops the drives of a line that no daemon runs."""
 
 
 def engine_of(spec: LineSpec) -> str:
@@ -76,11 +58,3 @@ def open_line(spec: LineSpec, exchange: Exchange, listener: Listener) -> Line:
         raise HalError(f'{spec.name}: no line kind "{spec.kind}"; known: {kinds}')
     module, _, name = place.partition(":")
     return cast("Line", getattr(import_module(module), name)(spec, exchange, listener))
-
-
-async def halt_line(spec: LineSpec) -> list[str]:
-    """Quick stop, then power off, on every drive of a line that no daemon runs. Returns what was
-    not acknowledged, in words. Raises HalError where the line cannot be had at all."""
-    module, _, name = HALTS[spec.kind].partition(":")
-    halt = cast("Halt", getattr(import_module(module), name))
-    return await halt(spec)

@@ -240,6 +240,8 @@ class LineSpec:
     """The line stops its drives when the newest set-points are older than this."""
     rest_velocity_rad_s: float = REST_VELOCITY_RAD_S
     """A wheel slower than this is at rest: the power goes off at the end of a quick stop."""
+    left_running: bool = False
+    """Another program left the drives running: each begins with a quick stop, before all else."""
 
 
 class LineState(enum.StrEnum):
@@ -267,6 +269,8 @@ class EventKind(enum.StrEnum):
     DRIVE_FAULT = "drive_fault"
     DRIVE_FAULT_GONE = "drive_fault_gone"
     DRIVE_WARNING = "drive_warning"
+    DRIVE_LEFT_ON = "drive_left_on"
+    """The line was closed, and the drive has not acknowledged its power-off."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,8 +51,6 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._last_directions: dict[str, int] = {}
         self._failures = 0
         self._cycles = 0
-        self._may_turn = False
-        """It has been armed since it was last seen set up: at rest and without power."""
         self._probes: deque[Request] = deque()
         self._probes_at_once = 0
         self._usual_s = 0.0

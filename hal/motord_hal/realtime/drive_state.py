@@ -9,6 +9,9 @@ from typing import Any
 
 from _motord_rt import ffi, lib
 
+STOPPING_WITHIN_S: float = lib.DRIVE_STOPPING_NS * 1e-9
+"""After a quick stop the power stays on until the wheels are at rest, so long at most."""
+
 
 class Mode(enum.IntEnum):
     OFF = lib.DRIVE_OFF

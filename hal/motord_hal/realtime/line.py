@@ -59,6 +59,8 @@ class ThreadSpec:
     de_after_ns: int = 0
     may_turn: int = 0
     """Bit n: drive n was armed before the port was opened; it gets a stop first."""
+    left_running: bool = False
+    """As of LineSpec."""
 
     @classmethod
     def of(
@@ -75,6 +77,7 @@ class ThreadSpec:
             de_before_ns=round(spec.direction.before_s * 1e9),
             de_after_ns=round(spec.direction.after_s * 1e9),
             may_turn=may_turn,
+            left_running=spec.left_running,
         )
 
 

@@ -20,7 +20,7 @@ from loop_side import GENEROUS_S, running, until
 
 from motord.config.drives.load import find_profile, list_profiles
 from motord_hal.base.errors import DriveFault, HalError, PortError
-from motord_hal.fieldbus.open_line import halt_line
+from motord_hal.fieldbus.halt import halt_line
 from motord_hal.fieldbus.ports import (
     DriveState,
     EventKind,

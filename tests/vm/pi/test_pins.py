@@ -11,7 +11,7 @@ from loop_side import GENEROUS_S, running, until
 from rig import BRIDGE, NEAR, are, level, spec_of
 
 from motord_hal.base.errors import HalError
-from motord_hal.fieldbus.open_line import halt_line
+from motord_hal.fieldbus.halt import halt_line
 from motord_hal.fieldbus.ports import EventKind
 
 

@@ -89,6 +89,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
             event_fd=self._notifier.event_fd,
             priority=self.spec.priority,
             epoch=self._epoch,
+            left_running=int(self.spec.left_running),
             cpu_mask=cpu_mask(self.spec),
         )
         self._report = self._thread.report()

@@ -68,7 +68,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         self._errors: Counter[str] = Counter()
         self._warnings = BusWarnings()
         self._frames = self._cycles = 0
-        self._before = {"epoch": 0, "may_turn": 0}
+        self._before = {"epoch": 0, "may_turn": 0, "left_running": int(spec.left_running)}
         """What comes after a reopening is new, though its counters may look alike; and who was
         armed may turn still."""
 
@@ -117,7 +117,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
             last = self._thread.report()
             self._frames += last.received
             self._cycles += last.cycles
-            self._before = {
+            self._before |= {
                 "epoch": max(drive.epoch for drive in last.drives),
                 "may_turn": sum(one.may_turn << n for n, one in enumerate(last.drives)),
             }
