@@ -9,7 +9,7 @@
         await robot.disarm()
 
 Every call has a deadline. Several tasks may use one Client: calls go one after the other, and a
-stop request goes to the real-time loop at once, whatever is under way.
+stop request goes to the real-time loop at once, whatever call is in progress.
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ class Client:
         priority: int | None = None,
         lease_s: float | None = None,
     ) -> dict[str, Any]:
-        """Ask for a speed. None: as the robot file's [input] says. Returns who is in command."""
+        """Request a speed. None: as in the [input] of the robot file. Returns who is in command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
         given = {key: value for key, value in lease.items() if value is not None}
         result: dict[str, Any] = await self.call(
@@ -248,7 +248,7 @@ class Client:
 
     async def _surely(self, method: str) -> str:
         """By datagram first, which the real-time loop reads whatever else waits; the answer comes
-        over a connection of its own, which no other call is in the way of."""
+        over a connection of its own, which no other call can block."""
         with contextlib.suppress(OSError, TimeoutError):  # no such socket, or the daemon is gone
             async with within(STOP_WITHIN_S):
                 await self._send(method)

@@ -243,7 +243,7 @@ class Client:
         priority: int | None = None,
         lease_s: float | None = None,
     ) -> dict[str, Any]:
-        """Ask for a speed. None: as the robot file's [input] says. Returns who is in command."""
+        """Request a speed. None: as in the [input] of the robot file. Returns who is in command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
         given = {key: value for key, value in lease.items() if value is not None}
         result: dict[str, Any] = self.call(

@@ -19,7 +19,7 @@ class ClientError(Exception):
 
 
 class Refused(ClientError):
-    """The daemon understood and said no; the message is its reason, and what to do about it."""
+    """The daemon understood and refused; the message is its reason, and what to do about it."""
 
     def __init__(self, reason: str, code: int) -> None:
         super().__init__(reason)
@@ -46,7 +46,7 @@ def answer_to(number: int, line: bytes, where: object) -> dict[str, Any] | None:
     try:
         answer = json.loads(line)
     except ValueError as error:
-        raise ClientError(f"{where} does not speak JSON: {line[:80]!r}") from error
+        raise ClientError(f"{where} does not answer in JSON: {line[:80]!r}") from error
     ours = isinstance(answer, dict) and answer.get("id") in (number, None)
     return answer if ours else None
 

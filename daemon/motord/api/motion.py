@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One motion over a given way, by the odometry: how fast to go now, and when and why it ends.
+"""One motion over a given distance or angle, by the odometry: how fast to go now, and when and why
+it ends.
 
 Pure: the state comes in as snapshots, the time as an argument; out come steps, one a snapshot. The
 core limits and ramps it like any other; a motion that is not asked on lapses with its lease.
@@ -27,14 +28,15 @@ LOOK_WITHIN_S = 0.9
 STUCK_S = 3.0
 """Without a step nearer for so long, beside what its acceleration takes: something holds it."""
 TURN_RATE_MAX_RAD_S = math.pi
-"""So that the base does not turn by half a turn between two looks: which way would not be known."""
+"""So that the base does not turn by half a turn between two looks: its direction would not be
+known."""
 CORRECTIONS_MAX, CORRECTION_TOLERANCES = 3, 10.0
 """A base that rests beside the goal, because something was late, goes the rest of it, also back:
 so often, and by so many tolerances at most."""
 STOPS_EVERY_S = 0.1
 """So often the daemon is asked whether a stop came, beside what the state page says."""
 UNSTOPPED_WITHIN_S = 1.0
-"""At rest: the daemon has said by then that no stop came, or nothing is corrected."""
+"""At rest: by then the daemon has reported that no stop came, or nothing is corrected."""
 DISTANCE_MAX_U = 1000.0
 TOLERANCE_U = {"linear": 0.01, "angular": 0.02}
 """Where a goal names none."""
@@ -61,14 +63,14 @@ class Bounds:
     """Infinity: no limit."""
 
     def approach_u_s(self, distance_u: float) -> float:
-        """The speed from which it comes to rest within that way: v lag + v d / (2 j) + v² / (2 d),
-        a uniform deceleration that begins late by the lag and rises by the jerk."""
+        """The speed from which it comes to rest within that distance: v lag + v d / (2 j) + v² / (2
+        d), a uniform deceleration that begins late by the lag and rises by the jerk."""
         late_s = LAG_S + self.deceleration_u_s2 / (2.0 * self.jerk_u_s3)
         root_s = math.sqrt(late_s * late_s + 2.0 * max(distance_u, 0.0) / self.deceleration_u_s2)
         return self.deceleration_u_s2 * (root_s - late_s)
 
     def duration_s(self, distance_u: float, velocity_u_s: float) -> float:
-        """Of a trapezoid over that way, somewhat more."""
+        """Of a trapezoid over that distance, somewhat more."""
         ramps_s = velocity_u_s / self.acceleration_u_s2 + velocity_u_s / self.deceleration_u_s2
         jerks_s = (self.acceleration_u_s2 + self.deceleration_u_s2) / self.jerk_u_s3
         return abs(distance_u) / velocity_u_s + ramps_s + jerks_s
@@ -179,7 +181,7 @@ def obstacle(snapshot: Snapshot) -> str | None:
 
 
 class Travel:
-    """The way since a beginning, with its sign: distance along the heading, and angle."""
+    """What was travelled since a beginning, signed: distance along the heading, and angle."""
 
     def __init__(self, start: Snapshot) -> None:
         self._last = start
@@ -187,7 +189,7 @@ class Travel:
         self.angle_rad = 0.0
 
     def add(self, snapshot: Snapshot) -> str | None:
-        """Why the way is not known any more. None: it is."""
+        """Why the distance is not known any more. None: it is known."""
         if snapshot.odometry_epoch != self._last.odometry_epoch:
             return "the odometry was reset"
         if (snapshot.stamp_ns - self._last.stamp_ns) * _NS > LOOK_WITHIN_S:
@@ -212,7 +214,7 @@ class MotionStep:
 
 
 class Motion:
-    """One goal under way. `step` again and again, with the newest snapshot."""
+    """One goal in progress. `step` again and again, with the newest snapshot."""
 
     def __init__(
         self, plan: Plan, start: Snapshot, now_ns: int, *, lease: int, stale_s: float, stops: int

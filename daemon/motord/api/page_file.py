@@ -5,7 +5,7 @@ Every user can create files in /dev/shm. So the daemon keeps its files in a fold
 /dev/shm/motord-UID, in which no other user can create, truncate or replace them (SIGBUS). If
 another user has created that name first, the daemon makes a folder with a random ending.
 
-Locks say that its daemon lives. The kernel takes them off whatever way a process dies, so a stale
+Locks say that its daemon lives. The kernel takes them off however a process dies, so a stale
 file differs from a live one without trusting process numbers, which are given again. Who may only
 read the file can lock it as well, but not with an open file description lock for writing
 (fcntl(2)): that one counts.

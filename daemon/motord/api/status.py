@@ -50,7 +50,7 @@ class Odometry:
     twist_covariance: tuple[float, ...] = ()
     """vv, vw, ww in m2/s2, m rad/s2, rad2/s2."""
     degraded: bool = False
-    """Feedback was missing on the way."""
+    """Feedback was missing meanwhile."""
     epoch: int = 0
     """Another number than before: the pose has been reset."""
     age_s: float | None = None

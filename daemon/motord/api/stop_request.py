@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stop, emergency stop and disarm as a datagram that the real-time loop reads itself:
-docs/commands.md. It needs no connection, so no other client can be in its way.
+docs/commands.md. It needs no connection, so no other client can block it.
 
 Standard library alone. Layout: stop_request in csrc/api.h.
 """

@@ -107,7 +107,7 @@ class _Writer(logging.Handler):
 
 
 class _JournalWriter(_Writer):
-    """Sends entries, one a datagram. While the journal is away, what is said is lost."""
+    """Sends entries, one a datagram. While the journal is away, entries are lost."""
 
     def __init__(self, fd: int, path: Path) -> None:
         self._path = str(path)
@@ -142,7 +142,8 @@ def _field(name: str, value: str) -> bytes:
 
 
 def _is_journal(fd: int, environ: Mapping[str, str]) -> bool:
-    """Also a child that has its stderr elsewhere inherits the variable: device and inode tell."""
+    """Also a child that has its stderr elsewhere inherits the variable: device and inode differ
+    then."""
     info = os.fstat(fd)
     return environ.get("JOURNAL_STREAM") == f"{info.st_dev}:{info.st_ino}"
 

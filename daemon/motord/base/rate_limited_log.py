@@ -29,7 +29,7 @@ class RateLimitedLog:
 
 class RateLimitedFilter(logging.Filter):
     """For the log of a library that writes a line for every message it drops: each kind of line is
-    said as RateLimitedLog says it, in our own log. Exceptions pass."""
+    logged as RateLimitedLog does, in our own log. Exceptions pass."""
 
     def __init__(self, log: logging.Logger, where: str) -> None:
         """`log` is that of the library; the lines go to its parent."""

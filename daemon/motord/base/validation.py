@@ -37,7 +37,8 @@ def elsewhere() -> None:
 
 
 def ask(*question: Any) -> Any:
-    """What the child answers, once. Raises RuntimeError: it has failed, and said why on stderr."""
+    """What the child answers, once. Raises RuntimeError: it has failed, and written why to
+    stderr."""
     global _reader
     if _reader is None:
         raise RuntimeError("there is no process that reads a robot file")

@@ -60,7 +60,7 @@ def demo(seconds: float, robot: str, overrides: tuple[str, ...], stay: bool, as_
     """
     path = Path(robot) if "/" in robot or robot.endswith(".toml") else robot_path(robot)
     loaded = load_or_exit(path, overrides)
-    for number in (signal.SIGTERM, signal.SIGHUP):  # no way to end it leaves its daemon behind
+    for number in (signal.SIGTERM, signal.SIGHUP):  # however it ends, its daemon ends with it
         signal.signal(number, signal.default_int_handler)
     try:
         result = run_demo(path, loaded, seconds, progress, stay_up if stay else None)
@@ -108,7 +108,7 @@ def stay_up(stage: Stage) -> None:
 
 
 def show(result: Result) -> None:
-    """For a person: the way, then what was measured and what it means."""
+    """For a person: the path, then what was measured and what it means."""
     report = result.to_json()
     odometry, loop = report["odometry"], report["loop"]
     click.echo(draw(result.path))

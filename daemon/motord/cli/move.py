@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord move` and `motord turn`: a way that is given, by the odometry (motord.api.moving)."""
+"""`motord move` and `motord turn`: a given distance or angle, by the odometry
+(motord.api.moving)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord params`: limits of the running robot, registers of its drives, and their way into the
-robot file."""
+"""`motord params`: limits of the running robot, registers of its drives, and how to save them in
+the robot file."""
 
 from __future__ import annotations
 

@@ -53,8 +53,8 @@ def run(
 
     The robot starts disarmed; run motord arm to let it move. SIGINT and SIGTERM bring the robot to
     rest, power the drives off and end the daemon. A second signal does not wait for the ramp. The
-    daemon tells a service manager (sd_notify) when it is ready and feeds its watchdog. With --json
-    it prints one object once it listens: robot, pid, socket, state_page.
+    daemon notifies a service manager (sd_notify) when it is ready and feeds its watchdog. With
+    --json it prints one object once it listens: robot, pid, socket, state_page.
 
     \b
     Example: motord run robot.toml

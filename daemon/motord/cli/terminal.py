@@ -173,8 +173,8 @@ def failing() -> Iterator[None]:
 
 
 def write_asking(person: Terminal, edit: RobotFileEdit, *, dry_run: bool = False) -> Path | None:
-    """Show the difference, ask, write; returns the backup of the old file. None: nothing written.
-    Raises ConfigError, EditError, Aborted."""
+    """Show the difference, confirm, write; returns the backup of the old file. None: nothing
+    written. Raises ConfigError, EditError, Aborted."""
     if not edit.changed:
         person.show(f"{edit.path}: nothing changes")
         return None

@@ -17,7 +17,7 @@ class Failed(Exception):
 
 
 class Person(Protocol):
-    """Questions may raise Aborted. While the robot may move, a procedure asks `aborted` at every
+    """Questions may raise Aborted. While the robot may move, a procedure checks `aborted` at every
     look, 50 times a second, and comes to rest when it is true."""
 
     def show(self, text: str) -> None:

@@ -34,7 +34,7 @@ _DUTY_THAT_TURNS = 0.4
 _UNSURE_COUNTS_PER_S = 20.0
 """What four counts come to when speeds are smoothed over 0.2 s (csrc/core/plausible.c)."""
 _STALL_COUNTS = 8.0
-"""So many have to be missing before an encoder is said to stand."""
+"""So many have to be missing before an encoder counts as standing."""
 
 
 def loop_settings(
@@ -133,7 +133,7 @@ def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
 
 
 def _plausible(robot: Robot, name: str, profile: DriveProfile) -> PlausibleConfig:
-    """[safety.feedback] for one wheel. A coarse encoder widens what it cannot tell apart. A duty
+    """[safety.feedback] for one wheel. A coarse encoder widens the limits by its resolution. A duty
     holds no speed: only a wheel that stands at much of it, or is faster than ever asked, is
     wrong."""
     checks, joint = robot.safety.feedback, robot.joint[name]

@@ -80,7 +80,7 @@ class Facts:
     drive_faults: tuple[str, ...] = ()
     """`joint: words` for each joint whose drive reports a fault."""
     commanding: str | None = None
-    """Owner of a lease that asks for motion."""
+    """Owner of a lease that requests motion."""
     at_rest: bool = True
     estop_input: str = ""
     """Why the emergency stop's contact stops the robot now."""

@@ -153,7 +153,7 @@ class Operation:
         return target
 
     def take(self, event: Event) -> State:
-        """Take the step, tell the core and the supervisor. Raises Refused."""
+        """Take the step, inform the core and the supervisor. Raises Refused."""
         target = self.check(event)
         if target is self.state:
             return target
@@ -201,7 +201,7 @@ class Operation:
         self.put_control()
 
     def ask_reset(self) -> None:
-        """Take back what the daemon itself holds against the robot, and ask the core to clear."""
+        """Drop the fault reasons of the daemon itself, and request the core to clear its own."""
         self._estop = False
         self._broken = None
         self._armed = False
@@ -279,7 +279,7 @@ class Operation:
 
     # ---------------------------------------------------------------------------- what is reported
     def estop(self, pid: int, why: str = "") -> None:
-        """At once, from every state, whatever else is going on. `pid`: the process that asks;
+        """At once, from every state, whatever else is going on. `pid`: the calling process;
         `why`: its text, which takes the place of what is known of it otherwise."""
         self._estop = True
         self.estops += 1
@@ -384,7 +384,8 @@ class Operation:
         ]
 
     def on_line_event(self, event: LineEvent) -> None:
-        """Said once by the line, so once in the log; a loss while under power is a fault."""
+        """A line reports each event once, so it is logged once; a loss while under power is a
+        fault."""
         level = logging.WARNING if event.kind in _WORRYING else logging.INFO
         details = about(line=event.line, joints=event.joints, event=event.kind)
         _log.log(level, "%s", event.text, extra=details)

@@ -49,7 +49,7 @@ async def run(
     *,
     starts_bus: bool = True,
 ) -> None:
-    """The daemon, until a signal asks it to end: starts disarmed, ends at rest and disarmed.
+    """The daemon, until a signal ends it: starts disarmed, ends at rest and disarmed.
     `on_ready` is called once, with the socket's path, when it listens. `starts_bus`: motord-bus is
     started where the robot file has something for it; else another program does that.
 

@@ -79,7 +79,7 @@ class _Readings:
         return of_drives(self._section, self._joints, self._operation.snapshot, readings)
 
     async def _read(self, where: str) -> float:
-        """NaN where it cannot be read now; what fails is said once."""
+        """NaN where it cannot be read now; a failure is logged once."""
         joint, _, register = where.partition(".")
         problem = ""
         try:
@@ -101,7 +101,7 @@ class _Readings:
 
 
 class _Chip:
-    """Opened when it is first asked, and again after each failure. What fails is said once."""
+    """Opened at the first reading, and again after each failure. A failure is logged once."""
 
     def __init__(self, section: InaBattery) -> None:
         self._section = section

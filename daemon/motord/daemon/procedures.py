@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What takes its time because drives and wheels do: arm, disarm, stop, reset, the way down.
+"""What takes its time because drives and wheels do: arm, disarm, stop, reset, the shutdown.
 
 Each ends well or leaves the robot with no more power than it had; `Refused` says why. One at a
 time, but for stop and the emergency stop, which wait for nothing.
@@ -77,7 +77,7 @@ async def disarm_on_request(operation: Operation) -> None:
         async with operation.busy:
             requests = operation.stop_requests
             if not operation.disarm_requested.is_set():
-                continue  # the disarm that was under way has done it
+                continue  # the disarm that was in progress has done it
             problems = await _come_down(operation, RAMP_MAX_S, force=asyncio.Event())
             operation.acknowledge_disarm(requests)
         if problems:
@@ -95,7 +95,8 @@ async def stop(operation: Operation) -> State:
 
 
 async def estop(operation: Operation, pid: int, why: str) -> State:
-    """At once; returns when the core has latched it. `pid`: who asks; `why`: may be empty."""
+    """At once; returns when the core has latched it. `pid`: the calling process; `why`: may be
+    empty."""
     operation.estop(pid, why)
     if not await operation.until(lambda: "estop" in operation.snapshot.faults, CORE_WITHIN_S):
         raise Refused("the loop has not confirmed the emergency stop: cut the power by hand")
@@ -155,7 +156,7 @@ async def reset_odometry(operation: Operation) -> State:
 
 async def shut_down(operation: Operation, force: asyncio.Event) -> list[str]:
     """At rest, power off, OFF on the state page. Returns what is not known to be so, in words.
-    `force` leaves the ramp out: then the lines brake as they end. A procedure that is under way
+    `force` leaves the ramp out: then the lines brake as they end. A procedure that is in progress
     must have been cancelled before."""
     async with operation.busy:
         problems = await _come_down(operation, SHUTDOWN_RAMP_MAX_S, force)

@@ -37,7 +37,8 @@ class RunningFile:
 
 @contextlib.contextmanager
 def kept(robot: Robot, folder: Path) -> Iterator[None]:
-    """Until an end in good order. A robot runs without it where it cannot be kept: that is said."""
+    """Until an end in good order. A robot runs without it where it cannot be kept: that is
+    logged."""
     ours = RunningFile(str(robot.path.absolute()), robot.text, robot.overrides)
     place = folder / _name(robot.path)
     try:

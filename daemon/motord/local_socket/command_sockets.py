@@ -29,7 +29,7 @@ class CommandSockets:
     section: RtInput | None = None
     """What every client that may command may request."""
     inputs: Mapping[str, BusInput] = field(default_factory=dict)
-    """What the second process may ask for, by the names of its inputs."""
+    """What the second process may request, by the names of its inputs."""
     paths: tuple[Path, ...] = ()
     """Of a lease each: a source that floods its own blocks no other."""
     udp_port: int | None = None

@@ -3,7 +3,7 @@
 
 A client is known by SO_PEERCRED: root, the daemon's own user and members of the socket's
 group may command, every other user may look. No client can do harm: lines, answers not yet read,
-calls under way and connections are all bounded, and what is beyond is dropped.
+calls in progress and connections are all bounded, and what is beyond is dropped.
 """
 
 from __future__ import annotations

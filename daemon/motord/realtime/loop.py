@@ -69,7 +69,7 @@ __all__ = [
 ]
 
 LEASES_MAX: int = lib.LEASES_MAX
-LEASE_NUMBERS = itertools.count(1)  # of the whole process: the loop tells leases apart by them
+LEASE_NUMBERS = itertools.count(1)  # of the whole process: leases differ by them
 _ESTOP_INPUTS = ("none", "clear", "active", "lost")  # by ESTOP_*
 _POLICIES = {os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_OTHER: "SCHED_OTHER"}
 # Once: each call gives the GIL up, and a busy thread gives it back late.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What motord-bus serves on DDS, served on another node: the same code asks the same daemon under
+"""What motord-bus serves on DDS, served on another node: the same code calls the same daemon under
 the lease of an [input.*] of kind "ros2-rclpy". The standard library alone.
 
 The robot file is not here: what the commands need of it, the daemon says. It may restart. The lease
@@ -42,7 +42,7 @@ class Wrong(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class BridgeOptions:
-    """What the node's parameters ask for."""
+    """What the node's parameters request."""
 
     robot: str | None = None
     """None: the only one that runs here."""
@@ -63,7 +63,7 @@ async def serve(options: BridgeOptions, node: Node) -> None:
         stamped=options.stamped, lease_s=_input(description, options.input)["lease_s"]
     )
     runtime = BridgeRuntime(robot, path, description, options.limits)
-    # It asks the section for no more than that.
+    # It reads no more than that of the section.
     commands = Ros2Commands(options.input, cast("Ros2Input", section), runtime, node)
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(runtime.run())

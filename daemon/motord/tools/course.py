@@ -24,7 +24,8 @@ Course = tuple[tuple[float, float, float], ...]
 DISTANCE_ERROR_MAX_PERCENT = 1.0
 HEADING_ERROR_MAX_RAD = 0.02
 ESTIMATE_ERROR_MAX_PERCENT = 50.0
-"""Of the distance, where odometry is only an estimate: a wheel that goes the wrong way is found."""
+"""Of the distance, where odometry is only an estimate: a wheel that turns in the wrong direction is
+found."""
 
 
 def command_at(elapsed_s: float, seconds: float, course: Course = COURSE) -> tuple[float, float]:
@@ -65,7 +66,7 @@ class Score:
 
     @property
     def ok_as_estimate(self) -> bool:
-        """Only whether odometry goes the way that the robot goes."""
+        """Only whether odometry goes in the direction in which the robot goes."""
         return self.distance_error_percent <= ESTIMATE_ERROR_MAX_PERCENT
 
 
@@ -88,7 +89,7 @@ def score(odometry: Pose, truth: Pose) -> Score:
 
 
 def draw(path: list[tuple[float, float]], columns: int = 64, rows: int = 16) -> str:
-    """The path from above: o the start, * the way, X the end. A cell is twice as high as wide."""
+    """The path from above: o the start, * the path, X the end. A cell is twice as high as wide."""
     xs, ys = [x for x, _ in path], [y for _, y in path]
     # metres a column; a robot that stood still is one cell, not a division by zero
     scale = max((max(xs) - min(xs)) / (columns - 1), (max(ys) - min(ys)) / (2.0 * (rows - 1)), 1e-9)

@@ -40,7 +40,7 @@ class Outcome:
     ticks: int = 0
     seconds: float = 0.0
     checkpoints: int = 0
-    """States that were recorded on the way and compared whole."""
+    """States that were recorded in between and compared whole."""
     skipped: int = 0
     gaps: int = 0
     """Places where records are missing: the replay went on from the next recorded state."""

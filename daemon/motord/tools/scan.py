@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is on an RS485 line: asks, never writes. One request at a time, each with a deadline.
+"""Which units are on an RS485 line: it reads, never writes. One request at a time, each with a
+deadline.
 
 What answers a read of one register, be it with an exception, is there; then each drive profile's
 readable registers are read, and the profile fits as well as they answer within their ranges.
@@ -270,7 +271,7 @@ def _fits(
 # --------------------------------------------------------------------------------------- direction
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """One way of turning the transceiver, and what came of it."""
+    """One method of turning the transceiver, and its result."""
 
     name: str
     lines: tuple[str, ...]
@@ -292,7 +293,7 @@ def directions(
     unit: int,
     directions: Iterable[tuple[str, DirectionSpec, tuple[str, ...]]],
 ) -> Iterator[Trial]:
-    """Each way with some reads of one unit."""
+    """Each method with some reads of one unit."""
     for name, direction, lines in directions:
         try:
             opened = open_port(spec_of(port, baudrate, parity, direction))

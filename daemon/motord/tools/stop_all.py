@@ -33,7 +33,8 @@ async def stop_all(robot: Robot, within_s: float) -> tuple[Halted, ...]:
     """Raises DaemonRuns; ProfileError for profiles that cannot be read."""
     name = robot.robot.name
     try:
-        socket = find_socket(name, barred=False)  # its daemon may be dead, and a port tells
+        # its daemon may be dead: the port shows whether it lives
+        socket = find_socket(name, barred=False)
     except ClientError:
         pass
     else:

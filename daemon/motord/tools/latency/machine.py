@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The machine that a measurement belongs to: what tells two machines' numbers apart, not whose it
+"""The machine that a measurement belongs to: what makes two machines' numbers differ, not whose it
 is."""
 
 from __future__ import annotations

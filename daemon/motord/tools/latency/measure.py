@@ -25,7 +25,7 @@ from motord_hal.base.clock import within
 __all__ = ["LatencyError", "LatencyOptions", "Progress", "measure", "run_latency"]
 
 NOTIFY_MAX_HZ = 1000.0
-"""asyncio is woken for every tick up to here: more costs it a processor and tells nothing new."""
+"""asyncio is woken for every tick up to here: more costs it a processor and shows nothing new."""
 WINDOW_S = 0.1
 WINDOWS_MAX = 3000
 """A long run has longer windows: a picture is no wider."""

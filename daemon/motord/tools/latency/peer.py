@@ -89,7 +89,7 @@ class Peer:
 
 
 def raise_priority(priority: int) -> None:
-    """Below the loop, above any load: the peer's own lateness is none of the result's. Refused, it
+    """Below the loop, above any load: the peer's own lateness is no part of the result. Refused, it
     runs as it is."""
     if priority > 0:
         try:

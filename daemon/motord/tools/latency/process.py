@@ -16,7 +16,7 @@ END_DEADLINE_S = 10.0
 @contextlib.asynccontextmanager
 async def running(command: Sequence[str], pass_fds: Sequence[int] = ()) -> AsyncIterator[Process]:
     """stdout and stderr are pipes. In a session of its own, because a Ctrl-C is the measurement's,
-    which then ends the process in its own way; killed at the end of the block if it still runs."""
+    which then ends the process; it is killed at the end of the block if it still runs."""
     process = await asyncio.create_subprocess_exec(
         *command,
         stdin=DEVNULL,

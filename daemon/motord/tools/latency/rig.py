@@ -26,7 +26,7 @@ from motord_hal.realtime.exchange import Exchange, Setpoints
 LINE = 0
 WHEEL_RADIUS_M = 0.1
 CODE_M_S = 0.01
-"""A command with code n asks for n times this; the code is read back from the wheel's set-point."""
+"""A command with code n requests n times this; the code is read back from the wheel's set-point."""
 NO_LIMIT = 1e6
 LEASE_S = 60.0
 PATIENCE_S = 60.0

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 KEY_AGE_MAX_S = 0.4
-"""An older key does not move the robot: it was held back on the way."""
+"""An older key does not move the robot: it was delayed by the network."""
 BURST = 8
 BURST_WITHIN_S = 0.1
 """So many keys in so short a time come from a buffer: no keyboard repeats faster than 50 Hz."""
