@@ -10,6 +10,7 @@ import sys
 
 import pytest
 from hypothesis import settings
+from tests import fork_server
 from tests.late_machine import pytest_runtest_protocol, pytest_terminal_summary  # noqa: F401  hooks
 
 EXAMPLES = 100 if os.environ.get("MOTORD_RT_DIR") else 10 if os.environ.get("FAST") else 50
@@ -31,3 +32,7 @@ def pytest_collection_modifyitems(items):
         definitions = item._fixtureinfo.name2fixturedefs.values()
         if any(found[-1].scope == "module" for found in definitions if found):
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
+
+
+def pytest_configure():
+    fork_server.install()

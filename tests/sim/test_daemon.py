@@ -12,6 +12,7 @@ import threading
 import pytest
 from click.testing import CliRunner
 from daemon_stage import ROOT, running, wait_until
+from tests.fork_server import started_from_nothing
 
 from motord.cli import cli
 from motord.client import ClientError, Refused
@@ -22,7 +23,7 @@ LIMITS = ("limits.linear_m_s", "limits.linear_m_s2", "limits.linear_m_s3")
 
 @pytest.fixture(scope="module")
 def everyone(tmp_path_factory):
-    with running(tmp_path_factory.mktemp("daemon")) as stage:
+    with started_from_nothing(), running(tmp_path_factory.mktemp("daemon")) as stage:
         stage.limits = stage.robot.params_get()
         yield stage
 

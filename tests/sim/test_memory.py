@@ -4,6 +4,7 @@
 import re
 
 import pytest
+from tests.fork_server import started_from_nothing
 from tests.sim.daemon_stage import running
 
 from motord.client import ClientError
@@ -15,7 +16,7 @@ _MAPPING = re.compile(r"([0-9a-f]+)-([0-9a-f]+) (\S+) \S+ \S+ (\d+)")
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory):
-    with running(tmp_path_factory.mktemp("memory")) as stage:
+    with started_from_nothing(), running(tmp_path_factory.mktemp("memory")) as stage:
         stage.wait_for("idle")
         yield stage
 

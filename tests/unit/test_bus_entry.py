@@ -5,13 +5,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests.fork_server import started_from_nothing
+
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 
 
 def bus(*words):
-    return subprocess.run(
-        [sys.executable, "-m", "motord.bus", *words], capture_output=True, text=True, timeout=60
-    )
+    command = [sys.executable, "-m", "motord.bus", *words]
+    with started_from_nothing():
+        return subprocess.run(command, capture_output=True, text=True, timeout=60)
 
 
 def test_a_robot_file_that_cannot_be_used_is_reported_as_motord_check_reports_it(tmp_path):

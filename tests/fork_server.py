@@ -1,0 +1,348 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Forks the programs that tests start from a process that has imported them already: the imports
+cost more than what most tests ask of the program.
+
+`install` replaces the one function by which `subprocess` starts a program. For `python -m motord`,
+`motord.config`, `motord.bus` and the peers of `MODULES` it asks the fork server; for all else, and
+wherever the new process would differ from one that is started by exec, it starts a real one. The
+forked process is a child of the process that asked: a server is its child, and what a server forks
+twice is adopted by the nearest ancestor that is a subreaper, PR_SET_CHILD_SUBREAPER in prctl(2).
+
+A program that starts programs of its own, as the daemon does, gets a server of its own, forked
+before it has threads. `started_from_nothing` is for tests of the start itself, of memory and of
+imports. `make coverage` measures real starts.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import ctypes
+import fcntl
+import gc
+import importlib
+import io
+import os
+import pickle
+import re
+import resource
+import runpy
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import traceback
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PEERS = ("tests.peers.ros2_peer", "tests.peers.zenoh_far", "tests.peers.ros_client")
+MODULES = ("motord", "motord.config", "motord.bus", *PEERS)
+STARTS = {
+    "run": (("motord.config",), ("motord.bus",)),
+    "demo": (("motord", "simulate"), ("motord.config",), ("motord", "run"), ("motord.bus",)),
+    "replay": (("motord.bus",), ("motord.config",)),
+}
+"""Commands of motord that start programs of their own, and which."""
+CONFIG, RS485 = "motord.config.load", "motord_hal.rt_engine.rs485."
+LATER = {
+    "run": (f"{RS485}line", f"{RS485}modbus_frames", "motord_hal.rt_engine.boards.line"),
+    "stop-all": (CONFIG, f"{RS485}halt", f"{RS485}modbus_frames"),
+    **dict.fromkeys(("status", "arm", "disarm", "drive", "stop", "estop", "reset", "params"), ()),
+}
+"""What a command imports when it has read its arguments, if that is not the robot file's reader."""
+BUILT_IN = ("PYTHON", "LD_", "COVERAGE", "MALLOC_", "GLIBC_")
+"""How variables begin that Python or its libraries read once, at the start."""
+REQUEST_BYTES_MAX, FDS_MAX = 1 << 17, 32
+NAME_BYTES = 4096
+"""Room for the command lines of the children."""
+ANSWER_WITHIN_S = 100.0
+ABOVE = 500
+"""Descriptors at and above it are free in a server's child."""
+_PR_SET_CHILD_SUBREAPER = 36
+_NETWORK, _MOUNTS = "/proc/thread-self/ns/net", "/proc/thread-self/ns/mnt"
+_LIMITS = [getattr(resource, name) for name in dir(resource) if name.startswith("RLIMIT_")]
+_libc = ctypes.CDLL(None, use_errno=True)
+_real = subprocess._fork_exec
+_worlds = {}
+"""Modules of motord by whether they read robot files themselves: motord/base/validation.py."""
+
+
+# ------------------------------------------------------------------------------------ who asks
+class Client:
+    """Of one server, in the process whose children it forks."""
+
+    def __init__(self, end, pid=0):
+        self.off = False
+        self._socket, self._pid = end, pid
+        end.settimeout(ANSWER_WITHIN_S)
+        self._lock = threading.Lock()
+        self._like = _surroundings(), _built_in(os.environ)
+
+    def close(self):
+        self.off = True
+        self._socket.close()
+        if self._pid:
+            os.waitpid(self._pid, 0)
+
+    def __call__(self, *given):
+        """As `_posixsubprocess.fork_exec`: the process number."""
+        request = None if self.off else _request(given)
+        if request is None or self._like != (_surroundings(), _built_in(request["environ"])):
+            return _real(*given)
+        with self._lock:
+            return self._ask(request) or _real(*given)
+
+    def _ask(self, request):
+        fds = request.pop("from")
+        _libc.prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+        try:
+            socket.send_fds(self._socket, [pickle.dumps(request)], fds)
+            answer = self._socket.recv(64)
+        except (BrokenPipeError, ConnectionResetError):
+            answer = b""
+        finally:
+            _libc.prctl(_PR_SET_CHILD_SUBREAPER, 0, 0, 0, 0)
+        return int(answer or 0)
+
+
+def _request(given):
+    """What a server needs to know; nothing for a program that has to be started by exec."""
+    (words, paths, close_fds, keep, cwd, env, stdin, _, _, stdout, _, stderr, _, pipe,
+     _, new_session, group, gid, gids, uid, umask, preexec, *_) = given  # fmt: skip
+    words = [os.fsdecode(word) for word in words]
+    plain = close_fds and (gid, gids, uid, umask, preexec) == (None, None, None, -1, None)
+    if not plain or words[1:2] != ["-m"] or words[2:3] not in ([name] for name in MODULES):
+        return None
+    if list(paths) != [os.fsencode(sys.executable)] or (cwd and not os.path.isdir(cwd)):
+        return None
+    standard = [number if own < 0 else own for number, own in enumerate((stdin, stdout, stderr))]
+    passed = [fd for fd in keep if fd != pipe]
+    if not all(os.path.exists(f"/proc/self/fd/{fd}") for fd in standard):
+        return None
+    return {
+        "module": words[2], "words": words[3:], "cwd": os.fsdecode(cwd or os.getcwd()),
+        "environ": _environ(env), "from": standard + passed, "to": [0, 1, 2, *passed],
+        "new_session": bool(new_session), "group": group,
+    }  # fmt: skip
+
+
+def _environ(env):
+    if env is None:
+        return dict(os.environ)
+    pairs = (entry.partition(b"=") for entry in env)
+    return {os.fsdecode(name): os.fsdecode(value) for name, _, value in pairs}
+
+
+def _built_in(environ):
+    return {name: value for name, value in environ.items() if name.startswith(BUILT_IN)}
+
+
+def _surroundings():
+    """What a child inherits from whoever forks it, and nobody sets."""
+    limits = [resource.getrlimit(number) for number in _LIMITS]
+    names = [os.readlink(_NETWORK), os.readlink(_MOUNTS)]
+    turn = os.getpriority(os.PRIO_PROCESS, 0), os.sched_getscheduler(0), os.sched_getaffinity(0)
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return os.getsid(0), os.getpgid(0), mask, limits, names, turn
+
+
+def install():
+    """From now on. A server is started when it is asked for the first time."""
+    if not any(name.startswith("COVERAGE") for name in os.environ):
+        subprocess._fork_exec = _first
+
+
+def _first(*given):
+    if _request(given) is None:
+        return _real(*given)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    command = [sys.executable, "-m", "tests.fork_server", str(theirs.fileno()), " " * NAME_BYTES]
+    subprocess._fork_exec = _real
+    with theirs:
+        server = subprocess.Popen(command, pass_fds=[theirs.fileno()], cwd=ROOT)
+    client = Client(ours, server.pid)
+    server.returncode = 0  # the client waits for it
+    atexit.register(client.close)
+    subprocess._fork_exec = client
+    return client(*given)
+
+
+@contextlib.contextmanager
+def started_from_nothing():
+    """Programs that start in this block are started by exec."""
+    before, subprocess._fork_exec = subprocess._fork_exec, _real
+    try:
+        yield
+    finally:
+        subprocess._fork_exec = before
+
+
+# ------------------------------------------------------------------------------------ the server
+def serve(end):
+    """Until the other end is shut, which ends the process. Returns in the children: what they are
+    to be."""
+    while True:
+        raw, fds, _, _ = socket.recv_fds(end, REQUEST_BYTES_MAX, FDS_MAX)
+        if not raw:
+            os._exit(0)
+        request = pickle.loads(raw)
+        try:
+            _prepare(request["module"], request["words"])
+            if _fork(end):
+                return _become(request, fds, end)
+        except Exception:  # noqa: BLE001  whatever it is, a real start shows it
+            traceback.print_exc()
+            end.send(b"0")
+        for fd in fds:
+            os.close(fd)
+
+
+def _fork(end):
+    """Whether this is the child, which the process at the other end has adopted."""
+    assert len(os.listdir("/proc/self/task")) == 1, "no thread but this one lives on in a child"
+    gc.freeze()
+    middle = os.fork()
+    if middle:
+        os.waitpid(middle, 0)
+        return False
+    middle = os.getpid()
+    if os.fork():
+        os._exit(0)
+    while os.getppid() == middle:
+        os.sched_yield()
+    return True
+
+
+def _prepare(module, words):
+    """What it and the programs that it starts import, imported; what it is to find is there."""
+    command = words[0] if module == "motord" and words else ""
+    for other, *its_words in STARTS.get(command, ()):
+        _prepare(other, its_words)
+    plain = module == "motord.bus" or command == "run"
+    _enter(plain)
+    for name in _imports(module, command):
+        importlib.import_module(name)
+    if plain:
+        for name in _adapters(words):
+            importlib.import_module(name)
+
+
+def _enter(plain):
+    """Give motord's modules as they are in a process that reads robot files itself, or not."""
+    if _worlds.get("now") is plain:
+        return
+    modules = {
+        name: sys.modules[name] for name in list(sys.modules) if name.split(".")[0] == "motord"
+    }
+    if "now" in _worlds:
+        _worlds[_worlds["now"]] = modules
+    for name in modules:
+        del sys.modules[name]
+    sys.modules.update(_worlds.get(plain, {}))
+    importlib.import_module("motord.base.validation").HERE = not plain
+    _worlds["now"] = plain
+
+
+def _imports(module, command):
+    """Of the program; also what it imports only when it has read its robot file."""
+    if module == "motord.bus":
+        yield "motord.bus.process"
+    elif module == "motord.config":
+        yield "motord.config.load"
+    elif module == "motord":
+        yield "motord.cli"
+        if where := importlib.import_module("motord.cli").COMMANDS.get(command):
+            yield where[0].partition(":")[0]
+        yield from LATER.get(command, (CONFIG,))
+
+
+def _adapters(words):
+    """Of the kinds of buses that the options set."""
+    adapters = importlib.import_module("motord.bus.adapters")
+    for kind in re.findall(r"\.kind=([\w-]+)", " ".join(words)):
+        for table in (adapters.PUBLISHERS, adapters.INPUTS):
+            if where := table.get(kind):
+                yield where.partition(":")[0]
+
+
+def _become(request, fds, end):
+    """The process that exec would have made of this one. Returns what it is to run."""
+    if request["new_session"]:
+        os.setsid()
+    elif request["group"] >= 0:
+        os.setpgid(0, request["group"])
+    *high, told = [fcntl.fcntl(fd, fcntl.F_DUPFD_CLOEXEC, ABOVE) for fd in (*fds, end.fileno())]
+    end.detach()
+    os.closerange(0, ABOVE)
+    for fd, to in zip(high, request["to"], strict=True):
+        os.dup2(fd, to)
+    os.chdir(request["cwd"])
+    os.environ.clear()
+    os.environ.update(request["environ"])
+    sys.path[0] = os.getcwd()
+    sys.argv = [request["module"], *request["words"]]
+    _show_as([sys.executable, "-m", *sys.argv])
+    client = None
+    if request["module"] == "motord" and "".join(request["words"][:1]) in STARTS:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        if os.fork() == 0:
+            return serve(_alone(theirs))
+        theirs.close()
+        client = Client(ours)
+    subprocess._fork_exec = client or _real
+    os.write(told, str(os.getpid()).encode())
+    os.closerange(ABOVE, ABOVE + FDS_MAX + 2)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    _open_standard()
+    return request
+
+
+def _show_as(words):
+    """In /proc/self/cmdline: in the memory where the server's own words are, proc_pid_stat(5)."""
+    with open("/proc/self/stat", encoding="ascii") as file:
+        begin, end = (int(field) for field in file.read().rpartition(")")[2].split()[45:47])
+    raw = b"".join(os.fsencode(word) + b"\0" for word in words)[: end - begin - 1]
+    ctypes.memset(begin, 0, end - begin)
+    ctypes.memmove(begin, raw, len(raw))
+
+
+def _alone(end):
+    """The socket, in a process that has no other descriptor and no terminal's signals."""
+    keep = fcntl.fcntl(end.detach(), fcntl.F_DUPFD_CLOEXEC, 2 * ABOVE)
+    os.closerange(0, 2 * ABOVE)
+    for fd in range(3):
+        os.open(os.devnull, os.O_RDWR)
+        os.set_inheritable(fd, True)  # noqa: FBT003  its signature
+    return socket.socket(fileno=keep)
+
+
+def _open_standard():
+    """As Python does at its start: terminals and stderr by lines, all else by blocks."""
+    unbuffered = bool(os.environ.get("PYTHONUNBUFFERED"))
+    encoding = sys.__stdout__.encoding
+    for fd, name, errors in (
+        (0, "stdin", "strict"),
+        (1, "stdout", "strict"),
+        (2, "stderr", "backslashreplace"),
+    ):
+        raw = open(  # noqa: SIM115  for good
+            fd, "rb" if fd == 0 else "wb", 0 if unbuffered and fd else -1, closefd=False
+        )
+        lines = fd == 2 or os.isatty(fd)
+        text = io.TextIOWrapper(
+            raw, encoding, errors, line_buffering=lines, write_through=unbuffered and fd > 0
+        )
+        setattr(sys, name, text)
+        setattr(sys, f"__{name}__", text)
+
+
+def main():
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    request = serve(socket.socket(fileno=int(sys.argv[1])))
+    runpy.run_module(request["module"], run_name="__main__", alter_sys=True)
+
+
+if __name__ == "__main__":
+    importlib.import_module("tests.fork_server").main()
