@@ -23,6 +23,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "check": ("motord.cli.check:check", "Check a robot file and list every problem."),
     "simulate": ("motord.cli.simulate:simulate", "Simulate the drives of a robot."),
     "status": ("motord.cli.talk:status", "Show the state of the running robot."),
+    "top": ("motord.cli.top:top", "Watch the running robot on a full screen."),
     "arm": ("motord.cli.talk:arm", "Power the drives; the robot may move."),
     "disarm": ("motord.cli.talk:disarm", "Come to rest and power the drives off."),
     "drive": ("motord.cli.talk:drive", "Drive at a speed and a turn rate."),

@@ -26,10 +26,10 @@ _LATCHED = ("fault", "estop")
 _HINDERED = ("configuring", *_LATCHED)
 
 
-_robot_option = click.option(
+robot_option = click.option(
     "--robot", metavar="NAME", help="The robot's name. Needed if several run on this machine."
 )
-_socket_option = click.option(
+socket_option = click.option(
     "--socket",
     "path",
     metavar="PATH",
@@ -41,8 +41,8 @@ _socket_option = click.option(
 def talking(command: Callable[..., None]) -> Callable[..., None]:
     """Gives the command a connected client, and says in a sentence what goes wrong."""
 
-    @_robot_option
-    @_socket_option
+    @robot_option
+    @socket_option
     @functools.wraps(command)
     def connected(*, robot: str | None, path: Path | None, **options: Any) -> None:
         try:
@@ -63,8 +63,8 @@ def located(command: Callable[..., None]) -> Callable[..., None]:
     """As `talking`, for a command that makes its own connections: it gets the daemon's socket. One
     that stops the robot needs none, for others may leave none."""
 
-    @_robot_option
-    @_socket_option
+    @robot_option
+    @socket_option
     @functools.wraps(command)
     def with_socket(*, robot: str | None, path: Path | None, **options: Any) -> None:
         try:
@@ -174,8 +174,8 @@ def stop(path: Path, as_json: bool) -> None:
 
 @click.command
 @json_option
-@_robot_option
-@_socket_option
+@robot_option
+@socket_option
 def estop(robot: str | None, path: Path | None, as_json: bool) -> None:
     """Emergency stop: all robots on this machine, or one with --robot.
 

@@ -11,6 +11,7 @@ import signal
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
+from motord.base.recent_log import RecentLog
 from motord.base.sdnotify import Notifier
 from motord.bus.publish import KINDS, open_publisher
 from motord.bus.publish.samples import Samples
@@ -65,6 +66,7 @@ async def run(
     publishers = {key: open_publisher(key, section.kind, section) for key, section in ours.items()}
     bus = BusSupervisor(robot, path) if robot.has_bus and starts_bus else None
     with (
+        _recent_log() as recent_log,
         _signals() as (end, force),
         listening(path) as listener,
         running_file.kept(robot, path.parent),
@@ -93,7 +95,7 @@ async def run(
             work += [tasks.create_task(publishers[key].run(feeds[key])) for key in publishers]
             if bus is not None:
                 work.append(tasks.create_task(bus.run()))
-            offered = methods(operation, health, feeds, command_sockets, bus)
+            offered = methods(operation, health, feeds, command_sockets, bus, recent_log)
             server = tasks.create_task(
                 serve(listener, offered, operation.disconnect, operation.leases.holds)
             )
@@ -112,6 +114,17 @@ async def run(
         _log.warning("ended, but not all drives are known to be without power: %s", problems[0])
     else:
         _log.info("ended: at rest and disarmed")
+
+
+@contextlib.contextmanager
+def _recent_log() -> Iterator[RecentLog]:
+    """Attached to the root logger."""
+    handler = RecentLog()
+    logging.getLogger().addHandler(handler)
+    try:
+        yield handler
+    finally:
+        logging.getLogger().removeHandler(handler)
 
 
 @contextlib.contextmanager

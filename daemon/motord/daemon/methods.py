@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from motord.api.commands import VERSION
+from motord.base.recent_log import RecentLog
 from motord.bus.publish.samples import Samples
 from motord.config import SocketInput
 from motord.control.health import Health
@@ -50,15 +51,22 @@ class NamesParams(Params):
     names: tuple[str, ...] = names()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogParams(Params):
+    after: int = number(0, 2**53, whole=True, default=0)
+
+
 def methods(
     operation: Operation,
     health: Health,
     feeds: Mapping[str, Samples],
     command_sockets: CommandSockets,
     bus: BusSupervisor | None,
+    recent_log: RecentLog,
 ) -> dict[str, Method]:
-    """By name. The first five only look."""
+    """By name. The first six only look."""
     return {
+        "log": Method(lambda _, params: recent_log.after(params.after), LogParams, commands=False),
         "status": _looking(lambda: report.status(operation, health, feeds, bus)),
         "robot": _looking(lambda: report.description(operation)),
         "latency": _looking(lambda: report.latency(operation.loop)),
