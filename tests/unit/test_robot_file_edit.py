@@ -40,7 +40,7 @@ def test_a_changed_value_keeps_its_comment(file):
 
 def test_a_new_key_comes_before_the_comment_of_the_next_table(file):
     edit = RobotFileEdit(file)
-    edit.set(("joint", "left", "inverted"), True)
+    edit.set(("joint", "left", "inverted"), value=True)
     rows = edit.text.splitlines()
     at = rows.index("inverted = true")
     assert rows[at - 1 : at + 4] == [
@@ -113,7 +113,7 @@ def test_a_link_to_the_file_stays_a_link(file):
 
 
 def test_a_missing_file_is_named():
-    with pytest.raises(EditError, match="nowhere.toml: cannot be read"):
+    with pytest.raises(EditError, match=r"nowhere\.toml: cannot be read"):
         RobotFileEdit(Path("nowhere.toml"))
 
 

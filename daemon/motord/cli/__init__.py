@@ -30,6 +30,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "move": ("motord.cli.move:move", "Drive a distance in metres."),
     "turn": ("motord.cli.move:turn", "Turn by an angle in radians."),
     "teleop": ("motord.cli.teleop:teleop", "Drive with the keyboard or a gamepad."),
+    "spin": ("motord.cli.spin:spin", "Turn one wheel at a time and check its wiring."),
     "stop": ("motord.cli.talk:stop", "Come to rest and stay armed."),
     "estop": ("motord.cli.talk:estop", "Emergency stop; latched until reset."),
     "stop-all": ("motord.cli.stop_all:stop_all", "Stop every drive after the daemon crashed."),

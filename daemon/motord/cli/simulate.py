@@ -19,6 +19,7 @@ from typing import Any
 import click
 
 from motord.cli.common import (
+    POSITIVE,
     Exit,
     Failure,
     json_option,
@@ -31,6 +32,7 @@ from motord.config.wiring import line_specs
 from motord_hal.modbus.codec import UNIT_MAX
 from motord_hal.sim.fault_kinds import KINDS, FaultError, list_kinds
 from motord_hal.sim.pins.line import channels_of
+from motord_hal.sim.plant import WheelModel
 from motord_hal.sim.rig import TCP_KINDS, AnySimulatedLine, PortSpec, Rig, RigSpec, WheelSpec
 from motord_hal.sim.runner import SPIN_S, run, set_pace
 
@@ -56,6 +58,18 @@ class _AddressType(click.ParamType[_Address]):
         return _Address(host or "127.0.0.1", int(port))
 
 
+class _WheelType(click.ParamType[tuple[str, str, float]]):
+    name = "wheel"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[str, str, float]:
+        name, _, number = str(value).partition("=")
+        joint, _, key = name.rpartition(".")
+        known = [field.name for field in dataclasses.fields(WheelModel)]
+        if not joint or key not in known:
+            self.fail(f'"{value}" is not JOINT.KEY=VALUE; keys: {", ".join(known)}', param, ctx)
+        return joint, key, POSITIVE.convert(number, param, ctx)
+
+
 @click.command(epilog=f"Faults: {', '.join(KINDS)}.")
 @click.argument("robot_file", metavar="ROBOT.toml", type=click.Path(path_type=Path), required=False)
 @set_option
@@ -65,6 +79,14 @@ class _AddressType(click.ParamType[_Address]):
     metavar="SPEC",
     multiple=True,
     help="A fault to simulate: drop:p=0.05 or reboot:at_s=3,unit=1. Repeatable.",
+)
+@click.option(
+    "--wheel",
+    "wheels",
+    metavar="JOINT.KEY=VALUE",
+    multiple=True,
+    type=_WheelType(),
+    help="Physics of a wheel: left.coulomb_n_m=0.5 (docs/simulator.md). Repeatable.",
 )
 @click.option("--list-faults", is_flag=True, help="List the faults with their keys and exit.")
 @click.option(
@@ -123,6 +145,7 @@ def simulate(
     robot_file: Path | None,
     overrides: tuple[str, ...],
     faults: tuple[str, ...],
+    wheels: tuple[tuple[str, str, float], ...],
     list_faults: bool,
     seed: int | None,
     tcp: _Address | None,
@@ -164,11 +187,24 @@ def simulate(
         units=units,
         tagged=tagged,
     )
+    spec = _with_wheels(spec, wheels)
     with _rig(spec, link_dir, control) as rig:
         _set_pace(priority)
         _say_where(rig, robot, robot_file, as_json=as_json)
         until_fd_ends = sys.stdin.fileno() if stop_on_eof else None
         run(rig, stopped.is_set, until_fd_ends, spin_s=SPIN_S if priority else 0.0)
+
+
+def _with_wheels(spec: RigSpec, changes: tuple[tuple[str, str, float], ...]) -> RigSpec:
+    """Its wheels with other physics."""
+    wheels = dict(spec.wheels)
+    for joint, key, value in changes:
+        if joint not in wheels:
+            text = f'--wheel: no joint "{joint}"; known: {", ".join(wheels)}'
+            raise click.UsageError(text)
+        model = dataclasses.replace(wheels[joint].model, **{key: value})
+        wheels[joint] = dataclasses.replace(wheels[joint], model=model)
+    return dataclasses.replace(spec, wheels=wheels)
 
 
 def _set_pace(priority: int) -> None:

@@ -33,7 +33,7 @@ class Terminal:
     aborts. Use it as a context: it puts the terminal and the signal handlers back."""
 
     def __init__(self, *, yes: bool = False) -> None:
-        """`yes`: answers every yes-or-no question with yes, and chooses the first answer."""
+        """`yes`: answers every yes-or-no question with yes; others are asked."""
         self._yes = yes
         self._keys = sys.stdin.isatty()
         self._cooked: list[Any] | None = None
@@ -76,13 +76,10 @@ class Terminal:
                 return False
 
     def choose(self, question: str, answers: Sequence[str]) -> str:
-        if self._yes:
-            self.show(f"{question} {answers[0]}")
-            return answers[0]
         while True:
             answer = self._ask(f"{question} [{'/'.join(answers)}] ").lower()
             found = [one for one in answers if answer and one.lower().startswith(answer)]
-            if len(found) == 1 or answer in found:
+            if answer in found or len(found) == 1:
                 return answer if answer in found else found[0]
 
     def number(self, question: str, unit: str, low: float, high: float) -> float:

@@ -5,9 +5,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from motord_hal.drives.profile import Channel, DriveProfile, FaultBit
 from motord_hal.sim.plant import Encoder, Wheel
+
+
+class Defect(NamedTuple):
+    """What is wrong with a motor of a unit."""
+
+    kind: str
+    channel: int | None
+    """None: with all of them."""
+    value: float
+    """0 where the kind has none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +78,7 @@ class Motor:
         """The position counter as it is now; None: it has none."""
         if self.encoder is None:
             return None
-        if "frozen-counter" in self.defects:
+        if "frozen-counter" in self.defects or "unplugged-encoder" in self.defects:
             return self._frozen
         return self.encoder.count(self._shaft_rad)
 
@@ -77,6 +88,8 @@ class Motor:
         if "false-velocity" in self.defects:
             self._forward = not self._forward
             return self.defects["false-velocity"] * (1.0 if self._forward else -1.0)
+        if "unplugged-encoder" in self.defects:
+            return 0.0
         return self.axis.shaft_rad_s * (-1.0 if "turned-encoder" in self.defects else 1.0)
 
     @property

@@ -38,6 +38,8 @@ class Kind:
 
 _UNIT = Key(0, NODE_MAX, whole=True)
 """A Modbus address, or a node of a CAN bus."""
+_CHANNEL = Key(1, 8, whole=True)
+"""Which motor of the unit; all of them where it is not given."""
 _TIME_S = Key(0.0, 1e6)
 _SPAN = {"from_s": _TIME_S, "for_s": _TIME_S}
 _WHEN = {"unit": _UNIT, **_SPAN}
@@ -56,6 +58,10 @@ def _reply(text: str, **keys: Key) -> Kind:
 
 def _state(text: str, **keys: Key) -> Kind:
     return Kind("state", text, {**_SPAN, **keys})
+
+
+def _motor(text: str, **keys: Key) -> Kind:
+    return _state(text, unit=_UNIT, channel=_CHANNEL, **keys)
 
 
 def _once(text: str, **keys: Key) -> Kind:
@@ -117,17 +123,16 @@ KINDS = MappingProxyType(
             side=Key(0, 1, whole=True, needed=True),
             part=Key(0.0, 1.0, default=0.5),
         ),
-        "frozen-counter": _state("the position counters stand still", unit=_UNIT),
-        "turned-encoder": _state("the encoders count backward, velocities too", unit=_UNIT),
-        "false-velocity": _state(
+        "frozen-counter": _motor("the position counters stand still"),
+        "turned-encoder": _motor("the encoders count backward, velocities too"),
+        "unplugged-encoder": _motor("the encoders show a wheel that stands still"),
+        "false-velocity": _motor(
             "the reported velocity of the motor is this, forward and backward in turn",
-            unit=_UNIT,
             rad_s=Key(0.0, 1e6, default=343.0),
         ),
-        "blocked": _state("the wheels cannot turn", unit=_UNIT),
-        "runaway": _state(
+        "blocked": _motor("the wheels cannot turn"),
+        "runaway": _motor(
             "while it has power the motor turns at this speed, whatever the set-point is",
-            unit=_UNIT,
             rad_s=Key(-1e6, 1e6, default=15.0),
         ),
         "tcp-stall": _once(

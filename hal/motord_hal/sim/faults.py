@@ -15,10 +15,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from motord_hal.modbus.codec import UNIT_MAX
+from motord_hal.sim.axis import Defect
 from motord_hal.sim.fault_kinds import KINDS, parse_fault
 from motord_hal.sim.rs485.framing import Rewriting
 
-MOTOR_DEFECTS = ("frozen-counter", "turned-encoder", "false-velocity", "blocked", "runaway")
+MOTOR_DEFECTS = (
+    "frozen-counter", "turned-encoder", "unplugged-encoder", "false-velocity", "blocked", "runaway",
+)  # fmt: skip
 
 
 @dataclass(slots=True)
@@ -122,15 +125,15 @@ class FaultScript:
                 fault.fired += 1
                 yield fault
 
-    def defects(self, unit: int, now_s: float) -> dict[str, float]:
-        """What is wrong with this unit's motors now: kind → its value, 0 where it has none."""
+    def defects(self, unit: int, now_s: float) -> tuple[Defect, ...]:
+        """What is wrong with this unit's motors now."""
         if not self.faults:
-            return {}
-        return {
-            fault.kind: fault.values.get("rad_s", 0.0)
+            return ()
+        return tuple(
+            Defect(fault.kind, _whole(fault.values.get("channel")), fault.values.get("rad_s", 0.0))
             for kind in MOTOR_DEFECTS
             for fault in self.states(kind, unit, now_s)
-        }
+        )
 
     def silent(self, unit: int, now_s: float) -> bool:
         """Whether this unit receives nothing now."""
@@ -158,6 +161,10 @@ class FaultScript:
             if on_replies and spoiled.frame and fault.strikes(unit, now_s):
                 _spoil(spoiled, unit, framing, fault)
         return spoiled
+
+
+def _whole(value: float | None) -> int | None:
+    return None if value is None else int(value)
 
 
 def _spoil(spoiled: Spoiled, unit: int, framing: Rewriting, fault: Fault) -> None:

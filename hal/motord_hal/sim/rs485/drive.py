@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from motord_hal.drives.can_profile import Frame
 from motord_hal.drives.profile import Channel, DriveProfile, FaultBit, Step
 from motord_hal.modbus.codec import Function, Request
-from motord_hal.sim.axis import Axis, Motor, new_motor
+from motord_hal.sim.axis import Axis, Defect, Motor, new_motor
 from motord_hal.sim.can.content import CanContent
 from motord_hal.sim.journal import Journal
 from motord_hal.sim.reports import Reports
@@ -74,7 +74,7 @@ class SimulatedDrive:
         self.journal = Journal()
         self.registers = _content(profile)
         self._settings = _settings(profile)
-        self._defects: Mapping[str, float] = {}
+        self._defects: tuple[Defect, ...] = ()
         self._setting_taken = False
         self._watchdog_s = watchdog_s
         self._motors = {
@@ -354,13 +354,13 @@ class SimulatedDrive:
             motor.switched_on = self._always_on
         self._apply()
 
-    def suffer(self, defects: Mapping[str, float]) -> None:
+    def suffer(self, defects: tuple[Defect, ...]) -> None:
         """From now on these are wrong with its motors."""
         if defects == self._defects:
             return
         self._defects = defects
-        for motor in self._motors.values():
-            motor.suffer(defects)
+        for number, motor in self._motors.items():
+            motor.suffer({one.kind: one.value for one in defects if one.channel in (None, number)})
             self._apply()
 
     def start_near_wrap(self) -> None:

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord spin`: the first turn of each wheel."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from motord.cli.common import Exit, Failure, dry_run_option, json_option, print_json, yes_option
+from motord.cli.talk import talking
+from motord.client import Client
+
+SPEED_RAD_S, SPEED_MAX_RAD_S = 1.5, 5.0
+SECONDS, SECONDS_MAX = 2.0, 10.0
+
+
+@click.command
+@click.argument("joints", metavar="[JOINT]...", nargs=-1)
+@click.option("--all", "all_joints", is_flag=True, help="Every joint, one after the other.")
+@click.option(
+    "--speed-rad-s", type=click.FloatRange(0.1, SPEED_MAX_RAD_S), default=SPEED_RAD_S,
+    show_default=True, help="Speed of the wheel.",
+)  # fmt: skip
+@click.option(
+    "--seconds", type=click.FloatRange(0.5, SECONDS_MAX), default=SECONDS, show_default=True,
+    help="How long each wheel turns.",
+)  # fmt: skip
+@click.option(
+    "--file",
+    "robot_file",
+    metavar="ROBOT.toml",
+    type=click.Path(path_type=Path),
+    help="Robot file to change. Default: the one that the daemon runs by.",
+)
+@yes_option
+@dry_run_option
+@json_option
+@talking
+def spin(
+    client: Client,
+    joints: tuple[str, ...],
+    all_joints: bool,
+    speed_rad_s: float,
+    seconds: float,
+    robot_file: Path | None,
+    yes: bool,
+    dry_run: bool,
+    as_json: bool,
+) -> None:
+    """Turn one wheel at a time, and put its direction and channel right in the robot file.
+
+    The wheels have to be off the ground. The command asks what you saw, compares it with the
+    encoders, finds swapped wheels, inverted and unplugged encoders, and offers to write what a
+    robot file can mend. Any key, Ctrl-C or the emergency stop brings the wheel to rest and disarms
+    the robot. The exit status is 1 if something is wrong and 0 if every wheel is right.
+
+    \b
+    Example: motord spin --all
+             motord spin left --seconds 1
+    """
+    if bool(joints) == all_joints:
+        raise click.UsageError("name the joints, or give --all")
+    from motord.cli.terminal import Terminal, failing, write_asking
+    from motord.commission.robot_file_edit import RobotFileEdit
+    from motord.commission.spin import spin as procedure
+    from motord.commission.spin_findings import findings
+
+    with failing(), Terminal(yes=yes) as person:
+        described = client.call("robot")
+        edit = RobotFileEdit(robot_file or Path(described["file"]))
+        names = described["joints"] if all_joints else joints
+        turns = procedure(client, person, names, speed_rad_s, seconds)
+        found = findings(edit.before, turns)
+        for text in found.texts:
+            person.show(text)
+        edit.update(found.changes)
+        backup = write_asking(person, edit, dry_run=dry_run) if found.changes else None
+    if as_json:
+        print_json(
+            {
+                "good": found.good,
+                "turns": [asdict(turned) for turned in turns],
+                "findings": found.texts,
+                "changes": {".".join(path): value for path, value in found.changes.items()},
+                "backup": backup and str(backup),
+            }
+        )
+    if found.good:
+        click.echo("every wheel turns as the robot file says", err=True)
+        return
+    if backup:
+        click.echo("Start the daemon again with the new file, then: motord spin --all", err=True)
+    if as_json:
+        raise click.exceptions.Exit(Exit.FAILED)
+    raise Failure("; ".join(found.texts) if len(found.texts) == 1 else "see above")

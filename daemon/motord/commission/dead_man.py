@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Disarms the robot when the program that started this one ends without having disarmed it: its
+lease lapses by itself and the robot comes to rest, but the drives would stay powered.
+
+Run as `python -m motord.commission.dead_man SOCKET`; the end of stdin is the end of that program.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from motord.api.halting import halt
+from motord.client import ClientError
+
+DISARMED = b"disarmed"
+
+
+@contextlib.contextmanager
+def dead_man(socket: Path) -> Iterator[None]:
+    """While this lasts, the end of this process disarms the robot; also a kill -9."""
+    command = [sys.executable, "-m", "motord.commission.dead_man", os.fspath(socket)]
+    # a session of its own: Ctrl-C and a lost terminal are for the program that it watches
+    process = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True
+    )
+    assert process.stdin is not None
+    try:
+        yield
+        with contextlib.suppress(OSError):
+            process.stdin.write(DISARMED)
+    finally:
+        with contextlib.suppress(OSError):
+            process.stdin.close()
+        process.wait()
+
+
+def _main(socket: str) -> None:
+    if DISARMED not in sys.stdin.buffer.read():
+        with contextlib.suppress(ClientError):  # a daemon that is gone has stopped its drives
+            halt(Path(socket), "disarm")
+
+
+if __name__ == "__main__":
+    _main(sys.argv[1])

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The time for which a procedure has the robot armed. However it ends, the robot is at rest and
+disarmed behind it."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from motord.api.halting import halt
+from motord.api.motion import Goal, Motion
+from motord.api.moving import Moved, MoveFailed
+from motord.api.snapshot import Snapshot
+from motord.api.state_page import NoPage, StatePage
+from motord.client import Client, ClientError, Refused
+from motord.commission.dead_man import dead_man
+from motord.commission.person import Aborted, Failed, Person
+
+LOOK_EVERY_S = 0.02
+RESTS_WITHIN_S = 20.0
+"""As the longest stop that a robot file may have."""
+ABORTED_TEXT = "aborted: the robot is at rest and disarmed, nothing was written"
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What was seen while a twist was commanded, until the robot was at rest."""
+
+    snapshots: tuple[Snapshot, ...]
+    faults: tuple[str, ...]
+    """Latched on the way; they have ended the motion."""
+
+
+@dataclass(slots=True)
+class Session:
+    """An armed robot. `client` holds the lease, so the robot stops when this process ends."""
+
+    client: Client
+    person: Person
+    owner: str
+    page: StatePage
+    robot: dict[str, Any]
+    """The daemon's answer of `robot`."""
+    faults: list[str] = field(default_factory=list)
+
+    # ------------------------------------------------------------------------------------- motions
+    def hold(
+        self,
+        linear_m_s: float,
+        angular_rad_s: float,
+        seconds: float,
+        enough: Callable[[Snapshot], bool] = lambda _: False,
+    ) -> Held:
+        """Command this twist for so long, or until `enough`, then zero until the robot is at rest.
+        Raises Aborted, Failed, ClientError."""
+        found: list[Snapshot] = []
+        end_s = time.monotonic() + seconds
+        for newest in self._looks():
+            found.append(newest)
+            if newest.faults:
+                return self._faulty(found)
+            if time.monotonic() >= end_s or enough(newest):
+                break
+            self._command(linear_m_s, angular_rad_s)
+        end_s = time.monotonic() + RESTS_WITHIN_S
+        for newest in self._looks():
+            found.append(newest)
+            if newest.faults:
+                return self._faulty(found)
+            if newest.at_rest and newest.setpoint_linear_m_s == newest.setpoint_angular_rad_s == 0:
+                return Held(tuple(found), ())
+            if time.monotonic() > end_s:
+                raise Failed(f"the robot does not come to rest within {RESTS_WITHIN_S:g} s")
+            self._command(0.0, 0.0)
+        raise AssertionError  # _looks has no end
+
+    def carry_out(self, goal: Goal, watch: Callable[[Motion, Snapshot], object]) -> Moved:
+        """A distance or an angle by the odometry. Raises Aborted, Failed, ClientError."""
+        try:
+            return self.client.carry_out(
+                goal, owner=self.owner, watch=watch, canceled=self.person.aborted
+            )
+        except MoveFailed as error:
+            if self.person.aborted():
+                raise Aborted(ABORTED_TEXT) from error
+            raise Failed(str(error)) from error
+
+    def newest(self) -> Snapshot:
+        """The state now. Raises Failed."""
+        found = self.page.read()
+        if found is None:
+            raise Failed("the daemon writes no state page any more")
+        return found
+
+    def wait_still(self, seconds: float) -> list[Snapshot]:
+        """What is seen while the robot stands. Raises Aborted."""
+        found: list[Snapshot] = []
+        end_s = time.monotonic() + seconds
+        for newest in self._looks():
+            found.append(newest)
+            if time.monotonic() >= end_s:
+                return found
+        raise AssertionError  # _looks has no end
+
+    def rearm(self) -> None:
+        """After a fault that the procedure has expected. Raises Refused, ClientError."""
+        halt(self.client.path, "disarm")
+        if self.client.status().state == "fault":
+            self.client.reset()
+        self.client.arm()
+
+    def _looks(self) -> Iterator[Snapshot]:
+        due_s = time.monotonic()
+        last_tick, changed_s = -1, due_s
+        while True:
+            if self.person.aborted():
+                raise Aborted(ABORTED_TEXT)
+            newest = self.newest()
+            if newest.tick != last_tick:
+                last_tick, changed_s = newest.tick, time.monotonic()
+            elif time.monotonic() - changed_s > 1.0:
+                raise Failed("the daemon's loop stands still")
+            yield newest
+            due_s = max(due_s + LOOK_EVERY_S, time.monotonic())
+            time.sleep(max(due_s - time.monotonic(), 0.0))
+
+    def _command(self, linear_m_s: float, angular_rad_s: float) -> None:
+        try:
+            answer = self.client.drive(linear_m_s, angular_rad_s, owner=self.owner)
+        except Refused as error:
+            if self.newest().faults:
+                return  # the next look ends the motion
+            raise Failed(f"another program has stopped the robot: {error}") from error
+        if (linear_m_s or angular_rad_s) and not answer["in_command"]:
+            raise Failed(f"{answer['owner']} is in command: end that program first")
+        if not self.newest().armed and not self.newest().faults:
+            raise Failed("another program has disarmed the robot")
+
+    def _faulty(self, found: list[Snapshot]) -> Held:
+        """A latched fault has stopped the robot."""
+        faults = found[-1].faults
+        if "estop" in faults:
+            raise Failed("the emergency stop was pressed: release it, then motord reset")
+        self.faults += faults
+        return Held(tuple(found), faults)
+
+
+@contextlib.contextmanager
+def armed(client: Client, person: Person, owner: str) -> Iterator[Session]:
+    """Arm a robot that is at rest and disarmed; disarm it at the end. Raises Failed for one that is
+    not, Refused where it cannot be armed."""
+    status = client.status()
+    if status.state != "idle":
+        why = "; ".join(status.why) or "motord status says more"
+        cure = "motord reset" if status.state in ("fault", "estop") else "motord disarm"
+        raise Failed(f"the robot is {status.state} ({why}): {cure} first")
+    robot = client.call("robot")
+    try:
+        page = StatePage.open(status.robot, owner=client.path.stat().st_uid)
+    except NoPage as error:
+        raise Failed(str(error)) from error
+    with page, dead_man(client.path):
+        session = Session(client, person, owner, page, robot)
+        try:
+            client.arm()
+            yield session
+        finally:
+            state = halt(client.path, "disarm")
+            if state == "fault" and session.faults:
+                with contextlib.suppress(ClientError):
+                    client.reset()  # the fault was the procedure's own, and is explained by it

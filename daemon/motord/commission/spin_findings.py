@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What first turns of the wheels mean: wires, encoders and keys of the file that are wrong."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from motord.commission.robot_file_edit import KeyPath
+from motord.commission.spin import DOUBTS, RATIO_MAX, RATIO_MIN, TURNED_RAD, Turned
+from motord.config import Robot
+from motord.config.sections.wheels import takes_duty, takes_torque
+
+ADDRESS_KEYS = ("line", "drive", "unit", "channel", "pins", "encoder")
+"""Where a joint's motor is; what is swapped when two wheels are."""
+CURRENT_A = 0.1
+"""A motor that draws less has no power."""
+
+
+@dataclass(slots=True)
+class Findings:
+    """Texts for the person; keys that the robot file should have."""
+
+    texts: list[str] = field(default_factory=list)
+    changes: dict[KeyPath, Any] = field(default_factory=dict)
+
+    @property
+    def good(self) -> bool:
+        """Nothing is wrong."""
+        return not self.texts
+
+
+def findings(robot: Robot, turns: Sequence[Turned]) -> Findings:
+    """What is wrong, and what the robot file should have instead."""
+    found = Findings()
+    for turned in turns:
+        _encoder(robot, turned, found)
+    _wheels(robot, turns, found)
+    return found
+
+
+# -------------------------------------------------------------------------------------- the encoder
+def _encoder(robot: Robot, turned: Turned, found: Findings) -> None:
+    name, joint = turned.joint, robot.joint[turned.joint]
+    own_rad = turned.counted_rad[name]
+    if not turned.seen:
+        found.texts.append(_stood(turned))
+        return
+    for fault in turned.faults:
+        if fault in DOUBTS:
+            text = f'the robot stopped by itself with the fault "{fault}": {DOUBTS[fault]}'
+            found.texts.append(f"{name}: {text}")
+    if not math.isfinite(own_rad):
+        return
+    counting = [k for k, rad in turned.counted_rad.items() if abs(rad) >= TURNED_RAD]
+    others = [k for k in counting if robot.joint[k].side != joint.side]
+    if abs(own_rad) < TURNED_RAD and turned.seen != name:
+        return  # `_wheels` judges it
+    if abs(own_rad) < TURNED_RAD and others:
+        _crossed(robot, name, others[0], found)
+    elif abs(own_rad) < TURNED_RAD:
+        found.texts.append(
+            f"{name}: the motor turned and its encoder did not count: look for an unplugged "
+            "encoder, a broken wire, or a missing supply of the encoder"
+        )
+    elif own_rad < 0.0 and joint.encoder is not None:
+        path = ("joint", name, "encoder", "reversed")
+        found.changes[path] = not joint.encoder.reversed
+        found.texts.append(f"{name}: its encoder counts against its motor: reversed is changed")
+    elif own_rad < 0.0:
+        found.texts.append(
+            f"{name}: its encoder counts against its motor. No key of the robot file mends that, "
+            "for the drive itself needs both alike: swap A and B of the encoder, or set the "
+            "drive's encoder direction with its maker's tool"
+        )
+    else:
+        _scale(robot, turned, found)
+
+
+def _stood(turned: Turned) -> str:
+    name, current_a = turned.joint, turned.current_max_a
+    if abs(turned.counted_rad[name]) >= TURNED_RAD:
+        return (
+            f"{name}: no wheel was seen turning, but its encoder counted "
+            f"{turned.counted_rad[name]:+.2f} rad: look again, or find which axis it counts"
+        )
+    if current_a is not None and current_a > CURRENT_A:
+        return (
+            f"{name}: did not turn and drew up to {current_a:.1f} A: it is blocked, its brake is "
+            "on, or its motor's phases or Hall sensors are not connected right"
+        )
+    return (
+        f"{name}: did not turn and drew no current: is the motor connected, and are unit and "
+        "channel of the robot file those of its drive? (motord scan PORT)"
+    )
+
+
+def _crossed(robot: Robot, name: str, other: str, found: Findings) -> None:
+    one, two = robot.joint[name].encoder, robot.joint[other].encoder
+    if one is None or two is None:
+        found.texts.append(
+            f"{name}: its motor turned, and the encoder of {other} counted: swap the plugs of the "
+            "two encoders, or those of the two motors"
+        )
+        return
+    found.texts.append(f"{name}: its motor turned, and the encoder of {other} counted: swapped")
+    found.changes["joint", name, "encoder"] = two.model_dump(exclude_unset=True)
+    found.changes["joint", other, "encoder"] = one.model_dump(exclude_unset=True)
+
+
+def _scale(robot: Robot, turned: Turned, found: Findings) -> None:
+    name, joint = turned.joint, robot.joint[turned.joint]
+    profile = robot.profiles[joint.drive]
+    if turned.faults or takes_duty(joint, profile) or takes_torque(joint, profile):
+        return
+    ratio = turned.counted_rad[name] / turned.commanded_rad
+    if not RATIO_MIN <= ratio <= RATIO_MAX:
+        found.texts.append(
+            f"{name}: counted {ratio:.3g} times the commanded angle: counts_per_turn is that many "
+            "times too small, or gear_ratio is wrong"
+        )
+
+
+# --------------------------------------------------------------------------------------- the wheels
+def _wheels(robot: Robot, turns: Sequence[Turned], found: Findings) -> None:
+    """Which joint's address turns which wheel; the file gets the addresses of the wheels."""
+    seen = [turned for turned in turns if turned.seen]
+    swapped = [turned for turned in seen if turned.seen != turned.joint]
+    for turned in swapped:
+        found.texts.append(f"{turned.joint}: the {turned.seen} wheel turned instead")
+    if crossed := [turned for turned in swapped if not _counted(turned)]:
+        found.texts.append(
+            f"{crossed[0].joint}: the encoder of its drive is on its own wheel: swap the plugs of "
+            "the two motors"
+        )
+        return
+    joints, wheels = {turned.joint for turned in seen}, [turned.seen for turned in seen]
+    if swapped and (set(wheels) != joints or len(set(wheels)) != len(wheels)):
+        found.texts.append(
+            "which wheels are swapped is only known after all have turned: motord spin --all"
+        )
+        return
+    for turned in seen:
+        _address(robot, turned, found)
+        inverted = robot.joint[turned.joint].inverted != (turned.direction == "backward")
+        if turned.direction == "backward":
+            found.texts.append(f"{turned.seen}: turned backward: inverted is changed")
+        if robot.joint[turned.seen].inverted != inverted:
+            found.changes["joint", turned.seen, "inverted"] = inverted
+
+
+def _counted(turned: Turned) -> bool:
+    """Its own encoder, or nothing that could have."""
+    own_rad = turned.counted_rad[turned.joint]
+    return not abs(own_rad) < TURNED_RAD
+
+
+def _address(robot: Robot, turned: Turned, found: Findings) -> None:
+    if turned.seen == turned.joint:
+        return
+    source, target = robot.joint[turned.joint], robot.joint[turned.seen]
+    for key in ADDRESS_KEYS:
+        value = getattr(source, key)
+        if value != getattr(target, key):
+            plain = value.model_dump(exclude_unset=True) if key == "encoder" and value else value
+            if plain is not None:
+                found.changes["joint", turned.seen, key] = plain

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord spin` at a real terminal, on simulated drives with planted faults."""
+
+import contextlib
+import signal
+
+import pytest
+from tests.sim.daemon_stage import wait_until
+from tests.sim.person_stage import at_terminal, copied, robot_of
+
+from motord.client import ClientError
+from motord.config import load_robot
+
+QUICK = ("--seconds", "1")
+GROUND = r"Are all wheels off the ground, and is nothing in their reach\? "
+SWAPPED = ("joint.left.channel=2", "joint.right.channel=1")
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("spin")
+    file = copied(folder)
+    with robot_of(folder, file) as stage:
+        stage.file = file
+        yield stage
+
+
+def spinning(stage, *words):
+    return at_terminal("spin", *words, *QUICK, "--socket", stage.socket)
+
+
+def fastest_rad_s(stage):
+    return max(abs(joint.velocity_rad_s) for joint in stage.sim.truth().joints.values())
+
+
+def rests_without_power(stage):
+    wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+
+    def disarmed():
+        with contextlib.suppress(ClientError):
+            return stage.state() == "idle"
+        return False
+
+    wait_until(disarmed, "disarmed")
+    joints = stage.sim.truth().joints.values()
+    wait_until(lambda: not any(joint.enabled for joint in joints), "no power")
+
+
+def test_nothing_turns_before_a_yes(stage):
+    with spinning(stage, "left") as screen:
+        screen.answer(GROUND, "n")
+        assert screen.end() == 1
+    assert "nothing was turned" in screen.text
+    assert stage.sim.truth().moved_max_m_s == 0.0
+
+
+def test_a_robot_without_a_fault_is_good(stage):
+    before = stage.file.read_bytes()
+    with spinning(stage, "--all") as screen:
+        screen.answer(GROUND, "y")
+        screen.answer("Did the left wheel turn forward", "forward")
+        screen.answer("Did the right wheel turn forward", "forward")
+        assert screen.end() == 0, screen.text
+    assert "every wheel turns as the robot file says" in screen.text
+    assert stage.file.read_bytes() == before
+    rests_without_power(stage)
+
+
+@pytest.mark.parametrize("how", ["key", "Ctrl-C", "SIGTERM", "hang up", "kill -9", "e-stop"])
+def test_whatever_ends_it_ends_at_rest_and_without_power(stage, how):
+    with at_terminal("spin", "left", "--seconds", "10", "--socket", stage.socket) as screen:
+        screen.answer(GROUND, "y")
+        wait_until(lambda: fastest_rad_s(stage) > 0.5, "it turns")
+        match how:
+            case "key":
+                screen.type("x")
+            case "Ctrl-C":
+                screen.type("\x03")
+            case "SIGTERM":
+                screen.process.send_signal(signal.SIGTERM)
+            case "hang up":
+                screen.hang_up()
+            case "kill -9":
+                screen.process.kill()
+            case "e-stop":
+                stage.robot.estop()
+        if how == "e-stop":
+            stage.wait_for("estop")
+            wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+            assert screen.end() == 1
+            assert "emergency stop" in screen.text
+            stage.robot.reset()
+        elif how in ("key", "Ctrl-C", "SIGTERM"):
+            assert screen.end() == 1
+            assert "aborted: the robot is at rest and disarmed" in screen.text
+        else:
+            screen.process.wait(100.0)
+    rests_without_power(stage)
+
+
+def test_an_armed_robot_is_refused(stage):
+    stage.robot.arm()
+    with spinning(stage, "left") as screen:
+        screen.answer(GROUND, "y")
+        assert screen.end() == 1
+    assert "the robot is armed" in screen.text
+    stage.robot.disarm()
+    rests_without_power(stage)
+
+
+def test_swapped_wheels_are_found_and_put_right_in_the_file(tmp_path):
+    file = copied(tmp_path)
+    with robot_of(tmp_path, file, truth=SWAPPED) as stage:
+        with spinning(stage, "--all") as screen:
+            screen.answer(GROUND, "y")
+            screen.answer("Did the left wheel turn forward", "other")
+            assert stage.sim.truth().joints["right"].position_rad < -0.5
+            screen.answer("Did the right wheel turn forward", "backward")
+            screen.answer("Did the right wheel turn forward", "other")
+            screen.answer("Did the left wheel turn forward", "backward")
+            screen.answer(r"Write .*cart.toml\?", "y")
+            assert screen.end() == 1
+        rests_without_power(stage)
+    joints = load_robot(file).joint
+    assert (joints["left"].channel, joints["right"].channel) == (2, 1)
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("turned-encoder:unit=1,channel=1", "its encoder counts against its motor"),
+        ("unplugged-encoder:unit=1,channel=1", "did not count: look for an unplugged encoder"),
+    ],
+)
+def test_a_wrong_encoder_stops_the_robot_and_is_explained(tmp_path, fault, words):
+    file = copied(tmp_path)
+    with robot_of(tmp_path, file, faults=[fault]) as stage:
+        with at_terminal(
+            "spin", "left", "--seconds", "4", "--speed-rad-s", "3", "--socket", stage.socket
+        ) as screen:
+            screen.answer(GROUND, "y")
+            screen.answer("Did the left wheel turn forward", "forward")
+            assert screen.end() == 1
+        assert words in " ".join(screen.text.split())
+        assert "the robot stopped by itself with the fault" in screen.text
+        rests_without_power(stage)

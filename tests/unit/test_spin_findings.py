@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What first turns of the wheels mean."""
+
+from pathlib import Path
+
+import pytest
+
+from motord.commission.spin import Turned, Wheel, twist_of_side
+from motord.commission.spin_findings import findings
+from motord.config import load_robot
+
+ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
+RIGHT = {"direction": "forward"}
+
+
+@pytest.fixture(scope="module")
+def demo():
+    return load_robot(ROBOTS / "demo.toml")
+
+
+@pytest.fixture(scope="module")
+def pins():
+    return load_robot(ROBOTS / "pi4-encoders.toml")
+
+
+def turned(joint, *, seen="", direction="forward", left=0.0, right=0.0, current_a=1.0, faults=()):
+    counted_rad = {"left": left, "right": right}
+    return Turned(
+        joint=joint, commanded_rad=3.0, counted_rad=counted_rad, current_max_a=current_a,
+        faults=faults, seen=seen, direction=direction,
+    )  # fmt: skip
+
+
+def good_left():
+    return turned("left", seen="left", left=3.0)
+
+
+def test_a_wheel_that_turns_forward_and_counts_forward_is_good(demo):
+    found = findings(demo, [good_left(), turned("right", seen="right", right=3.0)])
+    assert found.good
+    assert not found.changes
+
+
+def test_a_wheel_that_turns_backward_changes_inverted(demo):
+    found = findings(demo, [turned("right", seen="right", direction="backward", right=3.0)])
+    assert found.changes == {("joint", "right", "inverted"): False}
+
+
+def test_swapped_wheels_swap_channels_and_keep_their_directions(demo):
+    """Channel 1 turns the right wheel: forward there is backward on the left side's mount."""
+    found = findings(
+        demo,
+        [
+            turned("left", seen="right", direction="backward", left=3.0),
+            turned("right", seen="left", direction="backward", right=3.0),
+        ],
+    )
+    assert found.changes == {
+        ("joint", "right", "channel"): 1,
+        ("joint", "left", "channel"): 2,
+    }
+
+
+def test_swapped_wheels_that_turn_forward_change_direction_with_the_channel(demo):
+    found = findings(
+        demo,
+        [
+            turned("left", seen="right", left=3.0),
+            turned("right", seen="left", right=3.0),
+        ],
+    )
+    assert found.changes == {
+        ("joint", "right", "channel"): 1, ("joint", "right", "inverted"): False,
+        ("joint", "left", "channel"): 2, ("joint", "left", "inverted"): True,
+    }  # fmt: skip
+
+
+def test_one_swapped_wheel_alone_is_not_enough_to_change_the_file(demo):
+    found = findings(demo, [turned("left", seen="right", left=3.0)])
+    assert not found.changes
+    assert "motord spin --all" in found.texts[-1]
+
+
+def test_motors_on_each_others_plugs_are_a_matter_of_wires(demo):
+    found = findings(
+        demo,
+        [
+            turned("left", seen="right", right=3.0),
+            turned("right", seen="left", left=3.0),
+        ],
+    )
+    assert not found.changes
+    assert "swap the plugs of the two motors" in found.texts[-1]
+
+
+def test_an_encoder_that_counts_backward_in_a_drive_is_a_matter_of_wires(demo):
+    found = findings(demo, [turned("left", seen="left", left=-1.0, faults=("direction",))])
+    assert not found.changes
+    assert "turned against its set-point" in found.texts[0]
+    assert "swap A and B" in found.texts[1]
+
+
+def test_an_encoder_of_ones_own_that_counts_backward_is_reversed_in_the_file(pins):
+    found = findings(pins, [turned("left", seen="left", left=-1.0)])
+    before = pins.joint["left"].encoder.reversed
+    assert found.changes == {("joint", "left", "encoder", "reversed"): not before}
+
+
+def test_an_encoder_that_does_not_count_is_unplugged(demo):
+    found = findings(demo, [turned("left", seen="left", faults=("stall",))])
+    assert any("broken wire" in text for text in found.texts)
+    assert not found.changes
+
+
+def test_an_encoder_on_the_other_input_is_found(demo, pins):
+    found = findings(demo, [turned("left", seen="left", right=3.0)])
+    assert "the encoder of right counted" in found.texts[0]
+    assert not found.changes
+    found = findings(pins, [turned("left", seen="left", right=3.0)])
+    assert found.changes["joint", "left", "encoder"]["kind"] == "gpio"
+
+
+def test_too_many_counts_name_the_factor(demo):
+    found = findings(demo, [turned("left", seen="left", left=12.0)])
+    assert "counted 4 times the commanded angle" in found.texts[0]
+
+
+@pytest.mark.parametrize(
+    ("current_a", "words"), [(0.0, "drew no current"), (6.0, "blocked"), (None, "no current")]
+)
+def test_a_wheel_that_stands_is_judged_by_its_current(demo, current_a, words):
+    found = findings(demo, [turned("left", current_a=current_a)])
+    assert words in found.texts[0]
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_one_side_turns_as_a_twist_in_which_the_other_rests(side):
+    wheel = Wheel(name="one", index=0, side=side, wheel_radius_m=0.1)
+    linear_m_s, angular_rad_s = twist_of_side(wheel, 2.0, 0.5)
+    rims_m_s = {
+        "left": linear_m_s - angular_rad_s * 0.25, "right": linear_m_s + angular_rad_s * 0.25,
+    }  # fmt: skip
+    other = "left" if side == "right" else "right"
+    assert rims_m_s[side] == pytest.approx(0.2)
+    assert rims_m_s[other] == pytest.approx(0.0)
