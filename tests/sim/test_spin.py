@@ -61,7 +61,7 @@ def test_a_robot_without_a_fault_is_good(stage):
         screen.answer("Did the left wheel turn forward", "forward")
         screen.answer("Did the right wheel turn forward", "forward")
         assert screen.end() == 0, screen.text
-    assert "every wheel turns as the robot file says" in screen.text
+    assert "every wheel turns as the robot file has it" in screen.text
     assert stage.file.read_bytes() == before
     rests_without_power(stage)
 

@@ -88,7 +88,7 @@ def spin(
             }
         )
     if found.good:
-        click.echo("every wheel turns as the robot file says", err=True)
+        click.echo("every wheel turns as the robot file has it", err=True)
         return
     if backup:
         click.echo("Start the daemon again with the new file, then: motord spin --all", err=True)

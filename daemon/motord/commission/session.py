@@ -154,7 +154,7 @@ def armed(client: Client, person: Person, owner: str) -> Iterator[Session]:
     not, Refused where it cannot be armed."""
     status = client.status()
     if status.state != "idle":
-        why = "; ".join(status.why) or "motord status says more"
+        why = "; ".join(status.why) or "see motord status"
         cure = "motord reset" if status.state in ("fault", "estop") else "motord disarm"
         raise Failed(f"the robot is {status.state} ({why}): {cure} first")
     robot = client.call("robot")
