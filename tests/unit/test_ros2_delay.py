@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord.bus.ros2.delay import SENDERS_MAX, WINDOW_NS, Delays
+from motord.bus.commands.delay import SENDERS_MAX, WINDOW_NS, Delays
 
 S = 1_000_000_000
 PERIOD_NS = S // 20

@@ -19,6 +19,7 @@ PUBLISHERS = MappingProxyType(
         "ros2-zenoh": "motord.bus.ros2.publisher:Ros2Publisher",
         "rosbridge": "motord.bus.rosbridge.adapter:RosbridgeAdapter",
         "prometheus": "motord.bus.prometheus.server:PrometheusServer",
+        "web": "motord.bus.web.adapter:WebAdapter",
     }
 )
 INPUTS = MappingProxyType(
@@ -29,6 +30,7 @@ INPUTS = MappingProxyType(
         "ros2": "motord.bus.ros2.commands:Ros2Commands",
         "ros2-zenoh": "motord.bus.ros2.commands:Ros2Commands",
         "rosbridge": "motord.bus.rosbridge.adapter:RosbridgeAdapter",
+        "web": "motord.bus.web.adapter:WebAdapter",
     }
 )
 PUBLISHER_POINTS = "motord.publishers"

@@ -7,7 +7,7 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from motord.bus.messages.forms import Form, as_message
 from motord.bus.messages.sources import Body
@@ -22,6 +22,22 @@ class Sample:
 
     topic: Topic
     message: Any
+
+
+class Sink(Protocol):
+    """What takes views, counts what it has taken and lost, and never waits."""
+
+    taken: int
+    dropped: int
+
+    @property
+    def period_s(self) -> float:
+        """The time between two views that it needs."""
+        ...
+
+    def offer(self, view: View) -> None:
+        """Take it, or leave it."""
+        ...
 
 
 class Feed:

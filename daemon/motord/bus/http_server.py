@@ -11,6 +11,7 @@ import asyncio
 import logging
 import ssl
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
@@ -36,6 +37,18 @@ class _OurOwn(logging.Filter):
 
 _requests_log = logging.getLogger(f"{__name__}.requests")
 _requests_log.addFilter(_OurOwn())
+
+
+def tls_context(
+    cert_file: str | None, key_file: str | None, place: Callable[[str], Path]
+) -> ssl.SSLContext | None:
+    """None: without TLS. `place`: where a file of that name is. Raises OSError for files that
+    cannot be used."""
+    if cert_file is None or key_file is None:
+        return None
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    context.load_cert_chain(place(cert_file), place(key_file))
+    return context
 
 
 class HttpServer:

@@ -21,7 +21,7 @@ from motord.base.extras import how_to_install
 from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHERS, Adapter, find
 from motord.bus.commands.gap import Gap
 from motord.bus.commands.link import Source, StopSender, call
-from motord.bus.feed import Feed
+from motord.bus.feed import Feed, Sink
 from motord.bus.guard import keep
 from motord.bus.messages.forms import Form, as_message
 from motord.bus.messages.sources import Body
@@ -67,7 +67,7 @@ class Runtime:
         self.body = Body(robot=robot.robot.name, joints=tuple(robot.joint))
         self.view: View | None = None
         """None: the daemon has not been seen, or is gone."""
-        self.feeds: dict[str, Feed] = {}
+        self.feeds: dict[str, Sink] = {}
         self.sources: dict[str, Source] = {}
         self._stops = StopSender(path)
         self._gaps: list[Gap] = []
@@ -84,8 +84,8 @@ class Runtime:
         body: Body | None = None,
     ) -> Feed:
         """Topics by their rates, for the adapter of that name. `body`: `self.body` unless given."""
-        self.feeds[name] = Feed(body or self.body, rates_hz, form)
-        return self.feeds[name]
+        made = self.feeds[name] = Feed(body or self.body, rates_hz, form)
+        return made
 
     def source(self, name: str) -> Source:
         """The right to command of [input.NAME]; the adapter runs it."""

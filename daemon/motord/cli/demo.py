@@ -20,7 +20,7 @@ from motord.cli.common import (
 )
 from motord.client import ClientError
 from motord.tools.course import DISTANCE_ERROR_MAX_PERCENT, HEADING_ERROR_MAX_RAD, draw
-from motord.tools.demo import DemoError, Result, Stage, run_demo
+from motord.tools.demo import DemoError, Result, Stage, run_demo, show_dashboard
 from motord.tools.demo_words import error_words, held_up_words, overrun_words
 from motord_hal.base.paths import config_dir
 from motord_hal.sim.control import ControlError
@@ -43,8 +43,24 @@ from motord_hal.sim.control import ControlError
 )
 @set_option
 @click.option("--stay", is_flag=True, help="Keep the drives and the daemon running until Ctrl-C.")
+@click.option("--web", is_flag=True, help="Show a dashboard until Ctrl-C instead of the course.")
+@click.option(
+    "--port",
+    type=click.IntRange(1, 65535),
+    default=8088,
+    show_default=True,
+    help="TCP port of the dashboard.",
+)
 @json_option
-def demo(seconds: float, robot: str, overrides: tuple[str, ...], stay: bool, as_json: bool) -> None:
+def demo(
+    seconds: float,
+    robot: str,
+    overrides: tuple[str, ...],
+    stay: bool,
+    web: bool,
+    port: int,
+    as_json: bool,
+) -> None:
     """Drive a simulated robot over a test course and measure how well it does.
 
     The demo simulates the drives in a second process: real Modbus RTU on a pseudo-terminal, paced
@@ -57,12 +73,18 @@ def demo(seconds: float, robot: str, overrides: tuple[str, ...], stay: bool, as_
     Example: motord demo
              motord demo --json --seconds 20
              motord demo --robot skid4 --stay
+             motord demo --web
     """
     path = Path(robot) if "/" in robot or robot.endswith(".toml") else robot_path(robot)
     loaded = load_or_exit(path, overrides)
     for number in (signal.SIGTERM, signal.SIGHUP):  # however it ends, its daemon ends with it
         signal.signal(number, signal.default_int_handler)
     try:
+        if web:
+            show_dashboard(
+                path, loaded, port, lambda stage: stay_with_dashboard(stage, port, as_json)
+            )
+            return
         result = run_demo(path, loaded, seconds, progress, stay_up if stay else None)
     except (DemoError, ControlError, ClientError) as error:
         progress("")
@@ -96,6 +118,23 @@ def stay_up(stage: Stage) -> None:
     progress("")
     click.echo(f"the robot stays up. In another terminal: motord status --socket {stage.socket}")
     click.echo("Ctrl-C ends it.")
+    wait_for_end(stage)
+
+
+def stay_with_dashboard(stage: Stage, port: int, as_json: bool) -> None:
+    """Until Ctrl-C: where the dashboard is."""
+    progress("")
+    address = f"http://127.0.0.1:{port}"
+    if as_json:
+        print_json({"address": address, "socket": str(stage.socket)})
+    else:
+        click.echo(f"dashboard: {address}\nCtrl-C ends it.")
+    sys.stdout.flush()
+    wait_for_end(stage)
+
+
+def wait_for_end(stage: Stage) -> None:
+    """Until Ctrl-C, with the robot's state on a terminal."""
     try:
         while True:
             stage.check()

@@ -30,10 +30,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
 
 from motord.base.rate_limited_log import RateLimitedLog
+from motord.bus.commands.delay import Delays
 from motord.bus.commands.gate import NotTaken
 from motord.bus.inbox import Inbox, ThreadBridge
 from motord.bus.messages.cdr import decode, encode
-from motord.bus.ros2.delay import Delays
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import unnamed
 

@@ -11,6 +11,7 @@ import contextlib
 import itertools
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -289,6 +290,30 @@ def run_demo(
             program_held_up_s=ride.held_up_s,
             daemon_waited_part=waited_part,
         )
+
+
+DASHBOARD = "dashboard"
+"""Name of the [input.*] that the demonstration adds."""
+
+
+def show_dashboard(
+    robot_file: Path, robot: Robot, port: int, stay: Callable[[Stage], None]
+) -> None:
+    """Keep the stage up with a dashboard at that port, without a course. Raises DemoError."""
+    if _listens(port):
+        raise DemoError(f"another program listens at TCP port {port}: choose another with --port")
+    table = f"input.{DASHBOARD}"
+    settings = (f"{table}.kind=web", f"{table}.port={port}", f"{table}.trust_loopback=true")
+    with staged(robot_file, (*robot.overrides, *settings)) as stage:
+        stage.wait("drives ready", lambda status: status["state"] == "idle", START_DEADLINE_S)
+        stage.wait("the dashboard", lambda _: _listens(port), START_DEADLINE_S)
+        stay(stage)
+
+
+def _listens(port: int) -> bool:
+    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+        return True
+    return False
 
 
 def course_of(robot: Robot) -> Course:

@@ -18,7 +18,7 @@ from motord.client import ClientError
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
-    from motord.config import StampedInput
+    from motord.config import BusInput
 
 METHODS = ("arm", "disarm", "stop", "estop", "reset", "reset_odometry", "status")
 """What may be called."""
@@ -55,14 +55,15 @@ class NotTaken(Exception):
 class CommandGate:
     """One networked input's."""
 
-    def __init__(self, name: str, section: StampedInput, runtime: Runtime) -> None:
-        """Raises OSError and ValueError for a token that cannot be used."""
+    def __init__(self, name: str, section: BusInput, runtime: Runtime) -> None:
+        """`section`: what is no StampedInput knows itself how long a command waited. Raises OSError
+        and ValueError for a token that cannot be used."""
         self._name = name
         self._runtime = runtime
         self._token: Token | None = None
-        if (token_file := getattr(section, "token_file", None)) is not None:  # of a TokenInput
+        if (token_file := getattr(section, "token_file", None)) is not None:
             self._token = Token(runtime.beside_robot_file(token_file))
-        self._stamped = section.stamped
+        self._stamped: bool = getattr(section, "stamped", False)
         self._joints = {name: place for place, name in enumerate(runtime.robot.joint)}
         self._calls: Counter[str] = Counter()
         self._reported_s = -SAY_AGAIN_S

@@ -7,14 +7,13 @@ with the token.
 from __future__ import annotations
 
 import asyncio
-import ssl
 from http import HTTPStatus
 from typing import TYPE_CHECKING
 
 from aiohttp import web
 
 from motord.bus.commands.gate import CommandGate, NotTaken
-from motord.bus.http_server import HttpServer
+from motord.bus.http_server import HttpServer, tls_context
 from motord.bus.messages.forms import as_json
 from motord.bus.rosbridge.client import RosbridgeClient
 from motord.config import RosbridgeInput, RosbridgeServer
@@ -41,7 +40,7 @@ class RosbridgeAdapter:
         self._where = f"{table}.{name}"
         self._feed = runtime.feed(self._where if self._gate else name, section.rates_hz(), as_json)
         self._clients: set[RosbridgeClient] = set()
-        tls = _tls_context(section, runtime)
+        tls = tls_context(section.cert_file, section.key_file, runtime.beside_robot_file)
         self._server = HttpServer(self._where, section.host, section.port, self._answer, tls)
 
     async def run(self) -> None:
@@ -106,12 +105,3 @@ def _token(request: web.BaseRequest) -> str | None:
     if kind.lower() == "bearer":
         return shown.strip()
     return request.query.get("token")
-
-
-def _tls_context(section: RosbridgeServer, runtime: Runtime) -> ssl.SSLContext | None:
-    if section.cert_file is None or section.key_file is None:
-        return None
-    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-    certificate, key = map(runtime.beside_robot_file, (section.cert_file, section.key_file))
-    context.load_cert_chain(certificate, key)
-    return context

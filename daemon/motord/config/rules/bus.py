@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from motord.base.extras import how_to_install
 from motord.config.finding import Finding
 from motord.config.rules.recording import memory_holds_the_time_before_a_fault
+from motord.config.rules.web import WEB_RULES
 from motord.config.sections.bus import (
     LOOPBACK,
     BusPublish,
@@ -23,6 +24,7 @@ from motord.config.sections.bus import (
     Ros2Node,
     RosbridgeInput,
     RosbridgeServer,
+    WebServer,
     ZenohInput,
     ZenohNode,
 )
@@ -41,7 +43,8 @@ _PACKAGES = {
     "joystick": "evdev",
 }
 TokenBus = MqttBroker | RosbridgeInput | FoxgloveInput
-AnyServer = PrometheusPublish | FoxgloveServer | RosbridgeServer
+TlsServer = FoxgloveServer | RosbridgeServer | WebServer
+AnyServer = PrometheusPublish | TlsServer
 
 
 def _commands_are_encrypted(robot: Robot) -> Iterator[Finding]:
@@ -150,11 +153,11 @@ def _one_port_a_server(robot: Robot) -> Iterator[Finding]:
 
 def _certificates(robot: Robot) -> Iterator[Finding]:
     for path, section in _servers(robot):
-        if isinstance(section, FoxgloveServer | RosbridgeServer):
+        if isinstance(section, TlsServer):
             yield from _pair(path, section)
 
 
-def _pair(path: Path, section: MqttBroker | FoxgloveServer | RosbridgeServer) -> Iterator[Finding]:
+def _pair(path: Path, section: MqttBroker | TlsServer) -> Iterator[Finding]:
     if (section.cert_file is None) != (section.key_file is None):
         key = "key_file" if section.key_file is None else "cert_file"
         yield Finding(((*path, key),), "cert_file and key_file go together")
@@ -300,4 +303,5 @@ BUS_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _zenoh_routers,
     _remaps_agree,
     memory_holds_the_time_before_a_fault,
+    *WEB_RULES,
 )

@@ -223,6 +223,49 @@ class RosbridgeInput(TokenInput, RosbridgeServer):
     kind: Literal["rosbridge"]
 
 
+_DASHBOARD = rf"^https?://({_NAME}|\[[0-9A-Fa-f:.]{{2,45}}\])(:[0-9]{{1,5}})?$"
+
+
+class WebServer(Section):
+    """The dashboard: a page that this robot serves to browsers."""
+
+    host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
+    """Address to listen at; this machine only, unless something else is said."""
+    port: int = number("TCP port", 1, 65535, "1", 8088)
+    rate_hz: float = number("states a second for each page at most", 1, 100, "Hz", 50.0)
+    token_file: str | None = Field(default=None, min_length=1)
+    """File with the token that a page has to show; at least 16 characters, readable by the daemon's
+    user alone. A path that is not absolute is beside the robot file. Pages of this machine may
+    watch without it."""
+    cert_file: str | None = None
+    """Our certificate, for TLS (https)."""
+    key_file: str | None = None
+    """Key of cert_file."""
+    behind_proxy: bool = False
+    """A reverse proxy encrypts what leaves the protected network: TLS is not needed here."""
+    fleet: tuple[Annotated[str, Field(pattern=_DASHBOARD, max_length=280)], ...] = Field(
+        default=(), strict=False
+    )
+    """Addresses of other dashboards, as browsers show them (https://r2.example:8088): this page
+    shows their robots too, and their pages may connect here."""
+
+
+class WebPublish(WebServer, Publish):
+    """A dashboard that only shows the robot."""
+
+    kind: Literal["web"]
+
+
+class WebInput(WebServer, BusInput):
+    """A dashboard that shows the robot, and obeys pages that have shown the token."""
+
+    kind: Literal["web"]
+    lease_s: float = number("a pad that sends nothing for so long is released", 0.1, 0.3, "s", 0.3)
+    trust_loopback: bool = False
+    """Pages of this machine may command without a token: every user of it may. Set it to confirm
+    that this is meant."""
+
+
 class JoystickInput(BusInput):
     """A joystick or gamepad at this machine. It commands as long as its dead-man button is held."""
 

@@ -35,6 +35,8 @@ from motord.config.sections.bus import (
     RosbridgePublish,
     StdoutPublish,
     UdpPublish,
+    WebInput,
+    WebPublish,
     ZenohInput,
     ZenohPublish,
 )
@@ -342,6 +344,7 @@ Input = (
     | MqttInput
     | RosbridgeInput
     | FoxgloveInput
+    | WebInput
     | JoystickInput
     | Ros2Input
     | ZenohInput
@@ -356,6 +359,7 @@ AnyPublish = (
     | FoxglovePublish
     | McapPublish
     | PrometheusPublish
+    | WebPublish
     | Ros2Publish
     | ZenohPublish
     | OtherPublish

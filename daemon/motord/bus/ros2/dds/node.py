@@ -12,11 +12,11 @@ from types import SimpleNamespace
 from typing import Any
 
 from motord.base.rate_limited_log import RateLimitedLog
+from motord.bus.commands.delay import Delays
 from motord.bus.messages.cdr import decode, encode
 from motord.bus.messages.table import type_hash, with_parts
 from motord.bus.ros2 import names
 from motord.bus.ros2.dds.participant import Discovery, Participant, Reader, Writer
-from motord.bus.ros2.delay import Delays
 from motord.bus.ros2.quality import Distribution, Quality
 from motord.bus.ros2.senders import Graph
 from motord.bus.ros2.service import Service

@@ -17,10 +17,10 @@ import zenoh
 import zenoh.ext
 
 from motord.base.rate_limited_log import RateLimitedLog
+from motord.bus.commands.delay import Delays
 from motord.bus.inbox import Inbox
 from motord.bus.messages.cdr import decode, encode
 from motord.bus.ros2.dds.other_types import type_conflict
-from motord.bus.ros2.delay import Delays
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import SENDERS_MAX, asker, unnamed
 from motord.bus.ros2.zenoh.names import (

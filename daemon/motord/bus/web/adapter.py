@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The server of the dashboard: files of the page, a WebSocket for each page that is open, and
+downloads of recordings. Without a page it does nothing but note events."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import TYPE_CHECKING, Any
+
+from aiohttp import web
+
+from motord.bus.commands.gate import TRIGGERS, CommandGate, NotTaken, short
+from motord.bus.http_server import HttpServer, tls_context
+from motord.bus.messages import json_form
+from motord.bus.messages.topics import View
+from motord.bus.secret import Token
+from motord.bus.web.access import PROTOCOL, Access, Right, Stranger
+from motord.bus.web.assets import answer
+from motord.bus.web.description import description
+from motord.bus.web.events import Event, Events
+from motord.bus.web.frames import Packer
+from motord.bus.web.recordings import ADDRESS, Recordings
+from motord.bus.web.seat import Seat
+from motord.bus.web.viewer import Viewer
+from motord.config import McapPublish, WebInput, WebServer
+
+if TYPE_CHECKING:
+    from motord.bus.runtime import Runtime
+
+SOCKET = "/socket"
+VIEWERS_MAX = 64
+MESSAGE_BYTES_MAX = 65536
+PING_EVERY_S = 5.0
+"""A page that does not answer within half of that is gone."""
+CLOSE_WITHIN_S = 2.0
+NO_VIEWER_S = 1.0
+LOOKED_AT_S = 0.5
+"""The daemon is asked for the same once in that time, however many pages show it."""
+REFUSED = 4401
+"""Close code: the page may not watch."""
+LOOKS = ("status", "latency", "params.list")
+CHANGES = ("params.get", "params.set")
+"""Beside the calls of every bus. Reading a register costs a turn on the line."""
+
+
+class WebAdapter:
+    """It is fed as a motord.bus.feed.Sink."""
+
+    def __init__(self, name: str, section: WebServer, runtime: Runtime) -> None:
+        """Raises OSError and ValueError for files that cannot be used."""
+        self._section, self._runtime = section, runtime
+        self._gate: CommandGate | None = None
+        self._seat: Seat | None = None
+        table, fits = "publish", None
+        if isinstance(section, WebInput):
+            table, self._gate = "input", CommandGate(name, section, runtime)
+            self._seat = Seat(self._gate, section.lease_s)
+        if section.token_file is not None:
+            fits = Token(runtime.beside_robot_file(section.token_file)).fits
+        where = f"{table}.{name}"
+        self._access = Access(section, fits)
+        self._events = Events(self._publish_event)
+        self._recordings = Recordings(
+            {
+                key: runtime.beside_robot_file(found.folder)
+                for key, found in runtime.robot.publish.items()
+                if isinstance(found, McapPublish)
+            }
+        )
+        self._packer = Packer(len(runtime.robot.joint))
+        self._viewers: set[Viewer] = set()
+        self._pages = self._frames = 0
+        self._status_ns = 0
+        self._looked: dict[str, tuple[float, Any]] = {}
+        self.taken = self.dropped = 0
+        runtime.feeds[where if self._gate else name] = self
+        tls = tls_context(section.cert_file, section.key_file, runtime.beside_robot_file)
+        self._server = HttpServer(where, section.host, section.port, self._answer, tls)
+
+    async def run(self) -> None:
+        """As Adapter.run."""
+        with self._events.listening():
+            async with asyncio.TaskGroup() as tasks:
+                if self._gate is not None:
+                    tasks.create_task(self._gate.source.run())
+                tasks.create_task(self._server.run())
+
+    # ------------------------------------------------------------------------------------- states
+    @property
+    def period_s(self) -> float:
+        """Of the fastest page."""
+        return 1.0 / max((one.rate_hz for one in self._viewers), default=1.0 / NO_VIEWER_S)
+
+    def offer(self, view: View) -> None:
+        """A frame is made once for all pages whose time has come."""
+        self._events.look(view)
+        if not self._viewers:
+            return
+        if view.status is not None and view.status_ns != self._status_ns:
+            self._status_ns = view.status_ns
+            self._publish({"status": self._status(view.status)})
+            for viewer in self._viewers:
+                viewer.say(json_form.encode({"dropped": viewer.dropped}).decode())
+        stamp_ns = view.snapshot.stamp_ns
+        due = [viewer for viewer in self._viewers if viewer.due(stamp_ns)]
+        if due and (frame := self._packer.pack(view.snapshot, self._frames + 1)) is not None:
+            self._frames += 1
+            self.taken += len(due)
+            self.dropped += sum(one.offer(self._frames, frame, stamp_ns) for one in due)
+
+    def _status(self, status: Mapping[str, Any]) -> dict[str, Any]:
+        driver = self._seat.driver if self._seat is not None else None
+        return {**status, "pages": len(self._viewers), "driver": driver}
+
+    def _publish(self, message: dict[str, Any]) -> None:
+        text = json_form.encode(message).decode()
+        for viewer in self._viewers:
+            viewer.say(text)
+
+    def _publish_event(self, event: Event) -> None:
+        if self._viewers:
+            self._publish({"event": event})
+
+    # -------------------------------------------------------------------------------------- pages
+    async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
+        if request.path.startswith(ADDRESS):
+            return self._download(request)
+        if request.path != SOCKET:
+            return answer(request, self._section.fleet)
+        try:
+            self._access.check_origin(request)
+        except Stranger as error:
+            return web.Response(status=HTTPStatus.FORBIDDEN, text=f"{error}\n")
+        if len(self._viewers) >= VIEWERS_MAX:
+            return web.Response(status=HTTPStatus.SERVICE_UNAVAILABLE, text="too many pages\n")
+        connection = web.WebSocketResponse(
+            heartbeat=PING_EVERY_S, timeout=CLOSE_WITHIN_S, max_msg_size=MESSAGE_BYTES_MAX,
+            compress=False, protocols=(PROTOCOL,),
+        )  # fmt: skip
+        if not connection.can_prepare(request).ok:
+            return web.Response(status=HTTPStatus.UPGRADE_REQUIRED, text="a WebSocket, please\n")
+        right = self._access.right(request)
+        await connection.prepare(request)
+        if right.watch:
+            await self._serve_page(connection, request.remote or "this machine", right)
+        else:
+            await self._turn_away(connection, right.why)
+        return connection
+
+    async def _turn_away(self, connection: web.WebSocketResponse, why: str) -> None:
+        """A page learns the reason only by a message: a refused request shows it none."""
+        if self._gate is not None:
+            self._gate.refuse(why)
+        await connection.send_json({"refused": why})
+        await connection.close(code=REFUSED)
+
+    async def _serve_page(
+        self, connection: web.WebSocketResponse, remote: str, right: Right
+    ) -> None:
+        self._pages += 1
+        seat = self._seat if right.command else None
+        name = f"page {self._pages} at {remote}"
+        viewer = Viewer(connection, name, self._section.rate_hz, seat, self._call)
+        viewer.say(json_form.encode({"hello": self._hello(viewer)}).decode())
+        self._viewers.add(viewer)
+        self._status_ns = 0
+        try:
+            await viewer.run()
+        except* OSError:
+            pass  # it went away
+        finally:
+            self._viewers.discard(viewer)
+
+    def _hello(self, viewer: Viewer) -> dict[str, Any]:
+        section = self._section
+        return description(self._runtime.robot) | {
+            "page": viewer.name,
+            "may_command": viewer.may_command,
+            "takes_commands": self._gate is not None,
+            "rate_max_hz": section.rate_hz,
+            "lease_s": section.lease_s if isinstance(section, WebInput) else None,
+            "fleet": section.fleet,
+            "events": list(self._events.kept),
+        }
+
+    def _download(self, request: web.BaseRequest) -> web.StreamResponse:
+        path = self._recordings.redeem(request.path)
+        if request.method != "GET" or path is None:
+            text = "this address was good for one download\n"
+            return web.Response(status=HTTPStatus.NOT_FOUND, text=text)
+        headers = {"Content-Type": "application/octet-stream", "Cache-Control": "no-store"}
+        return web.FileResponse(path, headers=headers)
+
+    # -------------------------------------------------------------------------------------- calls
+    async def _call(self, viewer: Viewer, method: str, params: Mapping[str, Any]) -> Any:
+        """Raises NotTaken and ClientError."""
+        match method:
+            case "recordings":
+                return await asyncio.to_thread(self._recordings.listed)
+            case "ticket":
+                try:
+                    return self._recordings.ticket(params.get("section"), params.get("name"))
+                except LookupError as error:
+                    raise NotTaken(str(error)) from error
+            case _ if method in LOOKS:
+                return await self._look(method)
+        if self._gate is None:
+            raise NotTaken("this dashboard only shows the robot: the robot file has no [input.*]")
+        if not viewer.may_command:
+            self._gate.refuse("the token is missing")
+            raise NotTaken("this page may only watch: it has not shown the token")
+        if method in TRIGGERS:
+            self._events.note(viewer.name, method)
+            return await self._gate.act(method, viewer.name)
+        if method not in CHANGES:
+            raise NotTaken(f"no call {short(method)}")
+        if method == "params.set":
+            rows = ", ".join(f"{name} = {value}" for name, value in params.items())
+            self._events.note(viewer.name, rows[:200])
+        return await self._gate.ask(method, **params)
+
+    async def _look(self, method: str) -> Any:
+        looked_s, found = self._looked.get(method, (0.0, None))
+        if time.monotonic() - looked_s > LOOKED_AT_S:
+            found = await self._runtime.call(method)
+            self._looked[method] = (time.monotonic(), found)
+        return found

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a page has to know of the robot once: names, limits, and where its wheels are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+from xml.etree.ElementTree import fromstring
+
+from motord.bus.ros2.urdf import urdf
+from motord.bus.web.frames import layout
+from motord.config import Robot
+
+
+def description(robot: Robot) -> dict[str, Any]:
+    """Ready for JSON."""
+    return {
+        "robot": robot.robot.name,
+        "kind": robot.base.kind,
+        "joints": list(robot.joint),
+        "lines": {name: joint.line for name, joint in robot.joint.items()},
+        "drives": {name: joint.drive for name, joint in robot.joint.items()},
+        "wheels": list(_wheels(robot)),
+        "limits": {
+            "linear_m_s": robot.limits.linear_m_s,
+            "lateral_m_s": 0.0,
+            "angular_rad_s": robot.limits.angular_rad_s,
+        },
+        "layout": layout(),
+    }
+
+
+def _wheels(robot: Robot) -> Iterator[dict[str, Any]]:
+    """In base_link, by the robot description: the joints that turn without end."""
+    for joint in fromstring(urdf(robot)).iter("joint"):
+        name, origin = joint.get("name", ""), joint.find("origin")
+        if joint.get("type") == "continuous" and name in robot.joint and origin is not None:
+            x_m, y_m, _ = _numbers(origin.get("xyz"))
+            *_, heading_rad = _numbers(origin.get("rpy"))
+            place = {"x_m": x_m, "y_m": y_m, "heading_rad": heading_rad}
+            yield {"joint": name, **place, "radius_m": robot.wheel_radius_m(name)}
+
+
+def _numbers(text: str | None) -> tuple[float, float, float]:
+    """Three; zeros where the description leaves them out."""
+    first, second, third = map(float, (text or "0 0 0").split())
+    return first, second, third

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What happened to the robot, in sentences: from the state page, from the daemon's status, and from
+the log of this process."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from motord.api.snapshot import STATES
+from motord.bus.inbox import Inbox
+from motord.bus.messages.topics import View
+
+KEPT_MAX = 500
+WAITING_MAX = 100
+Event = dict[str, Any]
+_LEVELS = ((logging.ERROR, "error"), (logging.WARNING, "warning"))
+_STATE_LEVELS = {"fault": "error", "estop": "error"}
+
+
+class Events(logging.Handler):
+    """Keeps the newest ones for pages that connect later. Log records come from any thread."""
+
+    def __init__(self, publish: Callable[[Event], None]) -> None:
+        super().__init__(logging.WARNING)
+        self._publish = publish
+        self.kept: deque[Event] = deque(maxlen=KEPT_MAX)
+        self._number = 0
+        self._waiting: Inbox[logging.LogRecord] = Inbox(WAITING_MAX, self._take)
+        self._state: str | None = None
+        self._owner: str | None = None
+        self._why: tuple[str, ...] = ()
+        self._lines: Mapping[str, Any] = {}
+        self._status_ns = 0
+
+    @contextlib.contextmanager
+    def listening(self) -> Iterator[None]:
+        """Take what is logged meanwhile."""
+        self._waiting.open()
+        logging.getLogger().addHandler(self)
+        try:
+            yield
+        finally:
+            logging.getLogger().removeHandler(self)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """As logging.Handler.emit."""
+        self._waiting.put(record)
+
+    def note(self, source: str, text: str, level: str = "info") -> None:
+        """Add one. `level`: info, warning or error."""
+        self._number += 1
+        event = {
+            "number": self._number,
+            "wall_time_s": time.time(),
+            "level": level,
+            "source": source,
+            "text": text,
+        }
+        self.kept.append(event)
+        self._publish(event)
+
+    def look(self, view: View) -> None:
+        """At what has changed."""
+        number = view.snapshot.machine_state
+        state = STATES[number] if number < len(STATES) else f"state {number}"
+        if state != self._state:
+            before, self._state = self._state, state
+            text = state if before is None else f"{before} → {state}"
+            faults = ", ".join(view.snapshot.faults)
+            self.note(
+                "state", f"{text}: {faults}" if faults else text, _STATE_LEVELS.get(state, "info")
+            )
+        why = view.why()
+        for text in why:
+            if text not in self._why:
+                self.note("robot", text, "error")
+        self._why = why
+        if view.status is not None and view.status_ns != self._status_ns:
+            self._status_ns = view.status_ns
+            self._look_at_status(view)
+
+    def _look_at_status(self, view: View) -> None:
+        commander = view.commander()
+        owner = None if commander is None else commander.owner
+        if owner != self._owner:
+            self._owner = owner
+            self.note("command", "no source commands" if owner is None else f"{owner} commands")
+        lines = (view.status or {}).get("lines", {})
+        for name, line in lines.items():
+            before = self._lines.get(name, {})
+            if line["waits_for"] and line["waits_for"] != before.get("waits_for"):
+                self.note(name, line["waits_for"], "warning")
+            elif not line["waits_for"] and before.get("waits_for"):
+                self.note(name, "all drives are ready")
+            if before:
+                self._count_errors(name, line["errors"], before["errors"])
+        self._lines = lines
+
+    def _count_errors(self, name: str, now: Mapping[str, int], before: Mapping[str, int]) -> None:
+        more = {kind: count - before.get(kind, 0) for kind, count in now.items()}
+        text = ", ".join(f"{count} {kind}" for kind, count in more.items() if count > 0)
+        if text:
+            self.note(name, f"errors: {text}", "warning")
+
+    def _take(self, record: logging.LogRecord) -> None:
+        level = next((word for least, word in _LEVELS if record.levelno >= least), "info")
+        self.note("motord-bus", record.getMessage(), level)

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The binary frames between the robot and its pages: little-endian, without padding. The page is
+sent this layout when it connects and decodes by it: docs/dashboard.md."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from motord.api.snapshot import STATES, JointSnapshot, Snapshot
+from motord.api.state_page import FAULTS, REASONS
+
+STATE, DRIVE, ACKNOWLEDGE, RELEASE = 1, 1, 2, 3
+"""First byte: of frames to the page, and of those from it."""
+VERSION = 1
+FLAGS = ("armed", "enabled", "at_rest", "odometry_degraded")
+"""By bit."""
+
+_HEAD = (
+    *(("kind", "B"), ("version", "B"), ("joints", "B"), ("state", "B"), ("flags", "B")),
+    *(("sequence", "I"), ("owner", "I"), ("reasons", "I"), ("faults", "I"), ("stamp_s", "d")),
+)
+_MEASURES = (
+    *(("x_m", "d"), ("y_m", "d"), ("heading_rad", "d"), ("distance_m", "d")),
+    *(("command_age_s", "f"), ("saturation", "f")),
+    *(("wanted_linear_m_s", "f"), ("wanted_lateral_m_s", "f"), ("wanted_angular_rad_s", "f")),
+    *(("setpoint_linear_m_s", "f"), ("setpoint_lateral_m_s", "f"), ("setpoint_angular_rad_s", "f")),
+    *(("linear_m_s", "f"), ("lateral_m_s", "f"), ("angular_rad_s", "f")),
+)
+_JOINT = (
+    *(("position_rad", "d"), ("velocity_rad_s", "f"), ("setpoint_rad_s", "f"), ("duty", "f")),
+    *(("current_a", "f"), ("voltage_v", "f"), ("temperature_c", "f"), ("feedback_age_s", "f")),
+    *(("drive_faults", "I"), ("jumps", "I"), ("enabled", "B"), ("stale", "B")),
+)
+_UNKNOWN = 2
+"""`enabled` of a drive that cannot say."""
+_F32_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
+_BITS = {word: 1 << bit for bit, word in REASONS.items()}
+_FAULT_BITS = {word: 1 << bit for bit, word in FAULTS.items()}
+_DRIVE = struct.Struct("<BIddddd")
+_NUMBERED = struct.Struct("<BI")
+
+
+def layout() -> dict[str, Any]:
+    """What a page has to know to read STATE frames: names and types of the fields in their order (B
+    and I: unsigned, of 1 and 4 bytes; f and d: floats of 4 and 8), those of each joint after them,
+    and the words of numbers and bits."""
+    return {
+        "version": VERSION,
+        "state": [*_HEAD, *_MEASURES],
+        "joint": list(_JOINT),
+        "states": STATES,
+        "flags": FLAGS,
+        "reasons": REASONS,
+        "faults": FAULTS,
+    }
+
+
+class Packer:
+    """Makes STATE frames of robots with so many joints."""
+
+    def __init__(self, joints: int) -> None:
+        codes = [code for _, code in (*_HEAD, *_MEASURES, *_JOINT * joints)]
+        self._frame = struct.Struct("<" + "".join(codes))
+        self._joints = joints
+
+    def pack(self, now: Snapshot, sequence: int) -> bytes | None:
+        """None: the daemon runs another robot file of this name."""
+        if len(now.joints) != self._joints:
+            return None
+        flags = sum(1 << bit for bit, name in enumerate(FLAGS) if getattr(now, name))
+        joints = (value for joint in now.joints for value in _of_joint(joint))
+        return self._frame.pack(
+            *(STATE, VERSION, self._joints, now.machine_state, flags, sequence & 0xFFFFFFFF),
+            now.owner & 0xFFFFFFFF,
+            sum(_BITS.get(word, 0) for word in now.reasons),
+            sum(_FAULT_BITS.get(word, 0) for word in now.faults),
+            now.stamp_ns / 1e9,
+            *(now.x_m, now.y_m, now.heading_rad, now.distance_m),
+            *map(_f32, _twists(now)),
+            *joints,
+        )
+
+
+def _twists(now: Snapshot) -> Iterator[float]:
+    yield from (now.command_age_s, now.saturation)
+    yield from (now.wanted_linear_m_s, 0.0, now.wanted_angular_rad_s)
+    yield from (now.setpoint_linear_m_s, 0.0, now.setpoint_angular_rad_s)
+    yield from (now.linear_m_s, 0.0, now.angular_rad_s)
+
+
+def _of_joint(joint: JointSnapshot) -> Iterator[float]:
+    yield joint.position_rad
+    yield from map(_f32, (joint.velocity_rad_s, joint.setpoint_rad_s, joint.duty))
+    yield from map(_f32, (joint.current_a, joint.voltage_v, joint.temperature_c))
+    yield _f32(joint.feedback_age_s)
+    yield from (joint.drive_faults, joint.jumps)
+    yield _UNKNOWN if joint.enabled is None else int(joint.enabled)
+    yield int(joint.stale)
+
+
+def _f32(value: float) -> float:
+    """What 4 bytes do not hold is infinite: a client may request any number."""
+    return math.copysign(math.inf, value) if abs(value) > _F32_MAX else value
+
+
+class DriveFrame(NamedTuple):
+    """One command of a page."""
+
+    press: int
+    """Number of this hold of the pad: a new one each time."""
+    sent_ms: float
+    """When, by the page's clock, which has any beginning."""
+    seen_s: float
+    """`stamp_s` of the newest state that the page has shown."""
+    linear_m_s: float
+    lateral_m_s: float
+    angular_rad_s: float
+
+
+def drive_frame(raw: bytes) -> DriveFrame:
+    """Raises ValueError for what is none."""
+    if len(raw) != _DRIVE.size:
+        raise ValueError(f"a command has {_DRIVE.size} bytes")
+    _, *fields = _DRIVE.unpack(raw)
+    return DriveFrame(*fields)
+
+
+def number_of(raw: bytes) -> int:
+    """The number that an ACKNOWLEDGE or a RELEASE carries. Raises ValueError for what is none."""
+    if len(raw) != _NUMBERED.size:
+        raise ValueError(f"such a frame has {_NUMBERED.size} bytes")
+    return int(_NUMBERED.unpack(raw)[1])

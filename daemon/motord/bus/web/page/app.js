@@ -1,0 +1,176 @@
+// SPDX-License-Identifier: Apache-2.0
+// The frame around all pages: state, emergency stop, navigation.
+
+import { html, render, useEffect, useState } from "./vendor/htm-preact.js";
+import { TEXT } from "./text.js";
+import { Link } from "./link.js";
+import { History } from "./history.js";
+import { Pilot } from "./pilot.js";
+import { useLink } from "./parts.js";
+import { Trail } from "./base_view.js";
+import { battery, commander, Overview } from "./overview.js";
+
+const RATE_HZ = 20;
+const PLOT_RATE_HZ = 50;
+const link = new Link(location.origin, RATE_HZ);
+const history = new History(link);
+const trail = new Trail(link);
+const pilot = new Pilot(link);
+
+// Loaded when they are opened: the first paint needs the overview alone.
+const PAGES = {
+  overview: () => Promise.resolve({ default: Overview }),
+  drive: () => import("./drive.js").then(({ Drive }) => ({ default: Drive })),
+  plots: () => import("./plots.js").then(({ Plots }) => ({ default: Plots })),
+  lines: () => import("./lines.js").then(({ Lines }) => ({ default: Lines })),
+  parameters: () => import("./parameters.js").then(({ Parameters }) => ({ default: Parameters })),
+  log: () => import("./log.js").then(({ Log }) => ({ default: Log })),
+  fleet: () => import("./fleet.js").then(({ Fleet }) => ({ default: Fleet })),
+};
+
+function useTab() {
+  const read = () => (location.hash.slice(1) in PAGES ? location.hash.slice(1) : "overview");
+  const [tab, setTab] = useState(read);
+  useEffect(() => {
+    const change = () => setTab(read());
+    window.addEventListener("hashchange", change);
+    return () => window.removeEventListener("hashchange", change);
+  }, []);
+  return tab;
+}
+
+function Page({ tab }) {
+  const [found, setFound] = useState(tab === "overview" ? { tab, Shown: Overview } : { tab: "" });
+  useEffect(() => {
+    let wanted = true;
+    PAGES[tab]().then((module) => wanted && setFound({ tab, Shown: module.default }));
+    link.setRate(tab === "plots" ? PLOT_RATE_HZ : RATE_HZ);
+    return () => { wanted = false; };
+  }, [tab]);
+  if (found.tab !== tab) return html`<p class="muted">${TEXT.connecting}</p>`;
+  return html`<${found.Shown} link=${link} history=${history} trail=${trail} pilot=${pilot} />`;
+}
+
+let estopProblem = "";
+
+async function estop() {
+  pilot.end("");
+  try {
+    await link.call("estop");
+    estopProblem = "";
+  } catch (error) {
+    estopProblem = TEXT.failed(TEXT.estop, error.message);
+  }
+  link.version += 1;
+}
+
+function typesText(target) {
+  return target.matches?.("textarea, input:not([type=range]):not([type=checkbox]):not([type=radio])");
+}
+
+function useSpaceBar() {
+  useEffect(() => {
+    const press = (event) => {
+      if (event.code !== "Space" || typesText(event.target)) return;
+      event.preventDefault();
+      if (event.type === "keydown" && !event.repeat) estop();
+    };
+    window.addEventListener("keydown", press, true);
+    window.addEventListener("keyup", press, true);
+    return () => {
+      window.removeEventListener("keydown", press, true);
+      window.removeEventListener("keyup", press, true);
+    };
+  }, []);
+}
+
+function toggleTheme() {
+  const root = document.documentElement;
+  const dark = root.dataset.theme
+    ? root.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+  root.dataset.theme = dark ? "light" : "dark";
+  try {
+    localStorage.setItem("motord.theme", root.dataset.theme);
+  } catch {
+    // it lasts as long as the page
+  }
+  document.dispatchEvent(new Event("motord-theme"));
+}
+
+function Token() {
+  const [token, setToken] = useState("");
+  const send = (event) => {
+    event.preventDefault();
+    link.setToken(token.trim() || null);
+  };
+  return html`<form class="token card" onSubmit=${send}>
+    <h2>${TEXT.refusedTitle}</h2>
+    <p role="alert">${link.why}</p>
+    <label><span>${TEXT.tokenLabel}</span>
+      <input type="password" autocomplete="current-password" value=${token}
+        onInput=${(event) => setToken(event.target.value)} /></label>
+    <p class="muted">${TEXT.tokenHelp}</p>
+    <div class="actions"><button class="main" type="submit">${TEXT.tokenSend}</button>
+      ${link.token && html`<button type="button" onClick=${() => link.setToken(null)}>${TEXT.tokenForget}</button>`}
+    </div>
+  </form>`;
+}
+
+function Banner({ askToken }) {
+  if (link.phase === "lost") return html`<p class="banner bad" role="alert">${TEXT.lostText}</p>`;
+  if (link.phase === "open" && link.stale) return html`<p class="banner bad" role="alert">${TEXT.staleText}</p>`;
+  if (link.phase === "open" && !link.mayCommand) {
+    if (!link.hello.takes_commands) return html`<p class="banner">${TEXT.watchOnly}</p>`;
+    return html`<p class="banner">${TEXT.watching}.
+      <button class="link" onClick=${askToken}>${TEXT.tokenAgain}</button></p>`;
+  }
+  return null;
+}
+
+function Header({ tab }) {
+  const state = link.stale ? "unknown" : link.now?.state ?? "unknown";
+  const phase = link.phase === "open" ? (link.stale ? "stale" : "connected") : link.phase === "connecting" ? "connecting" : "lost";
+  const name = link.hello?.robot ?? "motord";
+  useEffect(() => { document.title = TEXT.title(name, TEXT.states[state]); }, [name, state]);
+  return html`<header class="top">
+    <a class="skip" href="#content" onClick=${(event) => { event.preventDefault(); document.getElementById("content").focus(); }}>${TEXT.skip}</a>
+    <h1>${name}</h1>
+    <span class="chip state-${state}" data-state=${state}>${TEXT.states[state]}</span>
+    <span class="facts">
+      <span class="fact"><b>${TEXT.commander}</b> ${commander(link)}</span>
+      <span class="fact"><b>${TEXT.battery}</b> ${battery(link)}</span>
+    </span>
+    <span class="chip link ${phase}">${TEXT[phase]}</span>
+    <button class="icon" aria-label=${TEXT.theme} title=${TEXT.theme} onClick=${toggleTheme}>◐</button>
+    <nav aria-label=${TEXT.navigation}>${Object.entries(TEXT.tabs).map(([key, title]) =>
+      html`<a href="#${key}" aria-current=${key === tab ? "page" : undefined}>${title}</a>`)}</nav>
+  </header>`;
+}
+
+function Estop() {
+  const allowed = link.mayCommand;
+  return html`<div class="estop-place">
+    <p class="problem" role="alert">${estopProblem}</p>
+    <button class="estop" disabled=${!allowed} title=${TEXT.estopHelp} onClick=${estop}>
+      ${allowed || link.phase !== "open" ? TEXT.estop : TEXT.estopNoToken}
+      ${allowed && html`<small>${TEXT.estopKey}</small>`}</button>
+  </div>`;
+}
+
+function App() {
+  useLink(link);
+  useSpaceBar();
+  const tab = useTab();
+  const [asked, ask] = useState(false);
+  useEffect(() => link.on("hello", () => ask(false)), []);
+  const locked = link.phase === "refused" || asked;
+  return html`
+    <${Header} tab=${tab} />
+    <${Banner} askToken=${() => ask(true)} />
+    <main id="content" tabindex="-1">${locked ? html`<${Token} />` : html`<${Page} tab=${tab} />`}</main>
+    <${Estop} />`;
+}
+
+const root = document.getElementById("app");
+root.textContent = "";
+render(html`<${App} />`, root);

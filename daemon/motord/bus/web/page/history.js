@@ -1,0 +1,113 @@
+// SPDX-License-Identifier: Apache-2.0
+// The last minute of a robot in ring buffers of a fixed size.
+
+const JOINT = {
+  velocity: "velocity_rad_s", setpoint: "setpoint_rad_s", position: "position_rad",
+  current: "current_a", voltage: "voltage_v", temperature: "temperature_c",
+};
+const BASE = [
+  "linear_m_s", "lateral_m_s", "angular_rad_s",
+  "setpoint_linear_m_s", "setpoint_lateral_m_s", "setpoint_angular_rad_s",
+];
+export const SECONDS = 60;
+
+class Ring {
+  constructor(names, size) {
+    this.size = size;
+    this.count = 0;
+    this.time = new Float64Array(size);
+    this.series = Object.fromEntries(names.map((name) => [name, new Float64Array(size)]));
+  }
+
+  add(time, values) {
+    const place = this.count % this.size;
+    this.time[place] = time;
+    for (const name in this.series) this.series[name][place] = values(name);
+    this.count += 1;
+  }
+
+  /** Time and these series in order, for uPlot: what was not measured is null. */
+  data(names, sinceS) {
+    const have = Math.min(this.count, this.size);
+    const first = this.count - have;
+    let from = first;
+    while (from < this.count && this.time[from % this.size] < sinceS) from += 1;
+    const pick = (ring) => {
+      const out = new Array(this.count - from);
+      for (let at = from; at < this.count; at += 1) {
+        const value = ring[at % this.size];
+        out[at - from] = Number.isFinite(value) ? value : null;
+      }
+      return out;
+    };
+    return [pick(this.time), ...names.map((name) => pick(this.series[name]))];
+  }
+
+  get newest() { return this.count ? this.time[(this.count - 1) % this.size] : 0; }
+}
+
+export class History {
+  constructor(link) {
+    this.link = link;
+    this.fast = null;
+    this.slow = null;
+    link.on("hello", (hello) => this._begin(hello));
+    link.on("frame", (now) => this._add(now));
+    link.on("status", (status) => this._addStatus(status));
+  }
+
+  _begin(hello) {
+    const joints = hello.joints.flatMap((_, place) => Object.keys(JOINT).map((key) => `${key}.${place}`));
+    this.fast = new Ring([...BASE, ...joints], SECONDS * Math.max(50, Math.ceil(hello.rate_max_hz)));
+    this.slow = null;
+    this._lateness = [];
+  }
+
+  _add(now) {
+    if (!this.fast || now.stamp_s <= this.fast.newest) return;
+    this.fast.add(now.stamp_s, (name) => {
+      const [key, place] = name.split(".");
+      return place === undefined ? now[key] : now.joints[place]?.[JOINT[key]];
+    });
+  }
+
+  _addStatus(status) {
+    const lines = Object.keys(status.lines);
+    const names = lines.flatMap((line) => [`p50 ${line}`, `p99 ${line}`, `errors ${line}`]);
+    if (!this.slow) this.slow = new Ring(names, 600);
+    const time = this.link.now?.stamp_s ?? 0;
+    if (time <= this.slow.newest) return;
+    this.slow.add(time, (name) => {
+      const [what, ...rest] = name.split(" ");
+      const line = status.lines[rest.join(" ")];
+      if (!line) return NaN;
+      if (what === "errors") return Object.values(line.errors).reduce((sum, n) => sum + n, 0);
+      return line.round_trip_us[what] ?? NaN;
+    });
+  }
+
+  /** Buckets of the loop's lateness that came within the last minute: [low_us, high_us, count]. */
+  addLateness(latency) {
+    const at = performance.now();
+    const buckets = new Map(latency.buckets.lateness.map(([low, high, n]) => [low, [low, high, n]]));
+    this._lateness.push({ at, buckets });
+    while (this._lateness.length > 2 && at - this._lateness[1].at > SECONDS * 1000) this._lateness.shift();
+    const before = this._lateness.length > 1 ? this._lateness[0].buckets : new Map();
+    return [...buckets.values()]
+      .map(([low, high, n]) => [low / 1e3, high / 1e3, n - (before.get(low)?.[2] ?? 0)])
+      .filter(([, , n]) => n > 0);
+  }
+
+  /** Everything of the last minute as comma-separated values, with the units in the names. */
+  csv() {
+    const joints = this.link.hello.joints;
+    const names = Object.keys(this.fast.series);
+    const title = (name) => {
+      const [key, place] = name.split(".");
+      return place === undefined ? key : `${joints[place]}.${JOINT[key]}`;
+    };
+    const columns = this.fast.data(names, 0);
+    const rows = columns[0].map((_, row) => columns.map((column) => column[row] ?? "").join(","));
+    return [["stamp_s", ...names.map(title)].join(","), ...rows].join("\n") + "\n";
+  }
+}

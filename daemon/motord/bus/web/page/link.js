@@ -1,0 +1,256 @@
+// SPDX-License-Identifier: Apache-2.0
+// The connection to one robot: decodes its frames, keeps its newest state, calls its methods.
+
+const ACKNOWLEDGE = 2;
+const RELEASE = 3;
+const DRIVE = 1;
+const AGAIN_MIN_MS = 300;
+const AGAIN_MAX_MS = 5000;
+const CALL_WITHIN_MS = 15000;
+const EVENTS_MAX = 1000;
+export const STALE_MS = 1500;
+export const SILENT_MS = 300;
+
+const SIZES = { B: 1, I: 4, f: 4, d: 8 };
+const READERS = {
+  B: (view, at) => view.getUint8(at),
+  I: (view, at) => view.getUint32(at, true),
+  f: (view, at) => view.getFloat32(at, true),
+  d: (view, at) => view.getFloat64(at, true),
+};
+
+function fieldsOf(rows) {
+  let at = 0;
+  const fields = rows.map(([name, code]) => {
+    const field = { name, read: READERS[code], at };
+    at += SIZES[code];
+    return field;
+  });
+  return { fields, bytes: at };
+}
+
+const words = (bits, names) =>
+  Object.entries(names).filter(([bit]) => (bits >>> Number(bit)) & 1).map(([, word]) => word);
+
+/** Makes the decoder of state frames of that layout. */
+export function decoder(layout) {
+  const head = fieldsOf(layout.state);
+  const joint = fieldsOf(layout.joint);
+  return (buffer) => {
+    const view = new DataView(buffer);
+    const now = {};
+    for (const { name, read, at } of head.fields) now[name] = read(view, at);
+    const places = Array.from({ length: now.joints }, (_, place) => head.bytes + place * joint.bytes);
+    now.joints = places.map((start) => {
+      const found = {};
+      for (const { name, read, at } of joint.fields) found[name] = read(view, start + at);
+      return found;
+    });
+    now.state = layout.states[now.state] ?? "unknown";
+    layout.flags.forEach((name, bit) => { now[name] = Boolean((now.flags >> bit) & 1); });
+    now.reasons = words(now.reasons, layout.reasons);
+    now.faults = words(now.faults, layout.faults);
+    return now;
+  };
+}
+
+function base64url(text) {
+  const bytes = new TextEncoder().encode(text);
+  return btoa(String.fromCharCode(...bytes)).replace(/\+/g, "-").replace(/\//g, "_").replace(/=+$/, "");
+}
+
+function stored(key) {
+  try {
+    return localStorage.getItem(key);
+  } catch {
+    return null;
+  }
+}
+
+function store(key, value) {
+  try {
+    if (value === null) localStorage.removeItem(key);
+    else localStorage.setItem(key, value);
+  } catch {
+    // storage is switched off: the token lasts as long as the page
+  }
+}
+
+export class Link {
+  /** `address`: of the dashboard, such as http://robot:8088. */
+  constructor(address, rateHz) {
+    this.address = address;
+    this.rateHz = rateHz;
+    this.status = null;       // the daemon's own, about once a second
+    this.now = null;          // the newest state
+    this.hello = null;
+    this.phase = "connecting"; // connecting, open, refused, lost
+    this.why = "";
+    this.events = [];
+    this.version = 0;         // another number than before: something has changed
+    this.missed = 0;          // frames that the robot did not send, to keep up
+    this.roundTripMs = null;
+    this.notDriven = "";
+    this.frameAt = -Infinity;
+    this._token = stored(`motord.token.${address}`);
+    this._calls = new Map();
+    this._number = 0;
+    this._againMs = AGAIN_MIN_MS;
+    this._listeners = { frame: new Set(), hello: new Set(), status: new Set(), refusal: new Set() };
+    this._ended = false;
+    this._connect();
+  }
+
+  on(kind, listener) {
+    this._listeners[kind].add(listener);
+    return () => this._listeners[kind].delete(listener);
+  }
+
+  get token() { return this._token; }
+
+  /** Connect again with it; null: forget it. */
+  setToken(token) {
+    this._token = token;
+    store(`motord.token.${this.address}`, token);
+    this._againMs = AGAIN_MIN_MS;
+    if (this.phase === "refused") this._connect();
+    else this._socket?.close();
+  }
+
+  get mayCommand() { return this.phase === "open" && Boolean(this.hello?.may_command); }
+  get stale() { return performance.now() - this.frameAt > STALE_MS; }
+  get silent() { return performance.now() - this.frameAt > SILENT_MS; }
+
+  setRate(rateHz) {
+    this.rateHz = rateHz;
+    if (this.phase === "open") this._sendText({ rate_hz: rateHz });
+  }
+
+  end() {
+    this._ended = true;
+    clearTimeout(this._timer);
+    this._socket?.close();
+  }
+
+  _connect() {
+    clearTimeout(this._timer);
+    const protocols = ["motord.1"];
+    if (this._token) protocols.push(`token.${base64url(this._token)}`);
+    const socket = new WebSocket(`${this.address.replace(/^http/, "ws")}/socket`, protocols);
+    socket.binaryType = "arraybuffer";
+    this._socket = socket;
+    socket.onmessage = ({ data }) => {
+      if (typeof data === "string") this._take(JSON.parse(data));
+      else this._takeFrame(data);
+    };
+    socket.onclose = () => this._closed(socket);
+  }
+
+  _closed(socket) {
+    if (socket !== this._socket) return;
+    for (const { reject } of this._calls.values()) reject(new Error("the connection was lost"));
+    this._calls.clear();
+    if (this.phase !== "refused") {
+      this.phase = "lost";
+      if (!this._ended) this._timer = setTimeout(() => this._connect(), this._againMs);
+      this._againMs = Math.min(2 * this._againMs, AGAIN_MAX_MS);
+    }
+    this.version += 1;
+  }
+
+  _takeFrame(data) {
+    if (!this._decode) return;
+    const now = this._decode(data);
+    this.now = now;
+    this.frameAt = performance.now();
+    this.version += 1;
+    this._send(numbered(ACKNOWLEDGE, now.sequence));
+    for (const listener of this._listeners.frame) listener(now);
+  }
+
+  _take(message) {
+    this.version += 1;
+    if (message.hello) this._open(message.hello);
+    else if (message.status) {
+      this.status = message.status;
+      for (const listener of this._listeners.status) listener(message.status);
+    } else if ("dropped" in message) this.missed = message.dropped;
+    else if (message.event) this._addEvents([message.event]);
+    else if ("answer" in message) this._answered(message);
+    else if (message.refused) {
+      this.phase = "refused";
+      this.why = message.refused;
+    } else if (message.not_driven) {
+      this.notDriven = message.not_driven;
+      for (const listener of this._listeners.refusal) listener(message.not_driven);
+    }
+  }
+
+  _open(hello) {
+    this.hello = hello;
+    this._decode = decoder(hello.layout);
+    this.phase = "open";
+    this.why = "";
+    this._againMs = AGAIN_MIN_MS;
+    this.events = [];
+    this._addEvents(hello.events);
+    this.setRate(Math.min(this.rateHz, hello.rate_max_hz));
+    for (const listener of this._listeners.hello) listener(hello);
+  }
+
+  _addEvents(events) {
+    this.events = [...this.events, ...events].slice(-EVENTS_MAX);
+  }
+
+  /** A method of the robot. Rejects with an Error that says why not. */
+  call(method, params = {}) {
+    if (this.phase !== "open") return Promise.reject(new Error("there is no connection"));
+    const id = (this._number += 1);
+    const began = performance.now();
+    return new Promise((resolve, reject) => {
+      const timer = setTimeout(() => {
+        this._calls.delete(id);
+        reject(new Error("no answer"));
+      }, CALL_WITHIN_MS);
+      const done = (end) => (value) => {
+        clearTimeout(timer);
+        if (method === "status") this.roundTripMs = performance.now() - began;
+        end(value);
+      };
+      this._calls.set(id, { resolve: done(resolve), reject: done(reject) });
+      this._sendText({ id, call: method, params });
+    });
+  }
+
+  _answered({ answer, result, error }) {
+    const call = this._calls.get(answer);
+    this._calls.delete(answer);
+    if (error === undefined) call?.resolve(result);
+    else call?.reject(new Error(error));
+  }
+
+  /** One command of the hold `press`. */
+  drive(press, { linear, lateral, angular }) {
+    const view = new DataView(new ArrayBuffer(45));
+    view.setUint8(0, DRIVE);
+    view.setUint32(1, press, true);
+    [performance.now(), this.now?.stamp_s ?? 0, linear, lateral, angular].forEach((value, place) =>
+      view.setFloat64(5 + 8 * place, value, true));
+    this._send(view.buffer);
+  }
+
+  release(press) { this._send(numbered(RELEASE, press)); }
+
+  _sendText(message) { this._send(JSON.stringify(message)); }
+
+  _send(data) {
+    if (this._socket?.readyState === WebSocket.OPEN) this._socket.send(data);
+  }
+}
+
+function numbered(kind, number) {
+  const view = new DataView(new ArrayBuffer(5));
+  view.setUint8(0, kind);
+  view.setUint32(1, number, true);
+  return view.buffer;
+}

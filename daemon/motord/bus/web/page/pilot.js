@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sends commands while something is held, and ends that as soon as it may be held no more. What
+// guarantees the stop is the lease in the daemon; this page only makes it quicker.
+
+const EVERY_MS = 50;
+
+export class Pilot {
+  constructor(link) {
+    this.link = link;
+    this.press = 0;
+    this.holder = null;      // "pad", "keys" or "gamepad"
+    this.share = { linear: 0, lateral: 0, angular: 0 };  // of the limits, -1 to 1
+    this.limiter = 0.4;
+    this.released = "";      // why the last hold ended by itself
+    window.addEventListener("blur", () => this.end("blur"));
+    window.addEventListener("pagehide", () => this.end("hidden"));
+    document.addEventListener("visibilitychange", () => document.hidden && this.end("hidden"));
+    link.on("refusal", (why) => this._refused(why));
+  }
+
+  get held() { return this.holder !== null; }
+
+  /** Metres and radians a second that the shares mean. */
+  get wanted() {
+    const limits = this.link.hello?.limits;
+    const part = (key, unit) => (limits ? this.share[key] * this.limiter * limits[unit] : 0);
+    return {
+      linear: part("linear", "linear_m_s"),
+      lateral: part("lateral", "lateral_m_s"),
+      angular: part("angular", "angular_rad_s"),
+    };
+  }
+
+  hold(holder, share) {
+    if (this.holder !== null && this.holder !== holder) return;
+    this.share = share;
+    if (this.holder === null) {
+      if (!this.link.mayCommand || document.hidden) return;
+      this.holder = holder;
+      this.press += 1;
+      this.released = "";
+      this._timer = setInterval(() => this._send(), EVERY_MS);
+    }
+    this._send();
+  }
+
+  /** `holder`: only if it is that one that holds. */
+  letGo(holder) {
+    if (this.holder === holder) this.end("");
+  }
+
+  end(why) {
+    if (this.holder === null) return;
+    clearInterval(this._timer);
+    this.holder = null;
+    this.share = { linear: 0, lateral: 0, angular: 0 };
+    this.released = why;
+    this.link.release(this.press);
+    this.link.version += 1;
+  }
+
+  _refused(why) {
+    if (this.holder === null) return;
+    this.end("");
+    this.released = why;
+  }
+
+  _send() {
+    if (this.link.phase !== "open" || this.link.silent) this.end("lost");
+    else if (this.holder !== null) this.link.drive(this.press, this.wanted);
+  }
+}

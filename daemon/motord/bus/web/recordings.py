@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of the robot file's [publish.*] of kind "mcap": listed, and given to who has a
+ticket. A link to a file can carry no header, and a token in an address would stay in logs: so a
+page asks for an address that is good for one download."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections import OrderedDict
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+SUFFIX = ".mcap"
+TICKET_S = 60.0
+TICKETS_MAX = 64
+ADDRESS = "/recordings/"
+
+
+class Recordings:
+    def __init__(self, folders: Mapping[str, Path]) -> None:
+        """By the name of their section."""
+        self._folders = folders
+        self._tickets: OrderedDict[str, tuple[float, Path]] = OrderedDict()
+
+    def listed(self) -> list[dict[str, Any]]:
+        """Newest first."""
+        found = []
+        for section, folder in self._folders.items():
+            for path in folder.glob(f"*{SUFFIX}"):
+                try:
+                    about = path.stat()
+                except OSError:  # deleted meanwhile to make room
+                    continue
+                row = {"section": section, "name": path.name, "bytes": about.st_size}
+                found.append(row | {"wall_time_s": about.st_mtime})
+        return sorted(found, key=lambda row: -row["wall_time_s"])
+
+    def ticket(self, section: object, name: object) -> str:
+        """The address of one download. Raises LookupError for a file that is not listed."""
+        known = {(row["section"], row["name"]) for row in self.listed()}
+        if (section, name) not in known:
+            raise LookupError("no such recording")
+        ticket = secrets.token_urlsafe(24)
+        self._tickets[ticket] = (time.monotonic(), self._folders[str(section)] / str(name))
+        while len(self._tickets) > TICKETS_MAX:
+            self._tickets.popitem(last=False)
+        return f"{ADDRESS}{ticket}/{name}"
+
+    def redeem(self, address: str) -> Path | None:
+        """The file, once. None: the ticket is none, used, or too old."""
+        ticket = address.removeprefix(ADDRESS).partition("/")[0]
+        given_s, path = self._tickets.pop(ticket, (0.0, None))
+        return path if time.monotonic() - given_s <= TICKET_S else None
