@@ -4,7 +4,7 @@
 import base64
 
 import pytest
-from aiohttp.test_utils import make_mocked_request
+from aiohttp import test_utils
 from tests.unit.bus_config_rig import errors, robot_file
 
 from motord.bus.web.access import NEEDS_TOKEN, WRONG_TOKEN, Access, Stranger, token_of
@@ -19,7 +19,9 @@ def fits(shown):
 
 def request(**headers):
     named = {key.replace("_", "-"): value for key, value in headers.items()}
-    return make_mocked_request("GET", "/socket", headers={"Host": "127.0.0.1:8088"} | named)
+    return test_utils.make_mocked_request(
+        "GET", "/socket", headers={"Host": "127.0.0.1:8088"} | named
+    )
 
 
 def with_token(token, **headers):

@@ -32,7 +32,7 @@ def decoded(raw):
     return state
 
 
-def test_a_frame_says_what_the_snapshot_says():
+def test_a_frame_holds_the_values_of_the_snapshot():
     one = joint(velocity_rad_s=1.5, position_rad=1e6 + 1e-6, enabled=None, drive_faults=0xFFFFFFFF)
     now = view(5000, joints=(one, joint(stale=True)), machine_state=4, armed=True, x_m=12.345678901,
                reasons=("linear_jerk", "fault"), faults=("estop",), owner=7,

@@ -97,11 +97,12 @@ def params_save(
 
     with failing(), Terminal(yes=yes) as person:
         edit = RobotFileEdit(robot_file or _file_of(client))
-        put = put_limits(edit, client.params_get())
+        put, diff = put_limits(edit, client.params_get()), edit.diff()
         backup = write_asking(person, edit, dry_run=dry_run)
     if as_json:
         shown = {name: None if value == math.inf else value for name, value in put.items()}
-        print_json({"file": str(edit.path), "saved": shown, "backup": backup and str(backup)})
+        answer = {"file": str(edit.path), "saved": shown, "backup": backup and str(backup)}
+        print_json(answer | {"diff": diff})
 
 
 def _file_of(client: Client) -> Path:

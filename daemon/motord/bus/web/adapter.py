@@ -23,6 +23,7 @@ from motord.bus.web.description import description
 from motord.bus.web.events import Event, Events
 from motord.bus.web.frames import Packer
 from motord.bus.web.recordings import ADDRESS, Recordings
+from motord.bus.web.saving import save
 from motord.bus.web.seat import Seat
 from motord.bus.web.viewer import Viewer
 from motord.config import McapPublish, WebInput, WebServer
@@ -43,6 +44,7 @@ REFUSED = 4401
 """Close code: the page may not watch."""
 LOOKS = ("status", "latency", "params.list")
 CHANGES = ("params.get", "params.set")
+SAVES = ("params.diff", "params.save")
 """Beside the calls of every bus. Reading a register costs a turn on the line."""
 
 
@@ -74,6 +76,7 @@ class WebAdapter:
         self._viewers: set[Viewer] = set()
         self._pages = self._frames = 0
         self._status_ns = 0
+        self._saving = asyncio.Lock()
         self._looked: dict[str, tuple[float, Any]] = {}
         self.taken = self.dropped = 0
         runtime.feeds[where if self._gate else name] = self
@@ -215,12 +218,24 @@ class WebAdapter:
         if method in TRIGGERS:
             self._events.note(viewer.name, method)
             return await self._gate.act(method, viewer.name)
+        if method in SAVES:
+            return await self._save(viewer, dry_run=method == "params.diff")
         if method not in CHANGES:
             raise NotTaken(f"no call {short(method)}")
         if method == "params.set":
             rows = ", ".join(f"{name} = {value}" for name, value in params.items())
             self._events.note(viewer.name, rows[:200])
         return await self._gate.ask(method, **params)
+
+    async def _save(self, viewer: Viewer, *, dry_run: bool) -> Any:
+        """Raises NotTaken."""
+        if self._saving.locked():
+            raise NotTaken("the robot file is being written by another page: try again")
+        async with self._saving:
+            saved = await save(self._runtime.path, dry_run=dry_run)
+        if not dry_run:
+            self._events.note(viewer.name, f"limits saved in {saved['file']}")
+        return saved
 
     async def _look(self, method: str) -> Any:
         looked_s, found = self._looked.get(method, (0.0, None))

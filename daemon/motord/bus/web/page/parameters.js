@@ -42,10 +42,24 @@ function Row({ name, about, inForce, value, change }) {
   </div>`;
 }
 
+function Difference({ found, save, close }) {
+  const rows = found.diff.trimEnd().split("\n");
+  const kind = (row) => (row.startsWith("+") ? "added" : row.startsWith("-") ? "removed" : "");
+  return html`<div class="difference" role="region" aria-label=${TEXT.difference}>
+    <p>${found.saved ? TEXT.saved(found.file) : found.diff ? TEXT.wouldSave(found.file) : TEXT.nothingToSave(found.file)}</p>
+    ${found.diff && html`<pre tabindex="0">${rows.map((row) => html`<span class=${kind(row)}>${row}\n</span>`)}</pre>`}
+    <div class="actions">
+      ${found.diff && !found.saved && html`<button class="main" onClick=${save}>${TEXT.write}</button>`}
+      <button onClick=${close}>${found.saved || !found.diff ? TEXT.close : TEXT.cancel}</button>
+    </div>
+  </div>`;
+}
+
 export function Parameters({ link }) {
   useLink(link, 500);
   const [listed, setListed] = useState({});
   const [edited, setEdited] = useState({});
+  const [diff, setDiff] = useState(null);
   const [call, problem] = useCall(link);
   const open = link.phase === "open";
   const look = () => call("params.list", TEXT.limits).then((found) => found && setListed(found));
@@ -55,6 +69,14 @@ export function Parameters({ link }) {
     .filter(([name, about]) => name in edited && edited[name] !== about.value)
     .map(([name]) => [name, edited[name]]));
   const count = Object.keys(changes).length;
+  const compare = async () => {
+    const found = await call("params.diff", TEXT.save);
+    if (found) setDiff(found);
+  };
+  const save = async () => {
+    const found = await call("params.save", TEXT.save);
+    setDiff(found ? { saved: true, ...found } : null);
+  };
   const apply = async () => {
     const inForce = await call("params.set", TEXT.apply, changes);
     if (!inForce) return;
@@ -65,8 +87,10 @@ export function Parameters({ link }) {
   return html`<${Card} title=${TEXT.limits} className="parameters" extra=${html`
       <span class="muted">${count ? TEXT.changed(count) : TEXT.unchanged}</span>
       <button disabled=${!count} onClick=${() => setEdited({})}>${TEXT.revert}</button>
-      <button class="main" disabled=${!count || !link.mayCommand} onClick=${apply}>${TEXT.apply}</button>`}>
+      <button class="main" disabled=${!count || !link.mayCommand} onClick=${apply}>${TEXT.apply}</button>
+      <button disabled=${count || !link.mayCommand} onClick=${compare}>${TEXT.save}</button>`}>
     ${problem}
+    ${diff && html`<${Difference} found=${diff} save=${save} close=${() => setDiff(null)} />`}
     ${rows.map(([name, about]) => html`<${Row} key=${name} name=${name} about=${about} inForce=${about.value}
       value=${name in edited ? edited[name] : about.value}
       change=${(key, value) => setEdited((before) => ({ ...before, [key]: value }))} />`)}

@@ -133,7 +133,12 @@ export const TEXT = {
   apply: "Apply", revert: "Revert", unchanged: "No change",
   changed: (n) => (n === 1 ? "1 change" : `${n} changes`),
   noLimit: "no limit",
-  lasting: "Changes count at once and last until the daemon ends.",
+  lasting: "Changes count at once and last until the daemon ends. Save writes them to the robot file.",
+  save: "Save to the robot file…", difference: "What changes in the robot file",
+  wouldSave: (file) => `This would change in ${file}. Comments stay, and the old file is kept beside it.`,
+  saved: (file) => `Written: ${file}`,
+  nothingToSave: (file) => `${file} has the limits in force already.`,
+  close: "Close", cancel: "Cancel",
   forceNow: "in force",
 
   events: "Events",

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The dashboard of a simulated robot, and pages that show it."""
+
+import contextlib
+import subprocess
+from urllib.parse import urlsplit
+
+from tests.sim.daemon_stage import DEADLINE_S, connected, ended, wait_until
+
+from motord.client import Refused
+
+TOKEN = "a-token-for-tests-0123456789"
+CHROMIUM_ARGUMENTS = (
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+DEADLINE_MS = DEADLINE_S * 1000.0
+TURNS_RAD_S, RESTS_RAD_S = 1.0, 0.05
+
+
+class Dashboard:
+    def __init__(self, browser, stage, port):
+        self.browser, self.stage, self.port = browser, stage, port
+        self._again = None
+
+    @contextlib.contextmanager
+    def page(self, token=TOKEN, port=None, at="", viewport=None):
+        """A page in a browser profile of its own. What it logs and which hosts it asks is checked
+        at its end."""
+        address = f"http://127.0.0.1:{port or self.port}"
+        context = self.browser.new_context(viewport=viewport or {"width": 1280, "height": 800})
+        problems, hosts = [], set()
+        if token is not None:
+            context.add_init_script(
+                f"if (!localStorage.getItem('motord.token.{address}'))"
+                f" localStorage.setItem('motord.token.{address}', '{token}')"
+            )
+        page = context.new_page()
+        page.set_default_timeout(DEADLINE_MS)
+        page.on("pageerror", lambda error: problems.append(str(error)))
+        page.on(
+            "console", lambda line: problems.append(line.text) if line.type == "error" else None
+        )
+        page.on("request", lambda request: hosts.add(urlsplit(request.url).netloc))
+        page.on("websocket", lambda found: hosts.add(urlsplit(found.url).netloc))
+        try:
+            page.goto(f"{address}/#{at}", wait_until="load")
+            yield page
+        finally:
+            context.close()
+        assert hosts <= {urlsplit(address).netloc, ""}
+        lost = ("WebSocket connection to", "Failed to load resource: net::ERR_CONNECTION")
+        assert not [text for text in problems if not text.startswith(lost)]
+
+    def speeds_rad_s(self):
+        return [abs(one.velocity_rad_s) for one in self.stage.sim.truth().joints.values()]
+
+    def turns(self):
+        return all(speed > TURNS_RAD_S for speed in self.speeds_rad_s())
+
+    def rests(self):
+        return all(speed < RESTS_RAD_S for speed in self.speeds_rad_s())
+
+    def wait_for_rest(self):
+        wait_until(self.rests, "the wheels rest")
+
+    def ready(self):
+        """Idle, whatever was before."""
+
+        def attempt():
+            with contextlib.suppress(Refused):
+                state = self.stage.state()
+                if state in ("fault", "estop"):
+                    self.stage.robot.reset()
+                elif state == "idle":
+                    return True
+                else:
+                    self.stage.robot.disarm()
+            return False
+
+        wait_until(attempt, "idle")
+
+    def set_off(self, page, hold=None):
+        """Armed, with the wheels turning by what the page holds: its pad, pressed again where a
+        busy machine has released it."""
+        hold = hold or press_pad
+        page.evaluate("location.hash = 'drive'")
+        page.wait_for_selector(".pad")
+
+        def turning():
+            state = self.stage.state()
+            with contextlib.suppress(Refused):
+                if state in ("fault", "estop"):
+                    self.stage.robot.reset()
+                elif state == "idle":
+                    self.stage.robot.arm()
+            if state in ("armed", "moving") and not page.locator(".pad.held").count():
+                hold(page)
+            return self.turns()
+
+        wait_until(turning, "the wheels turn")
+
+    def end(self):
+        """Of a daemon that `restart` has started."""
+        if self._again is not None:
+            ended(self._again)
+
+    def restart(self):
+        """As a service manager does after the daemon was killed."""
+        self._again = subprocess.Popen(
+            self.stage.daemon.args, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        self.stage.daemon = self._again
+        self.stage.robot = connected(self._again, self.stage.socket, self.stage.log)
+        self.stage.wait_for("idle")
+
+
+def press_pad(page):
+    """Straight ahead, and held."""
+    box = page.locator(".pad").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.up()
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x, y - 0.45 * box["height"], steps=3)
+
+
+def press_key(page):
+    """Straight ahead, and held."""
+    page.keyboard.up("KeyW")
+    page.keyboard.down("KeyW")
+
+
+def state_of(page):
+    """As the page shows it."""
+    return page.locator("header .chip[data-state]").get_attribute("data-state")

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The dashboard in a real browser, with a simulated robot behind it."""
+
+import json
+import os
+import signal
+from urllib.parse import urlsplit
+
+import pytest
+from tests.browser.dashboard import DEADLINE_MS, TOKEN, press_key, press_pad, state_of
+from tests.browser.link_proxy import LinkProxy
+from tests.sim.daemon_stage import wait_until
+
+ESTOP = ".estop-place .estop"
+
+
+@pytest.fixture(autouse=True)
+def idle(robot):
+    robot.ready()
+
+
+def shows(page, *states):
+    wait_until(lambda: state_of(page) in states, f"the page shows {states}")
+
+
+def button(page, name):
+    return page.get_by_role("button", name=name, exact=True)
+
+
+def test_the_page_shows_the_robot_and_its_buttons_arm_and_disarm_it(robot, page):
+    shows(page, "idle")
+    assert page.locator("tbody th").all_inner_texts() == ["left", "right"]
+    button(page, "Arm").first.click()
+    shows(page, "armed")
+    assert robot.stage.state() == "armed"
+    button(page, "Disarm").first.click()
+    shows(page, "idle")
+    assert page.locator("canvas").first.evaluate("canvas => canvas.width") > 100
+
+
+def test_every_page_of_the_dashboard_opens(robot, page):
+    for tab in ("drive", "plots", "lines", "parameters", "log", "fleet", "overview"):
+        page.evaluate(f"location.hash = '{tab}'")
+        page.wait_for_selector(f"nav a[href='#{tab}'][aria-current]")
+        page.wait_for_selector("main .card")
+
+
+def test_plots_move_and_pause(robot, page):
+    page.evaluate("location.hash = 'plots'")
+    plot = page.locator("[data-plot=voltage] canvas")
+    picture = "canvas => canvas.toDataURL()"
+    first = plot.evaluate(picture)
+    wait_until(lambda: plot.evaluate(picture) != first, "the plot moves")
+    with page.expect_download() as found:
+        button(page, "Export CSV").click()
+    head, *rows = found.value.path().read_text(encoding="utf-8").splitlines()
+    assert head.startswith("stamp_s,linear_m_s,")
+    assert "left.voltage_v" in head
+    assert all(row.count(",") == head.count(",") for row in rows)
+    assert rows
+
+
+@pytest.mark.parametrize("hold", [press_pad, press_key])
+def test_what_the_page_holds_drives_the_robot_and_its_release_stops_it(robot, page, hold):
+    robot.set_off(page, hold)
+    assert robot.stage.sim.truth().x_m != 0.0
+    page.mouse.up()
+    page.keyboard.up("KeyW")
+    robot.wait_for_rest()
+    assert robot.stage.state() in ("armed", "moving", "stopping")
+
+
+HIDE = """() => {
+    Object.defineProperty(document, 'hidden', {value: true, configurable: true});
+    document.dispatchEvent(new Event('visibilitychange'));
+}"""
+
+
+def freeze(page):
+    """As a browser does with a page that is not seen: nothing in it runs any more."""
+    page.context.new_cdp_session(page).send("Page.setWebLifecycleState", {"state": "frozen"})
+
+
+ENDINGS = {
+    "the focus is lost": lambda page: page.evaluate("window.dispatchEvent(new Event('blur'))"),
+    "the page is hidden": lambda page: page.evaluate(HIDE),
+    "another page is shown": lambda page: page.evaluate("location.hash = 'overview'"),
+    "the page is closed": lambda page: page.close(),
+    "the page is left": lambda page: page.goto("about:blank"),
+    "the page is frozen": freeze,
+}
+
+
+@pytest.mark.parametrize("ending", ENDINGS.values(), ids=ENDINGS)
+def test_each_end_of_the_dead_man_stops_the_wheels_though_the_pad_is_held(robot, page, ending):
+    robot.set_off(page)
+    ending(page)
+    robot.wait_for_rest()
+    leases = robot.stage.robot.status()["leases"]
+    assert all(lease["linear_m_s"] == 0.0 for lease in leases)
+
+
+def test_a_cut_link_stops_the_wheels_and_a_hold_does_not_go_on_when_it_is_back(robot):
+    with LinkProxy(robot.port) as link, robot.page(port=link.port) as page:
+        robot.set_off(page)
+        link.cut = True
+        robot.wait_for_rest()
+        wait_until(lambda: page.locator(".pad.held").count() == 0, "the page has released the pad")
+        link.cut = False
+        wait_until(lambda: page.locator(".chip.connected").count() == 1, "connected")
+        robot.wait_for_rest()
+        page.mouse.up()
+        robot.set_off(page)  # pressed again, it drives
+
+
+def test_a_link_that_delays_and_loses_still_drives_and_stops(robot):
+    link = LinkProxy(robot.port, delay_s=0.15, stalls=0.01, stall_s=0.1)
+    with link, robot.page(port=link.port) as page:
+        robot.set_off(page)
+        page.mouse.up()
+        robot.wait_for_rest()
+
+
+def test_an_emergency_stop_by_one_page_stops_what_another_drives(robot, page):
+    with robot.page() as other:
+        shows(other, "idle")
+        robot.set_off(page)
+        other.keyboard.press("Space")
+        robot.wait_for_rest()
+        for one in (page, other):
+            shows(one, "estop")
+        assert "by page" in " ".join(robot.stage.robot.status()["why"])
+    page.mouse.up()
+    button(page, "Reset").click()
+    shows(page, "idle")
+
+
+def test_the_button_of_the_emergency_stop_is_there_on_every_page(robot, page):
+    for tab in ("plots", "fleet"):
+        page.evaluate(f"location.hash = '{tab}'")
+        page.locator(ESTOP).click()
+        shows(page, "estop")
+        robot.ready()
+        shows(page, "idle")
+
+
+def test_a_second_page_does_not_drive_while_the_first_one_does(robot, page):
+    with robot.page(at="drive") as other:
+        other.wait_for_selector(".pad")
+        robot.set_off(page)
+
+        def refused():
+            if not page.locator(".pad.held").count():
+                press_pad(page)
+            press_pad(other)
+            return "is driving" in other.locator(".notice").inner_text()
+
+        wait_until(refused, "the second page is refused")
+        robot.set_off(page)
+        page.mouse.up()
+        other.mouse.up()
+        robot.wait_for_rest()
+
+
+def test_a_page_without_the_token_watches_and_commands_after_it_was_entered(robot):
+    with robot.page(token=None) as page:
+        shows(page, "idle")
+        assert button(page, "Arm").first.is_disabled()
+        assert page.locator(ESTOP).is_disabled()
+        button(page, "Enter the token to command").click()
+        page.get_by_label("Token of this robot").fill("a-wrong-token-0123456789")
+        button(page, "Connect").click()
+        wait_until(lambda: "wrong" in page.locator(".token").inner_text(), "the token is wrong")
+        page.get_by_label("Token of this robot").fill(TOKEN)
+        button(page, "Connect").click()
+        page.wait_for_selector(".estop-place .estop:enabled")
+        button(page, "Arm").first.click()
+        shows(page, "armed")
+
+
+def test_a_page_of_another_site_gets_no_connection(robot):
+    opened = """address => new Promise(done => {
+        const socket = new WebSocket(address);
+        socket.onopen = () => done('open');
+        socket.onerror = () => done('refused');
+    })"""
+    with LinkProxy(robot.port) as site:
+        context = robot.browser.new_context(bypass_csp=True)
+        page = context.new_page()
+        page.goto(f"http://127.0.0.1:{site.port}/icon.svg")
+        assert page.evaluate(opened, f"ws://127.0.0.1:{robot.port}/socket") == "refused"
+        assert page.evaluate(opened, f"ws://127.0.0.1:{site.port}/socket") == "open"
+        context.close()
+
+
+def test_a_killed_daemon_is_seen_and_found_again(robot, page):
+    shows(page, "idle")
+    os.kill(robot.stage.daemon.pid, signal.SIGKILL)
+    robot.stage.daemon.wait()
+    page.wait_for_selector(".banner.bad")
+    shows(page, "unknown")
+    robot.restart()
+    shows(page, "idle")
+    page.wait_for_selector(".banner.bad", state="detached")
+    robot.set_off(page)
+    page.mouse.up()
+    robot.wait_for_rest()
+
+
+def test_a_limit_is_changed_by_its_slider_and_a_register_is_read(robot, page):
+    page.evaluate("location.hash = 'parameters'")
+    entry = page.get_by_label("linear_m_s, m/s")
+    entry.fill("0.7")
+    entry.press("Enter")
+    page.locator("h2").first.click()
+    button(page, "Apply").click()
+    wait_until(
+        lambda: robot.stage.robot.params_get("limits.linear_m_s")["limits.linear_m_s"] == 0.7,
+        "the limit is in force",
+    )
+    page.evaluate("location.hash = 'lines'")
+    button(page, "Read bus_voltage").first.click()
+    cell = page.locator("tr", has=button(page, "Read bus_voltage")).first.locator("td").first
+    wait_until(lambda: cell.inner_text() == "36", "the register's value")
+
+
+def test_a_recording_is_listed_and_downloaded_once(robot, page):
+    page.evaluate("location.hash = 'log'")
+    rows = page.locator(".recordings button")
+
+    def listed():
+        button(page, "Refresh").click()
+        return rows.count() > 0
+
+    wait_until(listed, "a recording")
+    with page.expect_download() as found:
+        rows.first.click()
+    assert found.value.path().read_bytes().startswith(b"\x89MCAP0\r\n")
+    path = urlsplit(found.value.url).path
+    assert page.request.get(f"http://127.0.0.1:{robot.port}{path}").status == 404
+
+
+def test_the_log_shows_what_happened(robot, page):
+    button(page, "Arm").first.click()
+    shows(page, "armed")
+    page.evaluate("location.hash = 'log'")
+    wait_until(lambda: "idle → armed" in page.locator(".events").inner_text(), "the event")
+
+
+AXE = os.environ.get("MOTORD_AXE", "build/node/node_modules/axe-core/axe.min.js")
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1280])
+def test_axe_finds_nothing_serious(robot, theme, width):
+    if not os.path.exists(AXE):
+        pytest.skip("no axe-core here: npm install --prefix build/node axe-core")
+    with open(AXE, encoding="utf-8") as file:
+        axe = file.read()
+    with robot.page(viewport={"width": width, "height": 844}) as page:
+        page.emulate_media(color_scheme=theme)
+        session = page.context.new_cdp_session(page)
+        for tab in ("overview", "drive", "plots", "lines", "parameters", "log", "fleet"):
+            page.evaluate(f"location.hash = '{tab}'")
+            page.wait_for_selector("main .card")
+            session.send("Runtime.evaluate", {"expression": axe})
+            found = session.send("Runtime.evaluate", {
+                "expression": "axe.run().then(found => JSON.stringify(found.violations))",
+                "awaitPromise": True, "returnByValue": True, "timeout": DEADLINE_MS,
+            })["result"]["value"]  # fmt: skip
+            serious = [
+                (row["id"], node["html"][:200], node["failureSummary"])
+                for row in json.loads(found)
+                for node in row["nodes"]
+                if row["impact"] in ("serious", "critical")
+            ]
+            assert not serious, tab
