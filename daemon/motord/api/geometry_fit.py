@@ -141,9 +141,7 @@ def fit(
 _CAUSES = "a wheel has slipped, a number is wrong, or the robot was moved: repeat this run"
 
 
-def _solved(
-    measures: Sequence[Measure], track_m: float, free: Sequence[Free], at: Array
-) -> Array:
+def _solved(measures: Sequence[Measure], track_m: float, free: Sequence[Free], at: Array) -> Array:
     for _ in range(_ITERATIONS):
         residuals = _residuals(measures, track_m, free, at)
         if not np.all(np.isfinite(residuals)):
@@ -244,8 +242,7 @@ def _poses(measures: Sequence[Measure], track_m: float, factors: Factors) -> tup
     return tuple(
         Pose(
             *(
-                each.found.values()
-                - end_pose(each.left_m, each.right_m, track_m, factors).values()
+                each.found.values() - end_pose(each.left_m, each.right_m, track_m, factors).values()
             ).tolist()
         )
         for each in measures
