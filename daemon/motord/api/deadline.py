@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Deadlines for who may not see the hardware layer."""
+"""Deadlines for code that may not import the hardware layer."""
 
 from motord_hal.base.clock import within
 

@@ -331,7 +331,7 @@ class Motion:
         if how is End.SUCCEEDED and abs(self.remaining_u) > self.plan.tolerance_u:
             unstopped = self._unstopped_ns > self._rest_ns
             if not unstopped and (now_ns - self._rest_ns) * _NS <= UNSTOPPED_WITHIN_S:
-                return MotionStep()  # who knows what brought it to rest
+                return MotionStep()  # something else may have brought it to rest
             if unstopped and self._corrected(now_ns):
                 return MotionStep()
             how, why = End.ABORTED, f"it rests {-self.remaining_u:.3g} behind the goal"

@@ -2,7 +2,7 @@
 """Where the log goes: to the journal, with fields to search by, where stderr is the journal's; else
 to stderr.
 
-Who reads it may stop reading, and then a write blocks. The robot does not wait for that: a thread
+Its reader may stop reading, and then a write blocks. The robot does not wait for that: a thread
 of its own writes, and what does not find room in its queue is lost.
 
 Sources: systemd.exec(5), $JOURNAL_STREAM; systemd, docs/JOURNAL_NATIVE_PROTOCOL.md.
@@ -151,7 +151,7 @@ def _is_journal(fd: int, environ: Mapping[str, str]) -> bool:
 def set_up(environ: Mapping[str, str] = os.environ, journal: Path = JOURNAL) -> None:
     """Once, by the daemon's entry point."""
     handler: logging.Handler
-    if sys.stderr is None:  # closed by who started us: its number may be another file's by now
+    if sys.stderr is None:  # closed by the parent process: its number may be another file's by now
         handler = logging.NullHandler()
     elif _is_journal(sys.stderr.fileno(), environ):
         handler = _JournalWriter(sys.stderr.fileno(), journal)

@@ -41,7 +41,7 @@ class Sink(Protocol):
 
 
 class Feed:
-    """A box for one view of each topic. Who fills it never waits; who is slow loses samples."""
+    """Holds one view of each topic. Filling it never waits; a slow reader loses samples."""
 
     def __init__(self, body: Body, rates_hz: Mapping[str, float], form: Form = as_message) -> None:
         """Raises KeyError for a topic that there is not."""
@@ -74,7 +74,7 @@ class Feed:
             self._filled.set()
 
     async def __aiter__(self) -> AsyncIterator[Sample]:
-        """Each message when it is taken; what cannot be said is left out, what does not fit its
+        """Each message when it is taken; what cannot be encoded is left out, what does not fit its
         form is lost."""
         while True:
             await self._filled.wait()
@@ -92,7 +92,7 @@ class Feed:
                     yield Sample(TOPICS[name], message)
 
     def _lose(self, error: ValueError) -> None:
-        """Said once."""
+        """Logged once."""
         self.dropped += 1
         if not self._failing:
             self._failing = True

@@ -19,7 +19,7 @@ _log = logging.getLogger(__name__)
 
 async def keep(where: str, adapter: Adapter, failures: MutableMapping[str, int]) -> None:
     """Run it until it ends by itself or is cancelled. Each failure is counted under its name; of
-    a row of them only the first is said. MemoryError goes on: the whole process has no room."""
+    a row of them only the first is logged. MemoryError goes on: the whole process has no room."""
     again_s, failing = AGAIN_MIN_S, False
     while True:
         began_s = time.monotonic()
@@ -53,7 +53,7 @@ async def _life(adapter: Adapter) -> BaseException | None:
 
 
 def first(errors: BaseExceptionGroup[BaseException]) -> BaseException:
-    """One of a group, to be said."""
+    """One of a group, to be logged."""
     error: BaseException = errors
     while isinstance(error, BaseExceptionGroup):
         error = error.exceptions[0]

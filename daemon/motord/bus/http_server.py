@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A port of the second process that speaks HTTP: figures and WebSockets, by aiohttp.
 
-Who has connected and asked nothing yet is a stranger: there are at most STRANGERS_MAX of them, each
-for at most ANSWER_WITHIN_S. What is no WebSocket ends with its answer.
-"""
+A client that has connected and sent no request yet is a stranger: there are at most STRANGERS_MAX
+of them, each for at most ANSWER_WITHIN_S. What is no WebSocket ends with its answer."""
 
 from __future__ import annotations
 
@@ -28,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 
 class _OurOwn(logging.Filter):
-    """aiohttp tells what is no request with a traceback: a stranger could fill the journal."""
+    """aiohttp logs what is no request with a traceback: a stranger could fill the journal."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         error = record.exc_info[1] if record.exc_info else None

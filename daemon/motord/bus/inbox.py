@@ -18,7 +18,7 @@ _T = TypeVar("_T")
 
 
 class Inbox(Generic[_T]):
-    """The oldest gives way to the newest."""
+    """The newest replaces the oldest."""
 
     def __init__(self, size: int, take: Callable[[_T], None]) -> None:
         self._items: deque[_T] = deque(maxlen=size)
@@ -59,12 +59,12 @@ class ThreadBridge:
         """Until cancelled: callers that wait then, or come later, learn that it ends."""
         self._asked.open()
         async with asyncio.TaskGroup() as self._tasks:
-            self._asked.empty()  # who came before
+            self._asked.empty()  # those before it
             try:
                 await asyncio.Event().wait()
             finally:
                 self._tasks, self._over = None, True
-                self._asked.empty()  # who asks from now on sees that it is over
+                self._asked.empty()  # a later caller sees that it is over
 
     def ask(self, make: Callable[[], Awaitable[_T]], within_s: float) -> _T:
         """From any thread but the loop's own. Raises NotTaken, also where there is no answer."""

@@ -26,7 +26,7 @@ _log = logging.getLogger(__name__)
 
 class Tunable:
     def __init__(self, robot: Robot, call: Call) -> None:
-        """`call` asks the daemon; it raises ClientError, and NotTaken for a change that is none of
+        """`call` calls the daemon; it raises ClientError, and NotTaken for a change that is not
         now."""
         self._call = call
         self._voice = RateLimitedLog(_log)

@@ -118,7 +118,7 @@ def _until_closed(fd: int, end: asyncio.Event) -> None:
 
 
 async def _beat(runtime: Runtime, fd: int) -> None:
-    """A line of figures a second: who reads none for long takes this process for hung."""
+    """A line of figures a second: without them the daemon takes this process for hung."""
     os.set_blocking(fd, False)  # a pipe of our own
     while True:
         line = json.dumps(runtime.figures(), separators=(",", ":")).encode() + b"\n"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second process at work: it looks at the state page, asks the daemon for the rest, and feeds
+"""The second process at work: it reads the state page, calls the daemon for the rest, and feeds
 the adapters. Nothing here can make the daemon wait."""
 
 from __future__ import annotations
@@ -58,7 +58,8 @@ def of_this_robot(section: Any, robot: Robot) -> Any:
 
 
 class Runtime:
-    """What adapters are given: the robot, its newest state, feeds of it, and a way to command."""
+    """What adapters are given: the robot, its newest state, feeds of it, and what is needed to
+    command."""
 
     def __init__(self, robot: Robot, path: Path) -> None:
         """`path`: the daemon's socket."""
@@ -93,12 +94,12 @@ class Runtime:
         return self.sources[name]
 
     def gap(self, longest_s: float) -> Gap:
-        """Tells whether this process has just stood still for longer than that."""
+        """Whether this process has just stood still for longer than that."""
         self._gaps.append(Gap(longest_s))
         return self._gaps[-1]
 
     async def call(self, method: str, **params: Any) -> Any:
-        """Ask the daemon. Raises Refused and ClientError."""
+        """Call the daemon. Raises Refused and ClientError."""
         if method in KINDS:
             return await self._halt(method, params)
         return await call(self.path, method, **params)

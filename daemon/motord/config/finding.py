@@ -12,7 +12,7 @@ from motord.config.toml_lines import Path
 class Finding:
     """An error, or a warning about what works but deserves a look.
 
-    It stands on paths: it is said at the first one, and not said when any of them is wrong in
+    It stands on paths: it is reported at the first one, and not when any of them is wrong in
     itself.
     """
 

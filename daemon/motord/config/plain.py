@@ -12,7 +12,8 @@ ConfigDict = dict
 
 
 class Field:
-    """A field of a class: what was said of it. Of an object: its default, where it has no value."""
+    """A field of a class: what it was declared with. Of an object: its default, where it has no
+    value."""
 
     def __init__(
         self,

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which line of a TOML text says what. No TOML library tells: this reader does, for texts that
-tomllib has already accepted (https://toml.io/en/v1.0.0)."""
+"""Which line of a TOML text holds which key. No TOML library reports it: this reader does, for
+texts that tomllib has already accepted (https://toml.io/en/v1.0.0)."""
 
 from __future__ import annotations
 

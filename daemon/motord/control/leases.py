@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may command: leases by connection and owner. Python grants them and ends them; who of them is
-in command, and who is held, is decided by the loop (csrc/loop/arbiter.c), which reports it.
+"""Who may command: leases by connection and owner. Python grants them and ends them; which of them
+is in command, and which is held, is decided by the loop (csrc/loop/arbiter.c), which reports it.
 
 The fresh lease with the highest priority commands; among equals the first one. A source that
 requests motion while nothing may move is held: its lease counts as zero until it has sent zero
@@ -243,7 +243,7 @@ class Leases:
 
     # ------------------------------------------------------------------------------------ looking
     def fresh(self) -> list[Lease]:
-        """Those with a living command, who commands first."""
+        """Those with a living command; the one in command first."""
         now = now_ns()
         states = self._loop.commands().leases
         found = (

@@ -35,7 +35,7 @@ BEATS_A_READ_MAX = 8
 END_WITHIN_S = 2.0
 AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 30.0
 WELL_AFTER_S = 60.0
-"""Who has lived for so long may come back at once."""
+"""A process that has lived for so long may come back at once."""
 
 _log = logging.getLogger(__name__)
 
@@ -113,7 +113,7 @@ class BusSupervisor:
                 await _end(process)
 
     async def _listen(self, output: asyncio.StreamReader) -> None:
-        """Until its end. Raises TimeoutError for who says nothing that counts for so long."""
+        """Until its end. Raises TimeoutError when nothing that counts comes for so long."""
         loop, rest = asyncio.get_running_loop(), b""
         async with within(START_WITHIN_S) as silence:
             while chunk := await output.read(READ_BYTES):

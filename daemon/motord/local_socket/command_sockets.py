@@ -89,7 +89,8 @@ def _local(path: Path, sockets: contextlib.ExitStack, *, credentials: bool = Fal
     if credentials:
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
     path.unlink(missing_ok=True)  # ours: the local socket beside it belongs to this daemon
-    # The file is made with this mode: who connects before the chmod could go on sending after it.
+    # The file is made with this mode: a client that connects before the chmod could go on sending
+    # after it.
     os.fchmod(opened.fileno(), SOCKET_MODE)
     _bind(opened, str(path), str(path))
     sockets.callback(path.unlink, missing_ok=True)

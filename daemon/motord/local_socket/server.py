@@ -65,7 +65,7 @@ class SocketInUse(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Who is at the other end. `connection` is never given twice."""
+    """The caller at the other end. `connection` is never given twice."""
 
     connection: int
     pid: int
@@ -81,7 +81,7 @@ class Method:
     params: type[Params] | None = Params
     """None: any names, as a dictionary."""
     commands: bool = True
-    """Only for who may command."""
+    """Only for callers that may command."""
     urgent: bool = False
     """Never too many calls to be taken."""
 
@@ -152,7 +152,8 @@ def _clear_away(path: Path) -> None:
 
 
 def _caller(connection: int, peer: socket.socket) -> Caller:
-    """Who is it, and may they command? The group is that of the socket file at this moment."""
+    """Who is the caller, and may it command? The group is that of the socket file at this
+    moment."""
     credentials = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
     pid, uid, gid = struct.unpack("3i", credentials)
     member_of = {gid}
@@ -262,7 +263,8 @@ class _Connection:
                 while (line := await self._read(reader)) is not None:
                     self.received_s = asyncio.get_running_loop().time()
                     self._take(line, calls)
-                    await asyncio.sleep(0)  # who floods us waits for everybody else
+                    # a connection that floods the daemon waits for all others
+                    await asyncio.sleep(0)
                 self._on_close(self._caller.connection)
         finally:
             self._on_close(self._caller.connection)

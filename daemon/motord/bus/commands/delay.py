@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long a message waited on its way, by the sender's clock, which need not be set: what the
+"""How long a message was in transit, by the sender's clock, which need not be set: what the
 fastest of its messages took is not known, and counts as nothing."""
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ STOOD_STILL = "what takes commands stood still: it may have waited for that to e
 
 
 class Gap:
-    """Looks at the clock again and again; who has not looked for too long has stood still. It is
-    known to the first caller, whatever the event loop turns to first."""
+    """Looks at the clock again and again; a pause between two looks that is too long is a
+    standstill. It is known to the first caller, whatever the event loop turns to first."""
 
     def __init__(self, longest_s: float) -> None:
         """`longest_s`: what is no gap yet. Without `watch` all is one."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where commands of networked inputs are looked at: who shows the token, what is asked for, and how
+"""The check of commands of networked inputs: the token, what is requested, and how
 old it is. What passes goes to the daemon, which judges it as every other command."""
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ URGENT = ("estop", "stop")
 ANY_TIME = (*URGENT, "disarm", "status", "params.list")
 """Obeyed also after having waited for this process: they look, or end at rest."""
 CALL_OLD_S = 0.5
-"""A call that waited here for less may be obeyed: a short lifetime of commands is none of calls."""
+"""A call that waited here for less may be obeyed: the short lifetime of commands does not apply to
+calls."""
 CALLS_MAX = 4
 URGENT_MAX = 16
 """Calls of one urgent method that the daemon has not answered yet."""
@@ -74,7 +75,7 @@ class CommandGate:
         """For calls and goals."""
 
     def admit(self, shown: object) -> None:
-        """Raises NotTaken for who does not show the token."""
+        """Raises NotTaken without the token."""
         if self._token is None or not self._token.fits(shown):
             raise self._no("the token is missing or wrong")
 
@@ -89,7 +90,7 @@ class CommandGate:
                 raise self._no(f"{short(other)} is not taken; there are: {', '.join(COMMANDS)}")
 
     def drive(self, message: object, waited_s: float = 0.0, sender: str = "") -> None:
-        """Pass a Twist or a TwistStamped on. `waited_s`: on its way, as far as that is known; it is
+        """Pass a Twist or a TwistStamped on. `waited_s`: in transit, as far as that is known; it is
         the age of one that says none itself. `sender`: as `act`. Raises NotTaken."""
         linear_m_s, angular_rad_s, age_s = self._twist(message)
         stamp_ns = self._stamp_ns(age_s, waited_s)
@@ -98,7 +99,8 @@ class CommandGate:
         self.name_absurd(linear_m_s, angular_rad_s, sender)
 
     def name_absurd(self, linear_m_s: float, angular_rad_s: float, sender: str) -> None:
-        """Say who sent a command that the loop takes for zero: it counts it, and knows no names."""
+        """Log the sender of a command that the loop takes for zero: the loop counts it, without
+        names."""
         limits = self._runtime.robot.limits
         if (
             abs(linear_m_s) <= ABSURD * limits.linear_m_s
@@ -179,7 +181,7 @@ class CommandGate:
         return min(max(age_s, 0.0), OLD_S)
 
     async def act(self, method: object, sender: str = "") -> Any:
-        """Call one of METHODS. `sender`: who asks, where it is known. Raises NotTaken, also with
+        """Call one of METHODS. `sender`: the caller, where it is known. Raises NotTaken, also with
         the daemon's own reason."""
         if not isinstance(method, str) or method not in METHODS:
             raise self._no(f"{short(method)} is not one of {', '.join(METHODS)}")
@@ -202,8 +204,8 @@ class CommandGate:
             self._calls[method] -= 1
 
     async def ask(self, method: str, **params: Any) -> Any:
-        """As Runtime.call, for who is let in. Raises NotTaken for what moves the robot or changes
-        it where it may have waited here."""
+        """As Runtime.call, for a client with the token. Raises NotTaken for what moves the robot or
+        changes it where it may have waited here."""
         if method not in ANY_TIME:
             self._not_old(self.gap)
         return await self._runtime.call(method, **params)
@@ -213,13 +215,13 @@ class CommandGate:
         return self._no("busy: too many calls are running")
 
     def refuse(self, why: str, count: int = 1) -> None:
-        """So many commands were not passed on: counted, and said from time to time."""
+        """So many commands were not passed on: counted, and logged from time to time."""
         if count > 0:
             self.source.refused += count - 1
             self._no(why)
 
     def _no(self, why: str) -> NotTaken:
-        """Counted, and said from time to time."""
+        """Counted, and logged from time to time."""
         self.source.refused += 1
         now_s = time.monotonic()
         if now_s - self._reported_s >= SAY_AGAIN_S:

@@ -242,7 +242,7 @@ class Source:
         *,
         seen: int = ALL_SEEN,
     ) -> bool:
-        """One command; `stamp_ns`: when it was given, CLOCK_MONOTONIC, now unless it is said.
+        """One command; `stamp_ns`: when it was given, CLOCK_MONOTONIC; now unless given.
         `seen`: not where `direct` has grown beyond that. Returns whether it was sent."""
         stamp_ns = time.monotonic_ns() if stamp_ns is None else stamp_ns
         return self._send_twist(TWIST, linear_m_s, angular_rad_s, stamp_ns, seen)

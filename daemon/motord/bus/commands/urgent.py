@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A stop or an emergency stop by who waits for no answer: asked of the daemon until it answers."""
+"""A stop or an emergency stop by a sender that waits for no answer: repeated until the daemon
+answers."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ _log = logging.getLogger(__name__)
 
 
 class Urgent:
-    """Of one method and one input. `ask` never waits; what is asked for while a call is under way
+    """Of one method and one input. `ask` never waits; what is requested while a call is in progress
     is done once more after it."""
 
     def __init__(self, name: str, method: str, call: Callable[..., Awaitable[Any]]) -> None:

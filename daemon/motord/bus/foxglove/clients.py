@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What clients of the Foxglove server are shown and may ask for (ws-protocol: services, parameters,
+"""What clients of the Foxglove server are sent and may request (ws-protocol: services, parameters,
 client publishing; JSON). The SDK calls from threads of its own; what moves the robot is done in the
 event loop.
 
@@ -70,7 +70,7 @@ class _Message:
 
 
 class Looks(ServerListener):
-    """What the robot looks like, for each who begins to read it."""
+    """What the robot looks like, for each client that begins to read it."""
 
     def __init__(self, looks: tuple[Channel, bytes]) -> None:
         """Its topic, and the message."""
@@ -87,7 +87,7 @@ class Looks(ServerListener):
 
 
 class Commands(Looks):
-    """Obeys who has shown the token."""
+    """Obeys clients with the token."""
 
     def __init__(
         self, name: str, section: FoxgloveInput, runtime: Runtime, looks: tuple[Channel, bytes]
@@ -99,7 +99,7 @@ class Commands(Looks):
         self._tunable = Tunable(runtime.robot, self._gate.ask)
         self._parameters = {name: _shown(about) for name, about in self._tunable.fixed.items()}
         self._sent = dict(self._parameters)
-        """To those who have subscribed."""
+        """To the clients that have subscribed."""
         self._thread_bridge = ThreadBridge()
         self._admitted: tuple[int, ...] = ()
         """Connections; a number is never used again. Threads read it: it is only replaced."""
@@ -133,7 +133,7 @@ class Commands(Looks):
         self._admitted = (*others, client)[-ADMITTED_MAX:]
 
     def _complain(self, about: str, error: NotTaken) -> None:
-        """To all who look: the protocol has no answer to a message or a parameter."""
+        """To all clients: the protocol has no answer to a message or a parameter."""
         now_s = time.monotonic()
         if self.server is not None and now_s - self._complained_s.get(about, 0) > COMPLAIN_AGAIN_S:
             self._complained_s[about] = now_s

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A joystick at this machine (evdev). Who lets go of the dead-man button brings the robot to rest
+"""A joystick at this machine (evdev). Letting go of the dead-man button brings the robot to rest
 and hands it back; so does a device that is unplugged.
 
 A wireless pad whose radio fails looks like one that is held still until its driver notices.

@@ -3,7 +3,7 @@
 after a fault.
 
 A thread does the writing: a disk that stalls costs samples, counted, and nothing else. A disk that
-is full is said once, and tried again.
+is full is logged once, and tried again.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class McapRecorder:
         self._since_s = 0.0
         self._failing = False
         self._writing = threading.Lock()
-        """Held by who writes: a thread may outlive the task that waited for it."""
+        """Held by the writer: a thread may outlive the task that waited for it."""
 
     async def run(self) -> None:
         """As Adapter.run."""

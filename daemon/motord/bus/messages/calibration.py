@@ -2,7 +2,7 @@
 """What the wheels' radius or the track should be, by a distance that a person has measured.
 
 Nothing here moves the robot: it is watched while a person drives or pushes it from one mark to
-another. The true way is known beforehand; the odometry says its own.
+another. The true distance or angle is known beforehand; the odometry gives its own.
 
 A side rolls radius x angle, so true / measured is the radius' factor. The heading is the
 difference of the sides over the track, so measured / true is the track's (Borenstein & Feng,
@@ -20,20 +20,20 @@ from motord.api.snapshot import Snapshot
 
 Quantity = Literal["wheel_radius", "track"]
 REST_S = 2.0
-"""At rest for so long behind half of the way: it has arrived."""
+"""At rest for so long behind half of the distance: it has arrived."""
 DISTANCE_MIN_M, DISTANCE_MAX_M = 0.2, 100.0
 ANGLE_MIN_RAD, ANGLE_MAX_RAD = math.pi, 100.0 * math.tau
 TURN_MAX_RAD = 0.1
-"""A way that turns by more is no straight line."""
+"""A path that turns by more is no straight line."""
 FACTOR_MIN, FACTOR_MAX = 0.8, 1.25
-"""What is further off was no error of measure, but another way than the one that was said."""
+"""A larger difference is no error of measurement: another distance was driven than was given."""
 TIMEOUT_S, TIMEOUT_MAX_S = 300.0, 3600.0
 _NS = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measure:
-    """What is to be found, and the true way: m for wheel_radius, rad for track."""
+    """What is to be found, and the true distance: m for wheel_radius, rad for track."""
 
     quantity: Quantity
     true_u: float
@@ -68,7 +68,7 @@ class Found:
 
 
 class Calibration:
-    """One under way. `step` again and again, with the newest snapshot."""
+    """One in progress. `step` again and again, with the newest snapshot."""
 
     def __init__(self, asked: Measure, start: Snapshot, now_ns: int, stale_s: float) -> None:
         self.travel = Travel(start)

@@ -171,7 +171,7 @@ _word = lru_cache(1024)(_string)
 
 
 def decode(name: str, raw: bytes) -> SimpleNamespace:
-    """The message. Raises ValueError for bytes that are none of that type; what follows it is not
+    """The message. Raises ValueError for bytes that are not of that type; what follows it is not
     looked at."""
     if raw[:2] != HEADER[:2]:
         raise ValueError(f"{name}: not in plain little-endian CDR (it begins {raw[:4].hex()})")

@@ -38,7 +38,7 @@ def encode_slowly(message: Any) -> bytes:
 
 
 def _fields(record: Any) -> dict[str, Any]:
-    """One level of a message; the encoder asks for the next."""
+    """One level of a message; the encoder requests the next."""
     return {name: getattr(record, name) for name in record.__dataclass_fields__}
 
 
@@ -52,7 +52,8 @@ _TEXTS = json.JSONEncoder(ensure_ascii=False)
 
 def decode(raw: str | bytes) -> Any:
     """What the JSON says. Raises ValueError, also for one that is nested too deeply or has a text
-    that is none: half a surrogate pair (RFC 8259, section 8.2) could not be answered or logged."""
+    that is not valid: half a surrogate pair (RFC 8259, section 8.2) could not be answered or
+    logged."""
     try:
         value = json.loads(raw)
         _TEXTS.encode(value).encode()

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["cos", "isfinite", "nan", "sin"]  # for the expressions
 UNMEASURED = 1e6
-"""Variance of what wheels cannot tell: height, roll, pitch. Filters give it no weight."""
+"""Variance of what wheels cannot measure: height, roll, pitch. Filters give it no weight."""
 NOT_MEASURED = (-1.0, *[0.0] * 8)
 """Covariance of what an Imu does not measure (sensor_msgs/Imu)."""
 ERROR_UNKNOWN = (0.0,) * 9

@@ -16,7 +16,7 @@ from motord.bus.messages.sources import Commander
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """What is known at one moment: the newest snapshot, and what the daemon said last."""
+    """What is known at one moment: the newest snapshot, and the newest report of the daemon."""
 
     snapshot: Snapshot
     status: Mapping[str, Any] | None = None
@@ -25,11 +25,13 @@ class View:
     """When it was asked for, CLOCK_MONOTONIC."""
 
     def battery(self) -> Mapping[str, Any] | None:
-        """As the daemon's status has it. None: no [battery], or the daemon has not said yet."""
+        """As the daemon's status has it. None: no [battery], or the daemon has not reported it
+        yet."""
         return (self.status or {}).get("battery")
 
     def why(self) -> tuple[str, ...]:
-        """What led to the faults that are latched. Empty: none is, or the daemon has not said."""
+        """What led to the faults that are latched. Empty: none is, or the daemon has not reported
+        it."""
         return tuple((self.status or {}).get("why", ())) if self.snapshot.faults else ()
 
     def loop(self) -> Mapping[str, Any] | None:

@@ -6,7 +6,7 @@
     call            {"token": ..., "method": "arm", "id": 7}, which is answered, also where the
                     token is missing or wrong
 
-on topics by mqtt_names.py. A retained message is none of now and is not obeyed; nor is what is
+on topics by mqtt_names.py. A retained message is an old one and is not obeyed; nor is what is
 older than the lease's lifetime.
 """
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 PAYLOAD_BYTES_MAX = 4096
 CALLS_MAX, ANSWERS_MAX = 16, 64
-"""Calls under way, and answers that the broker has not taken yet. What is urgent passes both."""
+"""Calls in progress, and answers that the broker has not taken yet. What is urgent passes both."""
 REFUSALS_MAX = 4
 """Answers to calls without the token that the broker has not taken yet: beyond them strangers get
 none, and they take no room from calls with the token."""
@@ -63,7 +63,7 @@ class MqttCommands:
                 if message.retain:
                     _log.warning("%s: a retained message is not obeyed", message.topic)
                     continue
-                with contextlib.suppress(NotTaken):  # said by the command gate
+                with contextlib.suppress(NotTaken):  # logged by the command gate
                     self._take(client, message, tasks)
 
     def _take(
@@ -106,7 +106,7 @@ class MqttCommands:
         self, client: aiomqtt.Client, request: Mapping[str, Any], **reply: object
     ) -> None:
         answer = {"id": tag(request.get("id")), "method": tag(request.get("method"))} | reply
-        with contextlib.suppress(aiomqtt.MqttError):  # who listens has to go on
+        with contextlib.suppress(aiomqtt.MqttError):  # the receiver has to go on
             await client.publish(self._connection.names.answer, self._connection.encode(answer), 1)
 
 

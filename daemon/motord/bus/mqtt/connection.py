@@ -73,7 +73,7 @@ class MqttConnection:
         will: Callable[[], aiomqtt.Will | None] = lambda: None,
     ) -> None:
         """Until cancelled: connect, use, and again; `will` is of one connection. What is wrong is
-        said once."""
+        logged once."""
         again_s, failing = AGAIN_MIN_S, False
         while True:
             try:

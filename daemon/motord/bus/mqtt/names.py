@@ -91,7 +91,7 @@ class Sparkplug:
         return f"{self._head}/{kind}/{self._robot}{device}"
 
     def births(self, description: Mapping[str, Any]) -> Iterator[Sent]:
-        """As Names; `bdSeq` tells which death belongs to them."""
+        """As Names; `bdSeq` pairs them with their death certificate."""
         session = {"timestamp": _now_ms(), "bdSeq": self._session_ms}
         yield f"{self._head}/NBIRTH/{self._robot}", self._encode({**session, **description})
         for topic, about in description["topics"].items():

@@ -65,7 +65,7 @@ def _families(body: Body, view: View | None) -> Iterator[Family]:
 
 
 STALE_S = 1.0
-"""A snapshot as old as this is none: the loop does not run."""
+"""A snapshot as old as this is not used: the loop does not run."""
 
 
 def _up(view: View | None) -> float:

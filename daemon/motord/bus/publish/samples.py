@@ -13,7 +13,7 @@ from motord.api.snapshot import Snapshot
 
 
 class Samples:
-    """A box for one sample between the daemon, who never waits, and one publisher."""
+    """Holds one sample between the daemon, which never waits, and one publisher."""
 
     def __init__(self, robot: str, rate_hz: float) -> None:
         self._robot = robot

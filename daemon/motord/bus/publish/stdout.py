@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """JSON lines on standard output.
 
-Who reads it may stop reading: then the write blocks, for ever perhaps. So a thread of its own does
+Its reader may stop reading: then the write blocks, perhaps for ever. So a thread of its own does
 the writing, and samples are lost while it is stuck. (Making the descriptor non-blocking would make
 the shell's and other programs' so too: it is shared.)
 """
@@ -33,7 +33,7 @@ class StdoutPublisher:
         """As Publisher.run. Ends when it can never be read."""
         if (
             self._output is None
-        ):  # closed by who started us: its number may be another file's by now
+        ):  # closed by the parent process: its number may be another file's by now
             _log.warning("publish.%s: there is no standard output", self._name)
             return
         arguments = (self._output.fileno(),)

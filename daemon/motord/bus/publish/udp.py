@@ -37,7 +37,7 @@ class UdpPublisher:
                 self._send(sender, sample, address)
 
     async def _resolved(self) -> tuple[socket.AddressFamily, Address]:
-        """The host's address; asked for again and again, said once."""
+        """The host's address; resolved again and again, logged once."""
         loop = asyncio.get_running_loop()
         while True:
             try:

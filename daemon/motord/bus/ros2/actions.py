@@ -57,12 +57,12 @@ _ANY_ID = bytes(16)
 _NUMBER = re.compile(r"[-+.\d]+")
 Report = Callable[[SimpleNamespace], None]
 Work = Callable[[Report, asyncio.Event], Awaitable[tuple[Status, SimpleNamespace]]]
-"""Does what a goal asks for. It tells feedback, looks whether it is cancelled, and does not raise.
+"""Carries out a goal. It sends feedback, checks whether it is cancelled, and does not raise.
 """
 
 
 class Turn:
-    """Who of those that take turns is at work."""
+    """Which of those that take turns is at work."""
 
     def __init__(self) -> None:
         self.holder: str | None = None

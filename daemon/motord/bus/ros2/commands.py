@@ -118,7 +118,7 @@ class Ros2Commands:
         return receiver.Twists(made, reader, self._gate, taken)
 
     def _drive(self, message: SimpleNamespace, waited_s: float, sender: str) -> None:
-        with contextlib.suppress(NotTaken):  # said by the command gate
+        with contextlib.suppress(NotTaken):  # logged by the command gate
             self._gate.drive(_as_mapping(message), waited_s, sender)
             self._mover.driven()
             twist = message.twist if self._stamped else message

@@ -78,7 +78,7 @@ class Lifecycle:
         self._sent = UNKNOWN
 
     def serve(self, node: Node) -> None:
-        """What `ros2 lifecycle` asks for. Raises DdsError."""
+        """What `ros2 lifecycle` requests. Raises DdsError."""
         package = "lifecycle_msgs/srv"
         node.serve("~/get_state", f"{package}/GetState", self._get)
         node.serve("~/change_state", f"{package}/ChangeState", self._change)

@@ -35,7 +35,8 @@ _CALIBRATE_NOTHING = SimpleNamespace(
 
 
 class Moves:
-    """Of one input. What moves the robot takes turns; who only watches is not in its way."""
+    """Of one input. What moves the robot takes turns; a service that only reads does not block
+    them."""
 
     def __init__(self, runtime: Runtime, mover: Mover) -> None:
         self._runtime = runtime

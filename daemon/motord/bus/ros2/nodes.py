@@ -46,7 +46,7 @@ class Node(Protocol):
         take: Callable[[SimpleNamespace, float, str], None],
         quality: Quality | None = None,
     ) -> None:
-        """`take` is called with each message, how long in s it waited on its way, and whose
+        """`take` is called with each message, how long in s it was in transit, and whose
         it is."""
         ...
 
@@ -62,7 +62,7 @@ class Node(Protocol):
         ...
 
     async def run(self) -> None:
-        """Until cancelled. Of several who share the node one does it for all, and the next one
+        """Until cancelled. Of several that share the node one does it for all, and the next one
         when that one fails."""
         ...
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics as a ROS 2 node has them, and the robot's description for who shows it, with the frames in
-it that never move."""
+"""Topics as a ROS 2 node has them, and the robot's description for programs that show it, with the
+frames in it that never move."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who commands on a topic: senders by name, and those that command against each other."""
+"""The senders of commands on a topic, by name, and those that command against each other."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Graph:
 
 
 def _printable(name: str) -> str:
-    """Fit for one line of the log: who wrote it is a stranger."""
+    """Fit for one line of the log: its writer is a stranger."""
     return "".join(one if one.isprintable() else "?" for one in name[:_NAME_CHARS_MAX])
 
 

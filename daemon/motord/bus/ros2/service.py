@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A ROS 2 service as rmw_cyclonedds has it: a topic of requests and one of replies, each beginning
-with who asks and the question's number. Clients on another DDS middleware carry these outside of
-the message, where the binding neither shows them nor lets us write them: a call would wait for
+with the client and the number of its request. Clients on another DDS middleware carry these outside
+of the message, where the binding neither shows them nor lets us write them: a call would wait for
 ever. So the service is not available to them: rmw_fastrtps takes one for available that has as many
 writers of replies as readers of requests (rmw_service_server_is_available.cpp), and there is one
 more. rmw_cyclonedds looks for a pair with one `serviceid`, and does not mind."""
@@ -50,7 +50,7 @@ class Service:
         depth: int,
         together: int = 1,
     ) -> None:
-        """`name_of`: of a client, by its endpoint. `together`: so many answers are under way at
+        """`name_of`: of a client, by its endpoint. `together`: so many answers are in progress at
         once. Raises DdsError."""
         self._name_of = name_of
         self._together = together

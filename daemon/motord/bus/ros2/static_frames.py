@@ -13,7 +13,7 @@ STATIC = "tf_static"
 
 
 def static_transforms(description: str, stamp_ns: int, prefix: str = "") -> SimpleNamespace:
-    """tf2_msgs/TFMessage of the description's fixed joints; those that turn are for who reads
+    """tf2_msgs/TFMessage of the description's fixed joints; those that turn are for readers of
     joint_states. `stamp_ns`: wall time; `prefix` goes before each frame name. Raises ValueError for
     what is no URDF."""
     try:
@@ -50,7 +50,7 @@ def _link(joint: Element, end: str) -> str:
 
 
 def _three(joint: Element, origin: Element | None, key: str) -> tuple[float, float, float]:
-    """Zero where it is not said: wiki.ros.org/urdf/XML/joint."""
+    """Zero where it is not given: wiki.ros.org/urdf/XML/joint."""
     words = "" if origin is None else origin.get(key, "")
     try:
         numbers = [float(word) for word in (words or "0 0 0").split()]

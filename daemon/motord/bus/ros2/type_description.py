@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""~/get_type_description: what a type of the node is made of, by its hash (REP-2011). Tools ask it
-for types that they were not built with."""
+"""~/get_type_description: what a type of the node is made of, by its hash (REP-2011). Tools request
+it for types that they were not built with."""
 
 from __future__ import annotations
 

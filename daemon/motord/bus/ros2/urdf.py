@@ -42,7 +42,7 @@ def urdf(robot: Robot) -> str:
 
 
 def _footprint(root: Element) -> None:
-    """Where the base stands on the floor, by the name that navigation asks for (REP-120). It is
+    """Where the base stands on the floor, by the name that navigation looks for (REP-120). It is
     below base_link, for the odometry is above that already."""
     SubElement(root, "link", name="base_footprint")
     joint = SubElement(root, "joint", name="footprint", type="fixed")

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rosbridge server: JSON over WebSocket (protocol 2.0, ROSBRIDGE_PROTOCOL.md of
-RobotWebTools/rosbridge_suite). As a publisher it only tells; as an input it obeys who connected
-with the token.
-"""
+RobotWebTools/rosbridge_suite). As a publisher it only sends; as an input it obeys clients that
+connected with the token."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 CLIENTS_MAX = 32
 MESSAGE_BYTES_MAX = 65536
 PING_EVERY_S = 10.0
-"""Who does not answer within half of that is gone."""
+"""A client that does not answer within half of that is gone."""
 CLOSE_WITHIN_S = 5.0
 
 

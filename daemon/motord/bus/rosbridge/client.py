@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One client of the rosbridge server: what it subscribes to, and what it asks for."""
+"""One client of the rosbridge server: what it subscribes to, and what it requests."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from motord.bus.messages import json_form
 from motord.bus.messages.topics import TOPICS
 
 CALLS_MAX, ANSWERS_MAX = 16, 64
-"""Calls under way, and answers that the client has not read yet. What is urgent is always done."""
+"""Calls in progress, and answers that the client has not read yet. What is urgent is always
+done."""
 THROTTLE_MAX_MS = 3_600_000
 
 
@@ -41,7 +42,7 @@ class RosbridgeClient:
         self._arrived = asyncio.Event()
         self._calls = 0
 
-    # ------------------------------------------------------------------------------------- telling
+    # ------------------------------------------------------------------------------------- sending
     def wants(self, topic: str) -> bool:
         """Subscribed to, and not sent too short a time ago."""
         every_s = self._every_s.get(topic)
@@ -64,7 +65,7 @@ class RosbridgeClient:
             async for message in self._connection:
                 if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
                     break  # what aiohttp found to be no message has ended the connection
-                with contextlib.suppress(NotTaken):  # said by the command gate
+                with contextlib.suppress(NotTaken):  # logged by the command gate
                     await self._take(message.data, tasks)
             sending.cancel()
 

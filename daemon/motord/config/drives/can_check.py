@@ -46,13 +46,13 @@ def check_can(profile: DriveProfile, table: CanTable, problems: Problems) -> Non
 
 
 def _check_rest(setpoint: Register | None, problems: Problems) -> None:
-    """Raw 0 of a set-point is rest, and so is what stands in its place when it is not said."""
+    """Raw 0 of a set-point is rest, and so is what stands in its place when it is not given."""
     if isinstance(setpoint, Signal) and (setpoint.offset or setpoint.default):
         problems.add(f"signal.{setpoint.name}", "is a set-point: its offset and default must be 0")
 
 
 def _same_beginning(one: Frame, other: Frame) -> bool:
-    """No byte tells them apart."""
+    """No byte differs between them."""
     pairs = enumerate(zip(one.begins, other.begins, strict=False))
     return not any(
         mine != theirs and at not in one.open_at | other.open_at for at, (mine, theirs) in pairs
@@ -136,7 +136,7 @@ def _check_object(profile: DriveProfile, signal: Signal, problems: Problems) -> 
 def _check_overlaps(frame: str, signals: tuple[Signal, ...], problems: Problems) -> None:
     for one, other in combinations(signals, 2):
         if one.big_endian != other.big_endian:
-            continue  # bits are counted another way
+            continue  # bits are counted in another order
         if one.start_bit + one.length > other.start_bit:
             problems.add(f"signal.{other.name}.start_bit", f"overlaps {one.name} in frame {frame}")
 

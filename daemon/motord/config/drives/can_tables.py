@@ -68,7 +68,7 @@ class CanFrame(Section):
     bytes: FrameBytes | None = None
     """Length of its data."""
     sender: Literal["motord", "drive"] | None = None
-    """Who sends it."""
+    """Which side sends it."""
     source: Text | None = None
     """The page or table where this can be checked."""
     node_shift: int | None = number("as in [can]", 0, 24, "1", None)
@@ -79,7 +79,7 @@ class CanFrame(Section):
     begins: list[Annotated[int, Field(ge=-1, le=255)]] = Field(default_factory=list)
     """Its first bytes; -1: any."""
     ask: Text | None = None
-    """How it is asked for: "rtr", or the frame that asks."""
+    """How it is requested: "rtr", or the frame that requests it."""
     answers: Text | None = None
     """The frame of motord's that it answers each time."""
     period_s: float | None = number("how often the drive sends it unasked", 0.0005, 60.0, "s", None)

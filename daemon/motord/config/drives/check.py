@@ -206,7 +206,7 @@ def _check_channel(profile: DriveProfile, key: str, channel: Channel, problems: 
 
 
 def _check_torque(profile: DriveProfile, key: str, channel: Channel, problems: Problems) -> None:
-    """The core closes the loop: it needs the speed, and both ways to push."""
+    """The core closes the loop: it needs the speed, and torque in both directions."""
     if profile.protocol != "can":
         problems.add(key, f'torque_setpoint: not with protocol "{profile.protocol}"')
     if channel.velocity is None:

@@ -287,7 +287,7 @@ class _Reader:
     def _agreed(
         self, key: str, given: Mapping[str, Any], found: Mapping[str, object]
     ) -> dict[str, Any]:
-        """Both together; what is said in both must be the same."""
+        """Both together; what stands in both must be the same."""
         for part, value in found.items():
             own = given.get(part, value)
             if part not in _MAY_DIFFER and not _same(own, value):

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """[eds] of a drive profile: what the drive's electronic data sheet (CiA 306) says of the objects
-that the profile names. Types come from there; what is not so is said before any wire."""
+that the profile names. Types come from there; differences are reported before any wire is used."""
 
 from __future__ import annotations
 

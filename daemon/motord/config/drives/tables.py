@@ -173,7 +173,7 @@ class Sequences(Section):
     quick_stop: list[AnyStep] = Field(default_factory=list)
     """To stop it as fast as the drive can."""
     clear_fault: list[AnyStep] = Field(default_factory=list)
-    """To leave a fault, when a person asks for it."""
+    """To leave a fault, when a person requests it."""
 
 
 class EnabledWhen(Section):

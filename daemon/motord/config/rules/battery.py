@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold for [battery], by itself and with the profiles of the drives that it asks."""
+"""What must hold for [battery], by itself and with the profiles of the drives that report it."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def battery_readings(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     for key, where in battery.readings.items() if isinstance(battery, DrivesBattery) else ():
         joint, _, name = where.partition(".")
         if joint not in robot.joint:
-            continue  # that is said by another rule
+            continue  # another rule reports that
         drive, unit = robot.joint[joint].drive, READING_UNITS[key]
         registers = profiles[drive].registers
         readable = [each for each, register in registers.items() if "r" in register.access]

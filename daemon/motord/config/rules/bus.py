@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold between the keys of a bus: above all, who may command over a network."""
+"""What must hold between the keys of a bus: above all, what may command over a network."""
 
 from __future__ import annotations
 
@@ -193,7 +193,7 @@ def _ros2_commands_are_meant(robot: Robot) -> Iterator[Finding]:
 
 
 def _ros2_commands_of_this_machine(robot: Robot) -> Iterator[Finding]:
-    """The local socket asks the kernel who calls; DDS has no such question."""
+    """On the local socket the kernel names the caller; DDS does not."""
     for path, section in _ros2_nodes(robot):
         if isinstance(section, Ros2Input) and section.discovery == "localhost":
             text = "every user of this machine can arm and drive by it: DDS does not authenticate"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Asks the rules, and finds the drives' profiles for them."""
+"""Runs the rules, and finds the drives' profiles for them."""
 
 from __future__ import annotations
 

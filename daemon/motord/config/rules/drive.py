@@ -316,7 +316,7 @@ def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         watchdog = profiles[drive].watchdog
         at = ("joint", joints[0], "drive")
         if watchdog is None and all(robot.joint[name].drive_watchdog_s for name in joints):
-            continue  # said for each of them, which another rule looks at
+            continue  # reported for each of them, by another rule
         if watchdog is None:
             note = profiles[drive].watchdog_note
             text = f'drive "{drive}" without a communication watchdog: {note}'

@@ -56,7 +56,7 @@ def _of_bridges(spec: LineSpec) -> Iterator[_Claim]:
         try:
             places = places_of(number, joint) if joint.profile.bridge else []
         except ValueError:
-            continue  # that is said by another rule
+            continue  # another rule reports that
         for place in places:
             at, key = ("joint", joint.name, "pins"), f"pin {place.pin}"
             if place.channel is None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[battery]: who measures it, and when it is low."""
+"""[battery]: what measures it, and when it is low."""
 
 from __future__ import annotations
 

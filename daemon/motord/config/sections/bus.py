@@ -50,7 +50,7 @@ class UdpPublish(Publish):
 
     kind: Literal["udp"]
     host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
-    """Where to; this machine unless something else is said."""
+    """The receiver; this machine by default."""
     port: int = number("UDP port", 1, 65535, "1", 9870)
 
 
@@ -75,7 +75,7 @@ class BusPublish(Publish):
 
 
 class BusInput(Section):
-    """Who may command by the second process."""
+    """Which inputs may command by the second process."""
 
     priority: int = number("the higher one commands", 0, 1000, "1", 100)
     lease_s: float = number("a command lives so long, and no longer", 0.02, 5, "s", 0.3)
@@ -101,7 +101,7 @@ class TokenInput(StampedInput):
 
 
 class MqttBroker(Section):
-    """Where the broker is, and who we are there."""
+    """Where the broker is, and our account there."""
 
     host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
     """The broker's name or address."""
@@ -149,7 +149,7 @@ class PrometheusPublish(Publish):
 
     kind: Literal["prometheus"]
     host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
-    """Address to listen at; this machine only, unless something else is said."""
+    """Address to listen at; this machine only by default."""
     port: int = number("TCP port", 1, 65535, "1", 9464)
 
 
@@ -179,7 +179,7 @@ class Server(BusPublish):
     """A server of the second process."""
 
     host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
-    """Address to listen at; this machine only, unless something else is said."""
+    """Address to listen at; this machine only by default."""
     cert_file: str | None = None
     """Our certificate, for TLS (wss)."""
     key_file: str | None = None
@@ -193,7 +193,7 @@ class FoxgloveServer(Server):
 
 
 class FoxglovePublish(FoxgloveServer):
-    """A WebSocket to which Foxglove connects, and that only tells."""
+    """A WebSocket to which Foxglove connects, and that only sends."""
 
     kind: Literal["foxglove"]
 
@@ -212,13 +212,14 @@ class RosbridgeServer(Server):
 
 
 class RosbridgePublish(RosbridgeServer):
-    """A rosbridge that only tells."""
+    """A rosbridge that only sends."""
 
     kind: Literal["rosbridge"]
 
 
 class RosbridgeInput(TokenInput, RosbridgeServer):
-    """A rosbridge that tells, and obeys who connects with the token: ws://HOST:PORT/?token=..."""
+    """A rosbridge that sends, and obeys clients that connect with the token:
+    ws://HOST:PORT/?token=..."""
 
     kind: Literal["rosbridge"]
 
@@ -336,7 +337,7 @@ class ZenohNode(RosNode):
 
     @property
     def encrypted(self) -> bool:
-        """The way to the router is."""
+        """The connection to the router is."""
         return self.router.startswith("tls/")
 
 

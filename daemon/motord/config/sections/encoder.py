@@ -45,7 +45,7 @@ class KernelEncoder(Encoder):
 
 
 class BoardEncoder(Encoder):
-    """On a board of one's own (docs/mcu-frame.md) that only counts; several may be on one."""
+    """On your own board (docs/mcu-frame.md) that only counts; several may be on one."""
 
     kind: Literal["mcu"]
     port: str = Field(min_length=1)

@@ -8,7 +8,7 @@ from motord.config.sections.section import Section, number
 
 class FeedbackChecks(Section):
     """Each check latches a fault when it holds for its time; a time of 0 switches it off. Parts are
-    those of the joint's working speed: the fastest that [limits] ask of it, at most its own."""
+    those of the joint's working speed: the fastest that [limits] request of it, at most its own."""
 
     direction_s: float = number(
         "a wheel that turns against its set-point for so long is a fault; 0: no check",

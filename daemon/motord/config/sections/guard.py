@@ -25,7 +25,7 @@ class EstopInput(SafetyPin):
     switches_to: Literal["ground", "supply"] = "ground"
     """What the closed contact connects the line with."""
     pull: bool = True
-    """The chip pulls the line the other way; false: a resistor outside does."""
+    """The chip pulls the line to the opposite level; false: a resistor outside does."""
 
     @property
     def stop_is_high(self) -> bool:

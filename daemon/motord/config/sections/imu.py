@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[imu]: who measures how fast the base turns, and how far it is believed."""
+"""[imu]: what measures how fast the base turns, and how far it is trusted."""
 
 from __future__ import annotations
 

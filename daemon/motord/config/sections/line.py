@@ -17,7 +17,7 @@ class Line(Section):
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: int = number("stop bits", 1, 2, "1", 1)
     engine: Literal["auto", "asyncio", "rt"] = "auto"
-    """Who does the cyclic exchange: a real-time thread (rt, serial ports only) or asyncio."""
+    """What does the cyclic exchange: a real-time thread (rt, serial ports only) or asyncio."""
     cycle_hz: float = number(
         "exchanges a second with every drive, if possible", 1, 1000, "Hz", 50.0
     )
@@ -41,7 +41,7 @@ class SerialLine(Line):
         None,
     )
     direction: Literal["auto", "kernel", "gpio"] = "auto"
-    """Who switches the transceiver to talking: the adapter itself, the UART's driver (by RTS), or
+    """What switches the transceiver to sending: the adapter itself, the UART's driver (by RTS), or
     the line's thread by a GPIO line."""
     direction_active_high: bool = True
     """The level of RTS or of the GPIO line while talking."""
@@ -127,7 +127,7 @@ class CanLine(Section):
         None,
     )
     engine: Literal["auto", "asyncio", "rt"] = "auto"
-    """Who does the cyclic exchange; auto: rt on socketcan, asyncio on other adapters."""
+    """What does the cyclic exchange; auto: rt on socketcan, asyncio on other adapters."""
     cycle_hz: float = number("set-points a second for every drive", 1, 1000, "Hz", 100.0)
     priority: int = number(
         "SCHED_FIFO priority of the bus's thread (rt), below the loop's; 0: ordinary scheduling",
@@ -174,7 +174,7 @@ class PortLine(Line):
 
 
 class McuLine(PortLine):
-    """A board of one's own (ESP32, Arduino, Pico) that speaks motord's frames."""
+    """Your own board (ESP32, Arduino, Pico) that speaks motord's frames."""
 
     kind: Literal["mcu"]
 

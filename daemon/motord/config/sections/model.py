@@ -57,7 +57,7 @@ StopAction = Literal["ramp", "brake", "hold", "coast"]
 
 
 class RobotName(Section):
-    """Who this robot is."""
+    """The name of this robot."""
 
     name: Name
     """Name of the robot: of its socket and of its state page."""
@@ -163,7 +163,7 @@ class Limits(Section):
 
 
 REST_MAX_S = 20.0
-"""A stop that takes longer is none."""
+"""A stop that takes longer is refused."""
 
 
 def _ramp_s(velocity: float, deceleration: float, jerk: float) -> float:

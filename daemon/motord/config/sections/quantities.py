@@ -42,7 +42,7 @@ _UNITS: dict[str, tuple[str, float]] = {
 
 
 def conversion(key: str, known: Iterable[str]) -> Conversion | None:
-    """The known key that says the same quantity in another unit; None where there is none."""
+    """The known key of the same quantity in another unit; None where there is none."""
     keys = set(known)
     stem, unit, factor, how = key, "", 1.0, ""
     for ending, (si_unit, per_unit) in _UNITS.items():

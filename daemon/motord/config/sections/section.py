@@ -80,7 +80,7 @@ class Section(BaseModel):
 
 
 def numbers_of(section: type[Section]) -> dict[str, Number]:
-    """Its numbers by name: what was said by `number` for each."""
+    """Its numbers by name: the arguments of `number` for each."""
     found = {}
     for name, field in section.model_fields.items():
         extra, low, high = field.json_schema_extra, -math.inf, None

@@ -30,7 +30,7 @@ def takes_torque(joint: Joint, profile: DriveProfile) -> bool:
 
 
 def torque_max_n_m(joint: Joint, profile: DriveProfile) -> float:
-    """What its set-point can ask for, at the wheel; the gear loses nothing here."""
+    """What its set-point can request, at the wheel; the gear loses nothing here."""
     return min(map(abs, _setpoint(joint, profile).si_limits)) * joint.gear_ratio
 
 
@@ -43,7 +43,7 @@ def drive_can_reverse(joint: Joint, profile: DriveProfile) -> bool:
 
 
 def drive_velocity_max_rad_s(joint: Joint, profile: DriveProfile) -> float:
-    """The fastest that the set-point can ask for. A torque, and a duty without `full_duty_rad_s`,
+    """The fastest that the set-point can request. A torque, and a duty without `full_duty_rad_s`,
     could turn it anyhow fast: infinity."""
     setpoint = _setpoint(joint, profile)
     if takes_torque(joint, profile):
@@ -54,7 +54,7 @@ def drive_velocity_max_rad_s(joint: Joint, profile: DriveProfile) -> float:
 
 
 def velocity_range_rad_s(joint: Joint, profile: DriveProfile) -> tuple[float, float]:
-    """The wheel's speeds, backward (<= 0) and forward, that motord may ask for."""
+    """The wheel's speeds, backward (<= 0) and forward, that motord may request."""
     forward = drive_velocity_max_rad_s(joint, profile)
     if joint.velocity_max_rad_s is not None:
         forward = min(forward, joint.velocity_max_rad_s)
@@ -91,7 +91,7 @@ def rad_per_count(joint: Joint, profile: DriveProfile) -> float:
 
 
 def working_speed_rad_s(robot: Robot, name: str, profile: DriveProfile) -> float:
-    """The fastest that the limits ask of a wheel, at most its own."""
+    """The fastest that the limits request of a wheel, at most its own."""
     limits = robot.limits
     turn_m_s = limits.angular_rad_s * robot.base.effective_track_m / 2.0
     asked_rad_s = (limits.linear_m_s + turn_m_s) / robot.wheel_radius_m(name)

@@ -35,7 +35,7 @@ _PRIMITIVES: dict[str, Any] = {
 @cache
 def cyclone_type(name: str, *, service: bool = False) -> type[IdlStruct]:
     """The class for a type of `table.TYPES`. A request or reply of a service has, before its own
-    fields, who asks and the question's number: rmw_cyclonedds."""
+    fields, the client and the number of its request: rmw_cyclonedds."""
     header = {"guid": idl.uint64, "seq": idl.int64} if service else {}
     fields = header | {field.name: _annotation(field) for field in TYPES[name]}
     return make_idl_struct(name.replace("/", "_"), dds_type(name), fields)

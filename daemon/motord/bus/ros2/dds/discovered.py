@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of endpoints of others that have come to the domain: those of another type than
+"""What is logged of endpoints of others that have come to the domain: those of another type than
 ours, and clients of services that get no answer."""
 
 from __future__ import annotations

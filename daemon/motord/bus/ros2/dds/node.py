@@ -40,7 +40,7 @@ class Publisher:
         self._failing = False
 
     def publish(self, message: Any) -> None:
-        """What cannot be encoded, or is not taken, is lost; said once."""
+        """What cannot be encoded, or is not taken, is lost; logged once."""
         try:
             taken = self._writer.write(encode(self._kind, message))
         except ValueError as error:
@@ -69,7 +69,7 @@ class Node:
         interface: str | None = None,
         distribution: Distribution = "jazzy",
     ) -> None:
-        """`distribution`: of who reads the graph. Raises DdsError."""
+        """`distribution`: of the readers of the graph. Raises DdsError."""
         self.name = name
         self.namespace = namespace
         self.remap: dict[str, str] = {}
@@ -115,7 +115,7 @@ class Node:
         take: Callable[[SimpleNamespace, float, str], None],
         quality: Quality | None = None,
     ) -> None:
-        """`take` is called with each message, how long in s it waited on its way, and whose
+        """`take` is called with each message, how long in s it was in transit, and whose
         it is. Raises DdsError."""
         topic = names.topic(self.full(name))
         voice, delays = RateLimitedLog(_log), Delays()
@@ -163,7 +163,7 @@ class Node:
         self._writers.append(service.writer)
 
     async def run(self) -> None:
-        """Until cancelled. Of several who share the node one does it for all, and the next one
+        """Until cancelled. Of several that share the node one does it for all, and the next one
         when that one fails."""
         async with self._running, asyncio.TaskGroup() as tasks:
             self._announce()

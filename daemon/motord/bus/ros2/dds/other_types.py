@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of endpoints of others on our topics whose type is another one: no middleware brings
-them together, and most say nothing of it."""
+"""What is logged of endpoints of others on our topics whose type is another one: no middleware
+brings them together, and most say nothing of it."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def _domain(domain_id: int, xml: str) -> Domain:
 
 def _mute_library() -> None:
     """Cyclone warns of each request that it cannot read, on standard error: a flood, and
-    `Discovered` has named the client. What it warns of its configuration is said before."""
+    `Discovered` has named the client. Warnings about its configuration are logged before."""
     load_cyclonedds().dds_set_log_mask(_FATAL_AND_ERROR)
 
 
@@ -157,7 +157,7 @@ class Reader:
         return self._take is None
 
     def writer_gid(self, handle: int) -> bytes:
-        """Of who wrote a sample, by DDS's word on it. Empty: it has gone."""
+        """The writer of a sample, as DDS names it. Empty: it has gone."""
         if handle not in self._writers:
             try:
                 found: Any = self.entity.get_matched_publication_data(handle)
@@ -330,7 +330,7 @@ class Participant:
             await discovered.look(self._read, self._written)
 
     def _wait(self, loop: asyncio.AbstractEventLoop) -> None:
-        """In a thread of its own: tell the loop of arrivals, one word at a time."""
+        """In a thread of its own: wake the loop for arrivals, one word at a time."""
         waitset = WaitSet(self.entity)
         waitset.attach(self._guard)
         for reader in self.readers:

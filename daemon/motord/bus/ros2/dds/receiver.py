@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands from DDS to the daemon without Python on their way: the thread of `_motord_bus` waits
+"""Commands from DDS to the daemon without Python between them: the thread of `_motord_bus` waits
 for cmd_vel, judges it as the command gate does, and sends it under the input's lease
 (csrc/bus/bus_receiver.c). Python learns of it afterwards, for the log, the figures and the motions.
 """
@@ -169,7 +169,7 @@ class Twists:
                 loop.remove_reader(fd)
 
     def look(self) -> None:
-        """Tell what has come since. Raises OSError when DDS fails."""
+        """Report what has come since. Raises OSError when DDS fails."""
         report = self._receiver.newest_report()
         for one in self._receiver.received():
             command = (one.linear_m_s, one.angular_rad_s)

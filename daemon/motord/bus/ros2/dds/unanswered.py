@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 
 
 def answered(gid: bytes) -> bool:
-    """The middleware of that endpoint has who asks inside of the message, as ours."""
+    """The middleware of that endpoint has the client inside of the message, as ours."""
     return gid[:2] == _CYCLONE
 
 
@@ -38,7 +38,7 @@ class Unanswered:
         """`node_of`: whose an endpoint is; None: not known yet."""
         self._node_of = node_of
         self._waiting: dict[tuple[bytes, str], float] = {}
-        """Endpoints and services that nothing is said of yet, and when they came."""
+        """Endpoints and services that are not logged yet, and when they came."""
         self._reported: set[tuple[str, str]] = set()
         self._due_s = 0.0
         self._more = 0

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node's topics and services on Zenoh, as rmw_zenoh has them. Each is `declared` on a session,
 again when there is a new one. Zenoh calls back in threads of its own: a callback only leaves what
-came in a box and wakes the event loop, once for all that is in it."""
+came in a queue and wakes the event loop, once for all that is in it."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Publisher:
         self._failing = False
 
     def declare(self, session: zenoh.Session, names: NodeNames, number: int) -> None:
-        """As Endpoint.declare; what is latched is said again."""
+        """As Endpoint.declare; what is latched is sent again."""
         key = names.key(self._topic, self._kind)
         if self._quality.latched:
             self._entity = zenoh.ext.declare_advanced_publisher(
@@ -88,7 +88,7 @@ class Publisher:
             self._put(self._latched)
 
     def publish(self, message: Any) -> None:
-        """Never waits. What cannot be encoded, or is not taken, is lost; said once."""
+        """Never waits. What cannot be encoded, or is not taken, is lost; logged once."""
         try:
             raw = bytes(encode(self._kind, message))
         except ValueError as error:
@@ -124,7 +124,7 @@ class Subscription:
         quality: Quality,
         take: Callable[[SimpleNamespace, float, str], None],
     ) -> None:
-        """`take` also gets how long in s a message waited on its way, and whose it is."""
+        """`take` also gets how long in s a message was in transit, and whose it is."""
         self._topic, self._kind, self._quality = topic, kind, quality
         self._hand_over = take
         self._inbox: Inbox[tuple[bytes, bytes]] = Inbox(quality.depth, self._take)
@@ -187,7 +187,7 @@ class Service:
         depth: int,
         together: int = 1,
     ) -> None:
-        """`together`: so many answers are under way at once."""
+        """`together`: so many answers are in progress at once."""
         self._together = together
         self._name, self._kind = name, kind
         self._quality = Quality(depth=depth)
@@ -228,8 +228,8 @@ class Service:
                 _refuse(query, str(error))
 
     async def _serve(self, query: zenoh.Query) -> None:
-        """Raises ValueError for what no ROS 2 client asks. A client that looks at all keys, by a
-        wildcard, calls nothing."""
+        """Raises ValueError for what no ROS 2 client requests. A client that looks at all keys, by
+        a wildcard, calls nothing."""
         if str(query.key_expr) != self._key:
             raise ValueError(f"{query.key_expr} is not the key of a request")
         if query.payload is None or query.attachment is None:

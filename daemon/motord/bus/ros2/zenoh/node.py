@@ -33,7 +33,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Router:
-    """Where the router is, and who we are there. Files by their paths."""
+    """Where the router is, and our name there. Files by their paths."""
 
     endpoint: str = ROUTER
     """As Zenoh says it: tcp/HOST:PORT, tls/HOST:PORT."""
@@ -141,7 +141,7 @@ class ZenohNode:
 
     async def run(self) -> None:
         """Until cancelled. Without a router, and after one was lost, it is asked for again. Of
-        several who share the node one does it for all, and the next one when that one fails."""
+        several that share the node one does it for all, and the next one when that one fails."""
         async with self._running:
             self._ending = False
             try:
