@@ -56,7 +56,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         may see."""
         self.sent_motion = False
         """It was sent set-points that are not zero, and has not been sent zero since, as far as
-        its wire can tell."""
+        its wire shows."""
         self._exchange = exchange
         self._say = say
         self._setup = setup
@@ -96,7 +96,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
 
     @property
     def is_cycled(self) -> bool:
-        """Each cycle tells it its set-points."""
+        """Each cycle sends it its set-points."""
         return self.state in PRESENT
 
     @property
@@ -132,7 +132,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
 
     # -------------------------------------------------------------------------------- what it says
     def _put_feedback(self, joint: JointSpec, reading: Reading, stamp_ns: int) -> None:
-        """To the core; what it complains of is said."""
+        """To the core; new faults are reported."""
         faults = self.faults[joint.name]
         faults.update(reading.fault_word)
         self._exchange.put_feedback(

@@ -2,7 +2,7 @@
 """A line whose cycle runs in asyncio: when it begins, what it obeys, how it ends.
 
 One task sends, for all drives. What a kind of line has of its own is its wire: how it is opened,
-what a cycle says on it, and how long a job takes there.
+what a cycle sends on it, and how long a job takes there.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
                     await asyncio.sleep(STOPPING_CYCLE_S)
                     await self._switch_each_off(left)
         except TimeoutError:
-            pass  # what is left is said
+            pass  # the drives that are left are reported
         except PortError as error:
             why = str(error)
         finally:
@@ -191,7 +191,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
         while now_s() < rest_by_s and (turning := [one for one in drives if one.is_stopping]):
             await self._cycle_at_rest(turning)
 
-    # ------------------------------------------------------------------------------ what is asked
+    # ------------------------------------------------------------------------------ requests
     def _setpoints_ns(self) -> int:
         return self._exchange.take_setpoints(self.spec.index).stamp_ns
 
@@ -229,8 +229,8 @@ class AsyncioLine(DriveLine[AnyDrive]):
         return drive.plan.profile.registers[register].to_si(job.raw)
 
     async def _finish(self, jobs: Sequence[Job]) -> None:
-        """Wait for all; raise the first HalError, or NoReply when it takes too long. Who gives up
-        waiting withdraws them, but for urgent ones: power goes off also when no caller waits."""
+        """Wait for all; raise the first HalError, or NoReply when it takes too long. A caller that
+        gives up withdraws them, but for urgent ones: power goes off also when no caller waits."""
         limit_s = JOB_ALLOWANCE_S + self._limit_s(jobs)
         waits = [asyncio.shield(job.done) if job.urgent else job.done for job in jobs]
         try:

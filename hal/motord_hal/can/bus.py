@@ -39,7 +39,7 @@ likely to be wrong."""
 BAD_FRAMES_MAX = 100
 """So many failures to read in a row are no bad frames any more."""
 _UNREADABLE = (can.CanError, OSError, ValueError)
-"""ValueError: a driver that reads text (slcan) says so of what is none."""
+"""ValueError: a driver that reads text (slcan) raises it for what is no frame."""
 _FULL = (errno.ENOBUFS, errno.EAGAIN, errno.ETIMEDOUT)
 
 Taker = Callable[[can.Message, int], None]

@@ -31,7 +31,7 @@ HELLO_GOOD_FOR_S = 5.0
 """An answer to the first question counts for so long: until the drive is set up."""
 SAMPLE_PART = 0.5
 """Frames that the bus has held up come in bunches; one sooner after the other than this part of its
-period tells nothing that the next one will not."""
+period adds nothing to the next one."""
 FIRST_WORD_S = 0.2
 """On top of its longest silence: so long a drive may take for its first frame after opening."""
 
@@ -227,7 +227,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._slot()
 
     def _now_and_then(self, turn: int) -> None:
-        """Ask for one thing that may wait. A drive that cannot report its power is sent
+        """Request one thing that may wait. A drive that cannot report its power is sent
         again that it shall have none: the frame that took it may have been lost."""
         slow = self.plan.asked_slow
         if slow:

@@ -23,7 +23,7 @@ _OVERFLOW, _PASSIVE = 0x03, 0x30
 
 
 WARN_EVERY_S = 60.0
-"""So seldom the same is said again while it goes on."""
+"""So seldom the same is logged again while it goes on."""
 _WARNINGS = MappingProxyType(
     {
         "error_passive": "error-passive: many frames fail (cable, termination, bit rate)",
@@ -56,7 +56,7 @@ class BusWarnings:
         self._reported_s: dict[str, float] = {}
 
     def new(self, kinds: Iterable[str], now_s: float) -> list[str]:
-        """What is to be said of these kinds of errors now."""
+        """What is to be logged of these kinds of errors now."""
         found = []
         for kind in kinds:
             if (

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A CAN interface of the kernel: is it there, is it up, does it carry CAN FD, and the way back from
-bus-off. Of other addresses than SocketCAN's nothing is asked."""
+"""A CAN interface of the kernel: is it there, is it up, does it carry CAN FD, and how it comes back
+from bus-off. Of other addresses than SocketCAN's nothing is asked."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ BUS_OFF_TEXT = (
 
 async def make_ready(address: str, errors: Counter[str], *, fd_frames: bool) -> None:
     """A controller that is bus-off is restarted where that is permitted; where it is not, the
-    kernel may do it (restart-ms), or who may. Refusals are counted. Raises PortError: a socket on
-    an interface that is down or bus-off opens, and then says nothing."""
+    kernel may do it (restart-ms), or a user with the right. Refusals are counted. Raises PortError:
+    a socket on an interface that is down or bus-off opens, and then says nothing."""
     interface, channel = split_address(address)
     if interface != "socketcan":
         return

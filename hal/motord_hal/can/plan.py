@@ -26,14 +26,14 @@ cycle in less than a thousand."""
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """A frame on its way to the bus."""
+    """A frame that is sent to the bus."""
 
     identifier: int
     extended: bool
     fd: bool
     data: bytes
     remote_bytes: int | None = None
-    """Of a remote frame: the length that it asks for; None: a data frame."""
+    """Of a remote frame: the length that it requests; None: a data frame."""
 
 
 def with_node(profile: DriveProfile, node: int) -> DriveProfile:
@@ -188,7 +188,7 @@ class CanPlan(Plan):
 
     @property
     def setpoint_identifiers(self) -> tuple[tuple[int, bool], ...]:
-        """As `identifiers`, of the frames that tell it its set-points."""
+        """As `identifiers`, of the frames that carry its set-points."""
         frames = self.setpoint_frames
         return tuple((one.identifier(self.node), one.is_extended(self.node)) for one in frames)
 
@@ -202,7 +202,7 @@ class CanPlan(Plan):
         return Sent(identifier, frame.is_extended(self.node), frame.fd, data)
 
     def question(self, frame: Frame) -> Sent | None:
-        """What asks for a frame; None: nothing does."""
+        """What requests a frame; None: nothing does."""
         if frame.ask == "rtr":
             identifier = frame.identifier(self.node)
             extended, size_bytes = frame.is_extended(self.node), frame.size_bytes

@@ -20,7 +20,7 @@ _ANCILLARY_BYTES = socket.CMSG_SPACE(_TIME.size)
 
 
 class UnixClient(can.BusABC):
-    """One who is on such a bus."""
+    """One program on such a bus."""
 
     def __init__(self, path: str) -> None:
         """Raises OSError where no bus is there."""

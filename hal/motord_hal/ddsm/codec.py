@@ -2,10 +2,10 @@
 """Frames of the DDSM direct-drive hub motors as pure functions. Shared by the line and the
 simulator.
 
-Ten bytes each way: unit, command, seven or eight bytes of content, and the CRC-8/MAXIM of the first
-nine. Sources: the makers' protocol tables of DDSM115 and DDSM210 (Waveshare wiki pages of the same
-names): 0x64 sets and is answered, 0x74 asks for more, 0xA0 switches the mode, has its value where
-the check sum would be and is not answered.
+Ten bytes in each direction: unit, command, seven or eight bytes of content, and the CRC-8/MAXIM of
+the first nine. Sources: the makers' protocol tables of DDSM115 and DDSM210 (Waveshare wiki pages of
+the same names): 0x64 sets and is answered, 0x74 requests more, 0xA0 switches the mode, has its
+value where the check sum would be and is not answered.
 
 In a drive profile with `protocol = "ddsm"` a register's address is command << 8 | byte in the
 frame; access "w" is a place in the request, "r" one in the reply. Numbers stand high byte first.

@@ -45,10 +45,10 @@ class Frame:
     sender: Sender
     begins: bytes
     """What its data begin with: of a frame that is sent, under the signals; of one that comes, what
-    tells it from others with the same identifier."""
+    distinguishes it from others with the same identifier."""
     ask: str
     """How the drive is asked for it: "" not at all, "rtr" by a remote frame, else the name of the
-    frame that asks."""
+    frame that requests it."""
     period_s: float
     """How often the drive sends it unasked; 0: never."""
     silence_s: float
@@ -64,7 +64,7 @@ class Frame:
     short: bool = False
     """Of an extended one: an identifier that fits 11 bits is sent with 11."""
     or_begins: bytes = b""
-    """As long as `begins`: what tells it as well when it comes; empty: nothing else does."""
+    """As long as `begins`: what identifies it as well when it comes; empty: nothing else does."""
     answers: str = ""
     """The frame of motord's that it answers each time, asked or not; "": none."""
     confirm: str = ""
@@ -129,7 +129,7 @@ class Signal(Register):
         return low * per_unit, high * per_unit
 
     def to_si(self, raw: int) -> float:
-        """NaN and infinity come through: what a drive says is judged by who asks."""
+        """NaN and infinity come through: the caller judges what a drive reports."""
         number: float = raw
         if self.is_float:
             number = struct.unpack("<f", raw.to_bytes(4, "little"))[0]

@@ -149,8 +149,8 @@ class Register:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Direction:
-    """For drives whose set-point is a magnitude: the register that says which way, and its values.
-    A velocity that such a drive measures without sign takes the sign of the last way."""
+    """For drives whose set-point is a magnitude: the register of the direction, and its values.
+    A velocity that such a drive measures without sign takes the sign of the last direction."""
 
     register: str
     forward: int
@@ -244,7 +244,7 @@ class FaultBit:
     code: int | None = None
     text: str
     severity: str
-    """"fault" stops the robot; "warning" is only said."""
+    """"fault" stops the robot; "warning" is only reported."""
 
 
 BRIDGE_MODES = ("coast", "brake", "forward", "reverse")

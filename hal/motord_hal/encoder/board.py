@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A board that only counts: docs/mcu-frame.md, its motors never enabled.
 
-Its feedback has the board's own time, so the way of a wheel is as old as it is; a board that is
+Its feedback has the board's own time, so the travel of a wheel is as old as it is; a board that is
 silent lets the feedback of its wheels get old, which the core judges.
 """
 
@@ -76,7 +76,7 @@ class CountingBoard:
         self._problem = ""
 
     async def run(self) -> None:
-        """Open, ask, listen; open again with back-off; for ever."""
+        """Open, request, receive; open again with back-off; for ever."""
         backoff = Backoff(REOPEN_FIRST_S, REOPEN_LIMIT_S)
         while True:
             try:
@@ -146,7 +146,7 @@ class CountingBoard:
             self._say(EventKind.DRIVE_BACK, f"{self._port}: the board counts")
 
     def _fail(self, problem: str) -> None:
-        """Said once each time it stops counting."""
+        """Reported once each time it stops counting."""
         self._well = False
         if problem != self._problem:
             self._problem = problem

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What drives complain of, said once when it changes."""
+"""Faults of drives, reported once when they change."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Say = Callable[[EventKind, tuple[str, ...], str], None]
 
 
 class FaultWatch:
-    """The fault word of one joint and what was last said of it."""
+    """The fault word of one joint and what was last reported of it."""
 
     def __init__(self, joint: str, profile: DriveProfile, say: Say) -> None:
         self.word = 0

@@ -22,7 +22,7 @@ class Job:
     """Steps, how far they are, and the future of the caller that waits for the end."""
 
     def __init__(self, name: str, steps: Sequence[Step], *, urgent: bool = False) -> None:
-        from asyncio import get_running_loop  # who only reads a robot file needs no asyncio
+        from asyncio import get_running_loop  # reading a robot file needs no asyncio
 
         self.name = name
         self.steps = tuple(steps)

@@ -35,7 +35,7 @@ def fresh(stamp_ns: int, timeout_s: float) -> bool:
 
 
 class DriveOnLine(Protocol):
-    """What a line asks of each of its drives, whatever its engine."""
+    """What a line needs of each of its drives, whatever its engine."""
 
     @property
     def state(self) -> DriveState: ...
@@ -68,7 +68,7 @@ class LineTask(abc.ABC):
     # ------------------------------------------------------------------------------- its own medium
     @abc.abstractmethod
     async def _open_medium(self) -> str:
-        """Open it, with a deadline; returns what is to be said of it. Raises HalError; then, and
+        """Open it, with a deadline; returns what is reported of it. Raises HalError; then, and
         when it is cancelled, `_close_medium` closes what was opened."""
 
     @abc.abstractmethod
@@ -77,7 +77,7 @@ class LineTask(abc.ABC):
 
     @abc.abstractmethod
     async def _shut_down(self) -> None:
-        """Every drive stops, then loses its power, within a deadline; what fails is said."""
+        """Every drive stops, then loses its power, within a deadline; what fails is reported."""
 
     @abc.abstractmethod
     def _close_medium(self) -> None:
@@ -127,7 +127,7 @@ class LineTask(abc.ABC):
         for drive in self._drives:
             drive.lose(error)
 
-    # --------------------------------------------------------------------------- what it says of it
+    # --------------------------------------------------------------------------- what it reports
     def _say(self, kind: EventKind, joints: tuple[str, ...], text: str) -> None:
         self._listener(LineEvent(kind, self.spec.name, joints, text))
 
@@ -140,7 +140,7 @@ class LineTask(abc.ABC):
             raise PortError(f"{self.spec.name} is not open on {self.spec.port}")
 
     def _check_fresh(self, stamp_ns: int) -> None:
-        """Nothing is armed without a loop that says what it shall do. Raises HalError."""
+        """Nothing is armed without a loop that commands it. Raises HalError."""
         if not fresh(stamp_ns, self.spec.setpoint_timeout_s):
             raise HalError(f"{self.spec.name}: no fresh set-points: is the loop running?")
 

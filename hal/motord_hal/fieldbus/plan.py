@@ -48,7 +48,7 @@ class Plan:
         return self.profile.channels[joint.channel]
 
     def enabled(self, values: Mapping[str, int]) -> bool | None:
-        """None: the drive cannot say, or has not said yet."""
+        """None: the drive cannot report it, or has not yet."""
         enabled = self.profile.enabled
         if enabled is None or enabled.register not in values:
             return None

@@ -16,7 +16,7 @@ from typing import Protocol
 from motord_hal.drives.profile import DriveProfile, Gap
 
 SETPOINT_TIMEOUT_S = 0.1
-"""A line takes set-points older than this for none: it stops and disarms its drives."""
+"""Set-points older than this do not count: it stops and disarms its drives."""
 REST_VELOCITY_RAD_S = 0.05
 """A wheel slower than this is at rest, unless the robot file sets another limit."""
 
@@ -49,7 +49,7 @@ class CounterEncoder:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardEncoder:
-    """A quadrature encoder on a board of one's own, which only counts."""
+    """A quadrature encoder on your own board, which only counts."""
 
     port: str
     """Device file, or usb:SERIAL."""
@@ -87,7 +87,7 @@ class JointSpec:
 
 
 class DirectionKind(enum.StrEnum):
-    """Who turns an RS485 transceiver from listening to talking and back."""
+    """What switches an RS485 transceiver from receiving to sending and back."""
 
     AUTO = "auto"
     """The adapter itself: there is nothing to do."""
@@ -104,7 +104,7 @@ class DirectionSpec:
 
     kind: DirectionKind = DirectionKind.AUTO
     active_high: bool = True
-    """The level of RTS or of the GPIO line while talking."""
+    """The level of RTS or of the GPIO line while sending."""
     before_s: float = 0.0
     after_s: float = 0.0
     gpio_chip: str = ""
@@ -119,7 +119,7 @@ class Echo(enum.StrEnum):
     NO = "no"
     YES = "yes"
     AUTO = "auto"
-    """Found out by the first read after opening."""
+    """The first read after opening decides."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,7 +151,7 @@ class TextSpec:
 
     setpoints: str
     feedback: str = ""
-    """Empty: the board says nothing."""
+    """Empty: the board sends nothing."""
     scale: float = 1.0
     """The number of a joint is its set-point (motor rad/s, or duty of 1) times this."""
     wheels: Mapping[str, TextWheel]
@@ -175,7 +175,7 @@ class Mounting:
         return tuple(sign * vector[axis] for axis, sign in self._rows())
 
     def from_base(self, vector: Sequence[float]) -> tuple[float, ...]:
-        """The other way round: a sensor that sits so says this."""
+        """The inverse: what a sensor in this position reports."""
         sensed = [0.0, 0.0, 0.0]
         for (axis, sign), value in zip(self._rows(), vector, strict=True):
             sensed[axis] = sign * value
@@ -275,7 +275,7 @@ class EventKind(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LineEvent:
-    """Said once when something changes, never once a try. `text` is a sentence for the log."""
+    """Reported once when something changes, never once a try. `text` is a sentence for the log."""
 
     kind: EventKind
     line: str

@@ -73,8 +73,8 @@ def request_all_edges(
     events: int,
     dev: Path = Path("/dev"),
 ) -> Request:
-    """As `request_inputs`, with the edges of all lines, both ways, `events` of them at least. They
-    name lines by their numbers on the chip."""
+    """As `request_inputs`, with the edges of all lines, in both directions, `events` of them at
+    least. They name lines by their numbers on the chip."""
     settings = [_edges(Edge.BOTH, pull) for _ in wanted]
     return _request(chip, wanted, settings, consumer, dev, events)
 

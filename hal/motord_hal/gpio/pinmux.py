@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which step on this machine makes a pin what a robot file asks of it, and who has it now.
+"""Which step on this machine makes a pin what a robot file needs, and what uses it now.
 
 Sources: Raspberry Pi firmware, overlays/README (pwm, pwm-2chan: pins and functions; func counts as
 the BCM2835 does, on the Pi 5 too) and the RP1 peripherals' table of functions; Jetson.GPIO's pin
@@ -149,7 +149,7 @@ def freeing_step(owner: str, tree: Path = TREE) -> str:
 
 
 def pwm_owner(device: str, channel: int, debug: Path = DEBUG) -> str:
-    """Who in the kernel has a channel; empty where that cannot be seen."""
+    """Which driver in the kernel has a channel; empty where that cannot be seen."""
     block = ""
     for row in _rows(debug / "pwm"):
         if not row.startswith(" "):

@@ -50,7 +50,7 @@ class ImuReader:
         self._late = 0
 
     def stop(self) -> None:
-        """From any thread: `run` returns after the transfer that is under way."""
+        """From any thread: `run` returns after the transfer in progress."""
         self._stopped.set()
 
     def run(self) -> None:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boards that people program themselves, on a serial port: a stream of frames each way."""
+"""Boards that people program themselves, on a serial port: a stream of frames in each direction."""

@@ -174,7 +174,7 @@ class Received:
 
     sequence: int
     held_s: float
-    """From hearing them to this feedback."""
+    """From receiving them to this feedback."""
 
 
 def received_in(payload: bytes) -> Received:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A serial port as a stream both ways on asyncio: bytes are handed on the moment they come."""
+"""A serial port as a stream in both directions on asyncio: bytes are handed on the moment they
+come."""
 
 from __future__ import annotations
 

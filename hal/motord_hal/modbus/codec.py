@@ -154,8 +154,8 @@ def build_request(request: Request) -> bytes:
 
 
 def request_bytes(head: bytes) -> int | None:
-    """Length of the whole request that begins with these bytes; None: too few bytes to tell, or a
-    function that this codec does not know (FrameError)."""
+    """Length of the whole request that begins with these bytes; None: too few bytes to know it, or
+    a function that this codec does not know (FrameError)."""
     if len(head) < 2:
         return None
     function = head[1]

@@ -300,7 +300,7 @@ class Drive(AsyncioDrive[DrivePlan]):
         return 0.0 if self._probes_at_once >= 0 else self._backoff.next_s()
 
     async def probe(self) -> None:
-        """Ask an unresponsive drive once whether it is back; PortError passes."""
+        """Poll an unresponsive drive once; PortError passes."""
         self.probe_at_s = now_s() + self._probe_pause_s()
         request = self._probes[0]
         self._probes.rotate(-1)

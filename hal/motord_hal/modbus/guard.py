@@ -12,8 +12,8 @@ wrong echoes for answers, loses a good reply behind a glitch byte and keeps no s
   into the silence and not into the next request;
 - a broadcast is followed by the turn-around delay of the standard (2.4.1).
 
-What a drive answers later than that, RTU cannot tell from an answer to the next equal request.
-"""
+RTU cannot distinguish what a drive answers later than that from an answer to the next equal
+request."""
 
 from __future__ import annotations
 
@@ -209,7 +209,8 @@ class GuardedClient:
 
     async def open(self) -> None:
         """Open the port for ourselves alone. Raises PortError."""
-        from motord_hal.serial.loop_port import LoopPort  # only who has a port needs its libraries
+        # only a line with a port needs its libraries
+        from motord_hal.serial.loop_port import LoopPort
 
         self.close()
         client = AsyncModbusSerialClient(

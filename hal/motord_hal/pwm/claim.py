@@ -28,7 +28,8 @@ def claim(fd: int, proc: Path = PROC) -> None:
 
 
 def owner_of(fd: int, proc: Path = PROC) -> str:
-    """Who has locked this file, as "program (pid N)"; empty where that cannot be seen."""
+    """The program that has locked this file, as "program (pid N)"; empty where that cannot be
+    seen."""
     status = os.fstat(fd)
     device = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
     try:

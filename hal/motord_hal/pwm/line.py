@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motor bridges on pins of this machine. A thread in C writes the pins and obeys the set-points;
-here pins are opened, requests handed on, and what changes is said."""
+here pins are opened, requests handed on, and what changes is reported."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class PwmLine(LineTask):
         self._thread = BridgeThread(spec.index, exchange)
         self._pins: OpenPins | None = None
         self._was_armed = False
-        """By `arm`, and nothing has been said of its end yet."""
+        """By `arm`, and its end has not been reported yet."""
         self._faults: dict[str, tuple[str, ...]] = dict.fromkeys(self._names, ())
         self._stats = LineStats()
         self._epoch = 0
@@ -269,7 +269,7 @@ class PwmLine(LineTask):
         return report
 
     async def clear_faults(self) -> None:
-        """As ports.Line.clear_faults: a fault pin tells when it is over by itself."""
+        """As ports.Line.clear_faults: a fault pin shows when it is over."""
         self._check_open()
         for name, words in self._faults.items():
             if words:

@@ -31,7 +31,7 @@ from motord_hal.pwm.sysfs import (
 from motord_hal.realtime.pwm import EncoderConfig, Pin
 
 FAULT = "fault"
-"""The pin of a bridge that tells a fault: an input."""
+"""The pin of a bridge that signals a fault: an input."""
 PUMP = "pump"
 """An output that changes with every cycle while the motor may move: a charge pump or a watchdog
 behind it takes the power when any thread hangs or the process dies."""
@@ -107,7 +107,7 @@ def may_be_left_out(bridge: Bridge, pin: str) -> bool:
 
 def lines_take_power(joint: JointSpec) -> bool:
     """Whether its GPIO lines end motion by themselves at COAST: they are neither as forward nor as
-    backward then. Those of PWM and DIR are, and only say the way."""
+    backward then. Those of PWM and DIR are, and only give the direction."""
     bridge = bridge_of(joint)
     lines = [
         bridge.levels[place.pin]
@@ -178,7 +178,7 @@ async def _open_all(spec: LineSpec) -> OpenPins:
         _open_inputs(spec, opened, inputs)
         for joint in spec.joints:
             opened.encoders.append(_open_encoder(spec, joint))
-        # a channel may be running still: it rests before a line can say another way
+        # a channel may be running still: it rests before a line can give another direction
         await _open_channels(spec, opened, [place for place in places if place.channel is not None])
         _open_outputs(spec, opened, lines)
         undo.pop_all()
@@ -270,7 +270,7 @@ def _find_chip(spec: LineSpec) -> Path:
 
 
 def _allow_software(spec: LineSpec, places: list[Place]) -> None:
-    """Raises PortError where it was not asked for, or is too much to ask."""
+    """Raises PortError where the robot file does not allow it, or the frequency is too high."""
     pulses = f"{spec.name}: the pulses of {spec.pins.pwm_chip} are made in software"
     if not spec.pins.software_pwm:
         raise PortError(
@@ -349,15 +349,15 @@ def split_for_rest(
     spec: LineSpec, lines: list[Place], driven: set[int]
 ) -> tuple[list[Place], list[list[Place]]]:
     """Lines that may rest one by one, then those that may only together, when the ones before have.
-    The latter are of a joint that is driven: two lines that hold it braked would be a way on the
-    way, and one that says the way would turn it."""
+    The latter are of a joint that is driven: two lines that hold it braked would pass through a
+    direction, and one that gives the direction would turn it."""
     alone = [place for place in lines if place.joint not in driven or _takes_power(spec, place)]
     others = ([p for p in lines if p.joint == joint and p not in alone] for joint in sorted(driven))
     return alone, [group for group in others if group]
 
 
 def _takes_power(spec: LineSpec, place: Place) -> bool:
-    """Whether the line ends motion by itself: at COAST it is as neither way has it."""
+    """Whether the line ends motion by itself: at COAST it is as in neither direction."""
     levels = {mode: base >= 0.5 for mode, (base, _) in _levels(spec, place).items()}
     return place.pin == PUMP or levels["coast"] not in (levels["forward"], levels["reverse"])
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every drive has, whatever its medium and its engine. The rules of when it has to stop are in
-csrc/base/drive_state.c; lines in C and lines in asyncio ask them."""
+csrc/base/drive_state.c; lines in C and lines in asyncio call them."""
 
 from __future__ import annotations
 

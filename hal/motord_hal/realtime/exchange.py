@@ -48,7 +48,7 @@ class JointSetpoint:
 class Setpoints:
     """What all wheels are to do; `joints` by the joint's index in the core.
 
-    Never written: stamp 0, not enabled, no joints. Who takes it has to look at `stamp_ns`: a loop
+    Never written: stamp 0, not enabled, no joints. The caller has to check `stamp_ns`: a loop
     that died leaves its last word behind.
     """
 
@@ -60,7 +60,8 @@ class Setpoints:
 
 @dataclass(frozen=True, slots=True)
 class Feedback:
-    """What a drive said last. NaN: it does not say. `enabled` None: it cannot say."""
+    """What a drive reported last. NaN: it does not report that. `enabled` None: it cannot report
+    it."""
 
     stamp_ns: int
     count: int
@@ -75,7 +76,7 @@ class Feedback:
 
 @dataclass(frozen=True, slots=True)
 class ImuSample:
-    """What the inertial sensor said last, about the base's axes. Stamp 0: never."""
+    """What the inertial sensor measured last, about the base's axes. Stamp 0: never."""
 
     stamp_ns: int
     angular_rad_s: tuple[float, ...]
@@ -135,7 +136,7 @@ class Exchange:
 
     def enabled_count(self, line: int) -> int:
         """How often a line's set-points have become enabled: those of a short while it may never
-        see. Ask it before the take."""
+        see. Read it before the take."""
         return int(lib.exchange_enabled_count(self._exchange, line))
 
     def wake_line(self, line: int) -> None:

@@ -2,7 +2,7 @@
 """The interface to the lines that run in C: one thread a line, its table, its requests, its report.
 
 The meaning of each field is in csrc/api_line.h. A line that runs needs no Python; what is done here
-is done when a person, a fault or a parameter asks for it.
+is done when a person, a fault or a parameter needs it.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class DriveReport:
     fault_reasons: FaultReason
     request_seen: int
     enabled: bool | None
-    """None: it cannot say, or has not said since the last request."""
+    """None: it cannot report it, or has not since the last request."""
     stopping: bool
     sent_motion: bool
     may_turn: bool

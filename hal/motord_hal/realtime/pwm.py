@@ -138,7 +138,7 @@ class BridgeThread:
         lib.pwm_line_stop(self._line)
 
     def request_mode(self, request: BridgeMode) -> int:
-        """Tell it; the number with which the report says that it was obeyed."""
+        """Request it; the number by which the report shows that it was obeyed."""
         self._number += 1
         lib.pwm_line_put_control(
             self._line, ffi.new("bridge_control *", {"mode": int(request), "number": self._number})

@@ -96,7 +96,7 @@ class LineThreadHandle:
             check_code(code, "the line cannot be stopped")
 
     def request_mode(self, drive: int, mode: int) -> int:
-        """Ask for a Mode; returns the request's count, which the report shows when it was seen."""
+        """Request a Mode; returns the request's count, which the report shows when it was seen."""
         raw = self._request_of(drive)
         raw.count += 1
         raw.mode = mode

@@ -105,7 +105,7 @@ def packet_bytes(packet: bytes) -> int | None:
 
 
 def parse_packet(packet: bytes) -> Request:
-    """What a whole packet asks for. Raises PacketError."""
+    """What a whole packet requests. Raises PacketError."""
     if packet_bytes(packet) != len(packet):
         raise PacketError(f"{packet.hex(' ')} is no packet")
     unit, command = packet[0], packet[1]

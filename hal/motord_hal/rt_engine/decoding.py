@@ -25,7 +25,7 @@ def sources_of(profile: DriveProfile, channel: Channel) -> Iterator[tuple[FieldK
 
 
 def setpoint_kind(channel: Channel) -> SetpointKind:
-    """What is said to its joint."""
+    """What is reported of its joint."""
     if channel.torque_setpoint is not None:
         return SetpointKind.TORQUE
     return SetpointKind.VELOCITY if channel.velocity_setpoint else SetpointKind.DUTY

@@ -12,7 +12,7 @@ LOOK_EVERY_S = 0.5
 
 
 class Notifier:
-    """The eventfd that the thread writes, and those who wait for something to come true."""
+    """The eventfd that the thread writes, and the tasks that wait for a condition."""
 
     def __init__(self) -> None:
         self.event_fd = -1
@@ -49,7 +49,7 @@ class Notifier:
         self._called.clear()
 
     def looked(self) -> None:
-        """A new report has been taken in: who waits for what is true now goes on."""
+        """A new report has been taken in: tasks whose condition is true go on."""
         for condition, future in self._waiting:
             if not future.done() and condition():
                 future.set_result(None)

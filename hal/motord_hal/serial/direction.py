@@ -41,7 +41,7 @@ def kept_problem(asked: bytes, kept: bytes) -> str:
     if (flags ^ kept_flags) & (_RTS_ON_SEND | _RTS_AFTER_SEND):
         return "the driver does not take this polarity"
     if kept_flags & _RX_DURING_TX:
-        return "the driver goes on listening to itself while it talks"
+        return "the driver goes on receiving while it sends"
     if any(kept_ms < ms for ms, kept_ms in zip(delays_ms, kept_delays_ms, strict=True)):
         return f"the driver keeps delays of {kept_delays_ms} ms, requested were {delays_ms}"
     return ""

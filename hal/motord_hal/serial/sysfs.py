@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which device file an adapter has now, and who holds it."""
+"""Which device file an adapter has now, and which program holds it."""
 
 from __future__ import annotations
 
@@ -55,7 +55,8 @@ def device_file(port: str) -> str:
 
 
 def holders(path: str, proc: Path = _PROC) -> tuple[str, ...]:
-    """Who else has the file open, as "program (pid N)": as far as we are permitted to see."""
+    """Which other program has the file open, as "program (pid N)": as far as we are permitted to
+    see."""
     real = os.path.realpath(path)
     found = []
     for process in proc.glob("[0-9]*"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The other side of the simulator: ask it for the truth, hurt it."""
+"""The control socket of the simulator: read the truth, inject faults."""
 
 from __future__ import annotations
 

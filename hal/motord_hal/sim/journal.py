@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a drive has really said: the ground truth for who must prove that no value was taken from a
+"""What a drive has really sent: the ground truth for a proof that no value was taken from a
 frame that was not the answer to its request."""
 
 from __future__ import annotations

@@ -223,7 +223,7 @@ class Plant:
         self.yaw_rad = 0.0
         """Turned to the left since the start; no reset, no wrap."""
         self.slipping: dict[str, float] = {}
-        """Side → part of its wheels' way that is none on the ground."""
+        """Side → part of its wheels' travel that is lost on the ground."""
         self._due_s = 0.0
 
     @property

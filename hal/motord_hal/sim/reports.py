@@ -58,7 +58,7 @@ class Reports:
             self._registers.make_live(name, lambda: self._signed(name, motor.count or 0))
 
     def _turned_rad(self, count: int) -> float:
-        """Of a drive that tells its position in turns: the counter, as an angle."""
+        """Of a drive that reports its position in turns: the counter, as an angle."""
         half = 1 << (self._profile.counter_bits - 1)
         return ((count + half) % (2 * half) - half) / self._profile.counts_per_turn * math.tau
 
@@ -78,7 +78,7 @@ class Reports:
 
     # -------------------------------------------------------------------------------- status words
     def _watched(self) -> set[str | None]:
-        """The registers that tell whether a sequence has come to its end."""
+        """The registers that show whether a sequence has come to its end."""
         steps = (step for steps, _ in self._ends() for step in steps)
         watched: set[str | None] = {step.register for step in steps if step.value is None}
         return watched | ({self._profile.enabled.register} if self._profile.enabled else set())

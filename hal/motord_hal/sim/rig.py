@@ -54,7 +54,7 @@ SIDES = ("left", "right")
 """As the fault "slip" numbers them."""
 REPLUG_RETRY_S = 0.1
 JOURNAL_REPLY_ENTRIES = 1000
-"""Most of one answer of the control socket; ask again with `since`."""
+"""Most of one answer of the control socket; read on with `since`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,11 +102,12 @@ class RigSpec:
     units: int = 0
     """At least this many drives on each line, from unit 1 on; the spare ones are as its first."""
     tagged: bool = False
-    """Counters start at a number that tells the unit, and what is answered is kept (Journal)."""
+    """Counters start at a number that identifies the unit, and what is answered is kept
+    (Journal)."""
 
 
 class Rig:
-    """Raises FaultError for a fault that is none, OSError for a path that cannot be used. Close
+    """Raises FaultError for an unknown fault, OSError for a path that cannot be used. Close
     it, or use it as a context."""
 
     def __init__(

@@ -58,7 +58,7 @@ class BoardRtDrive(RtDrive):
         return self.jobs.profile.arm
 
     async def enable(self, began: int) -> None:
-        """As RtDrive.enable, after a power-off that is under way."""
+        """As RtDrive.enable, after a power-off in progress."""
         if self._powering_off is not None:
             await asyncio.shield(self._powering_off)
         await super().enable(began)

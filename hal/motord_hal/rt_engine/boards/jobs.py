@@ -42,7 +42,7 @@ class BoardJobs:
 
     @property
     def request_limit_s(self) -> float:
-        """Longest time until a write is on its way, or will never be."""
+        """Longest time until a write is sent, or will never be."""
         return self._period_s + SENT_WITHIN_S
 
     def value(self, register: str) -> int | None:

@@ -46,14 +46,14 @@ class CanRtDrive(RtDrive):
         self._silences_s = [silence_s(plan, spec, frame) for frame in self._inputs]
         self._probes = plan.probed if plan.hello is None else (plan.hello,)
         self._faults = 0
-        """How many of them have been said."""
+        """How many of them have been reported."""
 
     def __str__(self) -> str:
         return f"{', '.join(self.names)} (node {self.jobs.unit})"
 
     def update(self, report: Any, fault_words: Sequence[int]) -> None:
-        """As RtDrive.update. A fault is said also where the stop that C sent for it has made the
-        drive forget it since."""
+        """As RtDrive.update. A fault is reported also where the stop that C sent for it has made
+        the drive forget it since."""
         if report.faults > self._faults:
             for joint in self.jobs.joints:
                 if joint.index == report.last_fault_joint:
@@ -68,7 +68,7 @@ class CanRtDrive(RtDrive):
         return f"no {frame.name} frame" + (f" for {silent_s:.2g} s" if silent_s else "")
 
     async def _present(self) -> None:
-        """Until its frames come. What it does not send unasked it is asked for."""
+        """Until its frames come. What it does not send unasked is requested."""
         patience_s = now_s() + max(self._silences_s, default=0.0) + FIRST_WORD_S
         backoff, probe_s = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S), 0.0
         while (report := self._bus.report().drives[self._index]).missing:
@@ -87,7 +87,7 @@ class CanRtDrive(RtDrive):
         return (*rest, *self.jobs.profile.arm)
 
     async def enable(self, began: int) -> None:
-        """As RtDrive.enable, after a power-off that is under way."""
+        """As RtDrive.enable, after a power-off in progress."""
         if self._powering_off is not None:
             await asyncio.shield(self._powering_off)
         await super().enable(began)

@@ -67,7 +67,7 @@ class CanJobs:
         await self.finish(Job(name, steps), urgent=urgent, check=check)
 
     async def finish(self, job: Job, *, urgent: bool = False, check: Check = always) -> None:
-        """As `run`, for who wants to see what the job has read."""
+        """As `run`, for a caller that needs what the job has read."""
         if urgent:
             await self._work(job, check)
             return
@@ -125,7 +125,7 @@ class CanJobs:
         return self._order(write(self.plan, frame, raw), stops)
 
     def ask(self, frame: Frame) -> bool:
-        """Ask the drive for a frame; False: it was not asked."""
+        """Request a frame of the drive; False: it was not requested."""
         question = self.plan.question(frame)
         if question is None or question == self.plan.sync:  # that is the cycle's own
             return False

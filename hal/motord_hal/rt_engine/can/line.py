@@ -69,8 +69,8 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         self._warnings = BusWarnings()
         self._frames = self._cycles = 0
         self._before = {"epoch": 0, "may_turn": 0, "left_running": int(spec.left_running)}
-        """What comes after a reopening is new, though its counters may look alike; and who was
-        armed may turn still."""
+        """What comes after a reopening is new, though its counters may look alike; and a drive
+        that was armed may turn still."""
 
     def stats(self) -> LineStats:
         """As ports.Line.stats, to this moment; `exchanges` counts frames of the drives. There are

@@ -182,7 +182,7 @@ def _match(plan: CanPlan, frame: Frame, inputs: Sequence[Frame]) -> Plain:
 
 
 def _sent_by(frame: Frame) -> Iterator[int]:
-    """Bits of each of its first bytes that tell it: those in which all its beginnings agree."""
+    """Bits of each of its first bytes that identify it: those in which all its beginnings agree."""
     for at, (one, other) in enumerate(
         zip(frame.begins, frame.or_begins or frame.begins, strict=True)
     ):

@@ -86,7 +86,7 @@ class Jobs(Protocol):
 
 
 class ModeRequests(Protocol):
-    """The way to what C does with a drive."""
+    """Requests to the thread in C."""
 
     def request_mode(self, drive: int, mode: Mode) -> int: ...
     def allow_arming(self, drive: int, until_ns: int) -> None: ...
@@ -251,8 +251,8 @@ class RtDrive(abc.ABC):
 
     # -------------------------------------------------------------------------- what is sent to it
     def stand_down(self) -> asyncio.Future[None]:
-        """Zero from now on, and no arming goes on; then power off. The future is shared: who waits
-        for it shields it."""
+        """Zero from now on, and no arming goes on; then power off. The future is shared: a caller
+        that waits for it shields it."""
         self.stops += 1
         self._standing_down = self._thread.request_mode(self._index, Mode.STAND_DOWN)
         self._thread.allow_arming(self._index, 0)

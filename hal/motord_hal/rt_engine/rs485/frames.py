@@ -54,7 +54,7 @@ class DriveFrames(Protocol):
         ...
 
     def read(self, name: str) -> LineFrame:
-        """The frame that asks for a register."""
+        """The frame that requests a register."""
         ...
 
     def raw(self, name: str, reply: bytes) -> int:

@@ -27,8 +27,9 @@ def always() -> None:
 
 
 class _Turn:
-    """Who may ask a drive: one at a time, urgent requests first, else in their order. The turn is
-    handed over, so that who comes back at once waits behind those who wait already."""
+    """Whose turn it is to send a request: one at a time, urgent requests first, else in their
+    order. The turn is handed over, so that a caller that comes back at once waits behind those that
+    wait already."""
 
     def __init__(self) -> None:
         self._taken = False

@@ -117,7 +117,7 @@ def _places(span: ReadRange) -> dict[str, int]:
 
 
 def _narrowed(profile: DriveProfile) -> DriveProfile:
-    """Content of one byte is a byte on the wire, and a word only to who knows no bytes."""
+    """Content of one byte is a byte on the wire, and a word only to code that has no bytes."""
     sizes = codec.READ_BYTES | codec.WRITE_BYTES
     registers = {
         name: replace(one, type=RegisterType.U8) if sizes.get(one.address >> 8) == 1 else one

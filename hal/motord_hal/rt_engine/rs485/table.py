@@ -100,7 +100,7 @@ def step_frames(frames: DriveFrames, steps: Iterable[Step]) -> tuple[LineFrame, 
 
 
 def _probe(cyclic: Sequence[PlannedFrame]) -> int:
-    """1 + the first exchange that only asks; 0: C takes what there is."""
+    """1 + the first exchange that only reads; 0: C takes what there is."""
     return next((n for n, planned in enumerate(cyclic, 1) if not planned.writes), 0)
 
 

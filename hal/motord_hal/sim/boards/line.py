@@ -127,7 +127,8 @@ class SimulatedBoard:
 
     # -------------------------------------------------------------------------- what comes and goes
     def _receive(self, data: bytes, now_s: float) -> None:
-        """The bytes are over when they would have passed the wire: each way has one of its own."""
+        """The bytes are over when they would have passed the wire: each direction has one of its
+        own."""
         settings = self.port.settings()
         if not self._fits(settings):
             self.counters.bad_crc += 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of text, from the board's side: the templates of the robot file the other way round."""
+"""Lines of text, from the board's side: the templates of the robot file in the opposite roles."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ class SimulatedCanLine:
         self._out.clear()
 
     def go_off(self, until_s: float) -> None:
-        """Bus-off, as the master's controller would tell it; nothing passes until then."""
+        """Bus-off, as the master's controller would report it; nothing passes until then."""
         message = can.Message(
             arbitration_id=BUS_OFF_IDENTIFIER,
             is_extended_id=False,

@@ -26,7 +26,7 @@ _LATEST = 128
 
 
 class UnixBus(can.BusABC):
-    """The bus itself, seen from who simulates it."""
+    """The bus itself, as the simulator sees it."""
 
     def __init__(self, path: str) -> None:
         with contextlib.suppress(FileNotFoundError):

@@ -22,7 +22,7 @@ LEVEL_TOLERANCE = 1e-4
 
 def mode_of(bridge: Bridge, levels: Mapping[str, float]) -> tuple[str, float] | None:
     """Which mode, and the duty from 0 to 1 in it, these levels of all pins are; None: of none.
-    Where a bridge cannot tell braking from coasting, what it does at rest is meant."""
+    Where braking and coasting look the same, what the bridge does at rest is meant."""
     for mode in (bridge.rest, "brake", "coast", "forward", "reverse"):
         pins = {pin: modes[mode] for pin, modes in bridge.levels.items()}
         duty = _duty(pins, levels)
@@ -35,7 +35,7 @@ def mode_of(bridge: Bridge, levels: Mapping[str, float]) -> tuple[str, float] | 
 
 
 def _duty(pins: Mapping[str, tuple[float, float]], levels: Mapping[str, float]) -> float:
-    """What the first pin says that tells it."""
+    """What the first pin that shows it gives."""
     sent = ((levels[pin] - base) / slope for pin, (base, slope) in pins.items() if slope != 0.0)
     return max(0.0, min(1.0, next(sent, 0.0)))
 

@@ -82,7 +82,7 @@ class PinFolder:
         self._plugged = False
 
     def remove(self) -> None:
-        """The files are gone for those that come; who has one open keeps it."""
+        """The files are gone for programs that open them; one that is open stays so."""
         self.pull()
         for numbers in self._numbers.values():
             for number in numbers:
@@ -104,7 +104,7 @@ class PinFolder:
             os.pwrite(self._counts[number], b"%0*d\n" % (COUNT_DIGITS, count), 0)
 
     def filenos(self, now_s: float) -> list[int]:
-        """Nothing tells when a file is written."""
+        """Nothing reports that a file was written."""
         del now_s
         return []
 

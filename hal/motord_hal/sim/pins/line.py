@@ -88,7 +88,7 @@ class SimulatedPins:
         return self._looked_s + LOOK_EVERY_S
 
     def work(self, now_s: float, clock: Clock | None = None) -> None:
-        """Do what the pins say, and tell what the encoders have counted."""
+        """Do what the pins command, and report what the encoders have counted."""
         del clock
         self._looked_s = now_s
         if self.port.plugged:

@@ -35,7 +35,7 @@ class NamedContent:
         self._raw[name] = raw
 
     def value(self, name: str) -> int:
-        """The raw value as the drive tells it now."""
+        """The raw value as the drive reports it now."""
         live = self._live.get(name)
         return self._raw[name] if live is None else live()
 

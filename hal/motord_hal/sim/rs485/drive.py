@@ -369,7 +369,7 @@ class SimulatedDrive:
             motor.start_near_wrap(self.profile)
 
     def tag_counters(self) -> None:
-        """Let each motor of the robot count from a number of its own, so that a count tells whose
+        """Let each motor of the robot count from a number of its own, so that a count shows whose
         it is."""
         for number, motor in self._motors.items():
             motor.start_at(tagged_count(self.profile.counter_bits, self.unit, number))
@@ -385,7 +385,7 @@ def _content(profile: DriveProfile) -> RegisterFile | NamedContent:
 
 
 def _commands(profile: DriveProfile, name: str) -> bool:
-    """Whether a sequence is more than set-points: those tell a drive nothing but a speed."""
+    """Whether a sequence is more than set-points: those give a drive nothing but a speed."""
     setpoints = {channel.setpoint for channel in profile.channels.values()}
     writes = {step.register for step in getattr(profile, name) if step.value is not None}
     return profile.can is None or not writes or not writes <= setpoints

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a line's protocol makes of bytes: when a request is whole and good, who answers it how."""
+"""What a line's protocol makes of bytes: when a request is whole and good, which unit answers it
+and how."""
 
 from __future__ import annotations
 
@@ -78,7 +79,7 @@ class ModbusFraming:
 
 
 class DdsmFraming:
-    """Ten bytes each way (motord_hal.ddsm.codec)."""
+    """Ten bytes in each direction (motord_hal.ddsm.codec)."""
 
     def whole(self, frame: bytes) -> bool:
         return len(frame) == ddsm.FRAME_BYTES and self.good(frame)

@@ -26,7 +26,7 @@ from motord_hal.sim.rs485.wire import Clock, Wire
 TURNAROUND_PART = 0.5
 """Drives take half of the longest turn-around that their manual names."""
 GAP_TOLERANCE = 0.97
-"""A silence this part of the due one is none too short: the clocks of both sides round."""
+"""A silence of this part of the due one is not too short: the clocks of both sides round."""
 BABBLE_BYTES_MAX = 3
 
 
@@ -97,7 +97,7 @@ class SimulatedLine:
         return due_s
 
     def work(self, now_s: float, clock: Clock | None = None) -> None:
-        """Take in what has come, do what is due. `clock` tells the time while that goes on; without
+        """Take in what has come, do what is due. `clock` gives the time meanwhile; without
         it, it stands still."""
         if not self.port.plugged:
             return

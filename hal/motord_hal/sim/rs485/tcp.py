@@ -90,7 +90,7 @@ class TcpPort:
 
     # --------------------------------------------------------------------------------- in detail
     def _accept(self) -> list[Client]:
-        """Who has come."""
+        """A client that has connected."""
         fresh = []
         while self._listener is not None:
             try:

@@ -62,7 +62,7 @@ class Wire:
         self.unresponsive()
 
     def unresponsive(self) -> None:
-        """Forget what was on its way."""
+        """Forget what was in transit."""
         self.free_s = -math.inf
         self._outgoing: deque[_Outgoing] = deque()
 
@@ -71,7 +71,7 @@ class Wire:
         self.free_s = max(self.free_s, now_s) + count * self.character_s
 
     def send(self, frame: bytes, starts_s: float) -> None:
-        """Behind what is on its way already."""
+        """Behind what is in transit already."""
         if self._outgoing:
             last = self._outgoing[-1]
             starts_s = max(starts_s, last.starts_s + len(last.frame) * self.character_s)
