@@ -97,7 +97,7 @@ typedef struct {
     double rad_per_count;      /* signed, not 0: gear and inversion are in it. Unused without a counter */
     uint32_t counter_bits;     /* 8, 15, 16, 24, 32, 64; 0: no counter, odometry from measured velocity, or
                                    from the set-point where the drive measures none */
-    uint32_t line;             /* 0..LINES_MAX-1: who carries this joint */
+    uint32_t line;             /* 0..LINES_MAX-1: the line of this joint */
     pwm_config pwm;
     speed_loop_config speed_loop;
     plausible_config plausible;
@@ -140,10 +140,10 @@ typedef struct {
     uint32_t stop;                 /* level: come to rest, stay armed */
     uint32_t estop;                /* level; latched by the core */
     uint32_t fault;                /* level: raise FAULT_EXTERNAL */
-    uint32_t reset_count;          /* a change asks to clear latched faults */
+    uint32_t reset_count;          /* a change requests to clear latched faults */
     uint32_t odometry_reset_count; /* a change sets the pose to the origin */
     uint32_t machine_state;        /* the daemon's state, copied to the state page; the core does not read it */
-    uint32_t owner;                /* who is in command (lease number), copied likewise */
+    uint32_t owner;                /* the lease in command (its number), copied likewise */
     base_limits limits;            /* replace the configured ones as a group; refused by base_limits_check: kept */
 } core_control;
 
@@ -275,7 +275,7 @@ typedef struct {
 double speed_loop_step(speed_loop_state *state, const speed_loop_config *config, double want_rad_s, double measured_rad_s,
                        double dt_s);
 
-/* signed difference of two raw counters of 8..64 bits, the short way round */
+/* signed difference of two raw counters of 8..64 bits, the shorter of the two */
 int64_t counter_difference(uint64_t now, uint64_t before, uint32_t bits);
 
 typedef struct {
@@ -320,7 +320,7 @@ typedef struct {
     uint32_t known; /* 0: the last four are not up to date */
 } core_goal;
 
-/* The wheels' part of the last tick: holds as long as the twist is the same and no duty is on its way. */
+/* The wheels' part of the last tick: holds as long as the twist is the same and no duty is ramping. */
 typedef struct {
     double linear_m_s;
     double angular_rad_s;
@@ -405,7 +405,7 @@ int exchange_take_control(exchange *x, core_control *out);
 int exchange_take_feedback(exchange *x, uint32_t joint, joint_feedback *out);
 int exchange_take_imu(exchange *x, imu_sample *out);
 int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value);
-/* How often a line's set-points have become enabled: newest wins, so a line may never see those of a short while. Ask it
+/* How often a line's set-points have become enabled: newest wins, so a line may never see those of a short while. Read it
  * before the take: what is taken is at least as new. */
 uint64_t exchange_enabled_count(const exchange *x, uint32_t line);
 /* An eventfd that wakes a line's thread before its time; -1: none. It stays open as long as the process lives. */
@@ -413,7 +413,7 @@ int exchange_set_line_wake(exchange *x, uint32_t line, int fd);
 int exchange_line_wake(const exchange *x, uint32_t line);
 
 /* ---------------------------------------------------------------------------------------------- state page
- * Shared memory, one writer, any number of readers, who need no lock and cannot disturb. docs/state-page.md */
+ * Shared memory, one writer, any number of readers, which need no lock and cannot disturb it. docs/state-page.md */
 enum { PAGE_BYTES = 16384, PAGE_LAYOUT_VERSION = 1 };
 int page_init(void *page); /* PAGE_BYTES, aligned to 64 */
 void page_write(void *page, const robot_state *state);
@@ -446,7 +446,7 @@ typedef struct {
     int32_t journal_fd;          /* shared memory of journal_bytes(), or -1: nothing is written; the loop maps its own */
     int32_t event_fd;            /* an eventfd, or -1 */
     int32_t command_fd;          /* an epoll of the datagram sockets on which commands come in, COMMAND_SOCKETS of them at
-                                   most, each with itself as data.fd: one for each lease, or who floods would keep others
+                                   most, each with itself as data.fd: one for each lease, or a flood on one would keep others
                                    from being received; -1: none */
     int32_t stop_fd;             /* a datagram socket for stop requests, with SO_PASSCRED; in that epoll too. -1: none */
     uint32_t lock_memory;        /* 1: mlockall(MCL_CURRENT | MCL_FUTURE) */

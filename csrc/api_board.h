@@ -74,14 +74,14 @@ typedef struct {
     uint32_t used;        /* 0: there is none, the rest is not looked at */
     uint32_t epoch;       /* of its samples */
     uint32_t axis[3];     /* of the base's x, y, z: the sensor's 0, 1, 2 that lies along it */
-    uint32_t backward[3]; /* 1: the other way */
+    uint32_t backward[3]; /* 1: the opposite direction */
     board_place rate_z;   /* TEXT */
 } board_imu;
 
 typedef struct {
     uint32_t dialect; /* board_dialect */
     uint32_t answers; /* 0: it says nothing, and is taken to be there while the port takes its bytes */
-    uint32_t tries;   /* so often enabled without being armed, and it is said: 1.. */
+    uint32_t tries;   /* so often enabled without being armed, and it is reported: 1.. */
     uint32_t payload_bytes;
     uint32_t feedback_bytes; /* of its own payload, at least; TEXT: all of it */
     uint32_t setpoint_count;
@@ -125,7 +125,7 @@ typedef struct {
     uint32_t mode;          /* drive_mode */
     uint32_t fault_reasons; /* DRIVE_FAULT_* */
     uint32_t request_seen;
-    uint32_t enabled;        /* 1, 0, 2: it has not said */
+    uint32_t enabled;        /* 1, 0, 2: not reported */
     uint32_t stopping;       /* a quick stop was sent, and the wheels have not been seen at rest since */
     uint32_t sent_motion;    /* its newest set-points are not zero */
     uint32_t stops;          /* how often a stop was sent to it, by C or by a request */
@@ -138,7 +138,7 @@ typedef struct {
     uint64_t cycles;
     uint64_t sent;
     uint64_t no_room;    /* frames that the port did not take: the next one is newer */
-    uint64_t bad_frames; /* pieces of the stream that said nothing */
+    uint64_t bad_frames; /* pieces of the stream that were no feedback */
     uint64_t received;
     uint64_t published;              /* feedback that the core was given since the start */
     uint64_t unresponsive;           /* how often it became UNRESPONSIVE */

@@ -98,7 +98,7 @@ uint64_t bridge_duty_ns(const bridge_pin *output, double level);
 int bridge_config_check(const bridge_config *config); /* 0 or -EINVAL */
 
 /* ------------------------------------------------------------------------------------------------- the thread
- * The descriptors stay the caller's, who closes them after pwm_line_stop. Whatever ends it, the last words are COAST. */
+ * The descriptors stay the caller's, to be closed after pwm_line_stop. Whatever ends it, the last levels are COAST. */
 int pwm_line_start(uint32_t line, const bridge_config *config);
 int pwm_line_stop(uint32_t line);
 void pwm_line_put_control(uint32_t line, const bridge_control *control);

@@ -41,7 +41,7 @@ typedef struct {
     uint32_t running;
 } receiver_report;
 
-/* A command that was taken: who gave it. */
+/* A command that was taken: its sender. */
 typedef struct {
     uint64_t writer; /* DDS's publication handle */
     int64_t taken_ns;

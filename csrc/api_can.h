@@ -27,7 +27,7 @@ enum {
 /* A frame on the bus. */
 typedef struct {
     uint32_t id;    /* as linux/can.h: bit 31 extended, bit 30 remote, bit 29 error frame */
-    uint32_t bytes; /* of a remote frame: the length that it asks for */
+    uint32_t bytes; /* of a remote frame: the length that it requests */
     uint32_t fd;    /* 1: a frame of CAN FD, its data at the data bit rate */
     uint32_t reserved;
     uint8_t data[CAN_BYTES_MAX];
@@ -77,7 +77,7 @@ typedef struct {
 /* A frame of the drive that the cycle lives on. */
 typedef struct {
     int64_t silence_ns; /* so long without it, and the drive is unresponsive; 0: it is not waited for */
-    int64_t spacing_ns; /* one sooner after the other tells nothing new: frames that the bus has held up */
+    int64_t spacing_ns; /* one sooner after the other adds nothing new: frames that the bus has held up */
     uint32_t fast;      /* 1: with all of them the drive's joints are known */
     uint32_t field_count;
     can_field field[CAN_FIELDS_MAX];
@@ -90,11 +90,11 @@ typedef struct {
     uint32_t begins_bytes;
     uint32_t input; /* 1 + number of the input that it is; 0: Python's alone */
     uint8_t begins[CAN_BEGINS_MAX];
-    uint8_t begins_mask[CAN_BEGINS_MAX]; /* bits of it that tell it; others may be anything */
+    uint8_t begins_mask[CAN_BEGINS_MAX]; /* bits of it that identify it; others may be anything */
 } can_match;
 
 typedef struct {
-    uint32_t tries;           /* so often enabled without being armed, and it is said: 1.. */
+    uint32_t tries;           /* so often enabled without being armed, and it is reported: 1.. */
     uint32_t slow_every;      /* cycles between two of what may wait: 1.. */
     uint32_t idle_setpoints;  /* 1: zero is sent in READY, too */
     uint32_t reports_enabled; /* 0: it cannot report it, so it gets its disarm again now and then in READY */

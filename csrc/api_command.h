@@ -5,7 +5,7 @@
  */
 
 /* ------------------------------------------------------------------------------------------------ commands
- * Who may command is decided in the loop's thread, for every source alike: a command is a datagram under a lease. Python
+ * What may command is decided in the loop's thread, for every source alike: a command is a datagram under a lease. Python
  * grants leases and ends them; which of them is in command, and whether it may move anything, is decided here. */
 enum { LEASES_MAX = 16, TOKEN_BYTES = 16, COMMAND_VERSION = 1, COMMAND_MAGIC = 0x434D544D };
 enum { COMMAND_BYTES = 64, JOINT_COMMAND_BYTES = 112 };
@@ -42,7 +42,7 @@ typedef struct {
 typedef struct {
     uint8_t token[TOKEN_BYTES];
     uint32_t number;           /* grows with each lease of the daemon, from 1; 0: no lease */
-    uint32_t priority;         /* the higher one commands; among equals who came first */
+    uint32_t priority;         /* the higher one commands; among equals the first */
     int64_t lifetime_ns;       /* of a command under it, at most */
     int64_t interval_least_ns; /* commands that come more often are refused, but for zero; 0: as often as they like */
     int64_t barred_until_ns;   /* its owner was held when another lease of its ended: until then it is held here, too,
@@ -108,12 +108,12 @@ void arbiter_init(arbiter *a, const core_config *base, const base_limits *limits
 void arbiter_grant(arbiter *a, const lease_permissions *permissions);
 /* 0, or 1 + command_refusal. */
 int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_ns, bool may_move);
-/* Once a tick, after what came was submitted: who commands, and what. */
+/* Once a tick, after what came was submitted: which lease commands, and what. */
 /* The computer was suspended: no command from before lives on. */
 void arbiter_resume(arbiter *a, int64_t resumed_ns);
 void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *out);
 
-/* The twist that wheel speeds are. False: they are none, for wheels of one side want different ways. A speed that is
+/* The twist of wheel speeds. False: there is none, for wheels of one side turn in different directions. A speed that is
  * not finite makes a twist that is not. */
 bool joints_twist(const core_config *base, const double *velocity_rad_s, double *linear_m_s, double *angular_rad_s);
 

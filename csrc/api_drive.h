@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * api_drive.h: what every drive has, whatever its medium: what it may do, why it was taken back, which stop it has not got
  * yet. The rules of when a drive has to stop stand in drive_state.c and nowhere else; a medium says what it knows and sends
- * the stop. Read by cffi too: lines in asyncio ask the same rules. */
+ * the stop. Read by cffi too: lines in asyncio call the same rules. */
 
 /* After a quick stop the power stays on until the wheels are at rest, so long at most. */
 enum { DRIVE_STOPPING_NS = 1000000000 };
@@ -13,14 +13,14 @@ typedef struct {
     uint32_t fault_reasons;    /* DRIVE_FAULT_*, since it was set up or armed */
     uint32_t reported_reasons; /* the same, as it was reported */
     uint32_t request_seen;     /* number of the newest request */
-    uint32_t enabled;          /* by its own word: 1 yes, 0 no, 2 not known */
+    uint32_t enabled;          /* as it reports: 1 yes, 0 no, 2 not known */
     uint32_t epoch;            /* how often it was set up */
-    uint32_t still_enabled;    /* how often in a row it said so without being armed */
+    uint32_t still_enabled;    /* how often in a row it reported so without being armed */
     uint32_t stop;             /* drive_stop that it has not got yet: it goes before all else */
     bool was_enabled;          /* set-points were enabled since it was armed */
     bool sent_motion;          /* set-points that are not zero were sent, and zero not since */
     bool stopping;             /* after a quick stop, until its power goes off */
-    bool off_due;              /* its own word calls for a power-off, which goes out with its cycle */
+    bool off_due;              /* its own report demands a power-off, which goes out with its cycle */
     bool back;                 /* it was unresponsive and answers again: BACK when it has got its power-off */
     int64_t off_by_ns;         /* stopping: power off then, at rest or not */
     uint64_t enabled_count;    /* of the core's set-points, when it was armed */
@@ -40,7 +40,7 @@ typedef enum { REQUEST_NONE = 0, REQUEST_SEEN, REQUEST_OFF, REQUEST_SET_UP, REQU
 
 /* What becomes of a request: the stop goes first. */
 typedef struct {
-    drive_request request; /* NONE: there is no new one. SEEN: it asks for nothing that can be */
+    drive_request request; /* NONE: there is no new one. SEEN: it requests nothing that can be done */
     drive_stop stop;
     bool overtaken; /* one before it was never seen: it may have been a stop */
 } drive_answer;

@@ -18,12 +18,12 @@ typedef struct {
 typedef struct {
     int64_t count;   /* edges since the start: four to a period of A */
     int64_t edge_ns; /* the newest one; of a counter, the look that found another count */
-    uint64_t raw;    /* COUNTER: what it said last */
+    uint64_t raw;    /* COUNTER: what it gave last */
     uint32_t seeded;
     uint32_t levels;    /* EDGES: 2 A + B */
     uint32_t sequence;  /* EDGES: of the newest event; 0: none yet */
     uint32_t epoch;     /* another number: edges were lost, the count's origin has moved */
-    uint64_t illegal;   /* edges that said a level which the line had already: a pulse that was too short */
+    uint64_t illegal;   /* edges to a level which the line had already: a pulse that was too short */
     uint64_t lost;      /* events that the kernel could not keep */
     int64_t from_count; /* where the last measure of the speed ended */
     int64_t from_ns;

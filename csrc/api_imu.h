@@ -29,10 +29,10 @@ enum {
     GYRO_UNBIASED = 1, /* received, but the base has not stood still long enough to know its zero */
     GYRO_USED = 2,     /* the heading follows it */
     GYRO_STALE = 3,    /* its last good sample is too old: the heading follows the wheels */
-    GYRO_REVERSED = 4, /* it turned against the wheels, so it is mounted otherwise than was said: not used any more */
+    GYRO_REVERSED = 4, /* it turned against the wheels, so it is mounted in another position than configured: not used any more */
 };
 
-/* What the core tells of it. NaN: not measured, or not known yet. */
+/* What the core reports of it. NaN: not measured, or not known yet. */
 typedef struct {
     int64_t stamp_ns;        /* of the newest sample; 0: none */
     double angular_rad_s[3]; /* about z without its zero-rate offset, once that is known */

@@ -6,7 +6,7 @@
 
 /* ------------------------------------------------------------------------------------------------ journal
  * Shared memory into which the loop writes what went into the core in each tick and what came out, and now and then
- * the core's whole state, so that a replay may begin there. One writer, any number of readers; a reader who is slower
+ * the core's whole state, so that a replay may begin there. One writer, any number of readers; a reader that is slower
  * than the ring loses records, and no other reader anything. docs/replay.md */
 enum {
     JOURNAL_LAYOUT_VERSION = 4,

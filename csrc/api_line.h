@@ -8,7 +8,7 @@
  * One shared medium (an RS485 pair) under one thread. What goes to which drive is a table: Python builds it from the
  * drive profiles, C checks and copies it, and from then on the line runs from static memory, whatever Python does.
  * Everything that waits for a person or may fail in words (open, configure, arm, parameters) stays Python's: it goes
- * through the same line as asks, one in each cycle at most. */
+ * through the same line as requests, one in each cycle at most. */
 enum {
     LINE_DRIVES_MAX = 8,
     DRIVE_CYCLIC_MAX = 8,
@@ -158,7 +158,7 @@ typedef struct {
     uint32_t disarm_count;
     uint32_t idle_count; /* 1: idle[0] goes out in place of cyclic[0] while it is not armed, and not stopping; 0 */
     uint32_t reserved;
-    uint32_t probe; /* 1 + number of the cyclic exchange that asks whether an unresponsive drive is back; 0: extra[0],
+    uint32_t probe; /* 1 + number of the cyclic exchange that polls whether an unresponsive drive is back; 0: extra[0],
                                    or the first cyclic one, with zeros, where there is no other */
     line_exchange cyclic[DRIVE_CYCLIC_MAX]; /* in their order: set-points first */
     line_exchange extra[DRIVE_EXTRA_MAX];
@@ -181,7 +181,7 @@ typedef struct {
     line_drive drive[LINE_DRIVES_MAX];
 } line_table;
 
-/* OFF     not set up: nothing cyclic is said to it
+/* OFF     not set up: nothing cyclic is sent to it
  * READY   cyclic, every set-point zero
  * ARMED   cyclic, with the core's set-points while they are fresh and enabled
  * UNRESPONSIVE   it did not answer `tries` times: probed with back-off, sent a stop where it may turn
@@ -226,7 +226,7 @@ typedef struct {
     int64_t expires_ns;
     int64_t turnaround_ns;
     uint32_t drive;  /* whose failures it counts to; LINE_DRIVES_MAX: none */
-    uint32_t urgent; /* 1: before the other asks */
+    uint32_t urgent; /* 1: before the other requests */
     line_frame frame;
 } line_request;
 
@@ -256,7 +256,7 @@ typedef struct {
     uint32_t mode;          /* drive_mode */
     uint32_t fault_reasons; /* DRIVE_FAULT_* */
     uint32_t request_seen;  /* count of the last request that was obeyed */
-    uint32_t enabled;       /* 1, 0, 2: it has not said since the last request */
+    uint32_t enabled;       /* 1, 0, 2: not reported since the last request */
     uint32_t stopping;      /* a quick stop was sent, and the wheels have not been seen at rest since */
     uint32_t sent_motion;   /* it was sent set-points that are not zero, and has not acknowledged zero since */
     uint32_t failures;      /* in a row */

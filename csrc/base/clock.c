@@ -7,7 +7,7 @@
 #include "rt.h"
 
 enum { LOOKS_MAX = 8 };
-/* Two readings of the clock that lie further apart tell nothing of what lies between them. */
+/* Two readings of the clock that lie further apart leave open what lies between them. */
 static const int64_t APART_MAX_NS = 1000000;
 /* CLOCK_BOOTTIME goes on during a suspend: ahead of CLOCK_MONOTONIC by so much more than before, and there was one. */
 static const int64_t SUSPEND_LEAST_NS = 5000000;

@@ -50,7 +50,7 @@ void histogram_clear(histogram *h)
     }
 }
 
-/* The extremes before the bucket: who sees a sample in a bucket sees extremes that hold it. */
+/* The extremes before the bucket: a reader that sees a sample in a bucket sees extremes that hold it. */
 void histogram_add(histogram *h, int64_t value_ns)
 {
     int64_t value = value_ns < 0 ? 0 : value_ns;

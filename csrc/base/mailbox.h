@@ -13,7 +13,7 @@
 
 enum { MAILBOX_SLOTS = 3, CACHE_LINE_BYTES = 64 };
 
-/* Who holds which slot. The slots themselves lie beside it, MAILBOX_SLOTS of the same size. */
+/* Which side holds which slot. The slots themselves lie beside it, MAILBOX_SLOTS of the same size. */
 typedef struct {
     _Alignas(CACHE_LINE_BYTES) _Atomic uint32_t middle; /* slot between the two, and whether it is new */
     _Alignas(CACHE_LINE_BYTES) uint32_t back;           /* the writer's slot */

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * seqlock.h: one writer, any number of readers in any process, who hold no lock and cannot disturb it.
+ * seqlock.h: one writer, any number of readers in any process, which hold no lock and cannot disturb it.
  *
  * A sequence lock whose data are atomic words. A release store of each word and an acquire load of each word take the
  * place of the fences of H. Boehm, "Can seqlocks get along with programming language memory models?" (MSPC 2012):

@@ -304,7 +304,7 @@ static void guard(core_state *state, tick *t)
     watch_latch(state, FAULT_STATE);
 }
 
-/* When a fault has brought the base to rest, the power goes off. Feedback that is not trusted tells of no rest: then it is
+/* When a fault has brought the base to rest, the power goes off. Feedback that is not trusted proves no rest: then it is
  * time alone that counts. */
 static void release(core_state *state, const tick *t)
 {

@@ -41,7 +41,7 @@ static inline bool plausible_due(const plausible_state *state, const joint_odome
 bool plausible(plausible_state *state, const plausible_config *config, const joint_odometry *joint, double reported_rad_s,
                double setpoint_rad_s, feedback_doubt *why);
 
-/* Every number of it is finite; in core.c, which asks in each tick. */
+/* Every number of it is finite; in core.c, which checks it in each tick. */
 bool odometry_finite(const odometry_state *state, uint32_t joint_count);
 
 /* A side of the base sends no feedback: let the variance grow as if nothing were known of what the set-points

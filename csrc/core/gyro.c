@@ -148,7 +148,7 @@ void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *s
     }
 }
 
-/* A sample that is near enough to a moment to tell the rate there. */
+/* A sample that is near enough to a moment to give the rate there. */
 static bool near(const gyro_state *state, const gyro_config *config, int64_t moment_ns)
 {
     return state->stamp_ns != 0 && fabs(seconds(moment_ns, state->stamp_ns)) <= config->timeout_s;

@@ -4,7 +4,7 @@
  *
  * Each joint gathers its travel from its own samples; when every joint with feedback has brought one, the
  * gathered travel is integrated as one exact arc. Where a counter cannot say how far a wheel has gone (it
- * jumped, its origin moved, there is none), the drive's measured velocity stands in, and `degraded` says so.
+ * jumped, its origin moved, there is none), the drive's measured velocity stands in, and `degraded` is set.
  */
 #include "core.h"
 
@@ -132,7 +132,7 @@ static double travel_by_velocity(double before_rad_s, double now_rad_s, double e
     return (isfinite(mean_rad_s) ? mean_rad_s : otherwise_rad_s) * (elapsed_s < timeout_s ? elapsed_s : timeout_s);
 }
 
-/* Which of the travels that a counter can mean, whole turns of it apart, the measured velocity tells. Only where the next
+/* Which of the travels that a counter can mean, whole turns of it apart, the measured velocity decides. Only where the next
  * one is three times as far from what was measured as the velocity can be off, and after no silence; else NaN. */
 static double travel_by_turns(const joint_odometry *joint, const joint_feedback *sample, double travel_rad, double elapsed_s,
                               double timeout_s)
@@ -188,7 +188,7 @@ static void begin(joint_odometry *joint, const joint_feedback *sample)
 }
 
 /* A sample that is refused moves nothing but by estimate: the next one is believed when it agrees with the last one that
- * was believed, or with the one that was refused. known: it tells a travel, though one that cannot be. */
+ * was believed, or with the one that was refused. known: it gives a travel, though an impossible one. */
 static void refuse(joint_odometry *joint, const joint_feedback *sample, bool known, double elapsed_s, double timeout_s)
 {
     double fresh_rad = joint->constant.reach_rad_s * elapsed_s, before_rad_s = joint->velocity_rad_s;
@@ -241,7 +241,7 @@ static void take_count(joint_odometry *joint, const joint_feedback *sample, doub
     double sure_rad = joint->since_rad += constant->reach_rad_s * elapsed_s;
     double reach_rad = sure_rad + joint->unused_rad;
     bool known = sample->epoch == joint->epoch;
-    /* could it have gone the other way round the counter? */
+    /* could it have gone round the counter in the other direction? */
     if (known && constant->counter_round_rad - fabs(travel_rad) <= sure_rad) {
         travel_rad = travel_by_turns(joint, sample, travel_rad, elapsed_s, timeout_s);
         known = isfinite(travel_rad) && joint->last != REFUSED;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * snapshot.h: what the core tells. The snapshot is kept in the state and handed out as a copy, so that a tick
+ * snapshot.h: what the core reports. The snapshot is kept in the state and handed out as a copy, so that a tick
  * writes only what it changed. A part of core.c: in one piece with it the compiler keeps the tick in registers.
  */
 #ifndef MOTORD_SNAPSHOT_H

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * watch.h: who may move. Ages of what was received, faults and their latch, arming. Each comparison that lets
+ * watch.h: whether the base may move. Ages of what was received, faults and their latch, arming. Each comparison that lets
  * something move is written so that NaN does not pass it. A part of core.c, as snapshot.h is.
  */
 #ifndef MOTORD_WATCH_H
@@ -35,7 +35,7 @@ static inline void take_command(core_goal *goal, const twist_command *command)
     goal->command_angular_rad_s = angular_rad_s;
     goal->wanted_linear_m_s = finite && fabs(linear_m_s) >= LEAST_COMMAND ? linear_m_s : 0.0;
     goal->wanted_angular_rad_s = finite && fabs(angular_rad_s) >= LEAST_COMMAND ? angular_rad_s : 0.0;
-    /* who sends what is no number shall not arm: that is no command of zero */
+    /* a command that is no number does not arm: it is no command of zero */
     goal->zero = finite && goal->wanted_linear_m_s == 0.0 && goal->wanted_angular_rad_s == 0.0;
     goal->command_reasons = finite ? 0 : REASON_COMMAND_NOT_FINITE;
     goal->known = 0;
@@ -196,7 +196,7 @@ static inline uint32_t causes(const core_state *state, const tick *t)
     return found;
 }
 
-/* The e-stop's action replaces any other that is under way, and nothing replaces it but a drive that does not obey its
+/* The e-stop's action replaces any other in progress, and nothing replaces it but a drive that does not obey its
  * set-point: no other set-point ends that, so the power goes off at once. A wheel that turns in the wrong direction is no better
  * off on a ramp. */
 static inline stop_action watch_fault_action(const core_state *state)
@@ -208,7 +208,7 @@ static inline stop_action watch_fault_action(const core_state *state)
     return (state->faults & FAULT_DIRECTION) && action != STOP_COAST ? STOP_BRAKE : action;
 }
 
-/* Armed no more, what is under way ends by the stop action of the robot file. */
+/* Armed no more, a motion in progress ends by the stop action of the robot file. */
 static inline void watch_latch(core_state *state, uint32_t faults)
 {
     state->faults |= faults;
@@ -259,7 +259,7 @@ static inline bool calm(const core_state *state, const tick *t)
     return attention == 0 && ready != 0 && control->armed != 0 && t->dt_s != 0.0;
 }
 
-/* Reads the input and decides who may move: control, faults, arming. */
+/* Reads the input and decides whether the base may move: control, faults, arming. */
 static inline void watch(core_state *state, const core_input *input, double dt_s, tick *t)
 {
     look(state, input, dt_s, t);

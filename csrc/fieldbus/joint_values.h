@@ -21,7 +21,7 @@ static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t
     return isfinite(value) ? value : 0.0;
 }
 
-/* The number that tells a joint what the core wants of it; where it may not move, that of 0. */
+/* The number for what the core commands a joint; where it may not move, that of 0. */
 static inline double scaled(const setpoints *from, bool may_move, const setpoint_scale *scale)
 {
     double raw = (may_move ? setpoint_of(from, scale->joint, scale->kind) : 0.0) * scale->raw_per_si;

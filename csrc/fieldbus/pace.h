@@ -8,8 +8,8 @@
 
 static const int64_t LOOK_RESTING_NS = 20 * 1000000, LOOK_MOVING_NS = 5 * 1000000, LOOK_FULL_NS = 1000000;
 
-/* What is said before its cycle, because it is new: in the long run no more of it than there are cycles, and so many at
- * once. So a medium carries at most twice what its cycle asks for, however often the set-points change. */
+/* What is sent before its cycle, because it is new: in the long run no more of it than there are cycles, and so many at
+ * once. So a medium carries at most twice what its cycle needs, however often the set-points change. */
 enum { EARLY_AT_ONCE = 4 };
 
 typedef struct {
@@ -30,7 +30,7 @@ static inline int64_t later(int64_t a, int64_t b)
     return a > b ? a : b;
 }
 
-/* Something is to be said early: true, and it is counted. */
+/* Something is to be sent early: true, and it is counted. */
 static inline bool cycle_clock_early(cycle_clock *c, int64_t period_ns, int64_t now_ns)
 {
     if (c->early_ns - now_ns > (EARLY_AT_ONCE - 1) * period_ns) {

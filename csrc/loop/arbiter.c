@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * arbiter.c: who is in command. The fresh lease with the highest priority; among equals the one who came first. Who asks
- * for motion while nothing may move is held: its command counts as zero until it has sent zero itself or has let
+ * arbiter.c: which lease is in command. The fresh one with the highest priority; among equals the first. A lease that
+ * requests motion while nothing may move is held: its command counts as zero until it has sent zero itself or has let
  * it lapse. So a source that goes on sending through a stop, or before arming, moves nothing. */
 #include <math.h>
 #include <stddef.h>
@@ -15,7 +15,7 @@ _Static_assert(offsetof(joint_datagram, velocity_rad_s) == offsetof(command_data
 
 static const int64_t NS_PER_MS = 1000000;
 enum { BURST = 4, SMOOTH = 8 }; /* commands that may come early; of the interval between them the newest counts 1/SMOOTH */
-/* What is shorter would lapse between two commands, and the hold of who is held with it. */
+/* What is shorter would lapse between two commands, and the hold of a held lease with it. */
 static const int64_t LIFETIME_LEAST_NS = 20000000;
 static const double OUT_OF_RANGE = 10.0; /* times the limit: a wrong unit or a broken program, nothing to be scaled down */
 

@@ -5,7 +5,7 @@
 
 #include "rt.h"
 
-/* What the input's descriptor said in one tick. */
+/* What the input's descriptor reported in one tick. */
 typedef struct {
     bool known;  /* false: the level could not be read, or its device is gone */
     bool high;   /* level now */

@@ -51,7 +51,7 @@ uint32_t ingress_take(const ingress *in, arbiter *a, bool may_move)
     return taken;
 }
 
-/* Who may send is decided by owner, group and mode of the socket's file, which the kernel checks for each datagram; the
+/* Owner, group and mode of the socket's file decide which programs may send; the kernel checks them for each datagram. The
  * credentials only name the sender. There is room for them alone: descriptors that come along are dropped by the kernel. */
 static ssize_t receive(int fd, void *datagram, size_t bytes, int32_t *pid)
 {

@@ -9,7 +9,7 @@
 
 #include "guard.h"
 
-enum { EVENTS_A_TICK = 16 }; /* of a contact that bounces: the kernel keeps that many, and the level tells the rest */
+enum { EVENTS_A_TICK = 16 }; /* of a contact that bounces: the kernel keeps that many, and the level shows the rest */
 
 void guard_init(guard *g, const guard_config *config)
 {
@@ -23,7 +23,7 @@ void guard_init(guard *g, const guard_config *config)
 }
 
 /* The events first: an edge that comes after them is in the level. The request is for one kind of edge, so each event is
- * one: of a line with both the kernel tells the edge by the level that it finds later, and a short pulse is lost. */
+ * one: of a line with both the kernel reports the edge by the level that it finds later, and a short pulse is lost. */
 static estop_reading read_input(int fd)
 {
     estop_reading reading = {.known = true};

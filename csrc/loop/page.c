@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * page.c: one writer, any number of readers in any process, who hold no lock and cannot disturb it.
+ * page.c: one writer, any number of readers in any process, which hold no lock and cannot disturb it.
  * The layout is public: docs/state-page.md.
  *
  * Each slot is a sequence lock (seqlock.h). The writer goes round the slots, so a reader is overtaken only when it

@@ -47,7 +47,7 @@ void encoder_edge(encoder_state *state, const encoder_config *config, uint32_t o
     state->edge_ns = stamp_ns;
 }
 
-/* The short way round. */
+/* The shorter of the two directions. */
 static int64_t difference(uint64_t now, uint64_t before, uint64_t ceiling)
 {
     uint64_t forward = now - before;

@@ -130,7 +130,7 @@ void board_obey_request(board_machine *m, int64_t now_ns)
     if (answer.request == REQUEST_OFF || stands_down) {
         board_power_off(m, now_ns);
     } else if (answer.request == REQUEST_SET_UP) {
-        m->received_ns = now_ns; /* who was set up has just spoken, or cannot */
+        m->received_ns = now_ns; /* a board that was set up has just reported, or cannot */
         board_forget(m);
     } else if (answer.request == REQUEST_ARM) {
         m->last_sent_ns = now_ns;

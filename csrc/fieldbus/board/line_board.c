@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_board.c: the thread of a board's line: the port, the clock, the waiting. What is said and when is the machine's. */
+ * line_board.c: the thread of a board's line: the port, the clock, the waiting. What is sent and when is the machine's. */
 #include <errno.h>
 #include <locale.h>
 #include <string.h>
@@ -19,7 +19,7 @@ typedef struct {
     ring orders;
     board_order order_place[BOARD_ORDERS_MAX];
     board_report out;
-    uint32_t payload_bytes; /* for who puts orders */
+    uint32_t payload_bytes; /* for callers that put orders */
     uint32_t rest_bytes;
     bool woken;
     uint8_t rest[BOARD_WIRE_MAX]; /* of a frame that the port has taken the beginning of */

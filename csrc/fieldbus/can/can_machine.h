@@ -145,7 +145,7 @@ void can_begin_stop(can_machine *m, uint32_t drive, drive_stop stop);
 void can_stop_now(can_machine *m, uint32_t drive, uint32_t kind);
 void can_send_stop(can_machine *m, uint32_t drive);
 void can_send_setpoints(can_machine *m, uint32_t drive, int64_t now_ns);
-/* Its set-point frames would say something else than they said last. */
+/* Its set-point frames would differ from the last ones. */
 bool can_differs(const can_machine *m, uint32_t drive);
 void can_cycle(can_machine *m, uint32_t drive, int64_t now_ns);
 

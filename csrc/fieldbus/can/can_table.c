@@ -26,7 +26,7 @@ static void check_place(finding *f, const can_place *place, uint32_t bytes)
     need(f, place->start_bit < 8 * CAN_BYTES_MAX && place->start_bit + place->length <= 8 * bytes, "place.start_bit");
 }
 
-/* Beyond what the place holds, a number would go out as another one, even the other way round. */
+/* Beyond what the place holds, a number would go out as another one, even with the opposite sign. */
 static void check_setpoint(finding *f, const can_setpoint *setpoint, uint32_t bytes)
 {
     const can_place *place = &setpoint->place;

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_can.c: the thread of a CAN bus: the socket, the clock, the waiting. What is said and when is the machine's. */
+ * line_can.c: the thread of a CAN bus: the socket, the clock, the waiting. What is sent and when is the machine's. */
 #include <errno.h>
 #include <linux/can.h>
 #include <linux/can/raw.h>
@@ -42,7 +42,7 @@ typedef struct {
     can_inbox inbox;
     int64_t emptied_ns; /* before the newest look that left nothing in the socket: what is read now has come since */
     can_report out;
-    uint32_t outputs[CAN_DRIVES_MAX]; /* of each drive, for who puts orders; 0: no such drive */
+    uint32_t outputs[CAN_DRIVES_MAX]; /* of each drive, for callers that put orders; 0: no such drive */
     int send_error;
     bool woken;
 } can_thread;
@@ -87,7 +87,7 @@ static void prepare_inbox(can_inbox *inbox)
 }
 
 /* When the kernel saw it: CLOCK_MONOTONIC, by the age that its stamp of the wall clock gives it. That clock may be set
- * while the frame is on its way: no frame is of the future, and none is older than the look that found the socket empty. */
+ * while the frame is in transit: no frame is of the future, and none is older than the look that found the socket empty. */
 static int64_t stamp_of(struct msghdr *message, int64_t emptied_ns, int64_t now_ns, int64_t wall_ns)
 {
     for (struct cmsghdr *one = CMSG_FIRSTHDR(message); one != NULL; one = CMSG_NXTHDR(message, one)) {

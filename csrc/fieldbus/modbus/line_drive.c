@@ -300,7 +300,7 @@ static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *repl
     line_drive_state *drive = &m->drive[number];
     const line_drive *table = &m->table.drive[number];
     if (m->current != number) {
-        return; /* it was stopped while this was on its way */
+        return; /* it was stopped while this was in transit */
     }
     if (drive->stage == STAGE_REST || drive->stage == STAGE_DIRECTIONS) {
         direction_acknowledged(drive, m, number);
@@ -317,7 +317,7 @@ static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *repl
     }
 }
 
-/* The one under way may be of an older stop: that says nothing of the newest one. */
+/* The one in progress may be of an older stop: that proves nothing of the newest one. */
 static bool is_of_newest_stop(const line_machine *m, uint32_t number)
 {
     const line_frame *sent = &m->transaction.frame;

@@ -145,7 +145,7 @@ bool line_is_doubtful(line_machine *m, uint32_t number, int64_t now_ns)
     line_drive_state *drive = &m->drive[number];
     const line_frame *frame = &m->transaction.frame;
     if (frame->reply_bytes == 0 || frame->exact != 0 || m->work == WORK_PROBE) {
-        return false; /* that it is there is all that a probe asks */
+        return false; /* that it is there is all that a probe needs */
     }
     if (too_soon(m, number, turnaround_of(m, now_ns))) {
         drive->least_ns = 0; /* once: it may have become quicker */

@@ -19,7 +19,7 @@ static int64_t earlier(int64_t a, int64_t b)
     return a < b ? a : b;
 }
 
-/* ---------------------------------------------------------------------------------------------- sending, hearing */
+/* ---------------------------------------------------------------------------------------------- sending, receiving */
 static void begin(line_machine *m, uint32_t work, uint32_t worker, const line_frame *frame, line_output *out)
 {
     m->work = work;
@@ -119,7 +119,7 @@ static void drive_ended(line_machine *m, uint32_t kind, const received *verdict,
         m->ours_ns = later(m->ours_ns, now_ns + m->bound_ns);
         m->free_ns = later(m->free_ns, m->ours_ns);
     }
-    m->slot_due_ns = later(m->slot_due_ns, now_ns); /* who had to wait goes before a probe, which may take as long */
+    m->slot_due_ns = later(m->slot_due_ns, now_ns); /* a request that had to wait goes before a probe, which may take as long */
     doubt_echo(m);
 }
 
@@ -307,7 +307,7 @@ static void begin_probe(line_machine *m, uint32_t number, int64_t now_ns, line_o
     begin(m, WORK_PROBE, number, &frame, out);
 }
 
-/* The acyclic slot: an urgent ask, else asks and probes by turns. `next_ns`: when the next drive is due. */
+/* The acyclic slot: an urgent request, else requests and probes by turns. `next_ns`: when the next drive is due. */
 static bool take_slot(line_machine *m, int64_t now_ns, int64_t next_ns, line_output *out)
 {
     bool mine = m->slot_due_ns <= now_ns && m->slot_due_ns <= next_ns;

@@ -10,7 +10,7 @@
  * line_unresponsive.c    a drive that does not answer, a line that is never silent
  * line_end.c      how a line is shut down
  * line_requests.c  requests from outside the cycle
- * line_report.c   what the line tells of itself
+ * line_report.c   what the line reports
  * line_machine.c  the line: whose turn it is, and what the answer means
  */
 #ifndef MOTORD_LINE_MACHINE_H
@@ -21,12 +21,12 @@
 #include "rtu.h"
 
 static const int64_t LINE_MS = 1000000;
-/* Between the reply's last byte on the wire and our hearing of it: USB frames, receive buffers, a busy machine. */
+/* Between the reply's last byte on the wire and our reading it: USB frames, receive buffers, a busy machine. */
 static const int64_t LINE_HOST_NS = 20 * LINE_MS;
 
 enum { RECEIVED_BYTES_MAX = 2 * FRAME_BYTES_MAX + 64, OWED_MAX = 4 };
 
-/* What tells one reply from another. */
+/* What distinguishes one reply from another. */
 typedef struct {
     uint32_t reply_bytes;
     uint32_t reply_seal;
@@ -44,7 +44,7 @@ typedef struct {
 
 typedef enum { ECHO_NONE = 0, ECHO_FIRST = 1, ECHO_UNKNOWN = 2 } line_echo;
 
-/* One request under way, and all that came since it was sent. */
+/* One request in progress, and all that came since it was sent. */
 typedef struct {
     line_frame frame;    /* request as it goes out */
     uint64_t request_id; /* WORK_REQUEST: whose it is, and how long its drive may take */
@@ -53,7 +53,7 @@ typedef struct {
     uint8_t received[RECEIVED_BYTES_MAX];
 } line_transaction;
 
-/* What the exchange under way is for. */
+/* What the exchange in progress is for. */
 typedef enum { WORK_NONE = 0, WORK_CYCLE, WORK_DIRECTION, WORK_STOP, WORK_BROADCAST, WORK_REQUEST, WORK_PROBE } line_work;
 
 typedef enum { DIRECTION_UNKNOWN = 0, DIRECTION_REST = 1, DIRECTION_FORWARD = 2, DIRECTION_REVERSE = 3 } line_direction_sent;
@@ -126,7 +126,7 @@ typedef struct line_machine {
     line_request request[LINE_REQUESTS_MAX]; /* those that wait; the urgent ones first */
     uint32_t request_count;
     uint32_t echo;   /* line_echo */
-    uint32_t work;   /* line_work under way; NONE: the line is ours */
+    uint32_t work;   /* line_work in progress; NONE: the line is ours */
     uint32_t worker; /* its drive; LINE_DRIVES_MAX: none */
     bool sent;       /* its request has left */
     bool notify;     /* something that Python wants to know */
@@ -139,7 +139,7 @@ typedef struct line_machine {
     int64_t silent_ns;    /* when the line was seen silent last */
     bool noisy;           /* what was urgent has gone out since then all the same */
     int64_t urgent_by_ns; /* an urgent request goes out then, silence or not; 0: none waits */
-    int64_t start_ns;     /* of the request under way */
+    int64_t start_ns;     /* of the request in progress */
     int64_t end_ns;       /* its last byte */
     int64_t until_ns;     /* its deadline */
     int64_t bound_ns;     /* turn-around that is waited for */
@@ -165,7 +165,7 @@ typedef struct {
     uint32_t feedback_mask; /* joints whose machine->joint[].feedback is new */
     bool answered;          /* machine->answer is new */
     bool notify;
-    int64_t wake_ns; /* step again then, or when bytes, asks or a wake come */
+    int64_t wake_ns; /* step again then, or when bytes, requests or a wake come */
 } line_output;
 
 /* line_begin.c: 0 or -EINVAL. Every drive OFF; one that `may_turn` gets a stop before all else. */
@@ -231,7 +231,7 @@ void line_drive_not_reached(line_machine *m, uint32_t drive, int64_t now_ns);
 int64_t line_reply_ns(const line_machine *m, const line_frame *frame);
 
 /* ------------------------------------------------------------------------- line_late.c */
-/* The request under way has failed: its reply may still come. */
+/* The request in progress has failed: its reply may still come. */
 void line_owe(line_machine *m, uint32_t drive);
 /* A reply to this request, sent then, could be an older one's, and would say something else. */
 bool line_may_be_late(const line_machine *m, uint32_t drive, const line_frame *frame, int64_t sent_ns);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_report.c: what a line tells of itself. */
+ * line_report.c: what a line reports. */
 #include "line_machine.h"
 
 void line_machine_report(const line_machine *m, line_report *report)

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_rtu.c: the thread of a serial line: the port, the clock, the waiting. What is said and when is the machine's. */
+ * line_rtu.c: the thread of a serial line: the port, the clock, the waiting. What is sent and when is the machine's. */
 #include <errno.h>
 #include <linux/gpio.h>
 #include <string.h>

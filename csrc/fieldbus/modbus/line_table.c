@@ -37,7 +37,7 @@ bool line_frame_is_good(const line_frame *frame)
     return !f.bad;
 }
 
-/* Beyond what the form holds, a number would go out as another one, even the other way round. */
+/* Beyond what the form holds, a number would go out as another one, even with the opposite sign. */
 static void check_range(finding *f, const line_setpoint *setpoint)
 {
     bool form_has_sign = (setpoint->form & 1) != 0;

@@ -186,7 +186,7 @@ received rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32
     if (echo == 1 && !comes_back) {
         return (received){.kind = RECEIVED_BAD};
     }
-    /* not known whether there is an echo: what is like the request is none, until it has come twice */
+    /* not known whether there is an echo: what is like the request is no answer, until it has come twice */
     bool passes = echo != 0 && comes_back;
     received found = hunt(frame, request, passes ? sent : 0, bytes, count);
     found.echoed = comes_back && found.offset >= sent;

@@ -39,7 +39,7 @@ void rtu_write(uint8_t *bytes, uint32_t form, int64_t raw);
 /* The value under a mask of adjacent bits, with its sign where the form has one; mask 0: all of it. */
 int64_t rtu_masked(int64_t raw, uint32_t mask, uint32_t form);
 
-/* True when the answer looks the same as the request: then only `echo` tells one from the other. */
+/* True when the answer looks the same as the request: then only `echo` distinguishes them. */
 bool rtu_answer_is_request(const line_frame *frame, const uint8_t *request);
 /* The answer to `request` (frame's, as it was sent) among what came since. echo: as line_table.echo. Garbage
  * before it is passed over; nothing but prefix, whole length and seal makes an answer. */
