@@ -15,7 +15,7 @@ HEAD = """\
 Each topic of [the tree](buses.md#topics) with the fields that motord fills. Fields of the type that
 are not named here are zero or empty. NaN (in JSON: null) is what was not measured.
 
-`now` is the newest [state page](state-page.md); `view` also knows the daemon's last answer to
+`now` is the newest [state page](state-page.md); `view` also has the daemon's last answer to
 `status`; `joint` stands for each joint, in the order of the robot file. This page is made from
 `daemon/motord/bus/messages/tree.py`: edit that one, then run
 `python -m motord.bus.messages > docs/messages.md`.
