@@ -317,8 +317,10 @@ PRIVATE_MESSAGE = re.compile(
 
 
 PRIVATE_TEXT = re.compile(
-    r"\b(desk|sparing|wish(es|ed)?|told|heard|hears?|deaf|quiet|demoted|hurry|whoever|nobody"
-    r"|somebody|anybody|whom|he|his|him|asked for|under way)\b",
+    r"\b(desk|sparing|wish(es|ed)?|told|tells?|telling|said|heard|hears?|deaf|quiet|demoted|hurry"
+    r"|whoever|nobody|somebody|anybody|whom|he|his|him|asked for|asks? for|under way"
+    r"|who (asks?|waits|comes|shows|is counted)|(the )?other way round|both ways"
+    r"|(?<!there )(is|are) none)\b",
     re.IGNORECASE,
 )
 PAGES = [
@@ -340,8 +342,10 @@ def test_pages_are_in_the_terms_of_the_glossary():
 
 
 PRIVATE_COMMENT = re.compile(
-    r"\b(desk|sparing|wish(es|ed)?|[Tt]old|[Hh]eard|[Hh]ears?|deaf|[Qq]uiet|demoted|hurry"
-    r"|[Ww]hoever|[Nn]obody|[Ss]omebody|[Aa]nybody|whom|[Hh]e|[Hh]is|him)\b"
+    r"\b(desk|sparing|box|wish(es|ed)?|[Tt]old|[Tt]ells?|[Tt]elling|[Ss]aid|([Uu]n)?[Hh]eard"
+    r"|[Hh]ear(s|ing)?|deaf|[Qq]uiet|demoted|hurry|[Ww]hoever|[Nn]obody|[Ss]omebody|[Aa]nybody"
+    r"|whom|[Hh]e|[Hh]is|him|[Aa]sks? for|under way|on (its|their|the) way|both ways"
+    r"|other way round|[Ww]ho (asks?|waits|comes|wants|reads)|(?<![Tt]here )(is|are) none)\b"
 )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Talk to a running motord from an asyncio program: motord.client with `await`.
+"""Use a running motord from an asyncio program: motord.client with `await`.
 
     from motord.aio import Client
 
@@ -156,7 +156,8 @@ class Client:
         priority: int | None = None,
         lease_s: float | None = None,
     ) -> dict[str, Any]:
-        """Request a speed. None: as in the [input] of the robot file. Returns who is in command."""
+        """Request a speed. None: as in the [input] of the robot file. Returns the source in
+        command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
         given = {key: value for key, value in lease.items() if value is not None}
         result: dict[str, Any] = await self.call(

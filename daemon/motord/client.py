@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Talk to a running motord from any Python program: the standard library alone, no asyncio.
+"""Use a running motord from any Python program: the standard library alone, no asyncio.
 
     from motord.client import Client
 
@@ -53,7 +53,7 @@ _OTHERS = re.compile(r"\.(stop|cmd\.\d+)\.sock$")
 
 
 def socket_folders(environ: Mapping[str, str] = os.environ, uid: int | None = None) -> list[Path]:
-    """Where sockets may lie, best first: the system's, the user's, and one for who has neither."""
+    """Where sockets may lie, best first: the system's, the user's, and one where neither exists."""
     uid = os.geteuid() if uid is None else uid
     folders = [Path("/run/motord")]
     if runtime := environ.get("XDG_RUNTIME_DIR"):
@@ -78,8 +78,8 @@ def find_sockets(
     robot: str | None = None, folders: list[Path] | None = None, *, barred: bool = True
 ) -> list[Path]:
     """The sockets of all running daemons, or of those of `robot`. `barred`: one that this user may
-    not ask counts, too; the kernel refuses before it looks whether a program listens (unix(7)), so
-    its daemon may be dead. Raises ClientError where there is none."""
+    not check counts, too; the kernel refuses before it looks whether a program listens (unix(7)),
+    so its daemon may be dead. Raises ClientError where there is none."""
     found: list[Path] = []
     for folder in socket_folders() if folders is None else folders:
         with contextlib.suppress(OSError):
@@ -243,7 +243,8 @@ class Client:
         priority: int | None = None,
         lease_s: float | None = None,
     ) -> dict[str, Any]:
-        """Request a speed. None: as in the [input] of the robot file. Returns who is in command."""
+        """Request a speed. None: as in the [input] of the robot file. Returns the source in
+        command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
         given = {key: value for key, value in lease.items() if value is not None}
         result: dict[str, Any] = self.call(

@@ -33,7 +33,7 @@ static int64_t raw_of(const line_machine *m, uint32_t drive, const line_setpoint
     return (int64_t)nearbyint(fmin(fmax(raw, setpoint->raw_min), setpoint->raw_max));
 }
 
-/* It is to regulate nothing: neither armed nor coming to rest, and not one that may turn unheard. */
+/* It is to regulate nothing: neither armed nor coming to rest, and not one that may turn without reporting it. */
 static bool is_idle(const line_machine *m, uint32_t drive)
 {
     const line_drive_state *state = &m->drive[drive];

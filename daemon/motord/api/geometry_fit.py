@@ -4,10 +4,9 @@ squares (Gauss-Newton) over recorded paths of the wheels.
 
 A path is what each side has rolled by the present radii. The true base has rolled `left` and
 `right` times as much, on `track` times the track. What a square shows and a straight line does not
-is why it is driven both ways: Borenstein & Feng, UMBmark, University of Michigan, 1994, and
-Measurement and Correction of Systematic Odometry Errors in Mobile Robots, IEEE Transactions on
-Robotics and Automation 12(6), 1996.
-"""
+is why it is driven in both directions: Borenstein & Feng, UMBmark, University of Michigan, 1994,
+and Measurement and Correction of Systematic Odometry Errors in Mobile Robots, IEEE Transactions on
+Robotics and Automation 12(6), 1996."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord-bus`: the second process. It has no devices and asks for no
+"""`motord-bus`: the second process. It has no devices and needs no
 privileges; it may crash, hang or be slow."""
 
 from __future__ import annotations

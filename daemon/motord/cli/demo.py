@@ -114,7 +114,7 @@ def progress(text: str) -> None:
 
 
 def stay_up(stage: Stage) -> None:
-    """Until Ctrl-C: how to talk to the robot that stands there."""
+    """Until Ctrl-C: how to use the robot that stands there."""
     progress("")
     click.echo(f"the robot stays up. In another terminal: motord status --socket {stage.socket}")
     click.echo("Ctrl-C ends it.")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands that talk to a running daemon, over its local socket alone."""
+"""The commands for a running daemon, over its local socket alone."""
 
 from __future__ import annotations
 

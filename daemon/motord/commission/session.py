@@ -31,7 +31,7 @@ class Held:
 
     snapshots: tuple[Snapshot, ...]
     faults: tuple[str, ...]
-    """Latched on the way; they have ended the motion."""
+    """Latched meanwhile; they have ended the motion."""
 
 
 @dataclass(slots=True)

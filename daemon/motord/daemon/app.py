@@ -54,7 +54,7 @@ async def run(
     `on_ready` is called once, with the socket's path, when it listens. `starts_bus`: motord-bus is
     started where the robot file has something for it; else another program does that.
 
-    Raises ConfigRefused, ProfileError and LookupError for what the robot file asks for in vain,
+    Raises ConfigRefused, ProfileError and LookupError for what the robot file requires in vain,
     PageInUse and SocketInUse where such a daemon runs already, OSError for what cannot be done
     without.
     """

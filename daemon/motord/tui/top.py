@@ -49,7 +49,7 @@ class Confirm(ModalScreen[bool]):
         yield Label(f"{self._question}\n\ny: yes    any other key: no", markup=False)
 
     def on_key(self, event: Key) -> None:
-        if not self._answered:  # further keys may be on their way
+        if not self._answered:  # further keys may be in transit
             self._answered = True
             self.dismiss(event.key == "y")
 

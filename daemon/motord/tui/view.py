@@ -181,7 +181,7 @@ def _numbers(line: LineStatus) -> str:
 
 
 def leases(found: Status) -> Text:
-    """Who commands, first, and who waits."""
+    """The source in command, then those that wait."""
     text = Text(no_wrap=True, overflow="ellipsis")
     text.append(f"{'source':20} {'priority':>8}{'m/s':>8}{'rad/s':>8}{'1/s':>6}", HEAD)
     for number, lease in enumerate(found.leases):

@@ -284,7 +284,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._waits_since_s = now_s()
 
     def opened(self) -> None:
-        """The drive may speak. One that may turn gets a stop, as one that has just fallen
+        """The drive may send. One that may turn gets a stop, as one that has just fallen
         silent."""
         self._waits_since_s = self._unresponsive_since_s = now_s()
         self._probe_at_s = 0.0

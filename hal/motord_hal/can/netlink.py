@@ -43,7 +43,8 @@ def _attribute(kind: int, payload: bytes) -> bytes:
 
 
 def answer_error(answer: bytes) -> int:
-    """The error number of an acknowledgement; 0: it was done. ValueError: it is none."""
+    """The error number of an acknowledgement; 0: it was done. ValueError: it is no
+    acknowledgement."""
     if len(answer) < _HEADER.size + _ERROR.size:
         raise ValueError(f"{len(answer)} bytes are no acknowledgement")
     _, kind, _, _, _ = _HEADER.unpack_from(answer)

@@ -43,7 +43,7 @@ _COUNT = struct.Struct("<i")
 _COUNTS = 1 << 32
 
 Report = Callable[[int, int, int, int], None]
-"""BridgeThread.tell."""
+"""BridgeThread.report_count."""
 Say = Callable[[EventKind, str], None]
 
 
@@ -101,7 +101,7 @@ class CountingBoard:
                 backoff.reset()
 
     def _question(self) -> bytes:
-        """Set-points of zero that enable nothing: they say how often the board is to speak."""
+        """Set-points of zero that enable nothing: they set how often the board sends."""
         payload = bytearray(setpoints_payload((), {}, max(self._wheels), FEEDBACK_S))
         payload[0] = self._control
         self._sequence = self._sequence + 1 & 0xFFFF

@@ -65,7 +65,7 @@ _BOARDS = (
 
 
 _WITHOUT_PULLS = "tegra"
-"""How the labels of the chips of all Jetsons begin. Their driver knows no bias, and the kernel
+"""How the labels of the chips of all Jetsons begin. Their driver has no bias, and the kernel
 takes that for no error: gpio_set_bias of drivers/gpio/gpiolib.c, tegra186_gpio_set_config."""
 
 

@@ -102,7 +102,7 @@ class Strict(FramerBase):
         self._request = None
 
     def _accept(self, request: Request, frame: bytes) -> ModbusPDU | None:
-        """The answer as pymodbus wants it; None: it is none, and `refused` says why."""
+        """The answer as pymodbus wants it; None: there is none, and `refused` is the reason."""
         try:
             self.reply = parse_reply(request, frame)
         except FrameError as error:
@@ -278,7 +278,8 @@ class GuardedClient:
             return self._answer(request)
 
     async def _transmit(self, request: Request, within_s: float) -> None:
-        """Let pymodbus talk. What came of it is in the framer, so its own verdict is not needed."""
+        """Let pymodbus send and receive. The result is in the framer, so its own verdict is not
+        needed."""
         limit_s = self.wire_time_s(len(build_request(request))) + within_s
         self._sent_s = now_s()
         with (

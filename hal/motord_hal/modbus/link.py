@@ -15,7 +15,7 @@ _KINDS = ((NoReply, "no_reply"), (BadReply, "bad_reply"), (Refused, "refused"), 
 
 
 class Link:
-    """What drives talk through."""
+    """What drives send and receive through."""
 
     def __init__(self, client: GuardedClient) -> None:
         self.client = client

@@ -37,7 +37,7 @@ class Fault:
     """Replies that it could have happened to."""
     fired: int = 0
     waits_until_s: float = 0.0
-    """Of babble: when it speaks next."""
+    """Of babble: when it sends next."""
 
     @property
     def once(self) -> bool:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands from any bus: who may give them, how old they are, and the lease they go under."""
+"""Commands from any bus: their token, their age, and their lease."""

@@ -3,7 +3,7 @@
 client publishing; JSON). The SDK calls from threads of its own; what moves the robot is done in the
 event loop.
 
-The protocol knows no token, and the SDK shows no header of the connection. So the token stands in
+The protocol has no token, and the SDK shows no header of the connection. So the token stands in
 the request, {"token": ..., ...}, or the service `authorize` lets a connection in until it ends.
 """
 

@@ -74,7 +74,7 @@ class _Sender:
 
 
 class Contest:
-    """Of one topic. Two senders command against each other when one speaks again although another
+    """Of one topic. Two senders command against each other when one sends again although another
     has meanwhile asked for something else that is still in force."""
 
     def __init__(self, where: str, alive_s: float) -> None:

@@ -121,7 +121,7 @@ class DriveFrame(NamedTuple):
 
 
 def drive_frame(raw: bytes) -> DriveFrame:
-    """Raises ValueError for what is none."""
+    """Raises ValueError for what is no such frame."""
     if len(raw) != _DRIVE.size:
         raise ValueError(f"a command has {_DRIVE.size} bytes")
     _, *fields = _DRIVE.unpack(raw)
@@ -129,7 +129,8 @@ def drive_frame(raw: bytes) -> DriveFrame:
 
 
 def number_of(raw: bytes) -> int:
-    """The number that an ACKNOWLEDGE or a RELEASE carries. Raises ValueError for what is none."""
+    """The number that an ACKNOWLEDGE or a RELEASE carries. Raises ValueError for what is no such
+    frame."""
     if len(raw) != _NUMBERED.size:
         raise ValueError(f"such a frame has {_NUMBERED.size} bytes")
     return int(_NUMBERED.unpack(raw)[1])

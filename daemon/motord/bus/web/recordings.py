@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of the robot file's [publish.*] of kind "mcap": listed, and given to who has a
+"""Recordings of the robot file's [publish.*] of kind "mcap": listed, and given to a client with a
 ticket. A link to a file can carry no header, and a token in an address would stay in logs: so a
-page asks for an address that is good for one download."""
+page requests an address that is good for one download."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Recordings:
         return f"{ADDRESS}{ticket}/{name}"
 
     def redeem(self, address: str) -> Path | None:
-        """The file, once. None: the ticket is none, used, or too old."""
+        """The file, once. None: the ticket is unknown, used, or too old."""
         ticket = address.removeprefix(ADDRESS).partition("/")[0]
         given_s, path = self._tickets.pop(ticket, (0.0, None))
         return path if time.monotonic() - given_s <= TICKET_S else None

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One page that is connected: what it is sent, and what it asks for.
+"""One page that is connected: what it is sent, and what it requests.
 
 Frames that a page has not acknowledged fill the buffers of a slow link, and the newest one would
-arrive last. So no more than WINDOW_S of them are under way: meanwhile only the newest is kept.
+arrive last. So no more than WINDOW_S of them are in transit: meanwhile only the newest is kept.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ class Viewer:
     # ------------------------------------------------------------------------------------- asking
     def _take(self, raw: bytes) -> None:
         """A frame of the page."""
-        with contextlib.suppress(ValueError, NotTaken):  # said to the page, and counted
+        with contextlib.suppress(ValueError, NotTaken):  # reported to the page, and counted
             match raw[:1]:
                 case b"":
                     pass

@@ -68,7 +68,8 @@ def _protocol(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _mounting(robot: Robot, _: Profiles) -> Iterator[Finding]:
-    """Motors that face each other turn opposite ways; motors on one side turn the same way."""
+    """Motors that face each other turn in opposite directions; motors on one side turn in the
+    same."""
     for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
         paths = tuple(
             ("joint", joint, key) for joint in (other, one) for key in ("inverted", "side")

@@ -28,7 +28,7 @@ ALL_TOPICS: tuple[Topic, ...] = (
 _NAME = r"[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*\.?"
 _IPV6 = r"[0-9A-Fa-f]{0,4}:[0-9A-Fa-f:]{1,40}(\.[0-9]{1,3}){0,3}(%[A-Za-z0-9_-]{1,15})?"
 HOST = rf"^({_NAME}|{_IPV6})$"
-"""A name or an address; what getaddrinfo raises UnicodeError for is none."""
+"""A name or an address; what getaddrinfo raises UnicodeError for is refused."""
 ROUTER = rf"^(tcp|tls)/(\[[0-9A-Fa-f:]+\]|{_NAME}):[0-9]{{1,5}}$"
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
@@ -112,7 +112,7 @@ class MqttBroker(Section):
     """Certificates of the authority that the broker's is checked against; the system's otherwise.
     """
     cert_file: str | None = None
-    """Our own certificate, for a broker that asks for one."""
+    """Our own certificate, for a broker that requires one."""
     key_file: str | None = None
     """Key of cert_file."""
     username: str | None = None
@@ -231,7 +231,7 @@ class WebServer(Section):
     """The dashboard: a page that this robot serves to browsers."""
 
     host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
-    """Address to listen at; this machine only, unless something else is said."""
+    """Address to listen at; this machine only by default."""
     port: int = number("TCP port", 1, 65535, "1", 8088)
     rate_hz: float = number("states a second for each page at most", 1, 100, "Hz", 50.0)
     token_file: str | None = Field(default=None, min_length=1)
@@ -326,7 +326,7 @@ class ZenohNode(RosNode):
     ca_file: str | None = None
     """Certificates of the authority that the router's is checked against (tls)."""
     cert_file: str | None = None
-    """Our own certificate, for a router that asks for one (tls)."""
+    """Our own certificate, for a router that requires one (tls)."""
     key_file: str | None = None
     """Key of cert_file."""
 

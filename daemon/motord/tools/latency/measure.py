@@ -114,7 +114,7 @@ def run_latency(
 async def measure(
     options: LatencyOptions, progress: Callable[[Progress], None], warn: Callable[[str], None]
 ) -> LatencyReport:
-    """`run_latency` for who has an event loop already: this one is measured then."""
+    """`run_latency` in an event loop that runs already: this one is measured then."""
     if not (math.isfinite(options.seconds) and options.seconds > 0.0):
         raise ValueError(f"{options.seconds} s: a time greater than zero")
     settings = LoopSettings(

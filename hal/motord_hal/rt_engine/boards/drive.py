@@ -45,7 +45,7 @@ class BoardRtDrive(RtDrive):
         return f"nothing for {self._silence_s * 1e3:.0f} ms"
 
     async def _present(self) -> None:
-        """Until it speaks. One that was restarted by the opening of its port takes its time."""
+        """Until it sends. One that was restarted by the opening of its port takes its time."""
         patience_s = now_s() + START_GRACE_S
         while not self._board.report().drives[0].received_ns:
             if now_s() > patience_s:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which protocol a line's drives speak."""
+"""Which protocol a line's drives use."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ LOOK_EVERY_S = 0.001
 def channels_of(joints: Sequence[JointSpec]) -> list[list[Place]]:
     """By joint, the pins of its bridge that are PWM channels here. GPIO lines that only give power
     are taken as wired to the supply. One that selects the direction gets a channel of its own,
-    above those of the robot file: its duty is none or all of a period, which is a level."""
+    above those of the robot file: its duty is 0 or all of a period, which is a level."""
     every = [places_of(number, joint) for number, joint in enumerate(joints)]
     used = [place.channel for places in every for place in places if place.channel is not None]
     free = itertools.count(max(used, default=-1) + 1)

@@ -98,7 +98,7 @@ class SimulatedDrive:
     # ------------------------------------------------------------------------------- state, read
     @property
     def functions(self) -> frozenset[int]:
-        """What the profile says that it speaks."""
+        """The protocol that its profile names."""
         spoken = {Function.READ_HOLDING, Function.WRITE_SINGLE, self.profile.write_function}
         both = self.profile.read_write_function
         return frozenset(spoken if both is None else spoken | {both})

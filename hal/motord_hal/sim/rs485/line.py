@@ -180,7 +180,7 @@ class SimulatedLine:
         return drive_gap_s(drive.profile, self.spec)
 
     def _understands(self, drive: SimulatedDrive, now_s: float) -> bool:
-        """Whether the master talks at the drive's baud rate and parity. What no one has set up is
+        """Whether the master sends at the drive's baud rate and parity. What no one has set up is
         taken to fit."""
         baudrate = self.spec.baudrate
         for fault in self._script.states("wrong-baud", drive.unit, now_s):

@@ -43,7 +43,7 @@ class Router:
 
     def configuration(self) -> str:
         """Of the session, in JSON. It does not scout by itself, and stamps messages as those who
-        ask for latched ones need it."""
+        query latched ones need it."""
         tls_options = {
             "root_ca_certificate": self.ca_file,
             "connect_certificate": self.cert_file,
