@@ -126,7 +126,7 @@ def test_squares_both_ways_agree_with_the_closed_form_of_umbmark():
     assert abs(found.right / found.left - 1.0) == pytest.approx(abs(ratio - 1.0), rel=0.05)
 
 
-def test_a_square_alone_does_not_tell_the_size():
+def test_a_square_alone_does_not_determine_the_size():
     squares = whole()[3:]
     with pytest.raises(BadData, match=r"do not determine scale, ratio, track"):
         fit(squares, TRACK_M, ("scale", "ratio", "track"))
