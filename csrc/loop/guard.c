@@ -5,6 +5,8 @@
 
 #include <errno.h>
 
+#include "fresh.h"
+
 int guard_config_check(const guard_config *config)
 {
     bool good = config->watchdog == 0 || (config->watchdog_every_ticks > 0 && config->heartbeat_timeout_ns > 0);
@@ -23,11 +25,6 @@ uint32_t estop_judge(const guard_config *config, const estop_reading *reading)
     return reading->opened || reading->high == (config->estop_high != 0) ? ESTOP_ACTIVE : ESTOP_CLEAR;
 }
 
-static bool is_within(int64_t now_ns, int64_t stamp_ns, int64_t timeout_ns)
-{
-    return stamp_ns > 0 && now_ns - stamp_ns <= timeout_ns;
-}
-
 /* A line with enabled drives has to go on. One that hangs counts until it goes on again, though the core has long taken
  * its enable back: only its drives know what they do. */
 static bool line_lives(watchdog_state *state, const guard_config *config, const watchdog_input *input, uint32_t line)
@@ -41,14 +38,14 @@ static bool line_lives(watchdog_state *state, const guard_config *config, const 
         state->takes[line] = input->takes[line];
         state->taken_ns[line] = input->now_ns;
     }
-    bool lives = is_within(input->now_ns, state->taken_ns[line], timeout_ns);
+    bool lives = fresh_stamp(input->now_ns, state->taken_ns[line], timeout_ns);
     state->watched[line] = input->enabled || (state->watched[line] && !lives);
     return lives || !state->watched[line];
 }
 
 bool watchdog_step(watchdog_state *state, const guard_config *config, const watchdog_input *input)
 {
-    bool well = is_within(input->now_ns, input->heartbeat_ns, config->heartbeat_timeout_ns);
+    bool well = fresh_stamp(input->now_ns, input->heartbeat_ns, config->heartbeat_timeout_ns);
     for (uint32_t line = 0; line < LINES_MAX; line++) {
         bool lives = line_lives(state, config, input, line);
         well = well && lives;

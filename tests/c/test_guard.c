@@ -192,6 +192,16 @@ static void a_heartbeat_that_never_came_is_none_however_young_the_clock_is(void)
     CHECK(!watchdog_step(&state, &config, &(watchdog_input){.now_ns = 3, .heartbeat_ns = 1}));
 }
 
+static void a_heartbeat_of_the_future_is_no_sign_of_life(void)
+{
+    guard_config config = {.watchdog = 1, .watchdog_every_ticks = 1, .heartbeat_timeout_ns = 500 * MS};
+    for (int64_t ahead_ns = 10 * MS; ahead_ns < 2000 * MS; ahead_ns += 990 * MS) {
+        watchdog_state state = {0};
+        bool well = watchdog_step(&state, &config, &(watchdog_input){.now_ns = START_NS, .heartbeat_ns = START_NS + ahead_ns});
+        CHECK(well == (ahead_ns == 10 * MS)); /* written meanwhile */
+    }
+}
+
 static void after_a_hang_the_first_edge_comes_when_its_time_has_passed(void)
 {
     rig r = living();
@@ -232,6 +242,7 @@ int main(void)
     a_line_that_hangs_counts_until_it_goes_on_though_nothing_is_enabled_any_more();
     the_first_line_is_watched_as_the_others_are();
     a_heartbeat_that_never_came_is_none_however_young_the_clock_is();
+    a_heartbeat_of_the_future_is_no_sign_of_life();
     after_a_hang_the_first_edge_comes_when_its_time_has_passed();
     a_config_that_makes_no_sense_is_refused();
     return checks_report("guard");
