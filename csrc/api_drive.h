@@ -59,5 +59,9 @@ drive_answer drive_obey(drive_state *drive, const mode_request *request, const d
 void drive_take_back(drive_state *drive, uint32_t why, uint32_t mode);
 /* It was taken back for another reason since it was asked last. */
 bool drive_is_changed(drive_state *drive);
+/* It does not answer: nothing is known of it any more. What it is sent all the same depends on its medium. */
+void drive_unresponsive(drive_state *drive);
+/* It answers again: when it has got its power-off it is BACK. */
+drive_stop drive_answers(drive_state *drive);
 /* It has got its stop. True: it was unresponsive, and is BACK. */
 bool drive_stop_done(drive_state *drive);

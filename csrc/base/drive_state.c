@@ -37,6 +37,18 @@ drive_stop drive_end_stopping(drive_state *drive, bool at_rest, int64_t now_ns)
     return over ? drive_power_off(drive) : STOP_NOTHING;
 }
 
+void drive_unresponsive(drive_state *drive)
+{
+    drive_take_back(drive, DRIVE_FAULT_UNRESPONSIVE, DRIVE_UNRESPONSIVE);
+    drive->stopping = drive->back = drive->off_due = false;
+}
+
+drive_stop drive_answers(drive_state *drive)
+{
+    drive->back = true;
+    return drive_power_off(drive);
+}
+
 bool drive_stop_done(drive_state *drive)
 {
     bool back = drive->back;

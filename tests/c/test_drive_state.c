@@ -169,6 +169,23 @@ static void a_stop_that_has_arrived_brings_back_what_was_unresponsive(void)
     }
 }
 
+static void in_every_mode_a_drive_that_does_not_answer_keeps_nothing_but_its_reasons(void)
+{
+    for (int m = 0; m < MODES; m++) {
+        for (uint32_t bits = 0; bits < 8; bits++) {
+            drive_state drive = {.mode = MODE[m], .enabled = 1, .fault_reasons = DRIVE_FAULT_LEFT_ALONE};
+            drive.stopping = bits & 1, drive.back = bits >> 1 & 1, drive.off_due = bits >> 2 & 1;
+            drive.stop = STOP_QUICK;
+            drive_unresponsive(&drive);
+            CHECK(drive.mode == DRIVE_UNRESPONSIVE && drive.enabled == 2 && drive.stop == STOP_QUICK);
+            CHECK(drive.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_UNRESPONSIVE));
+            CHECK(!drive.stopping && !drive.back && !drive.off_due);
+            CHECK(drive_answers(&drive) == STOP_POWER_OFF && drive.back && drive.mode == DRIVE_UNRESPONSIVE);
+            CHECK(drive_stop_done(&drive) && drive.mode == DRIVE_BACK && !drive.back);
+        }
+    }
+}
+
 static void reasons_gather(void)
 {
     drive_state drive = {.mode = DRIVE_ARMED, .enabled = 1};
@@ -188,6 +205,7 @@ int main(void)
     the_power_goes_off_at_rest_or_in_time_but_not_before_the_stop_has_arrived();
     its_own_word_takes_its_power_where_nobody_has_armed_it();
     a_stop_that_has_arrived_brings_back_what_was_unresponsive();
+    in_every_mode_a_drive_that_does_not_answer_keeps_nothing_but_its_reasons();
     reasons_gather();
     return checks_report("drive state");
 }

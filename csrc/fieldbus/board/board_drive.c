@@ -43,8 +43,7 @@ static void becomes_unresponsive(board_machine *m, int64_t now_ns)
     m->unresponsive++;
     board_begin_stop(m, drive_quick_stop(&m->state, 0, now_ns),
                      now_ns); /* it may receive all the same: in every cycle from now on */
-    drive_take_back(&m->state, DRIVE_FAULT_UNRESPONSIVE, DRIVE_UNRESPONSIVE);
-    m->state.stopping = m->state.back = false;
+    drive_unresponsive(&m->state);
     m->feedback_bytes = 0;
 }
 
@@ -89,8 +88,7 @@ void board_received(board_machine *m, int64_t now_ns)
         believe(m, kept, now_ns);
     }
     if (m->state.mode == DRIVE_UNRESPONSIVE && !m->state.back && m->end.stage == END_NOT) {
-        m->state.back = true;
-        board_power_off(m, now_ns);
+        board_begin_stop(m, drive_answers(&m->state), now_ns);
     }
 }
 

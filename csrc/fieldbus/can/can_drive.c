@@ -172,14 +172,13 @@ static void becomes_unresponsive(can_machine *m, uint32_t number, int64_t now_ns
 {
     can_drive_state *drive = &m->drive[number];
     drive->unresponsive++;
-    drive_take_back(&drive->state, DRIVE_FAULT_UNRESPONSIVE, DRIVE_UNRESPONSIVE);
+    drive_unresponsive(&drive->state);
     m->notify = true;
     can_hold_nothing(m, number);
     if (m->end.stage == END_NOT) {
         drive->state.stop = STOP_NOTHING; /* its probes stop it */
     }
     drive->stops++;
-    drive->state.stopping = drive->state.back = drive->state.off_due = false;
     drive->unresponsive_since_ns = drive->probe_at_ns = now_ns;
     drive->probe_pause_ns = CAN_PROBE_FIRST_NS;
     if (m->table.drive[number].hello > 0) {
@@ -232,8 +231,7 @@ void can_guard(can_machine *m, uint32_t number, int64_t now_ns)
     if (!there && (drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED)) {
         becomes_unresponsive(m, number, now_ns);
     } else if (there && drive->state.mode == DRIVE_UNRESPONSIVE && !drive->state.back && m->end.stage == END_NOT) {
-        drive->state.back = true;
-        can_begin_stop(m, number, drive_power_off(&drive->state));
+        can_begin_stop(m, number, drive_answers(&drive->state));
     }
     if (drive->state.stopping) {
         can_begin_stop(m, number, drive_end_stopping(&drive->state, can_at_rest(m, number), now_ns));

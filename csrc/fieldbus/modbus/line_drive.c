@@ -374,8 +374,7 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     } else if (m->work == WORK_STOP) {
         stop_frame_done(m, number);
     } else if (m->work == WORK_PROBE) {
-        drive->state.back = true;
-        line_stop_now(m, number, STOP_POWER_OFF);
+        line_begin_stop(m, number, drive_answers(&drive->state), now_ns);
     }
 }
 

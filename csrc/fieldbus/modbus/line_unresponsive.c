@@ -31,11 +31,10 @@ void line_becomes_unresponsive(line_machine *m, uint32_t number, int64_t now_ns)
     if (drive->state.mode != DRIVE_UNRESPONSIVE) {
         drive->count.unresponsive++;
     }
-    drive_take_back(&drive->state, DRIVE_FAULT_UNRESPONSIVE, DRIVE_UNRESPONSIVE);
+    drive_unresponsive(&drive->state);
     if (m->end.stage < END_POWER_OFF) {
         drive->state.stop = STOP_NOTHING; /* its probes stop it; later there are none: it gets the stop until the end */
     }
-    drive->state.stopping = drive->state.back = false;
     drive->stage = STAGE_IDLE;
     drive->probe_place = 0;
     drive->probes_at_once = stop_probes(m, number) + 1;

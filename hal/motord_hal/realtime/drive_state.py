@@ -82,7 +82,7 @@ class DriveRules:
         lib.drive_obey(self._state, self._request, self._view)
 
     def unresponsive(self) -> None:
-        lib.drive_take_back(self._state, FaultReason.UNRESPONSIVE, Mode.UNRESPONSIVE)
+        lib.drive_unresponsive(self._state)
 
     def guard(
         self, now_ns: int, *, fresh: bool, left_alone: bool, enabled: bool, enabled_count: int
