@@ -22,7 +22,7 @@ from typing import Any
 from datagram import PAUSE_S, _until, daemon, percentile
 from wire import ROOT, SPEC_GAP_US, slave
 
-sys.path.insert(0, str(ROOT / "tests/peers"))
+sys.path.insert(0, str(ROOT))
 DOMAIN = 91
 INPUT = f"""
 [input.ros2]
@@ -48,8 +48,8 @@ def writer() -> Iterator[Any]:
     from cyclonedds.qos import Policy, Qos
     from cyclonedds.topic import Topic
     from cyclonedds.util import duration
-    from ros2_peer import LOCALHOST
-    from ros2_peer_types import Header, Time, Twist, TwistStamped, Vector3
+    from tests.peers.ros2_peer import LOCALHOST
+    from tests.peers.ros2_peer_types import Header, Time, Twist, TwistStamped, Vector3
 
     domain = Domain(DOMAIN, LOCALHOST)
     participant = DomainParticipant(DOMAIN)

@@ -36,7 +36,7 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
-from ros2_peer_types import (
+from tests.peers.ros2_peer_types import (
     ACTIONS,
     SERVICES,
     TOPICS,

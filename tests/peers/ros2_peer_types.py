@@ -18,7 +18,7 @@ from cyclonedds.idl.types import (
     uint32,
     uint64,
 )
-from ros2_peer_descriptions import DescribeReply, DescribeRequest
+from tests.peers.ros2_peer_descriptions import DescribeReply, DescribeRequest
 
 GEOMETRY = "geometry_msgs::msg::dds_::"
 
