@@ -18,6 +18,7 @@ from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, Line, Li
 from motord_hal.realtime.exchange import Exchange, JointSetpoint, Setpoints
 
 GENEROUS_S = 60.0
+LOOK_EVERY_S = 0.005
 SETPOINTS_EVERY_S = 0.005
 PATIENT_S = 1.0
 """After which lines here find set-points old. In the product a thread puts them that waits for
@@ -34,7 +35,7 @@ async def until(condition: Callable[[], bool], what: str = "") -> None:
     try:
         async with asyncio.timeout(GENEROUS_S):
             while not condition():  # a condition of the world, not of ours
-                await asyncio.sleep(0.002)
+                await asyncio.sleep(LOOK_EVERY_S)
     except TimeoutError:
         raise AssertionError(f"never came true: {what or condition}") from None
 

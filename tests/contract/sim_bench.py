@@ -7,7 +7,8 @@ import os
 import select
 import threading
 
-from motord.config.drives.load import find_profile
+from tests.shipped import shipped_profile
+
 from motord_hal.fieldbus.ports import JointSpec, LineSpec, TextSpec, TextWheel
 from motord_hal.modbus.codec import Function, Request, build_request, parse_reply
 from motord_hal.sim.can.port import free_address
@@ -67,7 +68,10 @@ ON_RT = ("ddsm", "mcu-frame", "ascii", "roboclaw")
 
 def with_rt(names):
     """And on the rt engine those among them that run on both."""
-    return [*names, *(name + RT for name in names if find_profile(name).protocol in BOTH_ENGINES)]
+    return [
+        *names,
+        *(name + RT for name in names if shipped_profile(name).protocol in BOTH_ENGINES),
+    ]
 
 
 def folder_of(variant, tmp_path):
@@ -150,7 +154,7 @@ class Bench:
     """Nothing happens between two calls: the rig's time stands still."""
 
     def __init__(self, folder, profile="zlac8015d", **options):
-        self.profile = find_profile(profile) if isinstance(profile, str) else profile
+        self.profile = shipped_profile(profile) if isinstance(profile, str) else profile
         self.rig = rig_of(self.profile, folder, **options)
         self.line = self.rig.lines["bus"]
         self.now_s = 0.0

@@ -4,8 +4,8 @@
 import pytest
 from loop_side import running, until
 from sim_bench import RT, folder_of, simulated, spec_of, with_rt
+from tests.shipped import shipped_profile
 
-from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState, EventKind
 
 SPEED_RAD_S = 3.0
@@ -26,7 +26,7 @@ def folder(variant, tmp_path):
 
 @pytest.fixture
 def profile(variant):
-    return find_profile(variant.removesuffix(RT))
+    return shipped_profile(variant.removesuffix(RT))
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ from dataclasses import replace
 import pytest
 from loop_side import running, until
 from sim_bench import GEAR, RT, can_reverse, folder_of, simulated, spec_of, with_rt
+from tests.shipped import NAMES, shipped_profile
 
-from motord.config.drives.load import find_profile, list_profiles
 from motord_hal.fieldbus.ports import DriveState, EventKind
 
 SPEED_RAD_S = 6.0
@@ -24,7 +24,7 @@ TURNAROUND_S = 0.002
 
 def profiles_that(have_it):
     """Of the drives that a line talks to: bridges on pins are in test_simulated_pins.py."""
-    found = {name: find_profile(name) for name in list_profiles()}
+    found = {name: shipped_profile(name) for name in NAMES}
     return with_rt([name for name, one in found.items() if one.protocol != "pwm" and have_it(one)])
 
 
@@ -32,7 +32,7 @@ def one_of_each_protocol(names):
     """On each engine: for what a wire does, whatever the drive on it."""
     found = {}
     for name in names:
-        protocol = find_profile(name.removesuffix(RT)).protocol
+        protocol = shipped_profile(name.removesuffix(RT)).protocol
         found.setdefault((protocol, name.endswith(RT)), name)
     return list(found.values())
 
@@ -52,7 +52,7 @@ def folder(variant, tmp_path):
 
 @pytest.fixture
 def profile(variant):
-    found = find_profile(variant.removesuffix(RT))
+    found = shipped_profile(variant.removesuffix(RT))
     # a pty has no parity
     return replace(found, baudrate=BAUDRATE, turnaround_s=TURNAROUND_S, parity="none")
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from loop_side import running, until
 from pwm_rig import armed
+from tests.shipped import NAMES, shipped_profile
 
 from motord.config import load_robot
-from motord.config.drives.load import find_profile, list_profiles
 from motord.config.wiring import line_specs
 from motord.tools.simulator import start_simulator
 from motord_hal.fieldbus.ports import CounterEncoder, DriveState, JointSpec, LineSpec, PinsSpec
@@ -26,7 +26,7 @@ ROBOT = ROOT / "config/robots/pi5-bts7960.toml"
 PERIOD_NS = 20_000_000
 FULL_RAD_S = 18.0
 PER_COUNT = math.tau / 1320
-BRIDGES = [name for name in list_profiles() if find_profile(name).bridge is not None]
+BRIDGES = [name for name in NAMES if shipped_profile(name).bridge is not None]
 
 
 class Bench:
@@ -34,7 +34,7 @@ class Bench:
     would tell the kernel."""
 
     def __init__(self, folder, drive="bts7960", **left):
-        self.profile = find_profile(drive)
+        self.profile = shipped_profile(drive)
         pins = list(self.profile.bridge.levels)
         at = iter(range(100))
         joints = [
@@ -108,7 +108,7 @@ def test_every_bridge_turns_its_motor_as_fast_as_its_duty_demands(tmp_path, driv
 
 @pytest.mark.parametrize("drive", [name for name in BRIDGES if name != "cytron-mdd"])
 def test_a_bridge_that_brakes_stops_its_motor_and_one_that_coasts_lets_it_turn(tmp_path, drive):
-    levels = find_profile(drive).bridge.levels.values()
+    levels = shipped_profile(drive).bridge.levels.values()
     same = all(modes["brake"] == modes["coast"] for modes in levels)
     with Bench(tmp_path, drive) as bench:
         for rest, turns_on in (("brake", False), ("coast", not same)):

@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 import threading
-from pathlib import Path
 
 from tests.sim.daemon_stage import PATIENT, running, wait_until
 

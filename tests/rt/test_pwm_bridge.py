@@ -8,22 +8,22 @@ import pytest
 from _motord_rt import ffi, lib
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.shipped import NAMES, shipped_profile
 
-from motord.config.drives.load import find_profile, list_profiles
 from motord_hal.realtime.pwm import MODES
 
 NOW_NS = 10_000_000_000
 TIMEOUT_NS = 100_000_000
 STOPPING_NS = 300_000_000
 PERIOD_NS = 50_000
-BRIDGES = [name for name in list_profiles() if find_profile(name).bridge]
+BRIDGES = [name for name in NAMES if shipped_profile(name).bridge]
 
 
 class Bench:
     """One bridge; time is what the test says."""
 
     def __init__(self, drive="bts7960", inverted=False):
-        self.bridge = find_profile(drive).bridge
+        self.bridge = shipped_profile(drive).bridge
         self.pins = list(self.bridge.levels)
         self.state = ffi.new("bridge_state *")
         self.control = ffi.new("bridge_control *")
@@ -74,7 +74,7 @@ def test_every_bridge_goes_forward_backward_brakes_and_lets_go(drive):
 
 @pytest.mark.parametrize("drive", BRIDGES)
 def test_forward_backward_and_no_power_are_three_different_things(drive):
-    levels = find_profile(drive).bridge.levels
+    levels = shipped_profile(drive).bridge.levels
     modes = {mode: tuple(levels[pin][mode] for pin in levels) for mode in MODES}
     assert len({modes["forward"], modes["reverse"], modes["coast"]}) == 3
     assert all(slope == 0.0 for base, slope in modes["coast"])

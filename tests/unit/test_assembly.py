@@ -13,6 +13,7 @@ from motord.config.schema import robot_schema
 from motord.control.assembly import base_limits, core_config, line_specs, loop_settings
 from motord.realtime import loop as rt
 
+DEFINITIONS = robot_schema()["$defs"]
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
 
 
@@ -168,7 +169,7 @@ def test_asyncio_is_woken_as_often_as_the_fastest_publisher_wants():
 
 
 def in_range(name):
-    node = robot_schema()["$defs"]["Limits"]["properties"][name]
+    node = DEFINITIONS["Limits"]["properties"][name]
     return st.floats(node["minimum"], node.get("maximum"), allow_nan=False)
 
 
@@ -179,9 +180,8 @@ def test_limits_that_the_file_may_hold_are_limits_that_the_core_takes(values):
 
 def extremes():
     """Every number of the sections that the core reads, at both ends of its range."""
-    definitions = robot_schema()["$defs"]
     for section in ("Safety", "Odometry"):
-        for name, node in definitions[section]["properties"].items():
+        for name, node in DEFINITIONS[section]["properties"].items():
             if "minimum" in node:
                 yield section.lower(), name, node["minimum"]
                 yield section.lower(), name, node["maximum"]

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.shipped import NAMES, shipped_profile
 
-from motord.config.drives.load import find_profile, list_profiles
 from motord_hal.fieldbus.ports import Echo, JointSpec, LineSpec
 from motord_hal.modbus.codec import (
     Function,
@@ -24,7 +24,7 @@ from motord_hal.realtime.table import FieldKind, Form
 from motord_hal.rt_engine.rs485.modbus_frames import ModbusFrames
 from motord_hal.rt_engine.rs485.table import drive_table, line_table
 
-MODBUS = [name for name in list_profiles() if find_profile(name).protocol == "modbus-rtu"]
+MODBUS = [name for name in NAMES if shipped_profile(name).protocol == "modbus-rtu"]
 NUMBERS = st.one_of(
     st.floats(-500, 500),
     st.floats(-1e6, 1e6),  # the core lets nothing out that is beyond a wheel's limit
@@ -103,7 +103,7 @@ def get(field, reply):
 @pytest.mark.parametrize("name", MODBUS)
 @given(wanted=st.dictionaries(st.integers(0, 1), st.tuples(NUMBERS, NUMBERS)))
 def test_what_goes_out_is_what_the_plan_writes(name, wanted):
-    plan, drive = table_of(replace(find_profile(name), read_write_function=None))
+    plan, drive = table_of(replace(shipped_profile(name), read_write_function=None))
     out = [put(exchange, wanted) for exchange in drive.cyclic if exchange.setpoint]
     raw = plan.setpoints({joint: JointSetpoint(*si) for joint, si in wanted.items()})
     assert out == [build_request(request) for request in plan.writes(raw)]
@@ -112,7 +112,7 @@ def test_what_goes_out_is_what_the_plan_writes(name, wanted):
 @pytest.mark.parametrize("name", MODBUS)
 @given(data=st.data())
 def test_what_comes_in_is_what_the_plan_reads(name, data):
-    plan, drive = table_of(find_profile(name))
+    plan, drive = table_of(shipped_profile(name))
     values, fields = {}, []
     for exchange, span in _reading(plan, drive):
         size = exchange.frame.reply_bytes
@@ -149,7 +149,7 @@ def _reading(plan, drive):
 
 @pytest.mark.parametrize("name", MODBUS)
 def test_an_answer_is_known_by_its_head_or_its_echo_and_its_length(name):
-    _, drive = table_of(find_profile(name))
+    _, drive = table_of(shipped_profile(name))
     ways = [frame for way in drive.direction for frame in (way.rest, way.forward, way.reverse)]
     frames = [exchange.frame for exchange in (*drive.cyclic, *drive.extra)]
     for frame in (*frames, *ways, *drive.quick_stop, *drive.disarm):
@@ -166,7 +166,7 @@ def test_an_answer_is_known_by_its_head_or_its_echo_and_its_length(name):
 @pytest.mark.parametrize("name", MODBUS)
 def test_where_the_drive_can_one_exchange_writes_and_reads(name):
     profile = replace(
-        find_profile(name), read_write_function=23, write_function=16, max_registers=64
+        shipped_profile(name), read_write_function=23, write_function=16, max_registers=64
     )
     plan, drive = table_of(profile)
     if len(plan.writes(plan.setpoints({}))) == 1 and plan.fast:
@@ -178,7 +178,7 @@ def test_where_the_drive_can_one_exchange_writes_and_reads(name):
 
 
 def test_the_answer_whether_it_is_enabled_and_what_must_be_kept_are_in_the_table():
-    _, drive = table_of(find_profile("zlac8015d"))
+    _, drive = table_of(shipped_profile("zlac8015d"))
     first = drive.extra[0].field
     assert [f.equals for f in first if f.kind is FieldKind.ENABLED] == [8]
     kept = [f for e in drive.extra for f in e.field if f.kind is FieldKind.KEPT]
@@ -186,24 +186,24 @@ def test_the_answer_whether_it_is_enabled_and_what_must_be_kept_are_in_the_table
 
 
 def test_a_counter_has_no_sign_and_no_more_bits_than_the_drive_counts():
-    profile = replace(find_profile("zlac8015d"), counter_bits=15)
+    profile = replace(shipped_profile("zlac8015d"), counter_bits=15)
     _, drive = table_of(profile)
     counts = [f for e in drive.cyclic for f in e.field if f.kind is FieldKind.COUNT]
     assert [(f.form, f.mask) for f in counts] == [(Form.U32, 0x7FFF)] * 2
 
 
 def test_warnings_are_harmless():
-    _, drive = table_of(find_profile("duty-register"))
+    _, drive = table_of(shipped_profile("duty-register"))
     words = [f for e in drive.cyclic for f in e.field if f.kind is FieldKind.FAULT]
     assert [(f.harmless_bits, f.is_code) for f in words] == [(1 << 3, 0)]
-    _, drive = table_of(find_profile("bld-305s"))
+    _, drive = table_of(shipped_profile("bld-305s"))
     words = [f for e in drive.cyclic for f in e.field if f.kind is FieldKind.FAULT]
     assert [f.is_code for f in words] == [1]
 
 
 def test_one_frame_stops_all_drives_only_where_they_are_of_one_kind():
-    able = replace(find_profile("zlac8015d"), broadcast_stop=True)
-    other = replace(find_profile("duty-register"), broadcast_stop=True)
+    able = replace(shipped_profile("zlac8015d"), broadcast_stop=True)
+    other = replace(shipped_profile("duty-register"), broadcast_stop=True)
 
     def stops(*profiles):
         specs = [spec_of(joints_of(profile, unit)) for unit, profile in enumerate(profiles, 1)]
@@ -213,11 +213,11 @@ def test_one_frame_stops_all_drives_only_where_they_are_of_one_kind():
     assert parse_request(frame.request).unit == 0
     assert frame.reply_bytes == frame.echo_bytes == len(frame.match) == frame.has_exceptions == 0
     assert stops(able, other) == ()
-    assert stops(find_profile("zlac8015d")) == ()
+    assert stops(shipped_profile("zlac8015d")) == ()
 
 
 def test_times_are_the_wires_and_the_profiles():
-    spec = spec_of(joints_of(find_profile("bld-305s"), reply_timeout_s=0.04), echo=Echo.YES)
+    spec = spec_of(joints_of(shipped_profile("bld-305s"), reply_timeout_s=0.04), echo=Echo.YES)
     table = line_table(spec, [frames_of(spec)])
     assert table.character_ns == pytest.approx(10e9 / 9600)
     assert table.gap_ns == pytest.approx(35e9 / 9600, abs=1)

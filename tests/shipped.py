@@ -1,0 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The drive profiles of the project, each read once in a process: most tests of drives want one."""
+
+import functools
+
+from motord.config.drives.load import find_profile, list_profiles
+
+NAMES = tuple(list_profiles())
+shipped_profile = functools.cache(find_profile)
+"""By name. Profiles do not change; `dataclasses.replace` makes others of them."""
