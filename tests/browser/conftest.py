@@ -9,7 +9,7 @@ import subprocess
 
 import pytest
 from tests.browser.dashboard import CHROMIUM_ARGUMENTS, TOKEN, Dashboard
-from tests.sim.daemon_stage import running
+from tests.sim.daemon_stage import running, wait_until
 
 
 @pytest.fixture(scope="session")
@@ -47,6 +47,7 @@ def robot(browser, tmp_path_factory):
     with running(folder, *settings) as stage:
         stage.wait_for("idle")
         dashboard = Dashboard(browser, stage, port)
+        wait_until(dashboard.listens, "the dashboard listens")
         yield dashboard
         with contextlib.suppress(subprocess.TimeoutExpired):
             dashboard.end()

@@ -2,6 +2,7 @@
 """The dashboard of a simulated robot, and pages that show it."""
 
 import contextlib
+import socket
 import subprocess
 from urllib.parse import urlsplit
 
@@ -23,6 +24,11 @@ class Dashboard:
         self.browser, self.stage, self.port = browser, stage, port
         self._again = None
 
+    def listens(self):
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port)):
+            return True
+        return False
+
     @contextlib.contextmanager
     def page(self, token=TOKEN, port=None, at="", viewport=None):
         """A page in a browser profile of its own. What it logs and which hosts it asks is checked
@@ -31,9 +37,10 @@ class Dashboard:
         context = self.browser.new_context(viewport=viewport or {"width": 1280, "height": 800})
         problems, hosts = [], set()
         if token is not None:
+            key = f"motord.token.{address}"  # about:blank has no storage
             context.add_init_script(
-                f"if (!localStorage.getItem('motord.token.{address}'))"
-                f" localStorage.setItem('motord.token.{address}', '{token}')"
+                f"if (location.origin === '{address}' && !localStorage.getItem('{key}'))"
+                f" localStorage.setItem('{key}', '{token}')"
             )
         page = context.new_page()
         page.set_default_timeout(DEADLINE_MS)
@@ -50,7 +57,8 @@ class Dashboard:
             context.close()
         assert hosts <= {urlsplit(address).netloc, ""}
         lost = ("WebSocket connection to", "Failed to load resource: net::ERR_CONNECTION")
-        assert not [text for text in problems if not text.startswith(lost)]
+        others = [text for text in problems if not text.startswith(lost)]
+        assert others == []
 
     def speeds_rad_s(self):
         return [abs(one.velocity_rad_s) for one in self.stage.sim.truth().joints.values()]
@@ -114,6 +122,7 @@ class Dashboard:
         self.stage.daemon = self._again
         self.stage.robot = connected(self._again, self.stage.socket, self.stage.log)
         self.stage.wait_for("idle")
+        wait_until(self.listens, "the dashboard listens")
 
 
 def press_pad(page):
