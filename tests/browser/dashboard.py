@@ -102,7 +102,7 @@ class Dashboard:
                     self.stage.robot.reset()
                 elif state == "idle":
                     self.stage.robot.arm()
-            if state in ("armed", "moving") and not page.locator(".pad.held").count():
+            if state in ("armed", "moving") and not held(page):
                 hold(page)
             return self.turns()
 
@@ -139,6 +139,11 @@ def press_key(page):
     """Straight ahead, and held."""
     page.keyboard.up("KeyW")
     page.keyboard.down("KeyW")
+
+
+def held(page):
+    """Whether the page drives."""
+    return page.locator("html[data-held]").count() == 1
 
 
 def state_of(page):

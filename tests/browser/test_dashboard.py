@@ -7,7 +7,7 @@ import signal
 from urllib.parse import urlsplit
 
 import pytest
-from tests.browser.dashboard import DEADLINE_MS, TOKEN, press_key, press_pad, state_of
+from tests.browser.dashboard import DEADLINE_MS, TOKEN, held, press_key, press_pad, state_of
 from tests.browser.link_proxy import LinkProxy
 from tests.sim.daemon_stage import wait_until
 
@@ -116,17 +116,22 @@ def test_each_end_of_the_dead_man_stops_the_wheels_though_the_pad_is_held(
     assert all(lease["linear_m_s"] == 0.0 for lease in leases)
 
 
-def test_a_cut_link_stops_the_wheels_and_a_hold_does_not_go_on_when_it_is_back(robot):
+@pytest.mark.parametrize("hold", [press_pad, press_key])
+def test_a_cut_link_stops_the_wheels_and_a_hold_does_not_go_on_when_it_is_back(robot, hold):
     with LinkProxy(robot.port) as link, robot.page(port=link.port) as page:
-        robot.set_off(page)
+        robot.set_off(page, hold)
         link.cut = True
         robot.wait_for_rest()
-        wait_until(lambda: page.locator(".pad.held").count() == 0, "the page has released the pad")
+        wait_until(lambda: not held(page), "the page has released")
         link.cut = False
         wait_until(lambda: page.locator(".chip.connected").count() == 1, "connected")
+        page.mouse.move(300, 300)
+        if hold is press_key:
+            page.keyboard.down("KeyW")  # again: what a keyboard sends while a key is held
+        assert not held(page)
         robot.wait_for_rest()
         page.mouse.up()
-        robot.set_off(page)  # pressed again, it drives
+        robot.set_off(page, hold)  # pressed again, it drives
 
 
 def test_a_link_that_delays_and_loses_still_drives_and_stops(robot):
@@ -166,7 +171,7 @@ def test_a_second_page_does_not_drive_while_the_first_one_does(robot, page):
         robot.set_off(page)
 
         def refused():
-            if not page.locator(".pad.held").count():
+            if not held(page):
                 press_pad(page)
             press_pad(other)
             return "is driving" in other.locator(".notice").inner_text()
@@ -234,6 +239,10 @@ def test_a_limit_is_changed_by_its_slider_and_a_register_is_read(robot, page):
         lambda: robot.stage.robot.params_get("limits.linear_m_s")["limits.linear_m_s"] == 0.7,
         "the limit is in force",
     )
+    button(page, "Save to the robot file…").click()
+    difference = page.locator(".difference")
+    wait_until(lambda: "+linear_m_s = 0.7" in difference.inner_text(), "the difference")
+    button(page, "Cancel").click()
     page.evaluate("location.hash = 'lines'")
     button(page, "Read bus_voltage").first.click()
     cell = page.locator("tr", has=button(page, "Read bus_voltage")).first.locator("td").first
@@ -260,7 +269,11 @@ def test_the_log_shows_what_happened(robot, page):
     button(page, "Arm").first.click()
     shows(page, "armed")
     page.evaluate("location.hash = 'log'")
-    wait_until(lambda: "idle → armed" in page.locator(".events").inner_text(), "the event")
+    events = page.locator(".events")
+    wait_until(lambda: "idle → armed" in events.inner_text(), "the event")
+    wait_until(lambda: "motord" in events.locator("b").all_inner_texts(), "the daemon's log")
+    page.get_by_role("searchbox").fill("idle → armed")
+    wait_until(lambda: events.locator("li").count() == 1, "the filter")
 
 
 AXE = os.environ.get("MOTORD_AXE", "build/node/node_modules/axe-core/axe.min.js")

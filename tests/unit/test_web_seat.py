@@ -98,6 +98,8 @@ def test_who_sees_an_old_state_does_not_drive(seat, clock):
         seat.drive(driver, frame(clock, seen_ago_s=SEEN_MAX_S + 0.1))
     with pytest.raises(NotTaken):
         seat.drive(driver, frame(clock, press=2, seen_ago_s=float("nan")))
+    with pytest.raises(NotTaken):  # from before this computer was started
+        seat.drive(driver, frame(clock, press=3, seen_ago_s=-3600.0))
     assert (0.2, 0.1) not in seat.commands
 
 

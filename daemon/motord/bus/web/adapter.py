@@ -5,6 +5,7 @@ downloads of recordings. Without a page it does nothing but note events."""
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Mapping
 from http import HTTPStatus
@@ -26,6 +27,7 @@ from motord.bus.web.recordings import ADDRESS, Recordings
 from motord.bus.web.saving import save
 from motord.bus.web.seat import Seat
 from motord.bus.web.viewer import Viewer
+from motord.client import ClientError
 from motord.config import McapPublish, WebInput, WebServer
 
 if TYPE_CHECKING:
@@ -38,6 +40,7 @@ PING_EVERY_S = 5.0
 """A page that does not answer within half of that is gone."""
 CLOSE_WITHIN_S = 2.0
 NO_VIEWER_S = 1.0
+LOG_EVERY_S = 1.0
 LOOKED_AT_S = 0.5
 """The daemon is asked for the same once in that time, however many pages show it."""
 REFUSED = 4401
@@ -90,6 +93,15 @@ class WebAdapter:
                 if self._gate is not None:
                     tasks.create_task(self._gate.source.run())
                 tasks.create_task(self._server.run())
+                tasks.create_task(self._follow_log())
+
+    async def _follow_log(self) -> None:
+        while True:
+            await asyncio.sleep(LOG_EVERY_S)
+            if self._viewers:
+                with contextlib.suppress(ClientError):  # it is ending, or not there yet
+                    events = self._events
+                    events.note_log(await self._runtime.call("log", after=events.log_number))
 
     # ------------------------------------------------------------------------------------- states
     @property

@@ -30,6 +30,8 @@ class Events(logging.Handler):
         self._publish = publish
         self.kept: deque[Event] = deque(maxlen=KEPT_MAX)
         self._number = 0
+        self.log_number = 0
+        """Of the newest line of the daemon's log that was noted."""
         self._waiting: Inbox[logging.LogRecord] = Inbox(WAITING_MAX, self._take)
         self._state: str | None = None
         self._owner: str | None = None
@@ -51,12 +53,14 @@ class Events(logging.Handler):
         """As logging.Handler.emit."""
         self._waiting.put(record)
 
-    def note(self, source: str, text: str, level: str = "info") -> None:
-        """Add one. `level`: info, warning or error."""
+    def note(
+        self, source: str, text: str, level: str = "info", wall_time_s: float | None = None
+    ) -> None:
+        """Add one. `level`: info, warning or error. `wall_time_s`: now unless it is given."""
         self._number += 1
         event = {
             "number": self._number,
-            "wall_time_s": time.time(),
+            "wall_time_s": time.time() if wall_time_s is None else wall_time_s,
             "level": level,
             "source": source,
             "text": text,
@@ -83,6 +87,16 @@ class Events(logging.Handler):
         if view.status is not None and view.status_ns != self._status_ns:
             self._status_ns = view.status_ns
             self._look_at_status(view)
+
+    def note_log(self, answer: Mapping[str, Any]) -> None:
+        """New lines of the daemon's log: the answer of its method `log` after `log_number`."""
+        if answer["newest"] < self.log_number:  # another daemon
+            self.log_number = 0
+            return
+        self.log_number = answer["newest"]
+        for line in answer["records"]:
+            level = line["level"] if line["level"] in ("info", "warning") else "error"
+            self.note("motord", line["text"], level, line["time_s"])
 
     def _look_at_status(self, view: View) -> None:
         commander = view.commander()

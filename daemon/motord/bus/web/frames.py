@@ -121,11 +121,15 @@ class DriveFrame(NamedTuple):
 
 
 def drive_frame(raw: bytes) -> DriveFrame:
-    """Raises ValueError for what is no such frame."""
+    """Raises ValueError for what is no such frame. Its velocities may be NaN and infinity: the loop takes
+    them for zero, and the command gate names their sender."""
     if len(raw) != _DRIVE.size:
         raise ValueError(f"a command has {_DRIVE.size} bytes")
     _, *fields = _DRIVE.unpack(raw)
-    return DriveFrame(*fields)
+    found = DriveFrame(*fields)
+    if not (math.isfinite(found.sent_ms) and math.isfinite(found.seen_s)):
+        raise ValueError("the times of a command are finite")
+    return found
 
 
 def number_of(raw: bytes) -> int:

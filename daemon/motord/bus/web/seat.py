@@ -15,8 +15,10 @@ from motord.bus.web.frames import DriveFrame
 
 SEEN_MAX_S = 1.0
 """A driver who sees an older state than this cannot know where the robot is."""
+SEEN_AHEAD_S = 0.1
+"""A state of the future is one from before this computer was started."""
 PAUSED = "no command for {:g} s: release the pad and press it again"
-OLD_VIEW = "the page shows a state from {:.1f} s ago: the connection is too slow to drive"
+OLD_VIEW = "the page shows a state of {:.1f} s ago: the connection is too slow to drive"
 TAKEN = "{} is driving"
 
 
@@ -63,7 +65,7 @@ class Seat:
         if self._driver is not driver and self.driver is not None:
             driver.over = command.press
             raise NotTaken(TAKEN.format(self.driver))
-        if not now_s - command.seen_s <= SEEN_MAX_S:
+        if not -SEEN_AHEAD_S <= now_s - command.seen_s <= SEEN_MAX_S:
             self.release(driver, command.press)
             raise NotTaken(OLD_VIEW.format(now_s - command.seen_s))
         self._driver, driver.last_s = driver, now_s

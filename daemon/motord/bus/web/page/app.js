@@ -152,7 +152,7 @@ function Estop() {
   return html`<div class="estop-place">
     <p class="problem" role="alert">${estopProblem}</p>
     <button class="estop" disabled=${!allowed} title=${TEXT.estopHelp} onClick=${estop}>
-      ${allowed || link.phase !== "open" ? TEXT.estop : TEXT.estopNoToken}
+      ${allowed ? TEXT.estop : link.phase === "open" ? TEXT.estopNoToken : TEXT.estopLost}
       ${allowed && html`<small>${TEXT.estopKey}</small>`}</button>
   </div>`;
 }

@@ -32,7 +32,7 @@ function useKeys(pilot) {
       if (!(event.code in KEYS) || typing(event.target) || event.ctrlKey || event.metaKey || event.altKey) return;
       if (event.target.matches?.("input[type=range]") && event.code.startsWith("Arrow")) return;
       event.preventDefault();
-      if (event.repeat && !held.has(event.code)) return;
+      if (event.repeat) return;
       held.add(event.code);
       hold();
     };
@@ -44,11 +44,13 @@ function useKeys(pilot) {
     window.addEventListener("keyup", up);
     window.addEventListener("blur", forget);
     document.addEventListener("visibilitychange", forget);
+    pilot.onEnd.add(forget);
     return () => {
       window.removeEventListener("keydown", down);
       window.removeEventListener("keyup", up);
       window.removeEventListener("blur", forget);
       document.removeEventListener("visibilitychange", forget);
+      pilot.onEnd.delete(forget);
       pilot.letGo("keys");
     };
   }, [pilot]);

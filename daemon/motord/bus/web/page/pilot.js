@@ -12,6 +12,7 @@ export class Pilot {
     this.share = { linear: 0, lateral: 0, angular: 0 };  // of the limits, -1 to 1
     this.limiter = 0.4;
     this.released = "";      // why the last hold ended by itself
+    this.onEnd = new Set();  // keys that are still down must not begin another hold
     window.addEventListener("blur", () => this.end("blur"));
     window.addEventListener("pagehide", () => this.end("hidden"));
     document.addEventListener("visibilitychange", () => document.hidden && this.end("hidden"));
@@ -39,6 +40,7 @@ export class Pilot {
       this.holder = holder;
       this.press += 1;
       this.released = "";
+      document.documentElement.dataset.held = holder;
       this._timer = setInterval(() => this._send(), EVERY_MS);
     }
     this._send();
@@ -53,10 +55,12 @@ export class Pilot {
     if (this.holder === null) return;
     clearInterval(this._timer);
     this.holder = null;
+    delete document.documentElement.dataset.held;
     this.share = { linear: 0, lateral: 0, angular: 0 };
     this.released = why;
     this.link.release(this.press);
     this.link.version += 1;
+    for (const listener of this.onEnd) listener();
   }
 
   _refused(why) {

@@ -31,6 +31,7 @@ export const TEXT = {
   estopKey: "space bar",
   estopHelp: "Emergency stop: all wheels come to rest and lose power. Key: space bar",
   estopNoToken: "E-stop: needs the token",
+  estopLost: "E-stop: no connection",
   arm: "Arm", disarm: "Disarm", stop: "Stop", reset: "Reset", resetOdometry: "Set pose to zero",
   failed: (what, why) => `${what}: ${why}`,
 
