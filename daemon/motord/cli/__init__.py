@@ -21,6 +21,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("motord.cli.demo:demo", "Drive a simulated robot over a test course."),
     "run": ("motord.cli.run:run", "Run the daemon in the foreground."),
     "check": ("motord.cli.check:check", "Check a robot file and list every problem."),
+    "doctor": ("motord.cli.doctor:doctor", "Find what is wrong, and what mends it."),
     "simulate": ("motord.cli.simulate:simulate", "Simulate the drives of a robot."),
     "status": ("motord.cli.talk:status", "Show the state of the running robot."),
     "top": ("motord.cli.top:top", "Watch the running robot on a full screen."),

@@ -13,7 +13,7 @@ _RTM_NEWLINK, _RTM_GETLINK = 16, 18
 _NLM_F_REQUEST, _NLM_F_ACK = 0x1, 0x4
 _NLMSG_ERROR = 2
 _IFLA_LINKINFO, _IFLA_INFO_KIND, _IFLA_INFO_DATA = 18, 1, 2
-_IFLA_CAN_STATE, _IFLA_CAN_RESTART = 4, 7
+_IFLA_CAN_BITTIMING, _IFLA_CAN_STATE, _IFLA_CAN_RESTART = 1, 4, 7
 _TYPE_MASK = 0x3FFF
 """linux/netlink.h, NLA_TYPE_MASK: without the marks for nested and big-endian."""
 BUS_OFF = 3
@@ -63,6 +63,14 @@ def state_request(index: int, sequence: int) -> bytes:
 def state_in(answer: bytes) -> int | None:
     """The controller's state in the answer; None: the interface has no controller. ValueError: it
     is no such answer."""
+    data = _data_in(answer)
+    state = data.get(_IFLA_CAN_STATE, b"") if data is not None else b""
+    return int.from_bytes(state, sys.byteorder) if len(state) == 4 else None
+
+
+def _data_in(answer: bytes) -> dict[int, bytes] | None:
+    """What a CAN interface reports of its controller; None: it is no CAN interface. ValueError: it
+    is no such answer."""
     if len(answer) < _HEADER.size + _INTERFACE.size:
         raise ValueError(f"{len(answer)} bytes are no interface")
     size, kind, _, _, _ = _HEADER.unpack_from(answer)
@@ -70,9 +78,8 @@ def state_in(answer: bytes) -> int | None:
         raise ValueError(f"message {kind} is no interface")
     link = _attributes(answer[_HEADER.size + _INTERFACE.size : size])
     info = _attributes(link.get(_IFLA_LINKINFO, b""))
-    state = _attributes(info.get(_IFLA_INFO_DATA, b"")).get(_IFLA_CAN_STATE, b"")
     is_can = info.get(_IFLA_INFO_KIND, b"").rstrip(b"\x00") == b"can"
-    return int.from_bytes(state, sys.byteorder) if is_can and len(state) == 4 else None
+    return _attributes(info.get(_IFLA_INFO_DATA, b"")) if is_can else None
 
 
 def _attributes(data: bytes) -> dict[int, bytes]:
@@ -113,5 +120,22 @@ def can_state(interface: str) -> int | None:
     answer = _ask(state_request(socket.if_nametoindex(interface), 1))
     try:
         return state_in(answer)
+    except ValueError as error:
+        raise OSError(0, str(error), interface) from error
+
+
+def bit_rate_in(answer: bytes) -> int | None:
+    """Bits a second in the answer to `state_request`; None: a virtual bus, or none is set.
+    ValueError: it is no such answer. Source: struct can_bittiming of linux/can/netlink.h."""
+    data = _data_in(answer)
+    timing = data.get(_IFLA_CAN_BITTIMING, b"") if data is not None else b""
+    return (int.from_bytes(timing[:4], sys.byteorder) or None) if len(timing) >= 4 else None
+
+
+def bit_rate(interface: str) -> int | None:
+    """As `bit_rate_in`. Raises OSError: no such interface. Waits at most ANSWER_WITHIN_S."""
+    answer = _ask(state_request(socket.if_nametoindex(interface), 1))
+    try:
+        return bit_rate_in(answer)
     except ValueError as error:
         raise OSError(0, str(error), interface) from error

@@ -19,7 +19,7 @@ _SERIAL_STRUCT_BYTES = 128
 """More than struct serial_struct has on any architecture."""
 _ASYNC_LOW_LATENCY = 1 << 13
 _TIMER_MS = 1
-_UDEV_LINE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
+UDEV_LINE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 
 
 def ask_low_latency(fd: int) -> bool:
@@ -54,5 +54,5 @@ def shorten_latency_timer(device: str, sys: Path = Path("/sys")) -> str:
         return ""
     return (
         f"{device} holds bytes back for up to {after_ms} ms (FTDI latency timer) and motord may "
-        f"not change it; a udev rule mends it: {_UDEV_LINE}"
+        f"not change it; a udev rule mends it: {UDEV_LINE}"
     )

@@ -221,13 +221,19 @@ def _ros2_domains(robot: Robot) -> Iterator[Finding]:
                 yield Finding(((*path, key), (*before, key)), text)
 
 
-def _packages_are_there(robot: Robot) -> Iterator[Finding]:
+def missing_packages(robot: Robot) -> Iterator[tuple[Path, str, str]]:
+    """Of each section that needs a package which is not installed: its kind's place in the file,
+    the package, and how to install it."""
     for table, sections in (("publish", robot.publish), ("input", robot.input)):
         for name, section in sections.items():
             package = _PACKAGES.get(section.kind)
             if package is not None and find_spec(package) is None:
-                text = f"is off here: it needs {package} ({how_to_install(section.kind)})"
-                yield Finding(((table, name, "kind"),), text, warning=True)
+                yield (table, name, "kind"), package, how_to_install(section.kind)
+
+
+def _packages_are_there(robot: Robot) -> Iterator[Finding]:
+    for path, package, how in missing_packages(robot):
+        yield Finding((path,), f"is off here: it needs {package} ({how})", warning=True)
 
 
 def _zenoh_nodes(robot: Robot) -> Iterator[tuple[Path, ZenohNode]]:
