@@ -54,6 +54,14 @@ install -m 644 "$project"/systemd/sysusers.conf "$root/usr/lib/sysusers.d/motord
 install -m 644 "$project"/config/robots/*.toml "$root/usr/share/motord/robots/"
 install -m 644 "$project/LICENSE" "$root/usr/share/doc/motord/copyright"
 install -m 755 "$here"/deb/{postinst,prerm,postrm} "$root/DEBIAN/"
+# what TAB completes, and man pages: both from the commands' own help
+for shell in bash:bash-completion/completions/motord zsh:zsh/vendor-completions/_motord \
+    fish:fish/vendor_completions.d/motord.fish; do
+    install -d "$root/usr/share/$(dirname "${shell#*:}")"
+    "$python" -m motord completion "${shell%%:*}" >"$root/usr/share/${shell#*:}"
+done
+"$python" -m motord.cli.man "$root/usr/share/man/man1"
+gzip -9 -n "$root"/usr/share/man/man1/*.1
 size=$(du -sk --exclude=DEBIAN "$root" | cut -f 1)
 sed -e "s/@VERSION@/$version/; s/@ARCHITECTURE@/$architecture/; s/@SIZE@/$size/; s/@PYTHON@/$minor/; s/@NEXT@/$next/" \
     "$here/deb/control" >"$root/DEBIAN/control"

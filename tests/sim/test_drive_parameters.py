@@ -84,3 +84,22 @@ def test_what_is_dumped_can_be_loaded(stage, tmp_path):
     file.write_text("limits = 3 = 4\n", encoding="utf-8")
     assert params(stage, "load", str(file)).exit_code == 2
     assert stage.robot.params_get("limits.linear_m_s") == {"limits.linear_m_s": 0.25}
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("params get drive.left.bus_", "drive.left.bus_voltage"),
+        ("params set limits.linear_m_s", "limits.linear_m_s="),
+        ("spin ri", "right"),
+    ],
+)
+def test_tab_completes_parameters_and_joints_of_the_running_robot(stage, words, offered):
+    typed = words.split()
+    typed[-1:-1] = ["--socket", str(stage.socket)]
+    found = CliRunner().invoke(
+        cli, [], prog_name="motord",
+        env={"_MOTORD_COMPLETE": "bash_complete", "COMP_WORDS": f"motord {' '.join(typed)}",
+             "COMP_CWORD": str(len(typed))},
+    )  # fmt: skip
+    assert f"plain,{offered}" in found.stdout.splitlines()

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from motord_hal.base.nearest import nearest
 
@@ -45,6 +46,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "schema": ("motord.cli.schema:schema", "Print the JSON Schema of the robot file."),
     "ros2-msgs": ("motord.cli.ros2_msgs:ros2_msgs", "Write the ROS 2 packages of motord."),
     "replay": ("motord.cli.replay:replay", "Run a recording through the core again."),
+    "completion": ("motord.cli.completion:completion", "Complete commands and names with TAB."),
     "latency": ("motord.cli.latency:latency", "Measure the timing of this machine."),
 }
 """Name → where it is, and its line in the help; in the order of the help."""
@@ -79,6 +81,15 @@ class LazyGroup(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002  # click's signature
         return list(COMMANDS)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """From the table: no command is imported for its name."""
+        names = [
+            CompletionItem(name, help=text)
+            for name, (_, text) in COMMANDS.items()
+            if name.startswith(incomplete)
+        ]
+        return names + click.Command.shell_complete(self, ctx, incomplete)
 
     def get_command(
         self,

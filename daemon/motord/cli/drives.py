@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from motord.cli.common import Exit, Failure, json_option, print_json
+from motord.cli.complete import drive_names
 from motord.cli.new_drive import new_drive
 from motord.config.drives.load import find_profile, list_profiles, load_profile
 from motord_hal.base.errors import ProfileError
@@ -17,7 +18,7 @@ from motord_hal.drives.profile import SI_UNITS, DriveProfile, Register
 
 
 @click.command
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=drive_names)
 @click.argument("path", required=False, type=click.Path(path_type=Path))
 @click.option(
     "--answers",

@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from motord.cli.common import dry_run_option, json_option, print_json, yes_option
+from motord.cli.complete import parameter_names, settable_names
 from motord.cli.talk import talking
 from motord.client import Client, ClientError
 from motord_hal.base import bounded
@@ -50,7 +51,7 @@ def params_list(client: Client, as_json: bool) -> None:
 
 
 @params.command("get")
-@click.argument("names", nargs=-1)
+@click.argument("names", nargs=-1, shell_complete=parameter_names)
 @json_option
 @talking
 def params_get(client: Client, names: tuple[str, ...], as_json: bool) -> None:
@@ -59,7 +60,9 @@ def params_get(client: Client, names: tuple[str, ...], as_json: bool) -> None:
 
 
 @params.command("set")
-@click.argument("assignments", metavar="NAME=VALUE...", nargs=-1, required=True)
+@click.argument(
+    "assignments", metavar="NAME=VALUE...", nargs=-1, required=True, shell_complete=settable_names
+)
 @json_option
 @talking
 def params_set(client: Client, assignments: tuple[str, ...], as_json: bool) -> None:

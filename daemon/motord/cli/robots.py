@@ -6,12 +6,13 @@ from __future__ import annotations
 import click
 
 from motord.cli.common import Exit, Failure, json_option, print_json
+from motord.cli.complete import example_names
 from motord_hal.base.nearest import did_you_mean
 from motord_hal.base.paths import config_dir
 
 
 @click.command
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=example_names)
 @json_option
 def robots(name: str | None, as_json: bool) -> None:
     """List the example robot files of motord, or print one as a start for your own.

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from motord.cli.common import Exit, Failure, dry_run_option, json_option, print_json, yes_option
+from motord.cli.complete import joint_names
 from motord.cli.talk import talking
 from motord.client import Client
 
@@ -17,7 +18,7 @@ SECONDS, SECONDS_MAX = 2.0, 10.0
 
 
 @click.command
-@click.argument("joints", metavar="[JOINT]...", nargs=-1)
+@click.argument("joints", metavar="[JOINT]...", nargs=-1, shell_complete=joint_names)
 @click.option("--all", "all_joints", is_flag=True, help="Every joint, one after the other.")
 @click.option(
     "--speed-rad-s", type=click.FloatRange(0.1, SPEED_MAX_RAD_S), default=SPEED_RAD_S,

@@ -17,6 +17,7 @@ import click
 from motord.api.halting import halt
 from motord.api.local_rpc import WrongParams
 from motord.cli.common import FINITE, Exit, Failure, json_option, print_json
+from motord.cli.complete import robot_names
 from motord.cli.status_text import show_status
 from motord.client import Client, ClientError, Refused, find_socket, find_sockets
 
@@ -27,7 +28,10 @@ _HINDERED = ("configuring", *_LATCHED)
 
 
 robot_option = click.option(
-    "--robot", metavar="NAME", help="The robot's name. Needed if several run on this machine."
+    "--robot",
+    metavar="NAME",
+    shell_complete=robot_names,
+    help="The robot's name. Needed if several run on this machine.",
 )
 socket_option = click.option(
     "--socket",
