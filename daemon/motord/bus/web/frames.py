@@ -121,8 +121,8 @@ class DriveFrame(NamedTuple):
 
 
 def drive_frame(raw: bytes) -> DriveFrame:
-    """Raises ValueError for what is no such frame. Its velocities may be NaN and infinity: the loop takes
-    them for zero, and the command gate names their sender."""
+    """Raises ValueError for what is no such frame. Its velocities may be NaN and infinity: the loop
+    takes them for zero, and the command gate names their sender."""
     if len(raw) != _DRIVE.size:
         raise ValueError(f"a command has {_DRIVE.size} bytes")
     _, *fields = _DRIVE.unpack(raw)
