@@ -23,6 +23,8 @@ typedef struct {
     uint32_t turning;                       /* bit n: its wheel says that it turns */
     int64_t quick_stop_ns[LINE_DRIVES_MAX]; /* when it first heard one; 0: never */
     int64_t power_off_ns[LINE_DRIVES_MAX];
+    bool old, not_enabled; /* the core's set-points */
+    uint32_t motion_sent;  /* frames with a speed that is not zero */
     bool echoes;
     bool babbles;                         /* a device sends a byte a millisecond, unasked */
     uint32_t power_offs[LINE_DRIVES_MAX]; /* frames of `disarm` heard by each */
@@ -109,6 +111,7 @@ static inline void answer_on_the_wire(const uint8_t *request)
     }
     bool power_off = request[1] == WRITE && (request[3] == RELEASE || (request[3] == CONTROL && request[5] == DISABLE));
     w.sent_off[number] += power_off;
+    w.motion_sent += request[1] == WRITE && request[3] == SPEED && (request[4] | request[5]) != 0;
     w.quick_stop_sent[number] += request[1] == WRITE && request[3] == CONTROL && request[5] == QUICK_STOP;
     if ((w.dead >> number & 1) != 0) {
         return;
@@ -144,7 +147,8 @@ static inline void answer_on_the_wire(const uint8_t *request)
 /* One look; the core's set-points are always new and want motion. */
 static inline void go_on(void)
 {
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = w.table.drive_count};
+    int64_t stamp_ns = w.old ? w.machine.newest.stamp_ns : w.now_ns;
+    w.machine.newest = (setpoints){.stamp_ns = stamp_ns, .enabled = !w.not_enabled, .joint_count = w.table.drive_count};
     for (uint32_t i = 0; i < w.table.drive_count; i++) {
         w.machine.newest.joint[i].velocity_rad_s = 1.0;
     }

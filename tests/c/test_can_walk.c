@@ -1,0 +1,78 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * A drive on a CAN bus in every mode, and every event. */
+#include "can_wire.h"
+#include "drive_walk.h"
+
+static uint64_t motion;
+
+static void begin_bus(void)
+{
+    begin_with(1);
+    w.said_rad_s = 1.0;
+    motion = 0;
+    go_on(20 * MS);
+}
+
+static void request_mode(uint32_t mode)
+{
+    request(0, mode);
+}
+
+static void set_up_drive(void)
+{
+    request_mode(DRIVE_READY);
+    go_on(20 * MS);
+}
+
+static void arm_drive(void)
+{
+    w.powered = true;
+    request_mode(DRIVE_ARMED);
+}
+
+static void setpoints_old(void)
+{
+    w.enabled = 2;
+}
+
+static void setpoints_not_enabled(void)
+{
+    w.enabled = 0;
+}
+
+static void fall_silent(void)
+{
+    w.silent = true;
+}
+
+static void end_line(void)
+{
+    w.machine.control.shut_down = 1;
+}
+
+static void go_on_for(int64_t for_ns)
+{
+    forget_sent();
+    go_on(for_ns);
+    for (uint32_t i = 0; i < w.sent_count; i++) {
+        motion += w.sent[i].id == SPEED && (w.sent[i].data[2] | w.sent[i].data[3]) != 0;
+    }
+    forget_sent();
+}
+
+static const drive_state *state_of_drive(void)
+{
+    return &w.machine.drive[0].state;
+}
+
+static uint64_t motion_sent(void)
+{
+    return motion;
+}
+
+int main(void)
+{
+    const walk_medium medium = {begin_bus,   set_up_drive, arm_drive, request_mode,   setpoints_old, setpoints_not_enabled,
+                                fall_silent, end_line,     go_on_for, state_of_drive, motion_sent};
+    return walk_all(&medium, "can walk");
+}
