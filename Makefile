@@ -50,8 +50,10 @@ $(VENV)/check: $(VENV)/made
 demo: $(VENV)/built
 	@$(VENV)/bin/motord demo $(ARGS)
 
+# More workers than processors: most tests wait for simulated motors.
+WORKERS ?= 6
 test: $(VENV)/built $(VENV)/test
-	@$(PYTHON) -m pytest -n 4 --dist loadgroup $(ARGS)
+	@$(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup $(ARGS)
 
 # For the inner loop: no other process, no simulated robot.
 test-fast: $(VENV)/built $(VENV)/test
