@@ -47,7 +47,7 @@ STARTS = {
 CONFIG, RS485 = "motord.config.load", "motord_hal.rt_engine.rs485."
 LATER = {
     "run": (f"{RS485}line", f"{RS485}modbus_frames", "motord_hal.rt_engine.boards.line"),
-    "stop-all": (CONFIG, f"{RS485}halt", f"{RS485}modbus_frames"),
+    "stop-all": (CONFIG, f"{RS485}line", f"{RS485}modbus_frames"),
     **dict.fromkeys(("status", "arm", "disarm", "drive", "stop", "estop", "reset", "params"), ()),
 }
 """What a command imports when it has read its arguments, if that is not the robot file's reader."""

@@ -2,6 +2,7 @@
 """A program that the fork server forks is the one that exec would have started."""
 
 import contextlib
+import importlib.util
 import os
 import resource
 import signal
@@ -10,7 +11,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.fork_server import NAME_BYTES, started_from_nothing
+from tests.fork_server import LATER, NAME_BYTES, started_from_nothing
+
+from motord.cli import COMMANDS
 
 DEMO = str(Path(__file__).resolve().parents[2] / "config/robots/demo.toml")
 DEADLINE_S = 60.0
@@ -118,3 +121,9 @@ def test_under_other_limits_it_is_started_from_nothing():
             assert resource.prlimit(process.pid, resource.RLIMIT_NOFILE)[0] == soft - 1
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_what_it_imports_beforehand_is_there():
+    assert LATER.keys() <= COMMANDS.keys()
+    for name in {name for names in LATER.values() for name in names}:
+        assert importlib.util.find_spec(name) is not None, name
