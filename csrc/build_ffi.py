@@ -44,6 +44,7 @@ HEADERS = (
     "api.h",
     "api_command.h",
     "api_line.h",
+    "api_trace.h",
     "api_drive.h",
     "api_can.h",
     "api_board.h",

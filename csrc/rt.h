@@ -13,6 +13,7 @@
 #include "api.h"
 #include "api_command.h"
 #include "api_line.h"
+#include "api_trace.h"
 #include "api_drive.h"
 #include "api_can.h"
 #include "api_board.h"

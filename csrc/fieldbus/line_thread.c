@@ -2,6 +2,7 @@
  * line_thread.c: the life of a line's thread, whatever its medium. */
 #include "fresh.h"
 #include "line_thread.h"
+#include "line_trace.h"
 
 #include <errno.h>
 #include <string.h>
@@ -218,6 +219,7 @@ int line_thread_read_port(const line_thread *t, short revents, uint8_t *bytes, u
     }
     ssize_t count = read(t->at.fd, bytes, room);
     if (count > 0) {
+        trace_bytes(t->line, false, clock_now_ns(), bytes, (uint32_t)count);
         return (int)count;
     }
     if (count < 0 && (errno == EAGAIN || errno == EINTR)) {

@@ -8,6 +8,7 @@
 
 #include "board_machine.h"
 #include "line_thread.h"
+#include "line_trace.h"
 
 enum { READ_BYTES = 1024, FRAMES_WAITING_MAX = 2 };
 
@@ -45,7 +46,11 @@ static uint32_t write_some(board_thread *t, const uint8_t *bytes, uint32_t count
     if (went < 0 && errno != EAGAIN) {
         t->send_error = errno;
     }
-    return went > 0 ? (uint32_t)went : 0;
+    if (went <= 0) {
+        return 0;
+    }
+    trace_bytes(t->life.line, true, clock_now_ns(), bytes, (uint32_t)went);
+    return (uint32_t)went;
 }
 
 static bool flush_rest(board_thread *t)

@@ -11,6 +11,7 @@
 
 #include "can_machine.h"
 #include "line_thread.h"
+#include "line_trace.h"
 
 enum { BATCH = 32, BATCHES_MAX = 32, CONTROL_BYTES = CMSG_SPACE(sizeof(struct timespec)) };
 
@@ -68,6 +69,7 @@ static bool send_packet(void *sink, const can_packet *packet)
         went = send(t->life.at.fd, &frame, size, MSG_DONTWAIT | MSG_NOSIGNAL);
     } while (went < 0 && errno == EINTR);
     if (went == (ssize_t)size) {
+        trace_bytes(t->life.line, true, clock_now_ns(), &frame, (uint32_t)size);
         return true;
     }
     if (went < 0 && errno != EAGAIN && errno != ENOBUFS) {
@@ -104,6 +106,7 @@ static int64_t stamp_of(struct msghdr *message, int64_t emptied_ns, int64_t now_
 static void take_frame(can_thread *t, const struct canfd_frame *frame, size_t size, int64_t stamp_ns, int64_t now_ns)
 {
     bool fd = size == CANFD_MTU;
+    trace_bytes(t->life.line, false, stamp_ns, frame, (uint32_t)size);
     uint32_t most = fd ? CANFD_MAX_DLEN : CAN_MAX_DLEN;
     if ((size != CAN_MTU && !fd) || frame->len > most) {
         t->machine.bad_frames++;

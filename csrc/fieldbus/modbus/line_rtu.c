@@ -10,6 +10,7 @@
 
 #include "line_machine.h"
 #include "line_thread.h"
+#include "line_trace.h"
 
 #ifndef TIOCSER_TEMT
 #define TIOCSER_TEMT 0x01 /* linux/serial.h: the transmitter is empty */
@@ -98,7 +99,9 @@ static int send_request(rtu_thread *t, const line_output *out)
     if (error == 0) {
         error = write_all(t, out->send, out->send_bytes);
     }
-    line_machine_sent(&t->machine, clock_now_ns());
+    int64_t sent_ns = clock_now_ns();
+    line_machine_sent(&t->machine, sent_ns);
+    trace_bytes(t->life.line, true, sent_ns, out->send, out->send_bytes);
     if (t->config.de_fd >= 0) {
         wait_until_sent(t);
         sleep_until(clock_now_ns() + t->config.de_after_ns);

@@ -40,6 +40,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "reset-odometry": ("motord.cli.talk:reset_odometry", "Set the pose to zero."),
     "params": ("motord.cli.params:params", "List, get, set and save parameters of the robot."),
     "scan": ("motord.cli.scan:scan", "Find the drives on an RS485 line."),
+    "trace": ("motord.cli.trace:trace", "Show every exchange of a line, decoded."),
     "drives": ("motord.cli.drives:drives", "List, show, check or create drive profiles."),
     "robots": ("motord.cli.robots:robots", "List the example robot files, or print one."),
     "unit": ("motord.cli.unit:unit", "Print the systemd settings for a robot's devices."),

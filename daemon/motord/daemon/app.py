@@ -26,6 +26,7 @@ from motord.daemon.bus_supervisor import BusSupervisor
 from motord.daemon.imu_task import watch_imu
 from motord.daemon.methods import methods
 from motord.daemon.safety_pins import open_guard
+from motord.daemon.tracing import Tracing
 from motord.local_socket.command_sockets import open_command_sockets, open_stop_socket
 from motord.local_socket.server import listening, serve, socket_path
 from motord.realtime.loop import Loop
@@ -95,7 +96,8 @@ async def run(
             work += [tasks.create_task(publishers[key].run(feeds[key])) for key in publishers]
             if bus is not None:
                 work.append(tasks.create_task(bus.run()))
-            offered = methods(operation, health, feeds, command_sockets, bus, recent_log)
+            tracing = Tracing(operation.lines)
+            offered = methods(operation, health, feeds, command_sockets, bus, recent_log, tracing)
             server = tasks.create_task(
                 serve(listener, offered, operation.disconnect, operation.leases.holds)
             )

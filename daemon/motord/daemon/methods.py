@@ -17,6 +17,7 @@ from motord.control.machine import State
 from motord.control.operation import WHY_CHARS_MAX, Operation
 from motord.daemon import drive_parameters, parameters, procedures, report
 from motord.daemon.bus_supervisor import BusSupervisor
+from motord.daemon.tracing import Tracing
 from motord.local_socket.command_sockets import CommandSockets
 from motord.local_socket.params import Params, names, number, text
 from motord.local_socket.server import INVALID_PARAMS, Caller, Method, Refused, RpcError
@@ -52,6 +53,12 @@ class NamesParams(Params):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TraceParams(Params):
+    line: str = text(64)
+    after: int | None = number(0, 2**53, whole=True, default=None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LogParams(Params):
     after: int = number(0, 2**53, whole=True, default=0)
 
@@ -63,6 +70,7 @@ def methods(
     command_sockets: CommandSockets,
     bus: BusSupervisor | None,
     recent_log: RecentLog,
+    tracing: Tracing,
 ) -> dict[str, Method]:
     """By name. The first six only look."""
     return {
@@ -77,6 +85,7 @@ def methods(
             lambda _, params: _get(operation, params.names), NamesParams, commands=False
         ),
         "params.set": Method(lambda _, wanted: _set(operation, wanted), None),
+        "trace": Method(lambda _, params: tracing.read(params.line, params.after), TraceParams),
         "drive": Method(lambda caller, params: _drive(operation, caller, params), DriveParams),
         "lease": Method(
             lambda caller, params: _lease(operation, command_sockets, caller, params), LeaseParams

@@ -24,7 +24,9 @@ from motord_hal.can.address import bus_arguments, split_address
 from motord_hal.can.errors import BusTrouble, BusWarnings, error_words
 from motord_hal.can.interface import BUS_OFF_TEXT, BusOffWatch, make_ready
 from motord_hal.can.plan import Sent
+from motord_hal.can.socket_frames import packed
 from motord_hal.can.unix_client import UnixClient
+from motord_hal.fieldbus.trace import PythonTrace
 
 OPEN_WITHIN_S = 5.0
 """Serial and USB adapters take a while."""
@@ -65,6 +67,7 @@ class CanBus:
         self.address = address
         self.errors: Counter[str] = Counter()
         self.trouble: PortError | None = None
+        self.trace = PythonTrace()
         self._arguments = bus_arguments(address, bitrate, data_bitrate)
         if receives_own(address):  # filters: elsewhere they are no cheaper than a look-up
             self._arguments["can_filters"] = [_filter(*one) for one in (*identifiers, *own)]
@@ -152,6 +155,8 @@ class CanBus:
 
     def _take_in(self, message: can.Message, stamp_ns: int) -> None:
         self._bad_in_a_row = 0
+        if self.trace.on:
+            self.trace.put(stamp_ns, packed(message), outward=False)
         if message.is_error_frame:
             self._note(message)
         elif not message.is_remote_frame and self._bus is not None:
@@ -194,8 +199,9 @@ class CanBus:
         newer. Raises PortError."""
         self.check()
         assert self._bus is not None  # check
+        message = _message(sent)
         try:
-            self._bus.send(_message(sent), timeout=0)
+            self._bus.send(message, timeout=0)
         except can.CanTimeoutError:
             self.errors["tx_full"] += 1
             return False
@@ -205,6 +211,8 @@ class CanBus:
                 return False
             self._fail(error)
             self.check()
+        if self.trace.on:
+            self.trace.put(now_ns(), packed(message), outward=True)
         return True
 
     def check(self) -> None:

@@ -41,6 +41,7 @@ class CanLine(AsyncioLine[CanDrive]):
         own = [one for plan in plans for one in plan.setpoint_identifiers]
         wire = (spec.port, spec.baudrate, spec.data_baudrate)
         self._bus = CanBus(*wire, identifiers, self._take_frame, self._warn, own)
+        self.trace = self._bus.trace
         self._gate = MotionGate(1.0 / spec.cycle_hz, receives_own=receives_own(spec.port))
         self._drives = [
             CanDrive(

@@ -21,6 +21,7 @@ from motord_hal.fieldbus.ports import (
     LineState,
     Listener,
 )
+from motord_hal.fieldbus.trace import Trace
 from motord_hal.realtime.exchange import is_fresh
 
 REOPEN_FIRST_S = 0.1
@@ -58,6 +59,7 @@ class LineTask(abc.ABC):
     def __init__(self, spec: LineSpec, listener: Listener) -> None:
         self.spec = spec
         self._listener = listener
+        self.trace: Trace | None = None
         self._is_open = False
         self._reported_lost = False
         self._losses = 0

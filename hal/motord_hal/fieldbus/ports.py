@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from motord_hal.drives.profile import DriveProfile, Gap
+from motord_hal.fieldbus.trace import Trace
 
 SETPOINT_TIMEOUT_S = 0.1
 """Set-points older than this do not count: it stops and disarms its drives."""
@@ -331,6 +332,11 @@ class Line(Protocol):
     @property
     def drive_faults(self) -> dict[str, tuple[str, ...]]:
         """By joint name: the words for the fault bits that are set."""
+        ...
+
+    @property
+    def trace(self) -> Trace | None:
+        """None: nothing is exchanged (pins)."""
         ...
 
     def stats(self) -> LineStats: ...

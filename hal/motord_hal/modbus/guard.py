@@ -33,6 +33,7 @@ from pymodbus.pdu import DecodePDU, ModbusPDU
 from motord_hal.base.clock import now_s, sleep_until_s, within
 from motord_hal.base.errors import BadReply, NoReply, PortError, Refused
 from motord_hal.fieldbus.ports import Echo
+from motord_hal.fieldbus.trace import PythonTrace
 from motord_hal.modbus.codec import (
     BROADCAST_UNIT,
     EXCEPTION_BYTES,
@@ -189,6 +190,7 @@ class GuardedClient:
         self._sent_s = 0.0
         self._line_silent_until_s = 0.0
         self._unit_silent_until_s: dict[int, float] = {}
+        self.trace = PythonTrace()
         self._witness = Witness()
         self._received_bytes = 0
         self._frames = 0
@@ -242,6 +244,8 @@ class GuardedClient:
 
     def _trace_packet(self, sending: bool, data: bytes) -> bytes:
         self._last_byte_s = now_s()
+        if self.trace.on:
+            self.trace.put(round(self._last_byte_s * 1e9), data, outward=sending)
         self._received_bytes = 0 if sending else self._received_bytes + len(data)
         if sending:
             self._sent_s = self._last_byte_s

@@ -36,6 +36,7 @@ class ModbusRtuLine(AsyncioLine[Drive]):
         super().__init__(spec, exchange, listener, 1.0 / spec.cycle_hz)
         client = self._new_client(spec)
         self._link = Link(client)
+        self.trace = client.trace
         self._drives = [
             Drive(
                 DrivePlan(joints, client.gap_s, client.wire_time_s),

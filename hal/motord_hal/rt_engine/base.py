@@ -17,6 +17,7 @@ from motord_hal.base.errors import HalError, PortError
 from motord_hal.fieldbus.line import DriveLine
 from motord_hal.fieldbus.parameter import write_steps
 from motord_hal.fieldbus.ports import LineSpec, Listener
+from motord_hal.realtime.trace import RtTrace
 from motord_hal.rt_engine.notifier import Notifier
 from motord_hal.rt_engine.rs485.drive import AnyDriveReport, RtDrive
 
@@ -59,6 +60,7 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
 
     def __init__(self, spec: LineSpec, listener: Listener) -> None:
         super().__init__(spec, listener)
+        self.trace = RtTrace(spec.index)
         self._notifier = Notifier()
         self._report: Report | None = None
 

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord trace` at whole daemons on simulated drives: a serial line in C, one in asyncio, a CAN
+bus."""
+
+import json
+import shutil
+import subprocess
+import sys
+
+import can
+import pytest
+from tests.sim.daemon_stage import DEADLINE_S, ROOT, running
+from tests.sim.pseudo_terminal import at_terminal
+
+from motord.client import ClientError
+
+
+@pytest.fixture(scope="module", params=["rt", "asyncio"])
+def stage(tmp_path_factory, request):
+    engine = f"line.rs485.engine={request.param}"
+    with running(tmp_path_factory.mktemp("trace"), engine) as stage:
+        stage.wait_for("idle")
+        yield stage
+
+
+def trace(stage, *words):
+    done = subprocess.run(
+        [sys.executable, "-m", "motord", "trace", "--socket", str(stage.socket), *words],
+        capture_output=True, text=True, cwd=ROOT, timeout=DEADLINE_S,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_exchanges_are_decoded_with_time_bytes_and_result(stage):
+    rows = [json.loads(row) for row in trace(stage, "--json", "--count", "12").splitlines()]
+    good = [row for row in rows if row["result"] == "ok"]
+    assert good
+    assert {row["joint"] for row in good} <= {"left,right", "left", "right"}
+    assert any("velocity" in row["what"] or "position" in row["what"] for row in good)
+    assert all(row["reply_us"] > 0 and row["sent"] and row["received"] for row in good)
+
+
+def test_at_a_terminal_it_runs_until_ctrl_c(stage):
+    with at_terminal("trace", "rs485", "--socket", str(stage.socket)) as terminal:
+        terminal.wait_for(" ok ")
+        terminal.type("\x03")
+        assert terminal.exit_status() == 0
+
+
+@pytest.mark.parametrize(
+    ("fault", "result"),
+    [("corrupt:unit=1,p=0.3", "bad"), ("exception:unit=1,code=4,p=0.3", "exception 4")],
+)
+def test_a_reply_with_a_wrong_check_sum_and_an_exception_are_named(stage, fault, result):
+    stage.sim.inject(fault)
+    try:
+        found = ""
+        while result not in found:  # the limit of time is pytest's
+            rows = trace(stage, "--json", "--count", "10").splitlines()
+            found = " ".join(json.loads(row)["result"] for row in rows)
+    finally:
+        stage.sim.clear_faults_script()
+
+
+def test_wireshark_decodes_the_pcap(stage, tmp_path):
+    if shutil.which("tshark") is None:
+        pytest.skip("needs tshark")
+    file = tmp_path / "rs485.pcap"
+    trace(stage, "--count", "20", "--pcap", str(file))
+    done = subprocess.run(
+        ["tshark", "-r", str(file), "-T", "fields", "-e", "_ws.col.Protocol", "-e", "_ws.col.Info",
+         "-e", "_ws.expert.message"],
+        capture_output=True, text=True, timeout=DEADLINE_S,
+    )  # fmt: skip
+    rows = done.stdout.splitlines()
+    assert len(rows) >= 20, done.stderr
+    assert all("Modbus" in row for row in rows), rows
+    assert any("Query" in row for row in rows)
+    assert any("Response" in row for row in rows)
+    assert not any("alformed" in row or "ncorrect" in row for row in rows)
+
+
+def test_a_line_that_is_not_there_is_named_with_what_may_be_meant(stage):
+    with pytest.raises(ClientError, match='did you mean "rs485"'):
+        stage.robot.call("trace", line="rs458")
+
+
+CAN = ROOT / "config/robots/asyncio-can.toml"
+
+
+def test_a_can_bus_goes_into_a_file_that_can_utils_understand(tmp_path):
+    with running(tmp_path, robot=CAN) as stage:
+        stage.wait_for("idle", "configuring")
+        file = tmp_path / "bus.log"
+        line = next(iter(stage.robot.status()["lines"]))
+        rows = [
+            json.loads(row)
+            for row in trace(stage, line, "--json", "--count", "30", "--candump", str(file))
+            .splitlines()
+        ]  # fmt: skip
+    with can.CanutilsLogReader(file) as reader:
+        messages = list(reader)
+    assert len(messages) == len(rows) == 30
+    assert any(row["joint"] and row["what"] for row in rows)
+    assert {row["result"] for row in rows} <= {"in", "out"}
