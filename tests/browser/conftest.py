@@ -9,7 +9,7 @@ import subprocess
 
 import pytest
 from tests.browser.dashboard import CHROMIUM_ARGUMENTS, TOKEN, Dashboard
-from tests.sim.daemon_stage import running, wait_until
+from tests.sim.daemon_stage import ROBOT, SLOW, running, wait_until
 
 
 @pytest.fixture(scope="session")
@@ -44,9 +44,10 @@ def robot(browser, tmp_path_factory):
         "input.web.kind=web", f"input.web.port={port}", f'input.web.token_file="{token}"',
         "publish.tape.kind=mcap", f'publish.tape.folder="{recordings}"',
     )  # fmt: skip
-    with running(folder, *settings) as stage:
+    file = shutil.copy(ROBOT, folder / "robot.toml")
+    with running(folder, *SLOW, *settings, robot=file) as stage:
         stage.wait_for("idle")
-        dashboard = Dashboard(browser, stage, port)
+        dashboard = Dashboard(browser, stage, port, file)
         wait_until(dashboard.listens, "the dashboard listens")
         yield dashboard
         with contextlib.suppress(subprocess.TimeoutExpired):

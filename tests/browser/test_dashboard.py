@@ -228,7 +228,7 @@ def test_a_killed_daemon_is_seen_and_found_again(robot, page):
     robot.wait_for_rest()
 
 
-def test_a_limit_is_changed_by_its_slider_and_a_register_is_read(robot, page):
+def test_a_limit_is_changed_and_saved_in_the_robot_file(robot, page):
     page.evaluate("location.hash = 'parameters'")
     entry = page.get_by_label("linear_m_s, m/s")
     entry.fill("0.7")
@@ -241,8 +241,14 @@ def test_a_limit_is_changed_by_its_slider_and_a_register_is_read(robot, page):
     )
     button(page, "Save to the robot file…").click()
     difference = page.locator(".difference")
-    wait_until(lambda: "+linear_m_s = 0.7" in difference.inner_text(), "the difference")
-    button(page, "Cancel").click()
+    wait_until(lambda: "\n+linear_m_s = 0.7\n" in difference.inner_text(), "the difference")
+    assert "linear_m_s = 1.0" in robot.file.read_text(encoding="utf-8")
+    button(page, "Write").click()
+    wait_until(lambda: "Written" in difference.inner_text(), "the file is written")
+    assert "linear_m_s = 0.7" in robot.file.read_text(encoding="utf-8")
+
+
+def test_a_register_is_read(robot, page):
     page.evaluate("location.hash = 'lines'")
     button(page, "Read bus_voltage").first.click()
     cell = page.locator("tr", has=button(page, "Read bus_voltage")).first.locator("td").first

@@ -20,6 +20,7 @@ const toStep = ({ low, high }, value) => Math.round((STEPS * Math.log(value / lo
 const toValue = ({ low, high }, step) => Number((low * (high / low) ** (step / STEPS)).toPrecision(3));
 
 function Row({ name, about, inForce, value, change }) {
+  const [draft, setDraft] = useState(null);  // what is being typed is no number yet
   const span = range(about, inForce);
   const noLimit = value === null;
   const title = name.split(".")[1];
@@ -31,9 +32,10 @@ function Row({ name, about, inForce, value, change }) {
       value=${noLimit ? STEPS : toStep(span, value)} aria-valuetext=${noLimit ? TEXT.noLimit : `${value} ${unit}`}
       onInput=${(event) => change(name, toValue(span, Number(event.target.value)))} />
     <span class="entry"><input inputmode="decimal" size="7" aria-label=${`${title}, ${unit}`} disabled=${noLimit}
-      value=${noLimit ? "" : value} onChange=${(event) => {
+      value=${draft ?? (noLimit ? "" : value)} onBlur=${() => setDraft(null)} onInput=${(event) => {
+        setDraft(event.target.value);
         const typed = Number(event.target.value.replace(",", "."));
-        change(name, Number.isFinite(typed) && event.target.value !== "" ? typed : value);
+        if (Number.isFinite(typed) && event.target.value.trim() !== "") change(name, typed);
       }} /> ${unit}</span>
     ${about.maximum === null && html`<label class="check"><input type="checkbox" checked=${noLimit}
       onChange=${(event) => change(name, event.target.checked ? null : inForce ?? 10)} /> ${TEXT.noLimit}</label>`}
@@ -43,14 +45,15 @@ function Row({ name, about, inForce, value, change }) {
 }
 
 function Difference({ found, save, close }) {
+  const written = found.backup !== null;  // the old file, kept beside it
   const rows = found.diff.trimEnd().split("\n");
   const kind = (row) => (row.startsWith("+") ? "added" : row.startsWith("-") ? "removed" : "");
   return html`<div class="difference" role="region" aria-label=${TEXT.difference}>
-    <p>${found.saved ? TEXT.saved(found.file) : found.diff ? TEXT.wouldSave(found.file) : TEXT.nothingToSave(found.file)}</p>
-    ${found.diff && html`<pre tabindex="0">${rows.map((row) => html`<span class=${kind(row)}>${row}\n</span>`)}</pre>`}
+    <p>${written ? TEXT.saved(found.file) : found.diff ? TEXT.wouldSave(found.file) : TEXT.nothingToSave(found.file)}</p>
+    ${found.diff && html`<pre tabindex="0">${rows.map((row) => html`<span class=${kind(row)}>${`${row}\n`}</span>`)}</pre>`}
     <div class="actions">
-      ${found.diff && !found.saved && html`<button class="main" onClick=${save}>${TEXT.write}</button>`}
-      <button onClick=${close}>${found.saved || !found.diff ? TEXT.close : TEXT.cancel}</button>
+      ${found.diff && !written && html`<button class="main" onClick=${save}>${TEXT.write}</button>`}
+      <button onClick=${close}>${written || !found.diff ? TEXT.close : TEXT.cancel}</button>
     </div>
   </div>`;
 }
@@ -75,7 +78,7 @@ export function Parameters({ link }) {
   };
   const save = async () => {
     const found = await call("params.save", TEXT.save);
-    setDiff(found ? { saved: true, ...found } : null);
+    setDiff(found ?? null);
   };
   const apply = async () => {
     const inForce = await call("params.set", TEXT.apply, changes);
