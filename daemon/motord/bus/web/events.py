@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happened to the robot, in sentences: from the state page, from the daemon's status, and from
+"""What happened to the robot, in sentences: from the log of the daemon, from its status, and from
 the log of this process."""
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from motord.api.snapshot import STATES
 from motord.bus.inbox import Inbox
 from motord.bus.messages.topics import View
 
@@ -19,7 +18,6 @@ KEPT_MAX = 500
 WAITING_MAX = 100
 Event = dict[str, Any]
 _LEVELS = ((logging.ERROR, "error"), (logging.WARNING, "warning"))
-_STATE_LEVELS = {"fault": "error", "estop": "error"}
 
 
 class Events(logging.Handler):
@@ -33,9 +31,7 @@ class Events(logging.Handler):
         self.log_number = 0
         """Of the newest line of the daemon's log that was noted."""
         self._waiting: Inbox[logging.LogRecord] = Inbox(WAITING_MAX, self._take)
-        self._state: str | None = None
         self._owner: str | None = None
-        self._why: tuple[str, ...] = ()
         self._lines: Mapping[str, Any] = {}
         self._status_ns = 0
 
@@ -70,20 +66,6 @@ class Events(logging.Handler):
 
     def look(self, view: View) -> None:
         """At what has changed."""
-        number = view.snapshot.machine_state
-        state = STATES[number] if number < len(STATES) else f"state {number}"
-        if state != self._state:
-            before, self._state = self._state, state
-            text = state if before is None else f"{before} → {state}"
-            faults = ", ".join(view.snapshot.faults)
-            self.note(
-                "state", f"{text}: {faults}" if faults else text, _STATE_LEVELS.get(state, "info")
-            )
-        why = view.why()
-        for text in why:
-            if text not in self._why:
-                self.note("robot", text, "error")
-        self._why = why
         if view.status is not None and view.status_ns != self._status_ns:
             self._status_ns = view.status_ns
             self._look_at_status(view)
@@ -107,10 +89,6 @@ class Events(logging.Handler):
         lines = (view.status or {}).get("lines", {})
         for name, line in lines.items():
             before = self._lines.get(name, {})
-            if line["waits_for"] and line["waits_for"] != before.get("waits_for"):
-                self.note(name, line["waits_for"], "warning")
-            elif not line["waits_for"] and before.get("waits_for"):
-                self.note(name, "all drives are ready")
             if before:
                 self._count_errors(name, line["errors"], before["errors"])
         self._lines = lines

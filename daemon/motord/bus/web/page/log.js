@@ -15,7 +15,7 @@ function Events({ link }) {
   const [filter, setFilter] = useState("");
   const [level, setLevel] = useState("all");
   const wanted = filter.toLowerCase();
-  const rows = link.events
+  const rows = link.events.toSorted((one, other) => one.wall_time_s - other.wall_time_s)
     .filter((event) => WORTH[level].includes(event.level))
     .filter((event) => `${event.source} ${event.text}`.toLowerCase().includes(wanted))
     .slice(-SHOWN_MAX).reverse();

@@ -23,7 +23,7 @@ export function StateCard({ link }) {
     <p class="state-word">${TEXT.states[now.state] ?? now.state}</p>
     <p class="next">${TEXT.next[now.state]}</p>
     ${now.faults.length > 0 && html`<p class="faults">${now.faults.join(", ").replaceAll("_", " ")}</p>`}
-    ${[...why, ...waits].map((text) => html`<p class="why">${text}</p>`)}
+    ${[...new Set([...why, ...waits])].map((text) => html`<p class="why">${text}</p>`)}
     ${reasons.length > 0 && html`<p class="muted">${TEXT.limited}: ${reasons.join(", ")}</p>`}
     <${Actions} link=${link} />
   <//>`;

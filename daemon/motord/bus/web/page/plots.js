@@ -17,6 +17,10 @@ const JOINT_PLOTS = [
   ["position", "rad", ["position"]], ["temperature", "c", ["temperature"]], ["voltage", "v", ["voltage"]],
 ];
 
+const sheet = document.createElement("link");  // here alone: the first paint does not wait for it
+Object.assign(sheet, { rel: "stylesheet", href: "vendor/uPlot.css" });
+document.head.append(sheet);
+
 /** What is plotted: title, unit, ring and its series with label, colour and dash. */
 function plotsOf(hello, status) {
   const base = [["linear", "linear_m_s", "m_s"], ["angular", "angular_rad_s", "rad_s"]];
@@ -24,11 +28,11 @@ function plotsOf(hello, status) {
   const twist = base.map(([key, measured, unit, more]) => ({
     key, unit, ring: "fast",
     series: [
-      { name: `setpoint_${measured}`, label: TEXT.setpoint, colour: "line-1", dash: [6, 4] },
+      { name: `setpoint_${measured}`, label: TEXT.setpoint, colour: "line-2", dash: [6, 4] },
       { name: measured, label: TEXT.measured, colour: "line-1" },
       ...(more ? [
-        { name: `setpoint_${more[0]}`, label: `${more[1]}, ${TEXT.setpoint}`, colour: "line-2", dash: [6, 4] },
-        { name: more[0], label: more[1], colour: "line-2" },
+        { name: `setpoint_${more[0]}`, label: `${more[1]}, ${TEXT.setpoint}`, colour: "line-4", dash: [6, 4] },
+        { name: more[0], label: more[1], colour: "line-3" },
       ] : []),
     ],
   }));

@@ -45,7 +45,7 @@ export const TEXT = {
     configuring: "Wait until all drives answer.",
     idle: "Arm to power the drives.",
     armed: "Drive, or disarm to remove the power.",
-    moving: "Release the pad or press Stop to bring it to rest.",
+    moving: "Stop brings it to rest.",
     stopping: "It comes to rest.",
     fault: "Remove the cause, then reset and arm.",
     estop: "When it is safe, reset and arm.",
