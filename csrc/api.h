@@ -95,7 +95,7 @@ typedef struct {
     double velocity_min_rad_s; /* <= 0: 0 for a joint that cannot reverse */
     double velocity_max_rad_s; /* > 0 */
     double rad_per_count;      /* signed, not 0: gear and inversion are in it. Unused without a counter */
-    uint32_t counter_bits;     /* 8, 15, 16, 24, 32, 64; 0: no counter, odometry from measured velocity, or
+    uint32_t counter_bits;     /* 8, 12, 15, 16, 24, 32, 64; 0: no counter, odometry from measured velocity, or
                                    from the set-point where the drive measures none */
     uint32_t line;             /* 0..LINES_MAX-1: the line of this joint */
     pwm_config pwm;

@@ -20,14 +20,26 @@ enum {
     FIELD_HARMLESS_MAX = 8,
     FRAME_BYTES_MAX = 256,
     FRAME_MATCH_MAX = 8,
+    GROUP_HEAD_MAX = 16,
     LINE_REQUESTS_MAX = 8
 };
 
-typedef enum { SEAL_NONE = 0, SEAL_CRC16 = 1, SEAL_CRC8 = 2, SEAL_XMODEM = 3, SEAL_WITH_REQUEST = 4 } frame_seal;
+typedef enum {
+    SEAL_NONE = 0,
+    SEAL_CRC16 = 1,
+    SEAL_CRC8 = 2,
+    SEAL_XMODEM = 3,
+    SEAL_WITH_REQUEST = 4,
+    SEAL_SUM = 5,
+    SEAL_STUFFED = 6
+} frame_seal;
 /* CRC16  Modbus over Serial Line V1.02, 2.5.1.2: last two bytes, low one first
  * CRC8   CRC-8/MAXIM (reflected 0x31): last byte
  * XMODEM CRC-16/XMODEM (0x1021, not reflected, start 0): last two bytes, high one first
- * ASKED  of a reply: the same over the request's first two bytes and the reply (RoboClaw packet serial) */
+ * ASKED  of a reply: the same over the request's first two bytes and the reply (RoboClaw packet serial)
+ * SUM    the inverted sum of all bytes after the first two: last byte (Feetech bus servos, protocol 0)
+ * STUFFED CRC-16 (0x8005, not reflected, start 0): last two bytes, low one first; in a packet with FF FF FD inside another
+ *        FD follows it on the wire, and the length counts it (Dynamixel protocol 2.0). Bytes are numbered without them */
 
 /* A request and what its answer must look like. */
 typedef struct {
@@ -37,7 +49,8 @@ typedef struct {
     uint32_t match_bytes;   /* else, with so many of match[] */
     uint32_t request_seal;  /* frame_seal; made anew when set-points have been put in */
     uint32_t reply_seal;
-    uint32_t has_exceptions; /* 1: five bytes with the function's top bit set are a refusal (Modbus) */
+    uint32_t has_exceptions; /* 1: five bytes with the function's top bit set are a refusal (Modbus); of STUFFED replies
+                                an error number is one */
     uint32_t exact;          /* 1: the reply does not say what it answers: it is all that comes, and after a failure
                                    no drive is asked until a late one has passed */
     uint8_t match[FRAME_MATCH_MAX];
@@ -52,7 +65,12 @@ typedef enum {
     FORM_U32 = 4,
     FORM_I32 = 5, /* high word first */
     FORM_U32_LOW_FIRST = 6,
-    FORM_I32_LOW_FIRST = 7 /* low word first, its high byte first */
+    FORM_I32_LOW_FIRST = 7, /* low word first, its high byte first */
+    FORM_U16_LE = 8,
+    FORM_I16_LE = 9,
+    FORM_U32_LE = 10,
+    FORM_I32_LE = 11, /* low byte first */
+    FORM_M16_LE = 13  /* low byte first: the top bit is the sign, the others are the magnitude */
 } wire_form;
 
 typedef enum { SETPOINT_VELOCITY = 0, SETPOINT_DUTY = 1, SETPOINT_TORQUE = 2 } setpoint_kind; /* TORQUE: CAN only */
@@ -168,6 +186,18 @@ typedef struct {
     line_frame idle[1];
 } line_drive;
 
+/* Of bus servos: a cycle is one request for all drives, a sync write with the set-points and a sync read in one piece; each
+ * drive answers the read for itself. Each drive has two cyclic exchanges: what is written to one alone, and what is read of
+ * it; both requests begin and end alike on all drives but for their unit. */
+typedef struct {
+    uint32_t used;        /* 0: drive by drive */
+    uint32_t data_byte;   /* where the data that are written begin in cyclic[0]; up to its check sum */
+    uint32_t write_bytes; /* of write[], without check sum and the drives' data */
+    uint32_t read_bytes;
+    uint8_t write[GROUP_HEAD_MAX]; /* with the length of a packet for no drive */
+    uint8_t read[GROUP_HEAD_MAX];
+} line_group;
+
 typedef struct {
     uint32_t drive_count;          /* 1..LINE_DRIVES_MAX */
     uint32_t echo;                 /* 0: none; 1: every request comes back first; 2: the first read finds out */
@@ -177,6 +207,7 @@ typedef struct {
     double rest_velocity_rad_s;    /* a wheel slower than this is at rest: > 0 */
     uint32_t broadcast_stop_count; /* frames that stop all drives at once, before each one's own; 0: none */
     uint32_t reserved;
+    line_group group;
     line_frame broadcast_stop[DRIVE_STOP_MAX];
     line_drive drive[LINE_DRIVES_MAX];
 } line_table;

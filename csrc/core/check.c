@@ -100,7 +100,7 @@ static const char *bad_joint_field(const joint_config *joint)
         return "side";
     }
     uint32_t bits = joint->counter_bits;
-    if (bits != 0 && bits != 8 && bits != 15 && bits != 16 && bits != 24 && bits != 32 && bits != 64) {
+    if (bits != 0 && bits != 8 && bits != 12 && bits != 15 && bits != 16 && bits != 24 && bits != 32 && bits != 64) {
         return "counter_bits";
     }
     if (bits != 0 && !(fabs(joint->rad_per_count) >= LEAST && fabs(joint->rad_per_count) <= MOST)) {

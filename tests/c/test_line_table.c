@@ -182,7 +182,8 @@ static void a_set_point_lies_in_its_request(void)
     BAD(setpoint->joint, JOINTS_MAX, "drive[0].setpoint.joint");
     GOOD(setpoint->kind, SETPOINT_DUTY);
     BAD(setpoint->kind, SETPOINT_DUTY + 1, "drive[0].setpoint.kind");
-    BAD(setpoint->form, FORM_I32_LOW_FIRST + 1, "drive[0].setpoint.form");
+    BAD(setpoint->form, FORM_I32_LE + 1, "drive[0].setpoint.form");
+    BAD(setpoint->form, FORM_M16_LE + 1, "drive[0].setpoint.form");
     GOOD(setpoint->byte, 0);
     BAD(setpoint->byte, 5, "drive[0].setpoint.byte"); /* its last byte would be in the check sum */
     BAD(setpoint->byte, UINT32_MAX, "drive[0].setpoint.byte");
@@ -215,7 +216,7 @@ static void a_field_lies_in_its_reply(void)
     t = good;
     field->form = FORM_I32_LOW_FIRST;
     CHECK(is_good());
-    field->form = FORM_I32_LOW_FIRST + 1;
+    field->form = FORM_I32_LE + 1;
     CHECK(refused("drive[0].field.form"));
     GOOD(field->direction, DRIVE_DIRECTIONS_MAX);
     BAD(field->direction, DRIVE_DIRECTIONS_MAX + 1, "drive[0].field.direction");

@@ -31,6 +31,8 @@ KINDS = {
     "ascii": "ascii",
     "roboclaw": "roboclaw",
     "can": "can",
+    "feetech": "feetech",
+    "dynamixel": "dynamixel",
 }
 GEAR = 2.0
 
@@ -63,7 +65,7 @@ RT = " rt"
 """At the end of a drive's name: on the rt engine, of CAN on the bus that this can be on."""
 BOTH_ENGINES = ("can",)
 """Protocols that are tested on the asyncio engine, and on rt where the name ends so."""
-ON_RT = ("ddsm", "mcu-frame", "ascii", "roboclaw")
+ON_RT = ("ddsm", "mcu-frame", "ascii", "roboclaw", "feetech", "dynamixel")
 
 
 def with_rt(names):

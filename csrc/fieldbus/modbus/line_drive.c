@@ -55,7 +55,8 @@ static drive_view view_of(const line_machine *m, uint32_t number, int64_t now_ns
 {
     const line_drive_state *drive = &m->drive[number];
     int64_t watchdog_ns = m->table.drive[number].watchdog_ns;
-    bool busy = m->work != WORK_NONE && m->worker == number;
+    bool asked = m->work == WORK_GROUP && (m->group.waiting >> number & 1) != 0;
+    bool busy = asked || (m->work != WORK_NONE && m->worker == number);
     return (drive_view){.now_ns = now_ns,
                         .fresh = line_fresh(m, now_ns),
                         .enabled = m->newest.enabled == 1,
@@ -371,6 +372,8 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     }
     if (m->work == WORK_CYCLE) {
         cycle_answered(m, number, reply, stamp_ns);
+    } else if (m->work == WORK_GROUP) {
+        line_group_answered(m, number, reply, stamp_ns);
     } else if (m->work == WORK_STOP) {
         stop_frame_done(m, number);
     } else if (m->work == WORK_PROBE) {

@@ -220,6 +220,16 @@ static bool take_late(line_machine *m, uint32_t number, int64_t now_ns)
     return false;
 }
 
+const uint8_t *line_reply(line_machine *m, const received *found)
+{
+    const uint8_t *reply = m->transaction.received + found->offset;
+    if (m->transaction.frame.reply_seal != SEAL_STUFFED || found->bytes == 0) {
+        return reply;
+    }
+    (void)rtu_unstuff(reply, found->bytes, m->transaction.plain);
+    return m->transaction.plain;
+}
+
 void line_stray(line_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns)
 {
     m->noise_bytes += count;
@@ -249,6 +259,15 @@ void line_sort_received(line_machine *m, const received *verdict, int64_t now_ns
     if (verdict->bytes > 0 && t->received_bytes > after) {
         line_stray(m, t->received + after, t->received_bytes - after, now_ns);
     }
+}
+
+void line_doubt_echo(line_machine *m)
+{
+    bool understood = false;
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        understood |= m->drive[i].failures < m->table.drive[i].tries;
+    }
+    m->echo = understood ? m->echo : m->table.echo;
 }
 
 /* -------------------------------------------------------------------------------------------- turn-around */

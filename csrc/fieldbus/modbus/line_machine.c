@@ -37,6 +37,9 @@ static int64_t wait_for_ns(const line_machine *m)
     if (m->work == WORK_REQUEST) {
         return m->transaction.request_turnaround_ns + LINE_HOST_NS;
     }
+    if (m->work == WORK_GROUP) {
+        return line_group_wait_ns(m);
+    }
     if (m->worker >= m->table.drive_count) {
         int64_t longest_ns = 0;
         for (uint32_t i = 0; i < m->table.drive_count; i++) {
@@ -93,25 +96,15 @@ static void finish_request(line_machine *m, uint32_t kind, const received *verdi
     m->answer.echoed = verdict->echoed;
     if (kind == ANSWER_OK) {
         m->answer.reply_bytes = frame->reply_bytes;
-        memcpy(m->answer.reply, m->transaction.received + verdict->offset, frame->reply_bytes);
+        memcpy(m->answer.reply, line_reply(m, verdict), frame->reply_bytes);
     }
-}
-
-/* No drive is understood: an adapter that was found to echo may not do so any more. */
-static void doubt_echo(line_machine *m)
-{
-    bool understood = false;
-    for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        understood |= m->drive[i].failures < m->table.drive[i].tries;
-    }
-    m->echo = understood ? m->echo : m->table.echo;
 }
 
 static void drive_ended(line_machine *m, uint32_t kind, const received *verdict, int64_t now_ns)
 {
     uint32_t worker = m->worker;
     if (kind == ANSWER_OK) {
-        line_drive_answered(m, worker, m->transaction.received + verdict->offset, now_ns);
+        line_drive_answered(m, worker, line_reply(m, verdict), now_ns);
         return;
     }
     line_drive_failed(m, worker, kind, verdict->exception, now_ns);
@@ -120,7 +113,7 @@ static void drive_ended(line_machine *m, uint32_t kind, const received *verdict,
         m->free_ns = later(m->free_ns, m->ours_ns);
     }
     m->slot_due_ns = later(m->slot_due_ns, now_ns); /* a request that had to wait goes before a probe, which may take as long */
-    doubt_echo(m);
+    line_doubt_echo(m);
 }
 
 static void end_exchange(line_machine *m, uint32_t kind, const received *verdict, int64_t now_ns)
@@ -201,6 +194,10 @@ static void receive(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint3
         line_stray(m, bytes, count, now_ns);
         return;
     }
+    if (m->work == WORK_GROUP) {
+        line_group_step(m, bytes, count, now_ns);
+        return;
+    }
     if (answers && count > 0) {
         verdict = listen(m, bytes, count);
     } else if (m->echo == ECHO_NONE) {
@@ -261,6 +258,9 @@ static bool is_cyclic(const line_machine *m, uint32_t number)
 static int64_t due_of(const line_machine *m, uint32_t number)
 {
     const line_drive_state *drive = &m->drive[number];
+    if (m->table.group.used != 0 && is_cyclic(m, number)) {
+        return drive->due_ns; /* set-points go out also while a reply is in doubt */
+    }
     return is_cyclic(m, number) ? later(drive->due_ns, later(drive->silent_until_ns, drive->held_until_ns)) : FAR_NS;
 }
 
@@ -332,7 +332,7 @@ static bool take_cycle(line_machine *m, int64_t now_ns, line_output *out)
 {
     line_frame frame;
     for (uint32_t tried = 0; tried <= m->table.drive_count; tried++) {
-        if (m->current < LINE_DRIVES_MAX) {
+        if (m->current < LINE_DRIVES_MAX || line_group_goes_on(m)) {
             uint32_t number = m->current;
             if (line_next_in_cycle(m, number, now_ns, &frame)) {
                 begin(m, WORK_CYCLE, number, &frame, out);
@@ -340,6 +340,9 @@ static bool take_cycle(line_machine *m, int64_t now_ns, line_output *out)
             }
             if (take_stop(m, out)) { /* its end may have sent a stop */
                 return true;
+            }
+            if (m->group.answered != 0) {
+                continue;
             }
         }
         uint32_t next = most_due(m);
@@ -350,7 +353,12 @@ static bool take_cycle(line_machine *m, int64_t now_ns, line_output *out)
         if (next_ns > now_ns) {
             return false;
         }
-        line_cycle_begin(m, next, now_ns);
+        if (m->table.group.used == 0) {
+            line_cycle_begin(m, next, now_ns);
+        } else if (line_group_begin(m, now_ns, &frame)) {
+            begin(m, WORK_GROUP, LINE_DRIVES_MAX, &frame, out);
+            return true;
+        }
     }
     return false;
 }

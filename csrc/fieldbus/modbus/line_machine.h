@@ -10,6 +10,7 @@
  * line_unresponsive.c    a drive that does not answer, a line that is never silent
  * line_end.c      how a line is shut down
  * line_requests.c  requests from outside the cycle
+ * line_group.c    one cycle for all drives of the line
  * line_report.c   what the line reports
  * line_machine.c  the line: whose turn it is, and what the answer means
  */
@@ -51,15 +52,40 @@ typedef struct {
     int64_t request_turnaround_ns;
     uint32_t received_bytes;
     uint8_t received[RECEIVED_BYTES_MAX];
+    uint8_t plain[FRAME_BYTES_MAX]; /* the newest reply without its stuffing */
 } line_transaction;
 
 /* What the exchange in progress is for. */
-typedef enum { WORK_NONE = 0, WORK_CYCLE, WORK_DIRECTION, WORK_STOP, WORK_BROADCAST, WORK_REQUEST, WORK_PROBE } line_work;
+typedef enum {
+    WORK_NONE = 0,
+    WORK_CYCLE,
+    WORK_DIRECTION,
+    WORK_STOP,
+    WORK_BROADCAST,
+    WORK_REQUEST,
+    WORK_PROBE,
+    WORK_GROUP
+} line_work;
 
 typedef enum { DIRECTION_UNKNOWN = 0, DIRECTION_REST = 1, DIRECTION_FORWARD = 2, DIRECTION_REVERSE = 3 } line_direction_sent;
 
 /* Where in its cycle a drive is. */
 typedef enum { STAGE_IDLE = 0, STAGE_REST, STAGE_SETPOINTS, STAGE_DIRECTIONS, STAGE_READ, STAGE_EXTRA } line_stage;
+
+/* Where a drive's reply stands among what came. */
+typedef struct {
+    uint32_t offset;
+    uint32_t bytes;
+} group_reply;
+
+/* The exchange with all drives at once. */
+typedef struct {
+    uint32_t waiting;     /* bit n: drive n has still to answer */
+    uint32_t answered;    /* bit n: it has, and its cycle goes on with its extra exchange */
+    uint32_t taken_count; /* replies that were found */
+    group_reply taken[LINE_DRIVES_MAX];
+    int64_t answered_ns; /* time on the wire of the replies before */
+} group_state;
 
 typedef struct {
     drive_state state;
@@ -154,6 +180,7 @@ typedef struct line_machine {
     uint8_t stray[FRAME_BYTES_MAX]; /* the newest bytes that belong to no answer */
     int64_t round_trip_ns;          /* of the exchange that ended in this step; 0: none did */
     line_transaction transaction;
+    group_state group;
     line_answer answer;
     bool answered;
 } line_machine;
@@ -194,6 +221,8 @@ uint32_t line_pick_request(const line_machine *m, int64_t now_ns);
 /* ----------------------------------------------------------------------- line_values.c */
 /* The request of an exchange with the newest set-points in it, sealed; true: one of them is not zero. */
 bool line_build(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out);
+/* The same without its check sum. */
+bool line_fill(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out);
 /* The values of a good reply. */
 void line_read(line_machine *m, uint32_t drive, const line_exchange *turn, const uint8_t *reply, int64_t stamp_ns);
 /* The direction that the newest set-points want: REST, FORWARD, REVERSE. */
@@ -240,6 +269,10 @@ bool line_is_doubtful(line_machine *m, uint32_t drive, int64_t now_ns);
 /* The reply that has just come is certain, or is doubtful. */
 void line_settle(line_machine *m, uint32_t drive, int64_t now_ns);
 void line_doubt(line_machine *m, uint32_t drive, int64_t now_ns);
+/* No drive is understood: an adapter that was found to echo may not do so any more. */
+void line_doubt_echo(line_machine *m);
+/* The bytes of a reply that was found, as its frame numbers them. */
+const uint8_t *line_reply(line_machine *m, const received *found);
 /* Bytes that belong to no answer: noise, or a late reply. */
 void line_stray(line_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns);
 void line_sort_received(line_machine *m, const received *verdict, int64_t now_ns);
@@ -256,6 +289,18 @@ void line_next_probe(line_machine *m, uint32_t drive, int64_t now_ns, line_frame
 uint32_t line_due_probe(const line_machine *m, bool may_turn, int64_t now_ns);
 /* The line is not silent: whether what is urgent goes out all the same. */
 bool line_ends_patience(line_machine *m, int64_t now_ns);
+
+/* ------------------------------------------------------------------------ line_group.c */
+bool line_group_is_good(const line_table *table);
+/* The cycle's one request; false: there is nothing to send. */
+bool line_group_begin(line_machine *m, int64_t now_ns, line_frame *out);
+/* How long the replies to the one under way are waited for. */
+int64_t line_group_wait_ns(const line_machine *m);
+/* Bytes have come, or the time has. */
+void line_group_step(line_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns);
+/* The next drive that has answered goes on with its cycle: it is `current`; false: there is none. */
+bool line_group_goes_on(line_machine *m);
+void line_group_answered(line_machine *m, uint32_t drive, const uint8_t *reply, int64_t stamp_ns);
 
 /* -------------------------------------------------------------------------- line_end.c */
 void line_shut_down(line_machine *m, int64_t now_ns);

@@ -8,12 +8,31 @@
 
 static const int64_t PERIOD_MAX_NS = INT64_C(100000000000);
 
+/* Head, length and check sum, room for what stuffing adds, and a status that differs from all others. */
+static void check_packet(finding *f, const line_frame *frame)
+{
+    bool stuffed = frame->request_seal == SEAL_STUFFED;
+    uint32_t least = stuffed ? 10 : 6, status = stuffed ? 11 : 6;
+    need(f, frame->request_bytes >= least && frame->request_bytes <= (stuffed ? 3 * FRAME_BYTES_MAX / 4 - 2 : FRAME_BYTES_MAX),
+         "request_bytes");
+    need(f, frame->reply_bytes == 0 || frame->reply_bytes >= status, "reply_bytes");
+    need(f, frame->reply_bytes == 0 || frame->reply_seal != SEAL_STUFFED || frame->match_bytes >= 5, "match");
+    need(f, frame->echo_bytes == 0 && frame->exact == 0, "match");
+}
+
 static void check_frame(finding *f, const line_frame *frame)
 {
     uint32_t sum = rtu_seal_bytes(frame->request_seal);
-    need(f, frame->request_seal <= SEAL_XMODEM, "request_seal");
-    need(f, frame->reply_seal <= SEAL_CRC8 || (frame->reply_seal == SEAL_WITH_REQUEST && frame->exact != 0), "reply_seal");
+    bool servo = frame->request_seal == SEAL_SUM || frame->request_seal == SEAL_STUFFED;
+    need(f, frame->request_seal <= SEAL_XMODEM || servo, "request_seal");
+    need(f,
+         frame->reply_seal <= SEAL_CRC8 || (frame->reply_seal == SEAL_WITH_REQUEST && frame->exact != 0) ||
+             (servo && frame->reply_seal == frame->request_seal),
+         "reply_seal");
     need(f, frame->request_bytes > sum && frame->request_bytes <= FRAME_BYTES_MAX, "request_bytes");
+    if (servo) {
+        check_packet(f, frame);
+    }
     need(f, frame->reply_bytes <= FRAME_BYTES_MAX, "reply_bytes");
     need(f, frame->match_bytes <= FRAME_MATCH_MAX, "match_bytes");
     need(f, frame->echo_bytes <= frame->request_bytes, "echo_bytes");
@@ -37,12 +56,18 @@ bool line_frame_is_good(const line_frame *frame)
     return !f.bad;
 }
 
+static bool is_form(uint32_t form)
+{
+    return form <= FORM_I32_LE || form == FORM_M16_LE;
+}
+
 /* Beyond what the form holds, a number would go out as another one, even with the opposite sign. */
 static void check_range(finding *f, const line_setpoint *setpoint)
 {
     bool form_has_sign = (setpoint->form & 1) != 0;
     double span = ldexp(1.0, (int)(8 * rtu_form_bytes(setpoint->form)));
     double least = form_has_sign ? -span / 2.0 : 0.0, most = form_has_sign ? span / 2.0 - 1.0 : span - 1.0;
+    least += setpoint->form == FORM_M16_LE ? 1.0 : 0.0;
     need(f, setpoint->raw_min <= 0.0 && setpoint->raw_min >= least, "setpoint.raw_min");
     need(f, setpoint->raw_max >= 0.0 && setpoint->raw_max <= most, "setpoint.raw_max");
 }
@@ -52,7 +77,7 @@ static void check_setpoint(finding *f, const line_setpoint *setpoint, const line
     uint32_t end = setpoint->byte + rtu_form_bytes(setpoint->form);
     need(f, setpoint->joint < JOINTS_MAX, "setpoint.joint");
     need(f, setpoint->kind <= SETPOINT_DUTY, "setpoint.kind");
-    need(f, setpoint->form <= FORM_I32_LOW_FIRST, "setpoint.form");
+    need(f, is_form(setpoint->form), "setpoint.form");
     need(f, setpoint->byte < FRAME_BYTES_MAX && end <= frame->request_bytes - rtu_seal_bytes(frame->request_seal),
          "setpoint.byte");
     need(f, isfinite(setpoint->raw_per_si) && setpoint->raw_per_si != 0.0, "setpoint.raw_per_si");
@@ -65,7 +90,7 @@ static void check_field(finding *f, const line_field *field, const line_frame *f
 {
     need(f, field->joint < JOINTS_MAX, "field.joint");
     need(f, field->kind <= FIELD_KEPT, "field.kind");
-    need(f, field->form <= FORM_I32_LOW_FIRST, "field.form");
+    need(f, is_form(field->form), "field.form");
     need(f, field->byte < FRAME_BYTES_MAX && field->byte + rtu_form_bytes(field->form) <= frame->reply_bytes, "field.byte");
     need(f, field->direction <= DRIVE_DIRECTIONS_MAX, "field.direction");
     need(f, field->harmless_codes <= FIELD_HARMLESS_MAX, "field.harmless_codes");
@@ -149,5 +174,6 @@ const char *line_table_check(const line_table *table, char *name)
         (void)snprintf(f.path, sizeof f.path, "drive[%u].", i);
         check_drive(&f, &table->drive[i]);
     }
+    need(&f, f.bad || table->group.used == 0 || line_group_is_good(table), "group");
     return f.bad ? name : NULL;
 }

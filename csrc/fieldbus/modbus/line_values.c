@@ -40,15 +40,10 @@ static bool is_idle(const line_machine *m, uint32_t drive)
     return state->state.mode == DRIVE_READY && !state->state.stopping && state->state.stop == STOP_NOTHING;
 }
 
-bool line_build(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out)
+bool line_fill(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out)
 {
     const line_exchange *from = &m->table.drive[drive].cyclic[turn];
     bool motion = false;
-    if (turn == 0 && m->table.drive[drive].idle_count > 0 && is_idle(m, drive)) {
-        memset(m->drive[drive].last_sent[0], 0, sizeof m->drive[drive].last_sent[0]);
-        *out = m->table.drive[drive].idle[0];
-        return false;
-    }
     *out = from->frame;
     for (uint32_t i = 0; i < from->setpoint_count; i++) {
         const line_setpoint *setpoint = &from->setpoint[i];
@@ -57,7 +52,18 @@ bool line_build(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out)
         m->drive[drive].last_sent[turn][i] = raw;
         motion |= raw != 0;
     }
-    rtu_seal(out->request, out->request_bytes, out->request_seal);
+    return motion;
+}
+
+bool line_build(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out)
+{
+    if (turn == 0 && m->table.drive[drive].idle_count > 0 && is_idle(m, drive)) {
+        memset(m->drive[drive].last_sent[0], 0, sizeof m->drive[drive].last_sent[0]);
+        *out = m->table.drive[drive].idle[0];
+        return false;
+    }
+    bool motion = line_fill(m, drive, turn, out);
+    rtu_finish(out);
     return motion;
 }
 

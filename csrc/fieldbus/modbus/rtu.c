@@ -3,7 +3,9 @@
 
 #include <string.h>
 
-enum { EXCEPTION_BYTES = 5, EXCEPTION_BIT = 0x80, BYTE_BITS = 8 };
+enum { EXCEPTION_BYTES = 5, EXCEPTION_BIT = 0x80, BYTE_BITS = 8, MAGNITUDE_SIGN = 0x8000 };
+/* Dynamixel protocol 2.0: head, instruction, error number. */
+enum { LENGTH_BYTE = 5, INSTRUCTION_BYTE = 7, ERROR_BYTE = 8, STATUS_BYTES_MIN = 11, STATUS = 0x55, ERROR_NUMBER = 0x7F };
 
 /* A nibble at a time: 16 entries stay in one cache line. */
 static const uint16_t CRC16_NIBBLE[16] = {
@@ -36,21 +38,40 @@ uint8_t rtu_crc8(const uint8_t *bytes, uint32_t count)
     return (uint8_t)crc;
 }
 
-uint16_t rtu_xmodem(uint16_t start, const uint8_t *bytes, uint32_t count)
+static uint16_t crc_high_first(uint32_t polynomial, uint16_t start, const uint8_t *bytes, uint32_t count)
 {
     uint32_t crc = start;
     for (uint32_t n = 0; n < count; n++) {
         crc ^= (uint32_t)bytes[n] << BYTE_BITS;
         for (uint32_t bit = 0; bit < BYTE_BITS; bit++) {
-            crc = (crc & 0x8000) != 0 ? crc << 1 ^ 0x1021 : crc << 1;
+            crc = (crc & 0x8000) != 0 ? crc << 1 ^ polynomial : crc << 1;
         }
     }
     return (uint16_t)crc;
 }
 
+uint16_t rtu_xmodem(uint16_t start, const uint8_t *bytes, uint32_t count)
+{
+    return crc_high_first(0x1021, start, bytes, count);
+}
+
+uint16_t rtu_crc16_high_first(const uint8_t *bytes, uint32_t count)
+{
+    return crc_high_first(0x8005, 0, bytes, count);
+}
+
+static uint8_t inverted_sum(const uint8_t *bytes, uint32_t count)
+{
+    uint32_t sum = 0;
+    for (uint32_t n = 0; n < count; n++) {
+        sum += bytes[n];
+    }
+    return (uint8_t)~sum;
+}
+
 uint32_t rtu_seal_bytes(uint32_t seal)
 {
-    return seal == SEAL_NONE ? 0 : seal == SEAL_CRC8 ? 1 : 2;
+    return seal == SEAL_NONE ? 0 : seal == SEAL_CRC8 || seal == SEAL_SUM ? 1 : 2;
 }
 
 void rtu_seal(uint8_t *frame, uint32_t count, uint32_t seal)
@@ -63,6 +84,10 @@ void rtu_seal(uint8_t *frame, uint32_t count, uint32_t seal)
         frame[count - 1] = rtu_crc8(frame, count - 1);
     } else if (seal == SEAL_XMODEM) {
         rtu_write(frame + count - 2, FORM_U16, rtu_xmodem(0, frame, count - 2));
+    } else if (seal == SEAL_SUM) {
+        frame[count - 1] = inverted_sum(frame + 2, count - 3);
+    } else if (seal == SEAL_STUFFED) {
+        rtu_write(frame + count - 2, FORM_U16_LE, rtu_crc16_high_first(frame, count - 2));
     }
 }
 
@@ -72,12 +97,19 @@ bool rtu_is_sealed(const uint8_t *frame, uint32_t count, uint32_t seal)
         uint32_t crc = rtu_crc16(frame, count - 2);
         return crc == ((uint32_t)frame[count - 2] | (uint32_t)frame[count - 1] << BYTE_BITS);
     }
+    if (seal == SEAL_SUM) {
+        return count > 3 && frame[count - 1] == inverted_sum(frame + 2, count - 3);
+    }
+    if (seal == SEAL_STUFFED) {
+        return rtu_read(frame + count - 2, FORM_U16_LE) == rtu_crc16_high_first(frame, count - 2);
+    }
     return seal != SEAL_CRC8 || frame[count - 1] == rtu_crc8(frame, count - 1);
 }
 
 uint32_t rtu_form_bytes(uint32_t form)
 {
-    return form <= FORM_I8 ? 1 : form <= FORM_I16 ? 2 : 4;
+    bool two = form <= FORM_I16 || form == FORM_U16_LE || form == FORM_I16_LE || form == FORM_M16_LE;
+    return form <= FORM_I8 ? 1 : two ? 2 : 4;
 }
 
 static bool is_signed(uint32_t form)
@@ -94,7 +126,7 @@ static int64_t with_sign(uint64_t raw, uint32_t bits)
 /* The place of the n-th byte, the highest one first. */
 static uint32_t place(uint32_t form, uint32_t n)
 {
-    return form >= FORM_U32_LOW_FIRST ? n ^ 2 : n;
+    return form >= FORM_U16_LE ? rtu_form_bytes(form) - 1 - n : form >= FORM_U32_LOW_FIRST ? n ^ 2 : n;
 }
 
 int64_t rtu_read(const uint8_t *bytes, uint32_t form)
@@ -104,12 +136,15 @@ int64_t rtu_read(const uint8_t *bytes, uint32_t form)
     for (uint32_t n = 0; n < count; n++) {
         raw = raw << BYTE_BITS | bytes[place(form, n)];
     }
+    if (form == FORM_M16_LE) {
+        return (raw & MAGNITUDE_SIGN) != 0 ? -(int64_t)(raw & (MAGNITUDE_SIGN - 1)) : (int64_t)raw;
+    }
     return is_signed(form) ? with_sign(raw, count * BYTE_BITS) : (int64_t)raw;
 }
 
 void rtu_write(uint8_t *bytes, uint32_t form, int64_t raw)
 {
-    uint64_t left = (uint64_t)raw;
+    uint64_t left = form == FORM_M16_LE && raw < 0 ? (uint64_t)-raw | MAGNITUDE_SIGN : (uint64_t)raw;
     for (uint32_t n = rtu_form_bytes(form); n > 0; n--) {
         bytes[place(form, n - 1)] = (uint8_t)(left & 0xFF);
         left >>= BYTE_BITS;
@@ -142,19 +177,47 @@ static bool is_answer(const line_frame *frame, const uint8_t *request, const uin
 
 static bool is_exception(const line_frame *frame, const uint8_t *request, const uint8_t *bytes)
 {
-    return frame->has_exceptions != 0 && bytes[0] == request[0] && bytes[1] == (request[1] | EXCEPTION_BIT) &&
-           rtu_is_sealed(bytes, EXCEPTION_BYTES, SEAL_CRC16);
+    return frame->has_exceptions != 0 && frame->reply_seal != SEAL_STUFFED && bytes[0] == request[0] &&
+           bytes[1] == (request[1] | EXCEPTION_BIT) && rtu_is_sealed(bytes, EXCEPTION_BYTES, SEAL_CRC16);
 }
 
 bool rtu_answer_is_request(const line_frame *frame, const uint8_t *request)
 {
-    return frame->reply_bytes == frame->request_bytes && is_answer(frame, request, request);
+    bool differs = frame->reply_seal == SEAL_SUM || frame->reply_seal == SEAL_STUFFED; /* no status is like an instruction */
+    return !differs && frame->reply_bytes == frame->request_bytes && is_answer(frame, request, request);
 }
 
-static received hunt(const line_frame *frame, const uint8_t *request, uint32_t from, const uint8_t *bytes, uint32_t count)
+/* Whether a status packet with this head stands here, whole and good; MORE: it does not. */
+static received status_at(const line_frame *frame, uint32_t at, const uint8_t *bytes, uint32_t left)
+{
+    received found = {.kind = RECEIVED_MORE};
+    if (left < STATUS_BYTES_MIN || memcmp(bytes, frame->match, frame->match_bytes) != 0 || bytes[INSTRUCTION_BYTE] != STATUS) {
+        return found;
+    }
+    uint8_t plain[FRAME_BYTES_MAX];
+    uint32_t whole = (uint32_t)rtu_read(bytes + LENGTH_BYTE, FORM_U16_LE) + INSTRUCTION_BYTE;
+    if (whole < STATUS_BYTES_MIN || whole > left || !rtu_is_sealed(bytes, whole, SEAL_STUFFED)) {
+        return found;
+    }
+    uint32_t error = bytes[ERROR_BYTE] & ERROR_NUMBER;
+    if (error != 0 && frame->has_exceptions != 0) {
+        return (received){.kind = RECEIVED_REFUSED, .offset = at, .bytes = whole, .exception = error};
+    }
+    bool good = error == 0 && rtu_unstuff(bytes, whole, plain) == frame->reply_bytes;
+    return good ? (received){.kind = RECEIVED_ANSWER, .offset = at, .bytes = whole} : found;
+}
+
+received rtu_hunt(const line_frame *frame, const uint8_t *request, uint32_t from, const uint8_t *bytes, uint32_t count)
 {
     for (uint32_t at = from; at < count; at++) {
         uint32_t left = count - at;
+        if (frame->reply_seal == SEAL_STUFFED) {
+            received status = status_at(frame, at, bytes + at, left);
+            if (status.kind != RECEIVED_MORE) {
+                return status;
+            }
+            continue;
+        }
         if (left >= frame->reply_bytes && is_answer(frame, request, bytes + at)) {
             return (received){.kind = RECEIVED_ANSWER, .offset = at, .bytes = frame->reply_bytes};
         }
@@ -163,6 +226,46 @@ static received hunt(const line_frame *frame, const uint8_t *request, uint32_t f
         }
     }
     return (received){.kind = RECEIVED_MORE};
+}
+
+/* FF FF FD between the length and the check sum would look like a head: one more FD follows it (ROBOTIS e-Manual, DYNAMIXEL
+ * Protocol 2.0, packet process). */
+static bool is_like_a_head(const uint8_t *bytes, uint32_t at)
+{
+    return at >= INSTRUCTION_BYTE + 2 && bytes[at] == 0xFD && bytes[at - 1] == 0xFF && bytes[at - 2] == 0xFF;
+}
+
+uint32_t rtu_unstuff(const uint8_t *wire, uint32_t count, uint8_t *out)
+{
+    uint32_t to = 0;
+    for (uint32_t at = 0; at < count; at++) {
+        if (to == FRAME_BYTES_MAX) {
+            return 0;
+        }
+        bool extra = at + 2 < count && at > 0 && wire[at] == 0xFD && is_like_a_head(wire, at - 1);
+        if (!extra) {
+            out[to++] = wire[at];
+        }
+    }
+    return to;
+}
+
+void rtu_finish(line_frame *frame)
+{
+    if (frame->request_seal == SEAL_STUFFED) {
+        uint8_t plain[FRAME_BYTES_MAX];
+        uint32_t body = frame->request_bytes - 2, to = 0;
+        memcpy(plain, frame->request, body);
+        for (uint32_t at = 0; at < body && to < FRAME_BYTES_MAX - 3; at++) {
+            frame->request[to++] = plain[at];
+            if (is_like_a_head(plain, at)) {
+                frame->request[to++] = 0xFD;
+            }
+        }
+        frame->request_bytes = to + 2;
+        rtu_write(frame->request + LENGTH_BYTE, FORM_U16_LE, frame->request_bytes - INSTRUCTION_BYTE);
+    }
+    rtu_seal(frame->request, frame->request_bytes, frame->request_seal);
 }
 
 /* One that does not say what it answers is nothing but all that came. */
@@ -188,7 +291,7 @@ received rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32
     }
     /* not known whether there is an echo: what is like the request is no answer, until it has come twice */
     bool passes = echo != 0 && comes_back;
-    received found = hunt(frame, request, passes ? sent : 0, bytes, count);
+    received found = rtu_hunt(frame, request, passes ? sent : 0, bytes, count);
     found.echoed = comes_back && found.offset >= sent;
     return found;
 }

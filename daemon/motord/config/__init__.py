@@ -41,7 +41,14 @@ from motord.config.sections.bus import (
     ZenohPublish,
 )
 from motord.config.sections.imu import ChipImu, Imu, LineImu
-from motord.config.sections.line import DdsmLine, RtuLine, RtuOverTcpLine, TcpLine
+from motord.config.sections.line import (
+    DdsmLine,
+    DynamixelLine,
+    FeetechLine,
+    RtuLine,
+    RtuOverTcpLine,
+    TcpLine,
+)
 from motord.config.sections.model import (
     Base,
     DifferentialBase,
@@ -74,6 +81,8 @@ __all__ = [
     "LineImu",
     "RtuLine",
     "DdsmLine",
+    "DynamixelLine",
+    "FeetechLine",
     "TcpLine",
     "RtuOverTcpLine",
     "Joint",

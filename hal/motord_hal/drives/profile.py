@@ -33,6 +33,8 @@ class RegisterType(enum.StrEnum):
     U32_LOW_FIRST = "u32-low-first"
     I32_LOW_FIRST = "i32-low-first"
     F32 = "f32"
+    M16 = "m16"
+    """The top bit is the sign, the others are the magnitude (bus servos)."""
 
     @functools.cached_property
     def bits(self) -> int:
@@ -44,7 +46,11 @@ class RegisterType(enum.StrEnum):
 
     @functools.cached_property
     def signed(self) -> bool:
-        return self.value.startswith(("i", "f"))
+        return self.value.startswith(("i", "f", "m"))
+
+    @functools.cached_property
+    def magnitude(self) -> bool:
+        return self.value.startswith("m")
 
 
 # drive unit → (SI unit, SI per drive unit, SI at drive zero)
@@ -132,7 +138,10 @@ class Register:
     def raw_range(self) -> tuple[int, int]:
         """Smallest and largest raw value of the type."""
         bits = self.type.bits
-        return (-(1 << bits - 1), (1 << bits - 1) - 1) if self.type.signed else (0, (1 << bits) - 1)
+        if not self.type.signed:
+            return 0, (1 << bits) - 1
+        most = (1 << bits - 1) - 1
+        return -most - (not self.type.magnitude), most
 
     def encode(self, raw: int) -> tuple[int, ...]:
         """Words for the wire; a value that does not fit raises ValueError."""

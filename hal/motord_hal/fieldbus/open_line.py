@@ -25,6 +25,8 @@ KINDS = MappingProxyType(
         ("can", "rt"): "motord_hal.rt_engine.can.line:RtCanLine",
         ("mcu", "rt"): "motord_hal.rt_engine.boards.line:RtBoardLine",
         ("roboclaw", "rt"): "motord_hal.rt_engine.rs485.line:RtLine",
+        ("feetech", "rt"): "motord_hal.rt_engine.rs485.line:RtLine",
+        ("dynamixel", "rt"): "motord_hal.rt_engine.rs485.line:RtLine",
         ("ascii", "rt"): "motord_hal.rt_engine.boards.line:RtBoardLine",
     }
 )

@@ -18,7 +18,7 @@ from _motord_rt import ffi, lib
 from motord_hal.fieldbus.ports import LineSpec, RoundTrips
 from motord_hal.realtime.drive_state import FaultReason, Mode
 from motord_hal.realtime.exchange import Exchange
-from motord_hal.realtime.table import LineFrame, LineTable
+from motord_hal.realtime.table import LineFrame, LineGroup, LineTable
 from motord_hal.realtime.thread import (
     LineLife,
     LineThreadHandle,
@@ -250,10 +250,23 @@ def _frame(frame: LineFrame) -> dict[str, Any]:
     return values | sizes | {"request": list(frame.request), "match": list(frame.match)}
 
 
+def _group(group: LineGroup) -> dict[str, Any]:
+    return {
+        "used": int(bool(group.write)),
+        "data_byte": group.data_byte,
+        "write_bytes": len(group.write),
+        "read_bytes": len(group.read),
+        "write": list(group.write),
+        "read": list(group.read),
+    }
+
+
 def _plain(value: Any) -> Any:
     """What cffi makes C structs of; tuples of structs get their count beside them."""
     if isinstance(value, LineFrame):
         return _frame(value)
+    if isinstance(value, LineGroup):
+        return _group(value)
     if isinstance(value, tuple):
         return [_plain(one) for one in value]
     if not dataclasses.is_dataclass(value):

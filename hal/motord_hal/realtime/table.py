@@ -16,6 +16,8 @@ class Seal(enum.IntEnum):
     CRC8 = 2
     XMODEM = 3
     ASKED = 4
+    SUM = 5
+    STUFFED = 6
 
 
 class Form(enum.IntEnum):
@@ -29,6 +31,11 @@ class Form(enum.IntEnum):
     I32 = 5
     U32_LOW_FIRST = 6
     I32_LOW_FIRST = 7
+    U16_LE = 8
+    I16_LE = 9
+    U32_LE = 10
+    I32_LE = 11
+    M16_LE = 13
 
     @property
     def bits(self) -> int:
@@ -128,6 +135,16 @@ class LineDrive:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LineGroup:
+    data_byte: int
+    write: bytes
+    read: bytes
+
+
+NO_GROUP = LineGroup(data_byte=0, write=b"", read=b"")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LineTable:
     echo: int
     character_ns: float
@@ -135,4 +152,5 @@ class LineTable:
     setpoint_timeout_ns: int
     rest_velocity_rad_s: float
     broadcast_stop: tuple[LineFrame, ...]
+    group: LineGroup = NO_GROUP
     drive: tuple[LineDrive, ...]

@@ -21,6 +21,7 @@ from motord_hal.drives.profile import DriveProfile
 from motord_hal.fieldbus.ports import JointSpec, LineSpec
 from motord_hal.modbus.codec import character_bits
 from motord_hal.modbus.timing import line_gap_s
+from motord_hal.servo.packets import KINDS as SERVO_KINDS
 from motord_hal.sim.axis import Axis
 from motord_hal.sim.boards.frame_talk import FrameTalk
 from motord_hal.sim.boards.line import SimulatedBoard
@@ -37,6 +38,8 @@ from motord_hal.sim.rs485.drive import SimulatedDrive
 from motord_hal.sim.rs485.gateway import GatewayPort
 from motord_hal.sim.rs485.line import SimulatedLine
 from motord_hal.sim.rs485.port import Port, PtyPort
+from motord_hal.sim.rs485.servo import SimulatedServo
+from motord_hal.sim.rs485.servo_line import SimulatedServoLine
 from motord_hal.sim.rs485.tcp import RawTcpPort
 from motord_hal.sim.rs485.wire import Clock
 from motord_hal.sim.server import ControlServer
@@ -205,6 +208,8 @@ class Rig:
             return SimulatedBoard(
                 line, drives, self.script, port, TextTalk(line, self._make_gyro(line))
             )
+        if line.kind in SERVO_KINDS:
+            return SimulatedServoLine(line, drives, self.script, port)
         return SimulatedLine(line, drives, self.script, port)
 
     def _make_gyro(self, line: LineSpec) -> SimulatedGyro | None:
@@ -445,6 +450,7 @@ def new_drive(
     """A drive of the kind that the profile describes."""
     kind = Cia402Drive if speaks_cia402(profile) else SimulatedDrive
     kind = SimulatedBridge if profile.bridge is not None else kind
+    kind = SimulatedServo if profile.protocol in SERVO_KINDS else kind
     return kind(profile, unit, axes, watchdog_s=watchdog_s)
 
 

@@ -26,7 +26,10 @@ _SETPOINTS = [entry for entry, (_, access) in _CHANNEL_RULES.items() if access =
 
 # the one DDSM command whose last byte is no check sum (motord_hal.ddsm.codec has the frames)
 _UNSEALED = 0xA0
-_FRAMES = ("ddsm", "mcu-frame", "ascii", "pwm")
+# of bus servos: an instruction is written as a register (motord_hal.servo.packets)
+_INSTRUCTIONS = 0xFF00
+_SERVOS = ("feetech", "dynamixel")
+_FRAMES = ("ddsm", "mcu-frame", "ascii", "pwm", "feetech", "dynamixel")
 """Protocols in which an address is a place in a frame, or (ascii, pwm) just a number."""
 # bytes of a board's payloads that the line itself fills and reads (motord_hal.mcu.frames)
 _BOARD_OWN = {"w": frozenset({1, 4, 5}), "r": frozenset({1, *range(4, 10)})}
@@ -78,7 +81,7 @@ def _check_serial(profile: DriveProfile, problems: Problems) -> None:
         return
     for key, has_it in (
         ("read_write_function", profile.read_write_function),
-        ("broadcast_stop", profile.broadcast_stop),
+        ("broadcast_stop", profile.broadcast_stop and profile.protocol not in _SERVOS),
     ):
         if has_it:
             problems.add(f"serial.{key}", f"{profile.protocol} has no such thing")
@@ -108,6 +111,10 @@ def _check_register(profile: DriveProfile, register: Register, problems: Problem
         _check_place(key, register, problems)
     elif profile.protocol == "mcu-frame":
         _check_board_place(key, register, problems)
+    elif profile.protocol in _SERVOS:
+        _check_servo_register(key, register, problems)
+    elif register.type.magnitude:
+        problems.add(f"{key}.type", "m16 is for bus servos")
     elif profile.protocol == "modbus-rtu" and register.type.bits < 16:
         problems.add(f"{key}.type", f"{register.type.value}: a Modbus register has 16 bits")
 
@@ -121,6 +128,14 @@ def _check_place(key: str, register: Register, problems: Problems) -> None:
     last = 10 if register.address >> 8 == _UNSEALED else 9
     if not first <= begin < end <= last:
         problems.add(f"{key}.address", f"byte {begin} is outside the content of the frame")
+
+
+def _check_servo_register(key: str, register: Register, problems: Problems) -> None:
+    """An address in the servo's control table, or an instruction (motord_hal.servo.packets)."""
+    if register.type.value.endswith("low-first"):
+        problems.add(f"{key}.type", "of bus servos all values stand low byte first")
+    if register.address >= _INSTRUCTIONS and (register.access != "w" or register.type.bits != 8):
+        problems.add(f"{key}.address", 'from 0xFF00 on is an instruction: access "w", type "u8"')
 
 
 def _check_board_place(key: str, register: Register, problems: Problems) -> None:

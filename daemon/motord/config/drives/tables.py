@@ -30,14 +30,16 @@ from motord.config.drives.parts import (
 )
 from motord.config.sections.section import Field, Section, number
 
-Protocol = Literal["modbus-rtu", "ddsm", "can", "mcu-frame", "ascii", "roboclaw", "pwm"]
+Protocol = Literal[
+    "modbus-rtu", "ddsm", "can", "mcu-frame", "ascii", "roboclaw", "pwm", "feetech", "dynamixel"
+]
 ChannelNumber = Annotated[str, StringConstraints(pattern=CHANNEL)]
 
 
 class SerialWire(Section):
     """[serial]: the drive on a serial line, as delivered."""
 
-    baudrate: int = number("bits a second", 300, 4_000_000, "1/s")
+    baudrate: int = number("bits a second", 300, 4_500_000, "1/s")
     parity: Literal["none", "even", "odd"]
     """Parity bit of each character."""
     stop_bits: Annotated[Literal[1, 2], WHOLE]
@@ -63,7 +65,7 @@ class Motor(Section):
     """[motor]: what hangs on the drive."""
 
     counts_per_turn: int = number("encoder counts of a motor turn; 0: none", 0, 1 << 30, "1", 0)
-    counter_bits: Annotated[Literal[0, 8, 15, 16, 24, 32], WHOLE] = 0
+    counter_bits: Annotated[Literal[0, 8, 12, 15, 16, 24, 32], WHOLE] = 0
     """Width of the position counter; 0: there is none."""
     pole_pairs: int = number("pole pairs; 0: not needed", 0, 100, "1", 0)
 
@@ -72,8 +74,9 @@ class HoldingRegister(Scaled):
     """[register.NAME]: one value of the drive."""
 
     address: int = number("Modbus address, or the place that the protocol gives it", 0, 65535, "1")
-    type: Literal["u8", "i8", "u16", "i16", "u32", "i32", "u32-low-first", "i32-low-first"]
-    """Width and sign; two words come high word first unless the name says otherwise."""
+    type: Literal["u8", "i8", "u16", "i16", "u32", "i32", "u32-low-first", "i32-low-first", "m16"]
+    """Width and sign; two words come high word first unless the name says otherwise; m16 is a sign
+    bit and a magnitude."""
     unit: Literal[Unit, "hz", "count/s"] = ""
     """Unit of the scaled value."""
     access: Access

@@ -37,6 +37,8 @@ _SPEAKS = {
     "ascii": "ascii",
     "roboclaw": "roboclaw",
     "pwm": "pwm",
+    "feetech": "feetech",
+    "dynamixel": "dynamixel",
 }
 """The protocol of a line's kind; all others carry Modbus."""
 

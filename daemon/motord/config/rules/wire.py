@@ -15,10 +15,15 @@ from motord_hal.mcu.pace import WIRE_SHARE_MAX
 from motord_hal.modbus.codec import Function, frame_time_s
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.modbus.timing import line_gap_s
+from motord_hal.servo.packets import KINDS as SERVO_KINDS
 
 _ASK_BYTES = 8 + 7
 """One register is read: request and reply (MODBUS Application Protocol V1.1b3, 6.3)."""
 _BAUDRATES = (19200, 38400, 57600, 115200, 230400, 460800, 921600)
+_SERVO_BAUDRATES = {
+    "feetech": (115200, 250_000, 500_000, 1_000_000),
+    "dynamixel": (115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000),
+}
 _STREAMS = ("mcu", "ascii")
 """Kinds without anything acyclic, and without a gap between frames."""
 _WORTH_SAYING = 1.02
@@ -70,13 +75,14 @@ def helps(spec: LineSpec) -> Iterator[tuple[str, float]]:
 
 
 def _changes(spec: LineSpec) -> Iterator[tuple[str, LineSpec]]:
-    if spec.kind not in ("ddsm", *_STREAMS):
+    if spec.kind not in ("ddsm", *SERVO_KINDS, *_STREAMS):
         joints = tuple(map(_with_read_write, spec.joints))
         yield "function 23 where the drives have it", replace(spec, joints=joints)
     short = replace(spec, gap=Gap.CHARACTERS, gap_s=None)
     if spec.kind not in _STREAMS and line_gap_s(short) < line_gap_s(spec):
         yield 'gap = "3.5char"', short
-    faster = [replace(spec, baudrate=rate) for rate in _BAUDRATES if rate > spec.baudrate]
+    rates = _SERVO_BAUDRATES.get(spec.kind, _BAUDRATES)
+    faster = [replace(spec, baudrate=rate) for rate in rates if rate > spec.baudrate]
     if faster:
         enough = (one for one in faster if budget(one).share <= 1)
         better = next(enough, faster[-1])
@@ -111,6 +117,12 @@ def _cycle_time_s(spec: LineSpec, joints: list[JointSpec]) -> float:
         from motord_hal.rt_engine.rs485.ddsm_frames import DdsmFrames
 
         return DdsmFrames(joints, line_gap_s(spec), wire_time_s).cycle_time_s()
+    if spec.kind in SERVO_KINDS:
+        from motord_hal.rt_engine.rs485.servo_frames import ServoFrames, cycle_of_all_s
+
+        units = _units(spec)
+        servos = [ServoFrames(unit, line_gap_s(spec), wire_time_s) for unit in units]
+        return cycle_of_all_s(servos) / len(units)
     return DrivePlan(joints, line_gap_s(spec), wire_time_s).cycle_time_s()
 
 

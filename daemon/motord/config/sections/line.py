@@ -13,7 +13,7 @@ Cpus = tuple[Annotated[int, Field(ge=0, le=63)], ...]
 class Line(Section):
     """What every line has."""
 
-    baudrate: int = number("bits a second on the wire", 1200, 4_000_000, "1/s", 115200)
+    baudrate: int = number("bits a second on the wire", 1200, 4_500_000, "1/s", 115200)
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: int = number("stop bits", 1, 2, "1", 1)
     engine: Literal["auto", "asyncio", "rt"] = "auto"
@@ -79,6 +79,18 @@ class DdsmLine(SerialLine):
     """One RS485 pair with DDSM motors, which speak frames of ten bytes."""
 
     kind: Literal["ddsm"]
+
+
+class FeetechLine(SerialLine):
+    """Feetech bus servos of the STS and SMS series on a half-duplex adapter."""
+
+    kind: Literal["feetech"]
+
+
+class DynamixelLine(SerialLine):
+    """Dynamixel servos that speak protocol 2.0, on a half-duplex adapter."""
+
+    kind: Literal["dynamixel"]
 
 
 class GatewayLine(Line):
@@ -236,6 +248,8 @@ class PwmLine(Section):
 AnyLine = (
     RtuLine
     | DdsmLine
+    | FeetechLine
+    | DynamixelLine
     | TcpLine
     | RtuOverTcpLine
     | CanLine

@@ -321,7 +321,7 @@ class SerialDrive(RtDrive):
         """Only what it answers says so."""
 
     def _why_unresponsive(self, report: DriveReport) -> str:
-        return _last_failure(report)
+        return _last_failure(report, servo=self.profile.protocol == "dynamixel")
 
     def _arming_steps(self) -> tuple[Step, ...]:
         profile = self.jobs.profile
@@ -339,10 +339,10 @@ class SerialDrive(RtDrive):
         return (*self.jobs.frames.zero_steps(), *kept_steps(self._setup), *profile.arm, *enabled)
 
 
-def _last_failure(report: DriveReport) -> str:
+def _last_failure(report: DriveReport, *, servo: bool) -> str:
     match report.last_failure:
         case AnswerKind.REFUSED:
-            return exception_text(report.last_exception)
+            return exception_text(report.last_exception, servo=servo)
         case AnswerKind.BAD_REPLY:
             return "what came is no answer"
         case AnswerKind.NEVER_SILENT:

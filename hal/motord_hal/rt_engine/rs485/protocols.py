@@ -13,6 +13,8 @@ from motord_hal.rt_engine.rs485.ddsm_frames import DdsmFrames
 from motord_hal.rt_engine.rs485.frames import DriveFrames
 from motord_hal.rt_engine.rs485.modbus_frames import ModbusFrames
 from motord_hal.rt_engine.rs485.roboclaw_frames import RoboclawFrames
+from motord_hal.rt_engine.rs485.servo_frames import ServoFrames
+from motord_hal.servo.packets import KINDS as SERVO_KINDS
 
 
 def frames_of(spec: LineSpec) -> list[DriveFrames]:
@@ -32,6 +34,8 @@ def _frames(spec: LineSpec, joints: list[JointSpec]) -> DriveFrames:
 
     if spec.kind == "ddsm":
         return DdsmFrames(joints, line_gap_s(spec), wire_time_s)
+    if spec.kind in SERVO_KINDS:
+        return ServoFrames(joints, line_gap_s(spec), wire_time_s)
     if spec.kind == "roboclaw":
         return RoboclawFrames(joints, line_gap_s(spec), wire_time_s)
     return ModbusFrames(DrivePlan(joints, line_gap_s(spec), wire_time_s))

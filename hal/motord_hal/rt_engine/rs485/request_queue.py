@@ -12,7 +12,8 @@ from motord_hal.base.clock import NS_PER_S, now_ns
 from motord_hal.base.errors import BadReply, HalError, NoReply, PortError, Refused
 from motord_hal.modbus.codec import EXCEPTION_TEXT
 from motord_hal.realtime.line import Answer, AnswerKind, LineRequest, LineThread
-from motord_hal.realtime.table import LineFrame
+from motord_hal.realtime.table import LineFrame, Seal
+from motord_hal.servo.packets import DYNAMIXEL_ERRORS
 
 ANSWER_ALLOWANCE_S = 1.0
 """A caller that waits for an answer waits so much longer than the line may take: the event loop may
@@ -156,13 +157,17 @@ def _reply(name: str, request: LineRequest, answer: Answer) -> bytes:
         case AnswerKind.BAD_REPLY:
             raise BadReply(f"{what}: what came is no answer")
         case AnswerKind.REFUSED:
-            raise Refused(f"{what}: {exception_text(answer.exception)}", answer.exception)
+            servo = request.frame.reply_seal is Seal.STUFFED
+            text = exception_text(answer.exception, servo=servo)
+            raise Refused(f"{what}: {text}", answer.exception)
         case AnswerKind.EXPIRED | AnswerKind.NEVER_SILENT:
             raise NoReply(f"{what}: too old to be sent")
         case AnswerKind.PORT:
             raise PortError(f"{name}: the port went away")
 
 
-def exception_text(code: int) -> str:
-    """A Modbus exception code in words."""
+def exception_text(code: int, *, servo: bool = False) -> str:
+    """A Modbus exception code in words, or a Dynamixel servo's error number."""
+    if servo:
+        return f"{DYNAMIXEL_ERRORS.get(code, 'unknown error')} (error {code})"
     return f"{EXCEPTION_TEXT.get(code, 'unknown exception')} (exception {code})"

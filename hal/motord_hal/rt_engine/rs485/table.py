@@ -17,6 +17,7 @@ from motord_hal.modbus.codec import character_bits
 from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES
 from motord_hal.modbus.timing import line_gap_s
 from motord_hal.realtime.table import (
+    NO_GROUP,
     FieldKind,
     Form,
     LineDirection,
@@ -24,11 +25,14 @@ from motord_hal.realtime.table import (
     LineExchange,
     LineField,
     LineFrame,
+    LineGroup,
     LineSetpoint,
     LineTable,
 )
 from motord_hal.rt_engine.decoding import harmless, setpoint_kind, sources_of
 from motord_hal.rt_engine.rs485.frames import DriveFrames, PlannedFrame
+from motord_hal.rt_engine.rs485.servo_frames import ServoFrames, group_of
+from motord_hal.servo.packets import KINDS as SERVO_KINDS
 
 _NS_PER_S = 1e9
 _U32 = 0xFFFF_FFFF
@@ -46,8 +50,14 @@ def line_table(spec: LineSpec, drives: Sequence[DriveFrames]) -> LineTable:
         setpoint_timeout_ns=round(spec.setpoint_timeout_s * _NS_PER_S),
         rest_velocity_rad_s=spec.rest_velocity_rad_s,
         broadcast_stop=_broadcast_stop(drives),
+        group=_group(drives),
         drive=tuple(drive_table(frames, spec) for frames in drives),
     )
+
+
+def _group(drives: Sequence[DriveFrames]) -> LineGroup:
+    servos = [frames for frames in drives if isinstance(frames, ServoFrames)]
+    return (servos and group_of(servos)) or NO_GROUP
 
 
 def _broadcast_stop(drives: Sequence[DriveFrames]) -> tuple[LineFrame, ...]:
@@ -136,12 +146,19 @@ def _setpoints(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineS
             joint=joint.index,
             kind=setpoint_kind(channel),
             byte=places[name],
-            form=_FORMS[register.type.value],
+            form=form_of(frames.profile, register),
             magnitude=int(magnitude),
             raw_per_si=sign * channel.to_motor(joint.gear_ratio) / si_per_raw(register),
             raw_min=low,
             raw_max=high,
         )
+
+
+def form_of(profile: DriveProfile, register: Register, *, signed: bool = True) -> Form:
+    """How the register stands in the drive's frames."""
+    name = register.type.value if signed else register.type.value.replace("i", "u", 1)
+    low_byte_first = profile.protocol in SERVO_KINDS and register.type.bits > 8
+    return _FORMS[f"{name}-le" if low_byte_first else name]
 
 
 def si_per_raw(register: Register) -> float:
@@ -197,10 +214,10 @@ def _joint_fields(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[Li
 def _joint_field(
     frames: DriveFrames, joint: JointSpec, kind: FieldKind, register: Register, byte: int
 ) -> LineField:
-    form, mask = _FORMS[register.type.value], register.mask or 0
+    form, mask = form_of(frames.profile, register), register.mask or 0
     factor, direction = si_per_raw(register), 0
     if kind is FieldKind.COUNT:
-        form, mask = _counter(register, frames.profile.counter_bits)
+        form, mask = _counter(register, frames.profile)
     elif kind is FieldKind.VELOCITY:
         factor *= (-1.0 if joint.inverted else 1.0) / joint.gear_ratio
         joints = _direction_joints(frames)
@@ -221,9 +238,9 @@ def _joint_field(
     )
 
 
-def _counter(register: Register, bits: int) -> tuple[Form, int]:
+def _counter(register: Register, profile: DriveProfile) -> tuple[Form, int]:
     """A counter goes to the core without a sign, and with no more bits than it has."""
-    form = _FORMS[register.type.value.replace("i", "u", 1)]
+    form, bits = form_of(profile, register, signed=False), profile.counter_bits
     whole = (1 << form.bits) - 1
     mask = register.mask or whole
     low = mask & -mask
@@ -244,7 +261,7 @@ def _drive_fields(
             yield LineField(
                 kind=kind,
                 byte=places[name],
-                form=_FORMS[register.type.value],
+                form=form_of(profile, register),
                 mask=register.mask or 0,
                 equals_mask=mask & _U32,
                 equals=equals & _U32,

@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers by name alone, and the content of DDSM frames: there a name is a place in a command's
-request or reply (motord_hal.ddsm.codec)."""
+"""Registers by name alone; the content of DDSM frames, where a name is a place in a command's
+request or reply (motord_hal.ddsm.codec); and the control table of a bus servo."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from motord_hal.ddsm.codec import byte_of, command_of, pick, place, seal, size_bytes
 from motord_hal.drives.profile import DriveProfile, Register
+from motord_hal.servo import packets as servo
 
 FRAME_CONTENT_BYTES = 8
+TABLE_BYTES = 256
 
 
 class NamedContent:
@@ -68,6 +70,49 @@ class FrameContent(NamedContent):
         for register in sent:
             _put(frame, register, self.value(register.name))
         return seal(bytes(frame))
+
+
+class ControlTable(NamedContent):
+    """Bytes by address: the profile's registers, and memory where it lists none."""
+
+    def __init__(self, profile: DriveProfile) -> None:
+        super().__init__(profile)
+        self.places = sorted(
+            (r for r in profile.registers.values() if r.address < TABLE_BYTES),
+            key=lambda r: r.address,
+        )
+        self._memory = bytearray(TABLE_BYTES)
+
+    def read(self, address: int, count: int) -> bytes:
+        """So many bytes from an address on."""
+        data = bytearray(self._memory[address : address + count].ljust(count, b"\0"))
+        for register in self._within(address, count):
+            place = register.address - address
+            value = servo.encode(register, self.value(register.name))
+            for offset, byte in enumerate(value):
+                if 0 <= place + offset < count:
+                    data[place + offset] = byte
+        return bytes(data)
+
+    def write(self, address: int, data: bytes) -> list[tuple[str, int]]:
+        """Store them; what registers got which raw values."""
+        self._memory[address : address + len(data)] = data
+        written = []
+        for register in self._within(address, len(data)):
+            place = register.address - address
+            whole = place >= 0 and place + servo.size_bytes(register) <= len(data)
+            if whole and "w" in register.access:
+                written.append((register.name, servo.decode(register, data[place:])))
+        for name, raw in written:
+            self.put(name, raw)
+        return written
+
+    def _within(self, address: int, count: int) -> Iterator[Register]:
+        for register in self.places:
+            if register.address < address + count and address < register.address + servo.size_bytes(
+                register
+            ):
+                yield register
 
 
 def _in_range(register: Register, raw: int) -> bool:

@@ -16,11 +16,12 @@ from dataclasses import dataclass
 from motord_hal.drives.can_profile import Frame
 from motord_hal.drives.profile import Channel, DriveProfile, FaultBit, Step
 from motord_hal.modbus.codec import Function, Request
+from motord_hal.servo.packets import KINDS as SERVO_KINDS
 from motord_hal.sim.axis import Axis, Defect, Motor, new_motor
 from motord_hal.sim.can.content import CanContent
 from motord_hal.sim.journal import Journal
 from motord_hal.sim.reports import Reports
-from motord_hal.sim.rs485.content import FrameContent, NamedContent
+from motord_hal.sim.rs485.content import ControlTable, FrameContent, NamedContent
 from motord_hal.sim.rs485.registers import BUSY, ILLEGAL_FUNCTION, Refusal, RegisterFile
 
 
@@ -380,6 +381,8 @@ def _content(profile: DriveProfile) -> RegisterFile | NamedContent:
         return CanContent(profile, profile.can)
     if profile.protocol == "ddsm":
         return FrameContent(profile)
+    if profile.protocol in SERVO_KINDS:
+        return ControlTable(profile)
     words = profile.protocol in ("modbus-rtu", "roboclaw")
     return RegisterFile(profile) if words else NamedContent(profile)
 

@@ -17,6 +17,7 @@ from motord_hal.modbus.codec import (
     sealed,
 )
 from motord_hal.roboclaw import codec as roboclaw
+from motord_hal.servo.packets import is_whole, packets_of
 from motord_hal.sim.rs485.drive import SimulatedDrive
 from motord_hal.sim.rs485.slave import Answer, answer, answer_ddsm, answer_roboclaw
 
@@ -144,6 +145,28 @@ class RoboclawFraming:
         return frame[:-1] + bytes((frame[-1] ^ unit,))
 
 
+class ServoFraming:
+    """Packets of bus servos (motord_hal.servo.packets)."""
+
+    def __init__(self, kind: str) -> None:
+        self._packets = packets_of(kind)
+
+    def whole(self, frame: bytes) -> bool:
+        return is_whole(self._packets, frame)
+
+    def refusal(self, frame: bytes, code: int) -> bytes:
+        """A Dynamixel says an error number; a Feetech servo refuses nothing."""
+        if not frame.startswith(_DYNAMIXEL_HEAD):
+            return frame
+        return self._packets.build_status(frame[self._packets.unit_byte], code)
+
+    def readdressed(self, frame: bytes, unit: int) -> bytes:
+        packet, _ = self._packets.take(frame, status=True)
+        if packet is None:
+            return frame
+        return self._packets.build_status(unit, packet.code, packet.parameters)
+
+
 class Unaddressed:
     """Of a board alone on its port: no other unit is there, and it refuses nothing."""
 
@@ -154,6 +177,9 @@ class Unaddressed:
     def readdressed(self, frame: bytes, unit: int) -> bytes:
         del unit
         return frame
+
+
+_DYNAMIXEL_HEAD = b"\xff\xff\xfd\x00"
 
 
 def framing_of(kind: str) -> Framing:

@@ -136,8 +136,11 @@ class SimulatedLine:
         for _ in self._script.states("echo", None, now_s):
             self.wire.send(self._disturbed(data, now_s), starts_s)
         self._request += self._disturbed(data, now_s)
-        whole = self._framing.whole(bytes(self._request))
+        whole = self._is_whole(bytes(self._request))
         self._frame_ends_s = self.wire.free_s + (0.0 if whole else self._silence_s())
+
+    def _is_whole(self, frame: bytes) -> bool:
+        return self._framing.whole(frame)
 
     def _follow_settings(self) -> None:
         """The wire has the pace that the master gives it."""
@@ -221,15 +224,16 @@ class SimulatedLine:
         if spoiled.held and not self.port.hold_reply():
             self._held.append(spoiled.frame)
             return
-        turnaround_s = self._script.turnaround_s(drive.unit, now_s)
-        if turnaround_s is None:
-            turnaround_s = TURNAROUND_PART * drive.profile.turnaround_s
-        starts_s = ended_s + turnaround_s + spoiled.delay_s
+        starts_s = ended_s + self._turnaround_s(drive, now_s) + spoiled.delay_s
         muted_s = ended_s + spoiled.deafening_s - starts_s
         lost = max(0, math.ceil(muted_s / self.wire.character_s))
         if lost < len(spoiled.frame):
             received = self._disturbed(spoiled.frame[lost:], now_s)
             self._reply(received, starts_s + lost * self.wire.character_s)
+
+    def _turnaround_s(self, drive: SimulatedDrive, now_s: float) -> float:
+        given_s = self._script.turnaround_s(drive.unit, now_s)
+        return TURNAROUND_PART * drive.profile.turnaround_s if given_s is None else given_s
 
     def _reply(self, frame: bytes, starts_s: float) -> None:
         self.wire.send(frame, starts_s)

@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Packets of bus servos as pure functions: Feetech's protocol 0 (STS and SMS series) and ROBOTIS'
+Dynamixel protocol 2.0.
+
+A packet is a head, the unit, a length, an instruction (of a status: what went wrong), parameters
+and a check sum; a servo's registers are bytes by address, low byte first. Sources: the makers' SDKs
+(`ftservo-python-sdk`, protocol_packet_handler.py; `dynamixel-sdk`, protocol2_packet_handler.py) and
+the ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0: instruction packet, status packet, packet process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from types import MappingProxyType
+from typing import Protocol
+
+from motord_hal.drives.profile import Register
+
+BROADCAST_UNIT = 0xFE
+KINDS = ("feetech", "dynamixel")
+"""Kinds of lines, and the protocols of drive profiles, that speak in such packets."""
+INSTRUCTION_ADDRESS = 0xFF00
+"""A register from here on is no address in the servo: writing it sends the instruction of its low
+byte, without parameters (0xFF08: reboot)."""
+_SIGN = 0x8000
+
+
+class Instruction(IntEnum):
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REBOOT = 0x08
+    STATUS = 0x55
+    """Of a Dynamixel's answer."""
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+
+
+DYNAMIXEL_ERRORS = MappingProxyType(
+    {
+        1: "result fail",
+        2: "instruction error",
+        3: "CRC error",
+        4: "data range error",
+        5: "data length error",
+        6: "data limit error",
+        7: "access error",
+    }
+)
+"""Error numbers (ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, status packet, error)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """A good one. `code`: its instruction; of a status, the error byte."""
+
+    unit: int
+    code: int
+    parameters: bytes
+
+
+class Packets(Protocol):
+    """One of the two protocols."""
+
+    head_bytes: int
+    """Before a packet's instruction."""
+    status_head_bytes: int
+    """Before a status' data."""
+    seal_bytes: int
+    unit_byte: int
+    match_bytes: int
+    """So many bytes of a status say whose it is, and how long where the length is fixed."""
+
+    def build(self, unit: int, code: int, parameters: bytes = b"") -> bytes:
+        """A request as it goes out."""
+
+    def build_status(self, unit: int, error: int, parameters: bytes = b"") -> bytes:
+        """What a servo answers."""
+
+    def number(self, value: int) -> bytes:
+        """An address, or a count of bytes."""
+
+    def take(self, data: bytes, *, status: bool = False) -> tuple[Packet | None, int]:
+        """The first packet in what came, and how many bytes are done with: with no packet they are
+        none, or garbage. Raises PacketError where a whole packet has a wrong check sum."""
+
+
+class PacketError(ValueError):
+    """A packet came whole, and its check sum is wrong. `done`: so many bytes are done with."""
+
+    def __init__(self, done: int) -> None:
+        super().__init__("wrong check sum")
+        self.done = done
+
+
+class FeetechPackets:
+    """FF FF, unit, length, instruction or error, parameters, inverted sum."""
+
+    head_bytes = 4
+    status_head_bytes = 5
+    seal_bytes = 1
+    unit_byte = 2
+    match_bytes = 4
+
+    def build(self, unit: int, code: int, parameters: bytes = b"") -> bytes:
+        """As Packets.build."""
+        body = bytes((unit, len(parameters) + 2, code)) + parameters
+        return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
+
+    build_status = build
+    """A status has the same form."""
+
+    def number(self, value: int) -> bytes:
+        return bytes((value,))
+
+    def take(self, data: bytes, *, status: bool = False) -> tuple[Packet | None, int]:
+        """As Packets.take."""
+        del status
+        at = data.find(b"\xff\xff")
+        if at < 0:
+            return None, len(data) - (data[-1:] == b"\xff")
+        if len(data) < at + 4:
+            return None, at
+        unit, length = data[at + 2], data[at + 3]
+        if unit == 0xFF or length < 2:
+            return None, at + 1
+        end = at + 4 + length
+        if len(data) < end:
+            return None, at
+        body = data[at + 2 : end - 1]
+        if ~sum(body) & 0xFF != data[end - 1]:
+            raise PacketError(end)
+        return Packet(unit, body[2], body[3:]), end
+
+
+def _crc_table() -> tuple[int, ...]:
+    rows = []
+    for byte in range(256):
+        crc = byte << 8
+        for _ in range(8):
+            crc = crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1
+        rows.append(crc & 0xFFFF)
+    return tuple(rows)
+
+
+_CRC_TABLE = _crc_table()
+
+
+def crc16(data: bytes) -> int:
+    """Polynomial 0x8005, not reflected, start 0 (ROBOTIS e-Manual, CRC)."""
+    crc = 0
+    for byte in data:
+        crc = (crc << 8 ^ _CRC_TABLE[crc >> 8 ^ byte]) & 0xFFFF
+    return crc
+
+
+class DynamixelPackets:
+    """FF FF FD 00, unit, length, instruction, parameters (of a status: the error first), CRC. Where
+    FF FF FD stands in them, one more FD follows."""
+
+    head_bytes = 7
+    status_head_bytes = 9
+    seal_bytes = 2
+    unit_byte = 4
+    match_bytes = 5
+
+    def build(self, unit: int, code: int, parameters: bytes = b"") -> bytes:
+        """As Packets.build."""
+        body = (bytes((code,)) + parameters).replace(_HEAD, _HEAD + b"\xfd")
+        length = (len(body) + 2).to_bytes(2, "little")
+        packet = _HEAD + b"\0" + bytes((unit,)) + length + body
+        return packet + crc16(packet).to_bytes(2, "little")
+
+    def build_status(self, unit: int, error: int, parameters: bytes = b"") -> bytes:
+        """As Packets.build_status."""
+        return self.build(unit, Instruction.STATUS, bytes((error,)) + parameters)
+
+    def number(self, value: int) -> bytes:
+        return value.to_bytes(2, "little")
+
+    def take(self, data: bytes, *, status: bool = False) -> tuple[Packet | None, int]:
+        """As Packets.take."""
+        at = data.find(_HEAD + b"\0")
+        if at < 0:
+            return None, max(len(data) - 3, 0)
+        if len(data) < at + 7:
+            return None, at
+        length = int.from_bytes(data[at + 5 : at + 7], "little")
+        if length < 3 + status:
+            return None, at + 1
+        end = at + 7 + length
+        if len(data) < end:
+            return None, at
+        if crc16(data[at : end - 2]) != int.from_bytes(data[end - 2 : end], "little"):
+            raise PacketError(end)
+        body = data[at + 7 : end - 2].replace(_HEAD + b"\xfd", _HEAD)
+        if status:
+            return (Packet(data[at + 4], body[1], body[2:]) if body[0] == 0x55 else None), end
+        return Packet(data[at + 4], body[0], body[1:]), end
+
+
+_HEAD = b"\xff\xff\xfd"
+_PACKETS: Mapping[str, Packets] = MappingProxyType(
+    {"feetech": FeetechPackets(), "dynamixel": DynamixelPackets()}
+)
+
+
+def packets_of(kind: str) -> Packets:
+    """Of a line's kind, or of a profile's protocol."""
+    return _PACKETS[kind]
+
+
+def take_all(packets: Packets, data: bytes) -> Iterator[Packet | None]:
+    """Every packet in what came; None: one with a wrong check sum."""
+    while data:
+        try:
+            packet, done = packets.take(data)
+        except PacketError as error:
+            data = data[error.done :]
+            yield None
+            continue
+        if done == 0 and packet is None:
+            return
+        data = data[done:]
+        if packet is not None:
+            yield packet
+
+
+def is_whole(packets: Packets, data: bytes) -> bool:
+    """Whether what came ends with a packet's end."""
+    while data:
+        try:
+            done = packets.take(data)[1]
+        except PacketError as error:
+            done = error.done
+        if done == 0:
+            return False
+        data = data[done:]
+    return True
+
+
+# ---------------------------------------------------------------------------------------- registers
+def size_bytes(register: Register) -> int:
+    return register.type.bits // 8
+
+
+def encode(register: Register, raw: int) -> bytes:
+    """A raw value as it stands in a packet. Raises ValueError where it does not fit."""
+    low, high = register.raw_range
+    if not low <= raw <= high:
+        raise ValueError(f"{register.name}: {raw} does not fit {register.type.value}")
+    size = size_bytes(register)
+    if register.type.magnitude:
+        return (-raw | _SIGN if raw < 0 else raw).to_bytes(size, "little")
+    return (raw & (1 << 8 * size) - 1).to_bytes(size, "little")
+
+
+def decode(register: Register, data: bytes) -> int:
+    """The raw value of these bytes, of which the first ones are the register's."""
+    size = size_bytes(register)
+    value, bits = int.from_bytes(data[:size], "little"), 8 * size
+    if register.type.magnitude:
+        value = -(value & ~_SIGN) if value & _SIGN else value
+        return value if register.mask is None else value & register.mask
+    if register.mask is not None:
+        value = (value & register.mask) // (register.mask & -register.mask)
+        bits = register.mask.bit_count()
+    return value - (1 << bits) if register.type.signed and value >> (bits - 1) else value

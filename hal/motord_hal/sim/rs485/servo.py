@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated bus servos: their control table, what they do with a packet, and their line.
+
+What a real servo does is from the makers' manuals: a sync read is answered by each servo in the
+order of the request; a broadcast write by none. A Dynamixel refuses what is out of range, its
+EEPROM while it has torque (access error), and goal values after its bus watchdog has bitten, until
+0 is written to that (ROBOTIS e-Manual, XL430-W250, 2.4: Bus Watchdog (98)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from motord_hal.drives.profile import DriveProfile
+from motord_hal.servo.packets import (
+    BROADCAST_UNIT,
+    Instruction,
+    Packet,
+    decode,
+    packets_of,
+    size_bytes,
+)
+from motord_hal.sim.axis import Axis
+from motord_hal.sim.rs485.content import ControlTable
+from motord_hal.sim.rs485.drive import SimulatedDrive
+
+EEPROM_END = 64
+"""Of Dynamixels: addresses below are kept without power, and locked by torque."""
+RANGE_ERROR, LENGTH_ERROR, ACCESS_ERROR, INSTRUCTION_ERROR = 4, 5, 7, 2
+REBOOT_S = 0.1
+"""A rebooting servo receives nothing for so long."""
+
+
+class ServoError(Exception):
+    """The servo answers with this error number."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+class SimulatedServo(SimulatedDrive):
+    """One servo: what its profile says, and what packets make of it."""
+
+    registers: ControlTable
+
+    def __init__(
+        self, profile: DriveProfile, unit: int, axes: Mapping[int, Axis], *, watchdog_s: float = 0.0
+    ) -> None:
+        super().__init__(profile, unit, axes, watchdog_s=watchdog_s)
+        # a goal velocity of zero holds the wheel; it does not end anything
+        self._sequences.pop("quick_stop", None)
+        self.packets = packets_of(profile.protocol)
+        self._strict = profile.protocol == "dynamixel"
+        self._now_s = 0.0
+
+    # ------------------------------------------------------------------------------- the wire
+    def execute_packet(self, packet: Packet, now_s: float) -> bytes | None:
+        """Do what a packet for this servo, or for all, says; the status, None: it is silent."""
+        self.stats.requests += 1
+        self._received_s = self._now_s = now_s
+        error, data = 0, b""
+        try:
+            data = self._do(packet)
+        except ServoError as refusal:
+            self.stats.exceptions += 1
+            error = refusal.number
+        if self._strict and any(motor.faults for motor in self._motors.values()):
+            error |= 0x80  # alert: hardware error status is not zero
+        pinged = packet.code == Instruction.PING and self._strict
+        if packet.unit == BROADCAST_UNIT and packet.code != Instruction.SYNC_READ and not pinged:
+            return None
+        reply = self.packets.build_status(self.unit, error, data)
+        if data:
+            self.journal.add(now_s, packet.code, self._first(packet), tuple(data))
+        return reply
+
+    def _first(self, packet: Packet) -> int:
+        return int.from_bytes(packet.parameters[: len(self.packets.number(0))], "little")
+
+    def _do(self, packet: Packet) -> bytes:
+        width = len(self.packets.number(0))
+        match packet.code:
+            case Instruction.PING:
+                return (
+                    self.registers.read(0, 2) + self.registers.read(6, 1) if self._strict else b""
+                )
+            case Instruction.READ | Instruction.SYNC_READ:
+                count = int.from_bytes(packet.parameters[width : 2 * width], "little")
+                return self.registers.read(self._first(packet), count)
+            case Instruction.WRITE:
+                self._write(self._first(packet), packet.parameters[width:])
+            case Instruction.SYNC_WRITE:
+                count = int.from_bytes(packet.parameters[width : 2 * width], "little")
+                rows = packet.parameters[2 * width :]
+                for at in range(0, len(rows) - count, count + 1):
+                    if rows[at] == self.unit:
+                        self._write(self._first(packet), rows[at + 1 : at + 1 + count])
+            case Instruction.REBOOT if self._strict:
+                self.reboot(self._now_s, REBOOT_S, keeps_counter=False)
+            case _:
+                raise ServoError(INSTRUCTION_ERROR)
+        return b""
+
+    def _write(self, address: int, data: bytes) -> None:
+        if self._strict:
+            self._refuse(address, data)
+        self._obey(self.registers.write(address, data))
+
+    def _refuse(self, address: int, data: bytes) -> None:
+        if address < EEPROM_END and any(motor.switched_on for motor in self._motors.values()):
+            raise ServoError(ACCESS_ERROR)
+        setpoints = {channel.setpoint for channel in self.profile.channels.values()}
+        for register in self.registers.places:
+            place = register.address - address
+            if not 0 <= place < len(data):
+                continue
+            if place + size_bytes(register) > len(data):
+                raise ServoError(LENGTH_ERROR)
+            if "w" not in register.access:
+                raise ServoError(ACCESS_ERROR)
+            value = decode(register, data[place:]) * register.scale
+            low, high = register.minimum, register.maximum
+            out = (low is not None and value < low) or (high is not None and value > high)
+            if out or (register.name in setpoints and self._bitten):
+                raise ServoError(RANGE_ERROR)
+
+    # ------------------------------------------------------------------------------- its watchdog
+    @property
+    def _bitten(self) -> bool:
+        watchdog = self.profile.watchdog
+        return watchdog is not None and self.registers.stored(watchdog.register) < 0
+
+    def _watchdog_bites(self, now_s: float) -> bool:
+        on = any(motor.switched_on for motor in self._motors.values())
+        return on and not self._bitten and super()._watchdog_bites(now_s)
+
+    def _brake(self) -> None:
+        """Its watchdog has bitten: a Dynamixel stands at a velocity of zero, with torque."""
+        if self.profile.watchdog is None:
+            super()._brake()
+            return
+        self.registers.put(self.profile.watchdog.register, -1)
+        for channel in self.profile.channels.values():
+            self.registers.put(channel.setpoint, 0)
+
+
+def answer_servos(
+    packet: Packet, drives: Mapping[int, SimulatedDrive], now_s: float
+) -> list[tuple[SimulatedServo, bytes]]:
+    """What the servos on a line do with a good packet, and what they answer, in their order."""
+    servos = {unit: drive for unit, drive in drives.items() if isinstance(drive, SimulatedServo)}
+    servos = {unit: servo for unit, servo in servos.items() if servo.on}
+    if packet.unit != BROADCAST_UNIT:
+        order = [packet.unit]
+    elif packet.code == Instruction.SYNC_READ:
+        order = list(_asked(packet, servos))
+    else:
+        order = sorted(servos)
+    replies = []
+    for unit in order:
+        servo = servos.get(unit)
+        reply = None if servo is None else servo.execute_packet(packet, now_s)
+        if servo is not None and reply is not None:
+            replies.append((servo, reply))
+    return replies
+
+
+def _asked(packet: Packet, servos: Mapping[int, SimulatedServo]) -> bytes:
+    """The units that a sync read names."""
+    for servo in servos.values():
+        return packet.parameters[2 * len(servo.packets.number(0)) :]
+    return b""

@@ -1,0 +1,214 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * The cycle of bus servos: one request for all of them, and each answers for itself. */
+#include <math.h>
+
+#include "servo_wire.h"
+
+static const int64_t SERVO_MS = 1000000;
+static const line_machine *const m = &s.machine;
+
+static void one_request_carries_all_set_points_and_asks_all(void)
+{
+    for (uint32_t echo = ECHO_NONE; echo <= ECHO_UNKNOWN; echo++) {
+        servos_begin(3, echo);
+        servos_arm();
+        uint32_t writes = s.sync_writes, reads = s.sync_reads;
+        servos_go_on(1.0, 100 * SERVO_MS);
+        CHECK(s.goal[0] == 100 && s.goal[1] == 110 && s.goal[2] == 120);
+        CHECK(s.sync_writes - writes >= 9 && s.sync_writes - writes <= 12 && s.sync_reads - reads == s.sync_writes - writes);
+        CHECK(s.asked_last == 7);
+        for (uint32_t i = 0; i < 3; i++) {
+            CHECK(fabs(m->joint[i].feedback.velocity_rad_s - (1.0 + 0.1 * i)) < 1e-9 && m->joint[i].feedback.enabled == 1);
+            CHECK(s.now_ns - m->joint[i].feedback.stamp_ns < 15 * SERVO_MS && m->joint[i].feedback.stamp_ns < s.now_ns);
+            CHECK(m->drive[i].count.no_reply == 0 && m->drive[i].count.bad_reply == 0);
+        }
+        CHECK(m->noise_bytes == 0 && m->echo == (s.echoes ? ECHO_FIRST : ECHO_NONE));
+    }
+}
+
+static void who_is_not_armed_gets_no_set_point(void)
+{
+    servos_begin(2, ECHO_NONE);
+    servo_request(0, DRIVE_READY);
+    servo_request(1, DRIVE_READY);
+    servos_go_on(1.0, 100 * SERVO_MS);
+    CHECK(s.sync_writes == 0 && s.sync_reads > 8 && s.goal[0] == 0);
+    s.torque[0] = true;
+    servo_request(0, DRIVE_ARMED);
+    servos_go_on(1.0, 50 * SERVO_MS);
+    CHECK(s.goal[0] == 100 && s.goal[1] == 0 && s.sync_writes > 0);
+}
+
+static void who_does_not_answer_takes_no_other_answer_away(void)
+{
+    servos_begin(3, ECHO_NONE);
+    servos_arm();
+    servos_go_on(1.0, 50 * SERVO_MS);
+    s.silent = 1U << 1;
+    int64_t oldest_ns = 0;
+    uint64_t before = m->drive[2].count.cycles;
+    for (uint32_t i = 0; i < 2000; i++) {
+        servos_step(2.0, 1);
+        for (uint32_t n = 0; n < 3; n += 2) {
+            CHECK(m->drive[n].state.mode == DRIVE_ARMED && m->drive[n].failures == 0);
+            int64_t age_ns = s.now_ns - m->joint[n].feedback.stamp_ns;
+            oldest_ns = age_ns > oldest_ns ? age_ns : oldest_ns;
+        }
+    }
+    CHECK(oldest_ns < 50 * SERVO_MS); /* so long was waited once for who did not answer, and a period */
+    CHECK(m->drive[2].count.cycles - before > 100);
+    CHECK(m->drive[1].state.mode == DRIVE_UNRESPONSIVE && m->drive[1].count.no_reply >= 3);
+    CHECK(s.goal[0] == 200 && s.goal[2] == 220);
+    CHECK(s.goal[1] == 0); /* it hears though it does not answer: it gets its zero */
+    s.silent = 0;
+    servos_go_on(2.0, 3000 * SERVO_MS);
+    CHECK(m->drive[1].state.mode == DRIVE_BACK && !s.torque[1] && s.goal[1] == 0);
+}
+
+static void a_damaged_reply_is_counted_as_such_and_its_servo_keeps_its_set_points(void)
+{
+    servos_begin(2, ECHO_NONE);
+    servos_arm();
+    servos_go_on(1.0, 50 * SERVO_MS);
+    s.damaged = 1;
+    while (m->drive[0].count.bad_reply == 0) {
+        servos_step(1.0, 1);
+    }
+    s.damaged = 0;
+    CHECK(m->drive[0].state.mode == DRIVE_ARMED && m->noise_bytes == 8 && m->drive[1].failures == 0);
+    CHECK(fabs(m->joint[0].feedback.velocity_rad_s - 1.0) < 1e-9);
+    servos_go_on(3.0, 12 * SERVO_MS);
+    CHECK(s.goal[0] == 300 && s.goal[1] == 310);
+    servos_go_on(3.0, 400 * SERVO_MS);
+    CHECK(m->drive[0].state.mode == DRIVE_ARMED && m->drive[0].failures == 0 && m->drive[0].count.bad_reply == 1);
+    CHECK(fabs(m->joint[0].feedback.velocity_rad_s - 3.0) < 1e-9);
+}
+
+/* A reply to the request before is a good reply of this servo: nothing but its time tells it from the one that is waited for. */
+static void a_late_reply_is_not_taken_for_the_next_request_s(void)
+{
+    servos_begin(2, ECHO_NONE);
+    servos_arm();
+    servos_go_on(1.0, 50 * SERVO_MS);
+    s.silent = 1;
+    while (m->drive[0].failures == 0) {
+        servos_step(1.0, 1);
+    }
+    s.silent = 0;
+    int64_t stamp_ns = m->joint[0].feedback.stamp_ns, failed_ns = s.now_ns;
+    do {
+        servos_step(2.0, 1);
+    } while ((s.asked_last & 1) == 0 || s.out.send == NULL);
+    servos_step(2.0, 1); /* its reply: the late one's, or its own */
+    CHECK(m->joint[0].feedback.stamp_ns == stamp_ns && m->drive[0].held_until_ns > s.now_ns);
+    while (s.now_ns < failed_ns + 100 * SERVO_MS) {
+        servos_step(2.0, 1);
+        CHECK(s.goal[0] == 200 || s.goal[0] == 100);
+    }
+    CHECK(s.goal[0] == 200 && (s.asked_last & 1) == 0); /* held: not asked, and its set-points go on */
+    servos_go_on(2.0, 400 * SERVO_MS);
+    CHECK((s.asked_last & 1) != 0 && m->joint[0].feedback.stamp_ns > failed_ns + 100 * SERVO_MS);
+    CHECK(m->drive[0].state.mode == DRIVE_ARMED);
+}
+
+static void a_foreign_servo_s_reply_is_noise(void)
+{
+    servos_begin(1, ECHO_NONE);
+    servos_arm();
+    servos_go_on(1.0, 30 * SERVO_MS);
+    s.silent = 1;
+    do {
+        servos_step(1.0, 1);
+    } while (m->work != WORK_GROUP || m->group.waiting != 1);
+    int64_t stamp_ns = m->joint[0].feedback.stamp_ns;
+    uint8_t foreign[] = {0xFF, 0xFF, 8, 4, 0, 1, 0, 0};
+    rtu_seal(foreign, sizeof foreign, SEAL_SUM);
+    line_machine_step(&s.machine, m->until_ns - SERVO_MS, foreign, sizeof foreign, &s.out);
+    CHECK(m->joint[0].feedback.stamp_ns == stamp_ns && m->work == WORK_GROUP);
+    line_machine_step(&s.machine, m->until_ns, foreign, 0, &s.out);
+    CHECK(m->noise_bytes == sizeof foreign && m->drive[0].count.bad_reply == 1);
+}
+
+static void old_set_points_stop_all_and_zero_goes_on_until_they_rest(void)
+{
+    servos_begin(2, ECHO_NONE);
+    servos_arm();
+    servos_go_on(1.0, 50 * SERVO_MS);
+    s.machine.newest.stamp_ns = s.now_ns - 200 * SERVO_MS;
+    int64_t stale_ns = s.now_ns;
+    while (s.torque[0] || s.torque[1]) {
+        setpoints stale = s.machine.newest;
+        servos_step(1.0, 1);
+        s.machine.newest = stale;
+        CHECK(s.now_ns - stale_ns < 2000 * SERVO_MS);
+        line_machine_step(&s.machine, s.now_ns, s.bytes, s.count, &s.out);
+        s.count = 0;
+        if (s.out.send != NULL) {
+            line_machine_sent(&s.machine, s.now_ns);
+            for (uint32_t at = 0; at < s.out.send_bytes;) {
+                at += obey_packet(s.out.send + at);
+            }
+        }
+    }
+    CHECK(s.goal[0] == 0 && s.goal[1] == 0 && m->drive[0].state.mode != DRIVE_ARMED);
+}
+
+static void at_the_end_all_come_to_rest_and_lose_their_torque(void)
+{
+    servos_begin(3, ECHO_NONE);
+    servos_arm();
+    servos_go_on(1.0, 50 * SERVO_MS);
+    s.silent = 1U << 2;
+    s.machine.control.shut_down = 1;
+    servos_go_on(1.0, 3000 * SERVO_MS);
+    line_report report;
+    line_machine_report(m, &report);
+    CHECK(report.shut_down == 1);
+    for (uint32_t i = 0; i < 3; i++) {
+        CHECK(s.goal[i] == 0 && !s.torque[i]);
+    }
+}
+
+static void a_group_that_cannot_be_is_refused(void)
+{
+    char name[FIELD_NAME_BYTES];
+    servos_begin(2, ECHO_NONE);
+    CHECK(line_table_check(&s.table, name) == NULL);
+    line_table good = s.table;
+#define REFUSED(change)                                                                                                          \
+    s.table = good;                                                                                                              \
+    change;                                                                                                                      \
+    CHECK(line_table_check(&s.table, name) != NULL)
+    REFUSED(s.table.group.used = 2);
+    REFUSED(s.table.group.write_bytes = GROUP_HEAD_MAX + 1);
+    REFUSED(s.table.group.read_bytes = GROUP_HEAD_MAX + 1);
+    REFUSED(s.table.group.write_bytes = 4);
+    REFUSED(s.table.group.read_bytes = 4);
+    REFUSED(s.table.group.data_byte = 8);
+    REFUSED(s.table.group.data_byte = 7); /* a set-point would not be carried */
+    REFUSED(s.table.drive[1].cyclic_count = 1);
+    REFUSED(s.table.drive[1].cyclic[0].setpoint_count = 0);
+    REFUSED(s.table.drive[1].cyclic[1].setpoint[0] = s.table.drive[1].cyclic[0].setpoint[0];
+            s.table.drive[1].cyclic[1].setpoint_count = 1);
+    REFUSED(s.table.drive[1].cyclic[0].frame.request_bytes = 8);
+    REFUSED(s.table.drive[0].cyclic[0].frame.request_seal = SEAL_CRC8);
+    REFUSED(s.table.drive[1].idle[0] = s.table.drive[1].cyclic[0].frame; s.table.drive[1].idle_count = 1);
+    s.table = good;
+    s.table.group.used = 0;
+    s.table.group.write_bytes = 0;
+    CHECK(line_table_check(&s.table, name) == NULL);
+}
+
+int main(void)
+{
+    one_request_carries_all_set_points_and_asks_all();
+    who_is_not_armed_gets_no_set_point();
+    who_does_not_answer_takes_no_other_answer_away();
+    a_damaged_reply_is_counted_as_such_and_its_servo_keeps_its_set_points();
+    a_late_reply_is_not_taken_for_the_next_request_s();
+    a_foreign_servo_s_reply_is_noise();
+    old_set_points_stop_all_and_zero_goes_on_until_they_rest();
+    at_the_end_all_come_to_rest_and_lose_their_torque();
+    a_group_that_cannot_be_is_refused();
+    return checks_report("line group");
+}

@@ -1,0 +1,168 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Packets of bus servos. The bytes are those of the makers' manuals and SDKs, not of our own code. */
+#include <string.h>
+
+#include "check.h"
+#include "rtu.h"
+
+/* ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, examples: ping of ID 1 and its status; read of position and its status. */
+static const uint8_t PING[] = {0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x03, 0x00, 0x01, 0x19, 0x4E};
+static const uint8_t PONG[] = {0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x07, 0x00, 0x55, 0x00, 0x06, 0x04, 0x26, 0x65, 0x5D};
+static const uint8_t POSITION[] = {0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x08, 0x00, 0x55, 0x00, 0xA6, 0x00, 0x00, 0x00, 0x8C, 0xC0};
+
+static line_frame read_of(uint32_t reply_bytes)
+{
+    line_frame frame = {.request_bytes = sizeof PING,
+                        .reply_bytes = reply_bytes,
+                        .match_bytes = 5,
+                        .match = {0xFF, 0xFF, 0xFD, 0x00, 0x01},
+                        .request_seal = SEAL_STUFFED,
+                        .reply_seal = SEAL_STUFFED,
+                        .has_exceptions = 1};
+    memcpy(frame.request, PING, sizeof PING);
+    return frame;
+}
+
+static void the_manual_s_check_sums_are_ours(void)
+{
+    CHECK(rtu_is_sealed(PING, sizeof PING, SEAL_STUFFED));
+    CHECK(rtu_is_sealed(PONG, sizeof PONG, SEAL_STUFFED));
+    CHECK(rtu_is_sealed(POSITION, sizeof POSITION, SEAL_STUFFED));
+    line_frame frame = read_of(sizeof PONG);
+    frame.request[8] = frame.request[9] = 0;
+    rtu_finish(&frame);
+    CHECK(frame.request_bytes == sizeof PING && memcmp(frame.request, PING, sizeof PING) == 0);
+    /* Feetech: ping of ID 1 */
+    uint8_t ping[] = {0xFF, 0xFF, 0x01, 0x02, 0x01, 0x00};
+    rtu_seal(ping, sizeof ping, SEAL_SUM);
+    CHECK(ping[5] == 0xFB && rtu_is_sealed(ping, sizeof ping, SEAL_SUM));
+    ping[3] ^= 1;
+    CHECK(!rtu_is_sealed(ping, sizeof ping, SEAL_SUM));
+}
+
+static received found_in(const line_frame *frame, const uint8_t *bytes, uint32_t count)
+{
+    return rtu_hunt(frame, frame->request, 0, bytes, count);
+}
+
+static void a_status_is_found_whole_good_and_of_the_right_servo_only(void)
+{
+    line_frame frame = read_of(sizeof POSITION);
+    uint8_t bytes[64] = {0x00, 0xFF};
+    memcpy(bytes + 2, POSITION, sizeof POSITION);
+    received found = found_in(&frame, bytes, 2 + sizeof POSITION);
+    CHECK(found.kind == RECEIVED_ANSWER && found.offset == 2 && found.bytes == sizeof POSITION);
+    for (uint32_t count = 0; count < 2 + sizeof POSITION; count++) {
+        CHECK(found_in(&frame, bytes, count).kind == RECEIVED_MORE);
+    }
+    for (uint32_t bit = 0; bit < 8 * sizeof POSITION; bit++) {
+        memcpy(bytes, POSITION, sizeof POSITION);
+        bytes[bit / 8] ^= (uint8_t)(1U << bit % 8);
+        CHECK(found_in(&frame, bytes, sizeof POSITION).kind == RECEIVED_MORE);
+    }
+    frame.match[4] = 2;
+    CHECK(found_in(&frame, POSITION, sizeof POSITION).kind == RECEIVED_MORE);
+    frame = read_of(sizeof POSITION - 1);
+    CHECK(found_in(&frame, POSITION, sizeof POSITION).kind == RECEIVED_MORE); /* of another request */
+}
+
+static void an_error_number_is_a_refusal_and_an_alert_is_none(void)
+{
+    line_frame status = {
+        .request_bytes = 11, .request_seal = SEAL_STUFFED, .request = {0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x04, 0x00, 0x55, 0x07}};
+    line_frame frame = read_of(11);
+    rtu_finish(&status);
+    received found = found_in(&frame, status.request, status.request_bytes);
+    CHECK(found.kind == RECEIVED_REFUSED && found.exception == 7 && found.bytes == 11);
+    status.request[8] = 0x80; /* hardware error: what was asked for is done */
+    rtu_finish(&status);
+    CHECK(found_in(&frame, status.request, status.request_bytes).kind == RECEIVED_ANSWER);
+    status.request[8] = 0x87;
+    rtu_finish(&status);
+    CHECK(found_in(&frame, status.request, status.request_bytes).kind == RECEIVED_REFUSED);
+}
+
+/* A status of four bytes that hold a head: sync'ed readers would begin there. */
+static void stuffing_is_taken_out_and_put_in(void)
+{
+    static const uint8_t data[][4] = {{0xFF, 0xFF, 0xFD, 0x00},
+                                      {0xFF, 0xFF, 0xFD, 0xFD},
+                                      {0x01, 0xFF, 0xFF, 0xFD},
+                                      {0xFD, 0xFF, 0xFF, 0xFF},
+                                      {0xFF, 0xFD, 0xFD, 0xFF}};
+    static const uint32_t extra[] = {1, 1, 1, 0, 0};
+    for (uint32_t i = 0; i < 5; i++) {
+        line_frame status = {
+            .request_bytes = 15, .request_seal = SEAL_STUFFED, .request = {0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x08, 0x00, 0x55, 0x00}};
+        memcpy(status.request + 9, data[i], 4);
+        uint8_t plain[FRAME_BYTES_MAX];
+        rtu_finish(&status);
+        CHECK(status.request_bytes == 15 + extra[i] && status.request[5] == 8 + extra[i]);
+        line_frame frame = read_of(15);
+        received found = found_in(&frame, status.request, status.request_bytes);
+        CHECK(found.kind == RECEIVED_ANSWER && found.bytes == 15 + extra[i]);
+        CHECK(rtu_unstuff(status.request, status.request_bytes, plain) == 15 && memcmp(plain + 9, data[i], 4) == 0);
+    }
+    uint8_t most[FRAME_BYTES_MAX + 1] = {0}, plain[FRAME_BYTES_MAX];
+    CHECK(rtu_unstuff(most, FRAME_BYTES_MAX, plain) == FRAME_BYTES_MAX);
+    CHECK(rtu_unstuff(most, FRAME_BYTES_MAX + 1, plain) == 0);
+}
+
+static void values_stand_low_byte_first(void)
+{
+    static const struct {
+        uint32_t form, bytes;
+        int64_t raw;
+        uint8_t wire[4];
+    } cases[] = {{FORM_U16_LE, 2, 0x1234, {0x34, 0x12}},
+                 {FORM_I16_LE, 2, -2, {0xFE, 0xFF}},
+                 {FORM_U32_LE, 4, 0x12345678, {0x78, 0x56, 0x34, 0x12}},
+                 {FORM_I32_LE, 4, -2, {0xFE, 0xFF, 0xFF, 0xFF}},
+                 {FORM_M16_LE, 2, 1000, {0xE8, 0x03}},
+                 {FORM_M16_LE, 2, -1000, {0xE8, 0x83}},
+                 {FORM_M16_LE, 2, -32767, {0xFF, 0xFF}},
+                 {FORM_M16_LE, 2, 32767, {0xFF, 0x7F}}};
+    for (uint32_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        uint8_t wire[4] = {0};
+        CHECK(rtu_form_bytes(cases[i].form) == cases[i].bytes);
+        rtu_write(wire, cases[i].form, cases[i].raw);
+        CHECK(memcmp(wire, cases[i].wire, 4) == 0 && rtu_read(wire, cases[i].form) == cases[i].raw);
+    }
+    const uint8_t minus_zero[2] = {0x00, 0x80};
+    CHECK(rtu_read(minus_zero, FORM_M16_LE) == 0);
+    /* a counter of twelve bits goes on below zero as it does above: -1 is one before 0 */
+    const uint8_t below[2] = {0x01, 0x80};
+    CHECK(((uint64_t)rtu_masked(rtu_read(below, FORM_M16_LE), 0xFFF, FORM_M16_LE) & 0xFFF) == 0xFFF);
+}
+
+static void a_status_is_never_taken_for_an_instruction(void)
+{
+    /* the read of two bytes and its answer have one length and one beginning */
+    line_frame frame = {.request_bytes = 8,
+                        .reply_bytes = 8,
+                        .match_bytes = 4,
+                        .match = {0xFF, 0xFF, 0x01, 0x04},
+                        .request_seal = SEAL_SUM,
+                        .reply_seal = SEAL_SUM,
+                        .request = {0xFF, 0xFF, 0x01, 0x04, 0x02, 0x38, 0x02}};
+    rtu_finish(&frame);
+    CHECK(!rtu_answer_is_request(&frame, frame.request));
+    uint8_t both[16];
+    memcpy(both, frame.request, 8);
+    CHECK(rtu_find_answer(&frame, frame.request, 2, both, 8).kind == RECEIVED_MORE); /* so far it is an echo */
+    memcpy(both + 8, (const uint8_t[]){0xFF, 0xFF, 0x01, 0x04, 0x00, 0x12, 0x03}, 7);
+    rtu_seal(both + 8, 8, SEAL_SUM);
+    received found = rtu_find_answer(&frame, frame.request, 2, both, 16);
+    CHECK(found.kind == RECEIVED_ANSWER && found.offset == 8 && found.echoed == 1);
+}
+
+int main(void)
+{
+    the_manual_s_check_sums_are_ours();
+    a_status_is_found_whole_good_and_of_the_right_servo_only();
+    an_error_number_is_a_refusal_and_an_alert_is_none();
+    stuffing_is_taken_out_and_put_in();
+    values_stand_low_byte_first();
+    a_status_is_never_taken_for_an_instruction();
+    return checks_report("servo packets");
+}
