@@ -39,6 +39,19 @@ static void who_is_not_armed_gets_no_set_point(void)
     CHECK(s.goal[0] == 100 && s.goal[1] == 0 && s.sync_writes > 0);
 }
 
+/* Its power-off may be lost. */
+static void who_is_stood_down_gets_its_zero_at_once(void)
+{
+    servos_begin(2, ECHO_NONE);
+    servos_arm();
+    servos_go_on(1.0, 50 * SERVO_MS);
+    servo_request(0, DRIVE_STAND_DOWN);
+    servos_step(1.0, 1);
+    servos_go_on(1.0, 3 * SERVO_MS);
+    CHECK(s.goal[0] == 0 && s.goal[1] == 110 && s.torque[0]);
+    CHECK(m->drive[0].state.mode == DRIVE_READY && !m->drive[0].state.sent_motion);
+}
+
 static void who_does_not_answer_takes_no_other_answer_away(void)
 {
     servos_begin(3, ECHO_NONE);
@@ -203,6 +216,7 @@ int main(void)
 {
     one_request_carries_all_set_points_and_asks_all();
     who_is_not_armed_gets_no_set_point();
+    who_is_stood_down_gets_its_zero_at_once();
     who_does_not_answer_takes_no_other_answer_away();
     a_damaged_reply_is_counted_as_such_and_its_servo_keeps_its_set_points();
     a_late_reply_is_not_taken_for_the_next_request_s();

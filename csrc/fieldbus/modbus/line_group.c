@@ -27,14 +27,15 @@ static bool is_member(const line_machine *m, uint32_t number)
 }
 
 /* ---------------------------------------------------------------------------------------------------- sending */
-/* A drive that has no power needs no set-point; one that may turn unheard gets its zero all the same. */
+/* A drive that rests without power needs no set-point; one that does not answer, and may turn, gets its zero. */
 static bool gets_setpoints(const line_machine *m, uint32_t number)
 {
     const drive_state *state = &m->drive[number].state;
     if (state->mode == DRIVE_UNRESPONSIVE) {
         return m->drive[number].may_turn;
     }
-    return state->mode == DRIVE_ARMED || (state->mode == DRIVE_READY && (state->stopping || state->enabled == 1));
+    bool rests = !state->stopping && !state->sent_motion && state->enabled != 1;
+    return state->mode == DRIVE_ARMED || (state->mode == DRIVE_READY && !rests);
 }
 
 static bool is_asked(const line_machine *m, uint32_t number, int64_t now_ns)

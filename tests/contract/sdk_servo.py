@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bus servos on a pty whose packets are made by their makers' SDKs, so that motord's line does not
+meet only what motord itself has written.
+
+Every request that comes is built once more by the SDK from what it says, and compared byte by byte;
+every status goes out through the SDK's own packet code."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import tty
+from pathlib import Path
+
+import dynamixel_sdk
+import scservo_sdk
+
+TABLE_BYTES = 256
+PING, READ, WRITE, REBOOT, STATUS, SYNC_READ, SYNC_WRITE = 1, 2, 3, 8, 0x55, 0x82, 0x83
+ALL = 0xFE
+
+
+class CapturedPort:
+    """What an SDK's packet code wants of a port: keeps what it sends."""
+
+    def __init__(self):
+        self.is_using = False
+        self.sent = b""
+
+    def clearPort(self):  # noqa: N802  # the SDKs' names
+        pass
+
+    def setPacketTimeout(self, _):  # noqa: N802
+        pass
+
+    def writePort(self, packet):  # noqa: N802
+        self.sent += bytes(packet)
+        return len(packet)
+
+    def take(self):
+        sent, self.sent, self.is_using = self.sent, b"", False
+        return sent
+
+
+class FeetechSdk:
+    """The packet code of ftservo-python-sdk."""
+
+    width, goal, present, torque, mode = 1, (46, 2), (58, 2), 40, 33
+
+    def __init__(self):
+        self.port = CapturedPort()
+        self.handler = scservo_sdk.sms_sts(self.port)
+
+    def end_of(self, data):
+        """Of the first packet; 0: it is not whole."""
+        return 4 + data[3] if len(data) > 3 and len(data) >= 4 + data[3] else 0
+
+    def parts(self, packet):
+        return packet[2], packet[4], packet[5:-1]
+
+    def status(self, unit, data):
+        """As the SDK packs it."""
+        self.handler.txPacket([0, 0, unit, len(data) + 2, 0, *data, 0])
+        return self.port.take()
+
+    def rebuilt(self, unit, code, parameters):
+        """What the SDK sends for the same."""
+        handler, first = self.handler, parameters[0] if parameters else 0
+        match code:
+            case 1:
+                handler.txPacket([0, 0, unit, 2, PING, 0])
+            case 2:
+                handler.readTx(unit, first, parameters[1])
+            case 3:
+                handler.writeTxOnly(unit, first, len(parameters) - 1, list(parameters[1:]))
+            case 0x82:
+                handler.syncReadTx(first, parameters[1], list(parameters[2:]), len(parameters) - 2)
+            case 0x83:
+                rows = list(parameters[2:])
+                handler.syncWriteTxOnly(first, parameters[1], rows, len(rows))
+        return self.port.take()
+
+
+class DynamixelSdk:
+    """The packet code of dynamixel-sdk."""
+
+    width, goal, present, torque, mode = 2, (104, 4), (128, 4), 64, 11
+
+    def __init__(self):
+        self.port = CapturedPort()
+        self.handler = dynamixel_sdk.PacketHandler(2.0)
+
+    def end_of(self, data):
+        end = 7 + int.from_bytes(data[5:7], "little") if len(data) > 6 else 0
+        return end if 0 < end <= len(data) else 0
+
+    def parts(self, packet):
+        plain = self.handler.removeStuffing(list(packet))
+        end = 7 + (plain[5] | plain[6] << 8)
+        return plain[4], plain[7], bytes(plain[8 : end - 2])
+
+    def status(self, unit, data):
+        length = len(data) + 4
+        head = [0, 0, 0, 0, unit, length & 0xFF, length >> 8, STATUS, 0]
+        self.handler.txPacket(self.port, [*head, *data, 0, 0])
+        return self.port.take()
+
+    def rebuilt(self, unit, code, parameters):
+        handler, port = self.handler, self.port
+        first, count = (int.from_bytes(parameters[at : at + 2], "little") for at in (0, 2))
+        match code:
+            case 1 | 8:
+                handler.txPacket(port, [0, 0, 0, 0, unit, 3, 0, code, 0, 0])
+            case 2:
+                handler.readTx(port, unit, first, count)
+            case 3:
+                data = list(parameters[2:])
+                handler.writeTxOnly(port, unit, first, len(data), data)
+            case 0x82:
+                units = list(parameters[4:])
+                handler.syncReadTx(port, first, count, units, len(units), False)  # noqa: FBT003  # not the fast one
+            case 0x83:
+                rows = list(parameters[4:])
+                handler.syncWriteTxOnly(port, first, count, rows, len(rows))
+        return port.take()
+
+
+class SdkServos:
+    """Servos of one maker on `path`, from the running event loop. Their wheels turn at once as they
+    are told."""
+
+    def __init__(self, path: Path, sdk, units):
+        self.sdk = sdk
+        self.tables = {unit: bytearray(TABLE_BYTES) for unit in units}
+        self.codes: list[int] = []
+        self.foreign: list[bytes] = []
+        """Requests that the SDK would have sent otherwise."""
+        self.powered_in_other_modes = 0
+        self._data = b""
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        path.symlink_to(os.ttyname(self._slave))
+        asyncio.get_running_loop().add_reader(self._master, self._readable)
+
+    def close(self):
+        asyncio.get_running_loop().remove_reader(self._master)
+        os.close(self._master)
+        os.close(self._slave)
+
+    def goal(self, unit):
+        address, size = self.sdk.goal
+        return int.from_bytes(self.tables[unit][address : address + size], "little")
+
+    def _readable(self):
+        try:
+            self._data += os.read(self._master, 4096)
+        except (BlockingIOError, OSError):
+            return
+        while end := self.sdk.end_of(self._data):
+            packet, self._data = self._data[:end], self._data[end:]
+            self._obey(packet)
+
+    def _obey(self, packet):
+        unit, code, parameters = self.sdk.parts(packet)
+        self.codes.append(code)
+        if self.sdk.rebuilt(unit, code, parameters) != packet:
+            self.foreign.append(packet)
+        width = self.sdk.width
+        first = int.from_bytes(parameters[:width], "little")
+        count = int.from_bytes(parameters[width : 2 * width], "little")
+        if code == READ:
+            self._answer(unit, self.tables[unit][first : first + count])
+        elif code == WRITE:
+            for each in self.tables if unit == ALL else [unit]:
+                self._write(each, first, parameters[width:])
+            if unit != ALL:
+                self._answer(unit, b"")
+        elif code == SYNC_WRITE:
+            rows = parameters[2 * width :]
+            for at in range(0, len(rows), count + 1):
+                self._write(rows[at], first, rows[at + 1 : at + 1 + count])
+        elif code == SYNC_READ:
+            for each in parameters[2 * width :]:
+                self._answer(each, self.tables[each][first : first + count])
+
+    def _write(self, unit, first, data):
+        table, sdk = self.tables[unit], self.sdk
+        table[first : first + len(data)] = data
+        goal, size = sdk.goal
+        moving = table[goal : goal + size] if table[sdk.torque] else bytes(size)
+        table[sdk.present[0] : sdk.present[0] + size] = moving
+        self.powered_in_other_modes += bool(table[sdk.torque] and table[sdk.mode] != 1)
+
+    def _answer(self, unit, data):
+        if unit in self.tables:
+            os.write(self._master, self.sdk.status(unit, bytes(data)))
