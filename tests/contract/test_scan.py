@@ -124,3 +124,18 @@ def test_a_drive_that_refuses_with_code_zero_is_found_as_one_that_refuses(line):
     first, second = json.loads(run.stdout)["found"]
     assert (first["answer"], first["matches"]) == ("refuses register 0 (0)", [])
     assert second["matches"][0]["profile"] == profile_of()
+
+
+@pytest.mark.parametrize(
+    ("robot", "kind", "units"),
+    [("turtlebot3-burger", "dynamixel", [1, 2]), ("two-bus-servos", "feetech", [7, 9])],
+)
+def test_bus_servos_are_found_by_pings_with_their_profile(robot, kind, units, tmp_path):
+    with start_simulator(ROOT / f"config/robots/{robot}.toml", link_dir=tmp_path) as simulator:
+        run = scan(port_of(simulator), "--units", "1-9", "--baudrate", "1000000", "--json")
+        assert run.returncode == 0, run.stderr
+        found = json.loads(run.stdout)["found"]
+        assert [(one["kind"], one["unit"]) for one in found] == [(kind, unit) for unit in units]
+        profile = {"dynamixel": "xl430", "feetech": "sts3215"}[kind]
+        assert [one["matches"][0]["profile"] for one in found] == [profile, profile]
+        assert simulator.control.call("truth")["moved_max_m_s"] == 0.0

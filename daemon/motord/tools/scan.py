@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from motord.config.drives.load import list_profiles, load_profile
+from motord.tools.scan_servos import servo_bound_s, servos
 from motord_hal.base.errors import PortError, ProfileError
 from motord_hal.ddsm import codec as ddsm
 from motord_hal.drives.profile import DriveProfile, Register
@@ -36,7 +37,7 @@ from motord_hal.serial.port import OpenPort, SettingRefused, open_port
 
 USUAL = (
     (115200, "none"), (9600, "none"), (19200, "even"), (19200, "none"), (9600, "even"),
-    (57600, "none"), (38400, "none"), (115200, "even"),
+    (57600, "none"), (38400, "none"), (115200, "even"), (1_000_000, "none"),
 )  # fmt: skip
 """Baud rates and parities, the commonest first; MODBUS over Serial Line V1.02, 2.5.1 names 19200
 even as the default."""
@@ -72,7 +73,7 @@ class Found:
     baudrate: int
     parity: str
     kind: str
-    """The line's kind in a robot file: "modbus-rtu" or "ddsm"."""
+    """The line's kind in a robot file: "modbus-rtu", "ddsm", "feetech" or "dynamixel"."""
     answer: str
     matches: tuple[Match, ...] = ()
 
@@ -169,7 +170,8 @@ def bound_s(settings: Sequence[tuple[int, str]], units: Sequence[int]) -> float:
         len(units) * (frame_time_s(8 + 10 + 20, baudrate, parity, 1) + 2 * REPLY_WITHIN_S + 0.008)
         for baudrate, parity in settings
     ]
-    return sum(each_s)
+    pings_s = [servo_bound_s(baudrate, units) for baudrate, parity in settings if parity == "none"]
+    return sum(each_s) + sum(pings_s)
 
 
 def scan(
@@ -192,7 +194,10 @@ def scan(
         try:
             asker = Asker(opened, baudrate, parity)
             anybody = False
-            for unit in units:
+            for found in _servos(asker, units, say):
+                anybody = True
+                yield found
+            for unit in () if anybody else units:
                 if time.monotonic() > end_s:
                     say(f"stopped after {within_s:g} s: --within-s looks on for longer")
                     return
@@ -205,6 +210,16 @@ def scan(
             opened.close()
         if anybody:
             return
+
+
+def _servos(asker: Asker, units: Sequence[int], say: Callable[[str], None]) -> Iterator[Found]:
+    if asker.parity != "none":
+        return
+    for kind, unit, profile in servos(asker.port, asker.baudrate, units):
+        say(f"servo {unit} answers")
+        matches = (Match(profile, 1, 1),) if profile else ()
+        yield Found(unit=unit, baudrate=asker.baudrate, parity=asker.parity, kind=kind,
+                    answer="answers a ping", matches=matches)  # fmt: skip
 
 
 def _look(asker: Asker, unit: int, say: Callable[[str], None]) -> Iterator[Found]:
