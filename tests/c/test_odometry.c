@@ -329,7 +329,9 @@ static void what_a_counter_can_mean_decides_what_is_believed(void)
         {32, 40, 200000, 20.0, 20.0, 20.0 * 0.25, 1, 1},      /* as long as feedback counts, no longer */
         {16, 40, 30000, 14.0, 14.5, 30000 * COUNT_RAD, 0, 1}, /* too long ago to tell its turns by the velocity */
         {15, 11, 19792, 34.0, 34.0, 19792 * COUNT_RAD, 0, 0},
-        {15, 11, 19792, 14.0, 54.0, 34.0 * 0.11, 0, 1}, /* it has changed too much */
+        {15, 11, 19792, 14.0, 54.0, 34.0 * 0.11, 0, 1},  /* it has changed too much */
+        {12, 1, 1300, NAN, NAN, 1300 * COUNT_RAD, 0, 0}, /* a turn less would be faster than any wheel */
+        {12, 1, -1300, NAN, NAN, -1300 * COUNT_RAD, 0, 0},
     };
     for (size_t i = 0; i < sizeof CASES / sizeof CASES[0]; i++) {
         base b = begun(CASES[i].bits);

@@ -152,6 +152,28 @@ def test_robotis_sdk_sees_the_watchdog_bite_and_clears_it(tmp_path):
 
 
 # ---------------------------------------------------------------- motord's line, their packets
+async def test_a_watchdog_that_has_bitten_disarms_and_its_servo_is_set_up_again(tmp_path):
+    servos = SdkServos(tmp_path / "bus", DynamixelSdk(), (1, 2))
+    try:
+        async with running(spec_of(find_profile("xl430"), tmp_path)) as rig:
+            await rig.arm()
+            given = servos.tables[1][98]
+            assert given * 0.02 == rig.line.spec.watchdog_s
+            rig.loop.velocity_rad_s = {0: 0.5, 1: 0.5}
+            await rig.drive(lambda: servos.goal(1) != 0, "they turn")
+            servos.tables[1][98] = 0xFF  # it has bitten
+            left = rig.line.drive_states
+            await until(lambda: rig.line.drive_states["left"] is not DriveState.ARMED, str(left))
+            rig.loop.enabled = False
+            await rig.ready()
+            assert servos.tables[1][98] == given
+            assert servos.tables[1][servos.sdk.torque] == 0
+            assert any("lost its set-up" in event.text for event in rig.events)
+            await rig.arm()  # by request, and only so
+    finally:
+        servos.close()
+
+
 @pytest.mark.parametrize(("name", "sdk"), [("sts3215", FeetechSdk), ("xl430", DynamixelSdk)])
 async def test_the_line_drives_servos_that_the_makers_sdk_speaks_for(name, sdk, tmp_path):
     profile = find_profile(name)
