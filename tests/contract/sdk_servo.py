@@ -85,6 +85,8 @@ class DynamixelSdk:
     """The packet code of dynamixel-sdk."""
 
     width, goal, present, torque, mode = 2, (104, 4), (128, 4), 64, 11
+    fast = False
+    """Whether all answer a sync read in one packet."""
 
     def __init__(self):
         self.port = CapturedPort()
@@ -118,7 +120,7 @@ class DynamixelSdk:
                 handler.writeTxOnly(port, unit, first, len(data), data)
             case 0x82:
                 units = list(parameters[4:])
-                handler.syncReadTx(port, first, count, units, len(units), False)  # noqa: FBT003  # not the fast one
+                handler.syncReadTx(port, first, count, units, len(units), self.fast)
             case 0x83:
                 rows = list(parameters[4:])
                 handler.syncWriteTxOnly(port, first, count, rows, len(rows))
