@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`make bench`: what motord costs and how late it is, beside what people use instead, in one run.
 
-python tests/bench/run.py [--quick | --smoke] [--json] [--only core,wire,can,board,twist,...]
+python tests/bench/run.py [--quick | --smoke] [--json] [--only core,wire,can,servos,board,twist,...]
 
 Ends with 1 only where something is wrong (a violation, a page fault, too many instructions), never
 because a machine is slow: the sentences say what was reached. `--smoke` runs every part as briefly
@@ -23,6 +23,7 @@ import can_bus
 import core_instructions
 import datagram
 import lateness
+import servo_bus
 import wire
 
 Verdicts = list[tuple[str, bool, bool]]
@@ -60,6 +61,12 @@ def on_a_bus(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
     seconds = {Size.SMOKE: 0.3, Size.QUICK: 3.0, Size.WHOLE: 6.0}[size]
     found = can_bus.measure(rounds=5 if size is Size.WHOLE else 1, seconds=seconds)
     return can_bus.table(found), found, can_bus.verdicts(found)
+
+
+def bus_servos(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
+    seconds = {Size.SMOKE: 0.3, Size.QUICK: 2.0, Size.WHOLE: 5.0}[size]
+    found = servo_bus.measure(rounds=3 if size is Size.WHOLE else 1, seconds=seconds)
+    return servo_bus.table(found), found, servo_bus.verdicts(found)
 
 
 def on_a_stream(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
@@ -111,6 +118,7 @@ PARTS = {
     "core": core,
     "wire": on_the_wire,
     "can": on_a_bus,
+    "servos": bus_servos,
     "board": on_a_stream,
     "datagram": datagrams,
     "lateness": wake_ups,

@@ -90,8 +90,8 @@ def servos(*names, baudrate=1_000_000):
 
 
 def test_the_cycle_of_three_feetech_servos_is_two_heads_and_three_shares():
-    # sync write 8 + 3 x 3, sync read 8 + 3, three statuses of 6 + 15; a fourth of an extra read
-    extra = (8 + 6 + 9) / 4
+    # sync write 8 + 3 x 3, sync read 8 + 3, three statuses of 6 + 15; an eighth of an extra read
+    extra = (8 + 6 + 9) / 8
     bytes_a_cycle = 8 + 9 + 8 + 3 + 3 * (21 + extra)
     assert cycle_of_all_s(servos(*["sts3215"] * 3)) == pytest.approx(bytes_a_cycle * 1e-5)
 

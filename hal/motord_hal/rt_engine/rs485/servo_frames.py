@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from motord_hal.drives.profile import DriveProfile, Register, Step
 from motord_hal.fieldbus.ports import JointSpec
-from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES, WireTime, wanted_registers
+from motord_hal.modbus.plan import WireTime, wanted_registers
 from motord_hal.realtime.table import LineFrame, LineGroup, Seal
 from motord_hal.rt_engine.rs485.frames import PlannedFrame
 from motord_hal.servo.packets import (
@@ -20,6 +20,9 @@ from motord_hal.servo.packets import (
     size_bytes,
 )
 
+EXTRA_EVERY_CYCLES = 8
+"""Torque, mode, watchdog and the like: a servo's cycles are several times as many as a Modbus
+drive's."""
 _SEALS = {"feetech": Seal.SUM, "dynamixel": Seal.STUFFED}
 _CYCLIC_HOLE_BYTES = 4
 """What no cycle needs is read along where it is not longer than this."""

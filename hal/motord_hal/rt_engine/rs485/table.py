@@ -31,6 +31,7 @@ from motord_hal.realtime.table import (
 )
 from motord_hal.rt_engine.decoding import harmless, setpoint_kind, sources_of
 from motord_hal.rt_engine.rs485.frames import DriveFrames, PlannedFrame
+from motord_hal.rt_engine.rs485.servo_frames import EXTRA_EVERY_CYCLES as SERVO_EXTRA_EVERY
 from motord_hal.rt_engine.rs485.servo_frames import ServoFrames, group_of
 from motord_hal.servo.packets import KINDS as SERVO_KINDS
 
@@ -84,7 +85,7 @@ def drive_table(frames: DriveFrames, spec: LineSpec) -> LineDrive:
     cyclic = frames.cyclic()
     return LineDrive(
         tries=max(joint.tries for joint in joints),
-        extra_every=EXTRA_EVERY_CYCLES,
+        extra_every=SERVO_EXTRA_EVERY if isinstance(frames, ServoFrames) else EXTRA_EVERY_CYCLES,
         period_ns=round(_NS_PER_S / max(rates_hz, default=spec.cycle_hz)),
         turnaround_ns=round(profile.turnaround_s * _NS_PER_S),
         reply_timeout_ns=round(max(given_s, default=0.0) * _NS_PER_S),
