@@ -15,7 +15,7 @@ ROBOTS = sorted(path.stem for path in (ROOT / "config/robots").glob("*.toml"))
 ESTIMATED = {"forward-only": Source.SPEEDS, "two-single-drives": Source.SPEEDS}
 """The robots without position counters; the others are judged."""
 DEADLINE_S = 200.0
-SERIAL = ("modbus-rtu", "mcu", "ascii", "roboclaw")
+SERIAL = ("modbus-rtu", "mcu", "ascii", "roboclaw", "feetech", "dynamixel")
 
 
 def patient(name):

@@ -13,6 +13,7 @@ import sys
 
 import can
 import pytest
+import scservo_sdk
 from daemon_stage import DEADLINE_S, ROBOT, ROOT, running, set_off, wait_until
 from pymodbus.client import ModbusTcpClient
 
@@ -270,3 +271,34 @@ def test_a_board_that_streams_is_sent_zero_and_stop_by_its_own_line(tmp_path):
     status, lines = stop_all(f"line.board.port={port}", robot=robot)
     assert status == 3
     assert "cannot be opened" in lines[0]["problems"][0]
+
+
+SERVO_TORQUE, SERVO_MODE, SERVO_GOAL, VELOCITY_MODE = 40, 33, 46, 1
+
+
+def test_bus_servos_that_were_left_turning_stop_and_lose_their_torque(tmp_path):
+    """Nothing else would stop them: they have no watchdog. The maker's SDK has set them off."""
+    robot = ROOT / "config/robots/two-bus-servos.toml"
+    with start_simulator(robot, link_dir=tmp_path) as simulator:
+        path = str(tmp_path / "servos")
+        port = scservo_sdk.PortHandler(path)
+        assert port.setBaudRate(1_000_000)
+        servo = scservo_sdk.sms_sts(port)
+
+        def joints():
+            return simulator.control.truth().joints.values()
+
+        def set_off():
+            for unit in (7, 9):
+                servo.write1ByteTxRx(unit, SERVO_TORQUE, 0)
+                servo.write1ByteTxRx(unit, SERVO_MODE, VELOCITY_MODE)
+                servo.write1ByteTxRx(unit, SERVO_TORQUE, 1)
+                servo.write2ByteTxRx(unit, SERVO_GOAL, 1000)
+            return all(abs(joint.velocity_rad_s) > 0.5 for joint in joints())
+
+        wait_until(set_off, "they turn")
+        port.closePort()
+        status, lines = stop_all(f"line.servos.port={json.dumps(path)}", robot=robot)
+        assert (status, lines[0]["problems"]) == (0, [])
+        assert not any(joint.enabled for joint in joints())
+        wait_until(lambda: simulator.control.truth().at_rest, "the wheels rest")

@@ -10,7 +10,9 @@ from motord.config.wiring import line_specs
 from motord_hal.drives.profile import Gap
 from motord_hal.fieldbus.ports import DirectionKind, DirectionSpec, Echo
 
-DEMO = (Path(__file__).resolve().parents[2] / "config/robots/demo.toml").read_text("utf-8")
+ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
+DEMO = (ROBOTS / "demo.toml").read_text("utf-8")
+SERVOS = (ROBOTS / "two-bus-servos.toml").read_text("utf-8")
 SERIAL = 'kind = "modbus-rtu"\nport = "/dev/ttyUSB0"\nbaudrate = 115200\nengine = "auto"\n'
 GPIO = 'direction = "gpio"\ndirection_gpio_chip = "pinctrl"\ndirection_gpio_line = "RS485_DE"\n'
 
@@ -159,3 +161,25 @@ def test_a_line_is_sent_below_which_speed_a_wheel_rests(tmp_path):
     text = DEMO.replace("[safety]", "[safety]\nrest_velocity_rad_s = 0.125", 1)
     path.write_text(text, encoding="utf-8")
     assert spec_of(load_robot(path)).rest_velocity_rad_s == 0.125
+
+
+@pytest.fixture
+def servos(tmp_path):
+    def read(old, new):
+        assert old in SERVOS
+        path = tmp_path / "servos.toml"
+        path.write_text(SERVOS.replace(old, new), encoding="utf-8")
+        return load_robot(path)
+
+    return read
+
+
+def test_a_unit_that_speaks_to_all_servos_is_no_servo_s(servos):
+    with pytest.raises(ConfigError) as caught:
+        servos("unit = 9", "unit = 254")
+    rows = [f"{row.key}: {row.text}" for row in caught.value.problems]
+    assert any(row.startswith("joint.right.unit: 254 is no servo's: 0 to 252") for row in rows)
+
+
+def test_a_bus_takes_a_baud_rate_that_no_table_has(servos):
+    assert spec_of(servos("baudrate = 1000000", "baudrate = 4500000")).baudrate == 4_500_000
