@@ -204,7 +204,7 @@ def _covariance(
     bread = np.linalg.inv(jacobian.T @ jacobian)
     if not robust:
         worse = max(1.0, misfit) if math.isfinite(misfit) else 1.0
-        scaled: Array = bread * worse**2
+        scaled: Array = (bread * worse**2).astype(np.float64)
         return scaled
     meat = np.zeros_like(bread)
     for each in measures:
