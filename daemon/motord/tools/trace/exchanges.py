@@ -149,7 +149,7 @@ class Decoder:
                 if raw is None and not message.is_remote_frame:
                     continue
                 values = [f"{s.name} {s.to_si(raw[s.name]):g}" for s in signals] if raw else []
-                asked = "asks for " if message.is_remote_frame else ""
+                asked = "requests " if message.is_remote_frame else ""
                 return Words(name, f"{asked}{label} {', '.join(values)}".strip(), end)
         return Words("", f"{message.arbitration_id:X}", end)
 
