@@ -22,7 +22,12 @@ for module in pkgutil.walk_packages(motord.bus.__path__, "motord.bus."):
 ours = [name for name in sys.modules if name.startswith(("_motord", "motord_hal"))]
 print(json.dumps([loaded, ours]))
 """
-VALUES = ("motord_hal.base", "motord_hal.drives", "motord_hal.fieldbus.ports")
+VALUES = (
+    "motord_hal.base",
+    "motord_hal.drives",
+    "motord_hal.fieldbus.ports",
+    "motord_hal.fieldbus.trace",
+)
 
 
 def test_no_module_of_the_second_process_loads_a_device_or_the_core():
