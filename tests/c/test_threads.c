@@ -13,6 +13,7 @@
 #include <unistd.h>
 
 #include "check.h"
+#include "line_trace.h"
 #include "rt.h"
 
 enum { ROUNDS = 100000, LOOP_TICKS = 300, LOOP_RUNS = 2 };
@@ -105,6 +106,45 @@ static void *reads_the_histogram(void *unused)
         (void)sched_yield();
     }
     return NULL;
+}
+
+/* An entry is whole or refused, and the newest can always be read until it is overwritten. */
+static void *reads_the_trace(void *unused)
+{
+    (void)unused;
+    trace_entry entry;
+    uint64_t number = 0;
+    while (number < ROUNDS) {
+        number = line_trace_newest(0);
+        if (line_trace_read(0, number, &entry) == 1) {
+            CHECK(entry.stamp_ns == (int64_t)number && entry.bytes == 1 + number % TRACE_BYTES_MAX);
+            for (uint32_t i = 0; i < entry.bytes; i++) {
+                CHECK(entry.data[i] == (uint8_t)number);
+            }
+        }
+        (void)sched_yield();
+    }
+    return NULL;
+}
+
+static void *writes_the_trace(void *unused)
+{
+    (void)unused;
+    uint8_t data[TRACE_BYTES_MAX];
+    CHECK(line_trace_switch(0, 1) == 0);
+    for (uint64_t number = 1; number <= ROUNDS; number++) {
+        memset(data, (uint8_t)number, sizeof data);
+        trace_bytes(0, true, (int64_t)number, data, 1 + (uint32_t)(number % TRACE_BYTES_MAX));
+    }
+    return NULL;
+}
+
+static void entries_of_a_trace_are_whole_or_refused(void)
+{
+    pthread_t threads[] = {spawn(reads_the_trace, NULL), spawn(reads_the_trace, NULL), spawn(writes_the_trace, NULL)};
+    for (size_t i = 0; i < sizeof threads / sizeof *threads; i++) {
+        CHECK(pthread_join(threads[i], NULL) == 0);
+    }
 }
 
 static void values_cross_whole_and_in_order(void)
@@ -254,6 +294,7 @@ static void the_loop_runs_between_asyncio_and_a_line(void)
 
 int main(void)
 {
+    entries_of_a_trace_are_whole_or_refused();
     values_cross_whole_and_in_order();
     the_loop_runs_between_asyncio_and_a_line();
     return checks_report("threads");

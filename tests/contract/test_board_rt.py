@@ -103,3 +103,13 @@ async def test_feedback_reaches_the_core_while_the_event_loop_hangs(peer):
         await rig.ready()
         first = rig.loop.exchange.take_feedback(0).stamp_ns
         sleep_until(lambda: rig.loop.exchange.take_feedback(0).stamp_ns > first + 100_000_000)
+
+
+async def test_its_trace_keeps_frames_of_both_directions(peer):
+    async with running(frames_spec(peer)) as rig:
+        await rig.ready()
+        trace = rig.line.trace
+        trace.switch(on=True)
+        await until(lambda: {one.outward for one in trace.after(0)} == {True, False})
+        trace.switch(on=False)
+        assert all(entry.data for entry in trace.after(0))

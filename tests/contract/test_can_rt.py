@@ -11,6 +11,7 @@ from loop_side import PATIENT_S, running, until
 from scripted_odrive import CLOSED_LOOP, IDLE, Peer, living
 
 from motord_hal.base.errors import HalError
+from motord_hal.can.socket_frames import unpacked
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import DriveState, EventKind
 from motord_hal.realtime.exchange import Exchange, JointSetpoint, Setpoints
@@ -39,6 +40,20 @@ async def test_an_event_loop_that_hangs_does_not_keep_a_motor_turning(rig, bus):
     bus.received.clear()
     await lively(rig, bus, lambda: rig.states() == {DriveState.READY} and bus.velocities())
     assert set(bus.velocities()) == {0.0}
+
+
+async def test_its_trace_keeps_frames_of_both_directions_while_it_is_on(rig, bus):
+    trace = rig.line.trace
+    before = trace.newest
+    await arm(rig, bus)
+    assert trace.newest == before
+    trace.switch(on=True)
+    await lively(rig, bus, lambda: {one.outward for one in trace.after(before)} == {True, False})
+    trace.switch(on=False)
+    frames = [unpacked(entry.data, 0.0) for entry in trace.after(before)]
+    assert all(len(frame.data) <= 8 and not frame.is_fd for frame in frames)
+    numbers = [entry.number for entry in trace.after(before)]
+    assert numbers == list(range(before + 1, before + 1 + len(numbers)))
 
 
 async def test_a_core_that_takes_enabled_back_while_the_event_loop_hangs_takes_the_power(rig, bus):
