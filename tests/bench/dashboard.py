@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the dashboard costs, in this run: python tests/bench/dashboard.py [--seconds 20].
+"""What the dashboard costs, in this run: python tests/bench/dashboard.py [--heap-s 0].
 
 Bytes of the page; the robot's side with one viewer against none; the loop's lateness with fifty
 viewers against none, in turns; and in Chromium, where there is one, the first paint with a
-processor six times slower and the time from the release of the pad to a set-point of zero.
+processor six times slower and the time from each end of the dead-man to a requested speed of zero.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "daemon"), str(ROOT / "hal")]
 
 import aiohttp  # noqa: E402
 from tests.browser.dashboard import CHROMIUM_ARGUMENTS, press_pad  # noqa: E402
+from tests.browser.link_proxy import LinkProxy  # noqa: E402
 from tests.sim.daemon_stage import running, wait_until  # noqa: E402
 
 from motord.api.state_page import StatePage  # noqa: E402
@@ -123,35 +124,76 @@ def first_paint_ms(browser, port):
     return statistics.median(found)
 
 
-def release_to_zero_ms(browser, stage, port, times):
-    """From the pointer's release in the page to the first set-point of zero on the state page; the
-    ramp is part of it: wheels slow down by the limits."""
-    context = browser.new_context()
-    page = context.new_page()
-    page.goto(f"http://127.0.0.1:{port}/#drive")
-    page.wait_for_selector(".pad")
+HIDE = """() => {
+    Object.defineProperty(document, 'hidden', {value: true, configurable: true});
+    document.dispatchEvent(new Event('visibilitychange'));
+    delete document.hidden;
+}"""
+
+
+def hidden(page, _):
+    page.evaluate(HIDE)
+
+
+def released(page, _):
+    page.mouse.up()
+
+
+def cut(_, link):
+    link.cut = True
+
+
+def until_zero_ms(browser, stage, port, times, ending):
+    """From an ending of the dead-man to the first requested speed of zero on the state page. The
+    ramp that follows is the robot's limits."""
     found = []
-    with StatePage.open(stage.robot.status()["robot"]) as state:
+    with StatePage.open(stage.robot.status()["robot"]) as state, LinkProxy(port) as link:
+        page = browser.new_page()
+        page.goto(f"http://127.0.0.1:{link.port}/#drive")
+        page.wait_for_selector(".pad")
         while len(found) < times:
+            page.wait_for_selector(".chip.connected")
             if stage.state() in ("fault", "estop"):
                 stage.robot.reset()
             if stage.state() == "idle":
                 stage.robot.arm()
             press_pad(page)
-            end_s = time.monotonic() + 5.0
-            while state.read().setpoint_linear_m_s < 0.02 and time.monotonic() < end_s:
+            end_s = time.monotonic() + 3.0
+            while state.read().setpoint_linear_m_s < 0.1 and time.monotonic() < end_s:
                 time.sleep(0.001)
+            driven = state.read().wanted_linear_m_s != 0.0
             began_s = time.monotonic()
-            page.mouse.up()
+            ending(page, link)
             while state.read().wanted_linear_m_s != 0.0:
                 time.sleep(0.0005)
-            if time.monotonic() < end_s:
+            if driven:
                 found.append(1e3 * (time.monotonic() - began_s))
-    context.close()
-    return found
+            link.cut = False
+            page.mouse.up()
+        page.close()
+    return {
+        "p50": round(percentile(found, 0.5), 1), "p99": round(percentile(found, 0.99), 1),
+        "times": times,
+    }  # fmt: skip
 
 
-def in_chromium(stage, port, times):
+def heap_bytes(browser, port, seconds):
+    """JavaScript's heap after a collection, on the page of plots: when it has run for a minute,
+    which fills its buffers, and so long after that."""
+    page = browser.new_page()
+    page.goto(f"http://127.0.0.1:{port}/#plots")
+    session = page.context.new_cdp_session(page)
+    found = []
+    for pause_s in (60.0, seconds):
+        time.sleep(pause_s)
+        session.send("HeapProfiler.collectGarbage")
+        found.append(session.send("Runtime.getHeapUsage")["usedSize"])
+    page.close()
+    return {"after_60_s": found[0], f"after_{60 + seconds:g}_s": found[1],
+            "ratio": round(found[1] / found[0], 3)}  # fmt: skip
+
+
+def in_chromium(stage, port, times, heap_s):
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
     try:
         from playwright.sync_api import sync_playwright
@@ -163,19 +205,17 @@ def in_chromium(stage, port, times):
         browser = playwright.chromium.launch(
             executable_path=chromium, headless=True, args=list(CHROMIUM_ARGUMENTS)
         )
-        paint_ms = first_paint_ms(browser, port)
-        released_ms = release_to_zero_ms(browser, stage, port, times)
+        found = {"first_paint_ms": round(first_paint_ms(browser, port))}
+        for ending in (released, hidden, cut):
+            name = f"{ending.__name__}_to_zero_ms"
+            found[name] = until_zero_ms(browser, stage, port, times, ending)
+        if heap_s > 0:
+            found["heap_bytes"] = heap_bytes(browser, port, heap_s)
         browser.close()
-    return {
-        "first_paint_ms": round(paint_ms),
-        "release_to_zero_ms": {
-            "p50": round(percentile(released_ms, 0.5), 1),
-            "p99": round(percentile(released_ms, 0.99), 1), "times": times,
-        },
-    }  # fmt: skip
+    return found
 
 
-def measured(seconds, rounds, times):
+def measured(seconds, rounds, times, heap_s):
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -193,7 +233,7 @@ def measured(seconds, rounds, times):
             (lateness_us(stage, port, 0, seconds), lateness_us(stage, port, VIEWERS, seconds))
             for _ in range(rounds)
         ]
-        browser = in_chromium(stage, port, times)
+        browser = in_chromium(stage, port, times, heap_s)
     packed = {id(asset): len(asset.packed) for asset in assets().values()}
     ratio = [statistics.median(b[i] / a[i] for a, b in pairs) for i in (0, 1)]
     return {
@@ -209,5 +249,6 @@ if __name__ == "__main__":
     parser.add_argument("--seconds", type=float, default=15.0, help="of each measurement")
     parser.add_argument("--rounds", type=int, default=3, help="pairs of lateness")
     parser.add_argument("--times", type=int, default=100, help="releases of the pad")
-    options = parser.parse_args()
-    print(json.dumps(measured(options.seconds, options.rounds, options.times), indent=2))
+    parser.add_argument("--heap-s", type=float, default=3600.0, help="0: the heap is not measured")
+    options = vars(parser.parse_args())
+    print(json.dumps(measured(**options), indent=2))

@@ -115,10 +115,11 @@ class Dashboard:
 
     def restart(self):
         """As a service manager does after the daemon was killed."""
-        self._again = subprocess.Popen(
-            self.stage.daemon.args, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+        with self.stage.log.open("ab") as log:
+            self._again = subprocess.Popen(
+                self.stage.daemon.args, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                stderr=log,
+            )  # fmt: skip
         self.stage.daemon = self._again
         self.stage.robot = connected(self._again, self.stage.socket, self.stage.log)
         self.stage.wait_for("idle")
