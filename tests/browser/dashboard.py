@@ -111,6 +111,7 @@ class Dashboard:
     def end(self):
         """Of a daemon that `restart` has started."""
         if self._again is not None:
+            self.stage.robot.close()
             ended(self._again)
 
     def restart(self):
@@ -121,6 +122,7 @@ class Dashboard:
                 stderr=log,
             )  # fmt: skip
         self.stage.daemon = self._again
+        self.stage.robot.close()
         self.stage.robot = connected(self._again, self.stage.socket, self.stage.log)
         self.stage.wait_for("idle")
         wait_until(self.listens, "the dashboard listens")
