@@ -13,12 +13,25 @@ enum {
     BOARD_SETPOINTS_MAX = 8,
     BOARD_FIELDS_MAX = 72,
     BOARD_WRITES_MAX = 8,
-    BOARD_TEXT_MAX = 256, /* bytes of a line of text */
+    BOARD_TEXT_MAX = 256, /* bytes of a line of text that is sent, or of a template */
+    BOARD_LINE_MAX = 512, /* bytes of a line of text that is read */
     BOARD_PARTS_MAX = 26,
     BOARD_ORDERS_MAX = 16
 };
 
-typedef enum { BOARD_FRAMES = 0, BOARD_TEXT = 1 } board_dialect;
+typedef enum { BOARD_FRAMES = 0, BOARD_TEXT = 1, BOARD_HOVERBOARD = 2, BOARD_SABERTOOTH = 3 } board_dialect;
+
+enum {
+    HOVERBOARD_COMMAND_BYTES = 8,
+    HOVERBOARD_FEEDBACK_BYTES = 18,
+    HOVERBOARD_SETPOINT_BYTES = 4, /* payload: left, right, 16 bits with sign, low byte first */
+    HOVERBOARD_VALUE_BYTES = 14,   /* feedback payload: what stands between start word and check sum */
+    HOVERBOARD_SETPOINT_MAX = 1000,
+    SABERTOOTH_PACKET_BYTES = 4,
+    SABERTOOTH_SETPOINT_BYTES = 3, /* payload: serial time-out, motor 1, motor 2; motors with sign */
+    SABERTOOTH_UNIT_MIN = 128,
+    SABERTOOTH_UNIT_MAX = 135
+};
 
 /* A number in a payload. */
 typedef struct {
@@ -46,7 +59,13 @@ typedef struct {
     field_meaning meaning;
 } board_field;
 
-typedef enum { NUMBER_NONE = 0, NUMBER_INTEGER = 1, NUMBER_FIXED = 2, NUMBER_GENERAL = 3 } board_number_form;
+typedef enum {
+    NUMBER_NONE = 0,
+    NUMBER_INTEGER = 1,
+    NUMBER_FIXED = 2,
+    NUMBER_GENERAL = 3,
+    NUMBER_CONSTANT = 4 /* read, JSON: must be raw_per_number; it goes nowhere */
+} board_number_form;
 
 /* A piece of a template: so many bytes of it as they are, then a number. */
 typedef struct {
@@ -63,7 +82,7 @@ typedef struct {
 
 typedef struct {
     uint32_t part_count; /* 0: no such text */
-    uint32_t reserved;
+    uint32_t json;       /* read: 1: an object; a part's literal is the name of a member, in any order, others are skipped */
     board_part part[BOARD_PARTS_MAX];
     uint8_t literal[BOARD_TEXT_MAX]; /* of all parts, one after the other; white space fits any other */
 } board_text;
@@ -88,6 +107,8 @@ typedef struct {
     uint32_t field_count;
     uint32_t quick_stop_count;
     uint32_t disarm_count;
+    uint32_t mixed; /* HOVERBOARD: 1: the firmware mixes steer and speed; 0: left and right (TANK_STEERING) */
+    uint32_t unit;  /* SABERTOOTH: its address */
     uint32_t reserved;
     int64_t period_ns;           /* of the cycle: > 0 */
     int64_t gap_ns;              /* from a frame's beginning to the next one's, at least: a wire that carries one at a time */
@@ -190,6 +211,21 @@ uint32_t board_frame_build(uint32_t type, uint32_t sequence, uint32_t time_us, c
                            uint8_t *out);
 /* What stood between two zeros, into out[BOARD_FRAME_MAX]: head and payload; 0: no frame. */
 uint32_t board_frame_parse(const uint8_t *stuffed, uint32_t count, uint8_t *out);
+
+typedef struct {
+    uint32_t count;
+    uint32_t synced; /* 1: the newest byte that was taken ended a frame, or is part of one */
+    uint8_t bytes[HOVERBOARD_FEEDBACK_BYTES];
+} hoverboard_tail;
+
+typedef enum { HOVERBOARD_NOTHING = 0, HOVERBOARD_FEEDBACK = 1, HOVERBOARD_BAD = 2 } hoverboard_found;
+
+/* The command with the set-points of a payload, into out[HOVERBOARD_COMMAND_BYTES]; its bytes. */
+uint32_t board_hoverboard_build(const uint8_t *payload, uint32_t mixed, uint8_t *out);
+/* One more byte of the stream. hoverboard_found; FEEDBACK: values[HOVERBOARD_VALUE_BYTES]; BAD: bytes were dropped. */
+uint32_t board_hoverboard_take(hoverboard_tail *tail, uint8_t byte, uint8_t *values);
+/* The packets with the set-points of a payload, into out[3 * SABERTOOTH_PACKET_BYTES]; their bytes. */
+uint32_t board_sabertooth_build(uint32_t unit, const uint8_t *payload, uint8_t *out);
 
 /* The line of text with the set-points of a payload: bytes of out[BOARD_TEXT_MAX]; 0: it is too long. */
 uint32_t board_text_write(const board_table *table, const uint8_t *payload, uint8_t *out);

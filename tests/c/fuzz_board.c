@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * fuzz_board.c: a board's machine among bytes, requests and set-points that do what they like. Whatever comes: motion is
  * said only to a board that is armed and only while the core wants it, frames leave no faster than cycles and stops, and
- * the end comes. */
+ * the end comes. In each dialect. */
 #include "board_wire.h"
 #include "tape.h"
 
@@ -27,6 +27,12 @@ static bool judge(void *sink, const uint8_t *bytes, uint32_t count)
     w.sent_count++;
     memcpy(w.sent, bytes, count);
     w.sent_bytes = count;
+    if (w.table.dialect > BOARD_TEXT) {
+        static const uint8_t rest[] = {0xCD, 0xAB, 0, 0, 0, 0, 0xCD, 0xAB}, still[] = {128, 0, 0, 0, 128, 4, 0, 4};
+        bool saber = w.table.dialect == BOARD_SABERTOOTH;
+        CHECK(count == 8 && (may_move() || memcmp(bytes, saber ? still : rest, 8) == 0));
+        return true;
+    }
     if (w.table.dialect == BOARD_TEXT) {
         CHECK(count <= BOARD_TEXT_MAX && bytes[count - 1] == '\n');
         CHECK(may_move() || (count == 4 && memcmp(bytes, "0,0\n", 4) == 0));
@@ -54,12 +60,30 @@ static void say_something(void)
     board_machine_receive(&w.machine, frame, count, w.now_ns);
 }
 
+/* A frame of a hoverboard, as often as not with a good sum, or a part of one. */
+static void say_packet(void)
+{
+    uint8_t frame[HOVERBOARD_FEEDBACK_BYTES] = {0xCD, 0xAB};
+    for (uint32_t i = 2; i < 16; i++) {
+        frame[i] = next_byte() % 4 == 0 ? (uint8_t)(next_byte() % 2 == 0 ? 0xCD : 0xAB) : next_byte();
+    }
+    for (uint32_t i = 0; i < 16; i++) {
+        frame[16 + i % 2] ^= frame[i];
+    }
+    frame[16] ^= next_byte() % 4 == 0;
+    uint32_t from = next_byte() % 4 == 0 ? next_byte() % HOVERBOARD_FEEDBACK_BYTES : 0;
+    board_machine_receive(&w.machine, frame + from, HOVERBOARD_FEEDBACK_BYTES - from, w.now_ns);
+    CHECK(w.machine.packet.count < HOVERBOARD_FEEDBACK_BYTES);
+}
+
 static void say_bytes(void)
 {
-    static const char *const words[] = {"v ", "1", ".", "e", "-", "\n", ";", "999999999999999999999", "v 1.5\n", "+"};
+    static const char *const words[] = {
+        "v ", "1",  ".", "e", "-",      "\n", ";",       "999999999999999999999", "v 1.5\n", "+", "{\"T\":1,\"v\":2}\n", "{", "}",
+        "[",  "\"", ":", ",", "\"v\":", "\\", "\"T\":1,"};
     for (uint32_t i = next_byte() % 8; i > 0; i--) {
         uint8_t byte = next_byte();
-        const char *word = words[byte % 10];
+        const char *word = words[byte % 20];
         if (byte < 128) {
             board_machine_receive(&w.machine, &byte, 1, w.now_ns);
         } else {
@@ -87,8 +111,10 @@ static void requests(uint8_t choice)
     asked->mode = choice / 2 % 6;
     asked->arming_until_ns = (choice & 64) != 0 ? w.now_ns + 100 * MS : 0;
     if (choice >= 200) {
-        board_order one = {
-            .write = {.place = at(CONTROL, 1, 0), .raw = choice % 16}, .guarded = choice & 1, .stops = w.machine.stops};
+        bool packets = w.table.dialect > BOARD_TEXT; /* whose payload is set-points and nothing else */
+        board_order one = {.write = {.place = at(CONTROL, 1, 0), .raw = packets ? 0 : choice % 16},
+                           .guarded = choice & 1,
+                           .stops = w.machine.stops};
         (void)board_machine_order(&w.machine, &one);
     }
 }
@@ -100,7 +126,7 @@ static void look(void)
     uint32_t mode = w.machine.state.mode;
     judge_mode(mode_before, mode, &w.machine.control.request);
     mode_before = mode;
-    CHECK(w.machine.feedback_bytes <= BOARD_PAYLOAD_MAX && w.machine.tail.count <= BOARD_TEXT_MAX);
+    CHECK(w.machine.feedback_bytes <= BOARD_PAYLOAD_MAX && w.machine.tail.count <= BOARD_LINE_MAX);
 }
 
 /* The mode that was there before the step, too, after whatever was said. */
@@ -108,6 +134,8 @@ static void say(uint8_t choice)
 {
     if (w.table.dialect == BOARD_FRAMES && choice % 4 != 0) {
         say_something();
+    } else if (w.table.dialect == BOARD_HOVERBOARD && choice % 4 != 0) {
+        say_packet();
     } else {
         say_bytes();
     }
@@ -141,6 +169,53 @@ static board_table text(void)
     return table;
 }
 
+/* {"T":1,"v":velocity} */
+static board_table json(void)
+{
+    board_table table = text();
+    table.read = (board_text){.part_count = 2, .json = 1, .literal = "Tv"};
+    table.read.part[0] = (board_part){.literal_bytes = 1, .form = NUMBER_CONSTANT, .raw_per_number = 1.0};
+    table.read.part[1] = (board_part){.literal_bytes = 1, .form = NUMBER_FIXED, .place = at(0, 6, 1), .raw_per_number = 1e3};
+    return table;
+}
+
+static board_table packets(uint32_t dialect, uint32_t mixed)
+{
+    bool saber = dialect == BOARD_SABERTOOTH;
+    board_table table = {.dialect = dialect,
+                         .answers = !saber,
+                         .tries = 3,
+                         .mixed = mixed,
+                         .unit = 128,
+                         .payload_bytes = saber ? SABERTOOTH_SETPOINT_BYTES : HOVERBOARD_SETPOINT_BYTES,
+                         .feedback_bytes = saber ? 0 : HOVERBOARD_VALUE_BYTES,
+                         .period_ns = 20 * MS,
+                         .silence_ns = 150 * MS,
+                         .setpoint_timeout_ns = 100 * MS,
+                         .rest_velocity_rad_s = 0.1};
+    for (uint32_t j = 0; j < 2; j++) {
+        double most = saber ? 127.0 : 1000.0;
+        table.setpoint[table.setpoint_count++] =
+            (board_setpoint){.place = saber ? at(1 + j, 1, 1) : at(2 * j, 2, 1),
+                             .scale = {.joint = j, .raw_per_si = 10.0, .raw_min = -most, .raw_max = most}};
+        if (!saber) {
+            table.field[table.field_count++] = field_of(j, FIELD_VELOCITY, at(4 + 2 * j, 2, 1), 0.1);
+        }
+    }
+    return table;
+}
+
+static board_table some_table(uint8_t choice)
+{
+    switch (choice % 6) {
+    case 0:
+    case 1: return frames_table();
+    case 2: return choice < 128 ? text() : json();
+    case 3: return packets(BOARD_SABERTOOTH, 0);
+    default: return packets(BOARD_HOVERBOARD, choice % 2);
+    }
+}
+
 /* Where most of what matters begins. */
 static void begin_armed(void)
 {
@@ -155,8 +230,10 @@ static void begin_armed(void)
 static void once(const uint8_t *data, size_t size)
 {
     put_tape(data, size);
-    board_table table = next_byte() % 2 == 0 ? frames_table() : text();
-    table.imu = (board_imu){.used = next_byte() % 2, .axis = {2, 0, 1}, .backward = {0, 1, 0}, .rate_z = at(0, 6, 1)};
+    board_table table = some_table(next_byte());
+    uint32_t used = next_byte() % 2;
+    table.imu = (board_imu){
+        .used = used * (table.dialect <= BOARD_TEXT), .axis = {2, 0, 1}, .backward = {0, 1, 0}, .rate_z = at(0, 6, 1)};
     begin_with(table);
     w.machine.send = judge;
     mode_before = w.machine.state.mode;

@@ -34,7 +34,7 @@ static void the_numbers_of_a_board(void)
 {
     t = frames_table();
     CHECK(is_good());
-    BAD(t.dialect, BOARD_TEXT + 1, "dialect");
+    BAD(t.dialect, BOARD_SABERTOOTH + 1, "dialect");
     BAD(t.answers, 2, "answers");
     BAD(t.answers, 0, "field_count");
     BAD(t.tries, 0, "tries");

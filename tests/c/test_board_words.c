@@ -191,7 +191,7 @@ static void half_a_line_is_not_read_and_one_without_end_is_thrown_away(void)
 
 static void hear_padded(uint32_t line_bytes)
 {
-    char line[BOARD_TEXT_MAX + 8];
+    char line[BOARD_LINE_MAX + 8];
     memset(line, '0', sizeof line);
     line[0] = 'v', line[1] = ' ', line[line_bytes - 1] = '7', line[line_bytes] = 0;
     hear(line);
@@ -202,11 +202,11 @@ static void the_longest_line_is_read_and_one_with_a_byte_more_is_not(void)
 {
     begin_with(text_table(true));
     hear("\n");
-    hear_padded(BOARD_TEXT_MAX);
+    hear_padded(BOARD_LINE_MAX);
     CHECK(w.machine.received == 1 && w.machine.joint[0].feedback.velocity_rad_s == 7.0);
-    hear_padded(BOARD_TEXT_MAX + 1);
+    hear_padded(BOARD_LINE_MAX + 1);
     CHECK(w.machine.received == 1 && w.machine.bad_frames == 0);
-    hear_padded(BOARD_TEXT_MAX);
+    hear_padded(BOARD_LINE_MAX);
     CHECK(w.machine.received == 2);
 }
 

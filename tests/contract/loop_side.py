@@ -27,7 +27,7 @@ the product allows."""
 REPLY_S, UNRESPONSIVE_S = 0.2, 0.6
 """Of drives here, which share this process: a reply that is later is none, and a drive that was
 without feedback for so long is unresponsive."""
-BOARDS = ("mcu", "ascii")
+BOARDS = ("mcu", "ascii", "hoverboard", "sabertooth")
 
 
 async def until(condition: Callable[[], bool], what: str = "") -> None:

@@ -30,6 +30,9 @@ KINDS = {
     "mcu-frame": "mcu",
     "ascii": "ascii",
     "roboclaw": "roboclaw",
+    "hoverboard": "hoverboard",
+    "hoverboard-steer": "hoverboard",
+    "sabertooth": "sabertooth",
     "can": "can",
     "feetech": "feetech",
     "dynamixel": "dynamixel",
@@ -43,16 +46,26 @@ def can_reverse(profile):
     return setpoint.type.signed or channel.direction is not None
 
 
+def unit_of(profile):
+    """Of the first drive: 1, but for those whose addresses begin elsewhere."""
+    return profile.unit if profile.protocol == "sabertooth" else 1
+
+
+def reports(profile):
+    """Whether the drive sends anything."""
+    return any("r" in register.access for register in profile.registers.values())
+
+
 def joints_of(profile, gear_ratio=1.0):
     """A left and a right joint: on one drive where it has two channels, else on two units. The
     right motor faces the other way where it can."""
-    paired = len(profile.channels) > 1
+    paired, first = len(profile.channels) > 1, unit_of(profile)
     return tuple(
         JointSpec(
             index=index,
             name=name,
             profile=profile,
-            unit=1 if paired else index + 1,
+            unit=first if paired else first + index,
             channel=index + 1 if paired else 1,
             gear_ratio=gear_ratio,
             inverted=name == "right" and can_reverse(profile),
@@ -65,7 +78,7 @@ RT = " rt"
 """At the end of a drive's name: on the rt engine, of CAN on the bus that this can be on."""
 BOTH_ENGINES = ("can",)
 """Protocols that are tested on the asyncio engine, and on rt where the name ends so."""
-ON_RT = ("ddsm", "mcu-frame", "ascii", "roboclaw", "feetech", "dynamixel")
+ON_RT = tuple(protocol for protocol in KINDS if protocol not in ("modbus-rtu", "can"))
 
 
 def with_rt(names):
@@ -184,7 +197,7 @@ class Bench:
 
     @property
     def drive(self):
-        return self.line.drives[1]
+        return self.line.drives[unit_of(self.profile)]
 
     def wheel(self, name="left"):
         return self.rig.plant.wheels[name]

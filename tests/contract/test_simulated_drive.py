@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 from loop_side import running, until
-from sim_bench import GEAR, RT, can_reverse, folder_of, simulated, spec_of, with_rt
+from sim_bench import GEAR, RT, can_reverse, folder_of, reports, simulated, spec_of, with_rt
 from tests.shipped import NAMES, shipped_profile
 
 from motord_hal.fieldbus.ports import DriveState, EventKind
@@ -255,6 +255,7 @@ async def test_a_pulled_plug_lets_the_watchdog_bite_and_the_line_comes_back_disa
     assert feedback(rig, left).epoch != epoch  # it may have been switched off meanwhile
 
 
+@pytest.mark.parametrize("variant", profiles_that(reports), indirect=True)
 async def test_a_drive_that_reboots_comes_back_disarmed_with_a_new_epoch(rig, sim):
     await set_off(rig, sim)
     left = rig.line.spec.joints[0]
@@ -282,7 +283,7 @@ async def test_every_silent_interval_is_kept(rig, sim):
 
 
 def has_check_sums(profile):
-    return profile.protocol not in ("ascii", "can")
+    return profile.protocol not in ("ascii", "can") and reports(profile)
 
 
 CHECKED = one_of_each_protocol(profiles_that(has_check_sums))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a board's thread in C writes and reads is what the asyncio engine does, byte for byte."""
 
+import json
 import math
 import string
 
@@ -17,7 +18,8 @@ from motord_hal.fieldbus.ports import JointSpec, LineSpec, TextSpec, TextWheel
 from motord_hal.mcu.frames import FRAME_BYTES_MAX, Frame, FrameError, build, parse
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.rt_engine.boards import text as board_text
-from motord_hal.rt_engine.boards.table import board_table, layout_of
+from motord_hal.rt_engine.boards.layout import layout_of
+from motord_hal.rt_engine.boards.table import board_table
 
 PAYLOADS = st.binary(max_size=FRAME_BYTES_MAX - 10)
 WHEELS = {"left": TextWheel(side=-1, radius_m=0.1), "right": TextWheel(side=1, radius_m=0.08)}
@@ -234,6 +236,30 @@ def test_any_bytes_are_read_or_not_and_nothing_else_happens(line):
         c_read(text, line)
 
 
+OBJECT = Text('{{"T":1001,"L":{a},"v":{b}}}', ("a", "b"))
+MEMBERS = st.sampled_from(["T", "L", "v", "LL", "", "x y"])
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**40), 2**40) | st.just(1001)
+    | st.floats(-1e9, 1e9) | st.text(string.printable, max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(MEMBERS, inner, max_size=3),
+    max_leaves=6,
+)  # fmt: skip
+
+
+@given(st.dictionaries(MEMBERS, VALUES), st.sampled_from([None, (",", ":"), (" , ", "\t: ")]))
+@example({"v": 1205, "T": 1001, "o": {"L": [1, "}"]}, "L": 0.25}, None)
+@example({"T": 1001, "L": 0.25}, None)
+@example({"T": 1001, "L": "0.25", "v": 1}, None)
+def test_an_object_is_read_alike_by_both(members, separators):
+    same(OBJECT, json.dumps(members, separators=separators).encode())
+
+
+@given(st.text('{}[]":,\\ TLv0123456789.e-', max_size=60))
+def test_what_looks_like_an_object_is_read_or_not_and_nothing_else_happens(line):
+    found = c_read(OBJECT, line.encode())
+    assert found is None or all(abs(value) < 2**47 for value in found.values())
+
+
 # ----------------------------------------------------------------------------------------- tables
 def test_a_table_that_reaches_out_of_its_payload_is_refused():
     _, table = table_of(spec_of("{left:.2f},{right:.2f}\n"))
@@ -241,7 +267,7 @@ def test_a_table_that_reaches_out_of_its_payload_is_refused():
     assert lib.board_table_check(table, name) == ffi.NULL
     for path, value in (
         ("payload_bytes", 191), ("payload_bytes", 0), ("setpoint_count", 9), ("field_count", 73),
-        ("quick_stop_count", 9), ("period_ns", 0), ("silence_ns", 0), ("tries", 0), ("dialect", 2),
+        ("quick_stop_count", 9), ("period_ns", 0), ("silence_ns", 0), ("tries", 0), ("dialect", 4),
         ("disarm_count", 9), ("setpoint_timeout_ns", 0), ("watchdog_ns", -1),
         ("feedback_bytes", 191), ("answers", 1), ("rest_velocity_rad_s", 0.0),
         ("rest_velocity_rad_s", math.nan),

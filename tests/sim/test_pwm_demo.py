@@ -3,6 +3,7 @@
 pi5-bts7960` does; and what its wheels do when the daemon is killed."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -32,6 +33,51 @@ def test_a_robot_on_pins_drives_the_course_and_knows_where_it_is(tmp_path):
     assert result["engine"] == {"pins": "rt"}
     assert result["odometry"]["distance_m"] > 0.5
     assert result["safety"]["final_state"] == "idle"
+
+
+BY_GPIO = {
+    "l298n": ('ena = "pwm{0}", in1 = "GPIO{1}", in2 = "GPIO{2}"', "0.1"),
+    "tb6612fng": ('pwm = "pwm{0}", in1 = "GPIO{1}", in2 = "GPIO{2}", stby = "GPIO{3}"', "0.05"),
+    "cytron-mdd": ('pwm = "pwm{0}", dir = "GPIO{1}"', "0.03"),
+}
+"""Bridges whose direction GPIO lines select: their pins, and a dead band."""
+
+
+def blind_robot(drive):
+    """The base of pi4-encoders on another bridge, without encoders and gyro."""
+    text = (ROOT / "config/robots/pi4-encoders.toml").read_text(encoding="utf-8")
+    pins, dead_band = BY_GPIO[drive]
+    text = re.sub(r"\[(imu|joint\.\w+\.encoder)\]\n([^\[\n].*\n|\n)*", "", text)
+    left, right = (pins.format(*numbers) for numbers in ((0, 5, 6, 7), (1, 16, 26, 25)))
+    placed = iter((left, right))
+    text = re.sub(r"pins = \{.*\}", lambda _: f"pins = {{ {next(placed)} }}", text)
+    text = re.sub(r"duty_dead_band = .*", f"duty_dead_band = {dead_band}", text)
+    return text.replace('"tb6612fng"', f'"{drive}"') + PATIENT
+
+
+@pytest.mark.parametrize("drive", BY_GPIO)
+def test_a_bridge_with_its_direction_on_gpio_lines_drives_and_its_odometry_is_an_estimate(
+    tmp_path, drive
+):
+    path = tmp_path / "blind.toml"
+    path.write_text(blind_robot(drive), encoding="utf-8")
+    run = subprocess.run(
+        [sys.executable, "-m", "motord", "demo", "--json", "--seconds", "5", "--robot", path],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+        cwd=ROOT,
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+    result = json.loads(run.stdout)
+    assert result["ok"] is True
+    found = result["odometry"]
+    assert found["source"] == "set-points"
+    assert found["judged"] is False
+    assert found["distance_m"] > 0.5
+    off_mm = f"{1000 * found['position_error_m']:.0f} mm"
+    assert result["worth"].startswith("an estimate")
+    assert f"in this run it was {off_mm}" in result["worth"]
 
 
 @pytest.fixture

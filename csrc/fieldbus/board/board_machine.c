@@ -77,6 +77,18 @@ static bool take_line(board_machine *m, int64_t now_ns)
     return true;
 }
 
+static void take_packet_byte(board_machine *m, uint8_t byte, int64_t now_ns)
+{
+    uint32_t found = board_hoverboard_take(&m->packet, byte, m->feedback_payload);
+    m->bad_frames += found == HOVERBOARD_BAD;
+    if (found == HOVERBOARD_FEEDBACK) {
+        m->feedback_bytes = HOVERBOARD_VALUE_BYTES;
+        m->stamp_ns = m->knows_ns = now_ns;
+        m->received++;
+        board_received(m, now_ns);
+    }
+}
+
 static void take_piece(board_machine *m, int64_t now_ns)
 {
     bool text = m->table.dialect == BOARD_TEXT;
@@ -100,10 +112,10 @@ static bool ends(const board_machine *m, uint8_t byte)
 
 /* Of a line of text that does not end in time, nothing is read until the next one begins. A frame that fills its room is one
  * byte too long for any. */
-void board_machine_receive(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns)
+static void take_pieces(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns)
 {
     board_tail *tail = &m->tail;
-    uint32_t room = m->table.dialect == BOARD_TEXT ? BOARD_TEXT_MAX : BOARD_FRAME_MAX + 2;
+    uint32_t room = m->table.dialect == BOARD_TEXT ? BOARD_LINE_MAX : BOARD_FRAME_MAX + 2;
     for (uint32_t i = 0; i < count; i++) {
         if (ends(m, bytes[i])) {
             take_piece(m, now_ns);
@@ -114,6 +126,17 @@ void board_machine_receive(board_machine *m, const uint8_t *bytes, uint32_t coun
         } else {
             tail->whole = false;
         }
+    }
+}
+
+/* A Sabertooth sends nothing. */
+void board_machine_receive(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns)
+{
+    if (m->table.dialect <= BOARD_TEXT) {
+        take_pieces(m, bytes, count, now_ns);
+    }
+    for (uint32_t i = 0; m->table.dialect == BOARD_HOVERBOARD && i < count; i++) {
+        take_packet_byte(m, bytes[i], now_ns);
     }
 }
 
@@ -146,15 +169,25 @@ static void obey_order(board_machine *m, int64_t now_ns)
     m->order_written = true;
 }
 
+static uint32_t build(const board_machine *m, const uint8_t *payload, int64_t now_ns, uint8_t *out)
+{
+    const board_table *table = &m->table;
+    switch (table->dialect) {
+    case BOARD_TEXT: return board_text_write(table, payload, out);
+    case BOARD_HOVERBOARD: return board_hoverboard_build(payload, table->mixed, out);
+    case BOARD_SABERTOOTH: return board_sabertooth_build(table->unit, payload, out);
+    default:
+        return board_frame_build(BOARD_TYPE_SETPOINTS, m->next, (uint32_t)(now_ns / NS_PER_US), payload, table->payload_bytes,
+                                 out);
+    }
+}
+
 static void send_payload(board_machine *m, int64_t now_ns)
 {
     uint8_t payload[BOARD_PAYLOAD_MAX], out[BOARD_WIRE_MAX];
     bool motion = board_payload(m, payload);
     uint16_t sequence = m->next;
-    bool text = m->table.dialect == BOARD_TEXT;
-    uint32_t count = text ? board_text_write(&m->table, payload, out)
-                          : board_frame_build(BOARD_TYPE_SETPOINTS, sequence, (uint32_t)(now_ns / NS_PER_US), payload,
-                                              m->table.payload_bytes, out);
+    uint32_t count = build(m, payload, now_ns, out);
     if (count == 0 || !m->send(m->sink, out, count)) {
         m->no_room++;
         return;

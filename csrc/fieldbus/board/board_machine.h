@@ -5,6 +5,8 @@
  * board_table.c    is a table good?
  * board_frame.c    frames: stuffing, check sum, head
  * board_text.c     lines of text by templates
+ * board_json.c     lines of text that are JSON objects
+ * board_packets.c  packets of the hoverboard FOC firmware and of the Sabertooth
  * board_clock.c    the board's clock on ours
  * board_imu.c      what an inertial sensor on the board says
  * board_values.c   set-points into a payload, a payload into feedback
@@ -35,8 +37,13 @@ typedef struct {
 typedef struct {
     uint32_t count;
     bool whole; /* text: its beginning was received */
-    uint8_t bytes[BOARD_WIRE_MAX];
+    uint8_t bytes[BOARD_LINE_MAX];
 } board_tail;
+
+/* What of a line of text has not been read. */
+typedef struct {
+    const uint8_t *at, *end;
+} board_reader;
 
 typedef struct {
     board_table table;
@@ -45,6 +52,7 @@ typedef struct {
     uint64_t enabled_count; /* how often they have become enabled */
     board_joint joint[JOINTS_MAX];
     board_tail tail;
+    hoverboard_tail packet;
     board_clock clock;
     board_order order;
     bool has_order;
@@ -112,6 +120,17 @@ bool board_read(board_machine *m);
 void board_publish(board_machine *m);
 void board_forget(board_machine *m);
 bool board_at_rest(const board_machine *m);
+
+/* ------------------------------------------------------------------------ board_text.c */
+void board_skip_white(board_reader *r);
+bool board_take_one(board_reader *r, const char *of);
+bool board_take_number(board_reader *r, double *out);
+/* A number to its part's place; `end`: behind the last place so far. */
+void board_store(const board_part *part, double number, uint8_t *payload, uint32_t *end);
+
+/* ------------------------------------------------------------------------ board_json.c */
+/* As board_text_read, for a line that is a JSON object. */
+uint32_t board_json_read(const board_text *text, const uint8_t *line, uint32_t count, uint8_t *payload);
 
 /* ------------------------------------------------------------------------- board_imu.c */
 /* Whether a payload is as long as it says that its inertial sensor needs. */

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * board_table.c: is a board's table good? Nothing outside it is ever read or written because of what it says. */
 #include <math.h>
+#include <string.h>
 
 #include "board_machine.h"
 #include "finding.h"
@@ -78,15 +79,35 @@ static void check_read(finding *f, const board_text *text, uint32_t number, uint
     }
 }
 
+/* Names of members, none of which the reader would have to unescape. */
+static void check_json(finding *f, const board_text *text, uint32_t number, uint32_t literal, uint32_t bytes)
+{
+    const board_part *part = &text->part[number];
+    const uint8_t *name = text->literal + literal;
+    need(f, part->form != NUMBER_NONE, "part.form");
+    need(f,
+         part->literal_bytes > 0 && memchr(name, '"', part->literal_bytes) == NULL &&
+             memchr(name, '\\', part->literal_bytes) == NULL,
+         "part.literal_bytes");
+    need(f, isfinite(part->raw_per_number), "part.raw_per_number");
+    if (part->form != NUMBER_CONSTANT) {
+        check_place(f, &part->place, bytes);
+    }
+}
+
 static void check_text(finding *f, const board_table *table, const board_text *text)
 {
     uint32_t literal = 0;
     need(f, text->part_count <= BOARD_PARTS_MAX, "part_count");
+    need(f, text->json == 0 || (text->json == 1 && text == &table->read), "json");
     for (uint32_t i = 0; !f->bad && i < text->part_count; i++) {
         const board_part *part = &text->part[i];
-        need(f, part->form <= NUMBER_GENERAL && (part->form != NUMBER_NONE || i + 1 == text->part_count), "part.form");
+        uint32_t most = text->json != 0 ? NUMBER_CONSTANT : NUMBER_GENERAL;
+        need(f, part->form <= most && (part->form != NUMBER_NONE || i + 1 == text->part_count), "part.form");
         need(f, part->literal_bytes <= BOARD_TEXT_MAX && literal + part->literal_bytes <= BOARD_TEXT_MAX, "part.literal_bytes");
-        if (!f->bad && text == &table->read) {
+        if (!f->bad && text->json != 0) {
+            check_json(f, text, i, literal, table->feedback_bytes);
+        } else if (!f->bad && text == &table->read) {
             check_read(f, text, i, literal, table->feedback_bytes);
         } else if (!f->bad) {
             check_written(f, part, table);
@@ -97,7 +118,8 @@ static void check_text(finding *f, const board_table *table, const board_text *t
 
 static void check_counts(finding *f, const board_table *table)
 {
-    need(f, table->dialect <= BOARD_TEXT, "dialect");
+    need(f, table->dialect <= BOARD_SABERTOOTH, "dialect");
+    need(f, table->mixed <= 1, "mixed");
     need(f, table->answers <= 1, "answers");
     need(f, table->answers == 1 || table->field_count == 0, "field_count");
     need(f, table->tries >= 1, "tries");
@@ -125,10 +147,35 @@ static void check_writes(finding *f, const board_write *write, uint32_t count, u
 static void check_imu(finding *f, const board_table *table)
 {
     const board_imu *imu = &table->imu;
+    need(f, imu->used == 0 || table->dialect <= BOARD_TEXT, "imu.used");
     need(f, imu->axis[0] < 3 && imu->axis[1] < 3 && imu->axis[2] < 3, "imu.axis");
     if (table->dialect == BOARD_TEXT && imu->used != 0) {
         check_place(f, &imu->rate_z, table->feedback_bytes);
     }
+}
+
+/* As long as the packets have room for, and as they are read. */
+static void check_packets(finding *f, const board_table *table)
+{
+    if (table->dialect == BOARD_HOVERBOARD) {
+        need(f, table->payload_bytes == HOVERBOARD_SETPOINT_BYTES, "payload_bytes");
+        need(f, table->feedback_bytes == HOVERBOARD_VALUE_BYTES, "feedback_bytes");
+        need(f, table->answers == 1, "answers");
+    } else {
+        need(f, table->payload_bytes == SABERTOOTH_SETPOINT_BYTES, "payload_bytes");
+        need(f, table->unit >= SABERTOOTH_UNIT_MIN && table->unit <= SABERTOOTH_UNIT_MAX, "unit");
+        need(f, table->answers == 0, "answers");
+    }
+}
+
+static void check_texts(finding *f, const board_table *table)
+{
+    need(f, table->written.part_count >= 1, "written.part_count");
+    need(f, (table->read.part_count > 0) == (table->answers == 1), "read.part_count");
+    (void)snprintf(f->path, sizeof f->path, "written.");
+    check_text(f, table, &table->written);
+    (void)snprintf(f->path, sizeof f->path, "read.");
+    check_text(f, table, &table->read);
 }
 
 const char *board_table_check(const board_table *table, char *name)
@@ -147,12 +194,9 @@ const char *board_table_check(const board_table *table, char *name)
     }
     check_imu(&f, table);
     if (!f.bad && table->dialect == BOARD_TEXT) {
-        need(&f, table->written.part_count >= 1, "written.part_count");
-        need(&f, (table->read.part_count > 0) == (table->answers == 1), "read.part_count");
-        (void)snprintf(f.path, sizeof f.path, "written.");
-        check_text(&f, table, &table->written);
-        (void)snprintf(f.path, sizeof f.path, "read.");
-        check_text(&f, table, &table->read);
+        check_texts(&f, table);
+    } else if (!f.bad && table->dialect > BOARD_TEXT) {
+        check_packets(&f, table);
     } else if (!f.bad) {
         need(&f, table->answers == 1 && table->feedback_bytes >= 10,
              "feedback_bytes"); /* which set-points were received, and when */

@@ -65,28 +65,24 @@ uint32_t board_text_write(const board_table *table, const uint8_t *payload, uint
 }
 
 /* ----------------------------------------------------------------------------------------------------- reading */
-typedef struct {
-    const uint8_t *at, *end;
-} reader;
-
 static bool is_white(uint8_t byte)
 {
     return byte == ' ' || (byte >= '\t' && byte <= '\r');
 }
 
-static bool is_digit(const reader *r)
+static bool is_digit(const board_reader *r)
 {
     return r->at < r->end && *r->at >= '0' && *r->at <= '9';
 }
 
-static bool take_one(reader *r, const char *of)
+bool board_take_one(board_reader *r, const char *of)
 {
     bool found = r->at < r->end && *r->at != 0 && strchr(of, *r->at) != NULL;
     r->at += found;
     return found;
 }
 
-static void skip_white(reader *r)
+void board_skip_white(board_reader *r)
 {
     while (r->at < r->end && is_white(*r->at)) {
         r->at++;
@@ -94,7 +90,7 @@ static void skip_white(reader *r)
 }
 
 /* Digits onto a number; how many there were. */
-static int32_t take_digits(reader *r, double *number)
+static int32_t take_digits(board_reader *r, double *number)
 {
     int32_t count = 0;
     for (; is_digit(r); r->at++) {
@@ -105,15 +101,15 @@ static int32_t take_digits(reader *r, double *number)
 }
 
 /* An `e` that no digits follow is not the number's. */
-static int32_t take_exponent(reader *r)
+static int32_t take_exponent(board_reader *r)
 {
-    reader ahead = *r;
+    board_reader ahead = *r;
     double number = 0.0;
-    if (!take_one(&ahead, "eE")) {
+    if (!board_take_one(&ahead, "eE")) {
         return 0;
     }
     bool negative = ahead.at < ahead.end && *ahead.at == '-';
-    (void)take_one(&ahead, "+-");
+    (void)board_take_one(&ahead, "+-");
     if (take_digits(&ahead, &number) == 0) {
         return 0;
     }
@@ -122,13 +118,13 @@ static int32_t take_exponent(reader *r)
     return negative ? -exponent : exponent;
 }
 
-static bool take_number(reader *r, double *out)
+bool board_take_number(board_reader *r, double *out)
 {
     double number = 0.0;
     bool negative = r->at < r->end && *r->at == '-';
-    (void)take_one(r, "+-");
+    (void)board_take_one(r, "+-");
     int32_t before = take_digits(r, &number), after = 0;
-    if (take_one(r, ".")) {
+    if (board_take_one(r, ".")) {
         after = take_digits(r, &number);
     }
     if (before + after == 0) {
@@ -141,7 +137,7 @@ static bool take_number(reader *r, double *out)
 }
 
 /* White space fits any other; at both ends of the text it need not be there. */
-static bool take_literal(reader *r, const uint8_t *literal, uint32_t count, bool first, bool last)
+static bool take_literal(board_reader *r, const uint8_t *literal, uint32_t count, bool first, bool last)
 {
     uint32_t i = 0;
     while (i < count) {
@@ -160,17 +156,28 @@ static bool take_literal(reader *r, const uint8_t *literal, uint32_t count, bool
         if (!at_front && !(last && i == count) && (r->at == r->end || !is_white(*r->at))) {
             return false;
         }
-        skip_white(r);
+        board_skip_white(r);
     }
     return true;
 }
 
+void board_store(const board_part *part, double number, uint8_t *payload, uint32_t *end)
+{
+    double least = (double)board_raw_min(&part->place), most = (double)board_raw_max(&part->place);
+    uint32_t behind = part->place.byte + part->place.bytes;
+    board_put(payload, &part->place, (int64_t)nearbyint(fmin(fmax(number * part->raw_per_number, least), most)));
+    *end = behind > *end ? behind : *end;
+}
+
 uint32_t board_text_read(const board_text *text, const uint8_t *line, uint32_t count, uint8_t *payload)
 {
+    if (text->json != 0) {
+        return board_json_read(text, line, count, payload);
+    }
     const uint8_t *literal = text->literal;
-    reader r = {.at = line, .end = line + count};
+    board_reader r = {.at = line, .end = line + count};
     uint32_t end = 0;
-    skip_white(&r);
+    board_skip_white(&r);
     for (uint32_t i = 0; i < text->part_count; i++) {
         const board_part *part = &text->part[i];
         double number;
@@ -181,13 +188,11 @@ uint32_t board_text_read(const board_text *text, const uint8_t *line, uint32_t c
         if (part->form == NUMBER_NONE) {
             continue;
         }
-        if (!take_number(&r, &number)) {
+        if (!board_take_number(&r, &number)) {
             return 0;
         }
-        double least = (double)board_raw_min(&part->place), most = (double)board_raw_max(&part->place);
-        board_put(payload, &part->place, (int64_t)nearbyint(fmin(fmax(number * part->raw_per_number, least), most)));
-        end = part->place.byte + part->place.bytes > end ? part->place.byte + part->place.bytes : end;
+        board_store(part, number, payload, &end);
     }
-    skip_white(&r);
+    board_skip_white(&r);
     return r.at == r.end ? end : 0;
 }

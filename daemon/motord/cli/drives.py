@@ -104,13 +104,16 @@ def _summary(profile: DriveProfile) -> dict[str, Any]:
         "channels": len(profile.channels),
         "watchdog": asdict(profile.watchdog) if profile.watchdog else None,
         "watchdog_note": profile.watchdog_note,
+        "watchdog_fixed_s": profile.watchdog_fixed_s or None,
     }
 
 
 def _watchdog(profile: DriveProfile) -> str:
     dog = profile.watchdog
     if dog is None:
-        return f"no watchdog ({profile.watchdog_note})"
+        fixed_s = profile.watchdog_fixed_s
+        what = f"watchdog fixed at {fixed_s:g} s" if fixed_s else "no watchdog"
+        return f"{what} ({profile.watchdog_note})"
     return f"watchdog {dog.minimum_s:g} to {dog.maximum_s:g} s, {dog.action}"
 
 

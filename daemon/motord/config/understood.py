@@ -141,9 +141,11 @@ def _watchdogs(robot: Robot) -> list[Watchdog]:
         within_s, note = None, profile.watchdog_note
         if profile.watchdog is not None:
             within_s, note = robot.safety.drive_watchdog_s, profile.watchdog.action
+        elif profile.watchdog_fixed_s:
+            within_s = profile.watchdog_fixed_s
         elif all(robot.joint[name].drive_watchdog_s for name in joints):
             within_s = max(robot.joint[name].drive_watchdog_s or 0.0 for name in joints)
-            note = "set in the drive with its maker's tool"
+            note = "as the robot file has it"
         found.append(Watchdog(drive=drive, joints=joints, stops_within_s=within_s, note=note))
     return found
 

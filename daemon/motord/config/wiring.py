@@ -8,7 +8,7 @@ from dataclasses import replace
 from motord.config.sections.imu import LineImu
 from motord.config.sections.line import AnyLine, AsciiLine, CanLine, PwmLine, SerialLine
 from motord.config.sections.model import Joint, Robot
-from motord.config.sections.wheels import Profiles, rad_per_count
+from motord.config.sections.wheels import Profiles, counts_per_turn, rad_per_count
 from motord_hal.drives.profile import DriveProfile, Gap
 from motord_hal.fieldbus.ports import (
     BoardEncoder,
@@ -62,7 +62,7 @@ def _line_spec(robot: Robot, profiles: Profiles, index: int, name: str, line: An
     if isinstance(line, PwmLine):
         return _with_pins(spec, line, robot.loop.priority)
     if isinstance(line, AsciiLine):
-        return replace(spec, text=_text_spec(robot, line, joints))
+        return replace(spec, text=_text_spec(robot, profiles, line, joints))
     if isinstance(line, CanLine):
         priority = min(line.priority, max(robot.loop.priority - 1, 0))
         return replace(spec, priority=priority, cpu=line.cpu)
@@ -80,14 +80,23 @@ def _with_pins(spec: LineSpec, line: PwmLine, loop_priority: int) -> LineSpec:
     return replace(spec, pins=pins, priority=priority, cpu=line.cpu)
 
 
-def _text_spec(robot: Robot, line: AsciiLine, joints: tuple[JointSpec, ...]) -> TextSpec:
+def _text_spec(
+    robot: Robot, profiles: Profiles, line: AsciiLine, joints: tuple[JointSpec, ...]
+) -> TextSpec:
     def wheel(name: str) -> TextWheel:
         side = -1.0 if robot.joint[name].side == "left" else 1.0
-        return TextWheel(side=side, radius_m=robot.wheel_radius_m(name))
+        joint = robot.joint[name]
+        return TextWheel(
+            side=side,
+            radius_m=robot.wheel_radius_m(name),
+            counts_per_turn=counts_per_turn(joint, profiles[joint.drive]),
+        )
 
     return TextSpec(
         setpoints=line.template,
         feedback=line.feedback or "",
+        prefix=line.prefix,
+        feedback_scale=line.feedback_scale,
         scale=line.scale,
         wheels={joint.name: wheel(joint.name) for joint in joints},
         track_m=robot.base.effective_track_m,

@@ -92,7 +92,7 @@ class Result:
                 "source": self.source.value,
                 "judged": self.source is Source.COUNTERS,
             },
-            "worth": worth(self.source),
+            "worth": worth(self.source, self.score),
             "held_up_s": {
                 "drives": round(self.drives_held_up_s, 3),
                 "program": round(self.program_held_up_s, 3),

@@ -7,6 +7,8 @@ import enum
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from motord.tools.course import Score
+
 OVERRUNS_NORMAL_PERCENT = 2.0
 ERRORS_NORMAL_PERCENT = 2.0
 HELD_UP_MAX_S = 0.1
@@ -46,9 +48,15 @@ _WORTH = {
 }
 
 
-def worth(source: Source) -> str:
-    """How far this robot's odometry can be believed."""
-    return _WORTH[source]
+def worth(source: Source, score: Score) -> str:
+    """How far this robot's odometry can be believed; of an estimate also how far off it was."""
+    if source is Source.COUNTERS:
+        return _WORTH[source]
+    off = (
+        f"{1000.0 * score.position_error_m:.0f} mm and {score.heading_error_rad:.3f} rad off after "
+        f"{score.distance_m:.1f} m"
+    )
+    return f"{_WORTH[source]}; in this run it was {off}"
 
 
 def overrun_words(loop: Mapping[str, Any]) -> str:

@@ -3,24 +3,37 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+
 from motord_hal.ascii.text import Text
 from motord_hal.ascii.twist import ANGULAR, LINEAR
 from motord_hal.base.errors import ProfileError
-from motord_hal.fieldbus.ports import LineSpec, TextSpec
+from motord_hal.fieldbus.ports import JointSpec, LineSpec, TextSpec
 
 COUNT, VELOCITY, CURRENT, VOLTAGE = "_count", "_rad_s", "_current_a", "voltage_v"
+RIM_SPEED, RIM_DISTANCE = "_m_s", "_m"
+"""Of a wheel's rim: positive where the robot drives forward."""
 GYRO_Z = "gyro_z_rad_s"
 
 
 def setpoint_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
-    """What a template of set-points may name: all joints, or the twist."""
-    return (*joints, LINEAR, ANGULAR)
+    """What a template of set-points may name: all joints, their rims' speeds, or the twist."""
+    return (*joints, *rim_fields(joints), LINEAR, ANGULAR)
+
+
+def rim_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(name + RIM_SPEED for name in joints)
 
 
 def feedback_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
     """What a template of feedback may name."""
     return (
-        *(name + what for name in joints for what in (COUNT, VELOCITY, CURRENT)),
+        *(
+            name + what
+            for name in joints
+            for what in (COUNT, VELOCITY, CURRENT, RIM_SPEED, RIM_DISTANCE)
+        ),
         VOLTAGE,
         GYRO_Z,
     )
@@ -29,8 +42,32 @@ def feedback_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
 def check_setpoints(text: Text, joints: tuple[str, ...]) -> None:
     """Raises ValueError for a template that does not say everything."""
     sent = set(text.fields)
-    if sent not in (set(joints), {LINEAR, ANGULAR}):
-        raise ValueError(f"it must contain {', '.join(joints)}, or v and w, and nothing else")
+    if sent not in (set(joints), set(rim_fields(joints)), {LINEAR, ANGULAR}):
+        each = f"{', '.join(joints)}, or {', '.join(rim_fields(joints))}"
+        raise ValueError(f"it must contain {each}, or v and w, and nothing else")
+
+
+def check_feedback(text: Text, joints: tuple[str, ...], scaled: Iterable[str] = ()) -> None:
+    """`scaled`: the fields that have a scale. Raises ValueError for what is said twice, or has a
+    scale and is not said."""
+    for name in joints:
+        for pair in ((COUNT, RIM_DISTANCE), (VELOCITY, RIM_SPEED)):
+            if {name + what for what in pair} <= set(text.fields):
+                raise ValueError(f"{' and '.join(name + what for what in pair)} are the same value")
+    for name in scaled:
+        if name not in text.fields:
+            raise ValueError(f"feedback_scale: there is no {{{name}}} in it")
+
+
+def motor_rad_per_m(spec: TextSpec, joint: JointSpec) -> float:
+    """Angle of the motor's shaft for each metre that its wheel's rim goes forward."""
+    return (-1.0 if joint.inverted else 1.0) * joint.gear_ratio / spec.wheels[joint.name].radius_m
+
+
+def counts_per_m(spec: TextSpec, joint: JointSpec) -> float:
+    """Counts for each metre that its wheel's rim goes forward."""
+    turns_per_m = motor_rad_per_m(spec, joint) / (2.0 * math.pi)
+    return spec.wheels[joint.name].counts_per_turn * turns_per_m
 
 
 def texts_of(spec: LineSpec) -> tuple[TextSpec, Text, Text | None]:
@@ -42,6 +79,8 @@ def texts_of(spec: LineSpec) -> tuple[TextSpec, Text, Text | None]:
         sent = Text(spec.text.setpoints, setpoint_fields(names))
         check_setpoints(sent, names)
         received = Text(spec.text.feedback, feedback_fields(names)) if spec.text.feedback else None
+        if received is not None:
+            check_feedback(received, names, spec.text.feedback_scale)
     except ValueError as error:
         raise ProfileError(f"{spec.name}: {error}") from error
     return spec.text, sent, received
@@ -56,7 +95,9 @@ def why_not_possible(sent: Text, received: Text | None) -> str:
                 f'the format "{form}" of {{{name}}} has no letter d, f or g: write {{{name}:d}}, '
                 f"{{{name}:.3f}} or {{{name}:g}}"
             )
-    after = [literal for literal, _, _ in received.parts[1:]] if received else []
+    if received is None or received.members:
+        return ""
+    after = [literal for literal, _, _ in received.parts[1:]]
     joined = [literal for literal in after if literal[0] in "0123456789.eE"]
     if not joined:
         return ""
@@ -66,7 +107,8 @@ def why_not_possible(sent: Text, received: Text | None) -> str:
 def text_bytes(spec: LineSpec) -> int:
     """Of the longer of both lines of text, with numbers of a usual size."""
     _, sent, received = texts_of(spec)
-    size = len(sent.say(dict.fromkeys(sent.fields, -999.0)))
+    size = len(spec.text.prefix if spec.text else "")
+    size += len(sent.say(dict.fromkeys(sent.fields, -999.0)))
     if received is None:
         return size
     return max(size, len(received.say(dict.fromkeys(received.fields, -99999.0))))

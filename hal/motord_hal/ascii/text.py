@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Templates of lines of text: `{left:.2f},{right:.2f}\\n` says two numbers and reads them again."""
+"""Templates of lines of text: `{left:.2f},{right:.2f}\\n` says two numbers and reads them again.
+
+A template that is a JSON object, `{{"T":1,"L":{left:.3f}}}\\n` (braces of its own are doubled), is
+read as one: by the names of its members, in any order, and other members are skipped.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import string
@@ -10,6 +15,8 @@ from collections.abc import Collection, Mapping
 
 LINE_BYTES_MAX = 256
 DEFAULT_FORMAT = ".3f"
+_MARK = "\0"
+"""Before a field in a JSON object, where no text has it."""
 _FORMAT = re.compile(r"[+ ]?0?\d{0,2}(\.\d{1,2})?[dfg]?")
 _NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
 
@@ -22,15 +29,22 @@ class Text:
         self.fields: tuple[str, ...] = ()
         self._parts: list[tuple[str, str | None, str]] = []
         try:
+            before = ""
             for literal, name, spec, conversion in string.Formatter().parse(template):
+                before += literal
                 if name is not None:
                     _check_field(name, spec or "", conversion, known)
-                self._parts.append((literal, name, spec or DEFAULT_FORMAT))
+                    self._parts.append((before, name, spec or DEFAULT_FORMAT))
+                    before = ""
+            if before:
+                self._parts.append((before, None, DEFAULT_FORMAT))
         except ValueError as error:
             raise ValueError(str(error)) from None
         self.fields = tuple(name for _, name, _ in self._parts if name is not None)
         self._check()
         self._pattern = re.compile(self._regex())
+        self.members = self._members() if template.lstrip().startswith("{{") else {}
+        """Name → field or constant, of a JSON object; none: it is no such object."""
 
     def _check(self) -> None:
         if not self.fields:
@@ -43,6 +57,26 @@ class Text:
             raise ValueError("it must be ASCII")
         if len(self.say(dict.fromkeys(self.fields, -1e9))) > LINE_BYTES_MAX:
             raise ValueError(f"it makes lines of more than {LINE_BYTES_MAX} bytes")
+
+    def _members(self) -> dict[str, str | float]:
+        """Raises ValueError."""
+        marked = "".join(
+            literal + ("" if name is None else json.dumps(_MARK + name))
+            for literal, name, _ in self._parts
+        )
+        try:
+            found = json.loads(marked)
+        except ValueError as error:
+            raise ValueError(f"it begins as a JSON object and is none: {error}") from None
+        members: dict[str, str | float] = {}
+        for name, value in found.items():
+            is_field = isinstance(value, str) and value.startswith(_MARK)
+            if not is_field and (isinstance(value, bool) or not isinstance(value, int | float)):
+                raise ValueError(f'member "{name}" must be a number or a {{field}}')
+            if not name or set(name) & set('"\\'):
+                raise ValueError(f'member "{name}": a name has a character at least, and no escape')
+            members[name] = value.removeprefix(_MARK) if isinstance(value, str) else float(value)
+        return members
 
     def _regex(self) -> str:
         """Any white space matches any other; the ends do not matter."""
@@ -71,6 +105,8 @@ class Text:
 
     def read(self, line: bytes) -> dict[str, float] | None:
         """The numbers of a line; None: it is another one."""
+        if self.members:
+            return self._read_members(line)
         text = line.decode("ascii", errors="replace").strip()
         found = self._pattern.fullmatch(text)
         if found is None:
@@ -79,6 +115,24 @@ class Text:
         if not all(map(math.isfinite, numbers)):  # 1e999
             return None
         return dict(zip(self.fields, numbers, strict=True))
+
+    def _read_members(self, line: bytes) -> dict[str, float] | None:
+        try:
+            found = json.loads(line)
+        except ValueError:
+            return None
+        numbers = {}
+        for name, field in self.members.items():
+            value: object = found.get(name) if isinstance(found, dict) else None
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                return None
+            if not math.isfinite(value):
+                return None
+            if isinstance(field, str):
+                numbers[field] = float(value)
+            elif value != field:
+                return None
+        return numbers
 
 
 def _check_field(name: str, spec: str, conversion: str | None, known: Collection[str]) -> None:
@@ -95,6 +149,13 @@ class Lines:
     def __init__(self) -> None:
         self._tail = bytearray()
         self._whole = False
+
+    @classmethod
+    def whole(cls, data: bytes) -> list[bytes]:
+        """The lines of a text that begins with one."""
+        lines = cls()
+        lines.feed(b"\n")
+        return lines.feed(data + b"\n")
 
     def feed(self, data: bytes) -> list[bytes]:
         """The lines that these bytes complete, without their ends and without empty ones."""

@@ -330,6 +330,9 @@ class DriveProfile:
     watchdog: Watchdog | None
     watchdog_note: str
     """Why there is none, and what to do instead; empty where there is one."""
+    watchdog_fixed_s: float = 0.0
+    """The drive stops by itself after such a silence, and the time can neither be set nor read;
+    0: it does not."""
     faults: tuple[FaultBit, ...]
     bus_voltage: str | None
     can: CanTable | None = None

@@ -74,14 +74,16 @@ def watchdog_time_s(profile: DriveProfile, wanted_s: float) -> float:
 
 
 def configure_steps(profile: DriveProfile, watchdog_s: float) -> tuple[Step, ...]:
-    """The profile's own steps, then its watchdog; every level that they write is read back."""
+    """The profile's own steps, then its watchdog; every level that they write is read back, if
+    the drive reports it."""
     watchdog = profile.watchdog
     steps = (*profile.configure, *(read_back(step) for step in _unverified(profile)))
     if watchdog is None:
         return steps
     raw = profile.registers[watchdog.register].from_si(watchdog_time_s(profile, watchdog_s))
     write = Step(register=watchdog.register, value=raw)
-    return (*steps, write, read_back(write))
+    readable = "r" in profile.registers[watchdog.register].access
+    return (*steps, write, read_back(write)) if readable else (*steps, write)
 
 
 def read_back(write: Step) -> Step:

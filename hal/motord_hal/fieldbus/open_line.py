@@ -28,6 +28,8 @@ KINDS = MappingProxyType(
         ("feetech", "rt"): "motord_hal.rt_engine.rs485.line:RtLine",
         ("dynamixel", "rt"): "motord_hal.rt_engine.rs485.line:RtLine",
         ("ascii", "rt"): "motord_hal.rt_engine.boards.line:RtBoardLine",
+        ("hoverboard", "rt"): "motord_hal.rt_engine.boards.line:RtBoardLine",
+        ("sabertooth", "rt"): "motord_hal.rt_engine.boards.line:RtBoardLine",
     }
 )
 

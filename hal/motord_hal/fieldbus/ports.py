@@ -144,6 +144,8 @@ class TextWheel:
     side: float
     """-1 left, 1 right."""
     radius_m: float
+    counts_per_turn: int = 0
+    """Of the motor's shaft, into which a distance is converted; 0: there is no counter."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,6 +155,10 @@ class TextSpec:
     setpoints: str
     feedback: str = ""
     """Empty: the board sends nothing."""
+    prefix: str = ""
+    """Goes out as it is before the set-points, in every cycle."""
+    feedback_scale: Mapping[str, float] = field(default_factory=dict)
+    """Field → its number for 1 of the field's unit, where that is not 1."""
     scale: float = 1.0
     """The number of a joint is its set-point (motor rad/s, or duty of 1) times this."""
     wheels: Mapping[str, TextWheel]
@@ -202,7 +208,7 @@ class LineSpec:
     name: str
     kind: str
     """"modbus-rtu" and "ddsm" on a serial port; "modbus-tcp" and "rtu-over-tcp" through a
-    gateway; "can"; "mcu" and "ascii" for a board alone on a port."""
+    gateway; "can"; "mcu", "ascii", "hoverboard" and "sabertooth" for a board alone on a port."""
     port: str
     """A device file, "usb:SERIAL" for the adapter with that serial number, HOST:PORT, or of a CAN
     bus INTERFACE:CHANNEL."""

@@ -24,7 +24,8 @@ from motord_hal.modbus.timing import line_gap_s
 from motord_hal.servo.packets import KINDS as SERVO_KINDS
 from motord_hal.sim.axis import Axis
 from motord_hal.sim.boards.frame_talk import FrameTalk
-from motord_hal.sim.boards.line import SimulatedBoard
+from motord_hal.sim.boards.line import SimulatedBoard, Talk
+from motord_hal.sim.boards.packet_talk import HoverboardTalk, SabertoothTalk
 from motord_hal.sim.boards.text_talk import TextTalk
 from motord_hal.sim.can.cia402 import Cia402Drive, speaks_cia402
 from motord_hal.sim.fault_kinds import FaultError
@@ -193,24 +194,35 @@ class Rig:
                 if (name := _free_name(line, unit, number)) in self.plant.wheels
             }
             axes |= {j.channel: self._axis(j) for j in line.joints if j.unit == unit}
-            watchdog_s = 0.0 if profile.watchdog else self.spec.watchdog_s
-            drives[unit] = new_drive(profile, unit, axes, watchdog_s=watchdog_s)
+            drives[unit] = new_drive(profile, unit, axes, watchdog_s=self._watchdog_s(profile))
         if line.kind == "can":
             return self._make_can_line(line, drives)
         if line.kind == "pwm":
             return self._make_pins(line, drives, link_dir)
         port = self._make_port(line, link_dir)
-        if line.kind == "mcu":
-            profile, gyro = line.joints[0].profile, self._make_gyro(line)
-            talk = FrameTalk(profile, lambda: self.plant.time_s, gyro)
+        talk = self._make_talk(line)
+        if talk is not None:
             return SimulatedBoard(line, drives, self.script, port, talk)
-        if line.kind == "ascii":
-            return SimulatedBoard(
-                line, drives, self.script, port, TextTalk(line, self._make_gyro(line))
-            )
         if line.kind in SERVO_KINDS:
             return SimulatedServoLine(line, drives, self.script, port)
         return SimulatedLine(line, drives, self.script, port)
+
+    def _make_talk(self, line: LineSpec) -> Talk | None:
+        """What a board speaks; None: there is no board on this line."""
+        profile = line.joints[0].profile
+        if line.kind == "mcu":
+            return FrameTalk(profile, lambda: self.plant.time_s, self._make_gyro(line))
+        if line.kind == "ascii":
+            return TextTalk(line, self._make_gyro(line))
+        if line.kind == "hoverboard":
+            return HoverboardTalk(profile)
+        if line.kind == "sabertooth":
+            return SabertoothTalk(profile, line.joints[0].unit)
+        return None
+
+    def _watchdog_s(self, profile: DriveProfile) -> float:
+        """Of a drive whose profile has no watchdog that can be set."""
+        return 0.0 if profile.watchdog else self.spec.watchdog_s or profile.watchdog_fixed_s
 
     def _make_gyro(self, line: LineSpec) -> SimulatedGyro | None:
         return SimulatedGyro(self.plant, line.imu, self.spec.seed) if line.imu else None

@@ -63,6 +63,7 @@ def build(file: DriveFile, path: Path, problems: Problems) -> DriveProfile:
         enabled=_enabled(file.enabled) if file.enabled else None,
         watchdog=_watchdog(file.watchdog) if file.watchdog else None,
         watchdog_note=file.watchdog_note or "",
+        watchdog_fixed_s=file.watchdog_fixed_s or 0.0,
         faults=tuple(_fault(index, fault, problems) for index, fault in enumerate(file.faults)),
         bus_voltage=file.bus_voltage,
         bridge=bridge_of(file.bridge, problems) if file.bridge else None,

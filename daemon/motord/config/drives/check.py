@@ -29,11 +29,24 @@ _UNSEALED = 0xA0
 # of bus servos: an instruction is written as a register (motord_hal.servo.packets)
 _INSTRUCTIONS = 0xFF00
 _SERVOS = ("feetech", "dynamixel")
-_FRAMES = ("ddsm", "mcu-frame", "ascii", "pwm", "feetech", "dynamixel")
+_FRAMES = (
+    "ddsm",
+    "mcu-frame",
+    "ascii",
+    "hoverboard",
+    "hoverboard-steer",
+    "sabertooth",
+    "pwm",
+    *_SERVOS,
+)
 """Protocols in which an address is a place in a frame, or (ascii, pwm) just a number."""
 # bytes of a board's payloads that the line itself fills and reads (motord_hal.mcu.frames)
 _BOARD_OWN = {"w": frozenset({1, 4, 5}), "r": frozenset({1, *range(4, 10)})}
 _BOARD_BYTES = {"w": 6 + 6 * 8, "r": 16 + 10 * 8}
+_HOVERBOARD_BYTES = {"w": 4, "r": 14}
+"""Of the values in its packets (motord_hal.hoverboard.codec)."""
+_SABERTOOTH_TYPES = {0: "u8", 1: "i8", 2: "i8"}
+"""By address (motord_hal.sabertooth.codec)."""
 
 
 def check_profile(profile: DriveProfile, problems: Problems) -> None:
@@ -111,6 +124,10 @@ def _check_register(profile: DriveProfile, register: Register, problems: Problem
         _check_place(key, register, problems)
     elif profile.protocol == "mcu-frame":
         _check_board_place(key, register, problems)
+    elif profile.protocol.startswith("hoverboard"):
+        _check_packet_place(key, register, problems)
+    elif profile.protocol == "sabertooth":
+        _check_sabertooth_place(key, register, problems)
     elif profile.protocol in _SERVOS:
         _check_servo_register(key, register, problems)
     elif register.type.magnitude:
@@ -145,6 +162,26 @@ def _check_board_place(key: str, register: Register, problems: Problems) -> None
         if place & _BOARD_OWN[access] or max(place) >= _BOARD_BYTES[access]:
             problems.add(f"{key}.address", f"{register.address} is no place for a register")
             return
+
+
+def _check_packet_place(key: str, register: Register, problems: Problems) -> None:
+    """Two bytes behind the start word of the command, or of the feedback."""
+    if register.access not in ("r", "w"):
+        problems.add(f"{key}.access", 'a place is in the command ("w") or in the feedback ("r")')
+        return
+    if register.type.bits != 16:
+        problems.add(f"{key}.type", f"{register.type.value}: packets consist of words of 16 bits")
+    if register.address % 2 or register.address + 2 > _HOVERBOARD_BYTES[register.access]:
+        problems.add(f"{key}.address", f"{register.address} is no place for a register")
+
+
+def _check_sabertooth_place(key: str, register: Register, problems: Problems) -> None:
+    if register.access != "w":
+        problems.add(f"{key}.access", 'must be "w": a Sabertooth sends nothing')
+    if (kind := _SABERTOOTH_TYPES.get(register.address)) is None:
+        problems.add(f"{key}.address", f"{register.address} is no place for a register")
+    elif register.type.value != kind:
+        problems.add(f"{key}.type", f"{register.type.value}: must be {kind} at this address")
 
 
 def _check_mask(key: str, register: Register, problems: Problems) -> None:
@@ -327,13 +364,15 @@ def _check_watchdog(profile: DriveProfile, problems: Problems) -> None:
         problems.add("watchdog", "give either [watchdog] or watchdog_note (why there is none)")
     if watchdog is None:
         return
+    if profile.watchdog_fixed_s:
+        problems.add("watchdog_fixed_s", "is for a drive without [watchdog]")
     units = ("s", "ms")
     register = _reference(profile, "watchdog.register", watchdog.register, "w", units, problems)
     if watchdog.minimum_s > watchdog.maximum_s:
         problems.add("watchdog.minimum_s", "is above maximum_s")
     if register is None or register.scale == 0:
         return
-    if "r" not in register.access:
+    if "r" not in register.access and profile.protocol != "sabertooth":
         problems.add("watchdog.register", "must be readable: it is read back after it was written")
     for name, seconds in (("minimum_s", watchdog.minimum_s), ("maximum_s", watchdog.maximum_s)):
         raw = register.from_si(seconds)

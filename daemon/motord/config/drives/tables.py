@@ -31,7 +31,18 @@ from motord.config.drives.parts import (
 from motord.config.sections.section import Field, Section, number
 
 Protocol = Literal[
-    "modbus-rtu", "ddsm", "can", "mcu-frame", "ascii", "roboclaw", "pwm", "feetech", "dynamixel"
+    "modbus-rtu",
+    "ddsm",
+    "can",
+    "mcu-frame",
+    "ascii",
+    "roboclaw",
+    "hoverboard",
+    "hoverboard-steer",
+    "sabertooth",
+    "pwm",
+    "feetech",
+    "dynamixel",
 ]
 ChannelNumber = Annotated[str, StringConstraints(pattern=CHANNEL)]
 
@@ -270,6 +281,13 @@ class DriveFile(Section):
     """Where all this is from: manual, version, table."""
     bus_voltage: Text | None = None
     """Register of the supply voltage."""
+    watchdog_fixed_s: float | None = number(
+        "time of a communication watchdog that can neither be set nor read",
+        0.001,
+        3600.0,
+        "s",
+        None,
+    )
     watchdog_note: Text | None = None
     """Why there is no [watchdog], and what to do instead."""
     serial: SerialWire | None = None

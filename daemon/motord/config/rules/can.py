@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from motord.config.finding import Finding
-from motord.config.sections.line import CanLine
+from motord.config.sections.line import AsciiLine, CanLine
 from motord.config.sections.model import Robot
 from motord.config.sections.wheels import Profiles
 from motord.config.toml_lines import Path
@@ -120,17 +120,17 @@ def _counts(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """The watchdog that was set with the maker's tool. motord cannot read it, but it
-    counts on safety.drive_watchdog_s: for so long a wheel may go on when motord dies, and a drive
-    that got nothing for so long has stopped itself."""
+    """The watchdog that was set with the maker's tool, or by a text's prefix. motord cannot read
+    it, but it counts on safety.drive_watchdog_s: for so long a wheel may go on when motord dies,
+    and a drive that got nothing for so long has stopped itself."""
     wanted_s = robot.safety.drive_watchdog_s
     for name, joint in robot.joint.items():
         own_s, line = joint.drive_watchdog_s, robot.line[joint.line]
         if own_s is None:
             continue
         path: Path = ("joint", name, "drive_watchdog_s")
-        if not isinstance(line, CanLine):
-            yield Finding((path,), "is only for a drive on a CAN bus")
+        if not isinstance(line, CanLine | AsciiLine):
+            yield Finding((path,), "is only for a drive on a CAN bus, or a board that reads text")
         elif profiles[joint.drive].watchdog is not None:
             text = f'is not used: motord sets that of drive "{joint.drive}" itself'
             yield Finding((path,), f"{text}, to safety.drive_watchdog_s")

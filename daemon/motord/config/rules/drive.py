@@ -31,16 +31,18 @@ TRAVEL_PER_COUNT_USUAL_MM = (1e-5, 8.0)
 """From an encoder of 22 bits on a geared motor to the Hall sensors of a hub motor."""
 _ROUNDING = 1e-6  # a limit computed by hand from rpm may be off in the last digit
 _SPEAKS = {
-    "ddsm": "ddsm",
-    "can": "can",
-    "mcu": "mcu-frame",
-    "ascii": "ascii",
-    "roboclaw": "roboclaw",
-    "pwm": "pwm",
-    "feetech": "feetech",
-    "dynamixel": "dynamixel",
+    "ddsm": ("ddsm",),
+    "can": ("can",),
+    "mcu": ("mcu-frame",),
+    "ascii": ("ascii",),
+    "roboclaw": ("roboclaw",),
+    "hoverboard": ("hoverboard", "hoverboard-steer"),
+    "sabertooth": ("sabertooth",),
+    "pwm": ("pwm",),
+    "feetech": ("feetech",),
+    "dynamixel": ("dynamixel",),
 }
-"""The protocol of a line's kind; all others carry Modbus."""
+"""The protocols of a line's kind; all others carry Modbus."""
 
 
 def _one_joint_a_channel(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
@@ -64,7 +66,7 @@ def _one_joint_a_channel(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 def _protocol(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     for name, joint in robot.joint.items():
         kind, protocol = robot.line[joint.line].kind, profiles[joint.drive].protocol
-        if _SPEAKS.get(kind, "modbus-rtu") != protocol:
+        if protocol not in _SPEAKS.get(kind, ("modbus-rtu",)):
             text = f'drive "{joint.drive}" speaks {protocol}, its line {kind}'
             yield Finding((("joint", name, "drive"), ("line", joint.line, "kind")), text)
 
@@ -322,9 +324,23 @@ def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             continue  # reported for each of them, by another rule
         if watchdog is None:
             note = profiles[drive].watchdog_note
-            text = f'drive "{drive}" without a communication watchdog: {note}'
+            fixed_s = profiles[drive].watchdog_fixed_s
+            has = (
+                f"has a fixed communication watchdog of {fixed_s:g} s"
+                if fixed_s
+                else "without a communication watchdog"
+            )
+            text = f'drive "{drive}" {has}: {note}'
             yield Finding((at,), text, warning=True)
-        elif not watchdog.minimum_s <= wanted <= watchdog.maximum_s:
+            continue
+        if "r" not in profiles[drive].registers[watchdog.register].access:
+            text = (
+                f'drive "{drive}" cannot report its communication watchdog: motord writes it, and '
+                "does not see whether the drive has it; try it with the wheels off the ground: "
+                "pull the plug of the port while they turn"
+            )
+            yield Finding((at,), text, warning=True)
+        if not watchdog.minimum_s <= wanted <= watchdog.maximum_s:
             span = f"{watchdog.minimum_s:g} to {watchdog.maximum_s:g} s"
             yield Finding((path, at), f'{wanted:g} s is out of range for drive "{drive}" ({span})')
 

@@ -15,14 +15,18 @@ from motord.config.sections.line import (
     DynamixelLine,
     FeetechLine,
     GatewayLine,
+    HoverboardLine,
     McuLine,
     PortLine,
+    SabertoothLine,
     SerialLine,
 )
 from motord.config.sections.model import Robot
 from motord.config.toml_lines import Path
 from motord_hal.ascii.dialect import (
     COUNT,
+    RIM_DISTANCE,
+    check_feedback,
     check_setpoints,
     feedback_fields,
     setpoint_fields,
@@ -32,11 +36,15 @@ from motord_hal.ascii.text import Text
 from motord_hal.ascii.twist import ANGULAR, LINEAR
 from motord_hal.can.adapters import why_unfit
 from motord_hal.fieldbus.open_line import RT_CAN_INTERFACES
+from motord_hal.sabertooth.codec import UNITS as SABERTOOTH_UNITS
 
 SERVO_UNIT_MAX = 252
 """ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, packet ID; what every bus servo takes."""
 ON_RT_ONLY = (DdsmLine, DynamixelLine, FeetechLine, PortLine)
 """They always sit on a serial port of this machine."""
+WITHOUT_ADDRESS = (McuLine, AsciiLine, HoverboardLine)
+ALONE = (*WITHOUT_ADDRESS, SabertoothLine)
+"""One board a line."""
 
 
 def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
@@ -81,7 +89,11 @@ def _unit(robot: Robot) -> Iterator[Finding]:
     """A board is alone on its line; everything else is found by its address."""
     for name, joint in robot.joint.items():
         line = robot.line.get(joint.line)
-        if "unit" in joint.model_fields_set or isinstance(line, McuLine | AsciiLine | None):
+        if isinstance(line, SabertoothLine) and joint.unit not in SABERTOOTH_UNITS:
+            text = f"{joint.unit} is no address of a Sabertooth (128 to 135)"
+            yield Finding((("joint", name, "unit"), ("line", joint.line, "kind")), text)
+            continue
+        if "unit" in joint.model_fields_set or line is None or isinstance(line, WITHOUT_ADDRESS):
             continue
         text = "is missing: the address of its drive on this line"
         yield Finding((("joint", name, "unit"), ("joint", name, "line")), f"{text} (0 to 255)")
@@ -98,7 +110,7 @@ def _servo_unit(robot: Robot) -> Iterator[Finding]:
 
 def _one_board(robot: Robot) -> Iterator[Finding]:
     for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
-        alone = isinstance(robot.line.get(first.line), McuLine | AsciiLine)
+        alone = isinstance(robot.line.get(first.line), ALONE)
         if alone and first.line == second.line and first.unit != second.unit:
             text = f'line "{first.line}" has one board: joint {one} is on unit {first.unit}'
             kind: Path = ("line", first.line, "kind")
@@ -121,6 +133,8 @@ def _templates(robot: Robot) -> Iterator[Finding]:
             yield Finding(template, str(error))
         try:
             received = Text(line.feedback, feedback_fields(joints)) if line.feedback else None
+            if received is not None:
+                check_feedback(received, joints, line.feedback_scale)
         except ValueError as error:
             yield Finding((("line", name, "feedback"), ("line", name, "kind")), str(error))
             continue
@@ -150,9 +164,10 @@ def _counts(robot: Robot, joints: tuple[str, ...], received: tuple[str, ...]) ->
             ("joint", joint, "line"),
             ("line", line, "kind"),
         )
-        sent, given = joint + COUNT in received, robot.joint[joint].counts_per_turn
+        counts = {joint + COUNT, joint + RIM_DISTANCE} & set(received)
+        sent, given = bool(counts), robot.joint[joint].counts_per_turn
         if sent and not given:
-            yield Finding(at, "is missing: the board reports a count")
+            yield Finding(at, "is missing: the board reports a count, or a distance")
         elif not sent and given:
             text = f"is not used: the line's feedback has no {{{joint}{COUNT}}}"
             yield Finding(at, f"{text}; add it there, or leave this key out")

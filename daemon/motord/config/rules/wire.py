@@ -6,11 +6,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from motord_hal.ascii.dialect import text_bytes
 from motord_hal.base.errors import ProfileError
 from motord_hal.drives.profile import Gap
 from motord_hal.fieldbus.ports import JointSpec, LineSpec
-from motord_hal.mcu.frames import wire_bytes
 from motord_hal.mcu.pace import WIRE_SHARE_MAX
 from motord_hal.modbus.codec import Function, frame_time_s
 from motord_hal.modbus.plan import DrivePlan
@@ -24,7 +22,7 @@ _SERVO_BAUDRATES = {
     "feetech": (115200, 250_000, 500_000, 1_000_000),
     "dynamixel": (115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000),
 }
-_STREAMS = ("mcu", "ascii")
+_STREAMS = ("mcu", "ascii", "hoverboard", "sabertooth")
 """Kinds without anything acyclic, and without a gap between frames."""
 _WORTH_SAYING = 1.02
 
@@ -127,10 +125,10 @@ def _cycle_time_s(spec: LineSpec, joints: list[JointSpec]) -> float:
 
 
 def _stream_bytes(spec: LineSpec, joints: list[JointSpec]) -> int:
-    if spec.kind == "mcu":
-        return wire_bytes(max(joints[0].profile.channels), imu=spec.imu is not None)
+    from motord_hal.rt_engine.boards.layout import wire_bytes  # only robots with a board need it
+
     try:
-        return text_bytes(spec)
+        return wire_bytes(spec, joints[0].profile.channels)
     except ProfileError:
         return 1  # a wrong template, which another rule says
 

@@ -202,11 +202,18 @@ class AsciiLine(PortLine):
 
     kind: Literal["ascii"]
     template: str = Field(default="{left},{right}\n", min_length=1)
-    """Text of the set-points: a field for each joint, as {left:.2f} or {left:d}; or {v} and {w}
-    for the base's m/s and rad/s."""
+    """Text of the set-points: a field for each joint, as {left:.2f} or {left:d}; {left_m_s} and
+    the like for the speed of the wheel's rim; or {v} and {w} for the base's m/s and rad/s."""
+    prefix: str = Field(default="", max_length=200)
+    """Text that goes out as it is before the set-points of every cycle: what switches feedback or a
+    time-out of the board on, and is lost when it restarts."""
     feedback: str | None = None
     """Text of the board's feedback, as "{left_count},{right_count}" with fields JOINT_count,
-    JOINT_rad_s, JOINT_current_a and voltage_v; none: the board says nothing."""
+    JOINT_rad_s, JOINT_m_s, JOINT_m, JOINT_current_a and voltage_v; a JSON object is read by the
+    names of its members; none: the board says nothing."""
+    feedback_scale: dict[str, Annotated[float, Field(gt=0, le=1e9)]] = Field(default_factory=dict)
+    """Field of the feedback: its number for 1 of its unit, as voltage_v = 100 where 11.5 V are sent
+    as 1150."""
     scale: float = number(
         "a joint's number for a set-point of 1 (motor rad/s, or full duty): 255 for duties to 255",
         1e-6,
@@ -214,6 +221,19 @@ class AsciiLine(PortLine):
         "1",
         1.0,
     )
+
+
+class HoverboardLine(PortLine):
+    """A hoverboard's main board with the FOC firmware."""
+
+    kind: Literal["hoverboard"]
+
+
+class SabertoothLine(PortLine):
+    """A Sabertooth in packet serial mode."""
+
+    kind: Literal["sabertooth"]
+    baudrate: int = number("bits a second on the wire", 1200, 4_000_000, "1/s", 9600)
 
 
 class PwmLine(Section):
@@ -256,6 +276,8 @@ AnyLine = (
     | McuLine
     | AsciiLine
     | RoboclawLine
+    | HoverboardLine
+    | SabertoothLine
     | PwmLine
 )
 LineSection = Annotated[AnyLine, Field(discriminator="kind")]

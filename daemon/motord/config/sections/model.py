@@ -300,8 +300,8 @@ class Joint(Section):
         "exchanges a second with its drive; the line's where it is not given", 1, 1000, "Hz", None
     )
     drive_watchdog_s: float | None = number(
-        "on CAN: the watchdog that was set in its drive with the maker's tool, where motord cannot"
-        " set it; as safety.drive_watchdog_s",
+        "on CAN and of boards that read text: the watchdog that was set in its drive with the "
+        "maker's tool or by the prefix, where motord cannot set it; as safety.drive_watchdog_s",
         0.01,
         10,
         "s",

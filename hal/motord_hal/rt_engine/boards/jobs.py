@@ -12,7 +12,8 @@ from motord_hal.base.errors import DriveFault, HalError, NoReply
 from motord_hal.drives.profile import Step
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.realtime.board import BoardDriveReport, BoardThread
-from motord_hal.rt_engine.boards.table import Layout, write
+from motord_hal.rt_engine.boards.layout import Layout
+from motord_hal.rt_engine.boards.table import write
 from motord_hal.rt_engine.rs485.request_queue import Check, always
 
 SENT_WITHIN_S = 0.5

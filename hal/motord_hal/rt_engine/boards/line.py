@@ -6,12 +6,10 @@ from __future__ import annotations
 import os
 from collections import Counter
 
-from motord_hal.ascii.dialect import text_bytes
 from motord_hal.base.errors import NoReply, PortError, ProfileError
 from motord_hal.fieldbus.parameter import readable
 from motord_hal.fieldbus.ports import DriveState, LineSpec, LineStats, Listener, RoundTrips
 from motord_hal.fieldbus.units import joints_by_unit
-from motord_hal.mcu.frames import wire_bytes
 from motord_hal.mcu.pace import period_s, wire_limit_hz
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.realtime.board import BoardReport, BoardThread, check_table
@@ -20,12 +18,13 @@ from motord_hal.realtime.thread import cpu_mask
 from motord_hal.rt_engine.base import RtLineBase
 from motord_hal.rt_engine.boards.drive import BoardRtDrive
 from motord_hal.rt_engine.boards.jobs import BoardJobs
-from motord_hal.rt_engine.boards.table import board_table, layout_of
+from motord_hal.rt_engine.boards.layout import layout_of, wire_bytes
+from motord_hal.rt_engine.boards.table import board_table
 from motord_hal.serial.port import OpenPort, open_port
 
 
 class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
-    """ports.Line for `kind = "mcu"` and `kind = "ascii"`, engine "rt"."""
+    """ports.Line for the kinds "mcu", "ascii", "hoverboard" and "sabertooth", engine "rt"."""
 
     _thread: BoardThread
 
@@ -35,7 +34,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
             raise ProfileError(f"{spec.name}: one board a line: all its joints have the same unit")
         self._thread = BoardThread(spec.index, exchange)
         plan = DrivePlan(spec.joints, 0.0, lambda _: 0.0)
-        size_bytes = _wire_bytes(spec, plan)
+        size_bytes = wire_bytes(spec, plan.profile.channels)
         cycle_s = period_s(spec, size_bytes)
         layout = layout_of(spec, plan, cycle_s)
         self._wire_limit_hz = wire_limit_hz(spec, size_bytes)
@@ -130,14 +129,6 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         if raw is None:
             raise NoReply(f"{drive} has not reported its {register}")
         return found.to_si(raw)
-
-
-def _wire_bytes(spec: LineSpec, plan: DrivePlan) -> int:
-    return (
-        text_bytes(spec)
-        if spec.kind == "ascii"
-        else wire_bytes(max(plan.profile.channels), imu=spec.imu is not None)
-    )
 
 
 def _errors(report: BoardReport) -> Counter[str]:

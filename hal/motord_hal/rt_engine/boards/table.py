@@ -7,119 +7,21 @@ Signs, gears and units are those of `motord_hal.modbus.plan`; here they become o
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
 
-from motord_hal.ascii.dialect import COUNT, CURRENT, GYRO_Z, VELOCITY, VOLTAGE, texts_of
-from motord_hal.base.errors import ProfileError
 from motord_hal.drives.profile import DriveProfile, Register, Step
 from motord_hal.fieldbus.job import configure_steps, watchdog_time_s
 from motord_hal.fieldbus.ports import JointSpec, LineSpec
-from motord_hal.mcu.frames import FEEDBACK_HEAD_BYTES, setpoints_payload, size_bytes
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.realtime.table import FieldKind
-from motord_hal.rt_engine.boards import text as board_text
+from motord_hal.rt_engine.boards.layout import Layout, Plain, setpoint_of
 from motord_hal.rt_engine.decoding import harmless_words, setpoint_scale, sources_of
 from motord_hal.rt_engine.rs485.table import raw_limits, si_per_raw
 
-Plain = dict[str, Any]
-
 UNRESPONSIVE_ALLOWANCE_S = 0.12
 """On top of the feedback that may be lost: an adapter may be late."""
-_FRAMES, _TEXT = 0, 1
 _NS_PER_S = 1e9
 _U32 = 0xFFFF_FFFF
-
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """Where registers stand in what goes to the board, and in what it sends."""
-
-    sent: Mapping[str, Plain]
-    reported: Mapping[str, Plain]
-    dialect: Plain
-    """What the table needs of the protocol itself."""
-    rate_z: Plain | None = None
-    """Of an inertial sensor in a text; None: there is none."""
-
-    def raw(self, register: str, payload: bytes) -> int | None:
-        """Its value in a word of the board; None: it is not in it."""
-        place = self.reported.get(register)
-        if place is None or len(payload) < place["byte"] + place["bytes"]:
-            return None
-        data = payload[place["byte"] :][: place["bytes"]]
-        return int.from_bytes(data, "little", signed=bool(place["is_signed"]))
-
-
-def layout_of(spec: LineSpec, plan: DrivePlan, period_s: float) -> Layout:
-    """By the kind of the line. Raises ProfileError."""
-    protocol = {"mcu": "mcu-frame", "ascii": "ascii"}[spec.kind]
-    if plan.profile.protocol != protocol:
-        raise ProfileError(f"{spec.name}: {plan.profile.name} speaks {plan.profile.protocol}")
-    return _frames(plan, period_s) if spec.kind == "mcu" else _text(spec, plan)
-
-
-def _frames(plan: DrivePlan, period_s: float) -> Layout:
-    registers = plan.profile.registers.values()
-    payload = setpoints_payload(registers, {}, max(plan.profile.channels), period_s)
-    sent = {one.name: _place(one, one.address) for one in registers if "w" in one.access}
-    reported = {one.name: _place(one, one.address) for one in registers if "r" in one.access}
-    ends = [place["byte"] + place["bytes"] for place in reported.values()]
-    dialect = {
-        "dialect": _FRAMES,
-        "answers": 1,
-        "payload_bytes": len(payload),
-        "feedback_bytes": max(FEEDBACK_HEAD_BYTES, *ends),
-        "payload": list(payload),
-    }
-    return Layout(sent, reported, dialect)
-
-
-def _text(spec: LineSpec, plan: DrivePlan) -> Layout:
-    """Numbers stand in no order of the board's: one after the other."""
-    sent, end = {}, 0
-    for register in plan.profile.registers.values():
-        if "w" in register.access:
-            sent[register.name] = _place(register, end)
-            end += size_bytes(register)
-    dialect: Plain = {
-        "dialect": _TEXT,
-        "payload_bytes": end,
-        "written": board_text.written(spec, [_setpoint_of(plan, j) for j in plan.joints]),
-    }
-    _, _, received = texts_of(spec)
-    if received is None:
-        return Layout(sent, {}, dialect)
-    registers = _fields_of(plan)
-    reported = {
-        registers[field].name: board_text.place_of(number)
-        for number, field in enumerate(received.fields)
-        if field in registers
-    }
-    dialect |= {
-        "answers": 1,
-        "feedback_bytes": board_text.NUMBER_BYTES * len(received.fields),
-        "read": board_text.read(received, registers),
-    }
-    gyro = received.fields.index(GYRO_Z) if GYRO_Z in received.fields else None
-    return Layout(sent, reported, dialect, None if gyro is None else board_text.place_of(gyro))
-
-
-def _fields_of(plan: DrivePlan) -> dict[str, Register]:
-    """Field of a template of feedback → register."""
-    names = {VOLTAGE: plan.profile.bus_voltage}
-    for joint in plan.joints:
-        channel = plan.channel(joint)
-        names[joint.name + COUNT] = channel.position
-        names[joint.name + VELOCITY] = channel.velocity
-        names[joint.name + CURRENT] = channel.current
-    return {field: plan.profile.registers[name] for field, name in names.items() if name}
-
-
-def _place(register: Register, byte: int) -> Plain:
-    signed = int(register.type.signed)
-    return {"byte": byte, "bytes": size_bytes(register), "is_signed": signed}
 
 
 # ---------------------------------------------------------------------------------------- the table
@@ -136,7 +38,8 @@ def board_table(
         "quick_stop": writes(layout, profile.quick_stop),
         "disarm": writes(layout, profile.disarm),
     }
-    watchdog_s = watchdog_time_s(profile, spec.watchdog_s) if profile.watchdog else 0.0
+    own_s = profile.watchdog_fixed_s
+    watchdog_s = watchdog_time_s(profile, spec.watchdog_s) if profile.watchdog else own_s
     return {
         "tries": tries,
         "period_ns": round(period_s * _NS_PER_S),
@@ -173,13 +76,9 @@ def writes(layout: Layout, steps: Iterable[Step]) -> list[Plain]:
     return [write(layout, step.register, step.value) for step in steps if step.value is not None]
 
 
-def _setpoint_of(plan: DrivePlan, joint: JointSpec) -> tuple[JointSpec, Register]:
-    return joint, plan.profile.registers[plan.channel(joint).setpoint]
-
-
 def _setpoint(plan: DrivePlan, joint: JointSpec, layout: Layout) -> Plain:
     channel = plan.channel(joint)
-    _, register = _setpoint_of(plan, joint)
+    _, register = setpoint_of(plan, joint)
     return {
         "place": layout.sent[register.name],
         "scale": setpoint_scale(joint, channel, si_per_raw(register), raw_limits(register)),

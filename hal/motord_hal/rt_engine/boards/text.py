@@ -11,8 +11,13 @@ from typing import Any
 from motord_hal.ascii.dialect import (
     CURRENT,
     GYRO_Z,
+    RIM_DISTANCE,
+    RIM_SPEED,
     VELOCITY,
     VOLTAGE,
+    counts_per_m,
+    motor_rad_per_m,
+    rim_fields,
     texts_of,
     why_not_possible,
 )
@@ -29,7 +34,7 @@ Plain = dict[str, Any]
 NUMBER_BYTES = 6
 """Of a number that was read: with its sign more than any counter of 32 bits."""
 _FORMS = MappingProxyType({"d": 1, "f": 2, "g": 3})
-_NO_NUMBER = 0
+_NO_NUMBER, _CONSTANT = 0, 4
 _PRECISION = 6
 """Where a format gives none: that of printf and of Python."""
 _FORMAT = re.compile(
@@ -57,7 +62,8 @@ def written(spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]) -> 
             "number_per_raw": factors[name],
         }
 
-    return _pieces(sent, number)
+    assert spec.text is not None  # texts_of
+    return _pieces(sent, number, spec.text.prefix)
 
 
 def _factors(
@@ -66,6 +72,13 @@ def _factors(
     """Field → its number for one raw step of each set-point: all fields are sums of them."""
     text, sent, _ = texts_of(spec)
     steps = {joint.name: si_per_raw(register) for joint, register in setpoints}
+    if set(sent.fields) == set(rim_fields(tuple(steps))):
+        return {
+            joint.name + RIM_SPEED: [
+                steps[name] / motor_rad_per_m(text, joint) * (name == joint.name) for name in steps
+            ]
+            for joint, _ in setpoints
+        }
     if set(sent.fields) != {LINEAR, ANGULAR}:
         return {
             name: [step * text.scale * (name == one) for one, step in steps.items()]
@@ -84,25 +97,55 @@ def place_of(number: int) -> Plain:
     return {"byte": NUMBER_BYTES * number, "bytes": NUMBER_BYTES, "is_signed": 1}
 
 
-def read(received: Text, registers: Mapping[str, Register]) -> Plain:
-    """The text of the feedback; `registers`: what a field is, where it is one."""
+def read(
+    received: Text,
+    registers: Mapping[str, Register],
+    factors: Mapping[str, float] = MappingProxyType({}),
+) -> Plain:
+    """The text of the feedback; `registers`: what a field is, where it is one; `factors`: as of
+    `feedback_factors`."""
 
     def number(name: str, form: str) -> Plain:
         del form
-        scaled = name == VOLTAGE or name.endswith((VELOCITY, CURRENT))
+        scaled = name == VOLTAGE or name.endswith((VELOCITY, CURRENT, RIM_SPEED))
         factor = 1.0 / si_per_raw(registers[name]) if scaled and name in registers else 1.0
         factor = 1.0 / RATE_UNIT_RAD_S if name == GYRO_Z else factor
+        factor *= factors.get(name, 1.0)
         place = place_of(received.fields.index(name))
         return {"form": _FORMS["f"], "place": place, "raw_per_number": factor}
 
-    return _pieces(received, number)
+    return _members(received, number) if received.members else _pieces(received, number)
 
 
-def _pieces(text: Text, number: Callable[[str, str], Plain]) -> Plain:
+def feedback_factors(spec: LineSpec) -> dict[str, float]:
+    """Field → what 1 in the text is at its motor, of rims in rad/s and counts."""
+    text, _, received = texts_of(spec)
+    rims = {joint.name + RIM_SPEED: motor_rad_per_m(text, joint) for joint in spec.joints}
+    rims |= {joint.name + RIM_DISTANCE: counts_per_m(text, joint) for joint in spec.joints}
+    fields = received.fields if received else ()
+    return {name: rims.get(name, 1.0) / text.feedback_scale.get(name, 1.0) for name in fields}
+
+
+def _members(text: Text, number: Callable[[str, str], Plain]) -> Plain:
+    parts = [
+        {"literal_bytes": len(name)}
+        | (
+            number(member, "")
+            if isinstance(member, str)
+            else {"form": _CONSTANT, "raw_per_number": member}
+        )
+        for name, member in text.members.items()
+    ]
+    literal = "".join(text.members).encode("ascii")
+    return {"part_count": len(parts), "part": parts, "literal": list(literal), "json": 1}
+
+
+def _pieces(text: Text, number: Callable[[str, str], Plain], prefix: str = "") -> Plain:
+    pieces = [(prefix + text.parts[0][0], *text.parts[0][1:]), *text.parts[1:]]
     parts = [
         {"literal_bytes": len(literal), "form": _NO_NUMBER}
         | ({} if name is None else number(name, form))
-        for literal, name, form in text.parts
+        for literal, name, form in pieces
     ]
-    literal = "".join(literal for literal, _, _ in text.parts).encode("ascii")
+    literal = "".join(literal for literal, _, _ in pieces).encode("ascii")
     return {"part_count": len(parts), "part": parts, "literal": list(literal)}

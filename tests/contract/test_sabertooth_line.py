@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sabertooths in packet serial mode: motord's packets beside those of pysabertooth, which drives
+the simulated one, too."""
+
+import contextlib
+import os
+import tty
+from dataclasses import replace
+
+import pytest
+from loop_side import running, until
+from pysabertooth import Sabertooth
+from sim_bench import simulated
+
+from motord.config.drives.load import find_profile
+from motord_hal.fieldbus.halt import halt_line
+from motord_hal.fieldbus.ports import DriveState, JointSpec, LineSpec
+
+UNIT = 130
+TIMEOUT = bytes((UNIT, 14, 3, (UNIT + 14 + 3) & 127))
+"""0.3 s."""
+
+
+@pytest.fixture
+def port():
+    """Both ends of a pty: what is written to the second one is read from the first."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    yield master, os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
+
+
+def taken(master):
+    with contextlib.suppress(BlockingIOError):
+        return os.read(master, 65536)
+    return b""
+
+
+def spec_of(path, watchdog_s=0.3):
+    profile = find_profile("sabertooth")
+    joints = (
+        JointSpec(index=0, name="left", profile=profile, unit=UNIT, channel=1),
+        JointSpec(index=1, name="right", profile=profile, unit=UNIT, channel=2),
+    )
+    return LineSpec(
+        index=0, name="saber", kind="sabertooth", port=path, baudrate=9600, parity="none",
+        stop_bits=1, cycle_hz=50.0, gap_s=None, engine="auto", joints=joints,
+        watchdog_s=watchdog_s, priority=0,
+    )  # fmt: skip
+
+
+@contextlib.contextmanager
+def sabertooth(path, address):
+    """pysabertooth's; its __del__ would close the port whenever it likes."""
+    saber = Sabertooth(path, baudrate=9600, address=address)
+    try:
+        yield saber
+    finally:
+        saber.stop()
+        saber.close()
+        saber.stop = saber.close = lambda: None
+
+
+@pytest.mark.parametrize(("left", "right"), [(100, 100), (-100, 100), (0, -100), (100, 0), (0, 0)])
+async def test_packets_are_those_of_pysabertooth_behind_the_time_out(port, left, right):
+    master, path = port
+    with sabertooth(path, UNIT) as saber:
+        taken(master)
+        saber.driveBoth(left, right)
+        expected = TIMEOUT + taken(master)
+    taken(master)
+    seen = b""
+    async with running(spec_of(path)) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.duty = True, {0: left / 100, 1: right / 100}
+
+        def sent():
+            nonlocal seen
+            seen += taken(master)
+            return seen.endswith(2 * expected)
+
+        await until(sent, "the same packets")
+
+
+async def test_nothing_but_zeros_and_the_time_out_goes_out_before_arming_and_at_the_end(port):
+    master, path = port
+    zeros = bytes((UNIT, 0, 0, UNIT & 127, UNIT, 4, 0, (UNIT + 4) & 127))
+    seen = b""
+
+    def watch():
+        nonlocal seen
+        seen += taken(master)
+        return len(seen) > 300
+
+    async with running(spec_of(path)) as rig:
+        rig.loop.enabled, rig.loop.duty = True, {0: 1.0, 1: 1.0}
+        await rig.ready()
+        await until(watch)
+        assert seen.replace(TIMEOUT, b"").replace(zeros, b"") == b""
+        await rig.line.arm()
+        await until(lambda: watch() and b"\x82\x00\x7f" in seen, "full duty")
+        taken(master)
+        rig.loop.running = False
+        await until(lambda: rig.states() == {DriveState.READY}, "old set-points stop it")
+    seen = b""
+    watch()
+    assert seen.endswith(zeros)
+
+
+async def test_a_driver_that_a_dead_program_left_is_sent_zeros(port):
+    master, path = port
+    assert await halt_line(spec_of(path)) == []
+    seen = taken(master)
+    assert len(seen) > 80
+    assert set(seen) <= {UNIT, 0, 4, UNIT & 127, (UNIT + 4) & 127}
+
+
+async def test_pysabertooth_drives_the_simulated_driver_until_its_time_out(tmp_path):
+    profile = replace(find_profile("sabertooth"), baudrate=9600)
+    with simulated(profile, tmp_path) as sim, sabertooth(str(tmp_path / "bus"), 128) as saber:
+
+        def speeds():
+            return [joint.velocity_rad_s for joint in sim.truth().joints.values()]
+
+        def bites():
+            return sim.stats()["lines"]["bus"]["units"]["128"]["watchdog_bites"]
+
+        def turn():
+            saber.driveBoth(60, 60)  # the right motor faces the other way
+            left, right = speeds()
+            return left > 2.0 and right < -2.0
+
+        await until(turn, "both turn")
+        saber.stop()
+        await until(lambda: sim.truth().at_rest, "zero stops them")
+        assert bites() == 0
+        saber.sendCommand(14, 5)  # half a second
+        await until(turn, "both turn")
+        await until(lambda: sim.truth().at_rest, "silence stops them")
+        assert bites() == 1
+
+
+async def test_packets_for_another_address_or_with_a_wrong_sum_move_nothing(tmp_path):
+    with simulated(find_profile("sabertooth"), tmp_path) as sim:
+        with sabertooth(str(tmp_path / "bus"), 129) as other:
+            for _ in range(20):
+                other.driveBoth(100, 100)
+                other.saber.write(bytes((128, 0, 100, 0)))  # its sum is 100
+            frames = sim.stats()["lines"]["bus"]
+            await until(lambda: sim.stats()["lines"]["bus"]["bad_crc"] >= 20, "they have come")
+            assert frames["frames"] >= 0
+        assert sim.truth().moved_max_m_s == 0.0
