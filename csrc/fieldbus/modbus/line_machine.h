@@ -294,7 +294,7 @@ bool line_ends_patience(line_machine *m, int64_t now_ns);
 bool line_group_is_good(const line_table *table);
 /* The cycle's one request; false: there is nothing to send. */
 bool line_group_begin(line_machine *m, int64_t now_ns, line_frame *out);
-/* How long the replies to the one in progress are waited for. */
+/* How long the replies to the request in progress are waited for. */
 int64_t line_group_wait_ns(const line_machine *m);
 /* Bytes have come, or the time has. */
 void line_group_step(line_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns);
