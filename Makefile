@@ -9,7 +9,7 @@ MAKEFLAGS += --no-print-directory
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast check san bench soak fuzz mutants coverage wheel deb vm arm64 clean
+.PHONY: help demo test test-fast check san bench soak fuzz mutants coverage wheel deb vm arm64 walk clean
 
 help:
 	@echo "make demo      drive a simulated robot         make demo ARGS=\"--json --seconds 20\"" >&2
@@ -23,6 +23,7 @@ help:
 	@echo "make wheel     a wheel in dist/                make deb    a Debian package in dist/" >&2
 	@echo "make vm        real kernel drivers in QEMU     make vm ARGS=\"-k unplugged\" (root, Debian 12)" >&2
 	@echo "make arm64     unit, rt and C tests on aarch64 (root, Debian 12)" >&2
+	@echo "make walk      record docs/first-drive.md on simulated drives" >&2
 	@echo "make clean     all that make made" >&2
 
 # ------------------------------------------------------------------------------------------- environment
@@ -89,6 +90,9 @@ coverage: $(VENV)/built $(VENV)/test
 $(VENV)/bench: $(VENV)/made
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable '.[test,bench]' >&2
 	@touch $@
+
+walk: $(VENV)/built $(VENV)/test
+	@$(PYTHON) -m tests.walk
 
 bench: $(VENV)/built $(VENV)/bench
 	@$(PYTHON) tests/bench/run.py $(ARGS)

@@ -35,7 +35,9 @@ class Screen:
             data = os.read(self.master, 65536)
         except OSError:  # the other end is closed
             return False
-        self.text += data.decode(errors="replace").replace("\r\n", "\n")
+        # progress is one line that is written over: it is no text to wait for
+        text = data.decode(errors="replace").replace("\r\n", "\n")
+        self.text += re.sub(r"\r\x1b\[K[^\n\r]*", "", text)
         return bool(data)
 
     def wait(self, pattern):
@@ -49,6 +51,22 @@ class Screen:
 
     def type(self, text):
         os.write(self.master, text.encode())
+
+    def answers(self, replies):
+        """Whatever is asked next, until the end; `replies`: pattern of a question → its answer, or
+        what makes it. Returns the exit status."""
+        pattern = "|".join(f"(?:{one})" for one in replies)
+        while True:
+            end_s = time.monotonic() + DEADLINE_S
+            while not (found := re.search(pattern, self.text[self._seen :])):
+                assert time.monotonic() < end_s, f"no question within {DEADLINE_S} s\n{self.text}"
+                if not self._read(0.1):
+                    return self.process.wait(DEADLINE_S)
+            self._seen += found.end()
+            reply = next(
+                reply for one, reply in replies.items() if re.fullmatch(one, found[0], re.DOTALL)
+            )
+            self.type(f"{reply() if callable(reply) else reply}\n")
 
     def answer(self, pattern, text):
         found = self.wait(pattern)
@@ -88,11 +106,11 @@ def at_terminal(*words):
             os.close(master)
 
 
-def copied(folder, robot=ROBOT, **replaced):
-    """A robot file of one's own."""
+def copied(folder, robot=ROBOT, replaced=()):
+    """A robot file of one's own; `replaced`: pairs of texts."""
     place = Path(folder) / "cart.toml"
     text = robot.read_text(encoding="utf-8")
-    for old, new in replaced.items():
+    for old, new in replaced:
         assert old in text
         text = text.replace(old, new)
     place.write_text(text, encoding="utf-8")
@@ -100,10 +118,11 @@ def copied(folder, robot=ROBOT, **replaced):
 
 
 @contextlib.contextmanager
-def robot_of(folder, file, *settings, truth=(), faults=()):
-    """A daemon that runs by `file`, on drives and wheels that differ from it by `truth`: settings
-    of the simulator."""
+def robot_of(folder, file, *settings, truth=(), wheels=(), faults=()):
+    """A daemon that runs by `file`, on drives and wheels that differ from it by `truth`, settings
+    of the simulator, and by `wheels`, their physics."""
     options = [part for setting in truth for part in ("--set", setting)]
+    options += [part for setting in wheels for part in ("--wheel", setting)]
     with running(
         Path(folder), *SETTINGS, *settings, robot=file, sim_options=options, faults=faults
     ) as stage:

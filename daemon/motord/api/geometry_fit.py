@@ -90,17 +90,54 @@ class Fit:
 
 
 def end_pose(left_m: Array, right_m: Array, track_m: float, factors: Factors) -> Pose:
-    """Where the base ends: an exact arc between two samples, as csrc/core/odometry.c has it."""
-    left, right = np.diff(left_m) * factors.left, np.diff(right_m) * factors.right
-    forward, turn = (left + right) / 2.0, (right - left) / (track_m * factors.track)
-    middle = np.cumsum(turn) - turn / 2.0
-    chord = forward * np.sinc(turn / (2.0 * math.pi))
-    return Pose(
-        float(np.sum(chord * np.cos(middle))),
-        float(np.sum(chord * np.sin(middle))),
-        float(np.sum(turn)),
-        float(np.sum(forward)),
-    )
+    """Where the base ends that rolls so."""
+    stack = _Stack([Measure("", left_m, right_m, Pose(), Pose())], track_m)
+    return Pose(*stack.ends(factors)[0].tolist())
+
+
+class _Stack:
+    """All measures as arrays, a row each; shorter paths stand still at their end."""
+
+    def __init__(self, measures: Sequence[Measure], track_m: float) -> None:
+        longest = max(len(each.left_m) for each in measures) - 1
+        self._track_m = track_m
+        self._left, self._right = np.zeros((2, len(measures), longest))
+        for row, each in enumerate(measures):
+            self._left[row, : len(each.left_m) - 1] = np.diff(each.left_m)
+            self._right[row, : len(each.right_m) - 1] = np.diff(each.right_m)
+        self.found = np.array([each.found.values() for each in measures])
+        self.known = ~np.isnan(self.found)
+        deviations = np.array([each.deviation.values() for each in measures])
+        self._weights = np.where(self.known, 1.0 / deviations, 0.0)
+
+    def ends(self, factors: Factors) -> Array:
+        """Predicted poses: an exact arc between two samples, as csrc/core/odometry.c has it."""
+        left, right = self._left * factors.left, self._right * factors.right
+        forward, turn = (left + right) / 2.0, (right - left) / (self._track_m * factors.track)
+        middle = np.cumsum(turn, axis=1) - turn / 2.0
+        chord = forward * np.sinc(turn / (2.0 * math.pi))
+        parts = (chord * np.cos(middle), chord * np.sin(middle), turn, forward)
+        return np.stack([part.sum(axis=1) for part in parts], axis=1)
+
+    def off(self, factors: Factors) -> Array:
+        """Predicted minus measured, in deviations; 0 for what was not measured."""
+        difference = np.where(self.known, self.ends(factors) - self.found, 0.0)
+        weighted: Array = difference * self._weights
+        return weighted
+
+    def left_over(self, factors: Factors) -> tuple[Pose, ...]:
+        """Measured minus predicted, in metres and radians."""
+        return tuple(Pose(*row.tolist()) for row in self.found - self.ends(factors))
+
+    def slopes(self, at: Array, free: Sequence[Free]) -> Array:
+        """Of `off` by each unknown: measures × 4 × unknowns."""
+        columns = []
+        for place in range(len(free)):
+            step = np.zeros(len(free))
+            step[place] = _STEP
+            ahead, behind = (self.off(_factors(one, free)) for one in (at + step, at - step))
+            columns.append((ahead - behind) / (2.0 * _STEP))
+        return np.stack(columns, axis=2)
 
 
 def fit(
@@ -110,29 +147,31 @@ def fit(
     residuals of the measures scatter (clustered sandwich estimator: Liang & Zeger, Biometrika
     73(1), 1986), not from the deviations that were given; for logs with unknown slip. Raises
     BadData."""
-    start = np.zeros(len(free))
-    found = _solved(measures, track_m, free, start)
+    stack = _Stack(measures, track_m)
+    found = _solved(stack, free)
     factors = _factors(found, free)
-    if not all(FACTOR_MIN <= one <= FACTOR_MAX for one in (factors.left, factors.right)) or (
-        not FACTOR_MIN <= factors.track <= FACTOR_MAX
+    if not all(
+        FACTOR_MIN <= one <= FACTOR_MAX for one in (factors.left, factors.right, factors.track)
     ):
         raise BadData(
             f"the factors would be {factors.left:.3g} (left), {factors.right:.3g} (right) and "
             f"{factors.track:.3g} (track), too far from 1 for an error of measure: was each "
             "distance the one that was named, and are the radii of the file about right?"
         )
-    residuals = _residuals(measures, track_m, free, found)
-    left_over = residuals.size - len(free)
-    misfit = math.sqrt(float(residuals @ residuals) / left_over) if left_over > 0 else math.nan
+    off = stack.off(factors)
+    left_over = int(stack.known.sum()) - len(free)
+    misfit = math.sqrt(float(np.sum(off**2)) / left_over) if left_over > 0 else math.nan
+    residuals = stack.left_over(factors)
     if misfit > MISFIT_MAX and not robust:
-        worst = _poses(measures, track_m, factors)
-        raise BadData(f"the measures contradict each other: {_worst(measures, worst)}: {_CAUSES}")
-    covariance = _covariance(measures, track_m, free, found, misfit, robust=robust)
+        worst = int(np.argmax(np.max(np.abs(off), axis=1)))
+        what = f'"{measures[worst].name}" is off by {_words(residuals[worst])}'
+        raise BadData(f"the measures contradict each other: {what}: {_CAUSES}")
+    covariance = _covariance(stack, free, found, misfit, robust=robust)
     return Fit(
         factors=factors,
         deviations=_deviations(covariance, factors, free),
-        residuals=_poses(measures, track_m, factors),
-        residuals_before=_poses(measures, track_m, Factors()),
+        residuals=residuals,
+        residuals_before=stack.left_over(Factors()),
         misfit=misfit,
     )
 
@@ -140,16 +179,17 @@ def fit(
 _CAUSES = "a wheel has slipped, a number is wrong, or the robot was moved: repeat this run"
 
 
-def _solved(measures: Sequence[Measure], track_m: float, free: Sequence[Free], at: Array) -> Array:
+def _solved(stack: _Stack, free: Sequence[Free]) -> Array:
+    at = np.zeros(len(free))
     for _ in range(_ITERATIONS):
-        residuals = _residuals(measures, track_m, free, at)
-        if not np.all(np.isfinite(residuals)):
+        off = stack.off(_factors(at, free)).ravel()
+        if not np.all(np.isfinite(off)):
             raise BadData("a measure or a path is not a finite number")
-        jacobian = _jacobian(measures, track_m, free, at)
-        singular = np.linalg.svd(jacobian, compute_uv=False)
-        if len(singular) < len(free) or singular[-1] < _RANK * max(singular[0], 1e-12):
+        slopes = stack.slopes(at, free).reshape(off.size, len(free))
+        singular = np.linalg.svd(slopes, compute_uv=False)
+        if singular[-1] < _RANK * max(float(singular[0]), 1e-12):
             raise BadData(f"these runs do not determine {', '.join(free)}: add another kind of run")
-        step = np.linalg.lstsq(jacobian, -residuals, rcond=None)[0]
+        step = np.linalg.lstsq(slopes, -off, rcond=None)[0]
         at = at + step
         if not np.all(np.abs(at) < 1.0):
             raise BadData("no geometry explains these measures: " + _CAUSES)
@@ -168,54 +208,23 @@ def _factors(at: Array, free: Sequence[Free]) -> Factors:
     )
 
 
-def _residuals(
-    measures: Sequence[Measure], track_m: float, free: Sequence[Free], at: Array
-) -> Array:
-    """Predicted minus measured, each in its deviation; what was not measured is left out."""
-    return np.concatenate([_one(each, track_m, _factors(at, free)) for each in measures])
-
-
-def _one(measure: Measure, track_m: float, factors: Factors) -> Array:
-    predicted = end_pose(measure.left_m, measure.right_m, track_m, factors).values()
-    found = measure.found.values()
-    known = ~np.isnan(found)
-    off: Array = (predicted - found)[known] / measure.deviation.values()[known]
-    return off
-
-
-def _jacobian(
-    measures: Sequence[Measure], track_m: float, free: Sequence[Free], at: Array
-) -> Array:
-    columns = []
-    for place in range(len(free)):
-        step = np.zeros(len(free))
-        step[place] = _STEP
-        ahead = _residuals(measures, track_m, free, at + step)
-        behind = _residuals(measures, track_m, free, at - step)
-        columns.append((ahead - behind) / (2.0 * _STEP))
-    return np.stack(columns, axis=1)
-
-
 def _covariance(
-    measures: Sequence[Measure], track_m: float, free: Sequence[Free], at: Array, misfit: float,
-    *, robust: bool,
-) -> Array:  # fmt: skip
-    jacobian = _jacobian(measures, track_m, free, at)
-    bread = np.linalg.inv(jacobian.T @ jacobian)
+    stack: _Stack, free: Sequence[Free], at: Array, misfit: float, *, robust: bool
+) -> Array:
+    slopes, off = stack.slopes(at, free), stack.off(_factors(at, free))
+    bread = np.linalg.inv(np.einsum("nki,nkj->ij", slopes, slopes))
     if not robust:
         worse = max(1.0, misfit) if math.isfinite(misfit) else 1.0
-        scaled: Array = (bread * worse**2).astype(np.float64)
-        return scaled
-    meat = np.zeros_like(bread)
-    for each in measures:
-        rows = _jacobian([each], track_m, free, at)
-        pull = rows.T @ _one(each, track_m, _factors(at, free))
-        meat += np.outer(pull, pull)
-    count = len(measures)
-    if count <= len(free):
-        raise BadData("the log is too short: more than three metres of path are needed")
-    spread: Array = bread @ meat @ bread * (count / (count - len(free)))
-    return spread
+        return np.asarray(bread * worse**2, dtype=np.float64)
+    if len(off) <= len(free):
+        raise BadData("there are fewer windows than unknowns: a longer log is needed")
+    # each measure without its own pull on the result (the jackknife of CR3: Bell & McCaffrey,
+    # Survey Methodology 28(2), 2002), or few windows with much turning seem too exact
+    identity = np.eye(slopes.shape[1])
+    leverage = np.einsum("nki,ij,nlj->nkl", slopes, bread, slopes)
+    free_off = np.linalg.solve(identity - leverage, off[:, :, None])[:, :, 0]
+    pulls = np.einsum("nki,nk->ni", slopes, free_off)
+    return np.asarray(bread @ (pulls.T @ pulls) @ bread, dtype=np.float64)
 
 
 def _deviations(covariance: Array, factors: Factors, free: Sequence[Free]) -> Factors:
@@ -236,27 +245,7 @@ def _deviations(covariance: Array, factors: Factors, free: Sequence[Free]) -> Fa
     )
 
 
-def _poses(measures: Sequence[Measure], track_m: float, factors: Factors) -> tuple[Pose, ...]:
-    """Measured minus predicted."""
-    return tuple(
-        Pose(
-            *(
-                each.found.values() - end_pose(each.left_m, each.right_m, track_m, factors).values()
-            ).tolist()
-        )
-        for each in measures
-    )
-
-
-def _worst(measures: Sequence[Measure], residuals: Sequence[Pose]) -> str:
-    """The measure that is furthest off, in words."""
-
-    def badness(place: int) -> float:
-        off = residuals[place].values() / measures[place].deviation.values()
-        return float(np.nanmax(np.abs(off)))
-
-    place = max(range(len(measures)), key=badness)
-    off = residuals[place]
+def _words(off: Pose) -> str:
     parts = [
         f"{value:+.3f} {unit} {words}"
         for value, unit, words in (
@@ -267,4 +256,4 @@ def _worst(measures: Sequence[Measure], residuals: Sequence[Pose]) -> str:
         )
         if math.isfinite(value)
     ]
-    return f'"{measures[place].name}" is off by {", ".join(parts)}'
+    return ", ".join(parts)

@@ -21,6 +21,7 @@ INTERRUPTED = 130
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("motord.cli.demo:demo", "Drive a simulated robot over a test course."),
     "run": ("motord.cli.run:run", "Run the daemon in the foreground."),
+    "init": ("motord.cli.init:init", "Find the drives and write a robot file."),
     "check": ("motord.cli.check:check", "Check a robot file and list every problem."),
     "doctor": ("motord.cli.doctor:doctor", "Find what is wrong, and what mends it."),
     "simulate": ("motord.cli.simulate:simulate", "Simulate the drives of a robot."),
@@ -33,6 +34,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "turn": ("motord.cli.move:turn", "Turn by an angle in radians."),
     "teleop": ("motord.cli.teleop:teleop", "Drive with the keyboard or a gamepad."),
     "spin": ("motord.cli.spin:spin", "Turn one wheel at a time and check its wiring."),
+    "calibrate": (
+        "motord.cli.calibrate:calibrate",
+        "Measure radii, track and dead band; write the file.",
+    ),
     "stop": ("motord.cli.talk:stop", "Come to rest and stay armed."),
     "estop": ("motord.cli.talk:estop", "Emergency stop; latched until reset."),
     "stop-all": ("motord.cli.stop_all:stop_all", "Stop every drive after the daemon crashed."),

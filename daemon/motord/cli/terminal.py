@@ -10,6 +10,7 @@ import select
 import signal
 import sys
 import termios
+import time
 import tty
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -25,6 +26,7 @@ from motord.commission.robot_file_edit import EditError, RobotFileEdit
 from motord.config import ConfigError
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+PROGRESS_EVERY_S = 0.2
 ABORTED_TEXT = "aborted: nothing was written"
 
 
@@ -41,6 +43,7 @@ class Terminal:
         self._stopped = False
         self._before: dict[int, Any] = {}
         self._line_open = False
+        self._shown_s = 0.0
 
     def __enter__(self) -> Self:
         self._before = {number: signal.signal(number, self._signal) for number in SIGNALS}
@@ -59,7 +62,8 @@ class Terminal:
             click.echo(text, err=True)
 
     def progress(self, text: str) -> None:
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and time.monotonic() > self._shown_s + PROGRESS_EVERY_S:
+            self._shown_s = time.monotonic()
             with contextlib.suppress(OSError):
                 click.echo(f"\r\033[K{text}", nl=False, err=True)
             self._line_open = True
@@ -93,7 +97,7 @@ class Terminal:
                 return value
             self.show(f'"{text}" is no number of {low:g} to {high:g} {unit}')
 
-    def text(self, question: str, default: str = "") -> str:
+    def text(self, question: str, default: str) -> str:
         """A line; empty: the default."""
         return self._ask(f"{question} [{default}] " if default else f"{question} ") or default
 

@@ -32,6 +32,9 @@ class Person(Protocol):
     def choose(self, question: str, answers: Sequence[str]) -> str:
         """One of the answers."""
 
+    def text(self, question: str, default: str) -> str:
+        """A line of text; the default where the person gives none."""
+
     def number(self, question: str, unit: str, low: float, high: float) -> float:
         """A finite number of that unit within low..high."""
 

@@ -22,6 +22,8 @@ from motord.commission.person import Aborted, Failed, Person
 LOOK_EVERY_S = 0.02
 RESTS_WITHIN_S = 20.0
 """As the longest stop that a robot file may have."""
+BESIDE_MAX = 0.3
+"""Of the distance: how far from its goal a motion may rest."""
 ABORTED_TEXT = "aborted: the robot is at rest and disarmed, nothing was written"
 
 
@@ -78,7 +80,9 @@ class Session:
         raise AssertionError  # _looks has no end
 
     def carry_out(self, goal: Goal, watch: Callable[[Motion, Snapshot], object]) -> Moved:
-        """A distance or an angle by the odometry. Raises Aborted, Failed, ClientError."""
+        """A distance or an angle by the odometry; what counts is where it ends, so a rest beside
+        the goal is good enough. Raises Aborted, Failed, ClientError."""
+        stops = self.client.status().stops
         try:
             return self.client.carry_out(
                 goal, owner=self.owner, watch=watch, canceled=self.person.aborted
@@ -86,7 +90,14 @@ class Session:
         except MoveFailed as error:
             if self.person.aborted():
                 raise Aborted(ABORTED_TEXT) from error
-            raise Failed(str(error)) from error
+            newest, moved = self.newest(), error.moved
+            unharmed = newest.armed and newest.at_rest and not newest.faults
+            if moved is None or not unharmed or self.client.status().stops != stops:
+                raise Failed(str(error)) from error
+            done_u = moved.distance_m if goal.axis == "linear" else moved.angle_rad
+            if abs(done_u - goal.distance_u) > BESIDE_MAX * abs(goal.distance_u):
+                raise Failed(str(error)) from error
+            return moved
 
     def newest(self) -> Snapshot:
         """The state now. Raises Failed."""

@@ -4,19 +4,20 @@
 Nothing here moves the robot: it is watched while a person drives or pushes it from one mark to
 another. The true distance or angle is known beforehand; the odometry gives its own.
 
-A side rolls radius x angle, so true / measured is the radius' factor. The heading is the
-difference of the sides over the track, so measured / true is the track's (Borenstein & Feng,
-UMBmark, 1996: E_d and E_b).
+The factor is that of `motord.api.geometry_fit`, as in `motord calibrate`, with one measure and one
+unknown.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from dataclasses import dataclass
 from typing import Literal
 
 from motord.api.motion import End, Travel, problem
 from motord.api.snapshot import Snapshot
+from motord.base.extras import how_to_install
 
 Quantity = Literal["wheel_radius", "track"]
 REST_S = 2.0
@@ -25,10 +26,10 @@ DISTANCE_MIN_M, DISTANCE_MAX_M = 0.2, 100.0
 ANGLE_MIN_RAD, ANGLE_MAX_RAD = math.pi, 100.0 * math.tau
 TURN_MAX_RAD = 0.1
 """A path that turns by more is no straight line."""
-FACTOR_MIN, FACTOR_MAX = 0.8, 1.25
-"""A larger difference is no error of measurement: another distance was driven than was given."""
 TIMEOUT_S, TIMEOUT_MAX_S = 300.0, 3600.0
 _NS = 1e-9
+_TRACK_M = 2.0
+"""Any: the factor does not depend on it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,12 +77,15 @@ class Calibration:
         self._stale_s = stale_s
         self._start_ns = now_ns
         self._moved_ns = now_ns
+        self._distance_m, self._angle_rad = [0.0], [0.0]
 
     def step(self, snapshot: Snapshot, now_ns: int) -> Found | None:
         """None: it goes on."""
         why = problem(snapshot, now_ns, self._stale_s) or self.travel.add(snapshot)
         if why is not None:
             return Found(End.ABORTED, why=why)
+        self._distance_m.append(self.travel.distance_m)
+        self._angle_rad.append(self.travel.angle_rad)
         if not snapshot.at_rest:
             self._moved_ns = now_ns
         halfway = self._done_u() >= self._asked.true_u / 2.0
@@ -97,17 +101,27 @@ class Calibration:
         return abs(self.travel.distance_m if straight else self.travel.angle_rad)
 
     def _found(self) -> Found:
-        if self._asked.quantity == "wheel_radius":
-            if abs(self.travel.angle_rad) > TURN_MAX_RAD:
-                why = f"it turned by {self.travel.angle_rad:.2f} rad: the path must be straight"
-                return Found(End.ABORTED, why=why)
-            factor = self._asked.true_u / self._done_u()
-        else:
-            factor = self._done_u() / self._asked.true_u
-        if not FACTOR_MIN <= factor <= FACTOR_MAX:
-            why = (
-                f"a factor of {factor:.3g} is too large for an error of measure:"
-                " was it the distance that was given?"
-            )
+        if importlib.util.find_spec("numpy") is None:
+            why = f"numpy is not installed: {how_to_install('calibrate')}"
             return Found(End.ABORTED, why=why)
-        return Found(End.SUCCEEDED, factor)
+        import numpy as np
+
+        from motord.api.geometry_fit import BadData, Measure, Pose, fit
+
+        straight = self._asked.quantity == "wheel_radius"
+        if straight and abs(self.travel.angle_rad) > TURN_MAX_RAD:
+            why = f"it turned by {self.travel.angle_rad:.2f} rad: the path must be straight"
+            return Found(End.ABORTED, why=why)
+        true_u = math.copysign(
+            self._asked.true_u, self.travel.distance_m if straight else self.travel.angle_rad
+        )
+        pose = Pose(distance_m=true_u) if straight else Pose(heading_rad=true_u)
+        # of a base that is 2 m wide each side rolls its turn
+        rolled, turned = np.array(self._distance_m), np.array(self._angle_rad)
+        weight = Pose(1.0, 1.0, 1.0, 1.0)
+        asked = Measure(self._asked.quantity, rolled - turned, rolled + turned, pose, weight)
+        try:
+            found = fit([asked], _TRACK_M, ("scale",) if straight else ("track",)).factors
+        except BadData as error:
+            return Found(End.ABORTED, why=str(error))
+        return Found(End.SUCCEEDED, found.left if straight else found.track)

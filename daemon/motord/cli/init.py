@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord init`: from hardware to a robot file."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import click
+
+from motord.cli.common import POSITIVE, dry_run_option, json_option, print_json
+
+
+@click.command
+@click.argument("robot_file", metavar="ROBOT.toml", type=click.Path(path_type=Path))
+@click.option("--name", help="The robot's name. Default: that of the file.")
+@click.option(
+    "--at", "place", metavar="PLACE",
+    help="Serial port (a path or usb:SERIAL), CAN interface, or simulated.",
+)  # fmt: skip
+@click.option("--drive", help="Drive profile (motord drives).")
+@click.option("--base", type=click.Choice(["differential", "skid"]))
+@click.option("--wheel-radius-m", type=POSITIVE)
+@click.option("--track-m", type=POSITIVE)
+@click.option("--linear-m-s", type=POSITIVE, help="Top speed.")
+@click.option("--angular-rad-s", type=POSITIVE, help="Fastest turn.")
+@click.option("--gear-ratio", type=POSITIVE, help="Motor turns for a wheel turn.")
+@click.option("--counts-per-turn", type=click.IntRange(0, 1 << 30), help="Of a motor turn.")
+@click.option("--full-duty-rad-s", type=POSITIVE, help="A wheel's speed at full duty.")
+@click.option("--baudrate", type=click.IntRange(300, 4_000_000), help="Or bit rate of CAN.")
+@click.option("--parity", type=click.Choice(["none", "even", "odd"]))
+@click.option("--left", metavar="UNIT[.CHANNEL]", help="Drive of the left wheel.")
+@click.option("--right", metavar="UNIT[.CHANNEL]", help="Drive of the right wheel.")
+@click.option("--scan/--no-scan", default=True, help="Look for drives on a serial port.")
+@click.option("--scan-within-s", type=POSITIVE, default=60.0, show_default=True)
+@dry_run_option
+@json_option
+def init(robot_file: Path, dry_run: bool, as_json: bool, **options: Any) -> None:
+    """Find the drives, ask what cannot be found, and write a robot file with comments.
+
+    Every question has an option, so a script can answer them all. A scan of a serial port only
+    reads. The file is not written if it is there already or would not pass motord check.
+
+    \b
+    Example: motord init robot.toml
+             motord init robot.toml --at simulated --drive zlac8015d --base differential
+    """
+    from motord.cli.check_text import understood_rows
+    from motord.cli.terminal import Terminal, failing
+    from motord.commission.robot_file_edit import EditError, write_new
+    from motord.commission.robot_text import robot_text
+    from motord.commission.setup import Given, set_up, simulated_ports, unit_and_channel
+
+    with failing(), Terminal() as person:
+        if robot_file.exists():
+            raise EditError(f"{robot_file}: is there already: name another file")
+        for side in ("left", "right"):
+            if options[side] is not None:
+                options[side] = unit_and_channel(options[side])
+        answers = set_up(person, Given(**options), robot_file)
+        text, robot = robot_text(answers, robot_file)
+        if not dry_run:
+            write_new(robot_file, text.encode())
+    if as_json:
+        written = None if dry_run else str(robot_file)
+        print_json({"file": written, "robot": answers.name, "drive": answers.drive, "text": text})
+        return
+    if dry_run:
+        click.echo(text)
+        return
+    for warning in robot.warnings:
+        click.echo(str(warning.as_warning()))
+    click.echo(f"{robot_file}: written")
+    for row in understood_rows(robot):
+        click.echo(row)
+    name = shlex.quote(str(robot_file))
+    ports = shlex.quote(str(simulated_ports(robot_file)))
+    if answers.line.get("port", "").startswith(str(simulated_ports(robot_file))):
+        click.echo(f"Next, in another terminal: motord simulate {name} --link-dir {ports}")
+    click.echo(f"Next: motord run {name}, then motord spin --all, then motord calibrate all")

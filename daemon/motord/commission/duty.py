@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dead band and feed-forward of wheels whose drives take a duty: a line through measured speeds.
+
+duty = dead band + speed / full-duty speed · (1 − dead band), the inverse of which is wheel_duty in
+csrc/core/wheel.h; static friction is the dead band, and viscous friction with back-EMF the slope.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from motord.api.snapshot import Snapshot
+from motord.client import Client
+from motord.commission.person import Failed, Person
+from motord.commission.robot_file_edit import KeyPath
+from motord.commission.session import armed
+from motord.config import Robot
+from motord.config.sections.wheels import takes_duty, velocity_range_rad_s
+
+OWNER = "motord-calibrate"
+LEVELS = (0.15, 0.25, 0.35, 0.5, 0.65, 0.8)
+"""Of the speed at most."""
+HOLD_S, STEADY_S = 2.5, 0.8
+"""How long each level is held, and the end of it that is measured."""
+STANDS_RAD_S = 0.1
+POINTS_MIN = 4
+MISFIT_MAX = 0.05
+"""Root mean square of the residuals, of the greatest speed: more is no line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A steady state of a wheel."""
+
+    duty: float
+    velocity_rad_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DutyFit:
+    """One wheel."""
+
+    dead_band: float
+    dead_band_deviation: float
+    full_duty_rad_s: float
+    full_duty_deviation_rad_s: float
+    misfit_rad_s: float
+    points: tuple[Point, ...]
+
+
+def fit_duty(name: str, points: Sequence[Point]) -> DutyFit:
+    """Least squares of |speed| over |duty|, both directions as one. Raises Failed."""
+    moving = [each for each in points if abs(each.velocity_rad_s) > STANDS_RAD_S]
+    if len(moving) < POINTS_MIN:
+        raise Failed(
+            f"{name}: turned at {len(moving)} of {len(points)} levels, {POINTS_MIN} are needed: "
+            "allow more speed (--speed-m-s), or charge the battery"
+        )
+    if any(each.duty * each.velocity_rad_s < 0.0 for each in moving):
+        raise Failed(f"{name}: turned against its duty: motord spin first")
+    duty = np.abs([each.duty for each in moving])
+    speed = np.abs([each.velocity_rad_s for each in moving])
+    design = np.stack([duty, np.ones_like(duty)], axis=1)
+    (slope, offset), *_ = np.linalg.lstsq(design, speed, rcond=None)
+    residuals = speed - design @ np.array([slope, offset])
+    misfit = math.sqrt(float(residuals @ residuals) / (len(moving) - 2))
+    if slope <= 0.0 or misfit > MISFIT_MAX * float(np.max(speed)):
+        raise Failed(
+            f"{name}: its speeds are no line over the duty (off by {misfit:.2f} rad/s): a slope "
+            "of the floor, a slipping wheel, or a sagging battery: repeat on level ground"
+        )
+    dead_band = -offset / slope
+    if not 0.0 <= dead_band < 0.9:
+        raise Failed(f"{name}: the dead band would be {dead_band:.3f}: repeat on level ground")
+    covariance = np.linalg.inv(design.T @ design) * misfit**2
+    pull = np.array([offset / slope**2, -1.0 / slope])
+    return DutyFit(
+        dead_band=float(dead_band),
+        dead_band_deviation=math.sqrt(float(pull @ covariance @ pull)),
+        full_duty_rad_s=float(slope + offset),
+        full_duty_deviation_rad_s=math.sqrt(float(covariance.sum())),
+        misfit_rad_s=misfit,
+        points=tuple(moving),
+    )
+
+
+def duty_joints(robot: Robot) -> list[str]:
+    """Joints that can be calibrated so. Raises Failed where there is none."""
+    found = [
+        name
+        for name, joint in robot.joint.items()
+        if takes_duty(joint, robot.profiles[joint.drive])
+    ]
+    if not found:
+        drives = ", ".join(sorted({joint.drive for joint in robot.joint.values()}))
+        raise Failed(
+            f"{drives}: holds the wheel's speed by itself: it has no dead band and no feed-forward "
+            "that motord could set"
+        )
+    return found
+
+
+def drive_levels(
+    client: Client, person: Person, robot: Robot, speed_m_s: float
+) -> dict[str, DutyFit]:
+    """Short straight runs forward and back, at rising speeds. Raises Failed, Aborted."""
+    names, joints = duty_joints(robot), list(robot.joint)
+    profiles = robot.profiles
+    reverses = all(
+        velocity_range_rad_s(joint, profiles[joint.drive])[0] < 0.0
+        for joint in robot.joint.values()
+    )
+    if not person.confirm(_question(speed_m_s, reverses=reverses)):
+        raise Failed("nothing was driven")
+    points: dict[str, list[Point]] = {name: [] for name in names}
+    with armed(client, person, OWNER) as session:
+        for number, level in enumerate(LEVELS, 1):
+            for sign in (1.0, -1.0) if reverses else (1.0,):
+                person.progress(f"level {number} of {len(LEVELS)}; any key stops it")
+                held = session.hold(sign * level * speed_m_s, 0.0, HOLD_S)
+                if held.faults:
+                    raise Failed(
+                        f"the robot stopped by itself ({', '.join(held.faults)}): motord spin --all"
+                    )
+                for name in names:
+                    points[name].append(_steady(held.snapshots, joints.index(name)))
+    return {name: fit_duty(name, found) for name, found in points.items()}
+
+
+def _question(speed_m_s: float, *, reverses: bool) -> str:
+    steps_m = [speed_m_s * level * HOLD_S * 1.3 for level in LEVELS]
+    how = (
+        f"{len(LEVELS)} times forward and back by up to {steps_m[-1]:.1f} m"
+        if reverses
+        else f"forward by up to {sum(steps_m):.1f} m, with {len(LEVELS)} stops"
+    )
+    return (
+        f"The robot drives {how}, with at most {speed_m_s:g} m/s, on level ground. "
+        "Is the way clear?"
+    )
+
+
+def _steady(snapshots: Sequence[Snapshot], index: int) -> Point:
+    """The mean over the end of the time for which the duty was held."""
+    highest = max(abs(each.joints[index].duty) for each in snapshots)
+    if not highest > 0.0:
+        raise Failed("a wheel got no duty: the robot file or a limit keeps it at rest")
+    held = [each for each in snapshots if abs(each.joints[index].duty) > 0.999 * highest]
+    end_ns = held[-1].stamp_ns
+    window = [each for each in held if each.stamp_ns > end_ns - STEADY_S * 1e9]
+    duty = sum(each.joints[index].duty for each in window) / len(window)
+    first, last = window[0], window[-1]
+    elapsed_s = (last.stamp_ns - first.stamp_ns) * 1e-9
+    angle_rad = last.joints[index].position_rad - first.joints[index].position_rad
+    if elapsed_s > 0.5 * STEADY_S and math.isfinite(angle_rad):
+        return Point(duty, angle_rad / elapsed_s)  # a counter is more exact than a speed
+    velocities = [each.joints[index].velocity_rad_s for each in window]
+    if not all(map(math.isfinite, velocities)):
+        raise Failed("a wheel measures neither position nor velocity: it cannot be calibrated")
+    return Point(duty, sum(velocities) / len(velocities))
+
+
+def duty_changes(
+    robot: Robot, fits: Mapping[str, DutyFit], *, feed_forward: bool
+) -> dict[KeyPath, Any]:
+    """Keys of the robot file. The dead band alone keeps the speed at duty 1."""
+    found: dict[KeyPath, Any] = {}
+    for name, fit in fits.items():
+        found["joint", name, "duty_dead_band"] = round(fit.dead_band, 4)
+        if feed_forward or robot.joint[name].full_duty_rad_s is None:
+            found["joint", name, "full_duty_rad_s"] = round(fit.full_duty_rad_s, 3)
+    return found
+
+
+def duty_words(robot: Robot, fits: Mapping[str, DutyFit]) -> list[str]:
+    """Before and after."""
+    return [
+        f"{name}: dead band {robot.joint[name].duty_dead_band:.4f} → {fit.dead_band:.4f} "
+        f"± {fit.dead_band_deviation:.4f}, speed at duty 1 "
+        f"{robot.joint[name].full_duty_rad_s or math.nan:.2f} → {fit.full_duty_rad_s:.2f} "
+        f"± {fit.full_duty_deviation_rad_s:.2f} rad/s ({len(fit.points)} points, "
+        f"off by {fit.misfit_rad_s:.3f} rad/s)"
+        for name, fit in fits.items()
+    ]

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A fit of the geometry, as keys of the robot file and in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from motord.api.geometry_fit import Fit, Free, Measure, Pose
+from motord.commission.person import Failed
+from motord.commission.robot_file_edit import KeyPath
+from motord.config import Robot
+from motord.config.sections.model import SkidBase
+
+FREE_OF: Mapping[str, tuple[Free, ...]] = {
+    "straight": ("scale", "ratio"),
+    "rotate": ("track",),
+    "square": ("ratio", "track"),
+    "all": ("scale", "ratio", "track"),
+    "log": ("scale", "ratio", "track"),
+}
+"""What each kind of run determines."""
+_DIGITS = 6
+"""A micrometre."""
+
+
+def require_same(robot: Robot, described: Mapping[str, Any]) -> None:
+    """The file has to be the one that the daemon runs by. Raises Failed."""
+    ours = {name: robot.wheel_radius_m(name) for name in robot.joint}
+    theirs = described["wheel_radii_m"]
+    if ours != theirs or robot.base.effective_track_m != described["effective_track_m"]:
+        raise Failed(
+            f"{robot.path}: has other radii or another track than the running daemon: start the "
+            "daemon again with this file and without --set of these keys"
+        )
+
+
+def changes(robot: Robot, fit: Fit, free: Sequence[Free]) -> dict[KeyPath, Any]:
+    """The keys that the fit gives."""
+    found: dict[KeyPath, Any] = {}
+    factors = {"left": fit.factors.left, "right": fit.factors.right}
+    if "scale" in free or "ratio" in free:
+        radii = {
+            name: round(robot.wheel_radius_m(name) * factors[joint.side], _DIGITS)
+            for name, joint in robot.joint.items()
+        }
+        found["base", "wheel_radius_m"] = round(sum(radii.values()) / len(radii), _DIGITS)
+        for name, radius_m in radii.items():
+            found["joint", name, "wheel_radius_m"] = radius_m
+    if "track" in free:
+        base = robot.base
+        slip = base.track_slip_factor * fit.factors.track if isinstance(base, SkidBase) else 0.0
+        if slip >= 1.0:
+            found["base", "track_slip_factor"] = round(slip, _DIGITS)
+        else:
+            found["base", "track_m"] = round(base.track_m * fit.factors.track, _DIGITS)
+    return found
+
+
+def words(robot: Robot, fit: Fit, measures: Sequence[Measure]) -> Iterator[str]:
+    """Before and after, with what is left over of each measure."""
+    sides = {joint.side: name for name, joint in robot.joint.items()}
+    for side in ("left", "right"):
+        before_m = robot.wheel_radius_m(sides[side])
+        factor, deviation = getattr(fit.factors, side), getattr(fit.deviations, side)
+        yield _row(f"wheel radius {side}", before_m, factor, deviation)
+    yield _row("track", robot.base.effective_track_m, fit.factors.track, fit.deviations.track)
+    rows = zip(measures, fit.residuals_before, fit.residuals, strict=True)
+    for measure, before, after in rows if len(measures) <= _ROWS_MAX else ():
+        yield f"{measure.name}: off by {_pose(before)} before, {_pose(after)} after"
+    if not math.isnan(fit.misfit):
+        yield f"misfit {fit.misfit:.2f} (1: as exact as a tape; more than 5 is refused)"
+
+
+_ROWS_MAX = 12
+
+
+def _row(name: str, before_m: float, factor: float, deviation: float) -> str:
+    if not deviation:
+        return f"{name}: {before_m * 1e3:.2f} mm (not measured)"
+    return (
+        f"{name}: {before_m * 1e3:.2f} mm → {before_m * factor * 1e3:.2f} mm "
+        f"± {before_m * deviation * 1e3:.2f} mm ({100 * (factor - 1.0):+.2f} %)"
+    )
+
+
+def _pose(off: Pose) -> str:
+    parts = [
+        f"{off.x_m * 1e3:+.0f} mm along" if math.isfinite(off.x_m) else "",
+        f"{off.y_m * 1e3:+.0f} mm sideways" if math.isfinite(off.y_m) else "",
+        f"{math.degrees(off.heading_rad):+.1f}°" if math.isfinite(off.heading_rad) else "",
+    ]
+    return ", ".join(part for part in parts if part)

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A calibration as a picture. Needs the extra `plot`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from motord.api.geometry_fit import Array, Factors, Fit, Measure
+from motord.base.extras import how_to_install
+from motord.commission.person import Failed
+
+
+def plot_paths(file: Path, measures: Sequence[Measure], track_m: float, found: Fit) -> None:
+    """Each path by the geometry before and after, and where it was measured to end. Raises
+    Failed."""
+    try:
+        import matplotlib as mpl
+
+        mpl.use("Agg")
+        from matplotlib import pyplot as plt
+    except ImportError as error:
+        raise Failed(f"matplotlib is not installed: {how_to_install('plot')}") from error
+    figure, axes = plt.subplots(figsize=(7, 7))
+    for measure in measures:
+        for factors, style in ((Factors(), "--"), (found.factors, "-")):
+            x_m, y_m = _path(measure, track_m, factors)
+            axes.plot(x_m, y_m, style, linewidth=1, label=f"{measure.name} {_WORDS[style]}")
+        if math.isfinite(measure.found.x_m):
+            axes.plot(measure.found.x_m, measure.found.y_m, "k+", markersize=12)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.axis("equal")
+    if len(measures) <= _NAMED_MAX:
+        axes.legend(fontsize=7)
+    try:
+        figure.savefig(file)
+    except OSError as error:
+        raise Failed(f"{file}: cannot be written: {error.strerror}") from error
+    finally:
+        plt.close(figure)
+
+
+_WORDS = {"--": "before", "-": "after"}
+_NAMED_MAX = 8
+
+
+def _path(measure: Measure, track_m: float, factors: Factors) -> tuple[Array, Array]:
+    left = np.diff(measure.left_m) * factors.left
+    right = np.diff(measure.right_m) * factors.right
+    turn = (right - left) / (track_m * factors.track)
+    middle = np.cumsum(turn) - turn / 2.0
+    forward = (left + right) / 2.0
+    return np.cumsum(forward * np.cos(middle)), np.cumsum(forward * np.sin(middle))

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bounded motions for `calibrate`, each with what a person measures on the floor at its end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from motord.api.geometry_fit import Array, Measure, Pose
+from motord.api.motion import Axis, Goal, Motion
+from motord.api.snapshot import Snapshot
+from motord.client import Client
+from motord.commission.person import Failed, Person
+from motord.commission.session import Session, armed
+
+OWNER = "motord-calibrate"
+TAPE_M, PROTRACTOR_RAD = 0.002, math.radians(0.5)
+"""How exact a person measures with a tape on the floor, and an angle at a mark."""
+DEVIATION = Pose(TAPE_M, TAPE_M, PROTRACTOR_RAD, TAPE_M)
+SIDEWAYS_MAX_M = 20.0
+SETTLE_S = 0.5
+_MARK = "of the mark that you made at the start"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bounds:
+    """How far and how fast the robot may move."""
+
+    distance_m: float = 3.0
+    turns: float = 2.0
+    side_m: float = 2.0
+    linear_m_s: float = 0.3
+    angular_rad_s: float = 0.8
+
+
+@dataclass(slots=True)
+class Recorder:
+    """What each side's wheels roll, by the radii that the daemon runs by."""
+
+    robot: dict[str, Any]
+    _left_m: list[float] = field(default_factory=list)
+    _right_m: list[float] = field(default_factory=list)
+
+    def add(self, snapshot: Snapshot) -> None:
+        """The newest state. Raises Failed for a wheel without a counter."""
+        rolled: dict[str, list[float]] = {"left": [], "right": []}
+        for name, joint in zip(self.robot["joints"], snapshot.joints, strict=True):
+            if not math.isfinite(joint.position_rad):
+                raise Failed(f"{name}: has no position counter: its travel cannot be calibrated")
+            radius_m = self.robot["wheel_radii_m"][name]
+            rolled[self.robot["sides"][name]].append(joint.position_rad * radius_m)
+        for side, kept in (("left", self._left_m), ("right", self._right_m)):
+            kept.append(sum(rolled[side]) / len(rolled[side]))
+
+    def path(self) -> tuple[Array, Array]:
+        """Left and right from 0 on."""
+        left, right = np.array(self._left_m), np.array(self._right_m)
+        return left - left[0], right - right[0]
+
+
+class Runs:
+    """Motions of one robot on the floor. Raises Aborted, Failed, ClientError."""
+
+    def __init__(self, client: Client, person: Person, bounds: Bounds) -> None:
+        self._client, self._person, self._bounds = client, person, bounds
+        self._robot: dict[str, Any] = client.call("robot")
+
+    def straight(self) -> Iterator[Measure]:
+        """Forward and back on a line."""
+        length_m = self._bounds.distance_m
+        self._ready(
+            f"Put the robot at the beginning of a straight line on the floor and mark where it "
+            f"stands. It drives {length_m:g} m forward and then back, with at most "
+            f"{self._bounds.linear_m_s:g} m/s. Is the way clear, and does it stand on its mark?"
+        )
+        recorder = Recorder(self._robot)
+        for name, distance_m in (("straight forward", length_m), ("straight back", -length_m)):
+            self._drive(name, recorder, [self._move(distance_m)])
+            most_m = 1.5 * length_m
+            x_m = self._person.number(
+                f"How far is the robot now in front {_MARK}, along the line (behind: negative)?",
+                "m", -most_m, most_m,
+            )  # fmt: skip
+            yield self._measure(name, recorder, Pose(x_m, self._sideways()))
+
+    def rotate(self) -> Iterator[Measure]:
+        """Turns on the spot to the left, then to the right."""
+        turns = self._bounds.turns
+        self._ready(
+            f"Mark on the floor where the robot's nose points. It turns {turns:g} times to the "
+            f"left and then to the right, with at most {self._bounds.angular_rad_s:g} rad/s. "
+            "Is there room all around it?"
+        )
+        before_rad = 0.0
+        for name, angle_rad in (("left", turns * math.tau), ("right", -turns * math.tau)):
+            recorder = Recorder(self._robot)
+            self._drive(f"turns {name}", recorder, [self._turn(angle_rad)])
+            after_rad = math.radians(
+                self._person.number(
+                    "By how many degrees does the nose point to the left of its mark "
+                    "(to the right: negative)?", "°", -180.0, 180.0,
+                )
+            )  # fmt: skip
+            pose = Pose(heading_rad=angle_rad + after_rad - before_rad)
+            yield self._measure(f"turns {name}", recorder, pose)
+            before_rad = after_rad
+
+    def square(self) -> Iterator[Measure]:
+        """Squares in both directions (UMBmark)."""
+        side_m = self._bounds.side_m
+        for name, sign in (("left", 1.0), ("right", -1.0)):
+            self._ready(
+                f"Put the robot on its mark at the beginning of the line, looking along it. It "
+                f"drives a square of {side_m:g} m to the {name}. Is the way clear, and does it "
+                "stand on its mark?"
+            )
+            recorder = Recorder(self._robot)
+            legs = [self._move(side_m), self._turn(sign * math.pi / 2.0)] * 4
+            self._drive(f"square to the {name}", recorder, legs)
+            x_m = self._person.number(
+                f"How far is the robot now in front {_MARK} (behind: negative)?",
+                "m", -SIDEWAYS_MAX_M, SIDEWAYS_MAX_M,
+            )  # fmt: skip
+            yield self._measure(f"square to the {name}", recorder, Pose(x_m, self._sideways()))
+
+    def _sideways(self) -> float:
+        return self._person.number(
+            "How far to the left of the line (to the right: negative)?",
+            "m", -SIDEWAYS_MAX_M, SIDEWAYS_MAX_M,
+        )  # fmt: skip
+
+    def _ready(self, question: str) -> None:
+        if not self._person.confirm(question):
+            raise Failed("nothing was driven")
+
+    def _move(self, distance_m: float) -> Goal:
+        return Goal(axis="linear", distance_u=distance_m, velocity_u_s=self._bounds.linear_m_s)
+
+    def _turn(self, angle_rad: float) -> Goal:
+        return Goal(axis="angular", distance_u=angle_rad, velocity_u_s=self._bounds.angular_rad_s)
+
+    def _drive(self, name: str, recorder: Recorder, goals: Sequence[Goal]) -> None:
+        with armed(self._client, self._person, OWNER) as session:
+            recorder.add(session.newest())
+            for goal in goals:
+                session.carry_out(goal, self._watch(name, recorder))
+            _settle(session, recorder)
+
+    def _watch(self, name: str, recorder: Recorder) -> Any:
+        units: dict[Axis, str] = {"linear": "m", "angular": "rad"}
+
+        def look(motion: Motion, newest: Snapshot) -> None:
+            recorder.add(newest)
+            unit = units[motion.plan.axis]
+            self._person.progress(
+                f"{name}: {motion.distance_u:.2f} {unit} of {motion.plan.distance_u:.2f}; "
+                "any key stops it"
+            )
+
+        return look
+
+    @staticmethod
+    def _measure(name: str, recorder: Recorder, found: Pose) -> Measure:
+        left_m, right_m = recorder.path()
+        return Measure(name, left_m, right_m, found, DEVIATION)
+
+
+def _settle(session: Session, recorder: Recorder) -> None:
+    """The last counts come a cycle of the line after the rest."""
+    for newest in session.wait_still(SETTLE_S):
+        recorder.add(newest)

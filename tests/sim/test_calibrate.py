@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`motord calibrate` at a real terminal: the simulated robot differs from its file, and the person
+measures where it truly is to the millimetre and to half a degree."""
+
+import math
+
+import pytest
+from tests.sim.daemon_stage import ROOT, wait_until
+from tests.sim.person_stage import at_terminal, copied, robot_of
+
+from motord.config import load_robot
+
+FORWARD_ONLY = ROOT / "config/robots/forward-only.toml"
+RADIUS_M, TRACK_M = 0.0825, 0.45
+TRUE_LEFT_M, TRUE_RIGHT_M, TRUE_TRACK_M = 1.03 * RADIUS_M, 1.02 * RADIUS_M, 0.96 * TRACK_M
+TRUTH = (
+    f"joint.left.wheel_radius_m={TRUE_LEFT_M}",
+    f"joint.right.wheel_radius_m={TRUE_RIGHT_M}",
+    f"base.track_m={TRUE_TRACK_M}",
+)
+SMALL = (
+    "--distance-m", "1.5", "--turns", "1", "--side-m", "1", "--speed-m-s", "0.4",
+    "--speed-rad-s", "1.0",
+)  # fmt: skip
+
+
+class Floor:
+    """A person with a tape and marks on the floor, who reads the simulator's truth."""
+
+    def __init__(self, stage):
+        self._sim = stage.sim
+
+    def back_on_mark(self):
+        self._sim.reset_truth()
+        return "y"
+
+    def along(self):
+        return f"{self._sim.truth().x_m:.3f}"
+
+    def sideways(self):
+        return f"{self._sim.truth().y_m:.3f}"
+
+    def degrees(self):
+        return f"{round(2 * math.degrees(self._sim.truth().heading_rad)) / 2:g}"
+
+    def replies(self, write="y"):
+        return {
+            r"does it stand on its mark\? \[y/n\] ": self.back_on_mark,
+            r"Is there room all around( it)?\? \[y/n\] ": self.back_on_mark,
+            r"in front of the mark .*?\? \[m\] ": self.along,
+            r"How far to the left of the line .*?\? \[m\] ": self.sideways,
+            r"By how many degrees .*?\? \[°\] ": self.degrees,
+            r"Is the way clear\? \[y/n\] ": "y",
+            r"Write \S+cart\.toml\? \[y/n\] ": write,
+        }
+
+
+def calibrated(stage, *words, write="y"):
+    with at_terminal("calibrate", *words, "--socket", stage.socket) as screen:
+        status = screen.answers(Floor(stage).replies(write))
+        return status, screen.text
+
+
+def test_radii_and_track_are_recovered_and_written(tmp_path):
+    file = copied(tmp_path)
+    with robot_of(tmp_path, file, truth=TRUTH) as stage:
+        status, text = calibrated(stage, "all", *SMALL)
+        assert status == 0, text
+        wait_until(lambda: stage.state() == "idle", "disarmed")
+    robot = load_robot(file)
+    assert robot.wheel_radius_m("left") == pytest.approx(TRUE_LEFT_M, rel=0.003)
+    assert robot.wheel_radius_m("right") == pytest.approx(TRUE_RIGHT_M, rel=0.003)
+    assert robot.base.track_m == pytest.approx(TRUE_TRACK_M, rel=0.003)
+    assert "square to the right: off by" in text
+    assert len(list(tmp_path.glob("*.bak"))) == 1
+
+
+def test_a_dead_band_is_found_with_the_speed_at_full_duty(tmp_path):
+    """The simulated motor stalls at 8 N·m and rubs with 0.48 N·m: it begins to turn at 6 %."""
+    file = copied(tmp_path, FORWARD_ONLY, [("duty_dead_band = 0.06", "duty_dead_band = 0.02")])
+    wheels = ("left.coulomb_n_m=0.48", "right.coulomb_n_m=0.48")
+    with robot_of(tmp_path, file, wheels=wheels) as stage:
+        status, text = calibrated(stage, "feedforward", "--speed-m-s", "0.5")
+        assert status == 0, text
+    for joint in load_robot(file).joint.values():
+        assert joint.duty_dead_band == pytest.approx(0.06, rel=0.05)
+        # 8 N·m · (duty − 0.06) = (8 / 18 + 0.02) N·m·s/rad · speed
+        assert joint.full_duty_rad_s == pytest.approx(8.0 * 0.94 / (8.0 / 18.0 + 0.02), rel=0.02)
+
+
+def test_a_key_ends_a_run_at_rest_and_a_speed_drive_has_no_dead_band(tmp_path):
+    file = copied(tmp_path)
+    with robot_of(tmp_path, file) as stage:
+        status, text = calibrated(stage, "deadband")
+        assert status == 1
+        assert "holds the wheel's speed by itself" in text
+        before = file.read_bytes()
+        with at_terminal(
+            "calibrate", "straight", "--distance-m", "3", "--socket", stage.socket
+        ) as screen:
+            screen.answer("does it stand on its mark", "y")
+            wait_until(lambda: stage.sim.truth().distance_m > 0.1, "it drives")
+            screen.type("q")
+            assert screen.end() == 1
+        assert "aborted: the robot is at rest and disarmed" in screen.text
+        assert stage.state() == "idle"
+        assert stage.sim.truth().at_rest
+        assert file.read_bytes() == before

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dead band and speed at full duty from steady speeds."""
+
+import random
+from pathlib import Path
+
+import pytest
+
+from motord.commission.duty import Point, duty_changes, duty_joints, fit_duty
+from motord.commission.person import Failed
+from motord.config import load_robot
+
+ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
+DUTIES = (0.05, 0.15, 0.25, 0.4, 0.55, 0.7)
+
+
+def points(dead_band=0.06, full_duty_rad_s=14.0, noise_rad_s=0.0, seed=0):
+    noise = random.Random(seed)
+    found = []
+    for sign in (1.0, -1.0):
+        for duty in DUTIES:
+            speed = max(duty - dead_band, 0.0) / (1.0 - dead_band) * full_duty_rad_s
+            speed += noise.gauss(0.0, noise_rad_s) if speed else 0.0
+            found.append(Point(sign * duty, sign * speed))
+    return found
+
+
+def test_exact_speeds_give_the_exact_dead_band():
+    found = fit_duty("left", points())
+    assert found.dead_band == pytest.approx(0.06)
+    assert found.full_duty_rad_s == pytest.approx(14.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noisy_speeds_give_it_within_its_deviations(seed):
+    found = fit_duty("left", points(noise_rad_s=0.05, seed=seed))
+    assert abs(found.dead_band - 0.06) < 4.0 * found.dead_band_deviation
+    assert 0.0 < found.dead_band_deviation < 0.01
+
+
+def test_a_wheel_that_hardly_moves_is_refused():
+    with pytest.raises(Failed, match="turned at 2 of 12 levels"):
+        fit_duty("left", points(dead_band=0.6))
+
+
+def test_a_wheel_that_turns_against_its_duty_is_refused():
+    with pytest.raises(Failed, match="turned against its duty"):
+        fit_duty("left", [Point(-one.duty, one.velocity_rad_s) for one in points()])
+
+
+def test_speeds_that_are_no_line_are_refused():
+    bent = [Point(one.duty, one.velocity_rad_s**3) for one in points()]
+    with pytest.raises(Failed, match="no line over the duty"):
+        fit_duty("left", bent)
+
+
+def test_a_drive_that_holds_its_speed_has_nothing_to_calibrate():
+    with pytest.raises(Failed, match="zlac8015d: holds the wheel's speed by itself"):
+        duty_joints(load_robot(ROBOTS / "demo.toml"))
+
+
+def test_the_dead_band_alone_leaves_the_speed_at_full_duty():
+    robot = load_robot(ROBOTS / "pi4-encoders.toml")
+    fits = {"left": fit_duty("left", points())}
+    assert set(duty_changes(robot, fits, feed_forward=False)) == {
+        ("joint", "left", "duty_dead_band")
+    }
+    both = duty_changes(robot, fits, feed_forward=True)
+    assert both["joint", "left", "full_duty_rad_s"] == 14.0

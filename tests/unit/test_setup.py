@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The guided set-up, by options and by answers."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from motord.cli import cli
+from motord.commission.hardware import Place, place_of, places
+from motord.commission.person import Failed
+from motord.commission.robot_text import robot_text
+from motord.commission.setup import Given, set_up, unit_and_channel
+from motord.config import load_robot
+
+WHOLE = Given(
+    name="cart", place="simulated", drive="zlac8015d", base="differential", wheel_radius_m=0.08,
+    track_m=0.4, linear_m_s=0.5, angular_rad_s=1.0, gear_ratio=1.0, left=(1, 1), right=(1, 2),
+)  # fmt: skip
+
+
+class Answering:
+    """A person who gives these answers, in their order."""
+
+    def __init__(self, *answers):
+        self.answers, self.questions, self.shown = list(answers), [], []
+
+    def _next(self, question):
+        self.questions.append(question)
+        return self.answers.pop(0)
+
+    def show(self, text):
+        self.shown.append(text)
+
+    def progress(self, text):
+        pass
+
+    def confirm(self, question):
+        return self._next(question)
+
+    def choose(self, question, answers):
+        answer = self._next(question)
+        assert answer in answers
+        return answer
+
+    def number(self, question, unit, low, high):
+        answer = self._next(question)
+        assert low <= answer <= high
+        return answer
+
+    def text(self, question, default):
+        return self._next(question) or default
+
+    def aborted(self):
+        return False
+
+
+def written(given, person=None, file=Path("cart.toml")):
+    return robot_text(set_up(person or Answering(), given, file), file)
+
+
+def test_options_answer_every_question():
+    text, robot = written(WHOLE)
+    assert (robot.robot.name, robot.base.track_m, robot.limits.linear_m_s) == ("cart", 0.4, 0.5)
+    assert (robot.joint["right"].channel, robot.joint["right"].inverted) == (2, True)
+    assert not robot.publish
+    assert text.startswith("#:schema file:///")
+
+
+def test_the_schema_that_the_file_names_is_there():
+    text, _ = written(WHOLE)
+    place = Path(text.splitlines()[0].removeprefix("#:schema file://"))
+    assert json.loads(place.read_text("utf-8"))["title"]
+
+
+@pytest.mark.parametrize(
+    "drive",
+    ["zlac8015d", "bld-305s", "odrive-0.6", "vesc", "cia402", "ddsm115", "mcu-velocity",
+     "roboclaw", "rmd", "moteus"],
+)  # fmt: skip
+def test_every_kind_of_line_makes_a_file_that_checks(drive):
+    given = replace(WHOLE, drive=drive, left=(1, 1), right=(2, 1), counts_per_turn=4096)
+    if drive in ("zlac8015d", "mcu-velocity", "roboclaw"):
+        given = replace(given, right=(1, 2))
+    if drive in ("odrive-0.6", "moteus", "bld-305s"):
+        given = replace(given, counts_per_turn=None)
+    _, robot = written(given)
+    assert robot.joint["left"].drive == drive
+
+
+def test_a_slow_line_gets_a_rate_that_it_carries():
+    fast, slow = (
+        written(replace(WHOLE, drive="bld-305s", right=(2, 1), baudrate=baudrate))[1]
+        for baudrate in (115200, 9600)
+    )
+    assert slow.line["main"].cycle_hz < fast.line["main"].cycle_hz
+    assert slow.safety.feedback_timeout_s >= 2.0 / slow.line["main"].cycle_hz
+
+
+def test_an_implausible_radius_is_asked_about_aloud():
+    person = Answering(*(0.85, False, 0.085))
+    _, robot = written(replace(WHOLE, wheel_radius_m=None), person)
+    assert person.questions[1] == "0.85 m: a wheel of 1.7 m across?"
+    assert robot.base.wheel_radius_m == 0.085
+
+
+def test_a_drive_on_pins_is_led_to_its_example():
+    with pytest.raises(Failed, match="pi5-bts7960"):
+        set_up(Answering(), replace(WHOLE, place="pwmchip0", drive="bts7960", full_duty_rad_s=9.0),
+               Path("cart.toml"))  # fmt: skip
+
+
+def test_a_drive_of_another_wire_is_refused():
+    with pytest.raises(Failed, match='drive "zlac8015d" speaks modbus-rtu, which is not for can'):
+        set_up(Answering(), replace(WHOLE, place="can0"), Path("cart.toml"))
+
+
+def test_a_misspelt_drive_gets_a_suggestion():
+    with pytest.raises(Failed, match=r'did you mean "zlac8015d"'):
+        set_up(Answering(), replace(WHOLE, drive="zlac8015"), Path("cart.toml"))
+
+
+@pytest.mark.parametrize("text", ["", "left", "1.x", "-1"])
+def test_a_unit_that_is_none_is_refused(text):
+    with pytest.raises(Failed, match="is no unit and channel"):
+        unit_and_channel(text)
+
+
+def test_places_of_a_machine_are_listed_by_kind(tmp_path):
+    for file, text in {
+        "sys/class/net/can0/type": "280", "sys/class/net/can0/operstate": "down",
+        "sys/class/net/eth0/type": "1", "sys/class/pwm/pwmchip2/npwm": "4", "dev/ttyAMA0": "",
+    }.items():  # fmt: skip
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).write_text(text)
+    found = [place for place in places(tmp_path) if "USB" not in place.name]
+    assert [(place.kind, place.name) for place in found] == [
+        ("serial", "/dev/ttyAMA0"), ("can", "can0"), ("pwm", "pwmchip2"),
+    ]  # fmt: skip
+    assert "down" in found[1].about
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("/dev/ttyUSB0", "serial"), ("usb:A1", "serial"), ("can0", "can"),
+                       ("pwmchip0", "pwm")]
+)  # fmt: skip
+def test_a_named_place_has_a_kind(name, kind):
+    assert place_of(name) == Place(kind, name, "")
+
+
+def test_the_command_takes_all_answers_as_options_and_does_not_overwrite(tmp_path):
+    file = tmp_path / "cart.toml"
+    words = [
+        "init", str(file), "--at", "simulated", "--drive", "zlac8015d", "--base", "differential",
+        "--wheel-radius-m", "0.08", "--track-m", "0.4", "--linear-m-s", "0.5",
+        "--angular-rad-s", "1", "--gear-ratio", "1", "--left", "1.1", "--right", "1.2",
+        "--name", "cart",
+    ]  # fmt: skip
+    done = CliRunner().invoke(cli, words)
+    assert done.exit_code == 0, done.output
+    assert load_robot(file).robot.name == "cart"
+    assert "top speed" in done.stdout
+    again = CliRunner().invoke(cli, words)
+    assert again.exit_code == 1
+    assert "is there already" in again.stderr
+
+
+def test_a_missing_answer_without_a_terminal_names_the_cure(tmp_path):
+    done = CliRunner().invoke(cli, ["init", str(tmp_path / "cart.toml"), "--at", "simulated",
+                                    "--drive", "zlac8015d"], input="")  # fmt: skip
+    assert done.exit_code == 1
+    assert "give it as an option" in done.stderr
