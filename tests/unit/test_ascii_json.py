@@ -57,6 +57,6 @@ def test_what_is_no_such_object_is_another_line(line):
         ('{{"":{left}}}', "has a character at least"),
     ],
 )
-def test_a_template_that_is_no_such_object_says_why(template, why):
+def test_a_template_that_is_no_such_object_is_refused_with_the_reason(template, why):
     with pytest.raises(ValueError, match=why):
         Text(template, KNOWN)

@@ -48,8 +48,8 @@ def check_setpoints(text: Text, joints: tuple[str, ...]) -> None:
 
 
 def check_feedback(text: Text, joints: tuple[str, ...], scaled: Iterable[str] = ()) -> None:
-    """`scaled`: the fields that have a scale. Raises ValueError for what is said twice, or has a
-    scale and is not said."""
+    """`scaled`: the fields that have a scale. Raises ValueError for a value that is there twice,
+    and for a scale without its field."""
     for name in joints:
         for pair in ((COUNT, RIM_DISTANCE), (VELOCITY, RIM_SPEED)):
             if {name + what for what in pair} <= set(text.fields):

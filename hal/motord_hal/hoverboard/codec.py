@@ -49,8 +49,8 @@ def build(values: bytes) -> bytes:
 
 
 def parse(packet: bytes) -> bytes | None:
-    """The values of a packet; None: it is none. The halves of two equal packets have a good sum,
-    too, but the start word between them, and no value is near that."""
+    """The values of a packet; None: it is no packet. The halves of two equal packets have a good
+    sum, too, but the start word between them, and no value is near that."""
     if not packet.startswith(_START) or _sum(packet[:-2]) != int.from_bytes(packet[-2:], "little"):
         return None
     values = packet[2:-2]

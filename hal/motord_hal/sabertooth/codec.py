@@ -47,7 +47,7 @@ class Receiver:
         self._tail = b""
 
     def feed(self, data: bytes) -> Iterator[dict[str, int] | None]:
-        """Register → raw of each packet for this unit; None: what is none, or has a wrong check
+        """Register → raw of each packet for this unit; None: no packet, or a wrong check
         sum. An address is above 127 and nothing else is: one begins a packet anywhere."""
         for byte in data:
             if byte > 0x7F:
