@@ -50,7 +50,7 @@ class Floor:
             r"in front of the mark .*?\? \[m\] ": self.along,
             r"How far to the left of the line .*?\? \[m\] ": self.sideways,
             r"By how many degrees .*?\? \[°\] ": self.degrees,
-            r"Is the way clear\? \[y/n\] ": "y",
+            r"Is the path clear\? \[y/n\] ": "y",
             r"Write \S+cart\.toml\? \[y/n\] ": write,
         }
 

@@ -78,7 +78,7 @@ def test_the_schema_that_the_file_names_is_there():
 @pytest.mark.parametrize(
     "drive",
     ["zlac8015d", "bld-305s", "odrive-0.6", "vesc", "cia402", "ddsm115", "mcu-velocity",
-     "roboclaw", "rmd", "moteus"],
+     "roboclaw", "rmd", "moteus", "sts3215"],
 )  # fmt: skip
 def test_every_kind_of_line_makes_a_file_that_checks(drive):
     given = replace(WHOLE, drive=drive, left=(1, 1), right=(2, 1), counts_per_turn=4096)

@@ -141,7 +141,7 @@ def _question(speed_m_s: float, *, reverses: bool) -> str:
     )
     return (
         f"The robot drives {how}, with at most {speed_m_s:g} m/s, on level ground. "
-        "Is the way clear?"
+        "Is the path clear?"
     )
 
 

@@ -75,7 +75,7 @@ class Runs:
         self._ready(
             f"Put the robot at the beginning of a straight line on the floor and mark where it "
             f"stands. It drives {length_m:g} m forward and then back, with at most "
-            f"{self._bounds.linear_m_s:g} m/s. Is the way clear, and does it stand on its mark?"
+            f"{self._bounds.linear_m_s:g} m/s. Is the path clear, and does it stand on its mark?"
         )
         recorder = Recorder(self._robot)
         for name, distance_m in (("straight forward", length_m), ("straight back", -length_m)):
@@ -115,7 +115,7 @@ class Runs:
         for name, sign in (("left", 1.0), ("right", -1.0)):
             self._ready(
                 f"Put the robot on its mark at the beginning of the line, looking along it. It "
-                f"drives a square of {side_m:g} m to the {name}. Is the way clear, and does it "
+                f"drives a square of {side_m:g} m to the {name}. Is the path clear, and does it "
                 "stand on its mark?"
             )
             recorder = Recorder(self._robot)

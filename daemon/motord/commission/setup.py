@@ -20,7 +20,7 @@ from motord_hal.drives.profile import DriveProfile
 SIMULATED = "simulated"
 LINE_KINDS = {
     "modbus-rtu": "modbus-rtu", "ddsm": "ddsm", "can": "can", "mcu-frame": "mcu",
-    "ascii": "ascii", "roboclaw": "roboclaw",
+    "ascii": "ascii", "roboclaw": "roboclaw", "feetech": "feetech", "dynamixel": "dynamixel",
 }  # fmt: skip
 """Protocol of a profile → kind of its line."""
 FD_BITRATE = 5_000_000
