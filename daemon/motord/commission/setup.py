@@ -21,6 +21,7 @@ SIMULATED = "simulated"
 LINE_KINDS = {
     "modbus-rtu": "modbus-rtu", "ddsm": "ddsm", "can": "can", "mcu-frame": "mcu",
     "ascii": "ascii", "roboclaw": "roboclaw", "feetech": "feetech", "dynamixel": "dynamixel",
+    "hoverboard": "hoverboard", "hoverboard-steer": "hoverboard", "sabertooth": "sabertooth",
 }  # fmt: skip
 """Protocol of a profile → kind of its line."""
 FD_BITRATE = 5_000_000
