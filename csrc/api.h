@@ -7,7 +7,8 @@
  *
  * Every physical number wears its unit. Time is CLOCK_MONOTONIC in nanoseconds; a stamp of 0 means "never".
  * Angles and wheel speeds are at the wheel (after the gear), positive when the robot drives forward.
- * `u` in a name stands for the axis's own unit: m on the linear axis, rad on the angular one.
+ * The base's frame is that of REP 103: x forward, y to the left, turns counterclockwise. A twist is (linear, lateral, angular):
+ * along x, along y, about z. `u` in a name stands for the axis's own unit: m on the first two, rad on the angular one.
  */
 
 enum { JOINTS_MAX = 8, LINES_MAX = 4, COMMAND_SOCKETS = 19, FIELD_NAME_BYTES = 64 };
@@ -23,9 +24,14 @@ enum {
     REASON_ANGULAR_ACCELERATION = 1 << 5,
     REASON_ANGULAR_DECELERATION = 1 << 6,
     REASON_ANGULAR_JERK = 1 << 7,
-    REASON_WHEEL_SATURATED = 1 << 8,     /* a wheel's limit scaled the whole twist: curvature kept */
-    REASON_DUTY_CLAMPED = 1 << 9,        /* [joint] duty_min / duty_max */
-    REASON_DUTY_SLEW = 1 << 10,          /* [joint] duty_slew_per_s */
+    REASON_WHEEL_SATURATED = 1 << 8,   /* a wheel's limit scaled the whole twist: curvature kept */
+    REASON_DUTY_CLAMPED = 1 << 9,      /* [joint] duty_min / duty_max */
+    REASON_DUTY_SLEW = 1 << 10,        /* [joint] duty_slew_per_s */
+    REASON_LATERAL_VELOCITY = 1 << 11, /* the same four, lateral */
+    REASON_LATERAL_ACCELERATION = 1 << 12,
+    REASON_LATERAL_DECELERATION = 1 << 13,
+    REASON_LATERAL_JERK = 1 << 14,
+    REASON_LATERAL_IMPOSSIBLE = 1 << 15, /* this base cannot move sideways: the lateral part of the command is left out */
     REASON_NOT_ARMED = 1 << 16,          /* the state machine has not armed, or the core has disarmed */
     REASON_STOP_REQUESTED = 1 << 17,     /* control.stop */
     REASON_COMMAND_STALE = 1 << 18,      /* no command, or older than its lifetime or command_timeout_s */
@@ -72,7 +78,16 @@ typedef struct {
 typedef struct {
     axis_limits linear;  /* u = m */
     axis_limits angular; /* u = rad */
+    axis_limits lateral; /* u = m; a base that cannot move sideways does not use it */
 } base_limits;
+
+/* How a wheel of a base without steering rolls: the rim's speed is x linear + y lateral + lever_m angular. A wheel of two sides:
+ * (1, 0, -+ track / 2). Lynch & Park, Modern Robotics, 2017, 13.2: any wheel at any place, with or without rollers. */
+typedef struct {
+    double x;
+    double y;
+    double lever_m;
+} wheel_row;
 
 typedef struct {
     double dead_band;       /* 0..1: duty at which the motor just turns; the output jumps over it */
@@ -90,7 +105,7 @@ typedef struct {
 } speed_loop_config;
 
 typedef struct {
-    double side;               /* -1 left, +1 right */
+    wheel_row row;
     double wheel_radius_m;     /* > 0 */
     double velocity_min_rad_s; /* <= 0: 0 for a joint that cannot reverse */
     double velocity_max_rad_s; /* > 0 */
@@ -104,8 +119,7 @@ typedef struct {
 } joint_config;
 
 typedef struct {
-    uint32_t joint_count; /* 2..JOINTS_MAX, at least one on each side */
-    double track_m;       /* > 0: effective distance of the sides (skid: with the slip factor in it) */
+    uint32_t joint_count; /* 2..JOINTS_MAX; their rows say how the base moves: forward and about, or sideways too */
     base_limits limits;
     double command_timeout_s;   /* > 0 */
     double feedback_timeout_s;  /* > 0 */
@@ -115,7 +129,7 @@ typedef struct {
     stop_action on_fault;       /* every latched fault but the e-stop */
     stop_action on_estop;
     /* odometry error model, Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4 */
-    double distance_variance_m2_per_m;   /* > 0: variance of one side's travel per metre of it */
+    double distance_variance_m2_per_m;   /* > 0: variance of a wheel's travel per metre of it; wheels that do the same share it */
     double turn_variance_rad2_per_rad;   /* > 0: heading variance per radian turned (scrub, track error) */
     double pose_variance_floor_m2;       /* > 0: x and y start here and never fall below */
     double heading_variance_floor_rad2;  /* > 0 */
@@ -132,6 +146,7 @@ typedef struct {
     uint64_t sequence;  /* grows with each command of the arbiter */
     double linear_m_s;
     double angular_rad_s;
+    double lateral_m_s;
 } twist_command;
 
 typedef struct {
@@ -201,7 +216,16 @@ typedef struct {
     uint32_t jumps;   /* counter jumps refused so far */
 } joint_state;
 
-/* The snapshot: what the core knows after a tick; the payload of the state page. Layout version 1. */
+/* What a base that moves sideways has beside the rest; zero for others, but for the slip. */
+typedef struct {
+    double wanted_m_s; /* the command as it came in, 0 when stale or not finite */
+    double setpoint_m_s;
+    double measured_m_s;
+    double slip_m_s;      /* of the rims against each other, root mean square: what no motion of the base explains */
+    double covariance[3]; /* of the measured twist: with linear, its own, with angular */
+} lateral_state;
+
+/* The snapshot: what the core knows after a tick; the payload of the state page. Layout version 1, which grows at its end. */
 typedef struct {
     int64_t stamp_ns; /* this tick */
     uint64_t tick;
@@ -226,7 +250,7 @@ typedef struct {
     double x_m;
     double y_m;
     double heading_rad; /* -pi..pi */
-    double distance_m;  /* travelled, never falls */
+    double distance_m;  /* travelled, in any direction; never falls */
     double turned_rad;  /* sum of |turn|, never falls */
     double linear_m_s;  /* measured */
     double angular_rad_s;
@@ -235,10 +259,11 @@ typedef struct {
     joint_state joint[JOINTS_MAX];
     imu_state imu;
     feedback_doubt doubt; /* the first of FAULTS_OF_FEEDBACK, until the reset */
+    lateral_state lateral;
 } robot_state;
 
 /* --------------------------------------------------------------------------------------- pure computations */
-enum { AXIS_LINEAR = 0, AXIS_ANGULAR = 1, AXES = 2 };
+enum { AXIS_LINEAR = 0, AXIS_ANGULAR = 1, AXIS_LATERAL = 2, AXES = 3 };
 
 typedef struct {
     double velocity_u_s;
@@ -247,15 +272,51 @@ typedef struct {
 
 /* One step of a twist, axis[AXES], along the straight line to goal_u_s[AXES]; returns the REASON bit of the limit that
  * bound it, 0 when it has arrived. The goal is within the limits of velocity; one that is not finite counts as zero.
- * slewed: the base whose duty slews bind too, or NULL. urgent: leave out the jerk limits (faults). dt_s > 0. */
-uint32_t ramp_step(limit_state *axis, const base_limits *limits, const core_config *slewed, const double *goal_u_s, double dt_s,
-                   bool urgent);
+ * axes: how many of them move, in the order of AXIS_*. slewed: the base whose duty slews bind too, or NULL. urgent: leave out
+ * the jerk limits (faults). dt_s > 0. */
+uint32_t ramp_step(limit_state *axis, uint32_t axes, const base_limits *limits, const core_config *slewed, const double *goal_u_s,
+                   double dt_s, bool urgent);
 
 /* The common factor 0..1 by which all wheels must be scaled so that each is within its limits. */
 double saturate_factor(const double *want_rad_s, const joint_config *joint, uint32_t count);
 
-/* wheel speeds of a twist: (v + side w track / 2) / radius */
-void kinematics_wheels(const core_config *config, double linear_m_s, double angular_rad_s, double *wheel_rad_s);
+/* wheel speeds of a twist, twist_u_s[AXES] */
+void kinematics_wheels(const core_config *config, const double *twist_u_s, double *wheel_rad_s);
+
+/* The other direction, by least squares: each axis of the twist is the sum over the joints of inverse times rim speed. */
+typedef struct {
+    double inverse[AXES][JOINTS_MAX]; /* 0 for joints that are not in it */
+    double shared;                    /* joints for each axis that they determine: so many share one error */
+    uint32_t joints;                  /* bit n: joint n is in it */
+    uint32_t determined;              /* 0: these joints do not determine the twist, and all of `inverse` is 0 */
+    uint32_t strafes;                 /* as kinematics_strafes() */
+    uint32_t reserved;
+} twist_inverse;
+
+/* How uncertain the pose becomes: from what the wheels and the base have done since the last look, looked at now and then as
+ * plausible_due() is. */
+typedef struct {
+    int64_t stamp_ns;   /* of the last look; 0: begin anew */
+    double heading_rad; /* then */
+    double x_m;         /* moved since, in the frame of the pose, as if it had been straight on */
+    double y_m;
+    double gyro_rad2;         /* variance of what the gyro turned since */
+    double rim_m[JOINTS_MAX]; /* travel since */
+    uint32_t by_gyro;         /* 1: the turn since is the gyro's */
+    uint32_t reserved;
+    double residual_m_s[JOINTS_MAX]; /* of each rim, what no motion of the base explains; smoothed */
+    double slip_m_s;                 /* root of their mean square */
+    double linear2_m2_s;             /* growth of the covariance of the motion in the base's frame */
+    double linear_angular_m_rad_s;
+    double angular2_rad2_s;
+    double lateral2_m2_s;
+    double linear_lateral_m2_s;
+    double lateral_angular_m_rad_s;
+} spread_state;
+
+/* Whether some wheel rolls when the base moves sideways. */
+bool kinematics_strafes(const core_config *config);
+void kinematics_invert(const core_config *config, uint32_t joints, twist_inverse *out);
 
 typedef struct {
     double duty;
@@ -283,7 +344,7 @@ typedef struct {
     int64_t stamp_ns; /* of the last integration */
     uint32_t degraded;
     uint32_t epoch;
-    uint32_t blind;   /* 1: no wheel of one side sends feedback, nothing is integrated */
+    uint32_t blind;   /* 1: the wheels that send feedback do not determine the motion, nothing is integrated */
     uint32_t by_gyro; /* 1: the last turn was the gyro's */
     double x_m;
     double y_m;
@@ -292,8 +353,12 @@ typedef struct {
     double turned_rad;
     double linear_m_s;
     double angular_rad_s;
+    double lateral_m_s;
     double pose_covariance[6];
     double twist_covariance[3];
+    double lateral_covariance[3];
+    spread_state spread;
+    twist_inverse used; /* for the joints that brought a travel last */
     gyro_state gyro;
 } odometry_state;
 
@@ -307,23 +372,19 @@ void odometry_step(odometry_state *state, const core_config *config, const joint
 
 /* What follows from a command under the limits in force; kept, because commands are rarer than ticks. */
 typedef struct {
-    double command_linear_m_s; /* as it came in */
-    double command_angular_rad_s;
-    double wanted_linear_m_s; /* as it is understood: 0 when not finite */
-    double wanted_angular_rad_s;
-    double linear_m_s; /* as far as limits and wheels let it go */
-    double angular_rad_s;
+    double command_u_s[AXES]; /* as it came in */
+    double wanted_u_s[AXES];  /* as it is understood: 0 when not finite */
+    double goal_u_s[AXES];    /* as far as limits and wheels let it go */
     double saturation;
     uint32_t command_reasons;
     uint32_t reasons;
     uint32_t zero;  /* 1: a finite command of zero */
-    uint32_t known; /* 0: the last four are not up to date */
+    uint32_t known; /* 0: goal_u_s, saturation and reasons are not up to date */
 } core_goal;
 
 /* The wheels' part of the last tick: holds as long as the twist is the same and no duty is ramping. */
 typedef struct {
-    double linear_m_s;
-    double angular_rad_s;
+    double twist_u_s[AXES];
     joint_setpoint joint[JOINTS_MAX];
     uint32_t reasons;
     uint32_t moving;
@@ -351,13 +412,15 @@ typedef struct {
     uint32_t reset_seen;
     uint32_t odometry_reset_seen;
     uint32_t faults;
-    uint32_t holding;      /* the drives stay enabled until rest (or for ever: STOP_HOLD) after a fault */
-    uint32_t commanded;    /* a fresh command has come since arming */
-    uint32_t silent;       /* a joint is stale */
-    uint32_t slow;         /* no wheel with feedback turned faster than rest_velocity_rad_s */
-    uint32_t at_rest;      /* after the last tick */
-    uint32_t slewed;       /* 1: a joint has a duty slew */
-    uint32_t torques;      /* 1: a joint's drive takes a torque */
+    uint32_t holding;   /* the drives stay enabled until rest (or for ever: STOP_HOLD) after a fault */
+    uint32_t commanded; /* a fresh command has come since arming */
+    uint32_t silent;    /* a joint is stale */
+    uint32_t slow;      /* no wheel with feedback turned faster than rest_velocity_rad_s */
+    uint32_t at_rest;   /* after the last tick */
+    uint32_t slewed;    /* 1: a joint has a duty slew */
+    uint32_t torques;   /* 1: a joint's drive takes a torque */
+    uint32_t axes;      /* that the base moves by: AXES, or without the lateral one, which is the last */
+    uint32_t reserved;
     int64_t armed_ns;      /* the tick that armed */
     int64_t zero_since_ns; /* holding: the tick from which on the set-points have been zero; 0: they are not */
 } core_state;

@@ -11,6 +11,7 @@ typedef struct {
     double stamp_s; /* wall time of its header */
     double linear_m_s;
     double angular_rad_s;
+    double lateral_m_s;
 } stamped_twist;
 
 typedef enum {
@@ -47,6 +48,7 @@ typedef struct {
     int64_t taken_ns;
     double linear_m_s;
     double angular_rad_s;
+    double lateral_m_s;
 } received_twist;
 
 /* The C library of Cyclone DDS, by path. 0 or -ELIBACC: not there, or without a function that is needed. */

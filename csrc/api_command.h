@@ -7,15 +7,15 @@
 /* ------------------------------------------------------------------------------------------------ commands
  * What may command is decided in the loop's thread, for every source alike: a command is a datagram under a lease. Python
  * grants leases and ends them; which of them is in command, and whether it may move anything, is decided here. */
-enum { LEASES_MAX = 16, TOKEN_BYTES = 16, COMMAND_VERSION = 1, COMMAND_MAGIC = 0x434D544D };
-enum { COMMAND_BYTES = 64, JOINT_COMMAND_BYTES = 112 };
+enum { LEASES_MAX = 16, TOKEN_BYTES = 16, COMMAND_VERSION = 2, COMMAND_VERSION_PLANE = 1, COMMAND_MAGIC = 0x434D544D };
+enum { COMMAND_BYTES = 72, COMMAND_BYTES_PLANE = 64, JOINT_COMMAND_BYTES = 112 };
 
 typedef enum { COMMAND_TWIST = 1, COMMAND_RELEASE = 2, COMMAND_JOINTS = 3 } command_kind;
 
-/* One datagram, little-endian as the machine is. docs/commands.md */
+/* One datagram, little-endian as the machine is. docs/commands.md. COMMAND_VERSION_PLANE ends before lateral_m_s, which is 0. */
 typedef struct {
     uint32_t magic;             /* COMMAND_MAGIC: "MTMC" */
-    uint16_t version;           /* COMMAND_VERSION */
+    uint16_t version;           /* COMMAND_VERSION, or COMMAND_VERSION_PLANE */
     uint16_t kind;              /* command_kind */
     uint8_t token[TOKEN_BYTES]; /* of the lease */
     uint64_t sequence;          /* greater than the one before, modulo 2^64; never 0 */
@@ -24,9 +24,10 @@ typedef struct {
     uint32_t reserved;
     double linear_m_s;
     double angular_rad_s;
+    double lateral_m_s;
 } command_datagram;
 
-/* COMMAND_JOINTS: the same head, and what each wheel shall do. */
+/* COMMAND_JOINTS: the same head in either version, and what each wheel shall do. */
 typedef struct {
     uint32_t magic;
     uint16_t version;
@@ -82,6 +83,7 @@ typedef struct {
     int64_t lifted_ns;   /* the bar that has been over since a command came; 0: none */
     double linear_m_s;   /* as asked for */
     double angular_rad_s;
+    double lateral_m_s;
 } lease_state;
 
 typedef struct {
@@ -89,6 +91,7 @@ typedef struct {
     uint32_t may_move;  /* a source that requests motion now is not held */
     uint64_t accepted;
     uint64_t refused[REFUSAL_KINDS];
+    uint64_t sideways; /* accepted with a lateral part that this base cannot do, which counts as zero */
     lease_state lease[LEASES_MAX];
 } command_report;
 
@@ -113,9 +116,9 @@ int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_n
 void arbiter_resume(arbiter *a, int64_t resumed_ns);
 void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *out);
 
-/* The twist of wheel speeds. False: there is none, for wheels of one side turn in different directions. A speed that is
+/* The twist of wheel speeds, twist_u_s[AXES]. False: there is none, for the wheels turn against each other. A speed that is
  * not finite makes a twist that is not. */
-bool joints_twist(const core_config *base, const double *velocity_rad_s, double *linear_m_s, double *angular_rad_s);
+bool joints_twist(const core_config *base, const double *velocity_rad_s, double *twist_u_s);
 
 /* Mailboxes of the exchange, as those of api.h. */
 void exchange_put_permissions(exchange *x, const lease_permissions *permissions); /* asyncio → loop */

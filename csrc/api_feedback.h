@@ -13,7 +13,7 @@ typedef struct {
     double counter_round_rad;      /* after this angle the counter shows the same number again */
     double counter_unused_max_rad; /* so much unused reach is carried over */
     uint32_t counter_bits_unused;  /* of a 64 bit word */
-    uint32_t right;                /* 0: on the left */
+    uint32_t reserved;
 } joint_constants;
 
 typedef struct {

@@ -80,6 +80,7 @@ int outlet_send_direct(outlet *o, const stamped_twist *twist, int64_t stamp_ns, 
         .kind = COMMAND_TWIST,
         .stamp_ns = stamp_ns,
         .linear_m_s = twist->linear_m_s,
+        .lateral_m_s = twist->lateral_m_s,
         .angular_rad_s = twist->angular_rad_s,
     };
     (void)pthread_mutex_lock(&o->lock);

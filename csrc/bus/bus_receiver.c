@@ -147,8 +147,11 @@ static void take_twist(receiver *r, const uint8_t *raw, size_t bytes, uint64_t w
         count_lost(r, error);
         return;
     }
-    received_twist received = {
-        .writer = writer, .taken_ns = now_ns, .linear_m_s = twist.linear_m_s, .angular_rad_s = twist.angular_rad_s};
+    received_twist received = {.writer = writer,
+                               .taken_ns = now_ns,
+                               .linear_m_s = twist.linear_m_s,
+                               .angular_rad_s = twist.angular_rad_s,
+                               .lateral_m_s = twist.lateral_m_s};
     (void)ring_put(&r->received, r->received_place, RECEIVED_TWISTS_MAX, &received, sizeof received);
     r->taken_ns = now_ns;
     r->taken++;

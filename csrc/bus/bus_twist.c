@@ -9,7 +9,7 @@
 
 #include "bus.h"
 
-enum { HEADER_BYTES = 4, HEAD_BYTES = 12, DOUBLES = 6, ANGULAR_Z = 5 };
+enum { HEADER_BYTES = 4, HEAD_BYTES = 12, DOUBLES = 6, LINEAR_Y = 1, ANGULAR_Z = 5 };
 
 static const double AHEAD_MAX_S = 0.5, OLD_S = 3600.0;
 
@@ -47,6 +47,7 @@ int twist_parse(const uint8_t *raw, size_t bytes, stamped_twist *out)
     *out = (stamped_twist){
         .stamp_s = (double)(int32_t)(uint32_t)number_at(body, 4, little) + (double)number_at(body + 4, 4, little) * 1e-9,
         .linear_m_s = double_at(body + twist_at, little),
+        .lateral_m_s = double_at(body + twist_at + LINEAR_Y * sizeof(double), little),
         .angular_rad_s = double_at(body + twist_at + ANGULAR_Z * sizeof(double), little),
     };
     return 0;

@@ -27,20 +27,16 @@ static const rule LIMIT_RULES[] = {
     RULE(base_limits, linear.deceleration_u_s2, LEAST, MOST),  RULE(base_limits, linear.jerk_u_s3, LEAST, INFINITY),
     RULE(base_limits, angular.velocity_u_s, LEAST, MOST),      RULE(base_limits, angular.acceleration_u_s2, LEAST, MOST),
     RULE(base_limits, angular.deceleration_u_s2, LEAST, MOST), RULE(base_limits, angular.jerk_u_s3, LEAST, INFINITY),
+    RULE(base_limits, lateral.velocity_u_s, LEAST, MOST),      RULE(base_limits, lateral.acceleration_u_s2, LEAST, MOST),
+    RULE(base_limits, lateral.deceleration_u_s2, LEAST, MOST), RULE(base_limits, lateral.jerk_u_s3, LEAST, INFINITY),
 };
 
 static const rule CONFIG_RULES[] = {
-    RULE(core_config, track_m, LEAST, MOST),
-    RULE(core_config, command_timeout_s, LEAST, MOST),
-    RULE(core_config, feedback_timeout_s, LEAST, MOST),
-    RULE(core_config, heartbeat_timeout_s, LEAST, MOST),
-    RULE(core_config, rest_velocity_rad_s, LEAST, MOST),
-    RULE(core_config, distance_variance_m2_per_m, LEAST, MOST),
-    RULE(core_config, turn_variance_rad2_per_rad, LEAST, MOST),
-    RULE(core_config, pose_variance_floor_m2, LEAST, MOST),
-    RULE(core_config, heading_variance_floor_rad2, LEAST, MOST),
-    RULE(core_config, twist_variance_floor_m2_s2, LEAST, MOST),
-    RULE(core_config, twist_variance_floor_rad2_s2, LEAST, MOST),
+    RULE(core_config, command_timeout_s, LEAST, MOST),          RULE(core_config, feedback_timeout_s, LEAST, MOST),
+    RULE(core_config, heartbeat_timeout_s, LEAST, MOST),        RULE(core_config, rest_velocity_rad_s, LEAST, MOST),
+    RULE(core_config, distance_variance_m2_per_m, LEAST, MOST), RULE(core_config, turn_variance_rad2_per_rad, LEAST, MOST),
+    RULE(core_config, pose_variance_floor_m2, LEAST, MOST),     RULE(core_config, heading_variance_floor_rad2, LEAST, MOST),
+    RULE(core_config, twist_variance_floor_m2_s2, LEAST, MOST), RULE(core_config, twist_variance_floor_rad2_s2, LEAST, MOST),
 };
 
 /* Where there is a gyro. */
@@ -53,7 +49,9 @@ static const rule GYRO_RULES[] = {
 };
 
 static const rule JOINT_RULES[] = {
-    RULE(joint_config, side, -1.0, 1.0),
+    RULE(joint_config, row.x, -2.0, 2.0),
+    RULE(joint_config, row.y, -2.0, 2.0),
+    RULE(joint_config, row.lever_m, -MOST, MOST),
     RULE(joint_config, wheel_radius_m, LEAST, MOST),
     RULE(joint_config, velocity_min_rad_s, -MOST, 0.0),
     RULE(joint_config, velocity_max_rad_s, LEAST, MOST),
@@ -95,9 +93,6 @@ static const char *bad_joint_field(const joint_config *joint)
     const char *bad = first_bad(joint, JOINT_RULES, COUNT(JOINT_RULES));
     if (bad != NULL) {
         return bad;
-    }
-    if (fabs(joint->side) != 1.0) {
-        return "side";
     }
     uint32_t bits = joint->counter_bits;
     if (bits != 0 && bits != 8 && bits != 12 && bits != 15 && bits != 16 && bits != 24 && bits != 32 && bits != 64) {
@@ -151,17 +146,17 @@ const char *core_config_check(const core_config *config, char *name)
         snprintf(name, FIELD_NAME_BYTES, "limits.%s", first_bad(&config->limits, LIMIT_RULES, COUNT(LIMIT_RULES)));
         return name;
     }
-    double sides = 0.0;
     for (uint32_t j = 0; j < config->joint_count; j++) {
         bad = bad_joint_field(&config->joint[j]);
         if (bad != NULL) {
             snprintf(name, FIELD_NAME_BYTES, "joint[%u].%s", j, bad);
             return name;
         }
-        sides += config->joint[j].side;
     }
-    if (fabs(sides) == (double)config->joint_count) {
-        snprintf(name, FIELD_NAME_BYTES, "joint[0].side");
+    twist_inverse all;
+    kinematics_invert(config, (1U << config->joint_count) - 1U, &all);
+    if (!all.determined) {
+        snprintf(name, FIELD_NAME_BYTES, "joint.row");
         return name;
     }
     return NULL;

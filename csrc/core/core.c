@@ -59,36 +59,59 @@ static double within(double want, double limit)
     return fabs(want) <= limit ? want : copysign(limit, want);
 }
 
+/* Linear and lateral motion within their limits, by one factor, so that the direction stays. Returns the reasons. */
+static uint32_t limit_direction(const core_state *state, double *twist_u_s)
+{
+    double linear_m_s = twist_u_s[AXIS_LINEAR], lateral_m_s = twist_u_s[AXIS_LATERAL];
+    double linear = within(linear_m_s, state->limits.linear.velocity_u_s);
+    double lateral = within(lateral_m_s, state->limits.lateral.velocity_u_s);
+    twist_u_s[AXIS_LINEAR] = linear;
+    twist_u_s[AXIS_LATERAL] = lateral;
+    /* which of the two has to fall by the larger part, without a quotient that may be rounded up */
+    if (linear_m_s != 0.0 && lateral_m_s != 0.0 && fabs(linear * lateral_m_s) < fabs(lateral * linear_m_s)) {
+        twist_u_s[AXIS_LATERAL] = within(lateral_m_s * (linear / linear_m_s), fabs(lateral));
+    } else if (linear_m_s != 0.0 && lateral_m_s != 0.0) {
+        twist_u_s[AXIS_LINEAR] = within(linear_m_s * (lateral / lateral_m_s), fabs(linear));
+    }
+    return (linear != linear_m_s ? (uint32_t)REASON_LINEAR_VELOCITY : 0) |
+           (lateral != lateral_m_s ? (uint32_t)REASON_LATERAL_VELOCITY : 0);
+}
+
 /* The twist to ramp to, scaled to what the wheels can do: the ramp runs straight to it, and nothing is scaled after. */
 static void set_goal(core_state *state)
 {
     core_goal *goal = &state->goal;
     const core_config *config = &state->config;
-    double wheel_rad_s[JOINTS_MAX];
-    double linear_m_s = within(goal->wanted_linear_m_s, state->limits.linear.velocity_u_s);
-    double angular_rad_s = within(goal->wanted_angular_rad_s, state->limits.angular.velocity_u_s);
-    kinematics_wheels(config, linear_m_s, angular_rad_s, wheel_rad_s);
+    double wheel_rad_s[JOINTS_MAX], *twist_u_s = goal->goal_u_s;
+    memcpy(twist_u_s, goal->wanted_u_s, sizeof goal->goal_u_s);
+    goal->reasons = 0;
+    if (state->axes < AXES && twist_u_s[AXIS_LATERAL] != 0.0) {
+        twist_u_s[AXIS_LATERAL] = 0.0;
+        goal->reasons = REASON_LATERAL_IMPOSSIBLE;
+    }
+    goal->reasons |= limit_direction(state, twist_u_s);
+    twist_u_s[AXIS_ANGULAR] = within(twist_u_s[AXIS_ANGULAR], state->limits.angular.velocity_u_s);
+    goal->reasons |= twist_u_s[AXIS_ANGULAR] != goal->wanted_u_s[AXIS_ANGULAR] ? (uint32_t)REASON_ANGULAR_VELOCITY : 0;
+    kinematics_wheels(config, twist_u_s, wheel_rad_s);
     goal->saturation = saturate_factor(wheel_rad_s, config->joint, config->joint_count);
-    goal->linear_m_s = linear_m_s * goal->saturation;
-    goal->angular_rad_s = angular_rad_s * goal->saturation;
-    goal->reasons = (linear_m_s != goal->wanted_linear_m_s ? (uint32_t)REASON_LINEAR_VELOCITY : 0) |
-                    (angular_rad_s != goal->wanted_angular_rad_s ? (uint32_t)REASON_ANGULAR_VELOCITY : 0) |
-                    (goal->saturation < 1.0 ? (uint32_t)REASON_WHEEL_SATURATED : 0);
+    goal->reasons |= goal->saturation < 1.0 ? (uint32_t)REASON_WHEEL_SATURATED : 0;
+    for (int i = 0; i < AXES; i++) {
+        twist_u_s[i] *= goal->saturation;
+    }
     goal->known = 1;
 }
 
 static void choose_goal(core_state *state, tick *t, double *goal_u_s)
 {
     const core_goal *goal = &state->goal;
-    goal_u_s[AXIS_LINEAR] = goal_u_s[AXIS_ANGULAR] = 0.0;
+    memset(goal_u_s, 0, sizeof goal->goal_u_s);
     if (!t->go || t->command_zero) {
         return;
     }
     if (!goal->known) {
         set_goal(state);
     }
-    goal_u_s[AXIS_LINEAR] = goal->linear_m_s;
-    goal_u_s[AXIS_ANGULAR] = goal->angular_rad_s;
+    memcpy(goal_u_s, goal->goal_u_s, sizeof goal->goal_u_s);
     t->saturation = goal->saturation;
     t->reasons |= goal->reasons;
 }
@@ -97,14 +120,18 @@ static void choose_goal(core_state *state, tick *t, double *goal_u_s)
 static void set_wheels(core_state *state, tick *t, double dt_s)
 {
     core_wheels *wheels = &state->wheels;
-    double linear_m_s = state->axis[AXIS_LINEAR].velocity_u_s, angular_rad_s = state->axis[AXIS_ANGULAR].velocity_u_s;
-    double turn_m_s = angular_rad_s * state->config.track_m * 0.5;
+    double twist_u_s[AXES];
     uint32_t count = state->config.joint_count, reasons = 0;
     double checksum = t->checksum;
+    wheels->moving = 0;
+    for (int i = 0; i < AXES; i++) {
+        twist_u_s[i] = wheels->twist_u_s[i] = state->axis[i].velocity_u_s;
+        wheels->moving |= twist_u_s[i] != 0.0;
+    }
     for (uint32_t j = 0; j < count; j++) {
         const joint_config *joint = &state->config.joint[j];
         joint_setpoint *setpoint = &wheels->joint[j];
-        double speed_rad_s = wheel_rounded(joint, wheel_speed(joint, linear_m_s, turn_m_s));
+        double speed_rad_s = wheel_rounded(joint, wheel_speed(joint, twist_u_s));
         checksum += setpoint->duty;
         pwm_output output = wheel_duty(&joint->pwm, setpoint->duty, speed_rad_s, dt_s);
         setpoint->velocity_rad_s = state->snapshot.joint[j].setpoint_rad_s = speed_rad_s;
@@ -112,9 +139,6 @@ static void set_wheels(core_state *state, tick *t, double dt_s)
         reasons |= output.reasons;
     }
     t->checksum = checksum;
-    wheels->linear_m_s = linear_m_s;
-    wheels->angular_rad_s = angular_rad_s;
-    wheels->moving = linear_m_s != 0.0 || angular_rad_s != 0.0;
     wheels->reasons = reasons;
     wheels->known = !(reasons & REASON_DUTY_SLEW);
 }
@@ -122,12 +146,20 @@ static void set_wheels(core_state *state, tick *t, double dt_s)
 /* The goal, which is within the limits, is reached: the ramp would change nothing. */
 static bool settled(const core_state *state, const double *goal_u_s)
 {
-    for (int i = 0; i < AXES; i++) {
+    for (uint32_t i = 0; i < state->axes; i++) {
         if (state->axis[i].velocity_u_s != goal_u_s[i] || state->axis[i].acceleration_u_s2 != 0.0) {
             return false;
         }
     }
     return true;
+}
+
+static bool same_twist(const core_state *state)
+{
+    const double *before_u_s = state->wheels.twist_u_s;
+    return state->axis[AXIS_LINEAR].velocity_u_s == before_u_s[AXIS_LINEAR] &&
+           state->axis[AXIS_ANGULAR].velocity_u_s == before_u_s[AXIS_ANGULAR] &&
+           state->axis[AXIS_LATERAL].velocity_u_s == before_u_s[AXIS_LATERAL];
 }
 
 /* goal → limit → kinematics → PWM */
@@ -143,10 +175,9 @@ static void drive(core_state *state, tick *t)
     choose_goal(state, t, goal_u_s);
     if (!settled(state, goal_u_s)) {
         const core_config *slewed = state->slewed ? &state->config : NULL;
-        t->reasons |= ramp_step(state->axis, &state->limits, slewed, goal_u_s, dt_s, state->holding != 0);
+        t->reasons |= ramp_step(state->axis, state->axes, &state->limits, slewed, goal_u_s, dt_s, state->holding != 0);
     }
-    if (state->axis[AXIS_LINEAR].velocity_u_s != wheels->linear_m_s ||
-        state->axis[AXIS_ANGULAR].velocity_u_s != wheels->angular_rad_s || !wheels->known) {
+    if (!same_twist(state) || !wheels->known) {
         set_wheels(state, t, dt_s);
     }
     t->reasons |= wheels->reasons;
@@ -218,11 +249,12 @@ static void doubt(core_state *state, tick *t)
 /* false: a number in it is not finite */
 bool odometry_finite(const odometry_state *state, uint32_t joint_count)
 {
-    const double *p = state->pose_covariance, *q = state->twist_covariance;
+    const double *p = state->pose_covariance, *q = state->twist_covariance, *r = state->lateral_covariance;
     /* a sum with an infinity or a NaN in it is one itself */
     double sum = state->x_m + state->y_m + state->heading_rad + state->distance_m + state->turned_rad + state->linear_m_s +
-                 state->angular_rad_s + p[0] + p[1] + p[2] + p[3] + p[4] + p[5] + q[0] + q[1] + q[2] + state->gyro.yaw_rad +
-                 state->gyro.bias_rad_s + state->gyro.bias_variance_rad2_s2;
+                 state->angular_rad_s + state->lateral_m_s + state->spread.slip_m_s + r[0] + r[1] + r[2] + p[0] + p[1] + p[2] +
+                 p[3] + p[4] + p[5] + q[0] + q[1] + q[2] + state->gyro.yaw_rad + state->gyro.bias_rad_s +
+                 state->gyro.bias_variance_rad2_s2;
     for (uint32_t j = 0; j < joint_count; j++) {
         sum += state->joint[j].position_rad; /* pending_rad is a part of it */
     }
@@ -363,6 +395,7 @@ int core_init(core_state *state, const core_config *config)
     state->feedback_window_ns = window_ns(config->feedback_timeout_s);
     state->heartbeat_window_ns = window_ns(config->heartbeat_timeout_s);
     note_extras(state);
+    state->axes = kinematics_strafes(config) ? AXES : AXIS_LATERAL;
     state->goal.zero = 1;
     state->silent = 1;
     state->slow = 1;

@@ -44,7 +44,12 @@ bool plausible(plausible_state *state, const plausible_config *config, const joi
 /* Every number of it is finite; in core.c, which checks it in each tick. */
 bool odometry_finite(const odometry_state *state, uint32_t joint_count);
 
-/* A side of the base sends no feedback: let the variance grow as if nothing were known of what the set-points
+/* The pose's covariance takes in what has been done since the last look, which is over at `now_ns`. */
+static const int64_t SPREAD_EVERY_NS = 20000000;
+void spread_look(odometry_state *state, const core_config *config, int64_t now_ns);
+void spread_floor(odometry_state *state, const core_config *config);
+
+/* The wheels that send feedback do not determine the motion: let the variance grow as if nothing were known of what the set-points
  * make the wheels do meanwhile. */
 void odometry_drift(odometry_state *state, const core_config *config, const joint_setpoint *setpoint, double dt_s);
 

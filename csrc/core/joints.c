@@ -1,38 +1,34 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * joints.c: wheel speeds as the twist that they are. A base with wheels on two sides has no other motion: what its
- * wheels cannot do together they would do against each other and the floor.
+ * joints.c: wheel speeds as the twist that they are. A base has no other motion: what its wheels cannot do together they would
+ * do against each other and the floor.
  */
 #include "rt.h"
 
 #include <math.h>
 
-static const double APART = 0.01;     /* wheels of a side may differ by this share of the faster side's speed */
+static const double APART = 0.01;     /* a rim may differ from the twist by this share of the fastest rim's speed */
 static const double APART_M_S = 1e-6; /* and by this, for rounding */
 
-/* 0 left, 1 right */
-static uint32_t side_of(const joint_config *joint)
+bool joints_twist(const core_config *base, const double *velocity_rad_s, double *twist_u_s)
 {
-    return joint->side > 0.0;
-}
-
-/* The inverse of wheel.h: v = (right + left) / 2, w = (right - left) / b. */
-bool joints_twist(const core_config *base, const double *velocity_rad_s, double *linear_m_s, double *angular_rad_s)
-{
-    double speed_m_s[2] = {0}, wheels[2] = {0};
-    for (uint32_t j = 0; j < base->joint_count; j++) {
-        uint32_t side = side_of(&base->joint[j]);
-        speed_m_s[side] += velocity_rad_s[j] * base->joint[j].wheel_radius_m;
-        wheels[side]++;
+    twist_inverse all;
+    double rim_m_s[JOINTS_MAX], fastest_m_s = 0.0, would_rad_s[JOINTS_MAX];
+    kinematics_invert(base, (1U << base->joint_count) - 1U, &all);
+    for (int i = 0; i < AXES; i++) {
+        twist_u_s[i] = 0.0;
     }
-    speed_m_s[0] /= wheels[0];
-    speed_m_s[1] /= wheels[1];
-    *linear_m_s = (speed_m_s[1] + speed_m_s[0]) * 0.5;
-    *angular_rad_s = (speed_m_s[1] - speed_m_s[0]) / base->track_m;
-    double apart_m_s = APART * fmax(fabs(speed_m_s[0]), fabs(speed_m_s[1])) + APART_M_S;
     for (uint32_t j = 0; j < base->joint_count; j++) {
-        double wheel_m_s = velocity_rad_s[j] * base->joint[j].wheel_radius_m;
-        if (fabs(wheel_m_s - speed_m_s[side_of(&base->joint[j])]) > apart_m_s) {
+        rim_m_s[j] = velocity_rad_s[j] * base->joint[j].wheel_radius_m;
+        fastest_m_s = fmax(fastest_m_s, fabs(rim_m_s[j]));
+        for (int i = 0; i < AXES; i++) {
+            twist_u_s[i] += all.inverse[i][j] * rim_m_s[j];
+        }
+    }
+    kinematics_wheels(base, twist_u_s, would_rad_s);
+    for (uint32_t j = 0; j < base->joint_count; j++) {
+        double apart_m_s = fabs(rim_m_s[j] - would_rad_s[j] * base->joint[j].wheel_radius_m);
+        if (apart_m_s > APART * fastest_m_s + APART_M_S) {
             return false;
         }
     }

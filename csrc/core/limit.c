@@ -19,8 +19,12 @@
 #include "wheel.h"
 
 #include <float.h>
+#include <string.h>
 
-enum { BITS_OF_AXIS = 4 }; /* the reasons of each axis follow those of the one before */
+/* Where the four reasons of each axis begin, by that of the linear one. */
+static const uint32_t SHIFT_OF_AXIS[AXES] = {[AXIS_LINEAR] = 0, [AXIS_ANGULAR] = 4, [AXIS_LATERAL] = 11};
+_Static_assert(REASON_LINEAR_VELOCITY << 4 == REASON_ANGULAR_VELOCITY, "SHIFT_OF_AXIS");
+_Static_assert(REASON_LINEAR_VELOCITY << 11 == REASON_LATERAL_VELOCITY, "SHIFT_OF_AXIS");
 
 /* The share of what is left that a second covers, and what bounds it. */
 typedef struct {
@@ -108,12 +112,14 @@ static void keep_turn(pace *least, double from, double goal, double gains, doubl
 static void keep_duties(pace *least, const core_config *base, const limit_state *axis, const double *goal_u_s, double step_s,
                         double dt_s)
 {
-    double half_track_m = base->track_m * 0.5;
-    double turn_m_s = axis[AXIS_ANGULAR].velocity_u_s * half_track_m, goal_m_s = goal_u_s[AXIS_ANGULAR] * half_track_m;
+    double from_u_s[AXES];
+    for (int i = 0; i < AXES; i++) {
+        from_u_s[i] = axis[i].velocity_u_s;
+    }
     for (uint32_t j = 0; j < base->joint_count; j++) {
         const joint_config *joint = &base->joint[j];
-        double from_rad_s = wheel_speed(joint, axis[AXIS_LINEAR].velocity_u_s, turn_m_s);
-        double goal_rad_s = wheel_speed(joint, goal_u_s[AXIS_LINEAR], goal_m_s);
+        double from_rad_s = wheel_speed(joint, from_u_s);
+        double goal_rad_s = wheel_speed(joint, goal_u_s);
         double gains_rad_s2 = wheel_acceleration(&joint->pwm);
         if (turns(from_rad_s, goal_rad_s, gains_rad_s2, INFINITY)) {
             keep_turn(least, from_rad_s, goal_rad_s, gains_rad_s2, step_s, dt_s, REASON_DUTY_SLEW);
@@ -131,9 +137,9 @@ static uint32_t rest(limit_state *axis)
     return 0;
 }
 
-static void move(limit_state *axis, const double *goal_u_s, double rate_s, bool arrives, double dt_s)
+static void move(limit_state *axis, uint32_t axes, const double *goal_u_s, double rate_s, bool arrives, double dt_s)
 {
-    for (int i = 0; i < AXES; i++) {
+    for (uint32_t i = 0; i < axes; i++) {
         double from_u_s = axis[i].velocity_u_s, change_u_s = goal_u_s[i] - from_u_s;
         double next_u_s = from_u_s + change_u_s * rate_s * dt_s;
         /* the change is rounded, so a last step could pass the goal by a rounding */
@@ -144,13 +150,13 @@ static void move(limit_state *axis, const double *goal_u_s, double rate_s, bool 
     }
 }
 
-uint32_t ramp_step(limit_state *axis, const base_limits *limits, const core_config *slewed, const double *goal_u_s, double dt_s,
-                   bool urgent)
+uint32_t ramp_step(limit_state *axis, uint32_t axes, const base_limits *limits, const core_config *slewed, const double *goal_u_s,
+                   double dt_s, bool urgent)
 {
-    const axis_limits *of[AXES] = {&limits->linear, &limits->angular};
-    double goal[AXES] = {goal_u_s[AXIS_LINEAR] + 0.0, goal_u_s[AXIS_ANGULAR] + 0.0}; /* no negative zero */
-    double sum = 0.0, goals = 0.0;
-    for (int i = 0; i < AXES; i++) {
+    const axis_limits *of[AXES] = {&limits->linear, &limits->angular, &limits->lateral};
+    double goal[AXES] = {0.0}, sum = 0.0, goals = 0.0;
+    for (uint32_t i = 0; i < axes; i++) {
+        goal[i] = goal_u_s[i] + 0.0; /* no negative zero */
         sum += fabs(axis[i].velocity_u_s) + fabs(axis[i].acceleration_u_s2);
         goals += fabs(goal[i]);
     }
@@ -158,29 +164,29 @@ uint32_t ramp_step(limit_state *axis, const base_limits *limits, const core_conf
         return rest(axis);
     }
     if (!(goals <= DBL_MAX)) {
-        goal[AXIS_LINEAR] = goal[AXIS_ANGULAR] = 0.0;
+        memset(goal, 0, sizeof goal);
     }
 
     pace whole = {1.0 / dt_s, 0.0, 0}, least = whole, step = {INFINITY, 0.0, 0};
-    for (uint32_t i = 0; i < AXES; i++) {
-        keep_axis(&least, &step, &axis[i], of[i], goal[i], dt_s, urgent, BITS_OF_AXIS * i);
+    for (uint32_t i = 0; i < axes; i++) {
+        keep_axis(&least, &step, &axis[i], of[i], goal[i], dt_s, urgent, SHIFT_OF_AXIS[i]);
     }
     if (step.rate_s < whole.rate_s) {
         bind(&least, easing(whole.rate_s, step.rate_s), step.reason);
     }
-    for (uint32_t i = 0; i < AXES; i++) {
+    for (uint32_t i = 0; i < axes; i++) {
         if (turns(axis[i].velocity_u_s, goal[i], of[i]->acceleration_u_s2, of[i]->deceleration_u_s2)) {
             keep_turn(&least, axis[i].velocity_u_s, goal[i], of[i]->acceleration_u_s2, step.rate_s, dt_s,
-                      (uint32_t)REASON_LINEAR_ACCELERATION << BITS_OF_AXIS * i);
+                      (uint32_t)REASON_LINEAR_ACCELERATION << SHIFT_OF_AXIS[i]);
         }
     }
     if (slewed != NULL) {
         keep_duties(&least, slewed, axis, goal, step.rate_s, dt_s);
     }
 
-    move(axis, goal, least.rate_s, least.reason == 0, dt_s);
+    move(axis, axes, goal, least.rate_s, least.reason == 0, dt_s);
     sum = 0.0;
-    for (int i = 0; i < AXES; i++) {
+    for (uint32_t i = 0; i < axes; i++) {
         sum += fabs(axis[i].velocity_u_s) + fabs(axis[i].acceleration_u_s2);
     }
     return sum <= DBL_MAX && !isnan(least.sum_s + step.sum_s) ? least.reason : rest(axis);

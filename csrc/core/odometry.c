@@ -3,8 +3,8 @@
  * odometry.c: from counters to a pose with its uncertainty.
  *
  * Each joint gathers its travel from its own samples; when every joint with feedback has brought one, the
- * gathered travel is integrated as one exact arc. Where a counter cannot say how far a wheel has gone (it
- * jumped, its origin moved, there is none), the drive's measured velocity stands in, and `degraded` is set.
+ * gathered travel is integrated as one exact arc: the base's twist is taken for constant meanwhile. Where a
+ * counter cannot say how far a wheel has gone (it jumped, its origin moved, there is none), the drive's measured velocity stands in, and `degraded` is set.
  */
 #include "core.h"
 
@@ -22,20 +22,17 @@ enum { NOTHING = 0, TRAVEL = 1 << 0, ESTIMATE = 1 << 1, SEED = 1 << 2 };
 enum { NONE = 0, BELIEVED = 1, REFUSED = 2 };
 
 typedef struct {
-    double travel_m[2]; /* left, right: sums, then means */
-    uint32_t joints[2]; /* that brought a travel */
-    int64_t stamp_ns;   /* newest */
+    double rim_m[JOINTS_MAX]; /* of those that brought a travel */
+    uint32_t joints;          /* bit n: joint n did */
+    int64_t stamp_ns;         /* newest */
     uint32_t degraded;
 } arc;
 
-/* What the base did, with the variances of what is not known of it. */
+/* What the base did, in its frame in the middle of the arc, as if it had been straight on. */
 typedef struct {
-    double distance_m;
+    double x_m;
+    double y_m;
     double turn_rad;
-    double distance_m2;
-    double distance_turn_m_rad;
-    double turn_rad2;
-    double scrub_rad2; /* of the heading alone */
 } motion;
 
 /* unused: bits of the word that are not the counter's, 0..63 */
@@ -61,21 +58,14 @@ static double smaller(double a, double b)
     return a < b ? a : b;
 }
 
-static void floor_covariance(odometry_state *state, const core_config *config)
-{
-    double *p = state->pose_covariance;
-    p[0] = larger(p[0], config->pose_variance_floor_m2);
-    p[3] = larger(p[3], config->pose_variance_floor_m2);
-    p[5] = larger(p[5], config->heading_variance_floor_rad2);
-}
-
 static void pose_to_origin(odometry_state *state, const core_config *config)
 {
     state->x_m = state->y_m = state->heading_rad = 0.0;
     for (int i = 0; i < 6; i++) {
         state->pose_covariance[i] = 0.0;
     }
-    floor_covariance(state, config);
+    state->spread = (spread_state){0};
+    spread_floor(state, config);
 }
 
 static joint_constants constants_of(const joint_config *joint, double timeout_s)
@@ -83,7 +73,6 @@ static joint_constants constants_of(const joint_config *joint, double timeout_s)
     joint_constants found = {
         .wheel_radius_m = joint->wheel_radius_m,
         .reach_rad_s = JUMP_MARGIN * larger(joint->velocity_max_rad_s, -joint->velocity_min_rad_s),
-        .right = joint->side > 0.0,
     };
     if (joint->counter_bits == 0) {
         return found;
@@ -108,6 +97,8 @@ void odometry_init(odometry_state *state, const core_config *config)
         state->joint[j].constant = constants_of(&config->joint[j], config->feedback_timeout_s);
     }
     pose_to_origin(state, config);
+    kinematics_invert(config, (1U << config->joint_count) - 1U, &state->used);
+    state->lateral_covariance[1] = kinematics_strafes(config) ? config->twist_variance_floor_m2_s2 : 0.0;
     state->twist_covariance[0] = config->twist_variance_floor_m2_s2;
     state->twist_covariance[2] = config->twist_variance_floor_rad2_s2;
 }
@@ -290,39 +281,35 @@ static inline bool take_next(joint_odometry *joint, const joint_feedback *sample
     return true;
 }
 
-/* Empties the joints into one arc. A joint left out seeds again, for its side has gone on without it. */
-static arc collect(odometry_state *state, const core_config *config, const uint32_t *stale)
+/* Empties the joints into one arc. A joint left out seeds again, for the base has gone on without it. */
+static void collect(odometry_state *state, const core_config *config, const uint32_t *stale, arc *found)
 {
-    arc found = {0};
-    uint32_t seen = NOTHING;
+    uint32_t seen = NOTHING, joints = 0, degraded = 0;
+    int64_t newest_ns = 0;
     for (uint32_t j = 0; j < config->joint_count; j++) {
         joint_odometry *joint = &state->joint[j];
-        if (stale[j]) {
-            joint->last = NONE;
-            found.degraded = 1;
-        } else {
-            if (joint->stamp_ns > found.stamp_ns) {
-                found.stamp_ns = joint->stamp_ns;
-            }
-            if (joint->fresh & SEED) {
-                found.degraded |= joint->pending_rad != 0.0; /* only part of the distance is known: thrown away */
+        double rim_m = joint->pending_rad * joint->constant.wheel_radius_m;
+        if (__builtin_expect(stale[j] | (joint->fresh & SEED), 0)) {
+            if (stale[j]) {
+                joint->last = NONE;
+                degraded = 1;
             } else {
-                uint32_t right = joint->constant.right;
-                found.travel_m[right] += joint->pending_rad * joint->constant.wheel_radius_m;
-                found.joints[right]++;
-                seen |= joint->fresh;
+                degraded |= joint->pending_rad != 0.0; /* only part of the distance is known: thrown away */
+                newest_ns = joint->stamp_ns > newest_ns ? joint->stamp_ns : newest_ns;
             }
+            rim_m = 0.0;
+        } else {
+            newest_ns = joint->stamp_ns > newest_ns ? joint->stamp_ns : newest_ns;
+            joints |= 1U << j;
+            seen |= joint->fresh;
         }
+        found->rim_m[j] = rim_m;
         joint->pending_rad = 0.0;
         joint->fresh = NOTHING;
     }
-    found.degraded |= (seen & ESTIMATE) != 0;
-    for (int side = 0; side < 2; side++) {
-        if (found.joints[side] != 0) {
-            found.travel_m[side] /= found.joints[side];
-        }
-    }
-    return found;
+    found->stamp_ns = newest_ns;
+    found->joints = joints;
+    found->degraded = degraded | ((seen & ESTIMATE) != 0);
 }
 
 /* sin(h) / h, without the cancellation near zero; the first term left out is below 3e-18 */
@@ -335,109 +322,133 @@ static double sine_over(double half_rad)
     return angle_direction(angle_wrap(half_rad)).sine / half_rad;
 }
 
-static motion by_wheels(const core_config *config, const arc *found)
+/* Do these joints determine the motion? Others than before are rare: a joint has gone silent, or is back. */
+static bool determined(odometry_state *state, const core_config *config, uint32_t joints)
 {
-    double left_m = found->travel_m[0], right_m = found->travel_m[1];
-    double left_m2 = config->distance_variance_m2_per_m * fabs(left_m);
-    double right_m2 = config->distance_variance_m2_per_m * fabs(right_m);
-    double over_track = 1.0 / config->track_m;
-    return (motion){
-        .distance_m = 0.5 * (left_m + right_m),
-        .turn_rad = (right_m - left_m) * over_track,
-        .distance_m2 = 0.25 * (right_m2 + left_m2),
-        .distance_turn_m_rad = 0.5 * (right_m2 - left_m2) * over_track,
-        .turn_rad2 = (right_m2 + left_m2) * over_track * over_track,
-        .scrub_rad2 = config->turn_variance_rad2_per_rad * fabs(right_m - left_m) * over_track,
-    };
+    if (joints != state->used.joints) {
+        spread_look(state, config, state->spread.stamp_ns);
+        kinematics_invert(config, joints, &state->used);
+    }
+    return state->used.determined != 0;
+}
+
+static motion by_wheels(odometry_state *state, const arc *found, uint32_t joint_count)
+{
+    const twist_inverse *used = &state->used;
+    const double *rim_m = found->rim_m, *y = used->inverse[AXIS_LATERAL];
+    double *since_m = state->spread.rim_m;
+    motion moved = {0.0, 0.0, 0.0};
+    for (uint32_t j = 0; j < joint_count; j++) {
+        moved.x_m += used->inverse[AXIS_LINEAR][j] * rim_m[j];
+        moved.turn_rad += used->inverse[AXIS_ANGULAR][j] * rim_m[j];
+        since_m[j] += rim_m[j];
+    }
+    for (uint32_t j = 0; j < joint_count && used->strafes; j++) {
+        moved.y_m += y[j] * rim_m[j];
+    }
+    return moved;
+}
+
+/* A look at what was done before this arc, which spread.rim_m has already. */
+static void look_before(odometry_state *state, const core_config *config, const arc *found)
+{
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        state->spread.rim_m[j] -= found->rim_m[j];
+    }
+    spread_look(state, config, state->spread.stamp_ns);
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        state->spread.rim_m[j] = found->rim_m[j];
+    }
 }
 
 /* The distance is the wheels', the turn the gyro's: their errors have nothing to do with each other. */
-static void turn_by_gyro(odometry_state *state, const core_config *config, int64_t moment_ns, motion *moved)
+static void turn_by_gyro(odometry_state *state, const core_config *config, const arc *found, motion *moved)
 {
-    double turn_rad, variance_rad2;
-    state->by_gyro = config->gyro.used && gyro_turn(&state->gyro, &config->gyro, moment_ns, &turn_rad, &variance_rad2) &&
+    double turn_rad, variance_rad2 = 0.0;
+    state->by_gyro = config->gyro.used && gyro_turn(&state->gyro, &config->gyro, state->stamp_ns, &turn_rad, &variance_rad2) &&
                      !gyro_reversed(&state->gyro, moved->turn_rad, turn_rad);
+    if (state->by_gyro != state->spread.by_gyro) {
+        look_before(state, config, found);
+        state->spread.by_gyro = state->by_gyro;
+    }
     if (!state->by_gyro) {
         return;
     }
     moved->turn_rad = turn_rad;
-    moved->turn_rad2 = variance_rad2;
-    moved->distance_turn_m_rad = moved->scrub_rad2 = 0.0;
-}
-
-/* Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4: the errors of distance and turn are carried into the pose by the
- * Jacobians of the motion; the scrub of turning is added to the heading. Half of the turn's error is there in the middle
- * of the arc: the distance has its direction. */
-static void grow_pose_covariance(odometry_state *state, const core_config *config, const motion *moved, direction middle)
-{
-    double *p = state->pose_covariance, sine = middle.sine, cosine = middle.cosine;
-    double ss = moved->distance_m2, st = moved->distance_turn_m_rad, tt = moved->turn_rad2;
-    /* x and y of the end, by the heading at the start */
-    double a = -moved->distance_m * sine, b = moved->distance_m * cosine;
-    double hh = p[5] + 0.25 * tt;
-    double xh = p[2] + 0.5 * st * cosine, yh = p[4] + 0.5 * st * sine;
-    double xh_end = xh + a * hh, yh_end = yh + b * hh;
-    p[0] += a * (xh + xh_end) + ss * cosine * cosine;
-    p[1] += a * yh_end + b * xh + ss * cosine * sine;
-    p[3] += b * (yh + yh_end) + ss * sine * sine;
-    p[2] = xh_end + 0.5 * st * cosine + 0.25 * tt * a;
-    p[4] = yh_end + 0.5 * st * sine + 0.25 * tt * b;
-    p[5] += tt + moved->scrub_rad2;
-    floor_covariance(state, config);
+    state->spread.gyro_rad2 += variance_rad2;
 }
 
 static void measure_twist(odometry_state *state, const core_config *config, const motion *moved, double elapsed_s)
 {
-    double per_s = 1.0 / elapsed_s, per_s2 = per_s * per_s;
-    state->linear_m_s = moved->distance_m * per_s;
+    const spread_state *spread = &state->spread;
+    double per_s = 1.0 / elapsed_s;
+    state->linear_m_s = moved->x_m * per_s;
     state->angular_rad_s = moved->turn_rad * per_s;
-    state->twist_covariance[0] = config->twist_variance_floor_m2_s2 + moved->distance_m2 * per_s2;
-    state->twist_covariance[1] = moved->distance_turn_m_rad * per_s2;
-    state->twist_covariance[2] = config->twist_variance_floor_rad2_s2 + (moved->turn_rad2 + moved->scrub_rad2) * per_s2;
+    state->twist_covariance[0] = config->twist_variance_floor_m2_s2 + spread->linear2_m2_s * per_s;
+    state->twist_covariance[1] = spread->linear_angular_m_rad_s * per_s;
+    state->twist_covariance[2] = config->twist_variance_floor_rad2_s2 + spread->angular2_rad2_s * per_s;
+    if (state->used.strafes) {
+        state->lateral_m_s = moved->y_m * per_s;
+        state->lateral_covariance[0] = spread->linear_lateral_m2_s * per_s;
+        state->lateral_covariance[1] = config->twist_variance_floor_m2_s2 + spread->lateral2_m2_s * per_s;
+        state->lateral_covariance[2] = spread->lateral_angular_m_rad_s * per_s;
+    }
     if (state->by_gyro) {
         state->angular_rad_s = state->gyro.still ? 0.0 : state->gyro.rate_rad_s;
         state->twist_covariance[2] = config->twist_variance_floor_rad2_s2 + state->gyro.rate_variance_rad2_s2;
     }
 }
 
+/* The exponential of a constant twist in SE(2) (Lynch & Park, Modern Robotics, 2017, 13.4): the straight way times sin(h) / h,
+ * in the heading of half the turn h. */
+static void follow(odometry_state *state, const motion *moved)
+{
+    double chord = sine_over(0.5 * moved->turn_rad);
+    direction middle = angle_direction(angle_wrap(state->heading_rad + 0.5 * moved->turn_rad));
+    double x_m = moved->x_m * middle.cosine - moved->y_m * middle.sine;
+    double y_m = moved->x_m * middle.sine + moved->y_m * middle.cosine;
+    state->x_m += chord * x_m;
+    state->y_m += chord * y_m;
+    state->spread.x_m += x_m;
+    state->spread.y_m += y_m;
+    state->heading_rad = angle_wrap(state->heading_rad + moved->turn_rad);
+    state->distance_m += sqrt(moved->x_m * moved->x_m + moved->y_m * moved->y_m);
+    state->turned_rad += fabs(moved->turn_rad);
+}
+
 static void integrate(odometry_state *state, const core_config *config, const uint32_t *stale)
 {
-    arc found = collect(state, config, stale);
+    arc found;
+    collect(state, config, stale, &found);
     int64_t before_ns = state->stamp_ns;
     state->degraded = found.degraded;
     if (found.stamp_ns > before_ns) {
         state->stamp_ns = found.stamp_ns;
     }
-    if (found.joints[0] == 0 || found.joints[1] == 0) {
-        /* one side has only just been seeded: what the other has gone alone is no arc */
-        state->degraded |= found.joints[0] != found.joints[1];
+    if (found.joints == 0 || !determined(state, config, found.joints)) {
+        /* some have only just been seeded: what the others have gone alone is no arc */
+        state->degraded |= found.joints != 0;
+        state->spread.stamp_ns = state->spread.stamp_ns == 0 ? state->stamp_ns : state->spread.stamp_ns;
         return;
     }
-    motion moved = by_wheels(config, &found);
-    turn_by_gyro(state, config, state->stamp_ns, &moved);
-    double chord_m = moved.distance_m * sine_over(0.5 * moved.turn_rad);
-    direction middle = angle_direction(angle_wrap(state->heading_rad + 0.5 * moved.turn_rad));
-
-    state->x_m += chord_m * middle.cosine;
-    state->y_m += chord_m * middle.sine;
-    state->heading_rad = angle_wrap(state->heading_rad + moved.turn_rad);
-    state->distance_m += fabs(moved.distance_m);
-    state->turned_rad += fabs(moved.turn_rad);
-    grow_pose_covariance(state, config, &moved, middle);
+    motion moved = by_wheels(state, &found, config->joint_count);
+    turn_by_gyro(state, config, &found, &moved);
+    follow(state, &moved);
+    if (found.stamp_ns - state->spread.stamp_ns >= SPREAD_EVERY_NS) {
+        spread_look(state, config, found.stamp_ns);
+    }
     if (before_ns > 0 && found.stamp_ns > before_ns) {
         measure_twist(state, config, &moved, (double)(found.stamp_ns - before_ns) * 1e-9);
     }
 }
 
-static bool both_sides_received(const core_config *config, const uint32_t *stale)
+static uint32_t received(const core_config *config, const uint32_t *stale)
 {
-    bool received[2] = {false, false};
+    uint32_t joints = 0;
     for (uint32_t j = 0; j < config->joint_count; j++) {
-        if (!stale[j]) {
-            received[config->joint[j].side > 0.0] = true;
-        }
+        joints |= (stale[j] ? 0U : 1U) << j;
     }
-    return received[0] && received[1];
+    return joints;
 }
 
 void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback, const uint32_t *stale,
@@ -461,28 +472,8 @@ void odometry_step(odometry_state *state, const core_config *config, const joint
     if (silent != 0) {
         state->degraded = 1;
     }
-    state->blind = silent != 0 && !both_sides_received(config, stale);
+    state->blind = silent != 0 && !determined(state, config, received(config, stale));
     if (missing == 0 && !state->blind) {
         integrate(state, config, stale);
     }
-}
-
-void odometry_drift(odometry_state *state, const core_config *config, const joint_setpoint *setpoint, double dt_s)
-{
-    double side_m[2] = {0.0, 0.0};
-    for (uint32_t j = 0; j < config->joint_count; j++) {
-        double travel_m = fabs(setpoint[j].velocity_rad_s) * config->joint[j].wheel_radius_m * dt_s;
-        uint32_t right = config->joint[j].side > 0.0;
-        side_m[right] = larger(side_m[right], travel_m);
-    }
-    double distance_m = 0.5 * (side_m[0] + side_m[1]);
-    double turn_rad = (side_m[0] + side_m[1]) / config->track_m;
-    double *p = state->pose_covariance;
-    p[0] += distance_m * (2.0 * sqrt(p[0]) + distance_m);
-    p[3] += distance_m * (2.0 * sqrt(p[3]) + distance_m);
-    p[5] += turn_rad * (2.0 * sqrt(p[5]) + turn_rad);
-    /* the last measured twist is all there is: as uncertain as it is large */
-    double linear = state->linear_m_s * state->linear_m_s, angular = state->angular_rad_s * state->angular_rad_s;
-    state->twist_covariance[0] = larger(state->twist_covariance[0], config->twist_variance_floor_m2_s2 + linear);
-    state->twist_covariance[2] = larger(state->twist_covariance[2], config->twist_variance_floor_rad2_s2 + angular);
 }

@@ -69,6 +69,11 @@ static inline void snapshot_write_feedback(core_state *state, const joint_feedba
     for (int i = 0; i < 3; i++) {
         to->twist_covariance[i] = from->twist_covariance[i];
     }
+    for (int i = 0; i < 3 && state->axes == AXES; i++) {
+        to->lateral.covariance[i] = from->lateral_covariance[i];
+    }
+    to->lateral.measured_m_s = from->lateral_m_s;
+    to->lateral.slip_m_s = from->spread.slip_m_s;
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
         write_joint(state, &feedback[j], j, &to->joint[j]);
     }
@@ -128,8 +133,10 @@ static inline void snapshot_write(core_state *state, const tick *t)
     to->at_rest = state->at_rest;
     to->dt_s = t->dt_s;
     to->command_age_s = t->command_age_s > 0.0 ? t->command_age_s : 0.0;
-    to->wanted_linear_m_s = t->command_fresh ? state->goal.wanted_linear_m_s : 0.0;
-    to->wanted_angular_rad_s = t->command_fresh ? state->goal.wanted_angular_rad_s : 0.0;
+    to->wanted_linear_m_s = t->command_fresh ? state->goal.wanted_u_s[AXIS_LINEAR] : 0.0;
+    to->wanted_angular_rad_s = t->command_fresh ? state->goal.wanted_u_s[AXIS_ANGULAR] : 0.0;
+    to->lateral.wanted_m_s = t->command_fresh ? state->goal.wanted_u_s[AXIS_LATERAL] : 0.0;
+    to->lateral.setpoint_m_s = state->axis[AXIS_LATERAL].velocity_u_s;
     to->setpoint_linear_m_s = state->axis[AXIS_LINEAR].velocity_u_s;
     to->setpoint_angular_rad_s = state->axis[AXIS_ANGULAR].velocity_u_s;
     to->saturation = t->saturation;
@@ -142,9 +149,10 @@ static inline void snapshot_write(core_state *state, const tick *t)
 _Static_assert(sizeof(joint_state) == 8 * 8 + 4 * 4, "padding in joint_state");
 _Static_assert(sizeof(imu_state) == 10 * 8 + 4 * 4, "padding in imu_state");
 _Static_assert(sizeof(feedback_doubt) == 4 * 8 + 2 * 4, "padding in feedback_doubt");
+_Static_assert(sizeof(lateral_state) == 7 * 8, "padding in lateral_state");
 _Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 24, "padding in setpoints");
-_Static_assert(sizeof(robot_state) ==
-                   8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80 + sizeof(imu_state) + sizeof(feedback_doubt),
+_Static_assert(sizeof(robot_state) == 8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80 + sizeof(imu_state) +
+                                          sizeof(feedback_doubt) + sizeof(lateral_state),
                "padding in robot_state");
 
 #endif

@@ -29,14 +29,16 @@ static inline uint64_t window_ns(double timeout_s)
 /* Another command than the last one. */
 static inline void take_command(core_goal *goal, const twist_command *command)
 {
-    double linear_m_s = command->linear_m_s, angular_rad_s = command->angular_rad_s;
-    bool finite = isfinite(linear_m_s) && isfinite(angular_rad_s);
-    goal->command_linear_m_s = linear_m_s;
-    goal->command_angular_rad_s = angular_rad_s;
-    goal->wanted_linear_m_s = finite && fabs(linear_m_s) >= LEAST_COMMAND ? linear_m_s : 0.0;
-    goal->wanted_angular_rad_s = finite && fabs(angular_rad_s) >= LEAST_COMMAND ? angular_rad_s : 0.0;
+    const double twist_u_s[AXES] = {command->linear_m_s, command->angular_rad_s, command->lateral_m_s};
+    bool finite = isfinite(twist_u_s[0]) && isfinite(twist_u_s[1]) && isfinite(twist_u_s[2]);
+    bool zero = true;
+    for (int i = 0; i < AXES; i++) {
+        goal->command_u_s[i] = twist_u_s[i];
+        goal->wanted_u_s[i] = finite && fabs(twist_u_s[i]) >= LEAST_COMMAND ? twist_u_s[i] : 0.0;
+        zero &= goal->wanted_u_s[i] == 0.0;
+    }
     /* a command that is no number does not arm: it is no command of zero */
-    goal->zero = finite && goal->wanted_linear_m_s == 0.0 && goal->wanted_angular_rad_s == 0.0;
+    goal->zero = finite && zero;
     goal->command_reasons = finite ? 0 : REASON_COMMAND_NOT_FINITE;
     goal->known = 0;
 }
@@ -47,7 +49,8 @@ static inline void read_command(core_state *state, tick *t)
     core_goal *goal = &state->goal;
     int64_t now_ns = t->input->now_ns;
     /* NaN is never the last one */
-    if (command->linear_m_s != goal->command_linear_m_s || command->angular_rad_s != goal->command_angular_rad_s) {
+    if (command->linear_m_s != goal->command_u_s[AXIS_LINEAR] || command->angular_rad_s != goal->command_u_s[AXIS_ANGULAR] ||
+        command->lateral_m_s != goal->command_u_s[AXIS_LATERAL]) {
         take_command(goal, command);
     }
     t->command_age_s = age_s(now_ns, command->stamp_ns);
@@ -118,7 +121,7 @@ static inline void look(core_state *state, const core_input *input, double dt_s,
     t->dt_s = dt_s > 0.0 && dt_s <= DBL_MAX ? dt_s : 0.0;
     t->saturation = 1.0;
     t->checksum = 0.0;
-    for (int i = 0; i < AXES; i++) {
+    for (uint32_t i = 0; i < state->axes; i++) {
         t->checksum += state->axis[i].velocity_u_s + state->axis[i].acceleration_u_s2;
     }
     t->heartbeat_fresh = fresh_within(input->now_ns, input->control.heartbeat_ns, state->heartbeat_window_ns);
@@ -156,7 +159,10 @@ static inline void obey_counters(core_state *state, const tick *t)
 static inline void take_limits(core_state *state, const base_limits *limits)
 {
     char name[FIELD_NAME_BYTES];
-    if (memcmp(limits, &state->limits, sizeof *limits) == 0 || base_limits_check(limits, name) != NULL) {
+    /* those of an axis that the base does not have change nothing */
+    bool same = memcmp(limits, &state->limits, offsetof(base_limits, lateral)) == 0 &&
+                (state->axes < AXES || memcmp(&limits->lateral, &state->limits.lateral, sizeof limits->lateral) == 0);
+    if (same || base_limits_check(limits, name) != NULL) {
         return;
     }
     state->limits = *limits;

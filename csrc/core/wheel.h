@@ -8,10 +8,12 @@
 
 #include <math.h>
 
-/* Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3: each side rolls at v -+ w b / 2. */
-static inline double wheel_speed(const joint_config *joint, double linear_m_s, double turn_m_s)
+/* rad/s of a twist, twist_u_s[AXES] */
+static inline double wheel_speed(const joint_config *joint, const double *twist_u_s)
 {
-    return (linear_m_s + joint->side * turn_m_s) / joint->wheel_radius_m;
+    const wheel_row *row = &joint->row;
+    double rim_m_s = row->x * twist_u_s[AXIS_LINEAR] + row->lever_m * twist_u_s[AXIS_ANGULAR] + row->y * twist_u_s[AXIS_LATERAL];
+    return rim_m_s / joint->wheel_radius_m;
 }
 
 /* A twist at a wheel's limit, rounded, may be beyond it by the last bit; a NaN stays one. */

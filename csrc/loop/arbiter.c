@@ -11,6 +11,7 @@
 
 _Static_assert(sizeof(command_datagram) == COMMAND_BYTES, "docs/commands.md promises this layout");
 _Static_assert(sizeof(joint_datagram) == JOINT_COMMAND_BYTES, "docs/commands.md promises this layout");
+_Static_assert(offsetof(command_datagram, lateral_m_s) == COMMAND_BYTES_PLANE, "version 1 ends before it");
 _Static_assert(offsetof(joint_datagram, velocity_rad_s) == offsetof(command_datagram, linear_m_s), "one head for both");
 
 static const int64_t NS_PER_MS = 1000000;
@@ -41,7 +42,7 @@ static bool alive(const lease_state *lease, int64_t now_ns)
 
 static bool wants_motion(const lease_state *lease)
 {
-    return lease->linear_m_s != 0.0 || lease->angular_rad_s != 0.0;
+    return lease->linear_m_s != 0.0 || lease->angular_rad_s != 0.0 || lease->lateral_m_s != 0.0;
 }
 
 void arbiter_grant(arbiter *a, const lease_permissions *permissions)
@@ -144,7 +145,10 @@ static bool in_range(const arbiter *a, const command_datagram *command)
     const base_limits *file = &a->base->limits, *now = a->limits != NULL ? a->limits : file;
     double linear_m_s = larger(file->linear.velocity_u_s, now->linear.velocity_u_s);
     double angular_rad_s = larger(file->angular.velocity_u_s, now->angular.velocity_u_s);
-    return fabs(command->linear_m_s) <= OUT_OF_RANGE * linear_m_s && fabs(command->angular_rad_s) <= OUT_OF_RANGE * angular_rad_s;
+    double lateral_m_s = larger(file->lateral.velocity_u_s, now->lateral.velocity_u_s);
+    bool sideways = !kinematics_strafes(a->base) || fabs(command->lateral_m_s) <= OUT_OF_RANGE * lateral_m_s;
+    return fabs(command->linear_m_s) <= OUT_OF_RANGE * linear_m_s &&
+           fabs(command->angular_rad_s) <= OUT_OF_RANGE * angular_rad_s && sideways;
 }
 
 /* `possible`: the base can do it, if it is finite. */
@@ -163,9 +167,9 @@ static int take(arbiter *a, uint32_t place, const command_datagram *command, boo
     if (!fresh_stamp(now_ns, stamp_since(command->stamp_ns, a->resumed_ns), life_ns - 1)) {
         return refuse(a, REFUSED_AGE);
     }
-    bool finite = isfinite(command->linear_m_s) && isfinite(command->angular_rad_s);
+    bool finite = isfinite(command->linear_m_s) && isfinite(command->angular_rad_s) && isfinite(command->lateral_m_s);
     bool good = finite && possible && in_range(a, command);
-    bool motion = good && (command->linear_m_s != 0.0 || command->angular_rad_s != 0.0);
+    bool motion = good && (command->linear_m_s != 0.0 || command->angular_rad_s != 0.0 || command->lateral_m_s != 0.0);
     if (motion && too_often(grant, lease, now_ns)) {
         return refuse(a, REFUSED_RATE);
     }
@@ -179,27 +183,33 @@ static int take(arbiter *a, uint32_t place, const command_datagram *command, boo
     lease->expires_ns = command->stamp_ns + life_ns;
     lease->linear_m_s = good ? command->linear_m_s : 0.0;
     lease->angular_rad_s = good ? command->angular_rad_s : 0.0;
+    lease->lateral_m_s = good ? command->lateral_m_s : 0.0;
     lease->held = wants_motion(lease) && (!may_move || barred);
     if (!good) {
         lease->held = barred; /* that was no zero */
         return refuse(a, !finite ? REFUSED_NOT_FINITE : !possible ? REFUSED_JOINTS : REFUSED_OUT_OF_RANGE);
     }
     a->report.accepted++;
+    a->report.sideways += command->lateral_m_s != 0.0 && a->base != NULL && !kinematics_strafes(a->base);
     return 0;
 }
 
 /* The datagram in the form of a twist. */
 static bool read_form(const void *datagram, size_t bytes, command_datagram *command)
 {
-    if (bytes != COMMAND_BYTES && bytes != JOINT_COMMAND_BYTES) {
+    if (bytes != COMMAND_BYTES && bytes != COMMAND_BYTES_PLANE && bytes != JOINT_COMMAND_BYTES) {
         return false;
     }
-    memcpy(command, datagram, sizeof *command);
-    if (command->magic != COMMAND_MAGIC || command->version != COMMAND_VERSION) {
+    *command = (command_datagram){0};
+    memcpy(command, datagram, bytes < sizeof *command ? bytes : sizeof *command);
+    if (command->magic != COMMAND_MAGIC || (command->version != COMMAND_VERSION && command->version != COMMAND_VERSION_PLANE)) {
         return false;
     }
     if (bytes == JOINT_COMMAND_BYTES) {
         return command->kind == COMMAND_JOINTS;
+    }
+    if (bytes != (command->version == COMMAND_VERSION ? COMMAND_BYTES : COMMAND_BYTES_PLANE)) {
+        return false;
     }
     return command->kind == COMMAND_TWIST || command->kind == COMMAND_RELEASE;
 }
@@ -209,9 +219,13 @@ static bool read_joints(const arbiter *a, const void *datagram, command_datagram
 {
     joint_datagram joints;
     memcpy(&joints, datagram, sizeof joints);
-    command->linear_m_s = command->angular_rad_s = 0.0;
-    return a->base != NULL && joints.joint_count == a->base->joint_count &&
-           joints_twist(a->base, joints.velocity_rad_s, &command->linear_m_s, &command->angular_rad_s);
+    double twist_u_s[AXES] = {0.0};
+    bool possible =
+        a->base != NULL && joints.joint_count == a->base->joint_count && joints_twist(a->base, joints.velocity_rad_s, twist_u_s);
+    command->linear_m_s = twist_u_s[AXIS_LINEAR];
+    command->angular_rad_s = twist_u_s[AXIS_ANGULAR];
+    command->lateral_m_s = twist_u_s[AXIS_LATERAL];
+    return possible;
 }
 
 int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_ns, bool may_move)
@@ -266,5 +280,6 @@ void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *o
     if (lease->held == 0) {
         out->linear_m_s = lease->linear_m_s;
         out->angular_rad_s = lease->angular_rad_s;
+        out->lateral_m_s = lease->lateral_m_s;
     }
 }

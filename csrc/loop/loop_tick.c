@@ -71,6 +71,7 @@ void loop_rehearse(loop_work *work, core_state *scratch)
         input.command.expires_ns = input.now_ns + work->period_ns;
         input.command.linear_m_s = i > 4 ? 0.1 : 0.0;
         input.command.angular_rad_s = i > 4 ? 0.1 : 0.0;
+        input.command.lateral_m_s = i > 4 && kinematics_strafes(config) ? 0.1 : 0.0;
         for (uint32_t joint = 0; joint < config->joint_count; joint++) {
             input.feedback[joint] = (joint_feedback){.stamp_ns = input.now_ns,
                                                      .count = i,
@@ -247,7 +248,7 @@ static void wake_lines(const loop_work *work)
 static bool same_command(const twist_command *one, const twist_command *other)
 {
     return one->stamp_ns == other->stamp_ns && one->expires_ns == other->expires_ns && one->linear_m_s == other->linear_m_s &&
-           one->angular_rad_s == other->angular_rad_s;
+           one->angular_rad_s == other->angular_rad_s && one->lateral_m_s == other->lateral_m_s;
 }
 
 /* A coarse clock shows the same time twice: there is nothing to compute until it moves. */
@@ -334,6 +335,7 @@ void loop_rest(loop_work *work, int64_t now_ns)
     last->reasons |= REASON_NOT_ARMED;
     last->setpoint_linear_m_s = 0;
     last->setpoint_angular_rad_s = 0;
+    last->lateral.setpoint_m_s = 0;
     for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
         last->joint[joint].setpoint_rad_s = 0;
         last->joint[joint].duty = 0;

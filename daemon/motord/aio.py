@@ -151,15 +151,18 @@ class Client:
         self,
         linear_m_s: float,
         angular_rad_s: float,
+        lateral_m_s: float = 0.0,
         *,
         owner: str | None = None,
         priority: int | None = None,
         lease_s: float | None = None,
     ) -> dict[str, Any]:
-        """Request a speed. None: as in the [input] of the robot file. Returns the source in
-        command."""
+        """Request a speed; `lateral_m_s` is to the left, of a base that moves sideways. None: as in
+        the [input] of the robot file. Returns the source in command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
-        given = {key: value for key, value in lease.items() if value is not None}
+        given: dict[str, Any] = {key: value for key, value in lease.items() if value is not None}
+        if lateral_m_s != 0.0:  # a daemon that does not know it serves all other commands
+            given["lateral_m_s"] = lateral_m_s
         result: dict[str, Any] = await self.call(
             "drive", linear_m_s=linear_m_s, angular_rad_s=angular_rad_s, **given
         )
@@ -168,6 +171,7 @@ class Client:
     async def move(
         self,
         distance_m: float,
+        direction_rad: float = 0.0,
         *,
         speed_m_s: float | None = None,
         tolerance_m: float | None = None,
@@ -175,7 +179,9 @@ class Client:
         owner: str | None = None,
     ) -> Moved:
         """As motord.client.Client.move."""
-        goal = moving.goal_of("linear", distance_m, speed_m_s, tolerance_m, timeout_s)
+        goal = moving.goal_of(
+            "linear", distance_m, speed_m_s, tolerance_m, timeout_s, direction_rad
+        )
         return await self.carry_out(goal, owner=owner)
 
     async def turn(

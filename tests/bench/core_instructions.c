@@ -18,11 +18,10 @@ static const int64_t TICK_NS = 1000000;
 
 static core_config four_wheels(void)
 {
-    axis_limits linear = {1.0, 1.0, 1.5, 8.0}, angular = {2.0, 3.0, 4.0, 30.0};
+    axis_limits linear = {1.0, 1.0, 1.5, 8.0}, angular = {2.0, 3.0, 4.0, 30.0}, lateral = linear;
     core_config config = {
         .joint_count = 4,
-        .track_m = 0.5,
-        .limits = {linear, angular},
+        .limits = {linear, angular, lateral},
         .command_timeout_s = 0.3,
         .feedback_timeout_s = 0.25,
         .heartbeat_timeout_s = 0.5,
@@ -39,7 +38,7 @@ static core_config four_wheels(void)
     };
     for (uint32_t j = 0; j < config.joint_count; j++) {
         config.joint[j] = (joint_config){
-            .side = j % 2 == 0 ? -1.0 : 1.0,
+            .row = {1.0, 0.0, j % 2 == 0 ? -0.25 : 0.25},
             .wheel_radius_m = 0.1,
             .velocity_min_rad_s = -12.0,
             .velocity_max_rad_s = 12.0,

@@ -25,11 +25,10 @@ typedef struct {
 
 static inline core_config good_config(void)
 {
-    axis_limits linear = {1.0, 1.0, 1.5, 8.0}, angular = {2.0, 3.0, 4.0, 30.0};
+    axis_limits linear = {1.0, 1.0, 1.5, 8.0}, angular = {2.0, 3.0, 4.0, 30.0}, lateral = {0.8, 0.9, 1.2, 6.0};
     core_config config = {
         .joint_count = 4,
-        .track_m = 0.5,
-        .limits = {linear, angular},
+        .limits = {linear, angular, lateral},
         .command_timeout_s = 0.3,
         .feedback_timeout_s = 0.25,
         .heartbeat_timeout_s = 0.5,
@@ -46,7 +45,7 @@ static inline core_config good_config(void)
     };
     for (uint32_t j = 0; j < config.joint_count; j++) {
         config.joint[j] = (joint_config){
-            .side = j % 2 == 0 ? -1.0 : 1.0,
+            .row = {1.0, 0.0, j % 2 == 0 ? -0.25 : 0.25},
             .wheel_radius_m = 0.1,
             .velocity_min_rad_s = -9.0,
             .velocity_max_rad_s = 9.0,

@@ -13,12 +13,11 @@ enum { FUZZ_MAX = 128 };
 static const int64_t NOW_NS = 5000000000;
 
 static const core_config BASE = {.joint_count = 4,
-                                 .track_m = 0.5,
                                  .limits = {.linear.velocity_u_s = 1e6, .angular.velocity_u_s = 1e6},
-                                 .joint = {{.side = -1.0, .wheel_radius_m = 0.1},
-                                           {.side = 1.0, .wheel_radius_m = 0.1},
-                                           {.side = -1.0, .wheel_radius_m = 0.2},
-                                           {.side = 1.0, .wheel_radius_m = 0.2}}};
+                                 .joint = {{.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
+                                           {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.1},
+                                           {.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.2},
+                                           {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.2}}};
 
 static void granted(arbiter *a)
 {

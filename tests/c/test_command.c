@@ -224,11 +224,10 @@ static void wheels_are_a_twist_or_they_are_refused(void)
 {
     static arbiter a;
     static const core_config base = {.joint_count = 3,
-                                     .track_m = 0.5,
                                      .limits = LIMITS,
-                                     .joint = {{.side = -1.0, .wheel_radius_m = 0.1},
-                                               {.side = 1.0, .wheel_radius_m = 0.1},
-                                               {.side = 1.0, .wheel_radius_m = 0.2}}};
+                                     .joint = {{.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
+                                               {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.1},
+                                               {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.2}}};
     lease_permissions permissions = {.lease = {grant_of('a', 10)}};
     twist_command out;
     arbiter_init(&a, &base, NULL);
@@ -247,37 +246,36 @@ static void wheels_are_a_twist_or_they_are_refused(void)
     CHECK(say_joints(&a, few) == 1 + REFUSED_JOINTS);
     few.kind = COMMAND_TWIST;
     CHECK(say_joints(&a, few) == 1 + REFUSED_FORM);
-    few.version = 2;
+    few.version = 3;
     CHECK(say_joints(&a, few) == 1 + REFUSED_FORM);
     a.base = NULL;
     CHECK(say_joints(&a, joints_of(6, 1.0, 2.0, 1.0)) == 1 + REFUSED_JOINTS);
 }
 
 /* Wheels left, right, left, right, of 0.1 m but for the last one's 0.2 m. */
-static bool twist_of(double first, double second, double third, double fourth, double *linear_m_s, double *angular_rad_s)
+static bool twist_of(double first, double second, double third, double fourth, double *twist_u_s)
 {
     static const core_config base = {.joint_count = 4,
-                                     .track_m = 0.5,
-                                     .joint = {{.side = -1.0, .wheel_radius_m = 0.1},
-                                               {.side = 1.0, .wheel_radius_m = 0.1},
-                                               {.side = -1.0, .wheel_radius_m = 0.1},
-                                               {.side = 1.0, .wheel_radius_m = 0.2}}};
+                                     .joint = {{.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
+                                               {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.1},
+                                               {.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
+                                               {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.2}}};
     const double velocity_rad_s[JOINTS_MAX] = {first, second, third, fourth, 1e9};
-    return joints_twist(&base, velocity_rad_s, linear_m_s, angular_rad_s);
+    return joints_twist(&base, velocity_rad_s, twist_u_s);
 }
 
 static bool goes(double first, double second, double third, double fourth)
 {
-    double linear_m_s, angular_rad_s;
-    return twist_of(first, second, third, fourth, &linear_m_s, &angular_rad_s);
+    double twist_u_s[AXES];
+    return twist_of(first, second, third, fourth, twist_u_s);
 }
 
-static void wheels_of_a_side_go_together_within_a_hundredth_of_the_faster_side(void)
+static void wheels_of_a_side_go_together_within_a_hundredth_of_the_fastest_wheel(void)
 {
-    double linear_m_s, angular_rad_s;
-    CHECK(twist_of(2.0, 6.0, 2.0, 3.0, &linear_m_s, &angular_rad_s));
-    CHECK(fabs(linear_m_s - 0.4) < 1e-12 && fabs(angular_rad_s - 0.8) < 1e-12);
-    CHECK(twist_of(0.0, 0.0, 0.0, 0.0, &linear_m_s, &angular_rad_s) && linear_m_s == 0.0 && angular_rad_s == 0.0);
+    double twist_u_s[AXES];
+    CHECK(twist_of(2.0, 6.0, 2.0, 3.0, twist_u_s) && twist_u_s[AXIS_LATERAL] == 0.0);
+    CHECK(fabs(twist_u_s[AXIS_LINEAR] - 0.4) < 1e-12 && fabs(twist_u_s[AXIS_ANGULAR] - 0.8) < 1e-12);
+    CHECK(twist_of(0.0, 0.0, 0.0, 0.0, twist_u_s) && twist_u_s[AXIS_LINEAR] == 0.0 && twist_u_s[AXIS_ANGULAR] == 0.0);
     /* each of them, by a little more and a little less than a hundredth from the middle of both */
     CHECK(goes(10.095, 0.0, 9.905, 0.0) && !goes(10.105, 0.0, 9.895, 0.0));
     CHECK(goes(0.0, 10.095, 0.0, 4.9525) && !goes(0.0, 10.105, 0.0, 4.9475));
@@ -286,13 +284,12 @@ static void wheels_of_a_side_go_together_within_a_hundredth_of_the_faster_side(v
     CHECK(goes(-10.0, 0.095, -10.0, -0.0475) && !goes(-10.0, 0.105, -10.0, -0.0525));
     /* also the first of three, when the others are near enough */
     static const core_config uneven = {.joint_count = 4,
-                                       .track_m = 0.5,
-                                       .joint = {{.side = -1.0, .wheel_radius_m = 0.1},
-                                                 {.side = -1.0, .wheel_radius_m = 0.1},
-                                                 {.side = -1.0, .wheel_radius_m = 0.1},
-                                                 {.side = 1.0, .wheel_radius_m = 0.1}}};
-    CHECK(!joints_twist(&uneven, (const double[]){10.12, 9.94, 9.94, 0.0}, &linear_m_s, &angular_rad_s));
-    CHECK(joints_twist(&uneven, (const double[]){10.08, 9.96, 9.96, 0.0}, &linear_m_s, &angular_rad_s));
+                                       .joint = {{.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
+                                                 {.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
+                                                 {.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
+                                                 {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.1}}};
+    CHECK(!joints_twist(&uneven, (const double[]){10.12, 9.94, 9.94, 0.0}, twist_u_s));
+    CHECK(joints_twist(&uneven, (const double[]){10.08, 9.96, 9.96, 0.0}, twist_u_s));
     /* and, when all but rest, by a millionth of a metre a second */
     CHECK(goes(9e-6, 0.0, -9e-6, 0.0) && !goes(11e-6, 0.0, -11e-6, 0.0));
 }
@@ -307,6 +304,6 @@ int main(void)
     a_wake_up_takes_a_bounded_number_of_datagrams();
     more_than_ten_times_the_limit_is_refused_and_commands_zero();
     wheels_are_a_twist_or_they_are_refused();
-    wheels_of_a_side_go_together_within_a_hundredth_of_the_faster_side();
+    wheels_of_a_side_go_together_within_a_hundredth_of_the_fastest_wheel();
     return checks_report("command");
 }

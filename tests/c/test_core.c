@@ -13,31 +13,31 @@ enum { HOSTILE_COUNT = sizeof HOSTILE / sizeof HOSTILE[0] };
 
 static void a_ramp_arrives_and_comes_back_through_zero(void)
 {
-    base_limits limits = {{1.0, 1.0, 1.5, 8.0}, {2.0, 3.0, 4.0, 30.0}};
+    base_limits limits = {{1.0, 1.0, 1.5, 8.0}, {2.0, 3.0, 4.0, 30.0}, {1.0, 1.0, 1.5, 8.0}};
     limit_state axis[AXES] = {0};
     uint32_t seen = 0;
     for (int i = 0; i < 3000; i++) {
-        seen |= ramp_step(axis, &limits, NULL, (const double[AXES]){1.0, 0.2}, 1e-3, false);
+        seen |= ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){1.0, 0.2}, 1e-3, false);
     }
     CHECK(axis[AXIS_LINEAR].velocity_u_s == 1.0 && axis[AXIS_ANGULAR].velocity_u_s == 0.2);
     for (int i = 0; i < 5000; i++) {
-        seen |= ramp_step(axis, &limits, NULL, (const double[AXES]){-0.5, 0.2}, 1e-3, i % 2 == 0);
+        seen |= ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){-0.5, 0.2}, 1e-3, i % 2 == 0);
     }
     CHECK(axis[AXIS_LINEAR].velocity_u_s == -0.5 && axis[AXIS_ANGULAR].velocity_u_s == 0.2);
     CHECK(seen == (REASON_LINEAR_ACCELERATION | REASON_LINEAR_DECELERATION | REASON_LINEAR_JERK));
     for (int i = 0; i < 5000; i++) {
-        seen |= ramp_step(axis, &limits, NULL, (const double[AXES]){-0.5, -2.0}, 1e-3, i % 2 == 0);
+        seen |= ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){-0.5, -2.0}, 1e-3, i % 2 == 0);
     }
     CHECK(axis[AXIS_ANGULAR].velocity_u_s == -2.0);
     CHECK(seen & REASON_ANGULAR_ACCELERATION && seen & REASON_ANGULAR_DECELERATION && seen & REASON_ANGULAR_JERK);
     limits.linear = (axis_limits){1.0, NAN, NAN, INFINITY};
-    CHECK(ramp_step(axis, &limits, NULL, (const double[AXES]){1.0, 0.0}, 1e-3, false) == 0);
+    CHECK(ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){1.0, 0.0}, 1e-3, false) == 0);
     CHECK(axis[AXIS_LINEAR].velocity_u_s == 0.0 && axis[AXIS_ANGULAR].velocity_u_s == 0.0);
     /* a step one rounding short of the goal must not pass it */
     double bound = nextafter((1.018640261644444 - 0.008365300070369949) / 1e-3, 0.0);
     limits.linear = (axis_limits){2.0, bound, bound, INFINITY};
     axis[AXIS_LINEAR] = (limit_state){1.018640261644444, 0.0};
-    ramp_step(axis, &limits, NULL, (const double[AXES]){0.008365300070369949, 0.0}, 1e-3, false);
+    ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){0.008365300070369949, 0.0}, 1e-3, false);
     CHECK(axis[AXIS_LINEAR].velocity_u_s >= 0.008365300070369949);
 }
 
@@ -47,9 +47,9 @@ static void no_number_leaves_the_small_functions(void)
         for (int b = 0; b < HOSTILE_COUNT; b++) {
             for (int c = 0; c < HOSTILE_COUNT; c++) {
                 axis_limits hostile = {HOSTILE[b], HOSTILE[c], HOSTILE[b], HOSTILE[c]}, good = {1.0, 1.0, 1.5, 8.0};
-                base_limits limits = {hostile, a % 2 == 0 ? hostile : good};
+                base_limits limits = {hostile, a % 2 == 0 ? hostile : good, hostile};
                 limit_state axis[AXES] = {{HOSTILE[c], HOSTILE[a]}, {HOSTILE[b], HOSTILE[b]}};
-                ramp_step(axis, &limits, NULL, (const double[AXES]){HOSTILE[a], HOSTILE[c]}, HOSTILE[b], b % 2 == 0);
+                ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){HOSTILE[a], HOSTILE[c]}, HOSTILE[b], b % 2 == 0);
                 for (int i = 0; i < AXES; i++) {
                     CHECK(isfinite(axis[i].velocity_u_s) && isfinite(axis[i].acceleration_u_s2));
                 }
@@ -102,18 +102,20 @@ static void each_bad_field_is_refused_by_name(void)
     REFUSED(on_timeout, (stop_action)4);
     REFUSED(on_fault, (stop_action)4);
     REFUSED(on_estop, (stop_action)4);
-    REFUSED(track_m, NAN);
     REFUSED(limits.angular.jerk_u_s3, 0.0);
     REFUSED(joint[3].wheel_radius_m, INFINITY);
-    REFUSED(joint[1].side, 0.5);
+    REFUSED(joint[1].row.x, 2.1);
+    REFUSED(joint[1].row.y, -2.1);
+    REFUSED(joint[1].row.lever_m, NAN);
+    REFUSED(limits.lateral.velocity_u_s, 0.0);
     REFUSED(joint[1].counter_bits, 12);
     REFUSED(joint[1].rad_per_count, 0.0);
     REFUSED(joint[1].line, LINES_MAX);
     bad = good;
     for (int j = 0; j < 4; j++) {
-        bad.joint[j].side = 1.0;
+        bad.joint[j].row.lever_m = 0.25;
     }
-    CHECK(strcmp(core_config_check(&bad, name), "joint[0].side") == 0);
+    CHECK(strcmp(core_config_check(&bad, name), "joint.row") == 0);
 }
 
 static void a_drive_with_turns_and_saturation_keeps_its_covariance(void)

@@ -41,7 +41,7 @@ static void after_lost_numbers_nothing_that_was_worked_out_before_is_used(void)
     CHECK(r.shown.saturation < 1.0);
     r.input.control.odometry_reset_count = 1;
     CHECK(tick(&r)->odometry_epoch == 1);
-    r.state.goal.linear_m_s = NAN;
+    r.state.goal.goal_u_s[AXIS_LINEAR] = NAN;
     r.state.odometry.x_m = INFINITY;
     CHECK(tick(&r)->faults == FAULT_STATE && zero(&r) && r.shown.saturation == 1.0);
     CHECK(r.shown.odometry_epoch == 2 && r.shown.x_m == 0.0 && r.shown.armed == 0);

@@ -7,8 +7,8 @@
 #include "core.h"
 
 static const double DT_S = 0.01;
-static const base_limits PLAIN = {{2.0, 1.0, 1.5, INFINITY}, {4.0, 3.0, 4.0, INFINITY}};
-static const base_limits SOFT = {{2.0, 1.0, 1.5, 8.0}, {4.0, 3.0, 4.0, 30.0}};
+static const base_limits PLAIN = {{2.0, 1.0, 1.5, INFINITY}, {4.0, 3.0, 4.0, INFINITY}, {1.5, 0.8, 1.2, INFINITY}};
+static const base_limits SOFT = {{2.0, 1.0, 1.5, 8.0}, {4.0, 3.0, 4.0, 30.0}, {1.5, 0.8, 1.2, 6.0}};
 
 static bool near(double value, double expected)
 {
@@ -54,7 +54,7 @@ static void one_step_keeps_each_limit_and_says_which_one(void)
 {
     for (size_t i = 0; i < sizeof STEPS / sizeof STEPS[0]; i++) {
         limit_state axis[AXES] = {{STEPS[i].from[0], 0.0}, {STEPS[i].from[1], 0.0}};
-        uint32_t reason = ramp_step(axis, STEPS[i].soft ? &SOFT : &PLAIN, NULL, STEPS[i].goal, DT_S, STEPS[i].urgent);
+        uint32_t reason = ramp_step(axis, AXES, STEPS[i].soft ? &SOFT : &PLAIN, NULL, STEPS[i].goal, DT_S, STEPS[i].urgent);
         for (int a = 0; a < AXES; a++) {
             CHECK(near(axis[a].velocity_u_s, STEPS[i].expected[a]));
             CHECK(fabs(axis[a].acceleration_u_s2 - (STEPS[i].expected[a] - STEPS[i].from[a]) / DT_S) < 1e-9);
@@ -71,7 +71,7 @@ static void an_acceleration_goes_on_along_its_way_and_counts_for_nothing_against
                  {0.5, 0.0, 1.0 - 0.0008}, {0.95, 2.0, 1.0 + 0.01},   {-1.45, 0.0, 1.0 - 0.015}};
     for (int i = 0; i < 6; i++) {
         limit_state axis[AXES] = {{1.0, CASES[i].acceleration}};
-        ramp_step(axis, &SOFT, NULL, (const double[AXES]){CASES[i].goal, 0.0}, DT_S, false);
+        ramp_step(axis, AXES, &SOFT, NULL, (const double[AXES]){CASES[i].goal, 0.0}, DT_S, false);
         CHECK(near(axis[0].velocity_u_s, CASES[i].expected));
     }
 }
@@ -95,7 +95,7 @@ static void a_ramp_takes_the_shortest_time_and_is_soft_at_both_ends(void)
     for (int round = 0; round < 400; round++) {
         int a = round % AXES;
         base_limits limits = SOFT;
-        axis_limits *of = a == AXIS_LINEAR ? &limits.linear : &limits.angular;
+        axis_limits *of = a == AXIS_LINEAR ? &limits.linear : a == AXIS_ANGULAR ? &limits.angular : &limits.lateral;
         *of = (axis_limits){5.0, any(0.5, 4.0), any(0.5, 4.0), any(2.0, 50.0)};
         bool falls = round % 3 == 0, back = round % 5 == 0;
         double sign = back ? -1.0 : 1.0, from = falls ? any(0.5, 3.0) : 0.0, goal[AXES] = {0.0, 0.0};
@@ -108,7 +108,7 @@ static void a_ramp_takes_the_shortest_time_and_is_soft_at_both_ends(void)
         int steps = 0;
         for (; axis[a].velocity_u_s != goal[a] && steps < 5000; steps++) {
             double before = axis[a].velocity_u_s;
-            ramp_step(axis, &limits, NULL, goal, DT_S, false);
+            ramp_step(axis, AXES, &limits, NULL, goal, DT_S, false);
             double now = (axis[a].velocity_u_s - before) / DT_S * (falls ? -sign : sign);
             CHECK(now > 0.0 && now <= bound + 1e-9 && fabs(now - last) <= of->jerk_u_s3 * DT_S + 1e-9);
             last = now;
@@ -142,7 +142,7 @@ static void a_change_of_sign_is_eased_and_loses_no_time(void)
         int steps = 0;
         for (; axis[0].velocity_u_s != goal[0] && steps < 5000; steps++) {
             double before = axis[0].velocity_u_s;
-            ramp_step(axis, &limits, NULL, goal, DT_S, false);
+            ramp_step(axis, AXES, &limits, NULL, goal, DT_S, false);
             double now = (before - axis[0].velocity_u_s) / DT_S;
             CHECK(now <= (before > 0.0 ? loses : gains) + 1e-9);
             if (axis[0].velocity_u_s < -1e-9 && before > 0.0) { /* a step through zero keeps both */
@@ -158,9 +158,10 @@ static void a_change_of_sign_is_eased_and_loses_no_time(void)
 
 static core_config with_slew(double slew_per_s)
 {
-    core_config base = {.joint_count = 2, .track_m = 0.5};
+    core_config base = {.joint_count = 2};
     for (int j = 0; j < 2; j++) {
-        base.joint[j] = (joint_config){.side = 2.0 * j - 1.0, .wheel_radius_m = 0.1, .pwm = {0.2, -1.0, 1.0, slew_per_s, 16.0}};
+        base.joint[j] = (joint_config){
+            .row = {1.0, 0.0, (2.0 * j - 1.0) * 0.25}, .wheel_radius_m = 0.1, .pwm = {0.2, -1.0, 1.0, slew_per_s, 16.0}};
     }
     return base;
 }
@@ -186,7 +187,7 @@ static void a_duty_slew_bounds_how_fast_a_wheel_grows_faster(void)
     };
     for (size_t i = 0; i < sizeof CASES / sizeof CASES[0]; i++) {
         limit_state axis[AXES] = {{CASES[i].from[0], 0.0}, {CASES[i].from[1], 0.0}};
-        uint32_t reason = ramp_step(axis, &PLAIN, &base, CASES[i].goal, DT_S, false);
+        uint32_t reason = ramp_step(axis, AXES, &PLAIN, &base, CASES[i].goal, DT_S, false);
         if (i == 6) { /* left slows down, right keeps its speed: the deceleration alone counts */
             CHECK(reason == REASON_LINEAR_DECELERATION || reason == REASON_ANGULAR_ACCELERATION);
             continue;
@@ -201,12 +202,12 @@ static void what_is_within_a_step_is_reached_exactly(void)
     for (int round = 0; round < 1000; round++) {
         double goal[AXES] = {any(-1.0, 1.0), any(-1.0, 1.0)};
         limit_state axis[AXES] = {{goal[0] + any(-0.009, 0.009), 0.0}, {goal[1] + any(-0.02, 0.02), 0.0}};
-        CHECK(ramp_step(axis, &PLAIN, NULL, goal, DT_S, false) == 0);
+        CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, DT_S, false) == 0);
         CHECK(axis[0].velocity_u_s == goal[0] && axis[1].velocity_u_s == goal[1]);
         double dt_s = any(0.001, 0.05); /* a distance divided by it and multiplied by it is rounded */
         axis[0] = axis[1] = (limit_state){0};
         goal[0] = any(-0.9, 0.9) * dt_s, goal[1] = any(-0.9, 0.9) * dt_s;
-        CHECK(ramp_step(axis, &PLAIN, NULL, goal, dt_s, false) == 0);
+        CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, dt_s, false) == 0);
         CHECK(axis[0].velocity_u_s == goal[0] && axis[1].velocity_u_s == goal[1]);
     }
 }
@@ -214,19 +215,19 @@ static void what_is_within_a_step_is_reached_exactly(void)
 static void the_largest_numbers_that_there_are_are_numbers(void)
 {
     limit_state axis[AXES] = {{DBL_MAX, 0.0}};
-    CHECK(ramp_step(axis, &PLAIN, NULL, (const double[AXES]){0.0, 0.0}, DT_S, false) == REASON_LINEAR_DECELERATION);
+    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){0.0, 0.0}, DT_S, false) == REASON_LINEAR_DECELERATION);
     CHECK(axis[0].velocity_u_s == DBL_MAX && near(axis[0].acceleration_u_s2, -1.5));
     axis[0] = (limit_state){0};
-    CHECK(ramp_step(axis, &PLAIN, NULL, (const double[AXES]){DBL_MAX, 0.0}, DT_S, false) == REASON_LINEAR_ACCELERATION);
+    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){DBL_MAX, 0.0}, DT_S, false) == REASON_LINEAR_ACCELERATION);
     CHECK(near(axis[0].velocity_u_s, 0.01));
     axis[0] = (limit_state){0};
-    CHECK(ramp_step(axis, &PLAIN, NULL, (const double[AXES]){1.0, 0.0}, DBL_MAX, true) == 0 && axis[0].velocity_u_s == 1.0);
+    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){1.0, 0.0}, DBL_MAX, true) == 0 && axis[0].velocity_u_s == 1.0);
     axis[0] = (limit_state){-DBL_MAX, 0.0}; /* the distance overflows */
-    CHECK(ramp_step(axis, &PLAIN, NULL, (const double[AXES]){DBL_MAX, 0.0}, DT_S, false) == 0);
+    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){DBL_MAX, 0.0}, DT_S, false) == 0);
     CHECK(axis[0].velocity_u_s == 0.0 && axis[0].acceleration_u_s2 == 0.0);
-    base_limits any_direction = {{1e300, INFINITY, INFINITY, INFINITY}, {1.0, 1.0, 1.0, INFINITY}};
+    base_limits any_direction = {{1e300, INFINITY, INFINITY, INFINITY}, {1.0, 1.0, 1.0, INFINITY}, {1.0, 1.0, 1.0, INFINITY}};
     axis[0] = (limit_state){0}; /* the acceleration overflows */
-    CHECK(ramp_step(axis, &any_direction, NULL, (const double[AXES]){1e10, 0.0}, 1e-300, false) == 0);
+    CHECK(ramp_step(axis, AXES, &any_direction, NULL, (const double[AXES]){1e10, 0.0}, 1e-300, false) == 0);
     CHECK(axis[0].velocity_u_s == 0.0 && axis[0].acceleration_u_s2 == 0.0);
 }
 
@@ -238,32 +239,34 @@ static void what_is_no_number_rests_and_what_is_no_goal_is_zero(void)
             limit_state axis[AXES] = {{1.0, 0.5}, {1.0, 0.5}};
             double goal[AXES] = {1.0, 1.0};
             axis[a].velocity_u_s = BAD[i];
-            CHECK(ramp_step(axis, &PLAIN, NULL, goal, DT_S, false) == 0 && axis[0].velocity_u_s == 0.0);
+            CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, DT_S, false) == 0 && axis[0].velocity_u_s == 0.0);
             CHECK(axis[1].velocity_u_s == 0.0 && axis[0].acceleration_u_s2 == 0.0 && axis[1].acceleration_u_s2 == 0.0);
             axis[0] = axis[1] = (limit_state){1.0, 0.5};
             axis[a].acceleration_u_s2 = BAD[i];
-            CHECK(ramp_step(axis, &PLAIN, NULL, goal, DT_S, false) == 0 && axis[0].velocity_u_s + axis[1].velocity_u_s == 0.0);
+            CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, DT_S, false) == 0 &&
+                  axis[0].velocity_u_s + axis[1].velocity_u_s == 0.0);
             axis[0] = axis[1] = (limit_state){1.0, 0.5};
-            CHECK(ramp_step(axis, &PLAIN, NULL, goal, BAD[i], false) == 0 && axis[0].velocity_u_s + axis[1].velocity_u_s == 0.0);
+            CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, BAD[i], false) == 0 &&
+                  axis[0].velocity_u_s + axis[1].velocity_u_s == 0.0);
             axis[0] = axis[1] = (limit_state){1.0, 0.0};
             goal[a] = BAD[i];
-            CHECK(ramp_step(axis, &PLAIN, NULL, goal, DT_S, false) == REASON_LINEAR_DECELERATION);
+            CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, DT_S, false) == REASON_LINEAR_DECELERATION);
             CHECK(near(axis[0].velocity_u_s, 0.985) && near(axis[1].velocity_u_s, 0.985));
             axis[0] = axis[1] = (limit_state){0};
-            CHECK(ramp_step(axis, &PLAIN, NULL, goal, DT_S, false) == 0);
+            CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, DT_S, false) == 0);
             CHECK(axis[0].velocity_u_s == 0.0 && axis[1].velocity_u_s == 0.0);
         }
     }
     limit_state axis[AXES] = {{1.0, 0.5}, {1.0, 0.5}};
-    CHECK(ramp_step(axis, &PLAIN, NULL, (const double[AXES]){0.5, 0.5}, 0.0, false) == 0 && axis[0].velocity_u_s == 0.0);
+    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){0.5, 0.5}, 0.0, false) == 0 && axis[0].velocity_u_s == 0.0);
     axis[0] = axis[1] = (limit_state){1.0, 0.5};
-    CHECK(ramp_step(axis, &PLAIN, NULL, (const double[AXES]){0.5, 0.5}, 0.0, true) == 0 && axis[0].velocity_u_s == 0.0);
+    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){0.5, 0.5}, 0.0, true) == 0 && axis[0].velocity_u_s == 0.0);
     axis[0] = axis[1] = (limit_state){0};
     core_config base = with_slew(INFINITY); /* no slew is no limit */
-    CHECK(ramp_step(axis, &PLAIN, &base, (const double[AXES]){1.0, 0.0}, DT_S, false) == REASON_LINEAR_ACCELERATION);
+    CHECK(ramp_step(axis, AXES, &PLAIN, &base, (const double[AXES]){1.0, 0.0}, DT_S, false) == REASON_LINEAR_ACCELERATION);
     CHECK(near(axis[0].velocity_u_s, 0.01));
     axis[0] = axis[1] = (limit_state){0.001, 0.0};
-    ramp_step(axis, &PLAIN, NULL, (const double[AXES]){-0.0, -0.0}, DT_S, false);
+    ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){-0.0, -0.0}, DT_S, false);
     CHECK(axis[0].velocity_u_s == 0.0 && !signbit(axis[0].velocity_u_s) && !signbit(axis[1].velocity_u_s));
 }
 

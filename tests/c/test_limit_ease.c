@@ -55,7 +55,7 @@ static double step_of(double from, double goal, double gains, double jerk, uint3
     base_limits limits = {.linear = {1e6, gains, FAST_U_S2, jerk}, .angular = {1.0, 1.0, 1.0, INFINITY}};
     double sense = goal > from ? 1.0 : -1.0;
     limit_state axis[AXES] = {{from, sense * FAST_U_S2}}; /* as fast as it likes already: the growth bounds nothing */
-    uint32_t reason = ramp_step(axis, &limits, NULL, (const double[AXES]){goal, 0.0}, DT_S, false);
+    uint32_t reason = ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){goal, 0.0}, DT_S, false);
     CHECK(reason == expected);
     CHECK(fabs(axis[0].velocity_u_s - from - axis[0].acceleration_u_s2 * DT_S) < 1e-9);
     return sense * axis[0].acceleration_u_s2;

@@ -33,8 +33,7 @@ static core_config base(void)
     axis_limits axis = {.velocity_u_s = 1, .acceleration_u_s2 = 5, .deceleration_u_s2 = 5, .jerk_u_s3 = INFINITY};
     core_config config = {
         .joint_count = 2,
-        .track_m = 0.4,
-        .limits = {.linear = axis, .angular = axis},
+        .limits = {.linear = axis, .angular = axis, .lateral = axis},
         .command_timeout_s = 0.3,
         .feedback_timeout_s = 0.25,
         .heartbeat_timeout_s = 0.5,
@@ -51,7 +50,7 @@ static core_config base(void)
     };
     for (uint32_t joint = 0; joint < config.joint_count; joint++) {
         config.joint[joint] =
-            (joint_config){.side = joint == 0 ? -1 : 1,
+            (joint_config){.row = {1.0, 0.0, joint == 0 ? -0.2 : 0.2},
                            .wheel_radius_m = 0.1,
                            .velocity_min_rad_s = -20,
                            .velocity_max_rad_s = 20,

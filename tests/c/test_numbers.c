@@ -97,13 +97,12 @@ static void what_cannot_be_reckoned_empties_the_integral(void)
 
 /* ---------------------------------------------------------------------------------------------------- drift */
 static const core_config FOUR_WHEELS = {.joint_count = 4,
-                                        .track_m = 0.5,
                                         .twist_variance_floor_m2_s2 = 1e-5,
                                         .twist_variance_floor_rad2_s2 = 2e-5,
-                                        .joint = {{.side = -1.0, .wheel_radius_m = 0.1},
-                                                  {.side = 1.0, .wheel_radius_m = 0.1},
-                                                  {.side = -1.0, .wheel_radius_m = 0.1},
-                                                  {.side = 1.0, .wheel_radius_m = 0.2}}};
+                                        .joint = {{.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
+                                                  {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.1},
+                                                  {.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
+                                                  {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.2}}};
 
 /* Nobody knows where the wheels go meanwhile: as far as their set-points say, either way. */
 static void a_blind_base_is_as_uncertain_as_its_set_points_may_have_carried_it(void)
@@ -118,15 +117,15 @@ static void a_blind_base_is_as_uncertain_as_its_set_points_may_have_carried_it(v
     state.twist_covariance[0] = state.twist_covariance[2] = 0.0;
     const joint_setpoint wheels[JOINTS_MAX] = {
         {.velocity_rad_s = 2.0}, {.velocity_rad_s = -1.0}, {.velocity_rad_s = -1.0}, {.velocity_rad_s = 2.0}};
-    odometry_drift(&state, &FOUR_WHEELS, wheels, 0.1); /* left 0.02 m, right 0.04 m */
-    CHECK(fabs(state.pose_covariance[0] - (0.01 + 0.03 * (0.2 + 0.03))) < 1e-15);
-    CHECK(fabs(state.pose_covariance[3] - (0.04 + 0.03 * (0.4 + 0.03))) < 1e-15);
-    CHECK(fabs(state.pose_covariance[5] - (0.09 + 0.12 * (0.6 + 0.12))) < 1e-15);
+    odometry_drift(&state, &FOUR_WHEELS, wheels, 0.1); /* the fastest 0.04 m: 0.04 m straight on, or 0.16 rad */
+    CHECK(fabs(state.pose_covariance[0] - (0.01 + 0.04 * (0.2 + 0.04))) < 1e-15);
+    CHECK(fabs(state.pose_covariance[3] - (0.04 + 0.04 * (0.4 + 0.04))) < 1e-15);
+    CHECK(fabs(state.pose_covariance[5] - (0.09 + 0.16 * (0.6 + 0.16))) < 1e-15);
     CHECK(fabs(state.twist_covariance[0] - (1e-5 + 0.09)) < 1e-15 && fabs(state.twist_covariance[2] - (2e-5 + 0.25)) < 1e-15);
     state.twist_covariance[0] = state.twist_covariance[2] = 7.0; /* it was more uncertain before */
     odometry_drift(&state, &FOUR_WHEELS, (const joint_setpoint[JOINTS_MAX]){{0}}, 0.1);
     CHECK(state.twist_covariance[0] == 7.0 && state.twist_covariance[2] == 7.0);
-    CHECK(fabs(state.pose_covariance[5] - (0.09 + 0.12 * (0.6 + 0.12))) < 1e-15);
+    CHECK(fabs(state.pose_covariance[5] - (0.09 + 0.16 * (0.6 + 0.16))) < 1e-15);
 }
 
 /* ------------------------------------------------------------------------------------------------------ check */
@@ -138,8 +137,7 @@ static void reset_config(void)
     axis_limits limits = {1.0, 1.0, 1.0, 8.0};
     config = (core_config){
         .joint_count = 2,
-        .track_m = 0.5,
-        .limits = {limits, limits},
+        .limits = {limits, limits, limits},
         .command_timeout_s = 0.3,
         .feedback_timeout_s = 0.25,
         .heartbeat_timeout_s = 0.5,
@@ -152,7 +150,7 @@ static void reset_config(void)
         .twist_variance_floor_rad2_s2 = 1e-5,
     };
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        config.joint[j] = (joint_config){.side = j % 2 == 0 ? -1.0 : 1.0,
+        config.joint[j] = (joint_config){.row = {1.0, 0.0, j % 2 == 0 ? -0.25 : 0.25},
                                          .wheel_radius_m = 0.1,
                                          .velocity_min_rad_s = -9.0,
                                          .velocity_max_rad_s = 9.0,
@@ -206,11 +204,8 @@ static void a_joint_s_numbers_have_their_range(void)
     CHECK(is_good());
     joint->rad_per_count = -1e9;
     CHECK(is_good());
-    const double sides[] = {0.0, 0.5, -0.5, 1.05, -1.05, 2.0, -2.0, (double)NAN};
-    for (int i = 0; i < 8; i++) {
-        joint->side = sides[i];
-        CHECK(refused("joint[1].side"));
-    }
+    is_between(&joint->row.x, -2.0, 2.0, "joint[1].row.x");
+    is_between(&joint->row.lever_m, -1e9, 1e9, "joint[1].row.lever_m");
 }
 
 static void counters_are_as_wide_as_drives_have_them(void)
@@ -236,13 +231,13 @@ static void a_base_has_two_to_eight_wheels_and_they_are_not_all_on_one_side(void
     }
     for (int side = -1; side <= 1; side += 2) {
         reset_config();
-        config.joint[0].side = config.joint[1].side = side;
-        CHECK(refused("joint[0].side"));
+        config.joint[0].row.lever_m = config.joint[1].row.lever_m = 0.25 * side;
+        CHECK(refused("joint.row"));
     }
     reset_config();
     config.joint_count = 4; /* three on one side, one on the other */
-    config.joint[0].side = config.joint[1].side = config.joint[2].side = 1.0;
-    config.joint[3].side = -1.0;
+    config.joint[0].row.lever_m = config.joint[1].row.lever_m = config.joint[2].row.lever_m = 0.25;
+    config.joint[3].row.lever_m = -0.25;
     CHECK(is_good());
     config.joint[0].line = LINES_MAX;
     CHECK(refused("joint[0].line"));

@@ -18,12 +18,11 @@ typedef struct {
 static base begun(uint32_t bits)
 {
     base b = {.config = {.joint_count = 2,
-                         .track_m = 0.5,
                          .feedback_timeout_s = 0.25,
                          .distance_variance_m2_per_m = 1e-4,
                          .turn_variance_rad2_per_rad = 1e-3}};
     for (int j = 0; j < 2; j++) {
-        b.config.joint[j] = (joint_config){.side = 2.0 * j - 1.0,
+        b.config.joint[j] = (joint_config){.row = {1.0, 0.0, (2.0 * j - 1.0) * 0.25},
                                            .wheel_radius_m = 0.1,
                                            .velocity_min_rad_s = -35.0,
                                            .velocity_max_rad_s = 35.0,
@@ -112,7 +111,7 @@ typedef struct {
 
 static void expect_arc(expected_pose *e, const core_config *config, double left_m, double right_m)
 {
-    double moved_m = 0.5 * (left_m + right_m), turn_rad = (right_m - left_m) / config->track_m, b = config->track_m;
+    double moved_m = 0.5 * (left_m + right_m), turn_rad = (right_m - left_m) / 0.5, b = 0.5;
     double middle_rad = e->heading_rad + 0.5 * turn_rad, s = sin(middle_rad), c = cos(middle_rad);
     long double h = e->heading_rad, radius_m = fabs(turn_rad) > 1e-9 ? (long double)moved_m / (long double)turn_rad : 0.0L;
     e->x_m += fabs(turn_rad) > 1e-9 ? (double)(radius_m * (sinl(h + (long double)turn_rad) - sinl(h))) : moved_m * c;
@@ -165,7 +164,7 @@ static int64_t any(int64_t least, int64_t most)
     return least + (int64_t)(noise % (uint64_t)(most - least + 1));
 }
 
-/* Four wheels, of other sizes and counts; the sides' means go along one exact arc. */
+/* Four wheels, of other sizes and counts; those of a side go together, along one exact arc. Each step is looked at. */
 static void pose_and_covariance_are_those_of_exact_arcs(void)
 {
     core_config config = begun(32).config;
@@ -185,20 +184,18 @@ static void pose_and_covariance_are_those_of_exact_arcs(void)
     const joint_setpoint wheels[JOINTS_MAX] = {{0}};
     double position_rad[4] = {0};
     for (int step = 0; step < 3000; step++) {
-        int64_t after_ns = any(5, 60) * 1000000, most = (int64_t)(35.0 / COUNT_RAD * (double)after_ns * 1e-9);
+        int64_t after_ns = any(20, 60) * 1000000, most = (int64_t)(17.0 / COUNT_RAD * (double)after_ns * 1e-9);
         double side_m[2] = {0.0, 0.0};
         int kind = step % 5; /* a curve, straight on, on the spot, small, at rest */
-        int64_t common = any(-most, most);
+        int64_t common = any(-most, most), left = any(-most, most), small = any(-3, 3);
         for (int j = 0; j < 4; j++) {
-            int64_t count = kind == 0   ? any(-most, most)
+            int64_t count = kind == 0   ? (j % 2 ? common : left)
                             : kind == 1 ? common
                             : kind == 2 ? (j % 2 ? common : -common)
-                            : kind == 3 ? any(-3, 3)
+                            : kind == 3 ? (j % 2 ? small : 1)
                                         : 0;
             double per_count = j == 3 ? -COUNT_RAD : COUNT_RAD;
-            if (kind == 1 || kind == 2) {
-                count = j == 3 ? -count : count;
-            }
+            count = (j == 3 ? -count : count) * (j < 2 ? 1 : 2); /* half the radius */
             feedback[j].count += step == 0 ? 0 : (uint64_t)count;
             feedback[j].stamp_ns += after_ns;
             feedback[j].velocity_rad_s = NAN;
@@ -243,7 +240,7 @@ static void a_reset_throws_away_what_is_pending(void)
     CHECK(b.state.distance_m == 0.0 && b.state.x_m == 0.0 && b.state.heading_rad == 0.0);
 }
 
-/* The deviations grow by what the set-points make the faster wheel of each side do. */
+/* The deviations grow as if all wheels went as fast as the set-points make the fastest go. */
 static void without_a_side_the_deviations_grow_by_the_distance(void)
 {
     base b = begun(32);
@@ -258,7 +255,7 @@ static void without_a_side_the_deviations_grow_by_the_distance(void)
                                                {.velocity_rad_s = 4.0},
                                                {.velocity_rad_s = 9.0}};
     odometry_drift(&b.state, &b.config, wheels, 0.5);
-    double moved_m = 0.5 * (0.1 + 0.2), turn_rad = (0.1 + 0.2) / 0.5; /* 2 and 4 rad/s, 0.1 m, half a second */
+    double moved_m = 0.2, turn_rad = (0.2 + 0.2) / 0.5; /* all at 4 rad/s, 0.1 m, half a second */
     CHECK(near(sqrt(b.state.pose_covariance[0]), 0.2 + moved_m) && near(sqrt(b.state.pose_covariance[3]), 0.3 + moved_m));
     CHECK(near(sqrt(b.state.pose_covariance[5]), 0.1 + turn_rad));
     CHECK(near(b.state.twist_covariance[0], 1e-3 + 0.36) && near(b.state.twist_covariance[2], 2e-3 + 0.16));

@@ -25,8 +25,7 @@ static core_config two_wheels(void)
     axis_limits limits = {2.0, 2.0, 2.0, INFINITY};
     core_config config = {
         .joint_count = WHEELS,
-        .track_m = 0.5,
-        .limits = {limits, limits},
+        .limits = {limits, limits, limits},
         .command_timeout_s = 0.3,
         .feedback_timeout_s = 0.25,
         .heartbeat_timeout_s = 0.5,
@@ -39,7 +38,7 @@ static core_config two_wheels(void)
         .twist_variance_floor_rad2_s2 = 1e-5,
     };
     for (uint32_t j = 0; j < WHEELS; j++) {
-        config.joint[j] = (joint_config){.side = j == 0 ? -1.0 : 1.0,
+        config.joint[j] = (joint_config){.row = {1.0, 0.0, j == 0 ? -0.25 : 0.25},
                                          .wheel_radius_m = 0.1,
                                          .velocity_min_rad_s = -9.0,
                                          .velocity_max_rad_s = 9.0,

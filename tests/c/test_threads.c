@@ -165,8 +165,7 @@ static core_config base(void)
     memset(&config, 0, sizeof config);
     axis_limits axis = {.velocity_u_s = 1, .acceleration_u_s2 = 5, .deceleration_u_s2 = 5, .jerk_u_s3 = INFINITY};
     config.joint_count = 2;
-    config.track_m = 0.4;
-    config.limits = (base_limits){.linear = axis, .angular = axis};
+    config.limits = (base_limits){.linear = axis, .angular = axis, .lateral = axis};
     /* long: a slow machine is no fault here */
     config.command_timeout_s = config.feedback_timeout_s = config.heartbeat_timeout_s = 60;
     config.rest_velocity_rad_s = 0.05;
@@ -175,7 +174,7 @@ static core_config base(void)
     config.twist_variance_floor_m2_s2 = config.twist_variance_floor_rad2_s2 = 1e-6;
     for (uint32_t joint = 0; joint < 2; joint++) {
         config.joint[joint] =
-            (joint_config){.side = joint == 0 ? -1 : 1,
+            (joint_config){.row = {1.0, 0.0, joint == 0 ? -0.2 : 0.2},
                            .wheel_radius_m = 0.1,
                            .velocity_min_rad_s = -20,
                            .velocity_max_rad_s = 20,

@@ -14,6 +14,12 @@ RAD_PER_COUNT = 2.0 * math.pi / 4096.0
 RADIUS_M = 0.1
 TRACK_M = 0.5
 INFINITE = math.inf
+LATERAL = {
+    "velocity_u_s": 0.8,
+    "acceleration_u_s2": 0.9,
+    "deceleration_u_s2": 1.2,
+    "jerk_u_s3": 6.0,
+}
 
 LINEAR = {
     "velocity_u_s": 1.0,
@@ -33,7 +39,7 @@ def joint_config(side: float, **changes: Any) -> dict[str, Any]:
     pwm = {"dead_band": 0.0, "duty_min": -1.0, "duty_max": 1.0}
     pwm |= {"slew_per_s": INFINITE, "full_duty_rad_s": 15.0}
     return {
-        "side": side,
+        "row": {"x": 1.0, "y": 0.0, "lever_m": side * TRACK_M / 2.0},
         "wheel_radius_m": RADIUS_M,
         "velocity_min_rad_s": -15.0,
         "velocity_max_rad_s": 15.0,
@@ -48,8 +54,7 @@ def core_config(joints: int = 2, **changes: Any) -> dict[str, Any]:
     """Joints alternate: left, right, left, right."""
     return {
         "joint_count": joints,
-        "track_m": TRACK_M,
-        "limits": {"linear": dict(LINEAR), "angular": dict(ANGULAR)},
+        "limits": {"linear": dict(LINEAR), "angular": dict(ANGULAR), "lateral": dict(LATERAL)},
         "command_timeout_s": 0.3,
         "feedback_timeout_s": 0.25,
         "heartbeat_timeout_s": 0.5,
@@ -99,8 +104,11 @@ class Rig:
     def speeds(self) -> list[float]:
         return [self.out.joint[j].velocity_rad_s for j in range(self.config.joint_count)]
 
-    def drive(self, linear_m_s: float, angular_rad_s: float = 0.0) -> None:
+    def drive(
+        self, linear_m_s: float, angular_rad_s: float = 0.0, lateral_m_s: float = 0.0
+    ) -> None:
         self.input.command.linear_m_s = linear_m_s
+        self.input.command.lateral_m_s = lateral_m_s
         self.input.command.angular_rad_s = angular_rad_s
 
     def follow(self, dt_s: float) -> None:

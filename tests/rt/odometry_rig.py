@@ -12,6 +12,7 @@ from core_rig import core_config, joint_config
 
 STEP_NS = 10_000_000
 STEP_S = 0.01
+LOOK_NS = 20_000_000  # SPREAD_EVERY_NS of csrc/core/core.h
 LEFT, RIGHT = 0, 1
 
 
@@ -28,6 +29,7 @@ class Base:
         self.setpoint = ffi.new("joint_setpoint[8]")
         self.joints = joints
         self.now_ns = 1_000_000_000
+        self.step_ns = STEP_NS
         for j in range(joints):
             self.feedback[j].velocity_rad_s = math.nan
 
@@ -37,7 +39,7 @@ class Base:
 
     def step(self, *counts: int, skip: tuple[int, ...] = ()) -> Any:
         """Time goes on; each joint that is not skipped counts on by its number and is heard."""
-        self.now_ns += STEP_NS
+        self.now_ns += self.step_ns
         for j, count in enumerate(counts):
             if j not in skip:
                 bits = self.config.joint[j].counter_bits or 64

@@ -14,12 +14,12 @@ FOREVER_S = 1e4  # a timeout that a busy machine does not reach
 AXIS = rt.AxisLimits(
     velocity_u_s=1.0, acceleration_u_s2=50.0, deceleration_u_s2=50.0, jerk_u_s3=math.inf
 )
-LIMITS = rt.BaseLimits(linear=AXIS, angular=AXIS)
+LIMITS = rt.BaseLimits(linear=AXIS, angular=AXIS, lateral=AXIS)
 
 
 def joint(side: float) -> rt.JointConfig:
     return rt.JointConfig(
-        side=side,
+        row={"x": 1.0, "y": 0.0, "lever_m": side * 0.2},
         wheel_radius_m=0.1,
         velocity_min_rad_s=-20.0,
         velocity_max_rad_s=20.0,
@@ -35,7 +35,6 @@ def joint(side: float) -> rt.JointConfig:
 def core_config() -> rt.CoreConfig:
     return rt.CoreConfig(
         joint_count=2,
-        track_m=0.4,
         limits=LIMITS,
         command_timeout_s=FOREVER_S,
         feedback_timeout_s=FOREVER_S,

@@ -11,7 +11,6 @@ from core_rig import core_config
 POSITIVE = [math.nan, math.inf, -math.inf, 0.0, -1.0, 5e-324, 1e300]
 BAD: dict[str, list[Any]] = {
     "joint_count": [0, 1, 9, 2**32 - 1],
-    "track_m": POSITIVE,
     "command_timeout_s": POSITIVE,
     "feedback_timeout_s": POSITIVE,
     "heartbeat_timeout_s": POSITIVE,
@@ -31,7 +30,9 @@ BAD: dict[str, list[Any]] = {
     "limits.linear.jerk_u_s3": [math.nan, 0.0, -1.0],
     "limits.angular.velocity_u_s": POSITIVE,
     "limits.angular.jerk_u_s3": [math.nan, -math.inf],
-    "joint[1].side": [0.0, 0.5, 2.0, math.nan],
+    "joint[1].row.x": [-2.1, 2.1, math.nan],
+    "joint[1].row.y": [-2.1, 2.1, math.nan],
+    "joint[1].row.lever_m": [math.inf, math.nan],
     "joint[1].wheel_radius_m": POSITIVE,
     "joint[1].velocity_min_rad_s": [1.0, math.nan, -math.inf],
     "joint[1].velocity_max_rad_s": POSITIVE,
@@ -78,8 +79,8 @@ def test_each_bad_number_is_named_and_refused_by_init(path, value):
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_base_needs_wheels_on_both_sides(side):
     config = ffi.new("core_config *", core_config())
-    config.joint[0].side = config.joint[1].side = side
-    assert check(config) == "joint[0].side"
+    config.joint[0].row.lever_m = config.joint[1].row.lever_m = side
+    assert check(config) == "joint.row"
 
 
 def test_a_joint_without_a_counter_needs_no_counts():

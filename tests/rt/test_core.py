@@ -280,7 +280,7 @@ def test_stop_brings_every_wheel_to_zero(action):
 def test_limits_given_at_run_time_bind_at_once_also_where_none_had_been_set():
     free = {"velocity_u_s": 1e6, "acceleration_u_s2": 1e6, "deceleration_u_s2": 1e6}
     free["jerk_u_s3"] = math.inf
-    rig = Rig(core_config(limits={"linear": dict(free), "angular": dict(free)}))
+    rig = Rig(core_config(limits={axis: dict(free) for axis in ("linear", "angular", "lateral")}))
     rig.moving(1.0)
     rig.input.control.limits.linear = tuple((free | {"velocity_u_s": 0.25}).values())
     rig.tick()

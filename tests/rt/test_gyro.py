@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from _motord_rt import ffi, lib
-from core_rig import Rig, core_config
+from core_rig import TRACK_M, Rig, core_config
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -45,7 +45,7 @@ class GyroRig(Rig):
     def follow(self, dt_s: float) -> None:
         super().follow(dt_s)
         left, right = self.wheel_rad_s[:2]
-        radius_m, track_m = self.config.joint[0].wheel_radius_m, self.config.track_m
+        radius_m, track_m = self.config.joint[0].wheel_radius_m, TRACK_M
         rate = (right - left * (1.0 - self.slip_left)) * radius_m / track_m + self.extra_rad_s
         rate = 0.0 if self.still else rate
         self.true_heading_rad += rate * dt_s

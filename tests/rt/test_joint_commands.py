@@ -56,7 +56,7 @@ class Wheels:
 
 def wheel_speeds(config, linear_m_s, angular_rad_s):
     out = ffi.new("double[8]")
-    lib.kinematics_wheels(config, linear_m_s, angular_rad_s, out)
+    lib.kinematics_wheels(config, [linear_m_s, angular_rad_s, 0.0], out)
     return list(out[0 : config.joint_count])
 
 

@@ -19,16 +19,20 @@ REST = (1.0, 1.0, 1.0, 1.0)
 """The other axis, which stands."""
 
 
+SHIFTS = {lib.AXIS_LINEAR: 0, lib.AXIS_ANGULAR: 4, lib.AXIS_LATERAL: 11}
+"""Where the reasons of each begin, by those of the linear one."""
+
+
 @dataclass
 class Axis:
-    """One axis of two; the reasons are those of the linear one."""
+    """One axis of three; the reasons are those of the linear one."""
 
     acceleration: float = 1.0
     deceleration: float = 1.5
     jerk: float = 8.0
     dt: float = 0.001
     index: int = lib.AXIS_LINEAR
-    both: object = field(default_factory=lambda: ffi.new("limit_state[2]"))
+    both: object = field(default_factory=lambda: ffi.new("limit_state[3]"))
 
     @property
     def state(self):
@@ -36,12 +40,13 @@ class Axis:
 
     def step(self, want: float, *, urgent: bool = False) -> tuple[float, int]:
         own = (100.0, self.acceleration, self.deceleration, self.jerk)
-        rows = (own, REST) if self.index == lib.AXIS_LINEAR else (REST, own)
-        goal = [0.0, 0.0]
+        rows = [REST] * lib.AXES
+        rows[self.index] = own
+        goal = [0.0] * lib.AXES
         goal[self.index] = want
         limits = ffi.new("base_limits *", rows)
-        reasons = lib.ramp_step(self.both, limits, ffi.NULL, goal, self.dt, urgent)
-        return self.state.velocity_u_s, reasons >> 4 * self.index
+        reasons = lib.ramp_step(self.both, lib.AXES, limits, ffi.NULL, goal, self.dt, urgent)
+        return self.state.velocity_u_s, reasons >> SHIFTS[self.index]
 
     def until(self, want: float) -> list[float]:
         """All velocities until the goal is reached."""
@@ -52,7 +57,7 @@ class Axis:
         return found
 
 
-AXES = st.sampled_from([lib.AXIS_LINEAR, lib.AXIS_ANGULAR])
+AXES = st.sampled_from([lib.AXIS_LINEAR, lib.AXIS_ANGULAR, lib.AXIS_LATERAL])
 axes = st.builds(Axis, POSITIVE, POSITIVE, JERK, DT, AXES)
 
 
@@ -183,7 +188,7 @@ def test_urgent_leaves_the_jerk_limit_out():
 @given(axes, SPEED, st.sampled_from([math.nan, math.inf, -math.inf]))
 def test_a_goal_that_is_no_number_is_a_goal_of_zero(other, axis, start, want):
     axis.state.velocity_u_s = start
-    axis.both[1 - axis.index].velocity_u_s = other
+    axis.both[(axis.index + 1) % lib.AXES].velocity_u_s = other
     velocity, _ = axis.step(want)
     assert abs(velocity) <= abs(start)
     assert velocity * start >= 0.0

@@ -20,7 +20,7 @@ class Drive:
     """A core that is armed, and a motion that sees it so many looks late."""
 
     def __init__(self, limits, goal, looks_late):
-        self.rig = Rig(core_config(limits=limits))
+        self.rig = Rig(core_config(limits={"lateral": limits["linear"], **limits}))
         self.rig.input.control.owner = LEASE
         self.rig.arm()
         bounds = Bounds(**limits[goal.axis])

@@ -10,7 +10,7 @@ from _motord_rt import lib
 from core_rig import RAD_PER_COUNT, RADIUS_M, TRACK_M
 from hypothesis import given
 from hypothesis import strategies as st
-from odometry_rig import LEFT, RIGHT, STEP_S, Base
+from odometry_rig import LEFT, LOOK_NS, RIGHT, STEP_S, Base
 
 
 @given(
@@ -156,6 +156,7 @@ travels = st.lists(
 @given(travels)
 def test_pose_and_covariance_agree_with_the_oracle(rows):
     base = Base()
+    base.step_ns = LOOK_NS
     oracle = core_oracle.Pose(TRACK_M, 1e-4, 1e-3, 1e-6, 1e-6)
     base.step(0, 0)
     for left, right in rows:

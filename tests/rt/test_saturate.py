@@ -92,7 +92,11 @@ def test_on_the_way_too_the_twist_that_is_sent_is_the_one_that_the_wheels_do(twi
     ]
     slow = {"velocity_u_s": 1.0, "acceleration_u_s2": 1.0, "deceleration_u_s2": 0.2}
     fast = {"velocity_u_s": 2.0, "acceleration_u_s2": 9.0, "deceleration_u_s2": 9.0}
-    limits = {"linear": slow | {"jerk_u_s3": math.inf}, "angular": fast | {"jerk_u_s3": math.inf}}
+    limits = {
+        "linear": slow | {"jerk_u_s3": math.inf},
+        "angular": fast | {"jerk_u_s3": math.inf},
+        "lateral": slow | {"jerk_u_s3": math.inf},
+    }
     rig = Rig(core_config(joint=joints, limits=limits))
     rig.arm()
     for twist in twists:

@@ -39,7 +39,7 @@ def raw_state():
     for number, name in enumerate(c_fields("robot_state"), 1000):
         if name.endswith("covariance"):
             setattr(raw, name, [number * 10 + i for i in range(len(getattr(raw, name)))])
-        elif name not in ("joint", "imu", "doubt"):
+        elif name not in ("joint", "imu", "doubt", "lateral"):
             setattr(raw, name, number)
     raw.reasons = lib.REASON_LINEAR_JERK | lib.REASON_COMMAND_STALE
     raw.faults = lib.FAULT_ESTOP | lib.FAULT_STATE
@@ -54,12 +54,26 @@ def raw_state():
     for number, name in enumerate(c_fields("feedback_doubt"), 8000):
         setattr(raw.doubt, name, number)
     raw.doubt.fault = lib.FAULT_STALL
+    for number, name in enumerate(c_fields("lateral_state"), 9000):
+        vector = name == "covariance"
+        setattr(raw.lateral, name, [number * 10 + i for i in range(3)] if vector else number)
     return raw
 
 
+LATERAL = {
+    "wanted_lateral_m_s": "wanted_m_s",
+    "setpoint_lateral_m_s": "setpoint_m_s",
+    "lateral_m_s": "measured_m_s",
+    "slip_m_s": "slip_m_s",
+    "lateral_covariance": "covariance",
+}
+"""Fields of the snapshot, by those of lateral_state, in their order."""
+
+
 def test_the_names_are_those_of_the_c_struct():
-    expected = set(c_fields("robot_state")) - {"joint_count", "joint"} | {"joints", "version"}
-    assert set(python_fields(Snapshot)) == expected
+    expected = set(c_fields("robot_state")) - {"joint_count", "joint", "lateral"}
+    assert set(python_fields(Snapshot)) == expected | {"joints", "version"} | set(LATERAL)
+    assert list(LATERAL.values()) == c_fields("lateral_state")
     assert python_fields(JointSnapshot) == c_fields("joint_state")
     assert python_fields(ImuSnapshot) == c_fields("imu_state")
     assert python_fields(DoubtSnapshot) == c_fields("feedback_doubt")
@@ -70,7 +84,10 @@ def test_every_field_arrives_in_its_place():
     made = rt._snapshot(raw)
     assert (made.reasons, made.faults) == (("linear_jerk", "command_stale"), ("estop", "state"))
     apart = {"joints", "version", "reasons", "faults", "imu", "doubt"}
-    for name in set(python_fields(Snapshot)) - apart:
+    for name, raw_name in LATERAL.items():
+        value = getattr(made, name)
+        assert value == type(value)(getattr(raw.lateral, raw_name)), name
+    for name in set(python_fields(Snapshot)) - apart - set(LATERAL):
         value = getattr(made, name)
         assert value == type(value)(getattr(raw, name)), name
     assert len(made.joints) == 3

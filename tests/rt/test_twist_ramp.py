@@ -7,6 +7,7 @@ from random import Random
 from typing import Any
 
 import pytest
+from _motord_rt import lib
 from core_rig import TICK_S, TRACK_M, Rig, core_config, joint_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -34,7 +35,8 @@ def base(linear: Any, angular: Any, low: float = -15.0, high: float = 15.0, **pw
         joint = joint_config(side, velocity_min_rad_s=low, velocity_max_rad_s=high)
         joint["pwm"] = joint["pwm"] | pwm
         joints.append(joint)
-    rig = Rig(core_config(joint=joints, limits={"linear": linear, "angular": angular}))
+    limits = {"linear": linear, "angular": angular, "lateral": linear}
+    rig = Rig(core_config(joint=joints, limits=limits))
     rig.arm()
     return rig
 
@@ -56,7 +58,7 @@ def aim_of(rig: Rig) -> tuple[float, float]:
     goal = rig.state.goal
     if rig.input.control.stop or not rig.shown.armed or goal.zero:
         return 0.0, 0.0
-    return goal.linear_m_s, goal.angular_rad_s
+    return goal.goal_u_s[lib.AXIS_LINEAR], goal.goal_u_s[lib.AXIS_ANGULAR]
 
 
 class Judge:
@@ -120,7 +122,7 @@ class Judge:
         for j, speed in enumerate(rig.speeds):
             joint = rig.config.joint[j]
             assert joint.velocity_min_rad_s <= speed <= joint.velocity_max_rad_s
-            twist_m_s = after[0] + joint.side * after[1] * TRACK_M / 2.0
+            twist_m_s = after[0] + joint.row.lever_m * after[1]
             assert speed * RADIUS_M == pytest.approx(twist_m_s, abs=1e-12)
             done_m_s = abs(speed - self.wheels[j]) * RADIUS_M
             assert done_m_s <= most_m_s2 * TICK_S * (1.0 + TINY) + ROUNDING_U_S

@@ -43,7 +43,8 @@ def view(at_ms, status=None, **changes):
     values = {field.name: 0.0 for field in dataclasses.fields(Snapshot)} | {"imu": imu(at_ms)}
     rest = {"stamp_ns": at_ms * MS, "odometry_stamp_ns": at_ms * MS, "machine_state": 2,
             "reasons": (), "faults": (), "joints": (joint(),) * 2, "owner": 0, "tick": 1,
-            "pose_covariance": (0.0,) * 6, "twist_covariance": (0.0,) * 3}  # fmt: skip
+            "pose_covariance": (0.0,) * 6, "twist_covariance": (0.0,) * 3,
+            "lateral_covariance": (0.0,) * 3}  # fmt: skip
     flags = dict.fromkeys(("armed", "enabled", "at_rest", "odometry_degraded"), False)
     return View(snapshot=Snapshot(**values | flags | rest | changes), status=status)
 

@@ -54,8 +54,8 @@ def test_an_encoder_that_is_not_there_leaves_no_counter():
 
 def test_a_skid_base_turns_as_if_its_track_were_wider():
     robot, _, config = assembled("skid4")
-    assert config["track_m"] == robot.base.track_m * 1.5
-    assert [joint["side"] for joint in config["joint"]] == [-1.0, 1.0, -1.0, 1.0]
+    levers_m = [joint["row"]["lever_m"] for joint in config["joint"]]
+    assert levers_m == [sign * robot.base.track_m * 1.5 / 2.0 for sign in (-1.0, 1.0, -1.0, 1.0)]
 
 
 def test_a_wheel_that_cannot_reverse_never_gets_a_negative_set_point():

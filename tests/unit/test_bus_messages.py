@@ -41,7 +41,7 @@ def snapshot(**changes):
         "stamp_ns": TICK_NS, "odometry_stamp_ns": TICK_NS - 7_000_000, "tick": 9,
         "reasons": (), "faults": (), "joints": (joint(), joint()), "version": 1, "owner": 0,
         "odometry_epoch": 0, "machine_state": 4, "pose_covariance": (1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
-        "twist_covariance": (7.0, 8.0, 9.0),
+        "twist_covariance": (7.0, 8.0, 9.0), "lateral_covariance": (0.0,) * 3,
     }  # fmt: skip
     return Snapshot(**plain | flags | rest | changes)
 

@@ -115,10 +115,11 @@ def test_the_age_of_a_stamp_is_the_desks(stamped, said_s):
 def test_a_message_of_python_is_what_the_gate_is_sent(stamped):
     now = time.time_ns() - 200_000_000
     raw = bytes(encode(TYPE, message(now // 10**9, now % 10**9, "base_link", 0.5, math.nan)))
-    linear_m_s, angular_rad_s, age_s = stamped._twist(_as_mapping(decode(TYPE, raw)))
+    (linear_m_s, angular_rad_s, lateral_m_s), age_s = stamped._twist(_as_mapping(decode(TYPE, raw)))
     one = parsed(raw)
     assert (one.linear_m_s, math.isnan(one.angular_rad_s)) == (linear_m_s, True)
     assert math.isnan(angular_rad_s)
+    assert one.lateral_m_s == lateral_m_s
     assert age_s >= 0.2 - 1e-6
 
 

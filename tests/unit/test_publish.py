@@ -37,7 +37,8 @@ def snapshot(at_ms=0, **changes):
     plain = {field.name: 0.0 for field in dataclasses.fields(Snapshot)} | {"imu": None}
     words = {"reasons": ("command_stale",), "faults": (), "joints": (joint(), joint())}
     rest = {"stamp_ns": at_ms * MS, "tick": at_ms, "pose_covariance": (0.0,) * 6,
-            "twist_covariance": (0.0,) * 3, "version": 1}  # fmt: skip
+            "twist_covariance": (0.0,) * 3, "lateral_covariance": (0.0,) * 3,
+            "version": 1}  # fmt: skip
     return Snapshot(**plain | words | rest | changes)
 
 

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 MAGIC = 0x434D544D
-VERSION = 1
+VERSION = 2
 TOKEN_BYTES = 16
 TWIST = 1
 RELEASE = 2
 JOINTS = 3
 JOINTS_MAX = 8
-_LAYOUT = struct.Struct("<IHH16sQqIIdd")
+_LAYOUT = struct.Struct("<IHH16sQqIIddd")
 _JOINTS_LAYOUT = struct.Struct(f"<IHH16sQqII{JOINTS_MAX}d")
 
 
@@ -49,7 +49,7 @@ class LeaseGrant:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeaseState:
-    """What the loop knows of a lease. `linear_m_s` and `angular_rad_s` as asked for."""
+    """What the loop knows of a lease. The speeds as asked for."""
 
     number: int
     held: bool
@@ -64,6 +64,7 @@ class LeaseState:
     """From one command to the next, smoothed; 0: fewer than two have come."""
     linear_m_s: float
     angular_rad_s: float
+    lateral_m_s: float = 0.0
 
     def fresh(self, now_ns: int) -> bool:
         """A command of it is alive."""
@@ -71,7 +72,7 @@ class LeaseState:
 
     @property
     def wants_motion(self) -> bool:
-        return self.linear_m_s != 0.0 or self.angular_rad_s != 0.0
+        return any((self.linear_m_s, self.angular_rad_s, self.lateral_m_s))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,6 +85,8 @@ class CommandReport:
     refused: dict[Refusal, int]
     leases: dict[int, LeaseState]
     """By number."""
+    sideways: int = 0
+    """Accepted, but for a lateral part that this base cannot do and that counts as zero."""
 
 
 def datagram(
@@ -93,13 +96,13 @@ def datagram(
     linear_m_s: float,
     angular_rad_s: float,
     *,
+    lateral_m_s: float = 0.0,
     lifetime_ms: int = 0,
     kind: int = TWIST,
 ) -> bytes:
     """One command; `stamp_ns` is CLOCK_MONOTONIC, lifetime 0 is the lease's own."""
-    return _LAYOUT.pack(
-        MAGIC, VERSION, kind, token, sequence, stamp_ns, lifetime_ms, 0, linear_m_s, angular_rad_s
-    )
+    head = (MAGIC, VERSION, kind, token, sequence, stamp_ns, lifetime_ms, 0)
+    return _LAYOUT.pack(*head, linear_m_s, angular_rad_s, lateral_m_s)
 
 
 def joint_datagram(

@@ -79,26 +79,15 @@ class Bounds:
 _KEYS = {
     "linear": ("m_s", "m_s2", "deceleration_m_s2", "m_s3"),
     "angular": ("rad_s", "rad_s2", "deceleration_rad_s2", "rad_s3"),
+    "lateral": ("m_s", "m_s2", "deceleration_m_s2", "m_s3"),
 }
+_ALONG = 1e-9
+"""A part of the direction that is less is rounding."""
 
 
-def limit_names(axis: Axis) -> tuple[str, ...]:
+def _names(axis: str) -> tuple[str, ...]:
     """The parameters of that axis, in the order of Bounds."""
     return tuple(f"limits.{axis}_{key}" for key in _KEYS[axis])
-
-
-def bounds_of(axis: Axis, sent: Mapping[str, float | None]) -> Bounds:
-    """From `params.get`, where null is no limit."""
-    values = (sent[name] for name in limit_names(axis))
-    velocity, acceleration, deceleration, jerk = (
-        math.inf if value is None else value for value in values
-    )
-    return Bounds(
-        velocity_u_s=velocity,
-        acceleration_u_s2=acceleration,
-        deceleration_u_s2=deceleration,
-        jerk_u_s3=jerk,
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,6 +100,43 @@ class Goal:
     velocity_u_s: float = 0.0
     tolerance_u: float = 0.0
     timeout_s: float = 0.0
+    direction_rad: float = 0.0
+    """Of a linear one, from straight ahead, counterclockwise: pi / 2 is to the left."""
+
+    @property
+    def parts(self) -> dict[str, float]:
+        """What it asks of each axis, as parts of one."""
+        if self.axis == "angular":
+            return {"angular": 1.0}
+        if not math.isfinite(self.direction_rad):
+            raise ValueError("the direction has to be a finite number")
+        along = {"linear": math.cos(self.direction_rad), "lateral": math.sin(self.direction_rad)}
+        return {axis: part for axis, part in along.items() if abs(part) > _ALONG}
+
+    @property
+    def strafes(self) -> bool:
+        """It goes sideways too."""
+        return "lateral" in self.parts
+
+
+def limit_names(goal: Goal) -> tuple[str, ...]:
+    """The parameters that bound it. Raises ValueError."""
+    return tuple(name for axis in goal.parts for name in _names(axis))
+
+
+def bounds_of(goal: Goal, sent: Mapping[str, float | None]) -> Bounds:
+    """Along its direction, from `params.get`, where null is no limit."""
+    of_axes = [
+        [math.inf if (value := sent[name]) is None else value / abs(part) for name in _names(axis)]
+        for axis, part in goal.parts.items()
+    ]
+    velocity, acceleration, deceleration, jerk = map(min, zip(*of_axes, strict=True))
+    return Bounds(
+        velocity_u_s=velocity,
+        acceleration_u_s2=acceleration,
+        deceleration_u_s2=deceleration,
+        jerk_u_s3=jerk,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,6 +149,7 @@ class Plan:
     tolerance_u: float
     timeout_s: float
     bounds: Bounds
+    direction_rad: float = 0.0
 
 
 def planned(goal: Goal, bounds: Bounds) -> Plan:
@@ -154,6 +181,7 @@ def planned(goal: Goal, bounds: Bounds) -> Plan:
         tolerance_u=tolerance_u,
         timeout_s=goal.timeout_s or 2.0 * least_s + RESTS_WITHIN_S,
         bounds=bounds,
+        direction_rad=goal.direction_rad,
     )
 
 
@@ -181,10 +209,11 @@ def obstacle(snapshot: Snapshot) -> str | None:
 
 
 class Travel:
-    """What was travelled since a beginning, signed: distance along the heading, and angle."""
+    """What was travelled since a beginning, signed: distance in a direction of the base, and angle."""
 
-    def __init__(self, start: Snapshot) -> None:
+    def __init__(self, start: Snapshot, direction_rad: float = 0.0) -> None:
         self._last = start
+        self._direction_rad = direction_rad
         self.distance_m = 0.0
         self.angle_rad = 0.0
 
@@ -195,7 +224,7 @@ class Travel:
         if (snapshot.stamp_ns - self._last.stamp_ns) * _NS > LOOK_WITHIN_S:
             return f"it was not looked at for {LOOK_WITHIN_S:g} s"
         turn_rad = math.remainder(snapshot.heading_rad - self._last.heading_rad, math.tau)
-        middle_rad = self._last.heading_rad + turn_rad / 2.0
+        middle_rad = self._last.heading_rad + turn_rad / 2.0 + self._direction_rad
         dx_m, dy_m = snapshot.x_m - self._last.x_m, snapshot.y_m - self._last.y_m
         self.distance_m += dx_m * math.cos(middle_rad) + dy_m * math.sin(middle_rad)
         self.angle_rad += turn_rad
@@ -209,6 +238,7 @@ class MotionStep:
 
     linear_m_s: float = 0.0
     angular_rad_s: float = 0.0
+    lateral_m_s: float = 0.0
     end: End | None = None
     why: str = ""
 
@@ -222,7 +252,7 @@ class Motion:
         """`lease`: the number under which its commands are sent. `stale_s`: what is older says
         nothing. `stops`: how many the daemon had counted before."""
         self.plan = plan
-        self.travel = Travel(start)
+        self.travel = Travel(start, plan.direction_rad)
         self._lease, self._stale_s = lease, stale_s
         self._start_ns = now_ns
         self._stops, self._stopped, self._unstopped_ns = stops, False, now_ns
@@ -315,8 +345,14 @@ class Motion:
         return self._along(speed_u_s * self._forward)
 
     def _along(self, speed_u_s: float) -> MotionStep:
-        return (
-            MotionStep(speed_u_s, 0.0) if self.plan.axis == "linear" else MotionStep(0.0, speed_u_s)
+        if self.plan.axis == "angular":
+            return MotionStep(angular_rad_s=speed_u_s)
+        if self.plan.direction_rad == 0.0:
+            return MotionStep(linear_m_s=speed_u_s)
+        direction_rad = self.plan.direction_rad
+        return MotionStep(
+            linear_m_s=speed_u_s * math.cos(direction_rad),
+            lateral_m_s=speed_u_s * math.sin(direction_rad),
         )
 
     def _come_to_rest(self, snapshot: Snapshot, now_ns: int) -> MotionStep:

@@ -89,7 +89,7 @@ def never_canceled() -> bool:
 
 def goal_of(
     axis: str, distance_u: float, velocity_u_s: float | None, tolerance_u: float | None,
-    timeout_s: float | None,
+    timeout_s: float | None, direction_rad: float = 0.0,
 ) -> Goal:  # fmt: skip
     """None: the robot's own value. Raises ValueError for a 0, which would mean the same."""
     given = (("speed", velocity_u_s), ("tolerance", tolerance_u), ("time-out", timeout_s))
@@ -102,6 +102,7 @@ def goal_of(
         velocity_u_s=velocity_u_s or 0.0,
         tolerance_u=tolerance_u or 0.0,
         timeout_s=timeout_s or 0.0,
+        direction_rad=direction_rad,
     )
 
 
@@ -118,8 +119,10 @@ def procedure(
     `watch` is called at each look; when `canceled` is true the robot comes to rest and the motion
     ends. Raises ValueError for a goal that cannot be, MoveFailed and ClientError.
     """
-    limits = yield Call("params.get", {"names": limit_names(goal.axis)})
-    plan = planned(goal, bounds_of(goal.axis, limits))
+    names = limit_names(goal)
+    if goal.strafes and not (yield Call("robot")).get("strafes"):
+        raise MoveFailed("this base cannot move sideways: turn it, then move")
+    plan = planned(goal, bounds_of(goal, (yield Call("params.get", {"names": names}))))
     begin_s = time.monotonic()
     before = yield Call("status")
     try:
@@ -187,9 +190,11 @@ def _follow(
         if canceled():
             motion.cancel(time.monotonic_ns())
         step = motion.step(newest, time.monotonic_ns())
-        command = {"linear_m_s": step.linear_m_s, "angular_rad_s": step.angular_rad_s, **owner}
+        command = {"linear_m_s": step.linear_m_s, "angular_rad_s": step.angular_rad_s}
+        if step.lateral_m_s != 0.0:
+            command["lateral_m_s"] = step.lateral_m_s
         try:
-            yield Call("drive", command)
+            yield Call("drive", {**command, **owner})
         except Refused as error:
             why = obstacle(page.read() or newest) or str(error)
             return step if step.end else MotionStep(end=End.ABORTED, why=why)

@@ -27,7 +27,7 @@ Vector3 = tuple[float, ...]
 Planar6 = tuple[float, ...]
 """Upper triangle of a symmetric 3 × 3 matrix, row by row."""
 Planar3 = tuple[float, ...]
-"""Upper triangle of a symmetric 2 × 2 matrix, row by row."""
+"""Three numbers of a covariance."""
 Reasons = tuple[str, ...]
 Faults = tuple[str, ...]
 FirstFault = str
@@ -133,6 +133,14 @@ class Snapshot:
     twist_covariance: Planar3
     """vv, vw, ww in m2/s2, m rad/s2, rad2/s2."""
     joints: tuple[JointSnapshot, ...]
+    wanted_lateral_m_s: float = 0.0
+    setpoint_lateral_m_s: float = 0.0
+    lateral_m_s: float = 0.0
+    """Measured, positive to the left; 0 for a base that cannot move sideways."""
+    slip_m_s: float = 0.0
+    """Of the rims against each other, root mean square: what no motion of the base explains."""
+    lateral_covariance: Planar3 = (0.0, 0.0, 0.0)
+    """Of the twist: vx vy, vy vy, vy w in m2/s2, m2/s2, m rad/s2."""
     imu: ImuSnapshot | None = None
     """None: there is none, or it was never received."""
     doubt: DoubtSnapshot | None = None

@@ -38,6 +38,11 @@ REASONS = {
     8: "wheel_saturated",
     9: "duty_clamped",
     10: "duty_slew",
+    11: "lateral_velocity",
+    12: "lateral_acceleration",
+    13: "lateral_deceleration",
+    14: "lateral_jerk",
+    15: "lateral_impossible",
     16: "not_armed",
     17: "stop_requested",
     18: "command_stale",
@@ -115,9 +120,20 @@ _FORMS: Mapping[str, tuple[str, Callable[[Any], Any] | None]] = {
 class _Record:
     """Decodes a structure of csrc/api.h: the fields of its dataclass, in their order."""
 
-    def __init__(self, kind: type, *, hidden: tuple[str, str] = ("", "")) -> None:
-        """`hidden`: a field of the structure alone, and the one that it stands before."""
-        names = [(f.name, str(f.type)) for f in dataclasses.fields(kind) if f.type in _FORMS]
+    def __init__(
+        self,
+        kind: type,
+        *,
+        hidden: tuple[str, str] = ("", ""),
+        only: Callable[[str], bool] = bool,
+    ) -> None:
+        """`hidden`: a field of the structure alone, and the one that it stands before. `only`: the
+        names of the fields that this structure has."""
+        names = [
+            (f.name, str(f.type))
+            for f in dataclasses.fields(kind)
+            if f.type in _FORMS and only(f.name)
+        ]
         if hidden[0]:
             names.insert([name for name, _ in names].index(hidden[1]), (hidden[0], "U32"))
         self._struct = struct.Struct("=" + "".join(_FORMS[form][0] for _, form in names))
@@ -140,11 +156,20 @@ class _Record:
 
 
 _JOINT, _IMU, _DOUBT = map(_Record, (JointSnapshot, ImuSnapshot, DoubtSnapshot))
-_STATE = _Record(Snapshot, hidden=("joint_count", "odometry_degraded"))
+_LATERAL_NAMES = (
+    "wanted_lateral_m_s", "setpoint_lateral_m_s", "lateral_m_s", "slip_m_s", "lateral_covariance",
+)  # fmt: skip
+_STATE = _Record(
+    Snapshot,
+    hidden=("joint_count", "odometry_degraded"),
+    only=lambda name: name not in _LATERAL_NAMES,
+)
+_LATERAL = _Record(Snapshot, only=lambda name: name in _LATERAL_NAMES)
 _JOINTS_MAX = 8
 _IMU_OFFSET = _STATE.bytes + _JOINTS_MAX * _JOINT.bytes
 _DOUBT_OFFSET = _IMU_OFFSET + _IMU.bytes
-_PAYLOAD_BYTES = _DOUBT_OFFSET + _DOUBT.bytes
+_LATERAL_OFFSET = _DOUBT_OFFSET + _DOUBT.bytes
+_PAYLOAD_BYTES = _LATERAL_OFFSET + _LATERAL.bytes
 
 
 def decode(payload: bytes) -> Snapshot:
@@ -159,6 +184,7 @@ def decode(payload: bytes) -> Snapshot:
         imu=ImuSnapshot(**imu) if imu["state"] != GYRO_STATES[0] else None,
         doubt=DoubtSnapshot(**doubt) if doubt["fault"] else None,
         **state,
+        **_LATERAL.values(payload, _LATERAL_OFFSET),
     )
 
 

@@ -27,9 +27,11 @@ class Command:
     """None: no command ever."""
     wanted_linear_m_s: float = NAN
     wanted_angular_rad_s: float = NAN
+    wanted_lateral_m_s: float = NAN
     setpoint_linear_m_s: float = NAN
     """After limits and ramps."""
     setpoint_angular_rad_s: float = NAN
+    setpoint_lateral_m_s: float = NAN
     saturation: float = NAN
     """1: no wheel is at its limit; less: all are slowed by this factor."""
 
@@ -45,10 +47,16 @@ class Odometry:
     turned_rad: float = NAN
     linear_m_s: float = NAN
     angular_rad_s: float = NAN
+    lateral_m_s: float = NAN
+    """Positive to the left; 0 for a base that cannot move sideways."""
+    slip_m_s: float = NAN
+    """Of the rims against each other, root mean square: what no motion of the base explains."""
     pose_covariance: tuple[float, ...] = ()
     """xx, xy, xh, yy, yh, hh in m2, m rad, rad2."""
     twist_covariance: tuple[float, ...] = ()
     """vv, vw, ww in m2/s2, m rad/s2, rad2/s2."""
+    lateral_covariance: tuple[float, ...] = ()
+    """vx vy, vy vy, vy w in m2/s2, m2/s2, m rad/s2."""
     degraded: bool = False
     """Feedback was missing meanwhile."""
     epoch: int = 0
@@ -171,6 +179,7 @@ class LeaseStatus:
     expires_in_s: float = NAN
     linear_m_s: float | None = None
     angular_rad_s: float | None = None
+    lateral_m_s: float | None = None
     rate_hz: float | None = None
     held: bool = False
     """It asked for motion while nothing may move, and has to send zero first."""

@@ -45,6 +45,11 @@ def _near(unit: str, usual: str) -> Callable[[Any], Any]:
 
 @click.command(context_settings={"ignore_unknown_options": True})
 @click.argument("distance_m", metavar="M", type=FINITE)
+@click.option(
+    "--direction-rad",
+    type=FINITE,
+    help="Of a base that moves sideways: from straight ahead, to the left. Default: 0.",
+)
 @_at_most("m-s")
 @_near("m", "0.01 m")
 @_timeout
@@ -58,6 +63,7 @@ def move(client: Client, distance_m: float, as_json: bool, **asked: float | None
     \b
     Example: motord move 1
              motord move -0.5 --speed-m-s 0.1
+             motord move 0.3 --direction-rad 1.5708
     """
     _carry_out(client, Goal(axis="linear", distance_u=distance_m, **_given(asked)), as_json=as_json)
 

@@ -28,6 +28,7 @@ from motord.cli.common import (
     set_option,
 )
 from motord.config import Joint, Robot
+from motord.config.sections.bases import side_of, wheel_row
 from motord.config.wiring import line_specs
 from motord_hal.modbus.codec import UNIT_MAX
 from motord_hal.sim.fault_kinds import KINDS, FaultError, list_kinds
@@ -248,8 +249,9 @@ def rig_spec(robot: Robot, faults: tuple[str, ...], seed: int) -> RigSpec:
 
 def _wheel(robot: Robot, name: str, joint: Joint) -> WheelSpec:
     return WheelSpec(
-        side=joint.side,
+        side=side_of(robot.base, joint),
         wheel_radius_m=robot.wheel_radius_m(name),
+        row=wheel_row(robot.base, joint) if robot.base.strafes else None,
         full_duty_rad_s=joint.full_duty_rad_s or FULL_DUTY_RAD_S,
         counts_per_turn=joint.counts_per_turn or 0,
     )

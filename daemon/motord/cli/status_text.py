@@ -41,18 +41,26 @@ def _telling(reasons: Sequence[str], state: str) -> list[str]:
     return [reason for reason in reasons if reason not in usual]
 
 
+def _sideways(lateral_m_s: float) -> str:
+    """Only where there is such a motion."""
+    return f" {lateral_m_s:.3f} m/s to the left" if lateral_m_s else ""
+
+
 def _command(found: dict[str, Any]) -> str:
     command = found["command"]
     return (
-        f"{command['setpoint_linear_m_s']:.3f} m/s {command['setpoint_angular_rad_s']:.3f} rad/s, "
+        f"{command['setpoint_linear_m_s']:.3f} m/s {command['setpoint_angular_rad_s']:.3f} rad/s"
+        f"{_sideways(command['setpoint_lateral_m_s'])}, "
         f"requested {command['wanted_linear_m_s']:.3f} and {command['wanted_angular_rad_s']:.3f}"
+        f"{_sideways(command['wanted_lateral_m_s'])}"
     )
 
 
 def _odometry(at: dict[str, Any]) -> str:
     text = (
         f"x {at['x_m']:.3f} m, y {at['y_m']:.3f} m, heading {at['heading_rad']:.3f} rad, "
-        f"{at['linear_m_s']:.3f} m/s {at['angular_rad_s']:.3f} rad/s, "
+        f"{at['linear_m_s']:.3f} m/s {at['angular_rad_s']:.3f} rad/s"
+        f"{_sideways(at['lateral_m_s'])}, "
         f"{at['distance_m']:.2f} m in all"
     )
     return text + (" (degraded)" if at["degraded"] else "")
@@ -147,5 +155,5 @@ def _lease(lease: dict[str, Any]) -> str:
     held = ", held until it sends zero" if lease["held"] else ""
     return (
         f"{lease['owner']} priority {lease['priority']}: {lease['linear_m_s']:.3f} m/s "
-        f"{lease['angular_rad_s']:.3f} rad/s{held}"
+        f"{lease['angular_rad_s']:.3f} rad/s{_sideways(lease['lateral_m_s'])}{held}"
     )

@@ -237,8 +237,7 @@ def reset_odometry(client: Client, as_json: bool) -> None:
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
-@click.argument("linear_m_s", metavar="V", type=FINITE)
-@click.argument("angular_rad_s", metavar="W", type=FINITE)
+@click.argument("speeds", metavar="VX [VY] WZ", type=FINITE, nargs=-1, required=True)
 @click.option(
     "--seconds",
     type=click.FloatRange(0.0, min_open=True),
@@ -254,26 +253,30 @@ def reset_odometry(client: Client, as_json: bool) -> None:
 @talking
 def drive(
     client: Client,
-    linear_m_s: float,
-    angular_rad_s: float,
+    speeds: tuple[float, ...],
     seconds: float | None,
     owner: str,
     as_json: bool,
 ) -> None:
-    """Drive at V m/s and turn at W rad/s (positive is left) until Ctrl-C.
+    """Drive at VX m/s, turn at WZ rad/s (positive is left) until Ctrl-C.
 
-    The robot must be armed.
+    VY m/s is to the left, of a base that moves sideways. The robot must be armed.
 
     \b
     Example: motord drive 0.3 0
              motord drive -0.1 0.5 --seconds 2
+             motord drive 0 0.2 0
     """
-    _say_limited(client, linear_m_s, angular_rad_s)
+    if len(speeds) not in (2, 3):
+        raise click.UsageError(f"VX WZ or VX VY WZ, not {len(speeds)} numbers")
+    linear_m_s, angular_rad_s = speeds[0], speeds[-1]
+    lateral_m_s = speeds[1] if len(speeds) == 3 else 0.0
+    _say_limited(client, linear_m_s, angular_rad_s, lateral_m_s)
     start_s = due_s = time.monotonic()
     sent, commanded, commander = 0, False, None
     with interruptible() as interrupts:
         while not interrupts and (seconds is None or time.monotonic() - start_s < seconds):
-            answer = client.drive(linear_m_s, angular_rad_s, owner=owner)
+            answer = client.drive(linear_m_s, angular_rad_s, lateral_m_s, owner=owner)
             commanded, commander = commanded or answer["in_command"], answer["owner"]
             if sent % 5 == 0:
                 _progress(client, answer, owner)
@@ -292,12 +295,18 @@ def drive(
         print_json(result)
 
 
-def _say_limited(client: Client, linear_m_s: float, angular_rad_s: float) -> None:
+def _say_limited(
+    client: Client, linear_m_s: float, angular_rad_s: float, lateral_m_s: float
+) -> None:
     """What is asked for above a limit, and what the robot does instead."""
-    limits = client.params_get("limits.linear_m_s", "limits.angular_rad_s")
-    for (name, most), asked, unit in zip(
-        limits.items(), (linear_m_s, angular_rad_s), ("m/s", "rad/s"), strict=True
-    ):
+    wanted = {"limits.linear_m_s": linear_m_s, "limits.angular_rad_s": angular_rad_s}
+    if lateral_m_s != 0.0:
+        if not client.call("robot").get("strafes"):
+            click.echo("this base cannot move sideways: VY counts as 0", err=True)
+        else:
+            wanted["limits.lateral_m_s"] = lateral_m_s
+    for name, most in client.params_get(*wanted).items():
+        asked, unit = wanted[name], "rad/s" if name == "limits.angular_rad_s" else "m/s"
         if most is not None and abs(asked) > most:
             text = f"{asked:g} {unit} is above {name}: limited to {most:g} {unit}"
             click.echo(f"{text} (motord params set {name}=...)", err=True)

@@ -3,6 +3,13 @@
 
 from motord.config.problems import ConfigError, Problem
 from motord.config.robot_file import load_robot
+from motord.config.sections.bases import (
+    Base,
+    DifferentialBase,
+    MecanumBase,
+    OmniBase,
+    SkidBase,
+)
 from motord.config.sections.battery import Battery, DrivesBattery, InaBattery
 from motord.config.sections.bus import (
     BusInput,
@@ -50,8 +57,6 @@ from motord.config.sections.line import (
     TcpLine,
 )
 from motord.config.sections.model import (
-    Base,
-    DifferentialBase,
     Joint,
     Limits,
     Loop,
@@ -59,7 +64,6 @@ from motord.config.sections.model import (
     Robot,
     RtInput,
     Safety,
-    SkidBase,
     SocketInput,
 )
 
@@ -70,6 +74,8 @@ __all__ = [
     "Base",
     "DifferentialBase",
     "SkidBase",
+    "MecanumBase",
+    "OmniBase",
     "Limits",
     "Safety",
     "Odometry",

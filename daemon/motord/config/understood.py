@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from motord.config.rules.can import bus_load
 from motord.config.rules.wire import budget
+from motord.config.sections.bases import wheel_row
 from motord.config.sections.model import Robot
 from motord.config.sections.section import Section
 from motord.config.sections.wheels import rad_per_count, velocity_range_rad_s
@@ -78,10 +79,18 @@ def understood(robot: Robot) -> Understood:
         for name, joint in robot.joint.items()
     }
     radii = {name: robot.wheel_radius_m(name) for name in robot.joint}
-    wheels_m_s = min(ranges[name][1] * radii[name] for name in ranges)
-    spot_m_s = min(min(ranges[name][1], -ranges[name][0]) * radii[name] for name in ranges)
+    rows = {name: wheel_row(robot.base, joint) for name, joint in robot.joint.items()}
+    wheels_m_s = min(
+        ranges[name][1 if row.x > 0.0 else 0] * radii[name] / row.x
+        for name, row in rows.items()
+        if row.x
+    )
+    spot_rad_s = min(
+        min(ranges[name][1], -ranges[name][0]) * radii[name] / abs(row.lever_m)
+        for name, row in rows.items()
+        if row.lever_m
+    )
     top_m_s = min(robot.limits.linear_m_s, wheels_m_s)
-    spot_rad_s = 2.0 * spot_m_s / robot.base.effective_track_m
     stop_s = robot.limits.linear_rest_s(top_m_s)
     # a symmetric S-curve: half of top speed on average
     stop_m = top_m_s * stop_s / 2.0

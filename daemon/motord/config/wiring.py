@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from motord.config.sections.bases import side_of
 from motord.config.sections.imu import LineImu
 from motord.config.sections.line import AnyLine, AsciiLine, CanLine, PwmLine, SerialLine
 from motord.config.sections.model import Joint, Robot
@@ -84,10 +85,9 @@ def _text_spec(
     robot: Robot, profiles: Profiles, line: AsciiLine, joints: tuple[JointSpec, ...]
 ) -> TextSpec:
     def wheel(name: str) -> TextWheel:
-        side = -1.0 if robot.joint[name].side == "left" else 1.0
         joint = robot.joint[name]
         return TextWheel(
-            side=side,
+            side=-1.0 if side_of(robot.base, joint) == "left" else 1.0,
             radius_m=robot.wheel_radius_m(name),
             counts_per_turn=counts_per_turn(joint, profiles[joint.drive]),
         )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from motord.config.sections.bases import wheel_row
 from motord.config.sections.imu import Imu
 from motord.config.sections.model import Joint, Limits, Robot
 from motord.config.sections.wheels import (
@@ -63,7 +64,6 @@ def core_config(robot: Robot, profiles: Profiles) -> rt.CoreConfig:
     safety = robot.safety
     return {
         "joint_count": len(robot.joint),
-        "track_m": robot.base.effective_track_m,
         "limits": base_limits(robot.limits),
         "command_timeout_s": safety.command_timeout_s,
         "feedback_timeout_s": safety.feedback_timeout_s,
@@ -111,6 +111,12 @@ def base_limits(limits: Limits) -> rt.BaseLimits:
             "deceleration_u_s2": limits.angular_deceleration_rad_s2,
             "jerk_u_s3": limits.angular_rad_s3,
         },
+        "lateral": {
+            "velocity_u_s": limits.lateral_m_s,
+            "acceleration_u_s2": limits.lateral_m_s2,
+            "deceleration_u_s2": limits.lateral_deceleration_m_s2,
+            "jerk_u_s3": limits.lateral_m_s3,
+        },
     }
 
 
@@ -118,8 +124,9 @@ def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
     joint = robot.joint[name]
     profile = profiles[joint.drive]
     backward_rad_s, forward_rad_s = velocity_range_rad_s(joint, profile)
+    row = wheel_row(robot.base, joint)
     return {
-        "side": -1.0 if joint.side == "left" else 1.0,
+        "row": {"x": row.x, "y": row.y, "lever_m": row.lever_m},
         "wheel_radius_m": robot.wheel_radius_m(name),
         "velocity_min_rad_s": backward_rad_s,
         "velocity_max_rad_s": forward_rad_s,

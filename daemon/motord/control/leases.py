@@ -56,13 +56,14 @@ class Lease:
     """Commands a second, smoothed; 0: fewer than two have come."""
     linear_m_s: float
     angular_rad_s: float
+    lateral_m_s: float
     held: bool
     """Its command counts as zero until zero was asked for."""
 
     @property
     def wants_motion(self) -> bool:
         """Something else than zero was asked for, held or not."""
-        return self.linear_m_s != 0.0 or self.angular_rad_s != 0.0
+        return any((self.linear_m_s, self.angular_rad_s, self.lateral_m_s))
 
 
 @dataclass(slots=True)
@@ -204,26 +205,36 @@ class Leases:
         lease_s: float,
         linear_m_s: float,
         angular_rad_s: float,
+        lateral_m_s: float = 0.0,
     ) -> Lease:
         """The owner's newest command, as the loop has judged it. Raises ValueError for its numbers,
         NoLease where the loop does not take it."""
-        if not (math.isfinite(linear_m_s) and math.isfinite(angular_rad_s)):
-            raise ValueError(f"a command of {linear_m_s} m/s, {angular_rad_s} rad/s is not finite")
+        twist = (linear_m_s, angular_rad_s, lateral_m_s)
+        sideways = f" and {lateral_m_s:g} m/s sideways" if lateral_m_s != 0.0 else ""
+        words = f"a command of {linear_m_s:g} m/s, {angular_rad_s:g} rad/s{sideways}"
+        if not all(map(math.isfinite, twist)):
+            raise ValueError(f"{words} is not finite")
         async with self._judging:  # one at a time: a refusal has no name on it
             grant = self.grant(connection, owner, priority, lease_s)
             granted = self._granted[connection, owner, False]
             granted.sequence += 1
             before = self._loop.commands()
-            command = datagram(grant.token, granted.sequence, now_ns(), linear_m_s, angular_rad_s)
+            command = datagram(
+                grant.token,
+                granted.sequence,
+                now_ns(),
+                linear_m_s,
+                angular_rad_s,
+                lateral_m_s=lateral_m_s,
+            )
             try:
                 self._loop.send(command)
                 state = await self._judged(grant.number, granted.sequence, before)
             except (BlockingIOError, TimeoutError):
                 raise NoLease("the loop takes no commands: it stands still") from None
-        zeroed = state.linear_m_s == 0.0 and state.angular_rad_s == 0.0
-        if zeroed and (linear_m_s != 0.0 or angular_rad_s != 0.0):
+        if any(twist) and not state.wants_motion:
             raise NoLease(
-                f"a command of {linear_m_s:g} m/s, {angular_rad_s:g} rad/s is more than ten times "
+                f"{words} is more than ten times "
                 "the limit, so it counts as zero: is the unit right? (motord params list)"
             )
         return _lease(granted, state)
@@ -274,5 +285,6 @@ def _lease(granted: _Granted, state: LeaseState) -> Lease:
         rate_hz=1e9 / state.interval_ns if state.interval_ns > 0 else 0.0,
         linear_m_s=state.linear_m_s,
         angular_rad_s=state.angular_rad_s,
+        lateral_m_s=state.lateral_m_s,
         held=state.held,
     )

@@ -109,6 +109,7 @@ class Operation:
         self.stop_requests = StopRequests()
         """What the loop has received, as of the last look."""
         self._acknowledged = StopRequests()
+        self._sideways_said = False
         self.disarm_requested = asyncio.Event()
         """Set until `acknowledge_disarm`."""
 
@@ -227,6 +228,7 @@ class Operation:
         lease_s: float,
         linear_m_s: float,
         angular_rad_s: float,
+        lateral_m_s: float = 0.0,
     ) -> Lease:
         """Hand a command to the loop. Raises Refused where it will move nothing, ValueError for its
         numbers."""
@@ -238,6 +240,7 @@ class Operation:
                 lease_s=lease_s,
                 linear_m_s=linear_m_s,
                 angular_rad_s=angular_rad_s,
+                lateral_m_s=lateral_m_s,
             )
         except NoLease as error:
             raise Refused(str(error)) from error
@@ -344,6 +347,13 @@ class Operation:
         except BlockingIOError:  # overtaken by the loop in every try: the next look is not far
             return
         snapshot = self.snapshot
+        if "lateral_impossible" in snapshot.reasons and not self._sideways_said:
+            self._sideways_said = True
+            _log.warning(
+                "a command asks this base to move sideways (%g m/s), which it cannot: that part "
+                "counts as zero, here and from now on (commands.sideways of status counts them)",
+                snapshot.wanted_lateral_m_s,
+            )
         if snapshot.faults:
             estop = "estop" in snapshot.faults
             self.estops += estop and "estop" not in before.faults

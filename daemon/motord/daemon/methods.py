@@ -40,6 +40,7 @@ class LeaseParams(OwnerParams):
 class DriveParams(LeaseParams):
     linear_m_s: float = number()
     angular_rad_s: float = number()
+    lateral_m_s: float = number(default=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,6 +138,7 @@ async def _drive(operation: Operation, caller: Caller, params: DriveParams) -> d
         section.lease_s if params.lease_s is None else params.lease_s,
         params.linear_m_s,
         params.angular_rad_s,
+        params.lateral_m_s,
     )
     commander = operation.leases.commander()
     return {
@@ -202,6 +204,6 @@ async def _set(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, flo
     if of_drives:
         return dict(await drive_parameters.write(operation, of_drives))
     now = operation.snapshot
-    moving = now.setpoint_linear_m_s, now.setpoint_angular_rad_s
+    moving = now.setpoint_linear_m_s, now.setpoint_angular_rad_s, now.setpoint_lateral_m_s
     operation.set_limits(parameters.changed(operation.limits, wanted, *moving))
     return parameters.values(operation.limits, wanted)

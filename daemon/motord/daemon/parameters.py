@@ -43,7 +43,11 @@ def values(limits: Limits, names: Iterable[str] = ()) -> dict[str, float | None]
 
 
 def changed(
-    limits: Limits, wanted: Mapping[str, Any], linear_m_s: float = 0.0, angular_rad_s: float = 0.0
+    limits: Limits,
+    wanted: Mapping[str, Any],
+    linear_m_s: float = 0.0,
+    angular_rad_s: float = 0.0,
+    lateral_m_s: float = 0.0,
 ) -> Limits:
     """All of them as one group, whether they were set before or not, for a robot that moves so.
     Raises RpcError: then none."""
@@ -51,7 +55,7 @@ def changed(
     made = Limits(**(vars(limits) | asked))
     if (problem := limits_problem(base_limits(made))) is not None:
         raise RpcError(f"the core refuses {problem}: out of range", INVALID_PARAMS)
-    if (rest_s := made.rest_s(linear_m_s, angular_rad_s)) > REST_MAX_S:
+    if (rest_s := made.rest_s(linear_m_s, angular_rad_s, lateral_m_s)) > REST_MAX_S:
         raise RpcError(
             f"it would take {rest_s:.0f} s to rest (at most {REST_MAX_S:g} s): more deceleration "
             "and jerk, or less speed",

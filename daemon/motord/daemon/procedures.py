@@ -203,14 +203,16 @@ def ramp_s(operation: Operation, most_s: float) -> float:
     """Within this a robot that brakes as it should is at rest: v / deceleration, twice
     deceleration / jerk for both ends of the ramp, and a margin for the wheels to follow."""
     snapshot, limits = operation.snapshot, operation.limits
-    linear, angular = abs(snapshot.setpoint_linear_m_s), abs(snapshot.setpoint_angular_rad_s)
     brakes_s = max(
-        linear / limits.linear_deceleration_m_s2, angular / limits.angular_deceleration_rad_s2
+        abs(snapshot.setpoint_linear_m_s) / limits.linear_deceleration_m_s2,
+        abs(snapshot.setpoint_angular_rad_s) / limits.angular_deceleration_rad_s2,
+        abs(snapshot.setpoint_lateral_m_s) / limits.lateral_deceleration_m_s2,
     )
     # one axis may bound the deceleration and the other one the jerk
     eases_s = max(
         limits.linear_deceleration_m_s2 / limits.linear_m_s3,
         limits.angular_deceleration_rad_s2 / limits.angular_rad_s3,
+        limits.lateral_deceleration_m_s2 / limits.lateral_m_s3,
     )
     return min(brakes_s + 2.0 * eases_s + RAMP_MARGIN_S, most_s)
 

@@ -10,6 +10,7 @@ from typing import Any
 from motord.api.commands import CommandReport
 from motord.api.snapshot import Snapshot
 from motord.bus.publish.samples import Samples
+from motord.config.sections.bases import side_of
 from motord.control.health import Health
 from motord.control.leases import Lease
 from motord.control.operation import Operation
@@ -20,11 +21,11 @@ from motord_hal.realtime.exchange import now_ns
 
 _ODOMETRY = (
     "x_m", "y_m", "heading_rad", "distance_m", "turned_rad", "linear_m_s", "angular_rad_s",
-    "pose_covariance", "twist_covariance",
+    "lateral_m_s", "slip_m_s", "pose_covariance", "twist_covariance", "lateral_covariance",
 )  # fmt: skip
 _COMMAND = (
-    "command_age_s", "wanted_linear_m_s", "wanted_angular_rad_s",
-    "setpoint_linear_m_s", "setpoint_angular_rad_s", "saturation",
+    "command_age_s", "wanted_linear_m_s", "wanted_angular_rad_s", "wanted_lateral_m_s",
+    "setpoint_linear_m_s", "setpoint_angular_rad_s", "setpoint_lateral_m_s", "saturation",
 )  # fmt: skip
 
 
@@ -77,11 +78,12 @@ def description(operation: Operation) -> dict[str, Any]:
         "robot": robot.robot.name,
         "file": str(robot.path.absolute()),
         "joints": list(robot.joint),
-        "sides": {name: joint.side for name, joint in robot.joint.items()},
+        "sides": {name: side_of(robot.base, joint) for name, joint in robot.joint.items()},
         "track_m": robot.base.track_m,
         "effective_track_m": robot.base.effective_track_m,
         "wheel_radius_m": robot.base.wheel_radius_m,
         "wheel_radii_m": {name: robot.wheel_radius_m(name) for name in robot.joint},
+        "strafes": robot.base.strafes,
         "feedback_timeout_s": robot.safety.feedback_timeout_s,
         "inputs": robot.commanders(),
     }
@@ -176,7 +178,7 @@ def _line(line: Line, operation: Operation) -> dict[str, Any]:
 def _commands(report: CommandReport) -> dict[str, Any]:
     """How many were taken, and how many refused for which reason."""
     refused = {kind.name.lower(): count for kind, count in report.refused.items()}
-    return {"accepted": report.accepted, "refused": refused}
+    return {"accepted": report.accepted, "refused": refused, "sideways": report.sideways}
 
 
 def _leases(operation: Operation) -> list[dict[str, Any]]:
@@ -192,6 +194,7 @@ def _leases(operation: Operation) -> list[dict[str, Any]]:
             "expires_in_s": (lease.expires_ns - now) / 1e9,
             "linear_m_s": lease.linear_m_s,
             "angular_rad_s": lease.angular_rad_s,
+            "lateral_m_s": lease.lateral_m_s,
             "rate_hz": lease.rate_hz,
             "held": lease.held,
             "why": _why(lease, living),

@@ -270,6 +270,7 @@ class Loop:
             commander=raw.commander,
             accepted=raw.accepted,
             refused={kind: raw.refused[kind] for kind in Refusal},
+            sideways=raw.sideways,
             leases={lease.number: _lease_state(lease) for lease in raw.lease if lease.number},
         )
 
@@ -391,12 +392,22 @@ class LoopLease:
         self._sequence = 0
         loop.grant([self._grant])
 
-    def send(self, linear_m_s: float, angular_rad_s: float, stamp_ns: int | None = None) -> None:
+    def send(
+        self,
+        linear_m_s: float,
+        angular_rad_s: float,
+        stamp_ns: int | None = None,
+        *,
+        lateral_m_s: float = 0.0,
+    ) -> None:
         """A command of now, or of `stamp_ns`."""
         self._sequence += 1
         stamp_ns = lib.clock_now_ns() if stamp_ns is None else stamp_ns
         token = self._grant.token
-        self._loop.send(datagram(token, self._sequence, stamp_ns, linear_m_s, angular_rad_s))
+        command = datagram(
+            token, self._sequence, stamp_ns, linear_m_s, angular_rad_s, lateral_m_s=lateral_m_s
+        )
+        self._loop.send(command)
 
 
 def _epoll(fds: tuple[int, ...]) -> select.epoll:
@@ -426,6 +437,7 @@ def _lease_state(raw: Any) -> LeaseState:
         interval_ns=raw.interval_ns,
         linear_m_s=raw.linear_m_s,
         angular_rad_s=raw.angular_rad_s,
+        lateral_m_s=raw.lateral_m_s,
     )
 
 

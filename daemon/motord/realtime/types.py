@@ -12,7 +12,8 @@ from typing import NotRequired, Required, TypedDict
 
 
 class AxisLimits(TypedDict):
-    """u = m on the linear axis, rad on the angular one. Jerk may be infinite: no limit."""
+    """u = m on the linear and the lateral axis, rad on the angular one. Jerk may be infinite: no
+    limit."""
 
     velocity_u_s: float
     acceleration_u_s2: float
@@ -23,6 +24,15 @@ class AxisLimits(TypedDict):
 class BaseLimits(TypedDict):
     linear: AxisLimits
     angular: AxisLimits
+    lateral: AxisLimits
+
+
+class WheelRow(TypedDict):
+    """Rim speed = x linear + y lateral + lever_m angular."""
+
+    x: float
+    y: float
+    lever_m: float
 
 
 class PwmConfig(TypedDict):
@@ -57,7 +67,7 @@ class PlausibleConfig(TypedDict, total=False):
 
 
 class JointConfig(TypedDict):
-    side: float
+    row: WheelRow
     wheel_radius_m: float
     velocity_min_rad_s: float
     velocity_max_rad_s: float
@@ -83,7 +93,6 @@ class GyroConfig(TypedDict, total=False):
 
 class CoreConfig(TypedDict):
     joint_count: int
-    track_m: float
     limits: BaseLimits
     command_timeout_s: float
     feedback_timeout_s: float

@@ -20,7 +20,18 @@ CURVES = tuple(
     (share, linear_m_s or 0.45, angular_rad_s) for share, linear_m_s, angular_rad_s in COURSE
 )
 """For a base that cannot turn on the spot."""
-Course = tuple[tuple[float, float, float], ...]
+Course = tuple[tuple[float, ...], ...]
+"""Share, m/s, rad/s, and m/s to the left where the base moves sideways."""
+STRAFING: Course = (
+    (0.14, 0.50, 0.0, 0.0),
+    (0.14, 0.0, 0.0, 0.35),
+    (0.14, 0.40, 0.0, -0.30),
+    (0.16, 0.30, 0.6, 0.20),
+    (0.14, -0.35, 0.0, -0.30),
+    (0.08, 0.0, -1.0, 0.0),
+    (0.20, 0.20, -0.5, -0.30),
+)
+"""Out, sideways, aslant, sideways in a curve, back aslant, a turn on the spot, home in a circle."""
 DISTANCE_ERROR_MAX_PERCENT = 1.0
 HEADING_ERROR_MAX_RAD = 0.02
 ESTIMATE_ERROR_MAX_PERCENT = 50.0
@@ -28,12 +39,13 @@ ESTIMATE_ERROR_MAX_PERCENT = 50.0
 found."""
 
 
-def command_at(elapsed_s: float, seconds: float, course: Course = COURSE) -> tuple[float, float]:
-    """The course's (linear m/s, angular rad/s) at this moment; zero after its end."""
+def command_at(elapsed_s: float, seconds: float, course: Course = COURSE) -> tuple[float, ...]:
+    """The course's speeds at this moment: (linear m/s, angular rad/s), then lateral m/s where the
+    course has it; zero after its end."""
     left = elapsed_s / seconds
-    for share, linear_m_s, angular_rad_s in course:
+    for share, *speeds in course:
         if left < share:
-            return linear_m_s, angular_rad_s
+            return tuple(speeds)
         left -= share
     return 0.0, 0.0
 

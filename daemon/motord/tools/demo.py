@@ -26,7 +26,7 @@ from motord.client import Client, ClientError, Refused
 from motord.config import Robot
 from motord.config.sections.imu import ChipImu
 from motord.config.sections.wheels import counter_bits, velocity_range_rad_s
-from motord.tools.course import COURSE, CURVES, Course, Pose, Score, command_at, score
+from motord.tools.course import COURSE, CURVES, STRAFING, Course, Pose, Score, command_at, score
 from motord.tools.demo_words import Source, held_up_words, worth
 from motord.tools.simulator import start_simulator
 from motord_hal.sim.control import RobotTruth, SimControl
@@ -236,8 +236,7 @@ def drive(stage: Stage, course: Course, seconds: float, progress: Progress, ride
     while (elapsed_s := time.monotonic() - start) < seconds:
         stage.check()
         ride.held_up_s = max(ride.held_up_s, start + elapsed_s - due)
-        linear_m_s, angular_rad_s = command_at(elapsed_s, seconds, course)
-        stage.robot.drive(linear_m_s, angular_rad_s, owner="demo")
+        stage.robot.drive(*command_at(elapsed_s, seconds, course), owner="demo")
         if elapsed_s >= len(ride.path) * PATH_PERIOD_S:
             odometry = stage.robot.status()["odometry"]
             ride.path.append((odometry["x_m"], odometry["y_m"]))
@@ -317,7 +316,9 @@ def _listens(port: int) -> bool:
 
 
 def course_of(robot: Robot) -> Course:
-    """One that this base can drive."""
+    """One that this base can drive, and that shows what it can."""
+    if robot.base.strafes:
+        return STRAFING
     turns = all(
         velocity_range_rad_s(joint, robot.profiles[joint.drive])[0] < 0.0
         for joint in robot.joint.values()

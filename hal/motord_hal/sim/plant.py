@@ -17,7 +17,7 @@ from __future__ import annotations
 import enum
 import math
 import random
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 SUBSTEP_S = 0.001
@@ -172,6 +172,9 @@ class Contact:
     side: str
     """"left" | "right"."""
     wheel_radius_m: float
+    row: tuple[float, float, float] | None = None
+    """What the rim's speed is of a motion forward, to the left and about, of a base that moves
+    sideways. None: of two sides."""
 
 
 @dataclass(slots=True)
@@ -188,10 +191,43 @@ class Truth:
     """Fastest wheel so far, at its rim."""
 
 
+class Strafing:
+    """How a base that moves sideways does so when its wheels roll: Gram-Schmidt on the columns of
+    the wheels' rows (Golub & Van Loan, Matrix Computations, 5.2.7), then back substitution."""
+
+    def __init__(self, contacts: Mapping[str, Contact]) -> None:
+        """Raises ValueError where the wheels do not determine the motion."""
+        rows = [contact.row or (0.0, 0.0, 0.0) for contact in contacts.values()]
+        self._q: list[list[float]] = []
+        self._r = [[0.0] * 3 for _ in range(3)]
+        for k in range(3):
+            column = [row[k] for row in rows]
+            before = math.hypot(*column)
+            for i, direction in enumerate(self._q):
+                self._r[i][k] = part = _dot(direction, column)
+                column = [c - part * d for c, d in zip(column, direction, strict=True)]
+            self._r[k][k] = length = math.hypot(*column)
+            if not length > 1e-3 * before:
+                raise ValueError("the wheels do not determine how the base moves")
+            self._q.append([c / length for c in column])
+
+    def motion(self, rims_m: Sequence[float]) -> tuple[float, float, float]:
+        """Forward and to the left in m, about in rad."""
+        found = [0.0, 0.0, 0.0]
+        for i in (2, 1, 0):
+            later = sum(self._r[i][k] * found[k] for k in range(i + 1, 3))
+            found[i] = (_dot(self._q[i], rims_m) - later) / self._r[i][i]
+        return found[0], found[1], found[2]
+
+
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    return sum(x * y for x, y in zip(a, b, strict=True))
+
+
 class Plant:
     """All wheels, and the base that rolls on those with a contact: two sides, as differential and
-    skid-steered bases have (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2), the pose by the
-    exact arc of each sub-step."""
+    skid-steered bases have (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2), or wheels with
+    rollers; the pose by the exact arc of each sub-step."""
 
     def __init__(
         self,
@@ -204,7 +240,9 @@ class Plant:
     ) -> None:
         if not (math.isfinite(track_m) and track_m > 0.0):
             raise ValueError(f"track {track_m} m: must be positive")
-        if {contact.side for contact in contacts.values()} != {"left", "right"}:
+        strafing = all(contact.row is not None for contact in contacts.values())
+        sides = {contact.side for contact in contacts.values()}
+        if not strafing and sides != {"left", "right"}:
             raise ValueError("a base needs a wheel on the left and one on the right")
         self.wheels = dict(wheels)
         self._all = tuple(wheels.values())
@@ -214,6 +252,7 @@ class Plant:
             for side in ("left", "right")
         }
         self._track_m = track_m
+        self._strafing = Strafing(contacts) if any(c.row for c in contacts.values()) else None
         self._slip_variance_m2_per_m = slip_variance_m2_per_m
         self._random = random.Random(f"slip {seed}")
         self.truth = Truth()
@@ -255,6 +294,9 @@ class Plant:
             self._roll()
 
     def _roll(self) -> None:
+        if self._strafing is not None:
+            self._roll_freely(self._strafing)
+            return
         travel_m = {"left": 0.0, "right": 0.0}
         for wheel, contact in self._rolling:
             rim_m_s = wheel.velocity_rad_s * contact.wheel_radius_m
@@ -271,15 +313,30 @@ class Plant:
             (travel_m["right"] - travel_m["left"]) / self._track_m,
         )
 
-    def _follow_arc(self, forward_m: float, turn_rad: float) -> None:
+    def _roll_freely(self, strafing: Strafing) -> None:
+        """The motion that fits all rims best: what they do against each other is slip."""
+        rims_m = []
+        for wheel, contact in self._rolling:
+            rim_m_s = wheel.velocity_rad_s * contact.wheel_radius_m
+            self.truth.moved_max_m_s = max(self.truth.moved_max_m_s, abs(rim_m_s))
+            travel_m = rim_m_s * SUBSTEP_S * (1.0 - self.slipping.get(contact.side, 0.0))
+            if self._slip_variance_m2_per_m:
+                deviation = math.sqrt(self._slip_variance_m2_per_m * abs(travel_m))
+                travel_m += self._random.gauss(0.0, deviation)
+            rims_m.append(travel_m)
+        forward_m, left_m, turn_rad = strafing.motion(rims_m)
+        self._follow_arc(forward_m, turn_rad, left_m)
+
+    def _follow_arc(self, forward_m: float, turn_rad: float, left_m: float = 0.0) -> None:
         """The chord of an arc: length · sin(turn/2)/(turn/2), in the direction of half the turn."""
         half = turn_rad / 2.0
-        chord_m = forward_m * (math.sin(half) / half if half else 1.0)
+        chord = math.sin(half) / half if half else 1.0
         truth = self.truth
-        truth.x_m += chord_m * math.cos(truth.heading_rad + half)
-        truth.y_m += chord_m * math.sin(truth.heading_rad + half)
+        sine, cosine = math.sin(truth.heading_rad + half), math.cos(truth.heading_rad + half)
+        truth.x_m += chord * (forward_m * cosine - left_m * sine)
+        truth.y_m += chord * (forward_m * sine + left_m * cosine)
         truth.heading_rad = math.remainder(truth.heading_rad + turn_rad, 2.0 * math.pi)
-        truth.distance_m += abs(forward_m)
+        truth.distance_m += math.hypot(forward_m, left_m)
         truth.turned_rad += abs(turn_rad)
         self.yaw_rad += turn_rad
 

@@ -68,6 +68,8 @@ class WheelSpec:
     side: str
     """"left" | "right"."""
     wheel_radius_m: float
+    row: tuple[float, float, float] | None = None
+    """As Contact's."""
     full_duty_rad_s: float = 15.0
     """Wheel speed at full duty, of drives whose set-point is a duty."""
     counts_per_turn: int = 0
@@ -169,7 +171,7 @@ class Rig:
                 del wheels[_free_name(line, joint.unit, joint.channel)]
                 wheels[joint.name] = Wheel(self.spec.wheels[joint.name].model)
         contacts = {
-            name: Contact(side=wheel.side, wheel_radius_m=wheel.wheel_radius_m)
+            name: Contact(side=wheel.side, wheel_radius_m=wheel.wheel_radius_m, row=wheel.row)
             for name, wheel in self.spec.wheels.items()
         }
         return Plant(

@@ -75,7 +75,7 @@ def joint(side):
         dead_band=0.0, duty_min=-1.0, duty_max=1.0, slew_per_s=math.inf, full_duty_rad_s=20.0
     )
     return rt.JointConfig(
-        side=side,
+        row={"x": 1.0, "y": 0.0, "lever_m": side * 0.2},
         wheel_radius_m=0.1,
         velocity_min_rad_s=-20.0,
         velocity_max_rad_s=20.0,
@@ -89,7 +89,6 @@ def joint(side):
 def core_config():
     return rt.CoreConfig(
         joint_count=2,
-        track_m=0.4,
         limits=LIMITS,
         command_timeout_s=FOREVER_S,
         feedback_timeout_s=FOREVER_S,

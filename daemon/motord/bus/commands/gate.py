@@ -92,24 +92,30 @@ class CommandGate:
     def drive(self, message: object, waited_s: float = 0.0, sender: str = "") -> None:
         """Pass a Twist or a TwistStamped on. `waited_s`: in transit, as far as that is known; it is
         the age of one that says none itself. `sender`: as `act`. Raises NotTaken."""
-        linear_m_s, angular_rad_s, age_s = self._twist(message)
+        (linear_m_s, angular_rad_s, lateral_m_s), age_s = self._twist(message)
         stamp_ns = self._stamp_ns(age_s, waited_s)
-        if not self.source.drive(linear_m_s, angular_rad_s, stamp_ns):
+        if not self.source.drive(linear_m_s, angular_rad_s, stamp_ns, lateral_m_s=lateral_m_s):
             raise self._no(self.source.why_lost)
-        self.name_absurd(linear_m_s, angular_rad_s, sender)
+        self.name_absurd(linear_m_s, angular_rad_s, lateral_m_s, sender)
 
-    def name_absurd(self, linear_m_s: float, angular_rad_s: float, sender: str) -> None:
+    def name_absurd(
+        self, linear_m_s: float, angular_rad_s: float, lateral_m_s: float, sender: str
+    ) -> None:
         """Log the sender of a command that the loop takes for zero: the loop counts it, without
         names."""
-        limits = self._runtime.robot.limits
+        robot = self._runtime.robot
+        limits = robot.limits
+        sideways = not robot.base.strafes or abs(lateral_m_s) <= ABSURD * limits.lateral_m_s
         if (
             abs(linear_m_s) <= ABSURD * limits.linear_m_s
             and abs(angular_rad_s) <= ABSURD * limits.angular_rad_s
+            and sideways
         ):
             return
         self._voice.say(
             f"input.{self._name}: {sender or 'somebody'} requests {linear_m_s:g} m/s,"
-            f" {angular_rad_s:g} rad/s: no number, or more than {ABSURD:g} times the limit in"
+            f" {angular_rad_s:g} rad/s, {lateral_m_s:g} m/s sideways: no number, or more than"
+            f" {ABSURD:g} times the limit in"
             " the robot file, so it counts as"
             " zero unless a higher limit is in force: is the unit right?"
         )
@@ -154,18 +160,19 @@ class CommandGate:
             velocity_rad_s[place] = speed
         return velocity_rad_s, self._age_s(stamp_s)
 
-    def _twist(self, message: object) -> tuple[float, float, float]:
-        """m/s, rad/s, and the command's age in s."""
+    def _twist(self, message: object) -> tuple[tuple[float, float, float], float]:
+        """Linear m/s, rad/s and lateral m/s; and the command's age in s."""
         try:
             if not isinstance(message, Mapping):
                 raise TypeError("a command is an object")
             twist = message.get("twist", message)
             linear_m_s = _number(twist["linear"]["x"])
+            lateral_m_s = _number(twist["linear"].get("y", 0.0))
             angular_rad_s = _number(twist["angular"]["z"])
             stamp_s = _stamp_s(message)
-        except (KeyError, TypeError, OverflowError) as error:
+        except (AttributeError, KeyError, TypeError, OverflowError) as error:
             raise self._no(f"it is no Twist and no TwistStamped: {error}") from None
-        return linear_m_s, angular_rad_s, self._age_s(stamp_s)
+        return (linear_m_s, angular_rad_s, lateral_m_s), self._age_s(stamp_s)
 
     def _age_s(self, stamp_s: float | None) -> float:
         """Of what was given at that wall time. None: it did not say."""

@@ -240,12 +240,14 @@ class Source:
         angular_rad_s: float,
         stamp_ns: int | None = None,
         *,
+        lateral_m_s: float = 0.0,
         seen: int = ALL_SEEN,
     ) -> bool:
         """One command; `stamp_ns`: when it was given, CLOCK_MONOTONIC; now unless given.
         `seen`: not where `direct` has grown beyond that. Returns whether it was sent."""
         stamp_ns = time.monotonic_ns() if stamp_ns is None else stamp_ns
-        return self._send_twist(TWIST, linear_m_s, angular_rad_s, stamp_ns, seen)
+        twist = (linear_m_s, angular_rad_s, lateral_m_s)
+        return self._send_twist(TWIST, twist, stamp_ns, seen)
 
     def drive_joints(self, velocity_rad_s: Sequence[float], stamp_ns: int) -> bool:
         """One command of all wheels, in the order of the robot file, as `drive`."""
@@ -255,17 +257,19 @@ class Source:
 
     def release(self, *, seen: int = ALL_SEEN) -> bool:
         """Give the command back before it lapses; the next one takes it again. As `drive`."""
-        return self._send_twist(RELEASE, 0.0, 0.0, time.monotonic_ns(), seen)
+        return self._send_twist(RELEASE, (0.0, 0.0, 0.0), time.monotonic_ns(), seen)
 
     def _send_twist(
-        self, kind: int, linear_m_s: float, angular_rad_s: float, stamp_ns: int, seen: int
+        self, kind: int, twist: tuple[float, float, float], stamp_ns: int, seen: int
     ) -> bool:
+        linear_m_s, angular_rad_s, lateral_m_s = twist
         return self._send(
             lambda token, sequence: datagram(
-                token, sequence, stamp_ns, linear_m_s, angular_rad_s, kind=kind
+                token, sequence, stamp_ns, linear_m_s, angular_rad_s,
+                lateral_m_s=lateral_m_s, kind=kind,
             ),
             seen,
-        )
+        )  # fmt: skip
 
     def _send(self, made: Callable[[bytes, int], bytes], seen: int = ALL_SEEN) -> bool:
         if self._token is None or self._sender is None:

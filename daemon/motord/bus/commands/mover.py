@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 from motord.api.motion import (
     STOPS_EVERY_S,
-    Axis,
     Bounds,
     End,
     Goal,
@@ -69,7 +68,7 @@ class Mover:
         if self._gap.just_over():
             raise NotNow(STOOD_STILL)
         try:
-            plan = planned(goal, await self._bounds(goal.axis))
+            plan = planned(goal, await self._bounds(goal))
         except (ValueError, ClientError) as error:
             raise NotNow(str(error)) from error
         try:
@@ -94,10 +93,10 @@ class Mover:
             return "another source commands"
         return problem(snapshot, time.monotonic_ns(), self.stale_s) or obstacle(snapshot)
 
-    async def _bounds(self, axis: Axis) -> Bounds:
+    async def _bounds(self, goal: Goal) -> Bounds:
         """Those in force now. Raises ClientError."""
-        sent = await self._runtime.call("params.get", names=limit_names(axis))
-        return bounds_of(axis, sent)
+        sent = await self._runtime.call("params.get", names=limit_names(goal))
+        return bounds_of(goal, sent)
 
     async def move(
         self, plan: Plan, report: Callable[[Motion, Snapshot], None], cancel: asyncio.Event
@@ -157,7 +156,12 @@ class Mover:
                     return MotionStep(end=End.ABORTED, why="cmd_vel commands")
                 if step.end is not None:
                     return step
-                self._source.drive(step.linear_m_s, step.angular_rad_s, seen=self._direct)
+                self._source.drive(
+                    step.linear_m_s,
+                    step.angular_rad_s,
+                    lateral_m_s=step.lateral_m_s,
+                    seen=self._direct,
+                )
                 report(motion, newest)
                 await asyncio.sleep(self._every_s)
         finally:

@@ -24,6 +24,7 @@ class Codes:
     linear: int
     angular: int
     estop: int | None = None
+    lateral: int | None = None
 
 
 class Stick:
@@ -36,7 +37,8 @@ class Stick:
         device has not."""
         self._section = section
         self._codes = codes
-        self._values = {codes.linear: 0.0, codes.angular: 0.0}
+        axes = (codes.linear, codes.angular, codes.lateral)
+        self._values = {axis: 0.0 for axis in axes if axis is not None}
         for axis in self._values:
             low, high = ranges.get(axis, (0, 0))
             if low >= high:
@@ -73,11 +75,14 @@ class Stick:
             return 0.0
         return (abs(part) - zone) / (1.0 - zone) * (1.0 if part > 0.0 else -1.0)
 
-    def twist(self) -> tuple[float, float]:
-        """m/s and rad/s. Axes grow away from forward and from left, so both signs turn."""
+    def twist(self) -> tuple[float, float, float]:
+        """Linear m/s, rad/s and lateral m/s. Axes grow away from forward and from left, so all
+        signs turn."""
         if not self.held:
-            return 0.0, 0.0
+            return 0.0, 0.0, 0.0
+        lateral = 0.0 if self._codes.lateral is None else self._values[self._codes.lateral]
         return (
             -self._section.linear_m_s * self._values[self._codes.linear],
             -self._section.angular_rad_s * self._values[self._codes.angular],
+            -self._section.lateral_m_s * lateral,
         )

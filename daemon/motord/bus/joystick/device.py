@@ -87,7 +87,8 @@ class Joystick:
                 if self._gap.just_over():
                     stick.let_go()  # it may have been let go meanwhile
                 if stick.held:
-                    self._source.drive(*stick.twist())
+                    linear_m_s, angular_rad_s, lateral_m_s = stick.twist()
+                    self._source.drive(linear_m_s, angular_rad_s, lateral_m_s=lateral_m_s)
                     commanding = True
                 elif commanding:
                     self._rest()
@@ -120,13 +121,15 @@ def codes_of(section: JoystickInput) -> Codes:
         dead_man=_code(section.dead_man),
         linear=_code(section.linear_axis),
         angular=_code(section.angular_axis),
+        lateral=None if section.lateral_axis is None else _code(section.lateral_axis),
         estop=None if section.estop_button is None else _code(section.estop_button),
     )
 
 
 def stick_of(device: evdev.InputDevice[str], section: JoystickInput, codes: Codes) -> Stick:
     """Raises ValueError for an axis that the device has not, OSError."""
-    infos = {axis: device.absinfo(axis) for axis in (codes.linear, codes.angular)}
+    axes = (codes.linear, codes.angular, codes.lateral)
+    infos = {axis: device.absinfo(axis) for axis in axes if axis is not None}
     ranges = {axis: (info.min, info.max) for axis, info in infos.items()}
     return Stick(section, codes, ranges)
 

@@ -24,6 +24,7 @@ needs now.odometry_stamp_ns
 needs finite(now.x_m, now.y_m, now.heading_rad, now.linear_m_s, now.angular_rad_s)
 let xx, xy, xh, yy, yh, hh = now.pose_covariance
 let vv, vw, ww = now.twist_covariance
+let vs, ss, sw = now.lateral_covariance
 header.stamp = now.odometry_stamp_ns  # of the newest feedback in the pose
 header.frame_id = body.odom_frame
 child_frame_id = body.base_frame
@@ -40,15 +41,16 @@ pose.covariance = [
     xh, yh, 0.0, 0.0, 0.0, hh,
 ]  # m², m·rad, rad²; x, y, z, about x, about y, about z
 twist.twist.linear.x = now.linear_m_s  # m/s
+twist.twist.linear.y = now.lateral_m_s  # m/s
 twist.twist.angular.z = now.angular_rad_s  # rad/s
 twist.covariance = [
-    vv, 0.0, 0.0, 0.0, 0.0, vw,
-    0.0, vv, 0.0, 0.0, 0.0, 0.0,
+    vv, vs, 0.0, 0.0, 0.0, vw,
+    vs, ss or vv, 0.0, 0.0, 0.0, sw,
     0.0, 0.0, UNMEASURED, 0.0, 0.0, 0.0,
     0.0, 0.0, 0.0, UNMEASURED, 0.0, 0.0,
     0.0, 0.0, 0.0, 0.0, UNMEASURED, 0.0,
-    vw, 0.0, 0.0, 0.0, 0.0, ww,
-]  # m²/s², m·rad/s², rad²/s²; sideways the base rests as surely as its speed is known
+    vw, sw, 0.0, 0.0, 0.0, ww,
+]  # m²/s², m·rad/s², rad²/s²; without sideways motion as for x
 
 === tf tf2_msgs/msg/TFMessage
 needs now.odometry_stamp_ns
@@ -129,6 +131,8 @@ string commander_why = commander.why  # why that one is in command
 float64 command_age_s = now.command_age_s  # s; infinity: no command ever
 float64 setpoint_linear_m_s = now.setpoint_linear_m_s  # m/s
 float64 setpoint_angular_rad_s = now.setpoint_angular_rad_s  # rad/s
+float64 setpoint_lateral_m_s = now.setpoint_lateral_m_s  # m/s; positive to the left
+float64 slip_m_s = now.slip_m_s  # m/s; of the rims against each other
 string[] name = names
 float64[] setpoint_rad_s = joint.setpoint_rad_s  # rad/s
 float64[] duty = joint.duty  # -1 to 1

@@ -109,7 +109,7 @@ class Ros2Commands:
             return None
         reader = over.reader("cmd_vel", receiver.TYPE, receiver.NEWEST_FEW)
 
-        def taken(writer: int, command: tuple[float, float], now_s: float) -> None:
+        def taken(writer: int, command: tuple[float, float, float], now_s: float) -> None:
             sender = over.writer_of(reader, writer)
             self._mover.driven(now_s)
             self._gate.name_absurd(*command, sender)
@@ -122,7 +122,9 @@ class Ros2Commands:
             self._gate.drive(_as_mapping(message), waited_s, sender)
             self._mover.driven()
             twist = message.twist if self._stamped else message
-            self._contests["cmd_vel"].received(sender, (twist.linear.x, twist.angular.z))
+            self._contests["cmd_vel"].received(
+                sender, (twist.linear.x, twist.angular.z, twist.linear.y)
+            )
 
     def _drive_joints(self, message: SimpleNamespace, waited_s: float, sender: str) -> None:
         with contextlib.suppress(NotTaken):

@@ -11,6 +11,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 from motord.bus.messages.cdr import encode
 from motord.config import Joint, Robot
+from motord.config.sections.bases import wheel_place
 
 DESCRIPTION, STRING = "robot_description", "std_msgs/msg/String"
 """Its topic, and the type of that."""
@@ -32,6 +33,11 @@ def urdf(robot: Robot) -> str:
     base = SubElement(root, "link", name="base_link")
     _footprint(root)
     _box(base, track_m, track_m - 2.0 * WHEEL_WIDTH * radius_m, radius_m)
+    if robot.base.strafes:
+        for name, joint in robot.joint.items():
+            x_m, y_m, rolling_rad = wheel_place(robot.base, joint)
+            _wheel(root, name, joint, radius_m, (x_m, y_m), rolling_rad)
+        return tostring(root, encoding="unicode")
     for side, sign in (("left", 1.0), ("right", -1.0)):
         wheels = {name: joint for name, joint in robot.joint.items() if joint.side == side}
         first_m = SPACING * radius_m * (len(wheels) - 1) / 2.0
@@ -59,14 +65,21 @@ def _box(link: Element, length_m: float, width_m: float, wheel_radius_m: float) 
 
 
 def _wheel(
-    root: Element, name: str, joint: Joint, base_radius_m: float, place_m: tuple[float, float]
+    root: Element,
+    name: str,
+    joint: Joint,
+    base_radius_m: float,
+    place_m: tuple[float, float],
+    rolling_rad: float = 0.0,
 ) -> None:
     radius_m = joint.wheel_radius_m or base_radius_m
     link = f"{name}_wheel"
     made = SubElement(root, "joint", name=name, type="continuous")
     SubElement(made, "parent", link="base_link")
     SubElement(made, "child", link=link)
-    SubElement(made, "origin", xyz=_numbers(*place_m, radius_m), rpy="0 0 0")
+    SubElement(
+        made, "origin", xyz=_numbers(*place_m, radius_m), rpy=_numbers(0.0, 0.0, rolling_rad)
+    )
     SubElement(made, "axis", xyz="0 1 0")
     visual = SubElement(SubElement(root, "link", name=link), "visual")
     SubElement(visual, "origin", xyz="0 0 0", rpy=_numbers(math.pi / 2.0, 0.0, 0.0))

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from motord.config.finding import Finding
 from motord.config.rules.battery import battery_readings
 from motord.config.rules.wire import budget, cycle_limit_hz, helps
+from motord.config.sections.bases import OmniBase, side_of, wheel_row
 from motord.config.sections.line import CanLine, PwmLine, SerialLine
 from motord.config.sections.model import Joint, Robot
 from motord.config.sections.wheels import (
@@ -75,11 +76,15 @@ def _mounting(robot: Robot, _: Profiles) -> Iterator[Finding]:
     """Motors that face each other turn in opposite directions; motors on one side turn in the
     same."""
     for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
+        if isinstance(robot.base, OmniBase):
+            return
+        sides = side_of(robot.base, first), side_of(robot.base, second)
+        placed = "place" if robot.base.strafes else "side"
         paths = tuple(
-            ("joint", joint, key) for joint in (other, one) for key in ("inverted", "side")
+            ("joint", joint, key) for joint in (other, one) for key in ("inverted", placed)
         )
         same_drive = (first.line, first.unit) == (second.line, second.unit)
-        if first.side == second.side:
+        if sides[0] == sides[1]:
             if first.drive == second.drive and first.inverted != second.inverted:
                 text = f"joint {one} on the same side is {_turned(first)}: do they work together?"
                 yield Finding(paths, text, warning=True)
@@ -219,9 +224,22 @@ def _reach(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     joints = robot.joint.items()
     ranges = {name: velocity_range_rad_s(joint, profiles[joint.drive]) for name, joint in joints}
     radius = {name: robot.wheel_radius_m(name) for name in robot.joint}
-    forward_m_s = min(ranges[name][1] * radius[name] for name in ranges)
-    spot_m_s = min(min(ranges[name][1], -ranges[name][0]) * radius[name] for name in ranges)
-    on_spot_rad_s = 2 * spot_m_s / robot.base.effective_track_m
+    rows = {name: wheel_row(robot.base, joint) for name, joint in joints}
+
+    def reach(parts: dict[str, float]) -> float:
+        """How fast the base can move along an axis, both ways, by the part of it that each rim's
+        speed is."""
+        return min(
+            (_most(ranges[name], part) * radius[name] / abs(part))
+            for name, part in parts.items()
+            if part
+        )
+
+    forward_m_s = reach({name: row.x for name, row in rows.items()})
+    on_spot_rad_s = min(
+        reach({name: sign * row.lever_m for name, row in rows.items()}) for sign in (-1.0, 1.0)
+    )
+    spot_m_s = on_spot_rad_s
     wheels = tuple(("joint", name, "velocity_max_rad_s") for name in ranges)
     if robot.limits.linear_m_s > forward_m_s * (1 + _ROUNDING):
         text = (
@@ -236,6 +254,11 @@ def _reach(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         never = f"{robot.limits.angular_rad_s:g} rad/s is never reached on the spot"
         text = f"{never}: the wheels do {on_spot_rad_s:.4g} rad/s"
         yield Finding((path, *wheels), text, warning=True)
+
+
+def _most(range_rad_s: tuple[float, float], part: float) -> float:
+    """A wheel's speed where the base moves along an axis by which it turns forward, or backward."""
+    return range_rad_s[1] if part > 0.0 else -range_rad_s[0]
 
 
 def _serial(robot: Robot, profiles: Profiles) -> Iterator[Finding]:

@@ -151,7 +151,7 @@ def _text_formats(name: str, sent: Text, received: Text | None) -> Iterator[Find
 def _twist(
     robot: Robot, joints: tuple[str, ...], text: Text, at: tuple[Path, ...]
 ) -> Iterator[Finding]:
-    sides = {robot.joint[joint].side for joint in joints}
+    sides = {robot.joint[joint].side for joint in joints if not robot.base.strafes}
     if set(text.fields) == {LINEAR, ANGULAR} and sides != {"left", "right"}:
         yield Finding(at, "v and w need a left and a right joint on this line")
 

@@ -6,16 +6,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from motord.config.finding import Finding
+from motord.config.rules.base import BASE_RULES
 from motord.config.rules.battery import battery_alone
 from motord.config.rules.imu import imu_axes, imu_line, imu_rates
-from motord.config.sections.model import REST_MAX_S, Robot, SkidBase
-from motord.config.toml_lines import Path
+from motord.config.sections.model import REST_MAX_S, Robot
 from motord_hal.base.nearest import nearest
 
 JOINTS_MIN, JOINTS_MAX = 2, 8  # JOINTS_MAX, LINES_MAX: csrc/api.h
 LINES_MAX = 4
-_WHEEL_RADIUS_USUAL_M, _TRACK_USUAL_M = 0.4, 3.0
-"""Small robots have less; more is allowed, and asked about."""
 STOP_USUAL_M = 3.0
 """Braking distance of a fast delivery robot; small robots have less."""
 REST_RATIO_MAX = 1.5
@@ -23,14 +21,10 @@ REST_RATIO_MAX = 1.5
 
 
 def _joint_count(robot: Robot) -> Iterator[Finding]:
-    sides = tuple(("joint", name, "side") for name in robot.joint)
     count = len(robot.joint)
     if not JOINTS_MIN <= count <= JOINTS_MAX:
         text = f"{count} joints are too {'few' if count < JOINTS_MIN else 'many'}"
         yield Finding((("joint",),), f"{text} ({JOINTS_MIN} to {JOINTS_MAX})")
-    for side in ("left", "right"):
-        if count and all(joint.side != side for joint in robot.joint.values()):
-            yield Finding((("joint",), *sides), f'no joint is on the {side} (side = "{side}")')
 
 
 def _known_lines(robot: Robot) -> Iterator[Finding]:
@@ -86,37 +80,6 @@ def _long_stop(robot: Robot) -> Iterator[Finding]:
         yield Finding(tuple(("limits", key) for key in keys), text, warning=True)
 
 
-def _slip_factor(robot: Robot) -> Iterator[Finding]:
-    if isinstance(robot.base, SkidBase) and "track_slip_factor" not in robot.base.model_fields_set:
-        text = "a skid base without track_slip_factor turns less than commanded (1.5 is usual)"
-        yield Finding((("base", "track_slip_factor"),), text, warning=True)
-
-
-def _geometry(robot: Robot) -> Iterator[Finding]:
-    """A base of another size than it is drives at another speed than its set-point."""
-    base = robot.base
-    radii: list[tuple[Path, float]] = [(("base", "wheel_radius_m"), base.wheel_radius_m)]
-    radii += [
-        (("joint", name, "wheel_radius_m"), joint.wheel_radius_m)
-        for name, joint in robot.joint.items()
-        if joint.wheel_radius_m is not None
-    ]
-    for path, radius_m in radii:
-        if radius_m > _WHEEL_RADIUS_USUAL_M:
-            text = f"{radius_m:g} m is a wheel of {2 * radius_m:.3g} m across: is that so?"
-            yield Finding((path,), text, warning=True)
-    track: Path = ("base", "track_m")
-    if base.track_m > _TRACK_USUAL_M:
-        text = f"{base.track_m:g} m between left and right wheels: is that so?"
-        yield Finding((track,), text, warning=True)
-    elif base.track_m < min(radius_m for _, radius_m in radii):
-        text = (
-            f"{100 * base.track_m:.3g} cm between left and right wheels is less than a wheel's "
-            "radius: is it in metres, from the middle of one tyre to that of the other?"
-        )
-        yield Finding((track, radii[0][0]), text, warning=True)
-
-
 def _safety_pins(robot: Robot) -> Iterator[Finding]:
     estop = robot.safety.estop
     if estop is not None and estop.contact == "normally-open":
@@ -126,13 +89,12 @@ def _safety_pins(robot: Robot) -> Iterator[Finding]:
 
 ROBOT_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _joint_count,
+    *BASE_RULES,
     _known_lines,
     _line_count,
     _stops_in_time,
     _axes_stop_alike,
     _long_stop,
-    _slip_factor,
-    _geometry,
     battery_alone,
     imu_axes,
     imu_line,

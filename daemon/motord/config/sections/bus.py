@@ -281,7 +281,10 @@ class JoystickInput(BusInput):
     """Axis of the speed: away from you is forward."""
     angular_axis: str = Field(default="ABS_X", pattern=r"^ABS_[A-Z0-9_]+$")
     """Axis of the turn rate: to the left is a left turn."""
+    lateral_axis: str | None = Field(default=None, pattern=r"^ABS_[A-Z0-9_]+$")
+    """Axis of the speed sideways, of a base that moves so: to the left is to the left."""
     linear_m_s: float = number("speed at the end of the axis", 0.001, 50, "m/s", 0.3)
+    lateral_m_s: float = number("speed at the end of lateral_axis", 0.001, 50, "m/s", 0.3)
     angular_rad_s: float = number("turn rate at the end of the axis", 0.001, 100, "rad/s", 0.6)
     dead_zone: float = number("part of the axis around its middle that is zero", 0, 0.9, "1", 0.1)
     rate_hz: float = number("commands a second", 1, 200, "Hz", 20.0)

@@ -16,6 +16,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from motord.config.problems import Problem
+from motord.config.sections.bases import AnyBase, Place
 from motord.config.sections.battery import DrivesBattery, InaBattery
 from motord.config.sections.bus import (
     BusInput,
@@ -76,44 +77,6 @@ class Loop(Section):
     """Keep the CPUs out of deep sleep while the loop runs."""
 
 
-class Base(Section):
-    """Geometry that every base with wheels on two sides has."""
-
-    track_m: float = number("distance of the left wheels from the right ones", 0.02, 20, "m")
-    wheel_radius_m: float = number("radius of the wheels, loaded", 0.005, 5, "m")
-
-    @property
-    def effective_track_m(self) -> float:
-        """The track that turning feels."""
-        return self.track_m
-
-
-class DifferentialBase(Base):
-    """Two driven sides, and casters that follow."""
-
-    kind: Literal["differential"]
-
-
-class SkidBase(Base):
-    """Wheels on two sides that scrub sideways in a turn."""
-
-    kind: Literal["skid"]
-    track_slip_factor: float = number(
-        "by how much the track seems wider in a turn, because the wheels scrub: turn the robot "
-        "ten times on the spot, divide the turns counted by the turns made",
-        1,
-        10,
-        "1",
-        1.0,
-    )
-
-    @property
-    def effective_track_m(self) -> float:
-        """Track times slip factor: Mandow et al., Experimental kinematics for wheeled skid-steer
-        mobile robots, IROS 2007, for instantaneous centres that lie symmetrically."""
-        return self.track_m * self.track_slip_factor
-
-
 class Limits(Section):
     """What the base may do at most. They can be changed while the daemon runs."""
 
@@ -137,6 +100,35 @@ class Limits(Section):
         lambda above: above["angular_rad_s2"],
     )
     angular_rad_s3: float = number("turn jerk; inf: no limit", 0.001, None, "rad/s³", math.inf)
+    lateral_m_s: float = number(
+        "speed sideways; as linear_m_s where it is not given. Only of a base that moves sideways, "
+        "as the next three",
+        0.001,
+        50,
+        "m/s",
+        lambda above: above["linear_m_s"],
+    )
+    lateral_m_s2: float = number(
+        "acceleration sideways; as linear_m_s2 where it is not given",
+        0.001,
+        100,
+        "m/s²",
+        lambda above: above["linear_m_s2"],
+    )
+    lateral_deceleration_m_s2: float = number(
+        "deceleration sideways; as the acceleration where it is not given",
+        0.001,
+        100,
+        "m/s²",
+        lambda above: above["lateral_m_s2"],
+    )
+    lateral_m_s3: float = number(
+        "jerk sideways; as linear_m_s3 where it is not given; inf: no limit",
+        0.001,
+        None,
+        "m/s³",
+        lambda above: above["linear_m_s3"],
+    )
 
     def linear_rest_s(self, linear_m_s: float) -> float:
         """How long a stop takes from this speed on a straight line."""
@@ -150,15 +142,22 @@ class Limits(Section):
         )
         return linear_s, angular_s
 
-    def rest_s(self, linear_m_s: float = 0.0, angular_rad_s: float = 0.0) -> float:
+    def rest_s(
+        self, linear_m_s: float = 0.0, angular_rad_s: float = 0.0, lateral_m_s: float = 0.0
+    ) -> float:
         """How long a stop takes at most: from full speed, or from these where they are more."""
         linear = max(self.linear_m_s, abs(linear_m_s))
         angular = max(self.angular_rad_s, abs(angular_rad_s))
-        # both axes keep to one straight line: shares of it, by the axis that has the least room
+        lateral = max(self.lateral_m_s, abs(lateral_m_s))
+        # all axes keep to one straight line: shares of it, by the axis that has the least room
         deceleration = min(
-            self.linear_deceleration_m_s2 / linear, self.angular_deceleration_rad_s2 / angular
+            self.linear_deceleration_m_s2 / linear,
+            self.angular_deceleration_rad_s2 / angular,
+            self.lateral_deceleration_m_s2 / lateral,
         )
-        jerk = min(self.linear_m_s3 / linear, self.angular_rad_s3 / angular)
+        jerk = min(
+            self.linear_m_s3 / linear, self.angular_rad_s3 / angular, self.lateral_m_s3 / lateral
+        )
         return _ramp_s(1.0, deceleration, jerk)
 
 
@@ -247,7 +246,39 @@ class Joint(Section):
         "Modbus address, or node on the CAN bus, of its drive; a board has none", 0, 255, "1", 1
     )
     channel: int = number("which motor of the drive", 1, 8, "1", 1)
-    side: Literal["left", "right"]
+    side: Literal["left", "right"] | None = None
+    """Of a base with wheels on two sides."""
+    place: Place | None = None
+    """Of a mecanum base."""
+    angle_rad: float | None = number(
+        "of an omni base: where the wheel is, seen from the middle; 0 is forward, pi / 2 left",
+        -6.2832,
+        6.2832,
+        "rad",
+        None,
+    )
+    x_m: float | None = number(
+        "of an omni base, in place of the angle: the wheel's place, forward of the middle",
+        -10,
+        10,
+        "m",
+        None,
+    )
+    y_m: float | None = number(
+        "of an omni base, in place of the angle: the wheel's place, to the left of the middle",
+        -10,
+        10,
+        "m",
+        None,
+    )
+    rolling_rad: float | None = number(
+        "of an omni base: where the wheel rolls to when it turns forward, from straight ahead; "
+        "across the line to the middle, counterclockwise, where it is not given",
+        -6.2832,
+        6.2832,
+        "rad",
+        None,
+    )
     gear_ratio: float = number("motor turns for a wheel turn", 0.001, 10000, "1", 1.0)
     inverted: bool = False
     """The motor turns backward when the robot drives forward."""
@@ -374,7 +405,7 @@ class Robot(Section):
 
     robot: RobotName
     loop: Loop = Field(default_factory=Loop)
-    base: Annotated[DifferentialBase | SkidBase, Field(discriminator="kind")]
+    base: Annotated[AnyBase, Field(discriminator="kind")]
     limits: Limits = Field(default_factory=Limits)
     safety: Safety = Field(default_factory=Safety)
     odometry: Odometry = Field(default_factory=Odometry)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from motord.config.sections.bases import wheel_row
 from motord.config.sections.model import Joint, Robot
 from motord_hal.drives.profile import DriveProfile, Register
 
@@ -93,8 +94,11 @@ def rad_per_count(joint: Joint, profile: DriveProfile) -> float:
 def working_speed_rad_s(robot: Robot, name: str, profile: DriveProfile) -> float:
     """The fastest that the limits request of a wheel, at most its own."""
     limits = robot.limits
-    turn_m_s = limits.angular_rad_s * robot.base.effective_track_m / 2.0
-    asked_rad_s = (limits.linear_m_s + turn_m_s) / robot.wheel_radius_m(name)
+    row = wheel_row(robot.base, robot.joint[name])
+    asked_m_s = abs(row.x) * limits.linear_m_s + abs(row.lever_m) * limits.angular_rad_s
+    if robot.base.strafes:
+        asked_m_s += abs(row.y) * limits.lateral_m_s
+    asked_rad_s = asked_m_s / robot.wheel_radius_m(name)
     return min(asked_rad_s, velocity_range_rad_s(robot.joint[name], profile)[1])
 
 

@@ -47,13 +47,19 @@ LIMITS: BaseLimits = {
         "deceleration_u_s2": NO_LIMIT,
         "jerk_u_s3": math.inf,
     },
+    "lateral": {
+        "velocity_u_s": 10.0,
+        "acceleration_u_s2": NO_LIMIT,
+        "deceleration_u_s2": NO_LIMIT,
+        "jerk_u_s3": math.inf,
+    },
 }
 """So wide that the first tick that has a command reaches it."""
 
 
 def wheel(side: float) -> JointConfig:
     return {
-        "side": side,
+        "row": {"x": 1.0, "y": 0.0, "lever_m": side * 0.25},
         "wheel_radius_m": WHEEL_RADIUS_M,
         "velocity_min_rad_s": -1000.0,
         "velocity_max_rad_s": 1000.0,
@@ -74,7 +80,6 @@ def core_config() -> CoreConfig:
     """Two wheels, and limits that are not felt."""
     return {
         "joint_count": 2,
-        "track_m": 0.5,
         "limits": LIMITS,
         "command_timeout_s": PATIENCE_S,
         "feedback_timeout_s": PATIENCE_S,

@@ -24,7 +24,7 @@ class EvdevGamepad:
             self._device.close()
             raise
 
-    def twist(self) -> tuple[float, float] | None:
+    def twist(self) -> tuple[float, ...] | None:
         """As Gamepad.twist."""
         return self._stick.twist() if self._stick.held else None
 

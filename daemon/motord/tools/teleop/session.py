@@ -173,8 +173,8 @@ class Teleop:
         return state
 
     # ------------------------------------------------------------------------------------ commands
-    def _twist(self) -> tuple[float, float] | None:
-        """None: nothing is held."""
+    def _twist(self) -> tuple[float, ...] | None:
+        """Linear, angular, and lateral from a gamepad. None: nothing is held."""
         if self._gamepad is not None and (twist := self._gamepad.twist()) is not None:
             return twist
         motion = self._dead_man.motion(self._loop.time())

@@ -138,10 +138,10 @@ class Twists:
         made: Any,
         reader: Endpoint,
         gate: CommandGate,
-        taken: Callable[[int, tuple[float, float], float], None],
+        taken: Callable[[int, tuple[float, float, float], float], None],
     ) -> None:
         """`taken` is called for each command that the daemon received: the writer's DDS handle, the
-        twist in m/s and rad/s, and the time (time.monotonic)."""
+        twist in m/s, rad/s and m/s sideways, and the time (time.monotonic)."""
         self._receiver = Receiver(made, reader.entity)
         self._gate = gate
         self._taken = taken
@@ -172,7 +172,7 @@ class Twists:
         """Report what has come since. Raises OSError when DDS fails."""
         report = self._receiver.newest_report()
         for one in self._receiver.received():
-            command = (one.linear_m_s, one.angular_rad_s)
+            command = (one.linear_m_s, one.angular_rad_s, one.lateral_m_s)
             self._taken(one.writer, command, one.taken_ns * 1e-9)
         source = self._gate.source
         source.sent += self._more("taken", report.taken)

@@ -1,0 +1,172 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * spread.c: how uncertain the pose is. The covariance grows with the distance, with the turn, and with slip: what the rims do
+ * against each other, and what nothing is known of.
+ */
+#include "core.h"
+
+#include <math.h>
+
+/* A rim's speed that no motion of the base explains is smoothed over this time, so that a counter's steps are none of it. As an
+ * error of the travel it lasts as long: the spectral density of a first-order Gauss-Markov process is 2 sigma^2 tau (Gelb,
+ * Applied Optimal Estimation, 1974, 2.2). */
+static const double SLIP_TIME_S = 0.2;
+
+/* Errors of what the base did: variances and covariances, by the axes of its frame. */
+typedef struct {
+    double linear2;
+    double linear_angular;
+    double angular2;
+    double lateral2;
+    double linear_lateral;
+    double lateral_angular;
+} errors;
+
+/* b for a NaN in a: a floor holds */
+static double larger(double a, double b)
+{
+    return a > b ? a : b;
+}
+
+void spread_floor(odometry_state *state, const core_config *config)
+{
+    double *p = state->pose_covariance;
+    p[0] = larger(p[0], config->pose_variance_floor_m2);
+    p[3] = larger(p[3], config->pose_variance_floor_m2);
+    p[5] = larger(p[5], config->heading_variance_floor_rad2);
+}
+
+/* What the wheels turn against each other, of a base with more of them than it has axes. */
+static void take_slip(spread_state *spread, const core_config *config, const twist_inverse *used, const double *moved_u,
+                      double elapsed_s)
+{
+    double per_s = 1.0 / (SLIP_TIME_S + elapsed_s), sum = 0.0, count = 0.0;
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        const wheel_row *row = &config->joint[j].row;
+        double explained_m =
+            row->x * moved_u[AXIS_LINEAR] + row->lever_m * moved_u[AXIS_ANGULAR] + row->y * moved_u[AXIS_LATERAL];
+        double *residual_m_s = &spread->residual_m_s[j];
+        bool counts = used->joints >> j & 1U;
+        *residual_m_s = counts ? *residual_m_s + (spread->rim_m[j] - explained_m - *residual_m_s * elapsed_s) * per_s : 0.0;
+        sum += *residual_m_s * *residual_m_s;
+        count += counts ? 1.0 : 0.0;
+    }
+    spread->slip_m_s = sqrt(sum / count);
+}
+
+/* The errors of the wheels' travel, carried into the motion. Wheels that do the same share one error: they scrub together. */
+static errors errors_of(const spread_state *spread, const core_config *config, const twist_inverse *used, double elapsed_s)
+{
+    const double *x = used->inverse[AXIS_LINEAR], *turn = used->inverse[AXIS_ANGULAR], *y = used->inverse[AXIS_LATERAL];
+    double slip_m2 = 2.0 * SLIP_TIME_S * spread->slip_m_s * spread->slip_m_s * elapsed_s;
+    errors found = {0};
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        double travel_m2 = used->shared * (config->distance_variance_m2_per_m * fabs(spread->rim_m[j]) + slip_m2);
+        double x_m2 = x[j] * travel_m2, y_m2 = y[j] * travel_m2;
+        found.linear2 += x[j] * x_m2;
+        found.linear_angular += turn[j] * x_m2;
+        found.angular2 += turn[j] * turn[j] * travel_m2;
+        found.lateral2 += y[j] * y_m2;
+        found.linear_lateral += x[j] * y_m2;
+        found.lateral_angular += turn[j] * y_m2;
+    }
+    return found;
+}
+
+/* Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4: the errors of the motion are carried into the pose by the Jacobians
+ * of the motion; the scrub of turning is added to the heading. Half of the turn's error is there in the middle of the arc: the
+ * distance has its direction. */
+static void grow_pose(odometry_state *state, const errors *of, double scrub_rad2)
+{
+    const spread_state *spread = &state->spread;
+    double turn_rad = angle_wrap(state->heading_rad - spread->heading_rad);
+    direction middle = angle_direction(angle_wrap(spread->heading_rad + 0.5 * turn_rad));
+    double *p = state->pose_covariance, s = middle.sine, c = middle.cosine, tt = of->angular2;
+    /* the errors in the frame of the pose */
+    double xx = of->linear2 * c * c + of->lateral2 * s * s - 2.0 * of->linear_lateral * c * s;
+    double xy = (of->linear2 - of->lateral2) * c * s + of->linear_lateral * (c * c - s * s);
+    double yy = of->linear2 * s * s + of->lateral2 * c * c + 2.0 * of->linear_lateral * c * s;
+    double xt = 0.5 * (of->linear_angular * c - of->lateral_angular * s);
+    double yt = 0.5 * (of->linear_angular * s + of->lateral_angular * c);
+    /* x and y of the end, by the heading at the start */
+    double a = -spread->y_m, b = spread->x_m;
+    double hh = p[5] + 0.25 * tt;
+    double xh = p[2] + xt, yh = p[4] + yt;
+    double xh_end = xh + a * hh, yh_end = yh + b * hh;
+    p[0] += a * (xh + xh_end) + xx;
+    p[1] += a * yh_end + b * xh + xy;
+    p[3] += b * (yh + yh_end) + yy;
+    p[2] = xh_end + xt + 0.25 * tt * a;
+    p[4] = yh_end + yt + 0.25 * tt * b;
+    p[5] += tt + scrub_rad2;
+}
+
+static void take_rates(spread_state *spread, const errors *of, double scrub_rad2, double elapsed_s)
+{
+    double per_s = 1.0 / elapsed_s;
+    spread->linear2_m2_s = of->linear2 * per_s;
+    spread->linear_angular_m_rad_s = of->linear_angular * per_s;
+    spread->angular2_rad2_s = (of->angular2 + scrub_rad2) * per_s;
+    spread->lateral2_m2_s = of->lateral2 * per_s;
+    spread->linear_lateral_m2_s = of->linear_lateral * per_s;
+    spread->lateral_angular_m_rad_s = of->lateral_angular * per_s;
+}
+
+void spread_look(odometry_state *state, const core_config *config, int64_t now_ns)
+{
+    spread_state *spread = &state->spread;
+    const twist_inverse *used = &state->used;
+    double elapsed_s = spread->stamp_ns > 0 ? (double)(now_ns - spread->stamp_ns) * 1e-9 : 0.0;
+    double moved_u[AXES] = {0.0};
+    for (int i = 0; i < AXES; i++) {
+        for (uint32_t j = 0; j < config->joint_count; j++) {
+            moved_u[i] += used->inverse[i][j] * spread->rim_m[j];
+        }
+    }
+    if (elapsed_s > 0.0 && used->shared > 1.0) {
+        take_slip(spread, config, used, moved_u, elapsed_s);
+    }
+    errors found = errors_of(spread, config, used, elapsed_s);
+    double scrub_rad2 = config->turn_variance_rad2_per_rad * fabs(moved_u[AXIS_ANGULAR]);
+    if (spread->by_gyro) {
+        found.angular2 = spread->gyro_rad2;
+        found.linear_angular = found.lateral_angular = scrub_rad2 = 0.0;
+    }
+    grow_pose(state, &found, scrub_rad2);
+    spread_floor(state, config);
+    if (elapsed_s > 0.0) {
+        take_rates(spread, &found, scrub_rad2, elapsed_s);
+    }
+    spread->stamp_ns = now_ns;
+    spread->heading_rad = state->heading_rad;
+    spread->x_m = spread->y_m = spread->gyro_rad2 = 0.0;
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        spread->rim_m[j] = 0.0;
+    }
+}
+
+void odometry_drift(odometry_state *state, const core_config *config, const joint_setpoint *setpoint, double dt_s)
+{
+    twist_inverse all;
+    kinematics_invert(config, (1U << config->joint_count) - 1U, &all);
+    double farthest_m = 0.0, far_u[AXES] = {0.0}; /* as if all had gone as far as the fastest, and all of it added up */
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        farthest_m = larger(farthest_m, fabs(setpoint[j].velocity_rad_s) * config->joint[j].wheel_radius_m * dt_s);
+        for (int i = 0; i < AXES; i++) {
+            far_u[i] += fabs(all.inverse[i][j]);
+        }
+    }
+    double distance_m = farthest_m * (far_u[AXIS_LINEAR] + far_u[AXIS_LATERAL]), turn_rad = farthest_m * far_u[AXIS_ANGULAR];
+    double *p = state->pose_covariance;
+    p[0] += distance_m * (2.0 * sqrt(p[0]) + distance_m);
+    p[3] += distance_m * (2.0 * sqrt(p[3]) + distance_m);
+    p[5] += turn_rad * (2.0 * sqrt(p[5]) + turn_rad);
+    /* the last measured twist is all there is: as uncertain as it is large */
+    double linear = state->linear_m_s * state->linear_m_s, lateral = state->lateral_m_s * state->lateral_m_s,
+           angular = state->angular_rad_s * state->angular_rad_s;
+    state->twist_covariance[0] = larger(state->twist_covariance[0], config->twist_variance_floor_m2_s2 + linear);
+    state->twist_covariance[2] = larger(state->twist_covariance[2], config->twist_variance_floor_rad2_s2 + angular);
+    if (lateral != 0.0) {
+        state->lateral_covariance[1] = larger(state->lateral_covariance[1], config->twist_variance_floor_m2_s2 + lateral);
+    }
+}
