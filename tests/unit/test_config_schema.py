@@ -18,7 +18,8 @@ from motord.config.schema import drive_schema, robot_schema
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 UNITS = {
     "m": "m", "m_s": "m/s", "m_s2": "m/s²", "m_s3": "m/s³", "rad_s": "rad/s", "rad_s2": "rad/s²",
-    "rad": "rad", "rad_s3": "rad/s³", "s": "s", "hz": "Hz", "per_s": "1/s", "m2_per_m": "m²/m", "m2": "m²",
+    "rad": "rad",
+    "rad_s3": "rad/s³", "s": "s", "hz": "Hz", "per_s": "1/s", "m2_per_m": "m²/m", "m2": "m²",
     "rad2_per_rad": "rad²/rad",
     "rad2_per_s": "rad²/s", "rad2": "rad²", "m2_s2": "m²/s²", "rad2_s2": "rad²/s²",
     "mb": "MB", "v": "V", "ah": "Ah", "ohm": "Ω", "n_m": "N·m",

@@ -209,7 +209,7 @@ def obstacle(snapshot: Snapshot) -> str | None:
 
 
 class Travel:
-    """What was travelled since a beginning, signed: distance in a direction of the base, and angle."""
+    """What was travelled since a beginning, signed: distance in a direction of the base, angle."""
 
     def __init__(self, start: Snapshot, direction_rad: float = 0.0) -> None:
         self._last = start

@@ -85,7 +85,7 @@ def turn_wheel(session: Session, wheel: Wheel, speed_rad_s: float, seconds: floa
     """Turn one wheel forward and watch all encoders. Raises Failed, Aborted."""
     if session.robot["strafes"]:
         raise Failed(
-            "motord spin turns the wheels of bases with two sides only: nothing was turned"
+            "motord spin turns wheels of bases with two sides only: nothing was turned"
         )
     track_m = float(session.robot["effective_track_m"])
     linear_m_s, angular_rad_s = twist_of_side(wheel, speed_rad_s, track_m)

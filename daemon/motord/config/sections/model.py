@@ -116,11 +116,11 @@ class Limits(Section):
         lambda above: above["linear_m_s2"],
     )
     lateral_deceleration_m_s2: float = number(
-        "deceleration sideways; as the acceleration where it is not given",
+        "deceleration sideways; as linear_deceleration_m_s2 where it is not given",
         0.001,
         100,
         "m/s²",
-        lambda above: above["lateral_m_s2"],
+        lambda above: above["linear_deceleration_m_s2"],
     )
     lateral_m_s3: float = number(
         "jerk sideways; as linear_m_s3 where it is not given; inf: no limit",

@@ -40,8 +40,8 @@ Hold a key to move; release it to stop. Any other key stops, too."""
 class Gamepad(Protocol):
     """What a session needs of a gamepad."""
 
-    def twist(self) -> tuple[float, float] | None:
-        """m/s and rad/s, or None while its dead-man button is released."""
+    def twist(self) -> tuple[float, ...] | None:
+        """m/s, rad/s and m/s to the left, or None while its dead-man button is released."""
 
     async def run(self, estop: Callable[[], None]) -> None:
         """Until it is unplugged: OSError. `estop` is called for its e-stop button."""
