@@ -42,6 +42,7 @@ HEADERS = (
     "api_imu.h",
     "api_feedback.h",
     "api.h",
+    "api_loop.h",
     "api_command.h",
     "api_line.h",
     "api_trace.h",

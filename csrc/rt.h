@@ -11,6 +11,7 @@
 #include "api_imu.h"
 #include "api_feedback.h"
 #include "api.h"
+#include "api_loop.h"
 #include "api_command.h"
 #include "api_line.h"
 #include "api_trace.h"

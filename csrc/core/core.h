@@ -49,8 +49,8 @@ static const int64_t SPREAD_EVERY_NS = 20000000;
 void spread_look(odometry_state *state, const core_config *config, int64_t now_ns);
 void spread_floor(odometry_state *state, const core_config *config);
 
-/* The wheels that send feedback do not determine the motion: let the variance grow as if nothing were known of what the set-points
- * make the wheels do meanwhile. */
+/* The wheels that send feedback do not determine the motion: let the variance grow as if nothing were known of
+ * what the set-points make the wheels do meanwhile. */
 void odometry_drift(odometry_state *state, const core_config *config, const joint_setpoint *setpoint, double dt_s);
 
 #pragma GCC visibility pop

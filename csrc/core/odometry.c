@@ -4,7 +4,8 @@
  *
  * Each joint gathers its travel from its own samples; when every joint with feedback has brought one, the
  * gathered travel is integrated as one exact arc: the base's twist is taken for constant meanwhile. Where a
- * counter cannot say how far a wheel has gone (it jumped, its origin moved, there is none), the drive's measured velocity stands in, and `degraded` is set.
+ * counter cannot say how far a wheel has gone (it jumped, its origin moved, there is none), the drive's
+ * measured velocity stands in, and `degraded` is set.
  */
 #include "core.h"
 

@@ -7,7 +7,7 @@
 
 #include <math.h>
 
-/* A rim's speed that no motion of the base explains is smoothed over this time, so that a counter's steps are none of it. As an
+/* A rim's speed that no motion of the base explains is smoothed over this time, so that a counter's steps do not count. As an
  * error of the travel it lasts as long: the spectral density of a first-order Gauss-Markov process is 2 sigma^2 tau (Gelb,
  * Applied Optimal Estimation, 1974, 2.2). */
 static const double SLIP_TIME_S = 0.2;

@@ -37,7 +37,7 @@ BAD: dict[str, list[Any]] = {
     "joint[1].velocity_min_rad_s": [1.0, math.nan, -math.inf],
     "joint[1].velocity_max_rad_s": POSITIVE,
     "joint[1].rad_per_count": [0.0, math.nan, math.inf],
-    "joint[1].counter_bits": [1, 12, 48, 65],
+    "joint[1].counter_bits": [1, 13, 48, 65],
     "joint[1].line": [4, 2**32 - 1],
     "joint[1].pwm.dead_band": [-0.1, 1.1, math.nan],
     "joint[1].pwm.duty_min": [-1.1, 0.1, math.nan],

@@ -84,9 +84,7 @@ def twist_of_side(wheel: Wheel, speed_rad_s: float, track_m: float) -> tuple[flo
 def turn_wheel(session: Session, wheel: Wheel, speed_rad_s: float, seconds: float) -> Turned:
     """Turn one wheel forward and watch all encoders. Raises Failed, Aborted."""
     if session.robot["strafes"]:
-        raise Failed(
-            "motord spin turns wheels of bases with two sides only: nothing was turned"
-        )
+        raise Failed("motord spin turns wheels of bases with two sides only: nothing was turned")
     track_m = float(session.robot["effective_track_m"])
     linear_m_s, angular_rad_s = twist_of_side(wheel, speed_rad_s, track_m)
     limits = session.client.params_get("limits.linear_m_s", "limits.angular_rad_s")

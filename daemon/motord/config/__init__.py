@@ -48,6 +48,7 @@ from motord.config.sections.bus import (
     ZenohPublish,
 )
 from motord.config.sections.imu import ChipImu, Imu, LineImu
+from motord.config.sections.limits import Limits
 from motord.config.sections.line import (
     DdsmLine,
     DynamixelLine,
@@ -58,7 +59,6 @@ from motord.config.sections.line import (
 )
 from motord.config.sections.model import (
     Joint,
-    Limits,
     Loop,
     Odometry,
     Robot,

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from motord.config.sections.bases import wheel_row
 from motord.config.sections.imu import Imu
-from motord.config.sections.model import Joint, Limits, Robot
+from motord.config.sections.limits import Limits
+from motord.config.sections.model import Joint, Robot
 from motord.config.sections.wheels import (
     Profiles,
     counter_bits,

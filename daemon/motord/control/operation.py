@@ -109,7 +109,7 @@ class Operation:
         self.stop_requests = StopRequests()
         """What the loop has received, as of the last look."""
         self._acknowledged = StopRequests()
-        self._sideways_said = False
+        self._sideways_reported = False
         self.disarm_requested = asyncio.Event()
         """Set until `acknowledge_disarm`."""
 
@@ -347,8 +347,8 @@ class Operation:
         except BlockingIOError:  # overtaken by the loop in every try: the next look is not far
             return
         snapshot = self.snapshot
-        if "lateral_impossible" in snapshot.reasons and not self._sideways_said:
-            self._sideways_said = True
+        if "lateral_impossible" in snapshot.reasons and not self._sideways_reported:
+            self._sideways_reported = True
             _log.warning(
                 "a command asks this base to move sideways (%g m/s), which it cannot: that part "
                 "counts as zero, here and from now on (commands.sideways of status counts them)",

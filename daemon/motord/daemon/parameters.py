@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from motord.config import Limits
-from motord.config.sections.model import REST_MAX_S
+from motord.config.sections.limits import REST_MAX_S
 from motord.config.sections.section import numbers_of
 from motord.control.assembly import base_limits
 from motord.local_socket.server import INVALID_PARAMS, RpcError, json_number

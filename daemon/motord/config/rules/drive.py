@@ -227,7 +227,7 @@ def _reach(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     rows = {name: wheel_row(robot.base, joint) for name, joint in joints}
 
     def reach(parts: dict[str, float]) -> float:
-        """How fast the base can move along an axis, both ways, by the part of it that each rim's
+        """How fast the base can move along an axis, by the part of it that each rim's
         speed is."""
         return min(
             (_most(ranges[name], part) * radius[name] / abs(part))

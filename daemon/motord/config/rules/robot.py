@@ -9,7 +9,8 @@ from motord.config.finding import Finding
 from motord.config.rules.base import BASE_RULES
 from motord.config.rules.battery import battery_alone
 from motord.config.rules.imu import imu_axes, imu_line, imu_rates
-from motord.config.sections.model import REST_MAX_S, Robot
+from motord.config.sections.limits import REST_MAX_S
+from motord.config.sections.model import Robot
 from motord_hal.base.nearest import nearest
 
 JOINTS_MIN, JOINTS_MAX = 2, 8  # JOINTS_MAX, LINES_MAX: csrc/api.h

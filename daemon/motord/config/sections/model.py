@@ -45,6 +45,7 @@ from motord.config.sections.encoder import AnyEncoder
 from motord.config.sections.feedback import FeedbackChecks
 from motord.config.sections.guard import EstopInput, WatchdogOutput
 from motord.config.sections.imu import ChipImu, LineImu
+from motord.config.sections.limits import Limits
 from motord.config.sections.line import Cpus, LineSection
 from motord.config.sections.section import Field, Name, PrivateAttr, Section, number
 from motord.config.sections.speed_loop import SpeedLoop
@@ -75,101 +76,6 @@ class Loop(Section):
     """Keep the daemon's memory from being paged out."""
     hold_dma_latency: bool = True
     """Keep the CPUs out of deep sleep while the loop runs."""
-
-
-class Limits(Section):
-    """What the base may do at most. They can be changed while the daemon runs."""
-
-    linear_m_s: float = number("speed", 0.001, 50, "m/s", 0.5)
-    linear_m_s2: float = number("acceleration", 0.001, 100, "m/s²", 0.5)
-    linear_deceleration_m_s2: float = number(
-        "deceleration; as the acceleration where it is not given",
-        0.001,
-        100,
-        "m/s²",
-        lambda above: above["linear_m_s2"],
-    )
-    linear_m_s3: float = number("jerk; inf: no limit", 0.001, None, "m/s³", math.inf)
-    angular_rad_s: float = number("turn rate", 0.001, 100, "rad/s", 1.0)
-    angular_rad_s2: float = number("turn acceleration", 0.001, 1000, "rad/s²", 1.0)
-    angular_deceleration_rad_s2: float = number(
-        "turn deceleration; as the acceleration where it is not given",
-        0.001,
-        1000,
-        "rad/s²",
-        lambda above: above["angular_rad_s2"],
-    )
-    angular_rad_s3: float = number("turn jerk; inf: no limit", 0.001, None, "rad/s³", math.inf)
-    lateral_m_s: float = number(
-        "speed sideways; as linear_m_s where it is not given. Only of a base that moves sideways, "
-        "as the next three",
-        0.001,
-        50,
-        "m/s",
-        lambda above: above["linear_m_s"],
-    )
-    lateral_m_s2: float = number(
-        "acceleration sideways; as linear_m_s2 where it is not given",
-        0.001,
-        100,
-        "m/s²",
-        lambda above: above["linear_m_s2"],
-    )
-    lateral_deceleration_m_s2: float = number(
-        "deceleration sideways; as linear_deceleration_m_s2 where it is not given",
-        0.001,
-        100,
-        "m/s²",
-        lambda above: above["linear_deceleration_m_s2"],
-    )
-    lateral_m_s3: float = number(
-        "jerk sideways; as linear_m_s3 where it is not given; inf: no limit",
-        0.001,
-        None,
-        "m/s³",
-        lambda above: above["linear_m_s3"],
-    )
-
-    def linear_rest_s(self, linear_m_s: float) -> float:
-        """How long a stop takes from this speed on a straight line."""
-        return _ramp_s(linear_m_s, self.linear_deceleration_m_s2, self.linear_m_s3)
-
-    def axes_rest_s(self) -> tuple[float, float]:
-        """How long each axis alone takes from full speed to rest: linear, angular."""
-        linear_s = self.linear_rest_s(self.linear_m_s)
-        angular_s = _ramp_s(
-            self.angular_rad_s, self.angular_deceleration_rad_s2, self.angular_rad_s3
-        )
-        return linear_s, angular_s
-
-    def rest_s(
-        self, linear_m_s: float = 0.0, angular_rad_s: float = 0.0, lateral_m_s: float = 0.0
-    ) -> float:
-        """How long a stop takes at most: from full speed, or from these where they are more."""
-        linear = max(self.linear_m_s, abs(linear_m_s))
-        angular = max(self.angular_rad_s, abs(angular_rad_s))
-        lateral = max(self.lateral_m_s, abs(lateral_m_s))
-        # all axes keep to one straight line: shares of it, by the axis that has the least room
-        deceleration = min(
-            self.linear_deceleration_m_s2 / linear,
-            self.angular_deceleration_rad_s2 / angular,
-            self.lateral_deceleration_m_s2 / lateral,
-        )
-        jerk = min(
-            self.linear_m_s3 / linear, self.angular_rad_s3 / angular, self.lateral_m_s3 / lateral
-        )
-        return _ramp_s(1.0, deceleration, jerk)
-
-
-REST_MAX_S = 20.0
-"""A stop that takes longer is refused."""
-
-
-def _ramp_s(velocity: float, deceleration: float, jerk: float) -> float:
-    """From a velocity to rest: the deceleration rises by the jerk, and may not get to its limit."""
-    if velocity * jerk < deceleration**2:
-        return 2.0 * math.sqrt(velocity / jerk)
-    return velocity / deceleration + deceleration / jerk
 
 
 class Safety(Section):

@@ -1,0 +1,124 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * api_loop.h: the part of the border that the loop is: histograms, mailboxes, the state page, the thread. Read after api.h,
+ * and like it: typedefs, enums, comments and prototypes, no preprocessor line.
+ */
+
+/* ---------------------------------------------------------------------------------------------- histogram
+ * Log-linear: 16 buckets an octave (at most 6.25 % wide), 1 ns .. 2^40 ns (18 min); the last one is "more". */
+enum { HISTOGRAM_SUB_BUCKETS = 16, HISTOGRAM_BUCKETS = 608 };
+typedef struct {
+    uint64_t samples;
+    int64_t max_ns;
+    int64_t min_ns;
+    uint64_t bucket[HISTOGRAM_BUCKETS];
+} histogram;
+
+uint32_t histogram_bucket(int64_t value_ns);        /* negative: 0 */
+int64_t histogram_bucket_floor_ns(uint32_t bucket); /* smallest value that falls into it */
+void histogram_clear(histogram *h);
+void histogram_add(histogram *h, int64_t value_ns); /* one writer; relaxed atomics, so any thread may read */
+void histogram_copy(histogram *to, const histogram *from);
+int64_t histogram_percentile_ns(const histogram *h, double fraction); /* 0..1; 0 when empty; never above max_ns */
+
+/* ------------------------------------------------------------------------------------------------ exchange
+ * All mailboxes between asyncio, the line engines and the loop: newest wins, triple buffers, one writer and
+ * one reader each, the writer never waits. */
+typedef struct exchange exchange;
+size_t exchange_bytes(void);
+void exchange_init(exchange *x);                                                        /* memory aligned to 64 bytes */
+void exchange_put_control(exchange *x, const core_control *control);                    /* asyncio → loop */
+int exchange_put_feedback(exchange *x, uint32_t joint, const joint_feedback *feedback); /* line → loop */
+void exchange_put_imu(exchange *x, const imu_sample *sample);                           /* the sensor's reader → loop */
+int exchange_take_setpoints(exchange *x, uint32_t line, setpoints *out);                /* loop → line */
+/* the loop's side. Each take copies the newest value, new or not, and returns 1 when it is new, 0 when not,
+ * -EINVAL for a bad index. Never written: all zero. */
+int exchange_take_control(exchange *x, core_control *out);
+int exchange_take_feedback(exchange *x, uint32_t joint, joint_feedback *out);
+int exchange_take_imu(exchange *x, imu_sample *out);
+int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value);
+/* How often a line's set-points have become enabled: newest wins, so a line may never see those of a short while. Read it
+ * before the take: what is taken is at least as new. */
+uint64_t exchange_enabled_count(const exchange *x, uint32_t line);
+/* An eventfd that wakes a line's thread before its time; -1: none. It stays open as long as the process lives. */
+int exchange_set_line_wake(exchange *x, uint32_t line, int fd);
+int exchange_line_wake(const exchange *x, uint32_t line);
+
+/* ---------------------------------------------------------------------------------------------- state page
+ * Shared memory, one writer, any number of readers, which need no lock and cannot disturb it. docs/state-page.md */
+enum { PAGE_BYTES = 16384, PAGE_LAYOUT_VERSION = 1 };
+int page_init(void *page); /* PAGE_BYTES, aligned to 64 */
+void page_write(void *page, const robot_state *state);
+/* 0; -EAGAIN overtaken in every try; -EPROTO not a page of this layout; -ENODATA empty */
+int page_read(const void *page, robot_state *out);
+
+/* ------------------------------------------------------------------------------------------- pins of safety
+ * Descriptors of GPIO v2 line requests of one line each; they stay the caller's. */
+enum { ESTOP_NONE = 0, ESTOP_CLEAR = 1, ESTOP_ACTIVE = 2, ESTOP_LOST = 3 }; /* the input; LOST stops like ACTIVE */
+typedef struct {
+    uint32_t estop; /* 1: estop_fd is an input, not blocking, with edges to the level that stops */
+    int32_t estop_fd;
+    uint32_t estop_high; /* the level that stops */
+    uint32_t watchdog;   /* 1: watchdog_fd is an output that changes while all threads live */
+    int32_t watchdog_fd;
+    uint32_t watchdog_every_ticks;
+    int64_t heartbeat_timeout_ns;
+    int64_t line_timeout_ns[LINES_MAX]; /* to take set-points again while drives are enabled; 0: there is no such line */
+} guard_config;
+
+/* ---------------------------------------------------------------------------------------------------- loop
+ * One loop a process: its state is static, so that the thread needs no memory. */
+typedef struct {
+    double rate_hz;              /* 10..20000 */
+    int32_t priority;            /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
+    uint32_t notify_every_ticks; /* eventfd is written every so many ticks, and when a reason to stand, faults, armed or
+                                   at_rest change */
+    uint64_t cpu_mask;           /* bit n: CPU n; 0: no affinity */
+    int32_t page_fd;             /* shared memory of PAGE_BYTES, or -1 for a private page; the loop maps its own */
+    int32_t journal_fd;          /* shared memory of journal_bytes(), or -1: nothing is written; the loop maps its own */
+    int32_t event_fd;            /* an eventfd, or -1 */
+    int32_t command_fd;          /* an epoll of the datagram sockets on which commands come in, COMMAND_SOCKETS of them at
+                                   most, each with itself as data.fd: one for each lease, or a flood on one would keep others
+                                   from being received; -1: none */
+    int32_t stop_fd;             /* a datagram socket for stop requests, with SO_PASSCRED; in that epoll too. -1: none */
+    uint32_t lock_memory;        /* 1: mlockall(MCL_CURRENT | MCL_FUTURE) */
+    uint32_t hold_dma_latency;   /* 1: /dev/cpu_dma_latency open and 0 while the loop runs */
+    guard_config guard;
+} loop_config;
+
+typedef struct {
+    uint32_t running;
+    int32_t policy; /* SCHED_FIFO (1) or SCHED_OTHER (0): what the kernel granted */
+    int32_t priority;
+    int32_t scheduler_errno; /* 0, or why it refused */
+    int32_t affinity_errno;
+    int32_t memory_lock_errno;
+    int32_t dma_latency_errno;
+    uint32_t reserved;
+    uint64_t ticks;
+    uint64_t overruns;      /* periods skipped because the one before was still running or the CPU was away */
+    uint64_t page_faults;   /* of the thread since its first tick, minor and major */
+    int64_t tick_stamp_ns;  /* last tick */
+    uint32_t estop_input;   /* ESTOP_* */
+    uint32_t watchdog_well; /* 1: the watchdog's pin moves */
+    uint64_t watchdog_edges;
+    int32_t watchdog_errno; /* of the last write */
+    uint32_t reserved_too;
+} loop_status;
+
+enum {
+    HISTOGRAM_LATENESS = 0, /* wake-up after its deadline */
+    HISTOGRAM_STEP = 1,     /* the tick's own work */
+    HISTOGRAM_COMMAND = 2,  /* command.stamp_ns to the first tick that used it */
+    HISTOGRAM_KINDS = 3
+};
+
+exchange *loop_exchange(void); /* static, ready at once; loop_start empties it, so no thread may
+                                                          be using it then */
+/* 0; -EINVAL; -EBUSY; -errno of what cannot be done without */
+int loop_start(const loop_config *loop, const core_config *core);
+int loop_stop(void); /* last set-points zero and not enabled; 0 or -ESRCH */
+void loop_status_read(loop_status *out);
+int loop_histogram_read(uint32_t kind, histogram *out);
+int loop_histogram_clear(void);        /* asked for; done by the loop at its next tick */
+int loop_state_read(robot_state *out); /* as page_read, on the loop's own page */
