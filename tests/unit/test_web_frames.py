@@ -5,6 +5,7 @@ import contextlib
 import dataclasses
 import math
 import struct
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -12,7 +13,11 @@ from hypothesis import strategies as st
 from tests.unit.bus_views import joint, view
 
 from motord.api.snapshot import STATES
+from motord.bus.web.description import description
 from motord.bus.web.frames import FLAGS, Packer, drive_frame, layout, number_of
+from motord.config import load_robot
+
+STRAFES = "mecanum4"
 
 
 def decoded(raw):
@@ -37,13 +42,15 @@ def test_a_frame_holds_the_values_of_the_snapshot():
     one = joint(velocity_rad_s=1.5, position_rad=1e6 + 1e-6, enabled=None, drive_faults=0xFFFFFFFF)
     now = view(5000, joints=(one, joint(stale=True)), machine_state=4, armed=True, x_m=12.345678901,
                reasons=("linear_jerk", "fault"), faults=("estop",), owner=7,
-               setpoint_linear_m_s=0.25, command_age_s=math.inf).snapshot  # fmt: skip
+               setpoint_linear_m_s=0.25, lateral_m_s=-0.5,
+               command_age_s=math.inf).snapshot  # fmt: skip
     found = decoded(Packer(2).pack(now, 9))
     assert STATES[found["state"]] == "moving"
     assert found["flags"] == 1 << FLAGS.index("armed")
     assert (found["stamp_s"], found["sequence"], found["owner"]) == (5.0, 9, 7)
     assert found["x_m"] == 12.345678901
     assert found["setpoint_linear_m_s"] == 0.25
+    assert found["lateral_m_s"] == -0.5
     assert found["command_age_s"] == math.inf
     assert found["faults"] == 1
     assert found["reasons"] == 1 << 3 | 1 << 20
@@ -93,3 +100,13 @@ def test_what_is_no_frame_of_a_page_is_a_value_error(raw):
         else:
             with pytest.raises(ValueError):
                 read(raw)
+
+
+def test_a_page_is_sent_the_wheels_and_the_lateral_limit_of_a_base_that_strafes():
+    robots = Path(__file__).resolve().parents[2] / "config/robots"
+    found = {name: description(load_robot(robots / f"{name}.toml")) for name in ("demo", STRAFES)}
+    assert found["demo"]["limits"]["lateral_m_s"] == 0.0
+    assert found[STRAFES]["limits"]["lateral_m_s"] > 0.0
+    assert all(len(one["wheels"]) == len(one["joints"]) for one in found.values())
+    places = {(wheel["x_m"], wheel["y_m"]) for wheel in found[STRAFES]["wheels"]}
+    assert len(places) == len(found[STRAFES]["joints"])

@@ -23,7 +23,7 @@ def description(robot: Robot) -> dict[str, Any]:
         "wheels": list(_wheels(robot)),
         "limits": {
             "linear_m_s": robot.limits.linear_m_s,
-            "lateral_m_s": 0.0,
+            "lateral_m_s": robot.limits.lateral_m_s if robot.base.strafes else 0.0,
             "angular_rad_s": robot.limits.angular_rad_s,
         },
         "layout": layout(),

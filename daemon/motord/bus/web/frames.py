@@ -86,9 +86,9 @@ class Packer:
 
 def _twists(now: Snapshot) -> Iterator[float]:
     yield from (now.command_age_s, now.saturation)
-    yield from (now.wanted_linear_m_s, 0.0, now.wanted_angular_rad_s)
-    yield from (now.setpoint_linear_m_s, 0.0, now.setpoint_angular_rad_s)
-    yield from (now.linear_m_s, 0.0, now.angular_rad_s)
+    yield from (now.wanted_linear_m_s, now.wanted_lateral_m_s, now.wanted_angular_rad_s)
+    yield from (now.setpoint_linear_m_s, now.setpoint_lateral_m_s, now.setpoint_angular_rad_s)
+    yield from (now.linear_m_s, now.lateral_m_s, now.angular_rad_s)
 
 
 def _of_joint(joint: JointSnapshot) -> Iterator[float]:
