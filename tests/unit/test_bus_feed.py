@@ -240,7 +240,7 @@ async def answering(path, answer, *, stay=False):
     [
         ({"error": {"code": -32000, "message": "not now"}}, Refused, "not now"),
         ({"error": {"code": -32601, "message": "no method"}}, ClientError, "no method"),
-        (b"no JSON", ClientError, r"the daemon \(arm\) does not speak JSON"),
+        (b"no JSON", ClientError, r"the daemon \(arm\) does not answer in JSON"),
         (b"x" * (1 << 21), ClientError, "did not answer"),
     ],
 )

@@ -142,10 +142,10 @@ def test_a_daemon_that_goes_away_is_sent(tmp_path):
                 robot.status()
 
 
-def test_garbage_is_sent(tmp_path):
+def test_an_answer_that_is_no_json_is_reported(tmp_path):
     with (
         answering(tmp_path / "s", b"hello\n") as robot,
-        pytest.raises(ClientError, match="does not speak JSON"),
+        pytest.raises(ClientError, match="does not answer in JSON"),
     ):
         robot.status()
 

@@ -11,6 +11,7 @@ from motord.commission.params_save import put_limits
 from motord.commission.person import Failed
 from motord.commission.robot_file_edit import EditError, RobotFileEdit, write_new
 from motord.config import ConfigError, load_robot
+from motord.config.sections.limits import LATERAL_KEYS
 
 DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 
@@ -135,8 +136,9 @@ def test_a_new_file_does_not_replace_another(file):
 
 
 def in_force(file, **changes):
+    """What params.get answers for a base that does not move sideways."""
     limits = vars(load_robot(file).limits) | changes
-    return {f"limits.{name}": value for name, value in limits.items()}
+    return {f"limits.{name}": value for name, value in limits.items() if name not in LATERAL_KEYS}
 
 
 def test_limits_in_force_go_into_the_file(file):

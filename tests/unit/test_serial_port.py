@@ -153,7 +153,7 @@ def test_what_a_driver_keeps_differently_is_reported():
     assert kept_problem(asked, asked) == ""
     assert "switch" in kept_problem(asked, bytes(32))
     assert "polarity" in kept_problem(asked, struct.pack("=3I20x", 1 | 4, 2, 0))
-    assert "listening" in kept_problem(asked, struct.pack("=3I20x", 1 | 2 | 16, 2, 0))
+    assert "receiving" in kept_problem(asked, struct.pack("=3I20x", 1 | 2 | 16, 2, 0))
     assert "delays" in kept_problem(asked, struct.pack("=3I20x", 1 | 2, 0, 0))
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from motord.config.rules.can import bus_load
 from motord.config.rules.wire import budget
 from motord.config.sections.bases import wheel_row
+from motord.config.sections.limits import LATERAL_KEYS
 from motord.config.sections.model import Robot
 from motord.config.sections.section import Section
 from motord.config.sections.wheels import rad_per_count, velocity_range_rad_s
@@ -106,7 +107,7 @@ def understood(robot: Robot) -> Understood:
         defaults={
             name: found
             for name in ("limits", "safety", "loop")
-            if (found := _defaults(getattr(robot, name)))
+            if (found := _defaults(getattr(robot, name), robot.base.strafes))
         },
     )
 
@@ -159,11 +160,11 @@ def _watchdogs(robot: Robot) -> list[Watchdog]:
     return found
 
 
-def _defaults(section: Section) -> dict[str, float | str | bool | None]:
+def _defaults(section: Section, strafes: bool) -> dict[str, float | str | bool | None]:
     values = {
         key: getattr(section, key)
         for key in type(section).model_fields
-        if key not in section.model_fields_set
+        if key not in section.model_fields_set and (strafes or key not in LATERAL_KEYS)
     }
     return {
         key: None if value == math.inf else value

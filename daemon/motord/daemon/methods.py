@@ -80,7 +80,10 @@ def methods(
         "robot": _looking(lambda: report.description(operation)),
         "latency": _looking(lambda: report.latency(operation.loop)),
         "params.list": _looking(
-            lambda: parameters.listed(operation.limits) | drive_parameters.listed(operation.lines)
+            lambda: (
+                parameters.listed(operation.limits, operation.robot.base.strafes)
+                | drive_parameters.listed(operation.lines)
+            )
         ),
         "params.get": Method(
             lambda _, params: _get(operation, params.names), NamesParams, commands=False
@@ -190,7 +193,8 @@ async def _get(operation: Operation, names: Sequence[str]) -> dict[str, float | 
     """Without a name: all limits; drives are asked only for what is named."""
     of_drives = [name for name in names if name.startswith(drive_parameters.PREFIX)]
     ours = [name for name in names if name not in of_drives]
-    found = parameters.values(operation.limits, ours) if ours or not names else {}
+    strafes = operation.robot.base.strafes
+    found = parameters.values(operation.limits, strafes, ours) if ours or not names else {}
     return found | await drive_parameters.values(operation.lines, of_drives)
 
 
@@ -203,7 +207,7 @@ async def _set(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, flo
         raise RpcError("limits and registers of drives are set one after the other", INVALID_PARAMS)
     if of_drives:
         return dict(await drive_parameters.write(operation, of_drives))
-    now = operation.snapshot
+    now, strafes = operation.snapshot, operation.robot.base.strafes
     moving = now.setpoint_linear_m_s, now.setpoint_angular_rad_s, now.setpoint_lateral_m_s
-    operation.set_limits(parameters.changed(operation.limits, wanted, *moving))
-    return parameters.values(operation.limits, wanted)
+    operation.set_limits(parameters.changed(operation.limits, strafes, wanted, *moving))
+    return parameters.values(operation.limits, strafes, wanted)

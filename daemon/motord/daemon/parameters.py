@@ -11,8 +11,8 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from motord.config import Limits
-from motord.config.sections.limits import REST_MAX_S
-from motord.config.sections.section import numbers_of
+from motord.config.sections.limits import LATERAL_KEYS, REST_MAX_S
+from motord.config.sections.section import Number, numbers_of
 from motord.control.assembly import base_limits
 from motord.local_socket.server import INVALID_PARAMS, RpcError, json_number
 from motord.realtime.loop import limits_problem
@@ -22,7 +22,12 @@ _PREFIX = "limits."
 _NUMBERS = numbers_of(Limits)
 
 
-def listed(limits: Limits) -> dict[str, dict[str, Any]]:
+def _numbers(strafes: bool) -> Mapping[str, Number]:
+    """The parameters of a base. `strafes`: it moves sideways too."""
+    return {key: one for key, one in _NUMBERS.items() if strafes or key not in LATERAL_KEYS}
+
+
+def listed(limits: Limits, strafes: bool) -> dict[str, dict[str, Any]]:
     """Every parameter: value, unit, range and what it is."""
     return {
         _PREFIX + key: {
@@ -32,18 +37,19 @@ def listed(limits: Limits) -> dict[str, dict[str, Any]]:
             "maximum": number.high,
             "description": number.description,
         }
-        for key, number in _NUMBERS.items()
+        for key, number in _numbers(strafes).items()
     }
 
 
-def values(limits: Limits, names: Iterable[str] = ()) -> dict[str, float | None]:
+def values(limits: Limits, strafes: bool, names: Iterable[str] = ()) -> dict[str, float | None]:
     """By name; no name: all. Raises RpcError for an unknown one."""
-    keys = [_key(name) for name in names] or list(_NUMBERS)
+    keys = [_key(name, strafes) for name in names] or list(_numbers(strafes))
     return {_PREFIX + key: json_number(getattr(limits, key)) for key in keys}
 
 
 def changed(
     limits: Limits,
+    strafes: bool,
     wanted: Mapping[str, Any],
     linear_m_s: float = 0.0,
     angular_rad_s: float = 0.0,
@@ -51,11 +57,13 @@ def changed(
 ) -> Limits:
     """All of them as one group, whether they were set before or not, for a robot that moves so.
     Raises RpcError: then none."""
-    asked = {_key(name): _in_range(_key(name), value) for name, value in wanted.items()}
+    keys = {name: _key(name, strafes) for name in wanted}
+    asked = {keys[name]: _in_range(keys[name], value) for name, value in wanted.items()}
     made = Limits(**(vars(limits) | asked))
     if (problem := limits_problem(base_limits(made))) is not None:
         raise RpcError(f"the core refuses {problem}: out of range", INVALID_PARAMS)
-    if (rest_s := made.rest_s(linear_m_s, angular_rad_s, lateral_m_s)) > REST_MAX_S:
+    rest_s = made.rest_s(linear_m_s, angular_rad_s, lateral_m_s, strafes=strafes)
+    if rest_s > REST_MAX_S:
         raise RpcError(
             f"it would take {rest_s:.0f} s to rest (at most {REST_MAX_S:g} s): more deceleration "
             "and jerk, or less speed",
@@ -72,10 +80,10 @@ def _in_range(key: str, value: Any) -> float:
     return float(asked)
 
 
-def _key(name: str) -> str:
-    key = name.removeprefix(_PREFIX)
-    if not name.startswith(_PREFIX) or key not in _NUMBERS:
-        near = nearest(name, [_PREFIX + known for known in _NUMBERS])
+def _key(name: str, strafes: bool) -> str:
+    key, numbers = name.removeprefix(_PREFIX), _numbers(strafes)
+    if not name.startswith(_PREFIX) or key not in numbers:
+        near = nearest(name, [_PREFIX + known for known in numbers])
         hint = f"did you mean {near}?" if near else "params.list names them all"
         raise RpcError(f"no parameter {name!r}: {hint}", INVALID_PARAMS)
     return key

@@ -47,7 +47,7 @@ def _line_count(robot: Robot) -> Iterator[Finding]:
 
 
 def _stops_in_time(robot: Robot) -> Iterator[Finding]:
-    if (rest_s := robot.limits.rest_s()) > REST_MAX_S:
+    if (rest_s := robot.limits.rest_s(strafes=robot.base.strafes)) > REST_MAX_S:
         text = f"from full speed it takes {rest_s:.0f} s to rest (at most {REST_MAX_S:g} s)"
         yield Finding((("limits",),), f"{text}: more deceleration and jerk, or less speed")
 

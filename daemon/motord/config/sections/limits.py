@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from motord.config.sections.section import Section, number
+from motord.config.sections.section import Section, number, numbers_of
 
 
 class Limits(Section):
@@ -74,24 +74,31 @@ class Limits(Section):
         return linear_s, angular_s
 
     def rest_s(
-        self, linear_m_s: float = 0.0, angular_rad_s: float = 0.0, lateral_m_s: float = 0.0
+        self,
+        linear_m_s: float = 0.0,
+        angular_rad_s: float = 0.0,
+        lateral_m_s: float = 0.0,
+        *,
+        strafes: bool,
     ) -> float:
-        """How long a stop takes at most: from full speed, or from these where they are more."""
+        """How long a stop takes at most: from full speed, or from these where they are more.
+        `strafes`: the base moves sideways too."""
         linear = max(self.linear_m_s, abs(linear_m_s))
         angular = max(self.angular_rad_s, abs(angular_rad_s))
-        lateral = max(self.lateral_m_s, abs(lateral_m_s))
         # all axes keep to one straight line: shares of it, by the axis that has the least room
         deceleration = min(
-            self.linear_deceleration_m_s2 / linear,
-            self.angular_deceleration_rad_s2 / angular,
-            self.lateral_deceleration_m_s2 / lateral,
+            self.linear_deceleration_m_s2 / linear, self.angular_deceleration_rad_s2 / angular
         )
-        jerk = min(
-            self.linear_m_s3 / linear, self.angular_rad_s3 / angular, self.lateral_m_s3 / lateral
-        )
+        jerk = min(self.linear_m_s3 / linear, self.angular_rad_s3 / angular)
+        if strafes:
+            lateral = max(self.lateral_m_s, abs(lateral_m_s))
+            deceleration = min(deceleration, self.lateral_deceleration_m_s2 / lateral)
+            jerk = min(jerk, self.lateral_m_s3 / lateral)
         return _ramp_s(1.0, deceleration, jerk)
 
 
+LATERAL_KEYS = frozenset(key for key in numbers_of(Limits) if key.startswith("lateral_"))
+"""Of a base that moves sideways; the others have no such limits."""
 REST_MAX_S = 20.0
 """A stop that takes longer is refused."""
 
