@@ -108,7 +108,7 @@ static void each_bad_field_is_refused_by_name(void)
     REFUSED(joint[1].row.y, -2.1);
     REFUSED(joint[1].row.lever_m, NAN);
     REFUSED(limits.lateral.velocity_u_s, 0.0);
-    REFUSED(joint[1].counter_bits, 12);
+    REFUSED(joint[1].counter_bits, 13);
     REFUSED(joint[1].rad_per_count, 0.0);
     REFUSED(joint[1].line, LINES_MAX);
     bad = good;

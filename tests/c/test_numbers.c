@@ -210,7 +210,7 @@ static void a_joint_s_numbers_have_their_range(void)
 
 static void counters_are_as_wide_as_drives_have_them(void)
 {
-    const uint64_t widths = 1ULL << 0 | 1ULL << 8 | 1ULL << 15 | 1ULL << 16 | 1ULL << 24 | 1ULL << 32;
+    const uint64_t widths = 1ULL << 0 | 1ULL << 8 | 1ULL << 12 | 1ULL << 15 | 1ULL << 16 | 1ULL << 24 | 1ULL << 32;
     reset_config();
     for (uint32_t bits = 0; bits <= 66; bits++) {
         config.joint[0].counter_bits = bits;

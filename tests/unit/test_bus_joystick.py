@@ -27,18 +27,18 @@ def stick(low=-32768, high=32767):
 def test_nothing_moves_before_the_button_is_pressed():
     pad = stick()
     pad.take(EV_ABS, Y, -32768)
-    assert pad.twist() == (0.0, 0.0)
+    assert pad.twist() == (0.0, 0.0, 0.0)
     pad.take(EV_KEY, BUTTON, 1)
-    assert pad.twist() == (0.5, 0.0)
+    assert pad.twist() == (0.5, 0.0, 0.0)
 
 
 def test_letting_go_is_zero_whatever_the_axes_report():
     pad = stick()
     pad.take(EV_KEY, BUTTON, 1)
     pad.take(EV_ABS, X, 32767)
-    assert pad.twist() == (0.0, -2.0)
+    assert pad.twist() == (0.0, -2.0, 0.0)
     pad.take(EV_KEY, BUTTON, 0)
-    assert (pad.held, pad.twist()) == (False, (0.0, 0.0))
+    assert (pad.held, pad.twist()) == (False, (0.0, 0.0, 0.0))
 
 
 def test_lost_events_let_go_of_the_button_and_of_the_axes():
@@ -46,9 +46,9 @@ def test_lost_events_let_go_of_the_button_and_of_the_axes():
     pad.take(EV_KEY, BUTTON, 1)
     pad.take(EV_ABS, Y, -32768)
     pad.take(EV_SYN, SYN_DROPPED, 0)
-    assert (pad.held, pad.twist()) == (False, (0.0, 0.0))
+    assert (pad.held, pad.twist()) == (False, (0.0, 0.0, 0.0))
     pad.take(EV_KEY, BUTTON, 1)
-    assert pad.twist() == (0.0, 0.0)
+    assert pad.twist() == (0.0, 0.0, 0.0)
 
 
 ESTOP = evdev.ecodes.BTN_EAST
@@ -79,9 +79,9 @@ def test_who_was_not_looked_at_has_to_press_again():
     pad.take(EV_KEY, BUTTON, 1)
     pad.take(EV_ABS, Y, -32768)
     pad.let_go()
-    assert (pad.held, pad.twist()) == (False, (0.0, 0.0))
+    assert (pad.held, pad.twist()) == (False, (0.0, 0.0, 0.0))
     pad.take(EV_KEY, BUTTON, 1)
-    assert pad.twist() == (0.0, 0.0)
+    assert pad.twist() == (0.0, 0.0, 0.0)
 
 
 @given(
@@ -96,7 +96,8 @@ def test_whatever_comes_the_twist_is_within_its_limits(events, low, width):
     pad = stick(low, low + width)
     for event in events:
         pad.take(*event)
-    linear_m_s, angular_rad_s = pad.twist()
+    linear_m_s, angular_rad_s, lateral_m_s = pad.twist()
+    assert lateral_m_s == 0.0
     assert abs(linear_m_s) <= 0.5
     assert abs(angular_rad_s) <= 2.0
     assert pad.held or (linear_m_s, angular_rad_s) == (0.0, 0.0)
@@ -107,7 +108,7 @@ def test_the_middle_is_zero(value):
     pad = stick()
     pad.take(EV_KEY, BUTTON, 1)
     pad.take(EV_ABS, Y, value)
-    assert pad.twist() == (0.0, 0.0)
+    assert pad.twist() == (0.0, 0.0, 0.0)
 
 
 def test_an_axis_that_the_device_has_not_is_reported():

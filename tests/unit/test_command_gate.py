@@ -92,7 +92,7 @@ def test_any_numbers_are_a_command_of_a_finite_age_or_refused(stamped, x, z, sec
         "twist": {"linear": {"x": x}, "angular": {"z": z}},
     }
     try:
-        linear_m_s, angular_rad_s, age_s = stamped._twist(message)
+        (linear_m_s, angular_rad_s, _), age_s = stamped._twist(message)
     except NotTaken:
         return
     assert 0.0 <= age_s <= OLD_S
@@ -108,7 +108,7 @@ def twist(age_s):
 
 
 def test_the_age_of_a_command_is_that_of_its_stamp(stamped):
-    linear_m_s, angular_rad_s, age_s = stamped._twist(twist(20.0))
+    (linear_m_s, angular_rad_s, _), age_s = stamped._twist(twist(20.0))
     assert (linear_m_s, angular_rad_s) == (0.1, -0.2)
     assert age_s >= 20.0 - 1e-6
 
@@ -124,7 +124,7 @@ def test_a_command_without_a_stamp_is_refused_unless_the_robot_file_allows_it(st
     message = {"linear": {"x": 0.1}, "angular": {"z": math.nan}}
     with pytest.raises(NotTaken, match="no stamp"):
         stamped._twist(message)
-    assert unstamped._twist(message)[0] == 0.1
+    assert unstamped._twist(message)[0][0] == 0.1
 
 
 def test_a_stamp_of_zero_is_none(stamped, unstamped):

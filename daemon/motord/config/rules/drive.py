@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 
@@ -230,9 +231,12 @@ def _reach(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         """How fast the base can move along an axis, by the part of it that each rim's
         speed is."""
         return min(
-            (_most(ranges[name], part) * radius[name] / abs(part))
-            for name, part in parts.items()
-            if part
+            (
+                _most(ranges[name], part) * radius[name] / abs(part)
+                for name, part in parts.items()
+                if part
+            ),
+            default=math.inf,  # no wheel turns it: another rule refuses that
         )
 
     forward_m_s = reach({name: row.x for name, row in rows.items()})
