@@ -294,8 +294,41 @@ static void wheels_of_a_side_go_together_within_a_hundredth_of_the_fastest_wheel
     CHECK(goes(9e-6, 0.0, -9e-6, 0.0) && !goes(11e-6, 0.0, -11e-6, 0.0));
 }
 
+/* Version 1 ends before the lateral speed, which is zero; a base that cannot strafe obeys the rest, and the command counts. */
+static void a_command_of_either_version_is_obeyed(void)
+{
+    static arbiter a;
+    static const core_config two_sides = {
+        .joint_count = 2,
+        .limits = LIMITS,
+        .joint = {{.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1}, {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.1}}};
+    lease_permissions permissions = {.lease = {grant_of('a', 10)}};
+    twist_command out;
+    arbiter_init(&a, &two_sides, NULL);
+    arbiter_grant(&a, &permissions);
+    command_datagram command = command_of('a', 1, START_NS, 0.1);
+    command.lateral_m_s = 30.0; /* also beyond ten times any limit */
+    CHECK(say(&a, command, START_NS, true) == 0 && a.report.sideways == 1);
+    arbiter_command(&a, START_NS, true, &out);
+    CHECK(out.linear_m_s == 0.1 && out.lateral_m_s == 30.0);
+    command.version = COMMAND_VERSION_PLANE;
+    command.sequence = 2;
+    CHECK(arbiter_submit(&a, &command, COMMAND_BYTES, START_NS, true) == 1 + REFUSED_FORM);
+    CHECK(arbiter_submit(&a, &command, COMMAND_BYTES_PLANE, START_NS, true) == 0 && a.report.sideways == 1);
+    arbiter_command(&a, START_NS, true, &out);
+    CHECK(out.linear_m_s == 0.1 && out.lateral_m_s == 0.0);
+    command.version = COMMAND_VERSION;
+    command.sequence = 3;
+    CHECK(arbiter_submit(&a, &command, COMMAND_BYTES_PLANE, START_NS, true) == 1 + REFUSED_FORM);
+    command.lateral_m_s = NAN;
+    CHECK(say(&a, command, START_NS, true) == 1 + REFUSED_NOT_FINITE);
+    arbiter_command(&a, START_NS, true, &out);
+    CHECK(out.linear_m_s == 0.0 && out.lateral_m_s == 0.0);
+}
+
 int main(void)
 {
+    a_command_of_either_version_is_obeyed();
     the_highest_commands_and_among_equals_the_first();
     who_asks_through_a_stop_is_held_until_he_asks_for_zero();
     a_lease_that_is_not_granted_any_more_is_over();
