@@ -175,7 +175,9 @@ def _from_log(person: Terminal, log: Path, options: dict[str, Any]) -> dict[str,
     load_or_exit(file, warn=lambda _: None)
     edit = RobotFileEdit(file)
     robot = edit.before
-    sides = {name: joint.side for name, joint in robot.joint.items()}
+    from motord.config.sections.bases import side_of
+
+    sides: dict[str, str] = {n: side_of(robot.base, j) for n, j in robot.joint.items()}
     radii_m = {name: robot.wheel_radius_m(name) for name in robot.joint}
     if log.suffix == ".mcap":
         from motord.commission.mcap_log import read_mcap

@@ -11,7 +11,7 @@ from motord.api.geometry_fit import Fit, Free, Measure, Pose
 from motord.commission.person import Failed
 from motord.commission.robot_file_edit import KeyPath
 from motord.config import Robot
-from motord.config.sections.model import SkidBase
+from motord.config.sections.bases import SkidBase, side_of
 
 FREE_OF: Mapping[str, tuple[Free, ...]] = {
     "straight": ("scale", "ratio"),
@@ -42,7 +42,7 @@ def changes(robot: Robot, fit: Fit, free: Sequence[Free]) -> dict[KeyPath, Any]:
     factors = {"left": fit.factors.left, "right": fit.factors.right}
     if "scale" in free or "ratio" in free:
         radii = {
-            name: round(robot.wheel_radius_m(name) * factors[joint.side], _DIGITS)
+            name: round(robot.wheel_radius_m(name) * factors[side_of(robot.base, joint)], _DIGITS)
             for name, joint in robot.joint.items()
         }
         found["base", "wheel_radius_m"] = round(sum(radii.values()) / len(radii), _DIGITS)
@@ -60,7 +60,7 @@ def changes(robot: Robot, fit: Fit, free: Sequence[Free]) -> dict[KeyPath, Any]:
 
 def words(robot: Robot, fit: Fit, measures: Sequence[Measure]) -> Iterator[str]:
     """Before and after, with what is left over of each measure."""
-    sides = {joint.side: name for name, joint in robot.joint.items()}
+    sides = {side_of(robot.base, joint): name for name, joint in robot.joint.items()}
     for side in ("left", "right"):
         before_m = robot.wheel_radius_m(sides[side])
         factor, deviation = getattr(fit.factors, side), getattr(fit.deviations, side)
