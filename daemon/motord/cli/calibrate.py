@@ -23,6 +23,7 @@ from motord.cli.common import (
 from motord.client import Client, ClientError, find_socket
 
 if TYPE_CHECKING:
+    from motord.api.geometry_fit import Free
     from motord.cli.terminal import Terminal
     from motord.commission.robot_file_edit import RobotFileEdit
 
@@ -129,8 +130,10 @@ def _takes_duty(robot: Any) -> bool:
 def _geometry(
     client: Client, person: Terminal, edit: RobotFileEdit, what: str, options: dict[str, Any]
 ) -> dict[str, Any]:
+    from motord.commission.geometry import free_of
     from motord.commission.runs import Bounds, Runs
 
+    free = free_of(edit.before, what)
     bounds = Bounds(
         distance_m=options["distance_m"],
         turns=options["turns"],
@@ -141,17 +144,23 @@ def _geometry(
     runs = Runs(client, person, bounds)
     kinds = GEOMETRY if what == "all" else (what,)
     measures = [measure for kind in kinds for measure in getattr(runs, kind)()]
-    return _fitted(person, edit, what, measures, options)
+    return _fitted(person, edit, free, measures, options)
 
 
 def _fitted(
-    person: Terminal, edit: RobotFileEdit, what: str, measures: list[Any], options: dict[str, Any]
+    person: Terminal,
+    edit: RobotFileEdit,
+    free: tuple[Free, ...],
+    measures: list[Any],
+    options: dict[str, Any],
+    *,
+    robust: bool = False,
 ) -> dict[str, Any]:
     from motord.api.geometry_fit import fit
-    from motord.commission.geometry import FREE_OF, changes, words
+    from motord.commission.geometry import changes, words
 
-    robot, free = edit.before, FREE_OF[what]
-    found = fit(measures, robot.base.effective_track_m, free, robust=what == "log")
+    robot = edit.before
+    found = fit(measures, robot.base.effective_track_m, free, robust=robust)
     for text in words(robot, found, measures):
         person.show(text)
     if options["plot"] is not None:
@@ -168,13 +177,14 @@ def _fitted(
 
 
 def _from_log(person: Terminal, log: Path, options: dict[str, Any]) -> dict[str, Any]:
+    from motord.commission.geometry import free_of
     from motord.commission.log_fit import read_csv, windows
     from motord.commission.robot_file_edit import RobotFileEdit
 
     file = options["robot_file"] or _file_of_daemon(options)
     load_or_exit(file, warn=lambda _: None)
     edit = RobotFileEdit(file)
-    robot = edit.before
+    robot, free = edit.before, free_of(edit.before, "log")
     from motord.config.sections.bases import side_of
 
     sides: dict[str, str] = {n: side_of(robot.base, j) for n, j in robot.joint.items()}
@@ -186,7 +196,8 @@ def _from_log(person: Terminal, log: Path, options: dict[str, Any]) -> dict[str,
     else:
         read = read_csv(log, sides, radii_m)
     measures = windows(read)
-    found = {"what": "log", "geometry": _fitted(person, edit, "log", measures, options)}
+    geometry = _fitted(person, edit, free, measures, options, robust=True)
+    found = {"what": "log", "geometry": geometry}
     return found | {"backup": _written(person, edit, options)}
 
 

@@ -13,7 +13,7 @@ from motord.commission.robot_file_edit import KeyPath
 from motord.config import Robot
 from motord.config.sections.bases import SkidBase, side_of
 
-FREE_OF: Mapping[str, tuple[Free, ...]] = {
+_FREE_OF: Mapping[str, tuple[Free, ...]] = {
     "straight": ("scale", "ratio"),
     "rotate": ("track",),
     "square": ("ratio", "track"),
@@ -23,6 +23,16 @@ FREE_OF: Mapping[str, tuple[Free, ...]] = {
 """What each kind of run determines."""
 _DIGITS = 6
 """A micrometre."""
+
+
+def free_of(robot: Robot, what: str) -> tuple[Free, ...]:
+    """What runs of this kind determine. Raises Failed for a base that the fit does not describe."""
+    if robot.base.strafes:
+        raise Failed(
+            f"{robot.path}: base.kind: radii and track are fitted for bases with wheels on two "
+            f"sides, not for {robot.base.kind}: measure them with a tape; nothing was moved"
+        )
+    return _FREE_OF[what]
 
 
 def require_same(robot: Robot, described: Mapping[str, Any]) -> None:

@@ -35,10 +35,8 @@ def put_limits(edit: RobotFileEdit, in_force: Mapping[str, float | None]) -> dic
 
 
 def _differing(robot: Robot, wanted: Mapping[str, float]) -> dict[str, float]:
-    """Without those of an axis that the base does not have: they follow the linear ones."""
     return {
         name: value
         for name, value in wanted.items()
         if getattr(robot.limits, name.removeprefix(PREFIX)) != value
-        and (robot.base.strafes or not name.startswith(f"{PREFIX}lateral_"))
     }
