@@ -45,7 +45,7 @@ bool plausible(plausible_state *state, const plausible_config *config, const joi
 bool odometry_finite(const odometry_state *state, uint32_t joint_count);
 
 /* The pose's covariance takes in what has been done since the last look, which is over at `now_ns`. */
-static const int64_t SPREAD_EVERY_NS = 20000000;
+static const int64_t SPREAD_EVERY_NS = 50000000;
 void spread_look(odometry_state *state, const core_config *config, int64_t now_ns);
 void spread_floor(odometry_state *state, const core_config *config);
 

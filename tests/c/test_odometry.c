@@ -184,7 +184,8 @@ static void pose_and_covariance_are_those_of_exact_arcs(void)
     const joint_setpoint wheels[JOINTS_MAX] = {{0}};
     double position_rad[4] = {0};
     for (int step = 0; step < 3000; step++) {
-        int64_t after_ns = any(20, 60) * 1000000, most = (int64_t)(17.0 / COUNT_RAD * (double)after_ns * 1e-9);
+        int64_t after_ns = any(SPREAD_EVERY_NS / 1000000, 90) * 1000000,
+                most = (int64_t)(17.0 / COUNT_RAD * (double)after_ns * 1e-9);
         double side_m[2] = {0.0, 0.0};
         int kind = step % 5; /* a curve, straight on, on the spot, small, at rest */
         int64_t common = any(-most, most), left = any(-most, most), small = any(-3, 3);

@@ -12,7 +12,7 @@ from core_rig import core_config, joint_config
 
 STEP_NS = 10_000_000
 STEP_S = 0.01
-LOOK_NS = 20_000_000  # SPREAD_EVERY_NS of csrc/core/core.h
+LOOK_NS = 50_000_000  # SPREAD_EVERY_NS of csrc/core/core.h
 LEFT, RIGHT = 0, 1
 
 
