@@ -44,12 +44,15 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "reset": ("motord.cli.talk:reset", "Clear a fault or an emergency stop."),
     "reset-odometry": ("motord.cli.talk:reset_odometry", "Set the pose to zero."),
     "params": ("motord.cli.params:params", "List, get, set and save parameters of the robot."),
-    "scan": ("motord.cli.scan:scan", "Find the drives on an RS485 line."),
+    "scan": ("motord.cli.scan:scan", "Find the drives on a serial line."),
     "trace": ("motord.cli.trace:trace", "Show every exchange of a line, decoded."),
     "drives": ("motord.cli.drives:drives", "List, show, check or create drive profiles."),
     "robots": ("motord.cli.robots:robots", "List the example robot files, or print one."),
     "unit": ("motord.cli.unit:unit", "Print the systemd settings for a robot's devices."),
-    "schema": ("motord.cli.schema:schema", "Print the JSON Schema of the robot file."),
+    "schema": (
+        "motord.cli.schema:schema",
+        "Print the JSON Schema of robot files or profiles.",
+    ),
     "ros2-msgs": ("motord.cli.ros2_msgs:ros2_msgs", "Write the ROS 2 packages of motord."),
     "replay": ("motord.cli.replay:replay", "Run a recording through the core again."),
     "completion": ("motord.cli.completion:completion", "Complete commands and names with TAB."),
@@ -160,7 +163,7 @@ def _print_version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None
     help="Show the version and exit.",
 )
 def cli() -> None:
-    """Drive the motors of a robot: RS485, CAN, PWM pins and motor boards as one base.
+    """Drive the motors of a robot as one base, on RS485, CAN, PWM pins, boards or bus servos.
 
     \b
     Example: motord demo

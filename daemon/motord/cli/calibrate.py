@@ -41,18 +41,30 @@ KINDS = (*GEOMETRY, "deadband", "feedforward", "gyro", "all")
     "--pose-topic", default="/ground_truth", show_default=True,
     help="Of a LOG.mcap: topic of the external poses (PoseStamped or Odometry).",
 )  # fmt: skip
-@click.option("--distance-m", type=POSITIVE, default=3.0, show_default=True, help="Of straight.")
-@click.option("--turns", type=POSITIVE, default=2.0, show_default=True, help="Of rotate and gyro.")
-@click.option("--side-m", type=POSITIVE, default=2.0, show_default=True, help="Of square.")
-@click.option("--speed-m-s", type=POSITIVE, default=0.3, show_default=True, help="At most.")
-@click.option("--speed-rad-s", type=POSITIVE, default=0.8, show_default=True, help="At most.")
-@click.option("--robot", metavar="NAME", help="The robot's name, if several run here.")
-@click.option("--socket", "path", metavar="PATH", type=click.Path(path_type=Path))
+@click.option(
+    "--distance-m", type=POSITIVE, default=3.0, show_default=True, help="Length of straight."
+)
+@click.option(
+    "--turns", type=POSITIVE, default=2.0, show_default=True, help="Turns of rotate and gyro."
+)
+@click.option("--side-m", type=POSITIVE, default=2.0, show_default=True, help="Side of square.")
+@click.option("--speed-m-s", type=POSITIVE, default=0.3, show_default=True, help="Top speed.")
+@click.option("--speed-rad-s", type=POSITIVE, default=0.8, show_default=True, help="Fastest turn.")
+@click.option(
+    "--robot", metavar="NAME", help="The robot's name. Needed if several run on this machine."
+)
+@click.option(
+    "--socket", "path", metavar="PATH", type=click.Path(path_type=Path),
+    help="The daemon's socket, if it is not in the default place.",
+)  # fmt: skip
 @click.option(
     "--file", "robot_file", metavar="ROBOT.toml", type=click.Path(path_type=Path),
     help="Robot file to change. Default: the one that the daemon runs by.",
 )  # fmt: skip
-@click.option("--plot", metavar="FILE.png", type=click.Path(path_type=Path, dir_okay=False))
+@click.option(
+    "--plot", metavar="FILE.png", type=click.Path(path_type=Path, dir_okay=False),
+    help="Draw the paths by the old and the new geometry. Needs the plot extra.",
+)  # fmt: skip
 @yes_option
 @dry_run_option
 @json_option
@@ -64,7 +76,8 @@ def calibrate(what: str | None, log: Path | None, as_json: bool, **options: Any)
     squares; data that contradict each other are refused, and nothing is written without a yes.
 
     straight: both radii. rotate: track. square: ratio of the radii, and track (UMBmark). all: these
-    three together, then dead band and feed-forward where the drives take a duty.
+    three together, then dead band and feed-forward where the drives take a duty. gyro:
+    offset, scale and variance of the gyro. Radii and track are for bases with wheels on two sides.
 
     \b
     Example: motord calibrate all

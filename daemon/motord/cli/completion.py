@@ -16,7 +16,7 @@ _VARIABLE = "_MOTORD_COMPLETE"
 def completion(shell: str) -> None:
     """Print what makes TAB complete commands, options, robots, drives, joints and parameters.
 
-    The Debian package has installed it.
+    The Debian package installs it.
 
     \b
     Example: motord completion bash >> ~/.bashrc

@@ -20,20 +20,30 @@ from motord.cli.common import POSITIVE, dry_run_option, json_option, print_json
     help="Serial port (a path or usb:SERIAL), CAN interface, or simulated.",
 )  # fmt: skip
 @click.option("--drive", help="Drive profile (motord drives).")
-@click.option("--base", type=click.Choice(["differential", "skid"]))
-@click.option("--wheel-radius-m", type=POSITIVE)
-@click.option("--track-m", type=POSITIVE)
+@click.option(
+    "--base", type=click.Choice(["differential", "skid"]),
+    help="Casters that follow, or wheels that scrub in a turn.",
+)  # fmt: skip
+@click.option("--wheel-radius-m", type=POSITIVE, help="Radius of the loaded wheel.")
+@click.option("--track-m", type=POSITIVE, help="From the left wheels to the right ones.")
 @click.option("--linear-m-s", type=POSITIVE, help="Top speed.")
 @click.option("--angular-rad-s", type=POSITIVE, help="Fastest turn.")
 @click.option("--gear-ratio", type=POSITIVE, help="Motor turns for a wheel turn.")
-@click.option("--counts-per-turn", type=click.IntRange(0, 1 << 30), help="Of a motor turn.")
+@click.option(
+    "--counts-per-turn", type=click.IntRange(0, 1 << 30), help="Encoder counts for a motor turn."
+)
 @click.option("--full-duty-rad-s", type=POSITIVE, help="A wheel's speed at full duty.")
-@click.option("--baudrate", type=click.IntRange(300, 4_000_000), help="Or bit rate of CAN.")
-@click.option("--parity", type=click.Choice(["none", "even", "odd"]))
+@click.option(
+    "--baudrate", type=click.IntRange(300, 4_000_000), help="Baud rate, or bit rate of CAN."
+)
+@click.option("--parity", type=click.Choice(["none", "even", "odd"]), help="Of a serial port.")
 @click.option("--left", metavar="UNIT[.CHANNEL]", help="Drive of the left wheel.")
 @click.option("--right", metavar="UNIT[.CHANNEL]", help="Drive of the right wheel.")
 @click.option("--scan/--no-scan", default=True, help="Look for drives on a serial port.")
-@click.option("--scan-within-s", type=POSITIVE, default=60.0, show_default=True)
+@click.option(
+    "--scan-within-s", type=POSITIVE, default=60.0, show_default=True,
+    help="End the scan after this time.",
+)  # fmt: skip
 @dry_run_option
 @json_option
 def init(robot_file: Path, dry_run: bool, as_json: bool, **options: Any) -> None:
@@ -41,6 +51,8 @@ def init(robot_file: Path, dry_run: bool, as_json: bool, **options: Any) -> None
 
     Every question has an option, so a script can answer them all. A scan of a serial port only
     reads. The file is not written if it is there already or would not pass motord check.
+
+    For mecanum and omni bases begin with an example: motord robots mecanum4.
 
     \b
     Example: motord init robot.toml

@@ -38,7 +38,11 @@ def params() -> None:
 @json_option
 @talking
 def params_list(client: Client, as_json: bool) -> None:
-    """Every parameter with its unit and range; r: it can only be read."""
+    """List the parameters with unit and range; r: read only.
+
+    \b
+    Example: motord params list
+    """
     found = client.params_list()
     if as_json:
         print_json(found)
@@ -55,7 +59,11 @@ def params_list(client: Client, as_json: bool) -> None:
 @json_option
 @talking
 def params_get(client: Client, names: tuple[str, ...], as_json: bool) -> None:
-    """Values by name, all limits without a name: motord params get limits.linear_m_s."""
+    """Show values by name; without a name, all limits.
+
+    \b
+    Example: motord params get limits.linear_m_s drive.left.bus_voltage
+    """
     _show_values(client.params_get(*names), as_json=as_json)
 
 
@@ -66,7 +74,11 @@ def params_get(client: Client, names: tuple[str, ...], as_json: bool) -> None:
 @json_option
 @talking
 def params_set(client: Client, assignments: tuple[str, ...], as_json: bool) -> None:
-    """Change values, all or none: motord params set limits.linear_m_s=0.3. inf: no limit."""
+    """Change limits, all or none, and registers; inf: no limit.
+
+    \b
+    Example: motord params set limits.linear_m_s=0.3 limits.linear_m_s3=inf
+    """
     _show_values(client.params_set(**_assignments(client, assignments)), as_json=as_json)
 
 
@@ -85,7 +97,7 @@ def params_set(client: Client, assignments: tuple[str, ...], as_json: bool) -> N
 def params_save(
     client: Client, robot_file: Path | None, yes: bool, dry_run: bool, as_json: bool
 ) -> None:
-    """Write the limits in force into the robot file: motord params save.
+    """Write the limits in force into the robot file.
 
     Comments stay. The old file is kept beside it as ROBOT.toml.TIME.bak. What comes from --set
     options of the daemon counts as in force, too. Registers of drives are not saved: a robot file
@@ -122,7 +134,11 @@ def _assignments(client: Client, texts: Sequence[str]) -> dict[str, float | None
 @params.command("dump")
 @talking
 def params_dump(client: Client) -> None:
-    """Limits and what can be set in the drives, as TOML: motord params dump > tuned.toml."""
+    """Print the limits, and what can be set in the drives, as TOML.
+
+    \b
+    Example: motord params dump > tuned.toml
+    """
     found = client.params_list()
     names = [name for name, about in found.items() if about.get("access") != "r"]
     for name, value in client.params_get(*names).items():
@@ -134,7 +150,11 @@ def params_dump(client: Client) -> None:
 @json_option
 @talking
 def params_load(client: Client, file: Path, as_json: bool) -> None:
-    """Set what a file of `dump` says, limits first: motord params load tuned.toml."""
+    """Set the values of a file that `dump` has printed, limits first.
+
+    \b
+    Example: motord params load tuned.toml
+    """
     try:
         wanted = dict(_leaves("", bounded.toml(bounded.read(file).decode())))
     except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

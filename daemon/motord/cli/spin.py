@@ -57,6 +57,8 @@ def spin(
     robot file can mend. Any key, Ctrl-C or the emergency stop brings the wheel to rest and disarms
     the robot. The exit status is 1 if something is wrong and 0 if every wheel is right.
 
+    It is for bases with wheels on two sides, not for mecanum and omni bases.
+
     \b
     Example: motord spin --all
              motord spin left --seconds 1
