@@ -8,7 +8,7 @@ import sys
 import time
 
 import pytest
-from tests.sim.daemon_stage import running, wait_until
+from tests.sim.daemon_stage import ROOT, running, wait_until
 from tests.sim.pseudo_terminal import at_terminal
 
 from motord.client import ClientError
@@ -78,6 +78,20 @@ def test_a_held_key_drives_and_its_release_stops(armed):
         assert terminal.exit_status() == 0
         assert terminal.settings == terminal.before
     assert armed.state() == "armed"
+
+
+def test_two_keys_move_a_base_sideways(tmp_path):
+    with running(tmp_path, *SETTINGS[:3], robot=ROOT / "config/robots/omni3.toml") as stage:
+        stage.wait_for("idle")
+        stage.robot.arm()
+        with teleop(stage) as terminal:
+            hold(stage, terminal, "z")
+            terminal.wait_until(lambda: stage.sim.truth().y_m > 0.01, "to the left", keys="z")
+            rests(stage)
+            truth = stage.sim.truth()
+            assert abs(truth.x_m) < 0.2 * truth.y_m
+            terminal.type("x")
+            assert terminal.exit_status() == 0
 
 
 def test_keys_that_a_slow_link_held_back_move_nothing(armed):

@@ -96,14 +96,12 @@ async def _session(
         Client(path, timeout_s=ANSWER_WITHIN_S) as robot,
         Client(path, timeout_s=ANSWER_WITHIN_S) as watcher,
     ):
-        limits = await robot.params_get("limits.linear_m_s", "limits.angular_rad_s")
-        linear_m_s, angular_rad_s = (
-            value or limit or usual
-            for value, limit, usual in zip(
-                asked, limits.values(), (USUAL_M_S, USUAL_RAD_S), strict=True
-            )
+        limits = await robot.params_get()
+        speeds = Speeds(
+            linear_m_s=asked[0] or limits["limits.linear_m_s"] or USUAL_M_S,
+            angular_rad_s=asked[1] or limits["limits.angular_rad_s"] or USUAL_RAD_S,
+            lateral_m_s=limits.get("limits.lateral_m_s") or 0.0,
         )
-        speeds = Speeds(linear_m_s, angular_rad_s)
         gamepad = _gamepad(*pad, speeds) if pad[0] is not None else None
         why = await Teleop(robot, watcher, terminal, speeds, dead_man, gamepad).run()
         try:

@@ -36,12 +36,14 @@ class Motion:
 
     linear: float
     angular: float
+    lateral: float = 0.0
 
 
 MOTIONS = {
     "w": Motion(1.0, 0.0), "s": Motion(-1.0, 0.0),
     "a": Motion(0.0, 1.0), "d": Motion(0.0, -1.0),
     "q": Motion(1.0, 1.0), "e": Motion(1.0, -1.0),
+    "z": Motion(0.0, 0.0, 1.0), "c": Motion(0.0, 0.0, -1.0),
 }  # fmt: skip
 
 

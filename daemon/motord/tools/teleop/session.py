@@ -33,6 +33,7 @@ KEYS = """\
   q w e    forward, in a curve with q and e       + -    faster, slower
   a   d    turn left and right                    m n    motors on (arm), motors off (disarm)
     s      back                                   r      reset a fault or an emergency stop
+  z   c    left and right, of a base that moves sideways
   space    emergency stop                         x      end; so does Ctrl-C
 Hold a key to move; release it to stop. Any other key stops, too."""
 
@@ -53,6 +54,8 @@ class Speeds:
 
     linear_m_s: float
     angular_rad_s: float
+    lateral_m_s: float = 0.0
+    """0: the base does not move sideways."""
     part: float = 0.3
 
     def step(self, up: bool) -> None:
@@ -174,7 +177,7 @@ class Teleop:
 
     # ------------------------------------------------------------------------------------ commands
     def _twist(self) -> tuple[float, ...] | None:
-        """Linear, angular, and lateral from a gamepad. None: nothing is held."""
+        """Linear, angular and lateral. None: nothing is held."""
         if self._gamepad is not None and (twist := self._gamepad.twist()) is not None:
             return twist
         motion = self._dead_man.motion(self._loop.time())
@@ -184,6 +187,7 @@ class Teleop:
         return (
             motion.linear * speeds.part * speeds.linear_m_s,
             motion.angular * speeds.part * speeds.angular_rad_s,
+            motion.lateral * speeds.part * speeds.lateral_m_s,
         )
 
     async def _command(self) -> None:
