@@ -28,23 +28,23 @@ _FAILED, _USAGE = 1, 2
 _log = logging.getLogger(__name__)
 
 
-@click.command
+@click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.argument("robot_file", metavar="ROBOT.toml", type=click.Path(path_type=Path))
 @click.option(
-    "--set", "overrides", metavar="KEY=VALUE", multiple=True, help="As motord run has it."
-)
+    "--set", "overrides", metavar="KEY=VALUE", multiple=True,
+    help="Override a value of the robot file: limits.linear_m_s=0.3. Repeatable.",
+)  # fmt: skip
 @click.option(
     "--socket",
     "path",
     metavar="PATH",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="The daemon's local socket; found by the robot's name otherwise.",
+    help="The daemon's socket, if it is not in the default place.",
 )
 @click.option(
     "--supervised",
     is_flag=True,
-    help="The daemon started it: ends with standard input, and writes signs of life to standard"
-    " output.",
+    help="For the daemon that starts it: end with stdin, write heartbeats to stdout.",
 )
 @click.option("--checked-fd", type=int, hidden=True, help="What the daemon has read in the file.")
 def main(
@@ -55,9 +55,9 @@ def main(
     *,
     supervised: bool,
 ) -> None:
-    """Bring a running robot to the buses of its file: [publish.*] and [input.*].
+    """Connect a running robot to the networks of its file: [publish.*] and [input.*].
 
-    The daemon starts it by itself; a service manager may do so in its place.
+    The daemon starts it. With motord run --no-bus, start it yourself.
 
     \b
     Example: motord-bus robot.toml
