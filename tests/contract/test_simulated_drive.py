@@ -225,7 +225,7 @@ async def test_a_fault_is_reported_stops_its_wheel_and_is_cleared_disarmed(rig, 
     await rig.ready()
     await rig.line.clear_faults()
     await until(lambda: feedback(rig, left).drive_faults == 0, "the fault is gone")
-    assert rig.line.drive_faults["left"] == ()
+    await until(lambda: rig.line.drive_faults["left"] == (), "the words are gone")
     assert sim.truth().at_rest
     await set_off(rig, sim)
 

@@ -390,6 +390,8 @@ class MotorStatus(IdlStruct, typename="motord_msgs::msg::dds_::MotorStatus_"):
     command_age_s: float64
     setpoint_linear_m_s: float64
     setpoint_angular_rad_s: float64
+    setpoint_lateral_m_s: float64
+    slip_m_s: float64
     name: sequence[str]
     setpoint_rad_s: sequence[float64]
     duty: sequence[float64]

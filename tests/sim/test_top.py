@@ -43,8 +43,8 @@ def test_it_shows_the_robot_and_its_keys_act(stage):
         terminal.wait_until(lambda: stage.state() == "estop", "the emergency stop")
         terminal.wait_for("ESTOP")
         terminal.wait_for("r resets")
-        terminal.type("r")
-        terminal.wait_until(lambda: stage.state() == "idle", "the reset")
+        # refused until the wheels rest
+        terminal.wait_until(lambda: stage.state() == "idle", "the reset", keys="r")
         terminal.type("q")
         assert terminal.exit_status() == 0
         assert terminal.settings == terminal.before

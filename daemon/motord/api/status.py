@@ -203,6 +203,8 @@ class Commands:
     accepted: int = 0
     refused: Mapping[str, int] = field(default_factory=dict)
     """By reason."""
+    sideways: int = 0
+    """Commands of lateral motion, given to a base that cannot move sideways."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
