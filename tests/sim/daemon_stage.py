@@ -34,6 +34,16 @@ SLOW = (
 )
 """The demonstration's robot, for the same reason, and because a faster one takes a third of a CPU
 in each of the tests that run side by side."""
+UNHURRIED = (
+    "input.socket.kind=socket", "input.socket.lease_s=1.0", "safety.command_timeout_s=1.0",
+)  # fmt: skip
+"""A command that a busy machine delays is no fault."""
+SURE = (
+    *UNHURRIED,
+    *(f"joint.{name}.{setting}" for name in ("left", "right")
+      for setting in ("tries=10", "reply_timeout_s=0.2")),
+)  # fmt: skip
+"""And of two joints called left and right, a reply that it delays is none either."""
 POLL_S = 0.03
 
 
@@ -103,6 +113,28 @@ def obeying(stage, command):
         return state == "moving"
 
     wait_until(attempt, f"moving\n{stage.said()}")
+
+
+@contextlib.contextmanager
+def armed(stage):
+    """The robot of `stage`, armed, whatever it was before; at the end it is disarmed and rests."""
+
+    def ready():
+        with contextlib.suppress(ClientError):
+            if stage.state() in ("fault", "estop"):
+                stage.robot.reset()
+            return stage.robot.arm() == "armed"
+        return False
+
+    wait_until(ready, "armed")
+    yield stage
+    with contextlib.suppress(ClientError):
+        stage.robot.disarm()
+    rests(stage)
+
+
+def rests(stage):
+    wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
 
 
 def connected(daemon, socket, log):

@@ -9,40 +9,23 @@ import subprocess
 import sys
 
 import pytest
-from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
+from tests.sim.daemon_stage import DEADLINE_S, ROOT, SURE, armed, running, wait_until
 
 from motord.api.motion import Goal
 from motord.client import ClientError, MoveFailed
 
-SETTINGS = (
-    "input.socket.kind=socket", "input.socket.lease_s=1.0", "safety.command_timeout_s=1.0",
-    "joint.left.tries=10", "joint.right.tries=10",
-    "joint.left.reply_timeout_s=0.2", "joint.right.reply_timeout_s=0.2",
-)  # fmt: skip
-"""A busy machine is no fault."""
-
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory):
-    with running(tmp_path_factory.mktemp("move"), *SETTINGS) as stage:
+    with running(tmp_path_factory.mktemp("move"), *SURE) as stage:
         stage.wait_for("idle")
         yield stage
 
 
-@pytest.fixture
-def armed(stage):
-    def ready():
-        with contextlib.suppress(ClientError):
-            if stage.state() in ("fault", "estop"):
-                stage.robot.reset()
-            return stage.robot.arm() == "armed"
-        return False
-
-    wait_until(ready, "armed")
-    yield stage
-    with contextlib.suppress(ClientError):
-        stage.robot.disarm()
-    wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+@pytest.fixture(name="armed")
+def _armed(stage):
+    with armed(stage):
+        yield stage
 
 
 @contextlib.contextmanager

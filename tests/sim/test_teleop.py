@@ -8,43 +8,21 @@ import sys
 import time
 
 import pytest
-from tests.sim.daemon_stage import ROOT, running, wait_until
+from tests.sim.daemon_stage import ROOT, SURE, UNHURRIED, armed, rests, running, wait_until
 from tests.sim.pseudo_terminal import at_terminal
-
-from motord.client import ClientError
-
-SETTINGS = (
-    "input.socket.kind=socket", "input.socket.lease_s=1.0", "safety.command_timeout_s=1.0",
-    "joint.left.tries=10", "joint.right.tries=10",
-)  # fmt: skip
-"""A busy machine is no fault."""
 
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory):
-    with running(tmp_path_factory.mktemp("teleop"), *SETTINGS) as stage:
+    with running(tmp_path_factory.mktemp("teleop"), *SURE) as stage:
         stage.wait_for("idle")
         yield stage
 
 
-@pytest.fixture
-def armed(stage):
-    def ready():
-        with contextlib.suppress(ClientError):
-            if stage.state() in ("fault", "estop"):
-                stage.robot.reset()
-            return stage.robot.arm() == "armed"
-        return False
-
-    wait_until(ready, "armed")
-    yield stage
-    with contextlib.suppress(ClientError):
-        stage.robot.disarm()
-    rests(stage)
-
-
-def rests(stage):
-    wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+@pytest.fixture(name="armed")
+def _armed(stage):
+    with armed(stage):
+        yield stage
 
 
 @contextlib.contextmanager
@@ -81,7 +59,7 @@ def test_a_held_key_drives_and_its_release_stops(armed):
 
 
 def test_two_keys_move_a_base_sideways(tmp_path):
-    with running(tmp_path, *SETTINGS[:3], robot=ROOT / "config/robots/omni3.toml") as stage:
+    with running(tmp_path, *UNHURRIED, robot=ROOT / "config/robots/omni3.toml") as stage:
         stage.wait_for("idle")
         stage.robot.arm()
         with teleop(stage) as terminal:
