@@ -26,7 +26,7 @@ import lateness
 from tests.sim.daemon_stage import wait_until
 from tests.sim.planted import Planted
 
-PEER = bus_at_work.ROOT / "tests/peers/ros2_peer.py"
+PEER = "tests.peers.ros2_peer"
 BACK_WITHIN_S = 60.0
 READER = """
 import contextlib, json, socket, sys
@@ -112,7 +112,9 @@ COUNTS = ("ticks", "overruns", "page_faults", "exchanges", "errors")
 @contextlib.contextmanager
 def reader(*command: str) -> Iterator[subprocess.Popen[bytes]]:
     """Once it reads; what it prints is read."""
-    process = subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE)
+    process = subprocess.Popen(
+        [sys.executable, *command], stdout=subprocess.PIPE, cwd=bus_at_work.ROOT
+    )
     assert process.stdout is not None
     try:
         assert process.stdout.readline(), "the reader ended"
@@ -144,7 +146,7 @@ def readers(count: int, seconds: float) -> dict[str, Any]:
     fast_hz = bus_at_work.FAST_HZ
     settings = (*bus_at_work.ros2(fast_hz), "publish.w.kind=rosbridge", f"publish.w.port={port}",
                 f"publish.w.rate_hz={6 * fast_hz}")  # fmt: skip
-    dds = (str(PEER), str(bus_at_work.DOMAIN), "topic", "rt/odom", "Odometry")
+    dds = ("-m", PEER, str(bus_at_work.DOMAIN), "topic", "rt/odom", "Odometry")
     with bus_at_work.stage(*settings) as made:
         bus_at_work.bus_pid(made)
         with reader(*dds) as one, reader("-c", READER, str(port)) as other:
