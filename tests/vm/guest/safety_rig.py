@@ -67,7 +67,7 @@ def chip():
 AXIS = rt.AxisLimits(
     velocity_u_s=1.0, acceleration_u_s2=50.0, deceleration_u_s2=50.0, jerk_u_s3=math.inf
 )
-LIMITS = rt.BaseLimits(linear=AXIS, angular=AXIS)
+LIMITS = rt.BaseLimits(linear=AXIS, angular=AXIS, lateral=AXIS)
 
 
 def joint(side):
