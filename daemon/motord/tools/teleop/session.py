@@ -143,6 +143,16 @@ class Teleop:
         if motions:
             self._dead_man.take(motions, now_s, self._link.key_age_s(now_s))
 
+    def _drop_keys(self) -> None:
+        """Of keys that came while this program stood still, an emergency stop and the end count."""
+        self._dead_man.bar(self._loop.time())
+        with contextlib.suppress(EOFError):  # the next look ends the session
+            for key in self._decoder.feed(self._terminal.read()):
+                if key == PONG:
+                    self._link.answered(self._loop.time())
+                elif key in (" ", "x", "\x03", "\x04"):
+                    self._press(key)
+
     def _press(self, key: str) -> None:
         """A key that is no motion."""
         robot = self._robot
@@ -195,8 +205,7 @@ class Teleop:
         commanding, last_s = False, self._loop.time()
         while True:
             if self._loop.time() - last_s > GAP_S:
-                self._terminal.drop_input()
-                self._dead_man.bar(self._loop.time())
+                self._drop_keys()
             last_s = self._loop.time()
             twist = self._twist()
             try:

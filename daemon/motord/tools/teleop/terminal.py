@@ -59,11 +59,6 @@ class Terminal:
             raise EOFError
         return data
 
-    def drop_input(self) -> None:
-        """What was typed and not read yet."""
-        with contextlib.suppress(termios.error):
-            termios.tcflush(self.fd, termios.TCIFLUSH)
-
     def write(self, data: bytes) -> bool:
         """Whether all of it was taken. A terminal that takes nothing is not waited for."""
         try:
