@@ -78,7 +78,7 @@ def becomes_idle(stage):
     wait_until(idle, "idle")
 
 
-@pytest.mark.parametrize("how", ["key", "Ctrl-C", "SIGTERM", "kill -9", "e-stop"])
+@pytest.mark.parametrize("how", ["key", "Ctrl-C", "SIGTERM", "hang up", "kill -9", "e-stop"])
 def test_whatever_ends_it_ends_at_rest_and_without_power(stage, how):
     becomes_idle(stage)
     with at_terminal("spin", "left", "--seconds", "10", "--socket", stage.socket) as screen:
@@ -109,6 +109,25 @@ def test_whatever_ends_it_ends_at_rest_and_without_power(stage, how):
         else:
             screen.process.wait(100.0)
     rests_without_power(stage)
+
+
+@pytest.mark.parametrize("how", ["Ctrl-C", "kill -9"])
+def test_it_may_begin_again_at_once(how, tmp_path):
+    """Its last command is still alive then, and does not hold the new ones back."""
+    with robot_of(tmp_path, copied(tmp_path), "input.socket.lease_s=5.0") as stage:
+        for _ in range(2):
+            with at_terminal("spin", "left", "--seconds", "10", "--socket", stage.socket) as screen:
+                screen.answer(GROUND, "y")
+                wait_until(
+                    lambda: fastest_rad_s(stage) > 0.5 or screen.process.poll() is not None,
+                    "it turns",
+                )
+                assert screen.process.poll() is None, screen.end() and screen.text
+                if how == "Ctrl-C":
+                    screen.type("\x03")
+                    assert screen.end() == 1
+                screen.process.kill()
+            rests_without_power(stage)
 
 
 def test_an_armed_robot_is_refused(stage):

@@ -177,6 +177,9 @@ def armed(client: Client, person: Person, owner: str) -> Iterator[Session]:
         session = Session(client, person, owner, page, robot)
         try:
             client.arm()
+            # a program that ended a moment ago may have left its last command, which holds back
+            # all that follow it until one asks for zero
+            client.drive(0.0, 0.0, owner=owner)
             yield session
         finally:
             state = halt(client.path, "disarm")
