@@ -117,6 +117,7 @@ typedef struct {
     pwm_config pwm;
     speed_loop_config speed_loop;
     plausible_config plausible;
+    position_config position;
 } joint_config;
 
 typedef struct {
@@ -174,7 +175,7 @@ typedef struct {
     uint32_t epoch;        /* another number: the counter's origin may have moved; seed again */
     uint32_t enabled;      /* 1 the drive says it is enabled, 0 it says it is not, 2 it cannot say */
     uint32_t drive_faults; /* the drive's fault word; 0 none */
-    uint32_t reserved;
+    uint32_t referenced;   /* 1 the drive says that its counter has a reference (homed), 0 it says not, 2 it cannot say */
 } joint_feedback;
 
 typedef struct {
@@ -192,6 +193,10 @@ typedef struct {
     double velocity_rad_s; /* 0 unless armed */
     double duty;           /* -1..1, the same set-point through the PWM map; 0 unless armed */
     double torque_n_m;     /* at the wheel, the same set-point through the speed loop; 0 unless armed */
+    double position_rad;   /* of a joint that takes positions, in its own frame, within its range and all limits;
+                              velocity_rad_s is how fast that moves */
+    uint32_t positioned;   /* 1: position_rad counts; 0, as built: the joint stays where it is, held where it has power */
+    uint32_t reserved;
 } joint_setpoint;
 
 typedef struct {

@@ -73,7 +73,12 @@ typedef enum {
     FORM_M16_LE = 13  /* low byte first: the top bit is the sign, the others are the magnitude */
 } wire_form;
 
-typedef enum { SETPOINT_VELOCITY = 0, SETPOINT_DUTY = 1, SETPOINT_TORQUE = 2 } setpoint_kind; /* TORQUE: CAN only */
+typedef enum {
+    SETPOINT_VELOCITY = 0,
+    SETPOINT_DUTY = 1,
+    SETPOINT_TORQUE = 2,  /* CAN only */
+    SETPOINT_POSITION = 3 /* 0 is an angle, not rest: see setpoint_position() of joint_values.h */
+} setpoint_kind;
 
 /* A place in a request that holds what a joint is to do: raw = nearest(clamp(si raw_per_si, raw_min, raw_max)).
  * Not armed, not fresh, not enabled, NaN, infinite: si is 0. */
@@ -97,7 +102,8 @@ typedef enum {
     FIELD_TEMPERATURE = 4, /* si = raw si_per_raw */
     FIELD_FAULT = 5,       /* the drive's fault word, raw */
     FIELD_ENABLED = 6,     /* (raw & equals_mask) == equals: enabled; of all joints of the drive */
-    FIELD_KEPT = 7         /* (raw & equals_mask) == equals, else the drive has lost its set-up */
+    FIELD_KEPT = 7,        /* (raw & equals_mask) == equals, else the drive has lost its set-up */
+    FIELD_REFERENCED = 8   /* (raw & equals_mask) == equals: the joint's counter has a reference */
 } field_kind;
 
 /* Of buses and boards: the number that says what a joint is to do, raw = nearest(clamp(si raw_per_si, raw_min, raw_max)).

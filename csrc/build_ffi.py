@@ -41,6 +41,7 @@ HEADERS = (
     "api_clock.h",
     "api_imu.h",
     "api_feedback.h",
+    "api_position.h",
     "api.h",
     "api_loop.h",
     "api_command.h",

@@ -10,6 +10,7 @@
 #include "api_clock.h"
 #include "api_imu.h"
 #include "api_feedback.h"
+#include "api_position.h"
 #include "api.h"
 #include "api_loop.h"
 #include "api_command.h"

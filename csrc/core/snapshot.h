@@ -150,7 +150,7 @@ _Static_assert(sizeof(joint_state) == 8 * 8 + 4 * 4, "padding in joint_state");
 _Static_assert(sizeof(imu_state) == 10 * 8 + 4 * 4, "padding in imu_state");
 _Static_assert(sizeof(feedback_doubt) == 4 * 8 + 2 * 4, "padding in feedback_doubt");
 _Static_assert(sizeof(lateral_state) == 7 * 8, "padding in lateral_state");
-_Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 24, "padding in setpoints");
+_Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 40, "padding in setpoints");
 _Static_assert(sizeof(robot_state) == 8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80 + sizeof(imu_state) +
                                           sizeof(feedback_doubt) + sizeof(lateral_state),
                "padding in robot_state");

@@ -21,6 +21,16 @@ static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t
     return isfinite(value) ? value : 0.0;
 }
 
+/* The angle that the core wants of a joint. false: none, it stays where it is; an angle is never made up. */
+static inline bool setpoint_position(const setpoints *from, uint32_t joint, double *position_rad)
+{
+    if (from->enabled != 1 || joint >= from->joint_count || joint >= JOINTS_MAX || from->joint[joint].positioned != 1) {
+        return false;
+    }
+    *position_rad = from->joint[joint].position_rad;
+    return isfinite(*position_rad);
+}
+
 /* The number for what the core commands a joint; where it may not move, that of 0. */
 static inline double scaled(const setpoints *from, bool may_move, const setpoint_scale *scale)
 {
@@ -42,7 +52,8 @@ static inline uint32_t fault_meant(const field_meaning *field, uint32_t word)
 /* Nothing is known of the joint. */
 static inline joint_feedback feedback_unknown(void)
 {
-    return (joint_feedback){.velocity_rad_s = NAN, .current_a = NAN, .voltage_v = NAN, .temperature_c = NAN, .enabled = 2};
+    return (joint_feedback){
+        .velocity_rad_s = NAN, .current_a = NAN, .voltage_v = NAN, .temperature_c = NAN, .enabled = 2, .referenced = 2};
 }
 
 /* Of the kinds that are measured in SI; false: `kind` is another. */

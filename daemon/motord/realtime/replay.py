@@ -98,7 +98,7 @@ def _differences(now: Any, was: Any) -> list[str]:
     for number in range(min(was.joint_count, lib.JOINTS_MAX)):
         found += [
             f"joint[{number}].{name}"
-            for name in ("velocity_rad_s", "duty", "torque_n_m")
+            for name in ("velocity_rad_s", "duty", "torque_n_m", "position_rad", "positioned")
             if getattr(now.joint[number], name) != getattr(was.joint[number], name)
         ]
     return found or ["the bits of a set-point"]

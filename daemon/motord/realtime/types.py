@@ -66,6 +66,19 @@ class PlausibleConfig(TypedDict, total=False):
     jumps_max: int
 
 
+class PositionConfig(TypedDict, total=False):
+    """Of a joint that takes positions. Without it `used` is 0."""
+
+    used: Required[int]
+    reference: int
+    """A position_reference of csrc/api_position.h."""
+    zero_count: int
+    position_min_rad: float
+    position_max_rad: float
+    velocity_rad_s: float
+    acceleration_rad_s2: float
+
+
 class JointConfig(TypedDict):
     row: WheelRow
     wheel_radius_m: float
@@ -78,6 +91,7 @@ class JointConfig(TypedDict):
     speed_loop: NotRequired[SpeedLoopConfig]
     """Only of a joint whose drive takes a torque."""
     plausible: NotRequired[PlausibleConfig]
+    position: NotRequired[PositionConfig]
 
 
 class GyroConfig(TypedDict, total=False):

@@ -19,7 +19,8 @@ LINES_MAX: int = lib.LINES_MAX
 
 _U32 = 0xFFFF_FFFF
 _U64 = 0xFFFF_FFFF_FFFF_FFFF
-_ENABLED_UNKNOWN = 2
+_UNKNOWN = 2
+"""Of what a drive may say of itself: csrc/api.h."""
 _ALIGNMENT_BYTES = 64
 
 
@@ -36,12 +37,13 @@ def is_fresh(stamp_ns: int, timeout_s: float) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class JointSetpoint:
-    """What one wheel is to do: its speed, and the same as a duty in -1..1, and as a torque
-    where its drive takes one."""
+    """What one joint is to do: its speed, and the same as a duty in -1..1, and as a torque
+    where its drive takes one. `position_rad` None: no angle, it stays where it is."""
 
     velocity_rad_s: float
     duty: float
     torque_n_m: float = 0.0
+    position_rad: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +62,8 @@ class Setpoints:
 
 @dataclass(frozen=True, slots=True)
 class Feedback:
-    """What a drive reported last. NaN: it does not report that. `enabled` None: it cannot report
-    it."""
+    """What a drive reported last. NaN: it does not report that. `enabled`, and `referenced` (its
+    counter has a reference), None: it cannot report it."""
 
     stamp_ns: int
     count: int
@@ -72,6 +74,7 @@ class Feedback:
     epoch: int
     enabled: bool | None
     drive_faults: int
+    referenced: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +132,12 @@ class Exchange:
             tick=raw.tick,
             enabled=raw.enabled != 0,
             joints=tuple(
-                JointSetpoint(joint.velocity_rad_s, joint.duty, joint.torque_n_m)
+                JointSetpoint(
+                    joint.velocity_rad_s,
+                    joint.duty,
+                    joint.torque_n_m,
+                    joint.position_rad if joint.positioned == 1 else None,
+                )
                 for joint in joints
             ),
         )
@@ -157,6 +165,8 @@ class Exchange:
             place.velocity_rad_s = joint.velocity_rad_s
             place.duty = joint.duty
             place.torque_n_m = joint.torque_n_m
+            place.position_rad = 0.0 if joint.position_rad is None else joint.position_rad
+            place.positioned = joint.position_rad is not None
         _check(lib.exchange_put_setpoints(self._exchange, line, raw), "line", line)
 
     def put_feedback(
@@ -172,6 +182,7 @@ class Exchange:
         epoch: int,
         enabled: bool | None,
         drive_faults: int,
+        referenced: bool | None = None,
     ) -> None:
         """The line's side. Whole numbers wrap at their width in C: a counter may be negative."""
         raw = self._feedback
@@ -182,8 +193,9 @@ class Exchange:
         raw.voltage_v = voltage_v
         raw.temperature_c = temperature_c
         raw.epoch = epoch & _U32
-        raw.enabled = _ENABLED_UNKNOWN if enabled is None else int(enabled)
+        raw.enabled = _UNKNOWN if enabled is None else int(enabled)
         raw.drive_faults = drive_faults & _U32
+        raw.referenced = _UNKNOWN if referenced is None else int(referenced)
         _check(lib.exchange_put_feedback(self._exchange, joint, raw), "joint", joint)
 
     def put_imu(
@@ -228,8 +240,9 @@ class Exchange:
             voltage_v=raw.voltage_v,
             temperature_c=raw.temperature_c,
             epoch=raw.epoch,
-            enabled=None if raw.enabled == _ENABLED_UNKNOWN else raw.enabled != 0,
+            enabled=None if raw.enabled == _UNKNOWN else raw.enabled != 0,
             drive_faults=raw.drive_faults,
+            referenced=None if raw.referenced == _UNKNOWN else raw.referenced != 0,
         )
 
 

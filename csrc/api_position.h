@@ -1,0 +1,32 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * api_position.h: joints that take positions, and the wheels that they steer. Read before api.h, and like it: typedefs,
+ * enums, comments and prototypes, no preprocessor line.
+ */
+
+/* How the angle of a joint is known. */
+typedef enum { REFERENCE_ABSOLUTE = 0, REFERENCE_HOMED = 1, REFERENCE_ESTIMATED = 2 } position_reference;
+/* ABSOLUTE  its counter always is
+ * HOMED     its counter is while joint_feedback.referenced is 1
+ * ESTIMATED nothing is measured: it is where its set-point was, after the longest move at its own speed */
+
+/* Of a joint that takes positions. Its angle is (count - zero_count) rad_per_count, in its own frame, after the gear. */
+typedef struct {
+    uint32_t used;              /* 0: the joint takes velocities, and the rest is not read */
+    uint32_t reference;         /* position_reference */
+    uint64_t zero_count;        /* the counter where the angle is 0; ESTIMATED: not read */
+    double position_min_rad;    /* <= 0 */
+    double position_max_rad;    /* >= 0, greater than the least */
+    double velocity_rad_s;      /* > 0, of the profile */
+    double acceleration_rad_s2; /* > 0, both ways */
+} position_config;
+
+/* Where a wheel meets the floor, and which joints move it. A steered wheel rolls to angle_rad + the angle of its steering
+ * joint, another one to angle_rad, counterclockwise from x. */
+typedef struct {
+    double x_m;
+    double y_m;
+    double angle_rad;
+    uint32_t steering; /* 1 + number of the joint that turns it about the vertical; 0: fixed */
+    uint32_t traction; /* 1 + number of the joint that rolls it; 0: it rolls freely */
+} wheel_module;
