@@ -18,7 +18,7 @@ typedef struct {
     double position_min_rad;    /* <= 0 */
     double position_max_rad;    /* >= 0, greater than the least */
     double velocity_rad_s;      /* > 0, of the profile */
-    double acceleration_rad_s2; /* > 0, both ways */
+    double acceleration_rad_s2; /* > 0, in both directions */
 } position_config;
 
 /* Where a wheel meets the floor, and which joints move it. A steered wheel rolls to angle_rad + the angle of its steering
