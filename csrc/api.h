@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api.h: the border between Python and C; the gyro is in api_imu.h, what a joint's feedback comes to in api_feedback.h,
- * the loop and its exchange in
- * api_loop.h, commands in api_command.h, serial lines in api_line.h.
+ * api.h: the border between Python and C; the gyro is in api_imu.h, what a joint's feedback comes to in api_feedback.h, joints
+ * that take positions in api_position.h, the loop and its exchange in api_loop.h, commands in api_command.h, serial lines in
+ * api_line.h.
  * Two readers: the C compiler (through rt.h) and cffi (through build_ffi.py). So all hold typedefs, enums, comments and
  * prototypes, and no preprocessor line.
  *
@@ -38,8 +38,13 @@ enum {
     REASON_COMMAND_STALE = 1 << 18,      /* no command, or older than its lifetime or command_timeout_s */
     REASON_COMMAND_NOT_FINITE = 1 << 19, /* NaN or infinity in the command: read as zero */
     REASON_FAULT = 1 << 20,              /* a latched fault: see robot_state.faults */
+    REASON_STEERING = 1 << 21,           /* the wheels do not point there yet: it drives slower, or waits */
+    REASON_CURVATURE = 1 << 22,          /* the range of its steering does not allow so tight a curve: a wider one */
+    REASON_TURN_IMPOSSIBLE = 1 << 23,    /* this base cannot turn on the spot: the angular part of the command is left out */
+    REASON_POSITION_UNKNOWN = 1 << 24,   /* where a joint is is not known: see robot_state.steering.unknown */
 };
-enum { REASONS_TO_STAND = 0x1F0000 }; /* NOT_ARMED and all after it: it is to rest, whatever was asked for */
+/* It is to rest, whatever was asked for. */
+enum { REASONS_TO_STAND = 0x11F0000 };
 
 /* Faults are latched: cleared only by a rising reset_count with every cause gone and a command of zero. */
 enum {
@@ -58,6 +63,7 @@ enum {
     FAULT_RUNAWAY = 1 << 12,              /* a wheel is much faster than its set-point: the power goes off at once */
     FAULT_IMPLAUSIBLE_FEEDBACK = 1 << 13, /* a counter jumps, or its speed is not the one that the drive reports */
     FAULT_SUSPENDED = 1 << 14,            /* the computer was suspended: set-points are zero at once */
+    FAULT_POSITION_UNKNOWN = 1 << 15,     /* where a joint is that takes positions is no longer known, while armed */
 };
 /* DIRECTION to IMPLAUSIBLE_FEEDBACK: what is measured is not trusted; see robot_state.doubt */
 enum { FAULTS_OF_FEEDBACK = 0x3E00 };
@@ -82,7 +88,7 @@ typedef struct {
     axis_limits lateral; /* u = m; a base that cannot move sideways does not use it */
 } base_limits;
 
-/* How a wheel of a base without steering rolls: the rim's speed is x linear + y lateral + lever_m angular. A wheel of two sides:
+/* How a wheel of a base without modules rolls: the rim's speed is x linear + y lateral + lever_m angular. A wheel of two sides:
  * (1, 0, -+ track / 2). Lynch & Park, Modern Robotics, 2017, 13.2: any wheel at any place, with or without rollers. */
 typedef struct {
     double x;
@@ -138,6 +144,10 @@ typedef struct {
     double twist_variance_floor_m2_s2;   /* > 0 */
     double twist_variance_floor_rad2_s2; /* > 0 */
     gyro_config gyro;
+    uint32_t module_count; /* 0: a base without steering, whose joints' rows count; else 1..JOINTS_MAX */
+    uint32_t reserved;
+    wheel_module
+        module[JOINTS_MAX]; /* each joint is named once: as a traction joint, or as a steering joint that takes positions */
     joint_config joint[JOINTS_MAX];
 } core_config;
 
@@ -193,10 +203,6 @@ typedef struct {
     double velocity_rad_s; /* 0 unless armed */
     double duty;           /* -1..1, the same set-point through the PWM map; 0 unless armed */
     double torque_n_m;     /* at the wheel, the same set-point through the speed loop; 0 unless armed */
-    double position_rad;   /* of a joint that takes positions, in its own frame, within its range and all limits;
-                              velocity_rad_s is how fast that moves */
-    uint32_t positioned;   /* 1: position_rad counts; 0, as built: the joint stays where it is, held where it has power */
-    uint32_t reserved;
 } joint_setpoint;
 
 typedef struct {
@@ -205,6 +211,10 @@ typedef struct {
     uint32_t enabled; /* 0: the line takes the power off its drives now */
     uint32_t joint_count;
     joint_setpoint joint[JOINTS_MAX];
+    /* of joints that take positions, in their own frame, within all limits; joint[n].velocity_rad_s is how fast that moves */
+    double position_rad[JOINTS_MAX];
+    uint32_t positioned; /* bit n: position_rad[n] counts; 0, as built: joint n stays where it is, held where it has power */
+    uint32_t reserved;
 } setpoints;
 
 typedef struct {
@@ -230,6 +240,14 @@ typedef struct {
     double slip_m_s;      /* of the rims against each other, root mean square: what no motion of the base explains */
     double covariance[3]; /* of the measured twist: with linear, its own, with angular */
 } lateral_state;
+
+/* Of joints that take positions; zero where there are none. */
+typedef struct {
+    double setpoint_rad[JOINTS_MAX]; /* NaN: none */
+    double misaligned_rad;           /* how far the worst wheel does not point to where it is to roll; INFINITY: not known yet */
+    uint32_t joints;                 /* bit n: joint n takes positions; joint[n].position_rad is its angle then */
+    uint32_t unknown;                /* bit n: where joint n is is not known */
+} steering_state;
 
 /* The snapshot: what the core knows after a tick; the payload of the state page. Layout version 1, which grows at its end. */
 typedef struct {
@@ -266,6 +284,7 @@ typedef struct {
     imu_state imu;
     feedback_doubt doubt; /* the first of FAULTS_OF_FEEDBACK, until the reset */
     lateral_state lateral;
+    steering_state steering;
 } robot_state;
 
 /* --------------------------------------------------------------------------------------- pure computations */
@@ -322,7 +341,13 @@ typedef struct {
 
 /* Whether some wheel rolls when the base moves sideways. */
 bool kinematics_strafes(const core_config *config);
+/* Of a base with modules: as if all wheels were at the 0 of their steering joints. */
 void kinematics_invert(const core_config *config, uint32_t joints, twist_inverse *out);
+/* Of a base with modules, whose steering joints are at these angles: what rolls has a speed, and nothing slides across its
+ * wheel's direction (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3). */
+void kinematics_modules(const core_config *config, const double *angle_rad, uint32_t joints, twist_inverse *out);
+/* Root mean square of what that motion leaves of the equations, by travel of the rims. */
+double kinematics_residual(const core_config *config, const double *angle_rad, const double *rim, const double *twist_u);
 
 typedef struct {
     double duty;
@@ -364,7 +389,9 @@ typedef struct {
     double twist_covariance[3];
     double lateral_covariance[3];
     spread_state spread;
-    twist_inverse used; /* for the joints that brought a travel last */
+    twist_inverse used;           /* for the joints that brought a travel last */
+    double angle_rad[JOINTS_MAX]; /* of joints that take positions; NaN: not known */
+    double arc_rad[JOINTS_MAX];   /* the same, when the last arc ended */
     gyro_state gyro;
 } odometry_state;
 
@@ -398,6 +425,20 @@ typedef struct {
     uint32_t reserved;
 } core_wheels;
 
+/* Of a base with modules. */
+typedef struct {
+    position_profile profile[JOINTS_MAX]; /* by joint */
+    double unsure_s[JOINTS_MAX];          /* ESTIMATED: so long it may still come from anywhere */
+    double pace_rad_s;                    /* so fast a wheel's direction changes while the base moves, and no profile lags much */
+    double curvature_min_per_m;           /* what the ranges of all steering joints allow: -INFINITY..0 */
+    double curvature_max_per_m;           /* 0..INFINITY */
+    double misaligned_rad;
+    uint32_t turns_on_spot;
+    uint32_t enabled; /* in the last tick */
+    uint32_t unknown; /* bit n: where joint n is is not known */
+    uint32_t reserved;
+} steer_state;
+
 typedef struct {
     core_config config;
     base_limits limits;         /* in force */
@@ -410,6 +451,7 @@ typedef struct {
     odometry_state odometry;
     speed_loop_state speed_loop[JOINTS_MAX];
     plausible_state plausible[JOINTS_MAX];
+    steer_state steer;
     robot_state snapshot;       /* of the last tick */
     uint32_t stale[JOINTS_MAX]; /* 1: the joint has sent no feedback for feedback_timeout_s */
     uint64_t tick;
@@ -426,6 +468,8 @@ typedef struct {
     uint32_t slewed;    /* 1: a joint has a duty slew */
     uint32_t torques;   /* 1: a joint's drive takes a torque */
     uint32_t axes;      /* that the base moves by: AXES, or without the lateral one, which is the last */
+    uint32_t steered;   /* 1: a base with modules */
+    uint32_t extras;    /* 1: it has modules or a gyro */
     uint32_t reserved;
     int64_t armed_ns;      /* the tick that armed */
     int64_t zero_since_ns; /* holding: the tick from which on the set-points have been zero; 0: they are not */

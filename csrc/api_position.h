@@ -30,3 +30,12 @@ typedef struct {
     uint32_t steering; /* 1 + number of the joint that turns it about the vertical; 0: fixed */
     uint32_t traction; /* 1 + number of the joint that rolls it; 0: it rolls freely */
 } wheel_module;
+
+typedef struct {
+    double position_rad;
+    double velocity_rad_s; /* of the last step */
+} position_profile;
+
+/* One step towards a goal, within velocity and acceleration, so that it ends at rest there and does not pass it. A goal that
+ * comes nearer than it can brake is passed, and returned to. A goal that is not finite: it brakes. dt_s > 0. */
+void position_step(position_profile *profile, const position_config *config, double goal_rad, double dt_s);

@@ -36,6 +36,29 @@ static double cosine_near_zero(double x)
     return 1.0 + sum * q;
 }
 
+/* Exact to 1e-16 after a rough start: of the angle that is left, whose tangent is t, the series of the arc tangent. The start is
+ * within 0.004 rad (Rajan et al., Efficient Approximations for the Arctangent Function, 2006), and the first term left out
+ * below 2e-18. */
+double angle_of(double y, double x)
+{
+    const double quarter = 0.5 * HALF_PI;
+    bool steep = fabs(y) > fabs(x);
+    if (x == 0.0 && y == 0.0) {
+        return 0.0;
+    }
+    double slope = steep ? x / y : y / x;
+    double rough = slope * (quarter + 0.273 * (1.0 - fabs(slope)));
+    if (steep) {
+        rough = copysign(HALF_PI, y) - rough;
+    } else if (x < 0.0) {
+        rough += copysign(2.0 * HALF_PI, y);
+    }
+    rough = angle_wrap(rough);
+    direction d = angle_direction(rough);
+    double t = (y * d.cosine - x * d.sine) / (x * d.cosine + y * d.sine), q = t * t;
+    return angle_wrap(rough + t * (1.0 - q * (1.0 / 3.0 - q * (1.0 / 5.0))));
+}
+
 direction angle_direction(double angle_rad)
 {
     double turns = angle_rad / HALF_PI;

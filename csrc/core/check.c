@@ -12,6 +12,9 @@
 #define LEAST 1e-12
 #define MOST 1e9
 
+static const double HALF_TURN_RAD = 3.1415;
+static const double ROUNDING = 1e-9;
+
 typedef struct {
     const char *name;
     size_t offset;
@@ -76,6 +79,20 @@ static const rule JOINT_RULES[] = {
     RULE(joint_config, plausible.apart_s, 0.0, MOST),
 };
 
+/* Of a joint that takes positions. */
+static const rule POSITION_RULES[] = {
+    RULE(joint_config, position.position_min_rad, -MOST, 0.0),
+    RULE(joint_config, position.position_max_rad, 0.0, MOST),
+    RULE(joint_config, position.velocity_rad_s, LEAST, MOST),
+    RULE(joint_config, position.acceleration_rad_s2, LEAST, MOST),
+};
+
+static const rule MODULE_RULES[] = {
+    RULE(wheel_module, x_m, -MOST, MOST),
+    RULE(wheel_module, y_m, -MOST, MOST),
+    RULE(wheel_module, angle_rad, -7.0, 7.0),
+};
+
 /* The first field out of its range; NaN is out of every range. */
 static const char *first_bad(const void *values, const rule *rules, size_t count)
 {
@@ -101,7 +118,80 @@ static const char *bad_joint_field(const joint_config *joint)
     if (bits != 0 && !(fabs(joint->rad_per_count) >= LEAST && fabs(joint->rad_per_count) <= MOST)) {
         return "rad_per_count";
     }
+    if (joint->position.used == 0) {
+        return joint->line < LINES_MAX ? NULL : "line";
+    }
+    bad = first_bad(joint, POSITION_RULES, COUNT(POSITION_RULES));
+    if (bad != NULL) {
+        return bad;
+    }
+    if (!(joint->position.position_min_rad < joint->position.position_max_rad)) {
+        return "position.position_max_rad";
+    }
+    if (joint->position.used != 1 || joint->position.reference > REFERENCE_ESTIMATED) {
+        return joint->position.used != 1 ? "position.used" : "position.reference";
+    }
+    if (bits == 0 && joint->position.reference != REFERENCE_ESTIMATED) {
+        return "counter_bits"; /* an angle that is measured needs it */
+    }
     return joint->line < LINES_MAX ? NULL : "line";
+}
+
+/* A fixed wheel of a base with modules rolls straight on, on the axle about which the base turns: another one would slide. */
+static const char *bad_module_field(const core_config *config, const wheel_module *module, uint32_t *named)
+{
+    const char *bad = first_bad(module, MODULE_RULES, COUNT(MODULE_RULES));
+    if (bad != NULL) {
+        return bad;
+    }
+    uint32_t own[2] = {module->steering, module->traction};
+    for (int i = 0; i < 2; i++) {
+        const char *name = i == 0 ? "steering" : "traction";
+        if (own[i] > config->joint_count) {
+            return name;
+        }
+        uint32_t bit = own[i] == 0 ? 0 : 1U << (own[i] - 1);
+        if ((*named & bit) || (own[i] != 0 && (config->joint[own[i] - 1].position.used == 1) != (i == 0))) {
+            return name;
+        }
+        *named |= bit;
+    }
+    if (module->steering != 0) {
+        const position_config *range = &config->joint[module->steering - 1].position;
+        bool enough = range->position_max_rad - range->position_min_rad >= HALF_TURN_RAD;
+        if (kinematics_strafes(config)) {
+            return enough ? NULL : "steering";
+        }
+        return module->x_m != 0.0 ? NULL : "x_m";
+    }
+    if (fabs(module->x_m) > ROUNDING || fabs(module->angle_rad) > ROUNDING) {
+        return module->angle_rad != 0.0 ? "angle_rad" : "x_m";
+    }
+    return NULL;
+}
+
+/* Every joint has one module, and one thing to do there. */
+static const char *bad_modules(const core_config *config, char *name)
+{
+    uint32_t named = 0, steered = 0;
+    if (config->module_count > JOINTS_MAX) {
+        return "module_count";
+    }
+    for (uint32_t i = 0; i < config->module_count; i++) {
+        const char *bad = bad_module_field(config, &config->module[i], &named);
+        if (bad != NULL) {
+            snprintf(name, FIELD_NAME_BYTES, "module[%u].%s", i, bad);
+            return name;
+        }
+        steered += config->module[i].steering != 0;
+    }
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        if (config->module_count > 0 ? !(named >> j & 1U) : config->joint[j].position.used != 0) {
+            snprintf(name, FIELD_NAME_BYTES, "joint[%u]: no module", j);
+            return name;
+        }
+    }
+    return config->module_count > 0 && steered == 0 ? "module_count" : NULL;
 }
 
 static const char *bad_base_field(const core_config *config)
@@ -153,10 +243,14 @@ const char *core_config_check(const core_config *config, char *name)
             return name;
         }
     }
+    bad = bad_modules(config, name);
+    if (bad != NULL) {
+        return bad == name ? name : (snprintf(name, FIELD_NAME_BYTES, "%s", bad), name);
+    }
     twist_inverse all;
     kinematics_invert(config, (1U << config->joint_count) - 1U, &all);
     if (!all.determined) {
-        snprintf(name, FIELD_NAME_BYTES, "joint.row");
+        snprintf(name, FIELD_NAME_BYTES, config->module_count > 0 ? "module" : "joint.row");
         return name;
     }
     return NULL;

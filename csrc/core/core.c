@@ -4,7 +4,9 @@
  *
  * The order is core_step()'s at the foot of the page. Set-points are built from zero in each tick.
  */
+#include "goal.h"
 #include "snapshot.h"
+#include "steer.h"
 #include "watch.h"
 #include "wheel.h"
 
@@ -54,66 +56,16 @@ static bool may_ramp(const core_state *state, const tick *t)
     return state->armed && !(stopping && state->config.on_timeout == STOP_BRAKE);
 }
 
-static double within(double want, double limit)
+/* speed → PWM of one wheel */
+static inline uint32_t set_wheel(core_state *state, uint32_t j, double wanted_rad_s, double dt_s)
 {
-    return fabs(want) <= limit ? want : copysign(limit, want);
-}
-
-/* Linear and lateral motion within their limits, by one factor, so that the direction stays. Returns the reasons. */
-static uint32_t limit_direction(const core_state *state, double *twist_u_s)
-{
-    double linear_m_s = twist_u_s[AXIS_LINEAR], lateral_m_s = twist_u_s[AXIS_LATERAL];
-    double linear = within(linear_m_s, state->limits.linear.velocity_u_s);
-    double lateral = within(lateral_m_s, state->limits.lateral.velocity_u_s);
-    twist_u_s[AXIS_LINEAR] = linear;
-    twist_u_s[AXIS_LATERAL] = lateral;
-    /* which of the two has to fall by the larger part, without a quotient that may be rounded up */
-    if (linear_m_s != 0.0 && lateral_m_s != 0.0 && fabs(linear * lateral_m_s) < fabs(lateral * linear_m_s)) {
-        twist_u_s[AXIS_LATERAL] = within(lateral_m_s * (linear / linear_m_s), fabs(lateral));
-    } else if (linear_m_s != 0.0 && lateral_m_s != 0.0) {
-        twist_u_s[AXIS_LINEAR] = within(linear_m_s * (lateral / lateral_m_s), fabs(linear));
-    }
-    return (linear != linear_m_s ? (uint32_t)REASON_LINEAR_VELOCITY : 0) |
-           (lateral != lateral_m_s ? (uint32_t)REASON_LATERAL_VELOCITY : 0);
-}
-
-/* The twist to ramp to, scaled to what the wheels can do: the ramp runs straight to it, and nothing is scaled after. */
-static void set_goal(core_state *state)
-{
-    core_goal *goal = &state->goal;
-    const core_config *config = &state->config;
-    double wheel_rad_s[JOINTS_MAX], *twist_u_s = goal->goal_u_s;
-    memcpy(twist_u_s, goal->wanted_u_s, sizeof goal->goal_u_s);
-    goal->reasons = 0;
-    if (state->axes < AXES && twist_u_s[AXIS_LATERAL] != 0.0) {
-        twist_u_s[AXIS_LATERAL] = 0.0;
-        goal->reasons = REASON_LATERAL_IMPOSSIBLE;
-    }
-    goal->reasons |= limit_direction(state, twist_u_s);
-    twist_u_s[AXIS_ANGULAR] = within(twist_u_s[AXIS_ANGULAR], state->limits.angular.velocity_u_s);
-    goal->reasons |= twist_u_s[AXIS_ANGULAR] != goal->wanted_u_s[AXIS_ANGULAR] ? (uint32_t)REASON_ANGULAR_VELOCITY : 0;
-    kinematics_wheels(config, twist_u_s, wheel_rad_s);
-    goal->saturation = saturate_factor(wheel_rad_s, config->joint, config->joint_count);
-    goal->reasons |= goal->saturation < 1.0 ? (uint32_t)REASON_WHEEL_SATURATED : 0;
-    for (int i = 0; i < AXES; i++) {
-        twist_u_s[i] *= goal->saturation;
-    }
-    goal->known = 1;
-}
-
-static void choose_goal(core_state *state, tick *t, double *goal_u_s)
-{
-    const core_goal *goal = &state->goal;
-    memset(goal_u_s, 0, sizeof goal->goal_u_s);
-    if (!t->go || t->command_zero) {
-        return;
-    }
-    if (!goal->known) {
-        set_goal(state);
-    }
-    memcpy(goal_u_s, goal->goal_u_s, sizeof goal->goal_u_s);
-    t->saturation = goal->saturation;
-    t->reasons |= goal->reasons;
+    const joint_config *joint = &state->config.joint[j];
+    joint_setpoint *setpoint = &state->wheels.joint[j];
+    double speed_rad_s = wheel_rounded(joint, wanted_rad_s);
+    pwm_output output = wheel_duty(&joint->pwm, setpoint->duty, speed_rad_s, dt_s);
+    setpoint->velocity_rad_s = state->snapshot.joint[j].setpoint_rad_s = speed_rad_s;
+    setpoint->duty = state->snapshot.joint[j].duty = output.duty;
+    return output.reasons;
 }
 
 /* kinematics → PWM, for a twist that is not that of the last tick */
@@ -129,14 +81,8 @@ static void set_wheels(core_state *state, tick *t, double dt_s)
         wheels->moving |= twist_u_s[i] != 0.0;
     }
     for (uint32_t j = 0; j < count; j++) {
-        const joint_config *joint = &state->config.joint[j];
-        joint_setpoint *setpoint = &wheels->joint[j];
-        double speed_rad_s = wheel_rounded(joint, wheel_speed(joint, twist_u_s));
-        checksum += setpoint->duty;
-        pwm_output output = wheel_duty(&joint->pwm, setpoint->duty, speed_rad_s, dt_s);
-        setpoint->velocity_rad_s = state->snapshot.joint[j].setpoint_rad_s = speed_rad_s;
-        setpoint->duty = state->snapshot.joint[j].duty = output.duty;
-        reasons |= output.reasons;
+        checksum += wheels->joint[j].duty;
+        reasons |= set_wheel(state, j, wheel_speed(&state->config.joint[j], twist_u_s), dt_s);
     }
     t->checksum = checksum;
     wheels->reasons = reasons;
@@ -162,9 +108,63 @@ static bool same_twist(const core_state *state)
            state->axis[AXIS_LATERAL].velocity_u_s == before_u_s[AXIS_LATERAL];
 }
 
+/* goal → limit → modules → PWM, by the angles that the wheels have. */
+static void ramp_steered(core_state *state, tick *t, double *goal_u_s, double dt_s)
+{
+    const core_config *config = &state->config;
+    const double *angle_rad = state->odometry.angle_rad;
+    double wheel_rad_s[JOINTS_MAX], rate_max_s, twist_u_s[AXES];
+    core_wheels *wheels = &state->wheels;
+    wheels->moving = wheels->reasons = 0;
+    t->reasons |= steer_goal(&state->steer, config, state->axis, angle_rad, goal_u_s, &rate_max_s);
+    if (!settled(state, goal_u_s)) {
+        const core_config *slewed = state->slewed ? config : NULL;
+        limit_state from[AXES];
+        memcpy(from, state->axis, sizeof from);
+        t->reasons |= ramp_step(state->axis, state->axes, &state->limits, slewed, goal_u_s, dt_s, state->holding != 0);
+        t->reasons |= steer_pace(from, state->axis, goal_u_s, rate_max_s, dt_s);
+    }
+    for (int i = 0; i < AXES; i++) {
+        twist_u_s[i] = wheels->twist_u_s[i] = state->axis[i].velocity_u_s;
+        wheels->moving |= twist_u_s[i] != 0.0;
+    }
+    steer_wheels(config, twist_u_s, angle_rad, wheel_rad_s);
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        t->checksum += wheels->joint[j].duty;
+        wheels->reasons |= set_wheel(state, j, wheel_rad_s[j], dt_s);
+    }
+    t->reasons |= wheels->reasons;
+    t->moving = wheels->moving != 0;
+}
+
+/* Its wheels turn to where the twist rolls them, and it waits for them. */
+static void drive_steered(core_state *state, tick *t)
+{
+    steer_state *steer = &state->steer;
+    double dt_s = t->dt_s < DT_MAX_S ? t->dt_s : DT_MAX_S;
+    double goal_u_s[AXES] = {0.0}, aim_u_s[AXES] = {0.0};
+    if (may_ramp(state, t)) {
+        choose_goal(state, t, goal_u_s);
+        memcpy(aim_u_s, goal_u_s, sizeof aim_u_s);
+        ramp_steered(state, t, goal_u_s, dt_s);
+    } else {
+        zero_at_once(state, t);
+    }
+    if (!(state->armed | state->holding)) {
+        steer_released(steer, &state->config, state->odometry.angle_rad);
+        return;
+    }
+    steer_joints(steer, &state->config, state->wheels.twist_u_s, aim_u_s, dt_s);
+    t->moving |= steer_setpoints(steer, &state->config, state->wheels.joint, state->odometry.angle_rad);
+}
+
 /* goal → limit → kinematics → PWM */
 static void drive(core_state *state, tick *t)
 {
+    if (state->steered) {
+        drive_steered(state, t);
+        return;
+    }
     if (!may_ramp(state, t)) {
         zero_at_once(state, t);
         return;
@@ -358,7 +358,7 @@ static void release(core_state *state, const tick *t)
     }
 }
 
-/* Zero, and only where the drives are enabled in this very tick what the wheels shall do; every byte is written. */
+/* Zero, and only where the drives are enabled in this very tick what the wheels shall do. */
 static void write_setpoints(const core_state *state, const tick *t, setpoints *out)
 {
     out->stamp_ns = t->input->now_ns;
@@ -370,6 +370,19 @@ static void write_setpoints(const core_state *state, const tick *t, setpoints *o
     } else {
         memset(out->joint, 0, sizeof out->joint);
     }
+    out->positioned = 0;
+}
+
+/* What only some bases have: joints that take positions, a gyro. */
+__attribute__((noinline)) static void write_extras(core_state *state, const tick *t, setpoints *out)
+{
+    if (state->steered) {
+        out->positioned = steer_positions(&state->steer, &state->config, out->enabled != 0, out->position_rad);
+        write_steering(state);
+    }
+    if (state->config.gyro.used) {
+        write_imu(state, t->input);
+    }
 }
 
 /* What only some joints have, so that a base without it need not look in every tick. */
@@ -380,6 +393,7 @@ static void note_extras(core_state *state)
         state->slewed |= joint->pwm.slew_per_s < INFINITY;
         state->torques |= joint->speed_loop.torque_max_n_m > 0.0;
     }
+    state->extras = state->steered | state->config.gyro.used;
 }
 
 int core_init(core_state *state, const core_config *config)
@@ -394,8 +408,12 @@ int core_init(core_state *state, const core_config *config)
     state->command_window_ns = window_ns(config->command_timeout_s);
     state->feedback_window_ns = window_ns(config->feedback_timeout_s);
     state->heartbeat_window_ns = window_ns(config->heartbeat_timeout_s);
-    note_extras(state);
     state->axes = kinematics_strafes(config) ? AXES : AXIS_LATERAL;
+    state->steered = config->module_count > 0;
+    note_extras(state);
+    if (state->steered) {
+        steer_init(&state->steer, config);
+    }
     state->goal.zero = 1;
     state->silent = 1;
     state->slow = 1;
@@ -420,6 +438,9 @@ void core_step(core_state *state, const core_input *input, double dt_s, setpoint
     }
     write_setpoints(state, &t, out);
     snapshot_write(state, &t);
+    if (state->extras) {
+        write_extras(state, &t, out);
+    }
     if (snapshot != NULL) {
         *snapshot = state->snapshot;
     }

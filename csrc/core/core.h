@@ -29,6 +29,14 @@ typedef struct {
 } direction;
 
 direction angle_direction(double angle_rad);
+/* The angle of (x, y) from x, in -pi..pi, as exact; 0 for (0, 0) */
+double angle_of(double y, double x);
+
+/* Where a module's wheel rolls to, from x, when the joints are at these angles. */
+static inline double module_angle(const wheel_module *module, const double *angle_rad)
+{
+    return module->angle_rad + (module->steering != 0 ? angle_rad[module->steering - 1] : 0.0);
+}
 
 /* Is it time to look at a joint's newest sample? Those that come faster are taken together. Checks that have not begun
  * have a stamp of 0: so long ago that it is time. */
@@ -40,6 +48,16 @@ static inline bool plausible_due(const plausible_state *state, const joint_odome
 /* Takes a sample that is due. false: a check was not met, and why. `reported_rad_s` is the drive's own measure. */
 bool plausible(plausible_state *state, const plausible_config *config, const joint_odometry *joint, double reported_rad_s,
                double setpoint_rad_s, feedback_doubt *why);
+
+/* joint_odometry.last */
+enum { NONE = 0, BELIEVED = 1, REFUSED = 2 };
+
+/* Where a joint is that takes positions. */
+void modules_take_angle(odometry_state *state, const core_config *config, uint32_t j);
+/* The same for all, and what follows for these joints from the angles in the middle of the arc. */
+void modules_look(odometry_state *state, const core_config *config, uint32_t joints);
+/* What no motion of the base explains of an arc. */
+void modules_slip(odometry_state *state, const core_config *config, const double *rim_m, const double *twist_u, double elapsed_s);
 
 /* Every number of it is finite; in core.c, which checks it in each tick. */
 bool odometry_finite(const odometry_state *state, uint32_t joint_count);

@@ -12,6 +12,9 @@ static const double APART_M_S = 1e-6; /* and by this, for rounding */
 
 bool joints_twist(const core_config *base, const double *velocity_rad_s, double *twist_u_s)
 {
+    if (base->module_count > 0) {
+        return false; /* wheel speeds alone do not say where its wheels point */
+    }
     twist_inverse all;
     double rim_m_s[JOINTS_MAX], fastest_m_s = 0.0, would_rad_s[JOINTS_MAX];
     kinematics_invert(base, (1U << base->joint_count) - 1U, &all);

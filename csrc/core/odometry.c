@@ -19,8 +19,6 @@ static const double VELOCITY_ERROR = 0.1;
 
 /* Bits of joint_odometry.fresh: what came since the last integration. */
 enum { NOTHING = 0, TRAVEL = 1 << 0, ESTIMATE = 1 << 1, SEED = 1 << 2 };
-/* joint_odometry.last */
-enum { NONE = 0, BELIEVED = 1, REFUSED = 2 };
 
 typedef struct {
     double rim_m[JOINTS_MAX]; /* of those that brought a travel */
@@ -93,6 +91,7 @@ void odometry_init(odometry_state *state, const core_config *config)
     gyro_init(&state->gyro);
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         state->joint[j].velocity_rad_s = NAN;
+        state->angle_rad[j] = state->arc_rad[j] = NAN;
     }
     for (uint32_t j = 0; j < config->joint_count; j++) {
         state->joint[j].constant = constants_of(&config->joint[j], config->feedback_timeout_s);
@@ -295,6 +294,7 @@ static void collect(odometry_state *state, const core_config *config, const uint
                 joint->last = NONE;
                 degraded = 1;
             } else {
+                modules_take_angle(state, config, j);
                 degraded |= joint->pending_rad != 0.0; /* only part of the distance is known: thrown away */
                 newest_ns = joint->stamp_ns > newest_ns ? joint->stamp_ns : newest_ns;
             }
@@ -323,12 +323,22 @@ static double sine_over(double half_rad)
     return angle_direction(angle_wrap(half_rad)).sine / half_rad;
 }
 
-/* Do these joints determine the motion? Others than before are rare: a joint has gone silent, or is back. */
-static bool determined(odometry_state *state, const core_config *config, uint32_t joints)
+/* Others than before are rare: a joint has gone silent, or is back. Those of a base with modules are never the same. */
+__attribute__((noinline)) static void look_anew(odometry_state *state, const core_config *config, uint32_t joints)
 {
-    if (joints != state->used.joints) {
+    if (config->module_count > 0) {
+        modules_look(state, config, joints);
+    } else {
         spread_look(state, config, state->spread.stamp_ns);
         kinematics_invert(config, joints, &state->used);
+    }
+}
+
+/* Do these joints determine the motion? */
+static inline bool determined(odometry_state *state, const core_config *config, uint32_t joints)
+{
+    if (joints != state->used.joints) {
+        look_anew(state, config, joints);
     }
     return state->used.determined != 0;
 }
@@ -433,6 +443,10 @@ static void integrate(odometry_state *state, const core_config *config, const ui
         return;
     }
     motion moved = by_wheels(state, &found, config->joint_count);
+    if (config->module_count > 0 && before_ns > 0 && found.stamp_ns > before_ns) {
+        const double twist_u[AXES] = {moved.x_m, moved.turn_rad, moved.y_m};
+        modules_slip(state, config, found.rim_m, twist_u, (double)(found.stamp_ns - before_ns) * 1e-9);
+    }
     turn_by_gyro(state, config, &found, &moved);
     follow(state, &moved);
     if (found.stamp_ns - state->spread.stamp_ns >= SPREAD_EVERY_NS) {

@@ -101,6 +101,24 @@ static inline void write_imu(core_state *state, const core_input *input)
     to->refused = gyro->refused;
 }
 
+static inline void write_steering(core_state *state)
+{
+    steering_state *to = &state->snapshot.steering;
+    to->misaligned_rad = state->steer.misaligned_rad;
+    to->unknown = state->steer.unknown;
+    to->joints = 0;
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
+        bool takes = state->config.joint[j].position.used != 0;
+        bool shown = takes && state->steer.enabled && !(state->steer.unknown >> j & 1U);
+        to->setpoint_rad[j] = shown ? state->steer.profile[j].position_rad : (double)NAN;
+        if (takes) {
+            to->joints |= 1U << j;
+            state->snapshot.joint[j].position_rad = state->odometry.angle_rad[j];
+            state->snapshot.joint[j].setpoint_rad_s = shown ? state->wheels.joint[j].velocity_rad_s : 0.0;
+        }
+    }
+}
+
 static inline uint32_t all_reasons(const core_state *state, const tick *t)
 {
     uint32_t reasons = t->reasons;
@@ -109,6 +127,9 @@ static inline uint32_t all_reasons(const core_state *state, const tick *t)
     }
     if (!state->armed) {
         reasons |= REASON_NOT_ARMED;
+    }
+    if (state->steer.unknown) {
+        reasons |= REASON_POSITION_UNKNOWN;
     }
     if (t->input->control.stop) {
         reasons |= REASON_STOP_REQUESTED;
@@ -140,9 +161,6 @@ static inline void snapshot_write(core_state *state, const tick *t)
     to->setpoint_linear_m_s = state->axis[AXIS_LINEAR].velocity_u_s;
     to->setpoint_angular_rad_s = state->axis[AXIS_ANGULAR].velocity_u_s;
     to->saturation = t->saturation;
-    if (state->config.gyro.used) {
-        write_imu(state, t->input);
-    }
 }
 
 /* every byte is a field, so that no padding carries what was in memory before */
@@ -150,9 +168,10 @@ _Static_assert(sizeof(joint_state) == 8 * 8 + 4 * 4, "padding in joint_state");
 _Static_assert(sizeof(imu_state) == 10 * 8 + 4 * 4, "padding in imu_state");
 _Static_assert(sizeof(feedback_doubt) == 4 * 8 + 2 * 4, "padding in feedback_doubt");
 _Static_assert(sizeof(lateral_state) == 7 * 8, "padding in lateral_state");
-_Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 40, "padding in setpoints");
+_Static_assert(sizeof(steering_state) == (JOINTS_MAX + 1) * 8 + 2 * 4, "padding in steering_state");
+_Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 32 + 8, "padding in setpoints");
 _Static_assert(sizeof(robot_state) == 8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80 + sizeof(imu_state) +
-                                          sizeof(feedback_doubt) + sizeof(lateral_state),
+                                          sizeof(feedback_doubt) + sizeof(lateral_state) + sizeof(steering_state),
                "padding in robot_state");
 
 #endif

@@ -8,6 +8,7 @@
 
 #include "fresh.h"
 #include "snapshot.h"
+#include "steer.h"
 
 #include <float.h>
 #include <math.h>
@@ -108,6 +109,9 @@ static inline void read_feedback(core_state *state, tick *t)
     if (!received) {
         judge_feedback(state, t);
     }
+    if (state->steered) {
+        state->steer.unknown = steer_unknown(&state->config, t->input->feedback, state->stale, state->odometry.angle_rad);
+    }
     t->is_new = is_new != 0 || !received;
     t->any_stale = state->silent != 0;
     t->drive_disabled = enabled == 0 && drive_disabled(state, t->input->feedback);
@@ -133,7 +137,7 @@ static inline void look(core_state *state, const core_input *input, double dt_s,
 static inline void reset(core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;
-    bool cause = control->estop || control->fault || t->any_stale || t->drive_fault;
+    bool cause = control->estop || control->fault || t->any_stale || t->drive_fault || state->steer.unknown;
     if (cause || !t->command_zero || !state->at_rest) {
         return;
     }
@@ -199,6 +203,9 @@ static inline uint32_t causes(const core_state *state, const tick *t)
     if (t->drive_disabled) {
         found |= FAULT_DRIVE_DISABLED;
     }
+    if (state->steer.unknown) {
+        found |= FAULT_POSITION_UNKNOWN;
+    }
     return found;
 }
 
@@ -236,8 +243,8 @@ static inline void arm_or_disarm(core_state *state, const tick *t)
     const core_control *control = &t->input->control;
     bool edge = control->armed && !state->armed_seen;
     state->armed_seen = control->armed;
-    if (edge && state->faults == 0 && !t->any_stale && !t->drive_fault && t->heartbeat_fresh && t->command_zero &&
-        !control->stop) {
+    if (edge && state->faults == 0 && !t->any_stale && !t->drive_fault && !state->steer.unknown && t->heartbeat_fresh &&
+        t->command_zero && !control->stop) {
         state->armed = 1;
         state->armed_ns = t->input->now_ns;
         state->commanded = 0;
@@ -260,7 +267,7 @@ static inline bool calm(const core_state *state, const tick *t)
     uint32_t attention = control->estop | control->fault | control->stop | t->input->suspended |
                          (control->reset_count ^ state->reset_seen) |
                          (control->odometry_reset_count ^ state->odometry_reset_seen);
-    attention |= (uint32_t)t->any_stale | (uint32_t)t->drive_fault | (uint32_t)t->drive_disabled;
+    attention |= (uint32_t)t->any_stale | (uint32_t)t->drive_fault | (uint32_t)t->drive_disabled | state->steer.unknown;
     uint32_t ready = state->armed & state->commanded & (uint32_t)t->heartbeat_fresh & (uint32_t)t->command_fresh;
     return attention == 0 && ready != 0 && control->armed != 0 && t->dt_s != 0.0;
 }

@@ -24,10 +24,10 @@ static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t
 /* The angle that the core wants of a joint. false: none, it stays where it is; an angle is never made up. */
 static inline bool setpoint_position(const setpoints *from, uint32_t joint, double *position_rad)
 {
-    if (from->enabled != 1 || joint >= from->joint_count || joint >= JOINTS_MAX || from->joint[joint].positioned != 1) {
+    if (from->enabled != 1 || joint >= from->joint_count || joint >= JOINTS_MAX || !(from->positioned >> joint & 1U)) {
         return false;
     }
-    *position_rad = from->joint[joint].position_rad;
+    *position_rad = from->position_rad[joint];
     return isfinite(*position_rad);
 }
 

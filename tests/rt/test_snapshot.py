@@ -39,7 +39,7 @@ def raw_state():
     for number, name in enumerate(c_fields("robot_state"), 1000):
         if name.endswith("covariance"):
             setattr(raw, name, [number * 10 + i for i in range(len(getattr(raw, name)))])
-        elif name not in ("joint", "imu", "doubt", "lateral"):
+        elif name not in ("joint", "imu", "doubt", "lateral", "steering"):
             setattr(raw, name, number)
     raw.reasons = lib.REASON_LINEAR_JERK | lib.REASON_COMMAND_STALE
     raw.faults = lib.FAULT_ESTOP | lib.FAULT_STATE
@@ -57,6 +57,9 @@ def raw_state():
     for number, name in enumerate(c_fields("lateral_state"), 9000):
         vector = name == "covariance"
         setattr(raw.lateral, name, [number * 10 + i for i in range(3)] if vector else number)
+    for number, name in enumerate(c_fields("steering_state"), 9500):
+        vector = name == "setpoint_rad"
+        setattr(raw.steering, name, [number * 10 + i for i in range(8)] if vector else number)
     return raw
 
 
@@ -68,11 +71,20 @@ LATERAL = {
     "lateral_covariance": "covariance",
 }
 """Fields of the snapshot, by those of lateral_state, in their order."""
+STEERING = {
+    "position_setpoints_rad": "setpoint_rad",
+    "misaligned_rad": "misaligned_rad",
+    "position_joints": "joints",
+    "position_unknown": "unknown",
+}
+"""And by those of steering_state."""
 
 
 def test_the_names_are_those_of_the_c_struct():
-    expected = set(c_fields("robot_state")) - {"joint_count", "joint", "lateral"}
-    assert set(python_fields(Snapshot)) == expected | {"joints", "version"} | set(LATERAL)
+    expected = set(c_fields("robot_state")) - {"joint_count", "joint", "lateral"} - {"steering"}
+    apart = {"joints", "version", *LATERAL, *STEERING}
+    assert set(python_fields(Snapshot)) == expected | apart
+    assert list(STEERING.values()) == c_fields("steering_state")
     assert list(LATERAL.values()) == c_fields("lateral_state")
     assert python_fields(JointSnapshot) == c_fields("joint_state")
     assert python_fields(ImuSnapshot) == c_fields("imu_state")
@@ -87,7 +99,10 @@ def test_every_field_arrives_in_its_place():
     for name, raw_name in LATERAL.items():
         value = getattr(made, name)
         assert value == type(value)(getattr(raw.lateral, raw_name)), name
-    for name in set(python_fields(Snapshot)) - apart - set(LATERAL):
+    for name, raw_name in STEERING.items():
+        value = getattr(made, name)
+        assert value == type(value)(getattr(raw.steering, raw_name)), name
+    for name in set(python_fields(Snapshot)) - apart - set(LATERAL) - set(STEERING):
         value = getattr(made, name)
         assert value == type(value)(getattr(raw, name)), name
     assert len(made.joints) == 3

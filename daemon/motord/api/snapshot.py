@@ -28,6 +28,8 @@ Planar6 = tuple[float, ...]
 """Upper triangle of a symmetric 3 × 3 matrix, row by row."""
 Planar3 = tuple[float, ...]
 """Three numbers of a covariance."""
+Joints8 = tuple[float, ...]
+"""A number for each place of a joint."""
 Reasons = tuple[str, ...]
 Faults = tuple[str, ...]
 FirstFault = str
@@ -141,6 +143,15 @@ class Snapshot:
     """Of the rims against each other, root mean square: what no motion of the base explains."""
     lateral_covariance: Planar3 = (0.0, 0.0, 0.0)
     """Of the twist: vx vy, vy vy, vy w in m2/s2, m2/s2, m rad/s2."""
+    position_setpoints_rad: Joints8 = ()
+    """Of joints that take positions; NaN: none."""
+    misaligned_rad: float = 0.0
+    """How far the worst steered wheel does not point to where it is to roll. Infinity: it is not
+    known yet."""
+    position_joints: U32 = 0
+    """Bit n: joint n takes positions, and its `position_rad` is its angle."""
+    position_unknown: U32 = 0
+    """Bit n: where joint n is is not known."""
     imu: ImuSnapshot | None = None
     """None: there is none, or it was never received."""
     doubt: DoubtSnapshot | None = None

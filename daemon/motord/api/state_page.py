@@ -48,6 +48,10 @@ REASONS = {
     18: "command_stale",
     19: "command_not_finite",
     20: "fault",
+    21: "steering",
+    22: "curvature",
+    23: "turn_impossible",
+    24: "position_unknown",
 }
 """By bit: REASON_* of csrc/api.h."""
 FAULTS = {
@@ -66,6 +70,7 @@ FAULTS = {
     12: "runaway",
     13: "implausible_feedback",
     14: "suspended",
+    15: "position_unknown",
 }
 """By bit: FAULT_* of csrc/api.h."""
 
@@ -107,6 +112,7 @@ _FORMS: Mapping[str, tuple[str, Callable[[Any], Any] | None]] = {
     "bool": ("I", bool),
     "bool | None": ("I", _known),
     "Vector3": ("3d", None),
+    "Joints8": ("8d", None),
     "Planar3": ("3d", None),
     "Planar6": ("6d", None),
     "Reasons": ("I", _reasons),
@@ -159,17 +165,22 @@ _JOINT, _IMU, _DOUBT = map(_Record, (JointSnapshot, ImuSnapshot, DoubtSnapshot))
 _LATERAL_NAMES = (
     "wanted_lateral_m_s", "setpoint_lateral_m_s", "lateral_m_s", "slip_m_s", "lateral_covariance",
 )  # fmt: skip
+_STEERING_NAMES = (
+    "position_setpoints_rad", "misaligned_rad", "position_joints", "position_unknown",
+)  # fmt: skip
 _STATE = _Record(
     Snapshot,
     hidden=("joint_count", "odometry_degraded"),
-    only=lambda name: name not in _LATERAL_NAMES,
+    only=lambda name: name not in (*_LATERAL_NAMES, *_STEERING_NAMES),
 )
 _LATERAL = _Record(Snapshot, only=lambda name: name in _LATERAL_NAMES)
+_STEERING = _Record(Snapshot, only=lambda name: name in _STEERING_NAMES)
 _JOINTS_MAX = 8
 _IMU_OFFSET = _STATE.bytes + _JOINTS_MAX * _JOINT.bytes
 _DOUBT_OFFSET = _IMU_OFFSET + _IMU.bytes
 _LATERAL_OFFSET = _DOUBT_OFFSET + _DOUBT.bytes
-_PAYLOAD_BYTES = _LATERAL_OFFSET + _LATERAL.bytes
+_STEERING_OFFSET = _LATERAL_OFFSET + _LATERAL.bytes
+_PAYLOAD_BYTES = _STEERING_OFFSET + _STEERING.bytes
 
 
 def decode(payload: bytes) -> Snapshot:
@@ -185,6 +196,7 @@ def decode(payload: bytes) -> Snapshot:
         doubt=DoubtSnapshot(**doubt) if doubt["fault"] else None,
         **state,
         **_LATERAL.values(payload, _LATERAL_OFFSET),
+        **_STEERING.values(payload, _STEERING_OFFSET),
     )
 
 

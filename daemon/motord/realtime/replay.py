@@ -98,9 +98,13 @@ def _differences(now: Any, was: Any) -> list[str]:
     for number in range(min(was.joint_count, lib.JOINTS_MAX)):
         found += [
             f"joint[{number}].{name}"
-            for name in ("velocity_rad_s", "duty", "torque_n_m", "position_rad", "positioned")
+            for name in ("velocity_rad_s", "duty", "torque_n_m")
             if getattr(now.joint[number], name) != getattr(was.joint[number], name)
         ]
+        if now.positioned >> number & 1 != was.positioned >> number & 1:
+            found.append(f"joint[{number}].positioned")
+        if now.position_rad[number] != was.position_rad[number]:
+            found.append(f"joint[{number}].position_rad")
     return found or ["the bits of a set-point"]
 
 

@@ -126,19 +126,19 @@ class Exchange:
         """The line's side: the newest set-points of all joints."""
         raw = self._setpoints
         _check(lib.exchange_take_setpoints(self._exchange, line, raw), "line", line)
-        joints = (raw.joint[i] for i in range(min(raw.joint_count, JOINTS_MAX)))
+        joints = range(min(raw.joint_count, JOINTS_MAX))
         return Setpoints(
             stamp_ns=raw.stamp_ns,
             tick=raw.tick,
             enabled=raw.enabled != 0,
             joints=tuple(
                 JointSetpoint(
-                    joint.velocity_rad_s,
-                    joint.duty,
-                    joint.torque_n_m,
-                    joint.position_rad if joint.positioned == 1 else None,
+                    raw.joint[i].velocity_rad_s,
+                    raw.joint[i].duty,
+                    raw.joint[i].torque_n_m,
+                    raw.position_rad[i] if raw.positioned >> i & 1 else None,
                 )
-                for joint in joints
+                for i in joints
             ),
         )
 
@@ -161,12 +161,14 @@ class Exchange:
         raw.tick = value.tick
         raw.enabled = value.enabled
         raw.joint_count = len(value.joints)
-        for place, joint in zip(raw.joint, value.joints, strict=False):
+        raw.positioned = 0
+        for i, joint in enumerate(value.joints):
+            place = raw.joint[i]
             place.velocity_rad_s = joint.velocity_rad_s
             place.duty = joint.duty
             place.torque_n_m = joint.torque_n_m
-            place.position_rad = 0.0 if joint.position_rad is None else joint.position_rad
-            place.positioned = joint.position_rad is not None
+            raw.position_rad[i] = 0.0 if joint.position_rad is None else joint.position_rad
+            raw.positioned |= (joint.position_rad is not None) << i
         _check(lib.exchange_put_setpoints(self._exchange, line, raw), "line", line)
 
     def put_feedback(

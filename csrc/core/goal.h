@@ -1,0 +1,85 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * goal.h: the twist to ramp to: what was commanded, within the limits of the base and its wheels. A part of core.c, as
+ * snapshot.h is.
+ */
+#ifndef MOTORD_GOAL_H
+#define MOTORD_GOAL_H
+
+#include <math.h>
+#include <string.h>
+
+#include "snapshot.h"
+#include "steer.h"
+
+static inline double within(double want, double limit)
+{
+    return fabs(want) <= limit ? want : copysign(limit, want);
+}
+
+/* Linear and lateral motion within their limits, by one factor, so that the direction stays. Returns the reasons. */
+static inline uint32_t limit_direction(const core_state *state, double *twist_u_s)
+{
+    double linear_m_s = twist_u_s[AXIS_LINEAR], lateral_m_s = twist_u_s[AXIS_LATERAL];
+    double linear = within(linear_m_s, state->limits.linear.velocity_u_s);
+    double lateral = within(lateral_m_s, state->limits.lateral.velocity_u_s);
+    twist_u_s[AXIS_LINEAR] = linear;
+    twist_u_s[AXIS_LATERAL] = lateral;
+    /* which of the two has to fall by the larger part, without a quotient that may be rounded up */
+    if (linear_m_s != 0.0 && lateral_m_s != 0.0 && fabs(linear * lateral_m_s) < fabs(lateral * linear_m_s)) {
+        twist_u_s[AXIS_LATERAL] = within(lateral_m_s * (linear / linear_m_s), fabs(lateral));
+    } else if (linear_m_s != 0.0 && lateral_m_s != 0.0) {
+        twist_u_s[AXIS_LINEAR] = within(linear_m_s * (lateral / lateral_m_s), fabs(linear));
+    }
+    return (linear != linear_m_s ? (uint32_t)REASON_LINEAR_VELOCITY : 0) |
+           (lateral != lateral_m_s ? (uint32_t)REASON_LATERAL_VELOCITY : 0);
+}
+
+/* The twist to ramp to, scaled to what the wheels can do: the ramp runs straight to it, and nothing is scaled after. */
+static inline void set_goal(core_state *state)
+{
+    core_goal *goal = &state->goal;
+    const core_config *config = &state->config;
+    double wheel_rad_s[JOINTS_MAX], *twist_u_s = goal->goal_u_s;
+    memcpy(twist_u_s, goal->wanted_u_s, sizeof goal->goal_u_s);
+    goal->reasons = 0;
+    if (state->axes < AXES && twist_u_s[AXIS_LATERAL] != 0.0) {
+        twist_u_s[AXIS_LATERAL] = 0.0;
+        goal->reasons = REASON_LATERAL_IMPOSSIBLE;
+    }
+    if (state->steered && state->axes < AXES) {
+        goal->reasons |= steer_within_reach(&state->steer, &state->limits, goal->wanted_u_s, twist_u_s);
+    } else {
+        goal->reasons |= limit_direction(state, twist_u_s);
+        twist_u_s[AXIS_ANGULAR] = within(twist_u_s[AXIS_ANGULAR], state->limits.angular.velocity_u_s);
+        goal->reasons |= twist_u_s[AXIS_ANGULAR] != goal->wanted_u_s[AXIS_ANGULAR] ? (uint32_t)REASON_ANGULAR_VELOCITY : 0;
+    }
+    if (state->steered) {
+        steer_speeds(&state->steer, config, twist_u_s, wheel_rad_s);
+    } else {
+        kinematics_wheels(config, twist_u_s, wheel_rad_s);
+    }
+    goal->saturation = saturate_factor(wheel_rad_s, config->joint, config->joint_count);
+    goal->reasons |= goal->saturation < 1.0 ? (uint32_t)REASON_WHEEL_SATURATED : 0;
+    for (int i = 0; i < AXES; i++) {
+        twist_u_s[i] *= goal->saturation;
+    }
+    goal->known = 1;
+}
+
+static inline void choose_goal(core_state *state, tick *t, double *goal_u_s)
+{
+    const core_goal *goal = &state->goal;
+    memset(goal_u_s, 0, sizeof goal->goal_u_s);
+    if (!t->go || t->command_zero) {
+        return;
+    }
+    if (!goal->known) {
+        set_goal(state);
+    }
+    memcpy(goal_u_s, goal->goal_u_s, sizeof goal->goal_u_s);
+    t->saturation = goal->saturation;
+    t->reasons |= goal->reasons;
+}
+
+#endif
