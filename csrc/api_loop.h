@@ -66,6 +66,27 @@ typedef struct {
     int64_t line_timeout_ns[LINES_MAX]; /* to take set-points again while drives are enabled; 0: there is no such line */
 } guard_config;
 
+/* ---------------------------------------------------------------------------------------------- late ticks
+ * What each tick that was late has to show, for the search of what made it late. Each is a difference to the tick before. */
+enum {
+    STAGE_WAKE = 0,   /* from the deadline to the thread's wake-up */
+    STAGE_INPUT = 1,  /* commands, control and feedback are taken */
+    STAGE_CORE = 2,   /* core_step */
+    STAGE_OUTPUT = 3, /* set-points to the lines, state page, journal */
+    STAGE_NOTIFY = 4, /* lines and asyncio are woken, the watchdog's pin moves */
+    TICK_STAGES = 5
+};
+enum { LATE_TICKS_MAX = 1024 }; /* a power of two */
+typedef struct {
+    int64_t deadline_ns;
+    int64_t stage_ns[TICK_STAGES];
+    int64_t ready_ns;     /* the thread could have run and had no CPU; -1: the kernel does not count it */
+    uint32_t page_faults; /* minor and major */
+    uint32_t preemptions; /* involuntary context switches */
+    int32_t cpu;          /* at the end of the tick */
+    int32_t cpu_before;   /* at the end of the tick before */
+} late_tick;
+
 /* ---------------------------------------------------------------------------------------------------- loop
  * One loop a process: its state is static, so that the thread needs no memory. */
 typedef struct {
@@ -84,6 +105,7 @@ typedef struct {
     uint32_t lock_memory;        /* 1: mlockall(MCL_CURRENT | MCL_FUTURE) */
     uint32_t hold_dma_latency;   /* 1: /dev/cpu_dma_latency open and 0 while the loop runs */
     guard_config guard;
+    int64_t late_from_ns; /* ticks whose wake-up or end is so late are recorded; 0: none is, and no tick pays for it */
 } loop_config;
 
 typedef struct {
@@ -104,6 +126,7 @@ typedef struct {
     uint64_t watchdog_edges;
     int32_t watchdog_errno; /* of the last write */
     uint32_t reserved_too;
+    uint64_t late_lost; /* late ticks for which there was no place */
 } loop_status;
 
 enum {
@@ -121,4 +144,5 @@ int loop_stop(void); /* last set-points zero and not enabled; 0 or -ESRCH */
 void loop_status_read(loop_status *out);
 int loop_histogram_read(uint32_t kind, histogram *out);
 int loop_histogram_clear(void);        /* asked for; done by the loop at its next tick */
+int loop_late_take(late_tick *out);    /* 1: the oldest late tick; 0: there is no more. One reader */
 int loop_state_read(robot_state *out); /* as page_read, on the loop's own page */

@@ -52,6 +52,7 @@ static void *run(void *unused)
     (void)unused;
     loop_thread_prepare(&config, &grant);
     loop_rehearse(&work, &rehearsal);
+    late_open(&work.late);
     int64_t deadline_ns = clock_now_ns();
     while (!stop_requested) {
         loop_tick(&work, clock_now_ns(), deadline_ns);
@@ -61,6 +62,7 @@ static void *run(void *unused)
         work.overruns += schedule_next(&deadline_ns, work.period_ns, clock_now_ns());
         wait_until(deadline_ns);
     }
+    late_close(&work.late);
     loop_rest(&work, clock_now_ns());
     return NULL;
 }
@@ -69,7 +71,7 @@ static bool is_good(const loop_config *loop)
 {
     return loop->rate_hz >= 10 && loop->rate_hz <= 20000 && loop->priority >= 0 && loop->priority <= 99 && loop->page_fd >= -1 &&
            loop->journal_fd >= -1 && loop->event_fd >= -1 && loop->command_fd >= -1 && loop->stop_fd >= -1 &&
-           guard_config_check(&loop->guard) == 0;
+           loop->late_from_ns >= 0 && guard_config_check(&loop->guard) == 0;
 }
 
 /* The file is given its full size first: a hole in a full file system would be a SIGBUS in the thread. */
@@ -210,6 +212,7 @@ void loop_status_read(loop_status *out)
         .watchdog_well = work.guard.watchdog_well,
         .watchdog_edges = work.guard.watchdog_edges,
         .watchdog_errno = work.guard.watchdog_errno,
+        .late_lost = work.late.lost,
     };
 }
 
@@ -244,6 +247,11 @@ int loop_histogram_clear(void)
     }
     work.clear_histograms = true;
     return 0;
+}
+
+int loop_late_take(late_tick *out)
+{
+    return late_take(&work.late, out) ? 1 : 0;
 }
 
 int loop_state_read(robot_state *out)

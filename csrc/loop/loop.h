@@ -10,6 +10,7 @@
 #include "exchange.h"
 #include "guard.h"
 #include "ingress.h"
+#include "loop_late.h"
 
 /* All that a tick touches, in one static block that is written before the first tick. */
 typedef struct {
@@ -30,6 +31,7 @@ typedef struct {
     bool woken;            /* the tick before had a new command */
     bool stopping;         /* the set-points of the last tick were none that move */
     histogram histogram[HISTOGRAM_KINDS];
+    late_log late;
     core_state core; /* with the snapshot of the last tick */
     core_input input;
     setpoints out;

@@ -40,6 +40,7 @@ int loop_work_init(loop_work *work, const loop_config *loop, const core_config *
     work->disarmed = false;
     work->stop_arrived = false;
     guard_init(&work->guard, &loop->guard);
+    late_init(&work->late, loop->late_from_ns);
     arbiter_init(&work->arbiter, &work->core.config, &work->core.limits);
     work->used_stamp_ns = 0;
     work->stopping = true;
@@ -267,16 +268,19 @@ static void work_once(loop_work *work, int64_t now_ns)
     twist_command before = work->input.command;
     clear_histograms_on_request(work);
     take_inputs(work, now_ns);
+    late_mark(&work->late, STAGE_INPUT);
     int64_t dt_ns = work->last_ns == 0 ? work->period_ns : now_ns - work->last_ns;
     double dt_s = (double)dt_ns * 1e-9;
     if (work->journal != NULL) {
         journal_before(work->journal, &work->core);
     }
     core_step(&work->core, &work->input, dt_s, &work->out, NULL);
+    late_mark(&work->late, STAGE_CORE);
     hand_on(work);
     if (work->journal != NULL) {
         journal_after(work->journal, &work->input, dt_s, &work->out, &work->core.snapshot);
     }
+    late_mark(&work->late, STAGE_OUTPUT);
     bool stopping = moves_nothing(&work->out);
     bool new_command = !same_command(&work->input.command, &before);
     /* A new command, or a stop, does not wait for a line's next turn. What the first instant of a ramp changes may be less
@@ -308,12 +312,15 @@ static void drive_watchdog(loop_work *work, int64_t now_ns)
 
 void loop_tick(loop_work *work, int64_t now_ns, int64_t deadline_ns)
 {
+    late_begin(&work->late, now_ns, deadline_ns);
     work_once(work, now_ns);
     drive_watchdog(work, now_ns);
     histogram_add(&work->histogram[HISTOGRAM_LATENESS], now_ns - deadline_ns);
     if (work->ticks == 1 || work->ticks % PAGE_FAULT_EVERY_TICKS == 0) {
         count_page_faults(work);
     }
+    late_mark(&work->late, STAGE_NOTIFY);
+    late_end(&work->late);
     histogram_add(&work->histogram[HISTOGRAM_STEP], clock_now_ns() - now_ns);
 }
 

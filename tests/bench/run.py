@@ -21,6 +21,7 @@ import bus
 import bus_command
 import can_bus
 import core_instructions
+import culprits
 import datagram
 import lateness
 import servo_bus
@@ -114,6 +115,12 @@ def wake_ups(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
     return "\n".join([head, *rows]), found, lateness.verdicts(found)
 
 
+def late_ticks(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
+    seconds, pairs = {Size.SMOKE: (1.0, 1), Size.QUICK: (3.0, 1), Size.WHOLE: (10.0, 3)}[size]
+    found = culprits.measure(seconds, pairs)
+    return culprits.table(found), found, culprits.verdicts(found)
+
+
 PARTS = {
     "core": core,
     "wire": on_the_wire,
@@ -122,6 +129,7 @@ PARTS = {
     "board": on_a_stream,
     "datagram": datagrams,
     "lateness": wake_ups,
+    "culprits": late_ticks,
     "bus": second_process,
     "twist": from_twist,
 }

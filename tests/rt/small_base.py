@@ -61,6 +61,7 @@ def settings(
     notify_hz: float = 50.0,
     lock_memory: bool = False,
     hold_dma_latency: bool = False,
+    late_from_ns: int = 0,
 ) -> rt.LoopSettings:
     return rt.LoopSettings(
         rate_hz=rate_hz,
@@ -69,6 +70,7 @@ def settings(
         notify_hz=notify_hz,
         lock_memory=lock_memory,
         hold_dma_latency=hold_dma_latency,
+        late_from_ns=late_from_ns,
     )
 
 

@@ -57,6 +57,20 @@ def test_python_that_starts_processes_costs_the_thread_no_page_fault():
     assert loop.status().page_faults == 0
 
 
+def test_late_ticks_are_recorded_on_request_only(loop):
+    until(lambda: loop.status().ticks > 20)
+    assert loop.take_late() == []
+    loop.stop()
+    with rt.Loop(core_config(), settings(late_from_ns=1)) as recording:
+        until(lambda: recording.status().ticks > 20)
+    late = recording.take_late()
+    assert len(late) + recording.status().late_lost == recording.status().ticks
+    assert [one.deadline_ns for one in late] == sorted({one.deadline_ns for one in late})
+    assert all(min(one.stage_ns[1:]) >= 0 and one.stage_ns[2] > 0 for one in late)
+    assert all(one.woken_ns < one.end_ns for one in late)
+    assert all(0 <= one.cpu < os.cpu_count() for one in late)
+
+
 def test_after_a_stop_in_motion_every_line_is_sent_zero_and_off(loop):
     lease = arm(loop)
     lease.send(0.5, 0.0)

@@ -26,6 +26,8 @@ from motord.tools.latency.measure import LatencyError, LatencyOptions, run_laten
 from motord.tools.latency.other_end import PEER
 from motord.tools.latency.report import FIGURES
 from motord.tools.latency.rig import core_config
+from motord.tools.latency.switches import SwitchesUnknown, SwitchReader
+from motord.tools.latency.trials import may_be_paused, paused, search
 
 ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": f"{ROOT / 'daemon'}:{ROOT / 'hal'}:{ROOT}"}
@@ -128,6 +130,74 @@ def test_under_load_it_measures_all_the_same_and_leaves_nothing_behind(load):
     assert found["load"] == load
     assert all(spread["samples"] > 0 for _, spread in spreads(found))
     assert helpers() == []
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """Skips where the kernel keeps its records to itself."""
+    try:
+        SwitchReader([0]).__exit__()
+    except SwitchesUnknown as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.usefixtures("recorded")
+def test_the_kernels_records_name_who_starts_processes_and_who_had_a_processor():
+    begin_ns = time.monotonic_ns()
+    with SwitchReader(range(os.cpu_count() or 1)) as reader:
+        pids = []
+        for _ in range(10):
+            with subprocess.Popen(["true"]) as child:
+                pids.append(child.pid)
+        switches = reader.read(time.monotonic_ns())
+    assert switches.forks[os.getpid()] >= len(pids)
+    assert [switches.parent[pid] for pid in pids] == [os.getpid()] * len(pids)
+    assert {switches.name[pid] for pid in pids} == {"true"}
+    held = [switches.held(cpu, begin_ns, time.monotonic_ns()) for cpu in switches.on]
+    assert all(any(pid in one for one in held) for pid in pids)
+
+
+def searched(kind, **more):
+    report = search(
+        LatencyOptions(seconds=1.0, cpu=(0,), load=kind), lambda _: None, lambda _: None, **more
+    )
+    return report if any(one.kind == KINDS[kind] for one in report.verdict.suspects) else None
+
+
+KINDS = {"fork": "fork", "faults": "page faults"}
+
+
+@pytest.mark.usefixtures("recorded")
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_program_that_delays_the_loop_is_among_the_suspects(kind):
+    report = wait_until(lambda: searched(kind, pause=True), f"{kind} is a suspect", 120.0)
+    found = json.loads(json.dumps(report.to_json(), allow_nan=False))["late"]
+    assert report.load == kind
+    assert found["late_ticks"] > 0
+    assert sum(found["stages"].values()) == found["late_ticks"]
+    assert found["trials"][0]["name"] == "as it is"
+    assert helpers() == []
+
+
+@pytest.mark.usefixtures("recorded")
+def test_a_paused_program_goes_on_afterwards_and_ours_are_never_paused():
+    with subprocess.Popen(["sleep", "60"]) as child:
+        state = Path(f"/proc/{child.pid}/stat")
+        assert may_be_paused(child.pid)
+        with pytest.raises(ZeroDivisionError), paused(child.pid):
+            wait_until(lambda: state.read_text().split()[2] == "T", "stopped")
+            raise ZeroDivisionError
+        wait_until(lambda: state.read_text().split()[2] != "T", "goes on")
+        child.kill()
+    assert not any(may_be_paused(pid) for pid in (1, os.getpid(), os.getppid(), child.pid))
+    with subprocess.Popen([*COMMAND, "--help"], stdout=subprocess.PIPE, env=ENVIRONMENT) as own:
+        assert not may_be_paused(own.pid)
+        own.communicate(timeout=DEADLINE_S)
+
+
+def test_without_the_search_no_tick_is_recorded(report):
+    assert report.verdict is None
+    assert "late" not in report.to_json()
 
 
 def test_progress_grows():

@@ -6,7 +6,7 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,6 +16,10 @@ from motord.tools.latency.load import LOADS
 from motord.tools.latency.plot import PlotMissing, plot, require_matplotlib
 from motord.tools.latency.report import FIGURES, LatencyReport
 
+if TYPE_CHECKING:
+    from motord.tools.latency.suspects import Verdict
+
+SUSPECTS_SHOWN = 5
 UNRESPONSIVE_PERIOD_S = 5.0
 """Between two lines of progress where stderr is no terminal."""
 
@@ -54,7 +58,18 @@ UNRESPONSIVE_PERIOD_S = 5.0
     default="none",
     show_default=True,
     help="Load during the measurement: computing processes, writing processes, or a thread of this "
-    "process that keeps Python's GIL busy.",
+    "process that keeps Python's GIL busy; a process at SCHED_FIFO 90, one that forks, or one with "
+    "a page-faulting thread.",
+)
+@click.option(
+    "--suspects",
+    is_flag=True,
+    help="Find what makes ticks late: who had the CPU, and what changes with it. Run it as root.",
+)
+@click.option(
+    "--pause",
+    is_flag=True,
+    help="With --suspects: stop each program that is named for some seconds, one at a time.",
 )
 @click.option(
     "--plot",
@@ -79,6 +94,8 @@ def latency(
     priority: int,
     cpu: tuple[int, ...],
     load: str,
+    suspects: bool,
+    pause: bool,
     picture: Path | None,
     pair: tuple[Path, Path] | None,
     as_json: bool,
@@ -95,10 +112,13 @@ def latency(
              motord latency --rate-hz 2000 --load gil --plot gil.png
              motord latency --json > before.json
              motord latency --compare before.json after.json
+             sudo motord latency --suspects
     """
     if pair:
         show_comparison(pair, as_json=as_json)
         return
+    if pause and not suspects:
+        raise click.UsageError("--pause goes with --suspects")
     from motord.tools.latency.load import LoadError
     from motord.tools.latency.measure import LatencyError, LatencyOptions, Progress, run_latency
 
@@ -116,7 +136,12 @@ def latency(
         )
 
     try:
-        report = run_latency(options, progress, warn)
+        if suspects:
+            from motord.tools.latency.trials import search
+
+            report = search(options, progress, warn, pause=pause, now=line.note)
+        else:
+            report = run_latency(options, progress, warn)
     except (LatencyError, LoadError, TimeoutError, OSError) as error:
         raise Failure(str(error) or type(error).__name__) from error
     finally:
@@ -171,6 +196,11 @@ class ProgressLine:
             self._next_s = time.monotonic() + UNRESPONSIVE_PERIOD_S
             click.echo(line, err=True)
 
+    def note(self, text: str) -> None:
+        """What is measured next."""
+        self.end()
+        click.echo(f"once more: {text}", err=True)
+
     def end(self) -> None:
         if self._terminal:
             click.echo("\r\033[K", nl=False, err=True)
@@ -213,8 +243,28 @@ def table(report: LatencyReport) -> str:
     if found["cyclictest_us"] is None:
         lines.append(f"no cyclictest: {report.cyclictest_note}")
     lines += [f"REFUSED: {sentence}" for sentence in report.refusals.values()]
+    if report.verdict is not None:
+        lines += verdict_lines(report, report.verdict)
     lines.append(f"class: {report.latency_class}: {report.latency_class.meaning}")
     return "\n".join(lines)
+
+
+def verdict_lines(report: LatencyReport, verdict: Verdict) -> list[str]:
+    """What made ticks late, the greatest share first, and what changed with each switch."""
+    late = verdict.late_ticks + verdict.late_lost
+    found = f"{late} ticks more than {verdict.late_from_us:g} µs late: {verdict.late_per_s:.1f} /s"
+    lines = ["", found, *([verdict.note] if verdict.note else [])]
+    if verdict.culprit is None:
+        return [*lines, "there is no culprit"]
+    stages = ", ".join(f"{name} {count}" for name, count in verdict.stages.items())
+    lines.append(f"  longest stage: {stages}")
+    lines += [f"  {tag}: {count}" for tag, count in verdict.tags.items()]
+    shown = verdict.suspects[:SUSPECTS_SHOWN]
+    lines += [f"  {100 * one.share:3.0f} %  {one.words}" for one in shown]
+    for one in report.trials:
+        rates = f"{one.late_per_s:8.1f} late ticks /s{one.overruns_per_s:8.1f} overruns /s"
+        lines.append(f"  {one.name + ':':<40}{rates}")
+    return [*lines, f"culprit: {verdict.culprit.words}", f"  mend: {verdict.culprit.cure}"]
 
 
 def heading(report: LatencyReport) -> tuple[str, str]:

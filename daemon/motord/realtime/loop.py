@@ -41,6 +41,7 @@ from motord.realtime.types import (
     CoreConfig,
     GyroConfig,
     JointConfig,
+    LateTick,
     LoopSettings,
     LoopStatus,
     Percentiles,
@@ -63,6 +64,7 @@ __all__ = [
     "Bucket",
     "LoopSettings",
     "LoopStatus",
+    "LateTick",
     "Control",
     "Loop",
     "PageInUse",
@@ -227,6 +229,7 @@ class Loop:
                 "lock_memory": settings.lock_memory,
                 "hold_dma_latency": settings.hold_dma_latency,
                 "guard": settings.guard or {},
+                "late_from_ns": settings.late_from_ns,
             },
         )
 
@@ -339,6 +342,7 @@ class Loop:
             watchdog=raw.watchdog_well != 0,
             watchdog_edges=raw.watchdog_edges,
             watchdog_errno=raw.watchdog_errno,
+            late_lost=raw.late_lost,
         )
 
     def stop_requests(self) -> StopRequests:
@@ -372,6 +376,24 @@ class Loop:
     def clear_histograms(self) -> None:
         """Done by the loop at its next tick. Raises OSError when it does not run."""
         _raise_for(lib.loop_histogram_clear(), "loop_histogram_clear")
+
+    def take_late(self) -> list[LateTick]:
+        """The ticks that were late (`LoopSettings.late_from_ns`) since the last call."""
+        raw = ffi.new("late_tick *")
+        found = []
+        while lib.loop_late_take(raw):
+            found.append(
+                LateTick(
+                    deadline_ns=raw.deadline_ns,
+                    stage_ns=tuple(raw.stage_ns),
+                    ready_ns=raw.ready_ns if raw.ready_ns >= 0 else None,
+                    page_faults=raw.page_faults,
+                    preemptions=raw.preemptions,
+                    cpu=raw.cpu,
+                    cpu_before=raw.cpu_before,
+                )
+            )
+        return found
 
     def _read_histogram(self, kind: HistogramKind) -> Any:
         _raise_for(lib.loop_histogram_read(kind, self._buffers.histogram), "loop_histogram_read")

@@ -176,6 +176,8 @@ class LoopSettings:
     """A datagram socket, not blocking, on which stop requests come in; it stays the caller's."""
     guard: GuardConfig | None = None
     """The pins of safety. None: there are none."""
+    late_from_ns: int = 0
+    """Ticks whose wake-up or end is so late are recorded for `Loop.take_late`; 0: none is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -197,6 +199,38 @@ class LoopStatus:
     watchdog_edges: int
     watchdog_errno: int
     """Of the last write to it."""
+    late_lost: int = 0
+    """Late ticks for which there was no place."""
+
+
+STAGES = ("wake", "input", "core", "output", "notify")
+"""Of a tick, by STAGE_*."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LateTick:
+    """A tick that was late, and what its thread's counters grew by since the tick before."""
+
+    deadline_ns: int
+    stage_ns: tuple[int, ...]
+    """By STAGES; the first from the deadline to the wake-up."""
+    ready_ns: int | None
+    """The thread could have run and had no CPU; None: the kernel does not count it."""
+    page_faults: int
+    preemptions: int
+    cpu: int
+    cpu_before: int
+    """At the end of the tick before."""
+
+    @property
+    def woken_ns(self) -> int:
+        """When the thread woke up."""
+        return self.deadline_ns + self.stage_ns[0]
+
+    @property
+    def end_ns(self) -> int:
+        """When its work was done."""
+        return self.deadline_ns + sum(self.stage_ns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

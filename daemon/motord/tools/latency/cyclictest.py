@@ -64,12 +64,14 @@ def parse(text: str) -> tuple[Spread, tuple[Bar, ...]]:
 class Beside:
     """A cyclictest that runs; `result()` ends it and reads what it counted until then."""
 
-    def __init__(self, process: asyncio.subprocess.Process | None, line: list[str]) -> None:
-        self._process, self._line = process, line
+    def __init__(
+        self, process: asyncio.subprocess.Process | None, line: list[str], why_not: str = ""
+    ) -> None:
+        self._process, self._line, self._why_not = process, line, why_not
 
     async def result(self) -> CyclictestResult:
         if self._process is None:
-            return CyclictestResult(None, (), "cyclictest is not installed (package rt-tests)")
+            return CyclictestResult(None, (), self._why_not)
         with contextlib.suppress(ProcessLookupError):
             self._process.send_signal(signal.SIGINT)
         try:
@@ -87,12 +89,16 @@ class Beside:
 
 @contextlib.asynccontextmanager
 async def beside(
-    rate_hz: float, seconds: float, priority: int, cpu: tuple[int, ...]
+    rate_hz: float, seconds: float, priority: int, cpu: tuple[int, ...], *, suspects: bool = False
 ) -> AsyncIterator[Beside]:
-    """Starts cyclictest where it is installed; it is gone after the block, whatever happened."""
+    """Starts cyclictest where it is installed; it is gone after the block, whatever happened. Not
+    in the search for `suspects`: it has the loop's priority, and would be one."""
     line = command(rate_hz, seconds, priority, cpu)
+    if suspects:
+        yield Beside(None, line, "cyclictest does not run with --suspects")
+        return
     if shutil.which(line[0]) is None:
-        yield Beside(None, line)
+        yield Beside(None, line, "cyclictest is not installed (package rt-tests)")
         return
     async with running(line) as process:
         cyclictest = Beside(process, line)

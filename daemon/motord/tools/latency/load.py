@@ -13,7 +13,9 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-LOADS = ("none", "cpu", "io", "gil")
+LOADS = ("none", "cpu", "io", "gil", "fifo", "fork", "faults")
+CULPRITS = ("fifo", "fork", "faults")
+"""One process that delays the loop in a known manner, for trying --suspects."""
 BURNER = Path(__file__).with_name("burner.py")
 IO_PROCESSES = 2
 START_DEADLINE_S = 20.0
@@ -26,12 +28,16 @@ class LoadError(Exception):
 
 
 @contextlib.contextmanager
-def load(kind: str) -> Iterator[None]:
+def load(kind: str, cpu: tuple[int, ...] = ()) -> Iterator[None]:
     """`cpu`: a process a processor that computes; `io`: processes that write and fsync; `gil`: a
-    thread of this process that never waits; `none`. On when the block begins. Raises LoadError.
+    thread of this process that never waits; `fifo`: a real-time process above the loop; `fork`: one
+    that starts processes; `faults`: one whose thread takes and gives back memory, these three on
+    the processors `cpu` (none: any); `none`. On when the block begins. Raises LoadError.
     """
     with contextlib.ExitStack() as cleanup:
-        if kind == "cpu":
+        if kind in CULPRITS:
+            burn(cleanup, kind, 1, ",".join(map(str, cpu)) or "-")
+        elif kind == "cpu":
             burn(cleanup, "cpu", len(os.sched_getaffinity(0)), "-")
         elif kind == "io":
             folder = tempfile.TemporaryDirectory(prefix="motord-latency-", dir=disk_directory())
@@ -48,12 +54,13 @@ def disk_directory() -> str | None:
     return next((d for d in DISK_DIRECTORIES if os.access(d, os.W_OK | os.X_OK)), None)
 
 
-def burn(cleanup: contextlib.ExitStack, kind: str, count: int, folder: str) -> None:
-    """In sessions of their own: a Ctrl-C is the measurement's, which then ends them."""
+def burn(cleanup: contextlib.ExitStack, kind: str, count: int, where: str) -> None:
+    """`where`: the folder to write to, or the processors. In sessions of their own: a Ctrl-C is
+    the measurement's, which then ends them."""
     processes = []
     for _ in range(count):
         process = subprocess.Popen(
-            [sys.executable, "-I", str(BURNER), kind, str(os.getpid()), folder],
+            [sys.executable, "-I", str(BURNER), kind, str(os.getpid()), where],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             start_new_session=True,
@@ -69,7 +76,10 @@ def wait_for_first_byte(process: subprocess.Popen[bytes]) -> None:
     assert process.stdout is not None
     ready, _, _ = select.select([process.stdout], [], [], START_DEADLINE_S)
     if not ready or not process.stdout.read(1):
-        raise LoadError(f"a process for the load did not start within {START_DEADLINE_S:.0f} s")
+        raise LoadError(
+            f"the process for the load did not start within {START_DEADLINE_S:.0f} s, or the "
+            "kernel refused what it needs (--load fifo needs SCHED_FIFO 90: root, or rtprio)"
+        )
 
 
 def end(process: subprocess.Popen[bytes]) -> None:

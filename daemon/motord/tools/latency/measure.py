@@ -20,6 +20,8 @@ from motord.tools.latency.machine import CpuTimes, machine_facts
 from motord.tools.latency.other_end import Answers, LatencyError, OtherEnd, other_end, own_port
 from motord.tools.latency.report import NOTHING, Bar, LatencyReport, Spread, Window
 from motord.tools.latency.rig import Rig, core_config
+from motord.tools.latency.suspects import Verdict
+from motord.tools.latency.watcher import Watcher, late_from_ns
 from motord_hal.base.clock import within
 
 __all__ = ["LatencyError", "LatencyOptions", "Progress", "measure", "run_latency"]
@@ -41,6 +43,8 @@ class LatencyOptions:
     """SCHED_FIFO 1..99; 0: SCHED_OTHER."""
     cpu: tuple[int, ...] = ()
     load: str = "none"
+    suspects: bool = False
+    """Record the late ticks and what ran then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,9 +126,10 @@ async def measure(
         priority=options.priority,
         cpu=options.cpu,
         notify_hz=min(options.rate_hz, NOTIFY_MAX_HZ),
+        late_from_ns=late_from_ns(options.rate_hz) if options.suspects else 0,
     )
     loop = Loop(core_config(), settings)
-    with own_port() as (far_fd, near_fd), load(options.load), loop:
+    with own_port() as (far_fd, near_fd), load(options.load, options.cpu), loop:
         for sentence in loop.status().refusals.values():
             warn(sentence)
         async with other_end(far_fd, options.priority) as peer:
@@ -143,20 +148,28 @@ class Run:
         self.ended_early = False
         self.steal_percent = 0.0
         self.cyclictest = CyclictestResult(None, (), "")
+        self.watcher = Watcher(loop, options.rate_hz) if options.suspects else None
+        self.verdict: Verdict | None = None
 
     async def drive(self, progress: Callable[[Progress], None]) -> None:
         """Arm, measure for the time that was asked for, stop the loop."""
         options = self.options
         await self.rig.arm(1.0 / options.rate_hz)
-        with asked_to_end() as end:
+        with asked_to_end() as end, self.watcher or contextlib.nullcontext():
             async with beside(
-                options.rate_hz, options.seconds, options.priority, options.cpu
+                options.rate_hz,
+                options.seconds,
+                options.priority,
+                options.cpu,
+                suspects=options.suspects,
             ) as cyclictest:
                 await self._forget_start()
                 with self.rig.listening():
                     self.peer.begin()
                     await self._watch(end, progress)
                     self.peer.end()
+                if self.watcher is not None:
+                    self.verdict = self.watcher.verdict()
                 self.loop.stop()
                 self.timeline.look()
                 self.cyclictest = await cyclictest.result()
@@ -168,6 +181,8 @@ class Run:
         next_window_s = begin_s + window_s
         while (now_s := time.monotonic()) < begin_s + seconds and not end.is_set():
             self.rig.stay_alive()
+            if self.watcher is not None:
+                self.watcher.look()
             if now_s >= next_window_s:
                 self.timeline.look()
                 next_window_s = now_s + window_s
@@ -187,6 +202,8 @@ class Run:
     async def _forget_start(self) -> None:
         """The ticks before belong to no measurement; the loop clears them away at its next tick."""
         self.timeline = Timeline(self.loop)
+        if self.watcher is not None:
+            self.watcher.begin()
         self.loop.clear_histograms()
         async with within(CLEAR_DEADLINE_S):
             while True:
@@ -231,6 +248,7 @@ class Run:
             ),
             cyclictest_histogram=self.cyclictest.histogram,
             timeline=tuple(self.timeline.windows),
+            verdict=self.verdict,
         )
 
 

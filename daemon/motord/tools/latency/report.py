@@ -6,7 +6,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from motord.tools.latency.suspects import Verdict
+    from motord.tools.latency.trials import Trial
 
 FRACTIONS = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
 FIGURES = (*FRACTIONS, "max")
@@ -157,6 +161,10 @@ class LatencyReport:
     histogram: Sequence[Bar] = field(repr=False, default=())
     cyclictest_histogram: Sequence[Bar] = field(repr=False, default=())
     timeline: Sequence[Window] = field(repr=False, default=())
+    verdict: Verdict | None = None
+    """What made ticks late; None: it was not looked for."""
+    trials: Sequence[Trial] = ()
+    """The same again with one suspect switched off."""
 
     @property
     def latency_class(self) -> LatencyClass:
@@ -164,6 +172,9 @@ class LatencyReport:
 
     def to_json(self) -> dict[str, Any]:
         """The keys of `motord latency --json`."""
+        searched = {}
+        if self.verdict is not None:
+            searched = self.verdict.to_json() | {"trials": [one.to_json() for one in self.trials]}
         return {
             "rate_hz": self.rate_hz,
             "seconds": number(self.seconds),
@@ -185,4 +196,5 @@ class LatencyReport:
             "refusals": self.refusals,
             "steal_percent": number(self.steal_percent),
             "machine": self.machine,
+            **({"late": searched} if searched else {}),
         }
