@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which thread had which processor when, and which process started which, by the kernel's own records
-(perf_event_open(2)): context switches, forks and names of all processors."""
+"""Which thread had which processor when, and which process started which, by the kernel's own
+records (perf_event_open(2)): context switches, forks and names of all processors."""
 
 from __future__ import annotations
 
