@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`motord init` at a real terminal, with simulated drives on the port."""
 
+import re
+
 import pytest
 from tests.sim.daemon_stage import DEADLINE_S, ROBOT
 from tests.sim.person_stage import at_terminal
@@ -38,6 +40,73 @@ def test_the_drive_is_found_and_the_file_is_written(port, tmp_path):
     assert (robot.line["main"].port, robot.line["main"].baudrate) == (str(port), 115200)
     assert robot.joint["left"].drive == "zlac8015d"
     assert not robot.publish
+
+
+def test_drives_on_a_can_bus_are_found_and_a_mecanum_base_is_written(tmp_path):
+    four = tmp_path / "four.toml"
+    text = (ROBOT.parent / "mecanum4.toml").read_text(encoding="utf-8")
+    begin, end = text.index("[line."), text.index("[joint.")
+    line = f'[line.bus]\nkind = "can"\ninterface = "unix"\nchannel = "{tmp_path}/bus"\n\n'
+    text = text[:begin] + line + text[end:]
+    for number, name in enumerate(("front_left", "front_right", "rear_left", "rear_right"), 11):
+        place = name.replace("_", "-")
+        text = re.sub(
+            rf'(\[joint.{name}\]\n)line = .*\n.*\n.*\n.*\nplace = "{place}"',
+            rf'\1line = "bus"\ndrive = "odrive-0.6"\nunit = {number}\nplace = "{place}"', text,
+        )  # fmt: skip
+    four.write_text(text, encoding="utf-8")
+    file = tmp_path / "cart.toml"
+    with (
+        start_simulator(four, link_dir=tmp_path / "ports", timeout_s=DEADLINE_S),
+        at_terminal("init", file, "--at", f"unix:{tmp_path}/bus", "--name", "cart") as screen,
+    ):
+        screen.wait(r"node 11: ODrive, firmware 0.6.*: odrive-0.6")
+        screen.answer(r"Which drive profile\? \[odrive-0.6\] ", "")
+        screen.answer(r"Which base\?", "mecanum")
+        screen.answer("Radius of a loaded wheel", "0.08")
+        screen.answer("Distance from the middle of a left", "0.4")
+        screen.answer("front axle to the rear one", "0.35")
+        screen.answer(r"Top speed\?", "0.5")
+        screen.answer(r"Top speed sideways\?", "0.3")
+        screen.answer("Fastest turn", "1")
+        screen.answer("Motor turns for a wheel turn", "1")
+        screen.answer(r"front left wheel.*\[11.1\] ", "")
+        screen.answer(r"front right wheel.*\[12.1\] ", "")
+        screen.answer(r"rear left wheel.*\[13.1\] ", "14")
+        screen.answer(r"rear right wheel.*\[14.1\] ", "13")
+        screen.wait("Next: motord run")
+        assert screen.end() == 0
+    robot = load_robot(file)
+    assert robot.base.kind == "mecanum"
+    assert robot.line["main"].address == f"unix:{tmp_path}/bus"
+    assert [joint.unit for joint in robot.joint.values()] == [11, 12, 14, 13]
+
+
+def test_a_simulated_can_robot_runs_on_the_bus_that_its_file_names(tmp_path):
+    file = tmp_path / "cart.toml"
+    words = ("--at", "simulated", "--drive", "odrive-0.6", "--name", "cart", "--left", "1",
+             "--right", "2", "--wheel-radius-m", "0.08", "--track-m", "0.4", *REST)  # fmt: skip
+    with at_terminal("init", file, *words) as screen:
+        screen.wait(r"motord simulate \S+ --link-dir (\S+)")
+        assert screen.end() == 0
+    address = load_robot(file).line["main"].address
+    with (
+        start_simulator(file, link_dir=file.with_suffix(".ports"), timeout_s=DEADLINE_S),
+        at_terminal("scan", address) as screen,
+    ):
+        screen.wait("node 1: ODrive")
+        screen.wait("node 2: ODrive")
+        assert screen.end() == 0
+
+
+def test_a_roboclaw_is_found(tmp_path):
+    claw = ROBOT.parent / "roboclaw.toml"
+    with start_simulator(claw, link_dir=tmp_path, timeout_s=DEADLINE_S) as simulator:
+        (port,) = simulator.ports.values()
+        with at_terminal("scan", port, "--baudrate", "115200", "--parity", "none") as screen:
+            screen.wait("unit 128 at 115200 baud.*RoboClaw")
+            screen.wait("roboclaw: 1 of 1")
+            assert screen.end() == 0
 
 
 def test_a_wrong_profile_is_noticed(port, tmp_path):

@@ -2,6 +2,7 @@
 """The guided set-up, by options and by answers."""
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -106,6 +107,37 @@ def test_an_implausible_radius_is_asked_about_aloud():
     assert robot.base.wheel_radius_m == 0.085
 
 
+def test_a_mecanum_base_has_four_wheels_by_place_and_a_speed_sideways():
+    given = replace(WHOLE, base="mecanum", wheelbase_m=0.35, lateral_m_s=0.3, left=None, right=None)
+    text, robot = written(given, Answering("", "", "2.1", "2.2"))
+    assert (robot.base.kind, robot.base.wheelbase_m, robot.base.rollers) == ("mecanum", 0.35, "x")
+    found = {name: (j.place, j.unit, j.channel, j.inverted) for name, j in robot.joint.items()}
+    assert found == {
+        "front_left": ("front-left", 1, 1, False), "front_right": ("front-right", 1, 2, True),
+        "rear_left": ("rear-left", 2, 1, False), "rear_right": ("rear-right", 2, 2, True),
+    }  # fmt: skip
+    assert robot.limits.lateral_m_s == 0.3
+    assert "from the front axle to the rear one" in text
+
+
+@pytest.mark.parametrize("count", [3, 4, 5])
+def test_an_omni_base_has_its_wheels_around_it(count):
+    units = {f"wheel_{n + 1}": (n + 1, 1) for n in range(count)}
+    given = replace(WHOLE, base="omni", drive="odrive-0.6", radius_m=0.15, wheel_count=count,
+                    lateral_m_s=0.3, addresses=units, left=None, right=None)  # fmt: skip
+    person = Answering()
+    _, robot = written(given, person)
+    angles_rad = [joint.angle_rad for joint in robot.joint.values()]
+    assert angles_rad == pytest.approx([(n + 0.5) * 2 * math.pi / count for n in range(count)])
+    assert [joint.unit for joint in robot.joint.values()] == list(range(1, count + 1))
+    assert person.questions == []
+
+
+def test_a_wheel_that_the_base_has_not_is_refused():
+    with pytest.raises(Failed, match=r"--unit middle=.*this base has left, right"):
+        written(replace(WHOLE, addresses={"middle": (1, 1)}))
+
+
 def test_a_drive_on_pins_is_led_to_its_example():
     with pytest.raises(Failed, match="pi5-bts7960"):
         set_up(Answering(), replace(WHOLE, place="pwmchip0", drive="bts7960", full_duty_rad_s=9.0),
@@ -144,7 +176,7 @@ def test_places_of_a_machine_are_listed_by_kind(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "kind"), [("/dev/ttyUSB0", "serial"), ("usb:A1", "serial"), ("can0", "can"),
-                       ("pwmchip0", "pwm")]
+                       ("unix:/tmp/bus", "can"), ("pwmchip0", "pwm")]
 )  # fmt: skip
 def test_a_named_place_has_a_kind(name, kind):
     assert place_of(name) == Place(kind, name, "")

@@ -11,22 +11,28 @@ import click
 
 from motord.cli.common import POSITIVE, dry_run_option, json_option, print_json
 
+KINDS = ("differential", "skid", "mecanum", "omni")
+
 
 @click.command
 @click.argument("robot_file", metavar="ROBOT.toml", type=click.Path(path_type=Path))
 @click.option("--name", help="The robot's name. Default: that of the file.")
 @click.option(
     "--at", "place", metavar="PLACE",
-    help="Serial port (a path or usb:SERIAL), CAN interface, or simulated.",
+    help="Serial port (a path or usb:SERIAL), CAN interface (can0, or KIND:CHANNEL), or simulated.",
 )  # fmt: skip
 @click.option("--drive", help="Drive profile (motord drives).")
 @click.option(
-    "--base", type=click.Choice(["differential", "skid"]),
-    help="Casters that follow, or wheels that scrub in a turn.",
+    "--base", type=click.Choice(KINDS),
+    help="Casters that follow, wheels that scrub, or wheels with rollers.",
 )  # fmt: skip
 @click.option("--wheel-radius-m", type=POSITIVE, help="Radius of the loaded wheel.")
 @click.option("--track-m", type=POSITIVE, help="From the left wheels to the right ones.")
+@click.option("--wheelbase-m", type=POSITIVE, help="Mecanum: from the front axle to the rear one.")
+@click.option("--radius-m", type=POSITIVE, help="Omni: from the middle of the base to a wheel.")
+@click.option("--wheel-count", type=click.IntRange(3, 8), help="Omni: number of wheels.")
 @click.option("--linear-m-s", type=POSITIVE, help="Top speed.")
+@click.option("--lateral-m-s", type=POSITIVE, help="Top speed sideways (mecanum, omni).")
 @click.option("--angular-rad-s", type=POSITIVE, help="Fastest turn.")
 @click.option("--gear-ratio", type=POSITIVE, help="Motor turns for a wheel turn.")
 @click.option(
@@ -39,24 +45,30 @@ from motord.cli.common import POSITIVE, dry_run_option, json_option, print_json
 @click.option("--parity", type=click.Choice(["none", "even", "odd"]), help="Of a serial port.")
 @click.option("--left", metavar="UNIT[.CHANNEL]", help="Drive of the left wheel.")
 @click.option("--right", metavar="UNIT[.CHANNEL]", help="Drive of the right wheel.")
-@click.option("--scan/--no-scan", default=True, help="Look for drives on a serial port.")
+@click.option(
+    "--unit", "addresses", metavar="WHEEL=UNIT[.CHANNEL]", multiple=True,
+    help="Drive of a wheel, such as front_left=1.2 or wheel_1=3. Repeatable.",
+)  # fmt: skip
+@click.option("--scan/--no-scan", default=True, help="Look for drives on a port or bus.")
 @click.option(
     "--scan-within-s", type=POSITIVE, default=60.0, show_default=True,
-    help="End the scan after this time.",
+    help="End the scan of a serial port after this time.",
 )  # fmt: skip
 @dry_run_option
 @json_option
 def init(robot_file: Path, dry_run: bool, as_json: bool, **options: Any) -> None:
     """Find the drives, ask what cannot be found, and write a robot file with comments.
 
-    Every question has an option, so a script can answer them all. A scan of a serial port only
-    reads. The file is not written if it is there already or would not pass motord check.
+    Every question has an option, so a script can answer them all. A scan only reads; on a CAN bus
+    it listens first. The file is not written if it is there already or would not pass motord check.
 
-    For mecanum and omni bases begin with an example: motord robots mecanum4.
+    Bases that steer, drives on pins and drives that take a torque need more answers than this asks:
+    begin with an example (motord robots).
 
     \b
     Example: motord init robot.toml
              motord init robot.toml --at simulated --drive zlac8015d --base differential
+             motord init robot.toml --at can0 --base mecanum
     """
     from motord.cli.check_text import understood_rows
     from motord.cli.terminal import Terminal, failing
@@ -70,6 +82,10 @@ def init(robot_file: Path, dry_run: bool, as_json: bool, **options: Any) -> None
         for side in ("left", "right"):
             if options[side] is not None:
                 options[side] = unit_and_channel(options[side])
+        options["addresses"] = {
+            name: unit_and_channel(address)
+            for name, _, address in (one.partition("=") for one in options["addresses"])
+        }
         answers = set_up(person, Given(**options), robot_file)
         text, robot = robot_text(answers, robot_file)
         if not dry_run:
@@ -88,6 +104,7 @@ def init(robot_file: Path, dry_run: bool, as_json: bool, **options: Any) -> None
         click.echo(row)
     name = shlex.quote(str(robot_file))
     ports = shlex.quote(str(simulated_ports(robot_file)))
-    if answers.line.get("port", "").startswith(str(simulated_ports(robot_file))):
+    port = answers.line.get("port", answers.line.get("channel", ""))
+    if port.startswith(str(simulated_ports(robot_file))):
         click.echo(f"Next, in another terminal: motord simulate {name} --link-dir {ports}")
     click.echo(f"Next: motord run {name}, then motord spin --all, then motord calibrate all")

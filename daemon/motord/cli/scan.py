@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord scan`: who answers on an RS485 line, and which drive it may be."""
+"""`motord scan`: who answers on a serial port or a CAN bus, and which drive it may be."""
 
 from __future__ import annotations
 
@@ -37,7 +37,10 @@ def _units(_context: click.Context, _option: click.Parameter, text: str) -> rang
     default="1-16",
     help="Units to look for, such as 1-16 or 7.",
 )
-@click.option("--baudrate", type=click.IntRange(300, 4_000_000), help="Try only this one.")
+@click.option(
+    "--baudrate", type=click.IntRange(300, 4_000_000),
+    help="Try only this one. Bit rate of a CAN adapter that is not the kernel's.",
+)  # fmt: skip
 @click.option("--parity", type=click.Choice(["none", "even", "odd"]), help="Try only this one.")
 @click.option(
     "--within-s", type=click.FloatRange(0.1, 3600), default=60.0, show_default=True,
@@ -64,17 +67,24 @@ def scan(
 ) -> None:
     """Find the drives on the line at PORT: baud rate, parity, units and matching profiles.
 
-    The scan only reads. PORT is a device file or usb:SERIAL; no other program may have it open. The
-    exit status is 0 if a drive answered, 1 if none did, and 3 if the port cannot be opened.
+    The scan only reads. PORT is a device file or usb:SERIAL, which no other program may have open,
+    or a CAN interface: can0, or KIND:CHANNEL of another adapter. On CAN it listens first, and asks
+    only where no drive speaks by itself, or in the protocol that they speak. The exit status is 0
+    if a drive answered, 1 if none did, and 3 if the port cannot be opened.
 
     \b
     Example: motord scan /dev/ttyUSB0
+             motord scan can0
              motord scan /dev/ttyUSB0 --units 1-247 --baudrate 115200
              motord scan /dev/ttyAMA0 --directions --unit 1 --baudrate 115200
     """
+    from motord.commission.hardware import place_of
     from motord.tools.scan import USUAL
     from motord_hal.base.errors import PortError
 
+    if place_of(port).kind == "can":
+        _scan_can(port, baudrate, as_json=as_json)
+        return
     settings = list(dict.fromkeys((baudrate or rate, parity or mark) for rate, mark in USUAL))
     try:
         if directions:
@@ -109,7 +119,53 @@ def _scan(
         raise click.exceptions.Exit(Exit.FAILED)
 
 
+def _scan_can(port: str, baudrate: int | None, *, as_json: bool) -> None:
+    from motord.commission.hardware import (
+        FD_BITRATE,
+        USUAL_BITRATE,
+        can_address,
+        carries_fd,
+        interface_bit_rate,
+    )
+    from motord.tools.scan_can import scan_can
+    from motord_hal.base.errors import PortError
+
+    address = can_address(port)
+    bitrate = baudrate or interface_bit_rate(address) or USUAL_BITRATE
+    try:
+        found = scan_can(address, bitrate, FD_BITRATE if carries_fd(address) else None, _say)
+    except PortError as error:
+        raise Failure(str(error), Exit.FAULT) from error
+    if as_json:
+        print_json({"port": port, "found": [asdict(one) for one in found]})
+    else:
+        for one in found:
+            _print(port, one)
+    if not found:
+        _say("no node answers: bit rate, termination, power? docs/can.md goes on from here")
+        raise click.exceptions.Exit(Exit.FAILED)
+
+
+def _print_node(port: str, found: Found) -> None:
+    from motord.commission.hardware import can_address
+
+    interface, _, channel = can_address(port).partition(":")
+    drive = found.matches[0].profile if found.matches else "..."
+    line = f'kind = "can", interface = "{interface}", channel = "{channel}"'
+    rows = [
+        f"node {found.unit}: {found.answer}",
+        f"    profiles: {', '.join(match.profile for match in found.matches) or 'none fits'}",
+        "    for the robot file:",
+        f"      [line.can]  {line}, bitrate = {found.baudrate}",
+        f'      [joint.NAME]  line = "can", drive = "{drive}", unit = {found.unit}',
+    ]
+    click.echo("\n".join(rows))
+
+
 def _print(port: str, found: Found) -> None:
+    if found.kind == "can":
+        _print_node(port, found)
+        return
     rows = [f"unit {found.unit} at {found.baudrate} baud, parity {found.parity}: {found.answer}"]
     rows += [
         f"    {match.profile}: {match.fitting} of {match.asked} registers fit"

@@ -111,7 +111,8 @@ class _WheelType(click.ParamType[tuple[str, str, float]]):
     "--can",
     metavar="INTERFACE:CHANNEL",
     default="",
-    help="Interface of the CAN lines: socketcan:vcan0. Default: UDP datagrams.",
+    help="Interface of the CAN lines: socketcan:vcan0. Default: the line's own if it is of kind "
+    "unix, else UDP datagrams.",
 )
 @click.option(
     "--units",

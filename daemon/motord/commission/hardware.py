@@ -8,10 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from motord_hal.can.netlink import bit_rate
 from motord_hal.serial.sysfs import usb_ports
 
 ARPHRD_CAN = "280"
 """Linux: include/uapi/linux/if_arp.h."""
+FD_BITRATE = 5_000_000
+"""What CAN FD transceivers of drives carry."""
+USUAL_BITRATE = 500_000
+"""Of CAN, where the adapter does not say."""
+CANFD_MTU = "72"
+"""Linux: include/uapi/linux/can.h."""
 BOARD_PORTS = ("ttyAMA*", "ttyTHS*", "ttymxc*", "serial[0-9]*")
 """UARTs on the pins of a board; ttyS of a PC are mostly not there."""
 
@@ -47,12 +54,37 @@ def places(root: Path = Path("/")) -> list[Place]:
 
 
 def place_of(name: str) -> Place:
-    """One that a person names: a device file, usb:SERIAL, a CAN interface or pwmchipN."""
+    """One that a person names: a device file, usb:SERIAL, a CAN interface (can0, or KIND:CHANNEL of
+    another adapter), or pwmchipN."""
     if name.startswith("pwmchip"):
         return Place("pwm", name, "")
     if name.startswith(("/", "usb:", ".")):
         return Place("serial", name, "")
     return Place("can", name, "")
+
+
+def can_address(name: str) -> str:
+    """INTERFACE:CHANNEL of a CAN bus; a name alone is one of the kernel's interfaces."""
+    return name if ":" in name else f"socketcan:{name}"
+
+
+def interface_bit_rate(address: str) -> int | None:
+    """Bits a second that the kernel's interface is set to; None: it does not say, or there is no
+    such interface."""
+    interface, _, channel = address.partition(":")
+    if interface != "socketcan":
+        return None
+    with contextlib.suppress(OSError):
+        return bit_rate(channel)
+    return None
+
+
+def carries_fd(address: str, root: Path = Path("/")) -> bool:
+    """Whether frames of CAN FD can be sent there now."""
+    interface, _, channel = address.partition(":")
+    if interface == "socketcan":
+        return _text(root / f"sys/class/net/{channel}/mtu") == CANFD_MTU
+    return interface in ("unix", "virtual")
 
 
 def _stable(root: Path, device: str) -> str:

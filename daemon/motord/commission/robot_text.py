@@ -21,13 +21,14 @@ _DECELERATION, _ACCELERATION_S = 1.5, 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wheel:
-    """One joint: name, side, where its motor is, and further keys."""
+    """One joint: name, the keys that place it on the base, where its motor is, further keys."""
 
     name: str
-    side: str
+    placed: Mapping[str, Any]
+    """As {"side": "left"}."""
     unit: int
     channel: int
-    inverted: bool
+    inverted: bool = False
     more: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -36,11 +37,12 @@ class Answers:
     """All that `motord init` asks."""
 
     name: str
-    base: str
-    wheel_radius_m: float
-    track_m: float
+    base: Mapping[str, Any]
+    """Keys of the base, kind first."""
     linear_m_s: float
     angular_rad_s: float
+    lateral_m_s: float | None
+    """None: the base cannot move sideways."""
     line: Mapping[str, Any]
     """Keys of the line, but for cycle_hz."""
     drive: str
@@ -62,22 +64,19 @@ def robot_text(answers: Answers, file: Path) -> tuple[str, Robot]:
 
 def _text(answers: Answers, cycle_hz: float) -> str:
     schema = (config_dir() / "schema" / "robot.schema.json").as_uri()
-    slip = ["track_slip_factor = 1.5      # turn ten times on the spot: counted over made turns"]
     three_s = 3.0 / cycle_hz
     parts = [
         f"#:schema {schema}",
         "# Written by motord init. Every key, with unit and range: motord schema",
         f"[robot]\nname = {json.dumps(answers.name)}\n",
-        "# Measure both on the floor; motord calibrate makes them exact.",
+        "# Measured on the floor; motord calibrate makes radii and track of two sides exact.",
         "[base]",
-        f"kind = {json.dumps(answers.base)}",
-        f"wheel_radius_m = {answers.wheel_radius_m:g}      # loaded, from axle to floor",
-        f"track_m = {answers.track_m:g}      # from middle to middle of the tyres",
-        *(slip if answers.base == "skid" else []),
+        *(_commented(key, value) for key, value in answers.base.items()),
         "",
         "# What the base may do at most. At run time: motord params set, then save.",
         "[limits]",
         *_limits("linear", "m_s", answers.linear_m_s),
+        *([] if answers.lateral_m_s is None else _limits("lateral", "m_s", answers.lateral_m_s)),
         *_limits("angular", "rad_s", answers.angular_rad_s),
         "",
         "# When the robot stops by itself.",
@@ -111,11 +110,26 @@ def _joint(answers: Answers, wheel: Wheel) -> str:
         f"drive = {json.dumps(answers.drive)}",
         f"unit = {wheel.unit}",
         f"channel = {wheel.channel}",
-        f"side = {json.dumps(wheel.side)}",
+        *(f"{key} = {_toml(value)}" for key, value in wheel.placed.items()),
         *(["inverted = true      # it faces the other side"] if wheel.inverted else []),
         *(f"{key} = {_toml(value)}" for key, value in wheel.more.items()),
     ]
     return "\n".join([*rows, ""])
+
+
+_COMMENTS = {
+    "wheel_radius_m": "loaded, from axle to floor",
+    "track_m": "from middle to middle of the tyres, across",
+    "wheelbase_m": "from the front axle to the rear one",
+    "radius_m": "from the middle of the base to the wheels",
+    "track_slip_factor": "turn ten times on the spot: counted over made turns",
+    "rollers": "what the upper rollers form, seen from above",
+}
+
+
+def _commented(key: str, value: Any) -> str:
+    comment = f"      # {_COMMENTS[key]}" if key in _COMMENTS else ""
+    return f"{key} = {_toml(value)}{comment}"
 
 
 def _toml(value: Any) -> str:

@@ -4,18 +4,31 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from motord.commission.hardware import Place, place_of, places
+from motord.commission.base_setup import STRAFING, asked, base_of, unit_and_channel, wheels_of
+from motord.commission.hardware import (
+    FD_BITRATE,
+    USUAL_BITRATE,
+    Place,
+    can_address,
+    carries_fd,
+    interface_bit_rate,
+    place_of,
+    places,
+)
 from motord.commission.person import Failed, Person
-from motord.commission.robot_text import Answers, Wheel
+from motord.commission.robot_text import Answers
 from motord.config.drives.load import find_profile, list_profiles, load_profile
 from motord.tools.scan import USUAL, Found, scan
+from motord.tools.scan_can import scan_can
 from motord_hal.base.errors import HalError, ProfileError
 from motord_hal.drives.profile import DriveProfile
+
+__all__ = ["Given", "set_up", "simulated_ports", "unit_and_channel"]
 
 SIMULATED = "simulated"
 LINE_KINDS = {
@@ -24,9 +37,6 @@ LINE_KINDS = {
     "hoverboard": "hoverboard", "hoverboard-steer": "hoverboard", "sabertooth": "sabertooth",
 }  # fmt: skip
 """Protocol of a profile → kind of its line."""
-FD_BITRATE = 5_000_000
-"""What CAN FD transceivers of drives carry."""
-RADIUS_USUAL_M, TRACK_USUAL_M = (0.02, 0.4), (0.08, 3.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +49,13 @@ class Given:
     base: str | None = None
     wheel_radius_m: float | None = None
     track_m: float | None = None
+    wheelbase_m: float | None = None
+    radius_m: float | None = None
+    """Of an omni base: from its middle to its wheels."""
+    wheel_count: int | None = None
+    """Of an omni base."""
     linear_m_s: float | None = None
+    lateral_m_s: float | None = None
     angular_rad_s: float | None = None
     gear_ratio: float | None = None
     counts_per_turn: int | None = None
@@ -49,6 +65,8 @@ class Given:
     left: tuple[int, int] | None = None
     """Unit and channel."""
     right: tuple[int, int] | None = None
+    addresses: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    """Unit and channel by the name of a joint."""
     scan: bool = True
     units: range = range(1, 17)
     scan_within_s: float = 60.0
@@ -57,40 +75,31 @@ class Given:
 def set_up(person: Person, given: Given, file: Path) -> Answers:
     """Ask everything. Raises Failed, Aborted."""
     place = _place(person, given)
+    if given.drive is not None:
+        _profile(given.drive, place)  # before a scan that takes a minute
     found = _scanned(person, given, place)
     drive, profile = _drive(person, given, found, place)
     name = given.name or person.text("What is the robot's name?", _name_of(file))
-    base = given.base or person.choose(
-        "Two driven sides with casters, or four driven wheels that scrub?", ["differential", "skid"]
-    )
-    radius_m = _plausible(
-        person, given.wheel_radius_m, "Radius of a loaded wheel, from axle to floor?",
-        RADIUS_USUAL_M, (0.005, 5.0),
-        lambda value: f"{value:g} m: a wheel of {2 * value:.3g} m across?",
-    )  # fmt: skip
-    track_m = _plausible(
-        person, given.track_m, "Distance from the middle of a left tyre to that of a right one?",
-        (max(TRACK_USUAL_M[0], radius_m), TRACK_USUAL_M[1]), (0.02, 20.0),
-        lambda value: f"{100 * value:.3g} cm between left and right wheels?",
-    )  # fmt: skip
-    linear_m_s = _asked(
-        person, given.linear_m_s, "Top speed? 0.5 is a slow walk", "m/s", 0.01, 10.0
-    )
-    angular_rad_s = _asked(
+    base = base_of(person, given)
+    linear_m_s = asked(person, given.linear_m_s, "Top speed? 0.5 is a slow walk", "m/s", 0.01, 10.0)
+    lateral_m_s = None
+    if base["kind"] in STRAFING:
+        lateral_m_s = asked(person, given.lateral_m_s, "Top speed sideways?", "m/s", 0.01, 10.0)
+    angular_rad_s = asked(
         person, given.angular_rad_s, "Fastest turn on the spot? 1.0 is a turn in six seconds",
         "rad/s", 0.01, 20.0,
     )  # fmt: skip
     more = _joint_keys(person, given, profile)
+    units = [one.unit for one in found if name_fits(one, drive)]
     return Answers(
         name=name,
         base=base,
-        wheel_radius_m=radius_m,
-        track_m=track_m,
         linear_m_s=linear_m_s,
         angular_rad_s=angular_rad_s,
+        lateral_m_s=lateral_m_s,
         line=_line(given, place, found, profile, file),
         drive=drive,
-        wheels=_wheels(person, given, found, profile, more),
+        wheels=wheels_of(person, given, base, units, sorted(profile.channels), more),
     )
 
 
@@ -113,25 +122,54 @@ def _place(person: Person, given: Given) -> Place | None:
 
 
 def _scanned(person: Person, given: Given, place: Place | None) -> list[Found]:
-    """Who answers on a serial port. The scan only reads."""
-    if place is None or place.kind != "serial" or not given.scan:
+    """Which drives answer there. The scan only reads."""
+    if place is None or place.kind == "pwm" or not given.scan:
         return []
-    settings = [
-        one for one in USUAL if given.baudrate in (None, one[0]) and given.parity in (None, one[1])
-    ] or [(given.baudrate or 115200, given.parity or "none")]
-    found: list[Found] = []
     try:
-        for one in scan(place.name, settings, given.units, given.scan_within_s, person.progress):
-            matches = ", ".join(match.profile for match in one.matches[:3]) or "no profile fits"
-            person.show(f"  unit {one.unit} at {one.baudrate} {one.parity}: {matches}")
+        found = _on_bus(person, given, place) if place.kind == "can" else []
+        for one in _on_port(person, given, place) if place.kind == "serial" else ():
             found.append(one)
+            _show_found(person, one)
             if person.aborted():
                 raise Failed("the scan was ended: nothing was written")
     except HalError as error:
         raise Failed(f"{place.name}: {error}") from error
-    if not found:
+    if not found and place.kind == "serial":
         person.show("no unit answers: A and B swapped? power, ground, unit? (docs/rs485.md)")
+    elif not found:
+        person.show("no node answers: bit rate, termination, power? (docs/can.md)")
     return found
+
+
+def _on_port(person: Person, given: Given, place: Place) -> Iterator[Found]:
+    person.show(
+        "The scan sends reads. A controller that takes each byte as a speed (Sabertooth in "
+        "simplified serial mode) would turn: keep its wheels off the ground."
+    )
+    settings = [
+        one for one in USUAL if given.baudrate in (None, one[0]) and given.parity in (None, one[1])
+    ] or [(given.baudrate or 115200, given.parity or "none")]
+    return scan(place.name, settings, given.units, given.scan_within_s, person.progress)
+
+
+def _on_bus(person: Person, given: Given, place: Place) -> list[Found]:
+    address = can_address(place.name)
+    bitrate = given.baudrate or interface_bit_rate(address) or USUAL_BITRATE
+    data_bitrate = FD_BITRATE if carries_fd(address) else None
+    found = scan_can(address, bitrate, data_bitrate, person.progress, person.aborted)
+    if person.aborted():
+        raise Failed("the scan was ended: nothing was written")
+    for one in found:
+        _show_found(person, one)
+    return found
+
+
+def _show_found(person: Person, one: Found) -> None:
+    matches = ", ".join(match.profile for match in one.matches[:3]) or "no profile fits"
+    if one.kind == "can":
+        person.show(f"  node {one.unit}: {one.answer}: {matches}")
+    else:
+        person.show(f"  unit {one.unit} at {one.baudrate} {one.parity}: {matches}")
 
 
 def _drive(
@@ -143,15 +181,26 @@ def _drive(
         if not proposed:
             person.show(f"drive profiles: {', '.join(_known(place))}")
         name = person.text("Which drive profile?", proposed)
+    profile = _profile(name, place)
+    _require_match(person, given, found, name)
+    return name, profile
+
+
+def _profile(name: str, place: Place | None) -> DriveProfile:
+    """Raises Failed for one that is not there, or not for such a place."""
     try:
         profile = find_profile(name)
     except ProfileError as error:
         raise Failed(str(error)) from error
-    _require_match(person, given, found, name)
     if not _fits(profile, place):
         kind = place.kind if place else SIMULATED
         raise Failed(f'drive "{name}" speaks {profile.protocol}, which is not for {kind}')
-    return name, profile
+    return profile
+
+
+def name_fits(found: Found, drive: str) -> bool:
+    """Whether it may be such a drive: another device on the bus is no wheel."""
+    return not found.matches or drive in [match.profile for match in found.matches]
 
 
 def _require_match(person: Person, given: Given, found: list[Found], name: str) -> None:
@@ -180,49 +229,6 @@ def _fits(profile: DriveProfile, place: Place | None) -> bool:
 
 
 # ------------------------------------------------------------------------------------- the joints
-def _wheels(
-    person: Person,
-    given: Given,
-    found: list[Found],
-    profile: DriveProfile,
-    more: Mapping[str, Any],
-) -> tuple[Wheel, ...]:
-    channels = sorted(profile.channels)
-    units = [one.unit for one in found] or [1, 2]
-    if len(channels) > 1:
-        usual = ((units[0], channels[0]), (units[0], channels[1]))
-    else:
-        usual = (
-            (units[0], channels[0]),
-            (units[1] if len(units) > 1 else units[0] + 1, channels[0]),
-        )
-    at = []
-    for side, option, proposed in zip(
-        ("left", "right"), (given.left, given.right), usual, strict=True
-    ):
-        at.append(option or _unit(person, side, proposed))
-    # motors that face each other turn opposite ways; spin shows whether these do
-    return tuple(
-        Wheel(name=side, side=side, unit=unit, channel=channel, inverted=side == "right", more=more)
-        for side, (unit, channel) in zip(("left", "right"), at, strict=True)
-    )
-
-
-def _unit(person: Person, side: str, proposed: tuple[int, int]) -> tuple[int, int]:
-    text = person.text(
-        f"Unit and channel of the {side} wheel's drive, as 1.2?", f"{proposed[0]}.{proposed[1]}"
-    )
-    return unit_and_channel(text)
-
-
-def unit_and_channel(text: str) -> tuple[int, int]:
-    """`1.2`, or `1` for the first channel. Raises Failed."""
-    unit, _, channel = text.partition(".")
-    if not unit.isascii() or not unit.isdigit() or not (channel or "1").isdigit():
-        raise Failed(f'"{text}" is no unit and channel, as 1.2')
-    return int(unit), int(channel or 1)
-
-
 def _joint_keys(person: Person, given: Given, profile: DriveProfile) -> dict[str, Any]:
     keys: dict[str, Any] = {}
     channel = next(iter(profile.channels.values()))
@@ -231,13 +237,13 @@ def _joint_keys(person: Person, given: Given, profile: DriveProfile) -> dict[str
             f'drive "{profile.name}" takes a torque, and motord needs the gains of its speed loop: '
             "begin with config/robots/cia402-torque.toml (motord robots cia402-torque)"
         )
-    gear_ratio = _asked(
+    gear_ratio = asked(
         person, given.gear_ratio, "Motor turns for a wheel turn? 1 for a hub motor", "1", 0.001, 1e4
     )
     if gear_ratio != 1.0:
         keys["gear_ratio"] = gear_ratio
     if channel.duty_setpoint is not None:
-        keys["full_duty_rad_s"] = _asked(
+        keys["full_duty_rad_s"] = asked(
             person, given.full_duty_rad_s, "Speed of a wheel at full duty?", "rad/s", 0.1, 1000.0
         )
     counts = given.counts_per_turn
@@ -261,9 +267,10 @@ def _line(
         )
     keys: dict[str, Any]
     if kind == "can":
-        channel = place.name if place else "can0"
-        bitrate = given.baudrate or profile.baudrate
-        keys = {"kind": "can", "interface": "socketcan", "channel": channel, "bitrate": bitrate}
+        address = can_address(place.name) if place else f"unix:{simulated_ports(file) / 'main'}"
+        interface, _, channel = address.partition(":")
+        bitrate = given.baudrate or (found[0].baudrate if found else profile.baudrate)
+        keys = {"kind": "can", "interface": interface, "channel": channel, "bitrate": bitrate}
         if profile.can is not None and any(frame.fd for frame in profile.can.frames.values()):
             keys["data_bitrate"] = FD_BITRATE
         return keys
@@ -280,37 +287,6 @@ def _line(
 def simulated_ports(file: Path) -> Path:
     """Where `motord simulate --link-dir` puts the ports of this robot."""
     return file.absolute().with_suffix(".ports")
-
-
-# ------------------------------------------------------------------------------------------ numbers
-def _asked(
-    person: Person, given: float | None, question: str, unit: str, low: float, high: float
-) -> float:
-    if given is None:
-        return person.number(question, unit, low, high)
-    if not low <= given <= high:
-        raise Failed(f"{question} {given:g} is out of range ({low:g} to {high:g} {unit})")
-    return given
-
-
-def _plausible(
-    person: Person,
-    given: float | None,
-    question: str,
-    usual: tuple[float, float],
-    span: tuple[float, float],
-    aloud: Callable[[float], str],
-) -> float:
-    """A length; one that is not usual is asked about. An option is believed, but named."""
-    while True:
-        value = _asked(person, given, question, "m", *span)
-        if usual[0] <= value <= usual[1]:
-            return value
-        if given is not None:
-            person.show(aloud(value))
-            return value
-        if person.confirm(aloud(value)):
-            return value
 
 
 def _name_of(file: Path) -> str:

@@ -8,6 +8,7 @@ readable registers are read, and the profile fits as well as they answer within 
 
 from __future__ import annotations
 
+import itertools
 import os
 import select
 import time
@@ -33,6 +34,7 @@ from motord_hal.modbus.codec import (
     reply_bytes,
     silent_interval_s,
 )
+from motord_hal.roboclaw import codec as roboclaw
 from motord_hal.serial.port import OpenPort, SettingRefused, open_port
 
 USUAL = (
@@ -49,6 +51,10 @@ REGISTERS_A_PROFILE = 24
 FITS_FROM = 0.5
 DDSM_QUERY = 0x74
 EXCEPTION_BYTES = 5
+ROBOCLAW_UNITS = range(0x80, 0x88)
+"""All addresses that a RoboClaw can have."""
+ROBOCLAW_BATTERY = 24 << 8
+"""Read main battery voltage, by its command."""
 Answer = TypeVar("Answer")
 
 
@@ -73,7 +79,8 @@ class Found:
     baudrate: int
     parity: str
     kind: str
-    """The line's kind in a robot file: "modbus-rtu", "ddsm", "feetech" or "dynamixel"."""
+    """The line's kind in a robot file: "modbus-rtu", "ddsm", "roboclaw", "feetech", "dynamixel" or
+    "can"."""
     answer: str
     matches: tuple[Match, ...] = ()
 
@@ -108,6 +115,19 @@ class Asker:
             return reply
 
         return self._exchange(ddsm.build_request(unit, DDSM_QUERY, {}), (10,), parse)
+
+    def ask_roboclaw(self, unit: int) -> tuple[int, ...] | None:
+        """Its battery voltage, raw."""
+        request = Request(unit, Function.READ_HOLDING, ROBOCLAW_BATTERY, count=1)
+
+        def parse(reply: bytes) -> tuple[int, ...]:
+            try:
+                return roboclaw.parse(request, reply)
+            except roboclaw.PacketError as error:
+                raise FrameError(str(error)) from error
+
+        frame = roboclaw.build(request)
+        return self._exchange(frame, (roboclaw.reply_size(request),), parse)
 
     def _exchange(
         self, frame: bytes, sizes: Sequence[int], parse: Callable[[bytes], Answer]
@@ -170,8 +190,10 @@ def bound_s(settings: Sequence[tuple[int, str]], units: Sequence[int]) -> float:
         len(units) * (frame_time_s(8 + 10 + 20, baudrate, parity, 1) + 2 * REPLY_WITHIN_S + 0.008)
         for baudrate, parity in settings
     ]
-    pings_s = [servo_bound_s(baudrate, units) for baudrate, parity in settings if parity == "none"]
-    return sum(each_s) + sum(pings_s)
+    unmarked = [baudrate for baudrate, parity in settings if parity == "none"]
+    pings_s = [servo_bound_s(baudrate, units) for baudrate in unmarked]
+    claws_s = len(unmarked) * len(ROBOCLAW_UNITS) * (REPLY_WITHIN_S + 0.02)
+    return sum(each_s) + sum(pings_s) + claws_s
 
 
 def scan(
@@ -194,7 +216,7 @@ def scan(
         try:
             asker = Asker(opened, baudrate, parity)
             anybody = False
-            for found in _servos(asker, units, say):
+            for found in itertools.chain(_servos(asker, units, say), _roboclaws(asker, say)):
                 anybody = True
                 yield found
             for unit in () if anybody else units:
@@ -220,6 +242,17 @@ def _servos(asker: Asker, units: Sequence[int], say: Callable[[str], None]) -> I
         matches = (Match(profile, 1, 1),) if profile else ()
         yield Found(unit=unit, baudrate=asker.baudrate, parity=asker.parity, kind=kind,
                     answer="answers a ping", matches=matches)  # fmt: skip
+
+
+def _roboclaws(asker: Asker, say: Callable[[str], None]) -> Iterator[Found]:
+    for unit in ROBOCLAW_UNITS if asker.parity == "none" else ():
+        if asker.ask_roboclaw(unit) is None:
+            continue
+        say(f"RoboClaw {unit} answers")
+        names = [name for name, profile in _profiles() if profile.protocol == "roboclaw"]
+        yield Found(unit=unit, baudrate=asker.baudrate, parity=asker.parity, kind="roboclaw",
+                    answer="answers a RoboClaw's read",
+                    matches=tuple(Match(name, 1, 1) for name in names))  # fmt: skip
 
 
 def _look(asker: Asker, unit: int, say: Callable[[str], None]) -> Iterator[Found]:

@@ -237,7 +237,8 @@ class Rig:
         from motord_hal.sim.can.port import BusSettings, CanPort, free_address
 
         settings = BusSettings(line.baudrate, line.data_baudrate)
-        port = CanPort(self.spec.can or free_address(), settings)
+        own = line.port if line.port.startswith("unix:") else ""  # it needs no hardware
+        port = CanPort(self.spec.can or own or free_address(), settings)
         return SimulatedCanLine(line, drives, self.script, port)
 
     def _make_pins(
