@@ -22,7 +22,7 @@ class Topic:
 
 async def test_warnings_and_errors_of_any_thread_are_sent_and_the_rest_is_not():
     topic = Topic()
-    with Rosout("/r2/motord", topic).listening():
+    with Rosout("/r2/motord", topic).log.listening():
         log.info("all is well")
         log.warning("two %s", "rivals")
         await asyncio.to_thread(log.error, "no route")

@@ -76,7 +76,7 @@ class Ros2Publisher:
             self._publishers[sample.topic.name].publish(sample.message)
 
     async def _log(self) -> None:
-        with self._rosout.listening():
+        with self._rosout.log.listening():
             while True:
                 view = self._runtime.view
                 self._rosout.look(view.why() if view is not None else ())

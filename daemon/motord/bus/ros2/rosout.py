@@ -4,45 +4,25 @@ has the log of every node."""
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import time
-from collections.abc import Iterator
 from types import SimpleNamespace
 
-from motord.bus.inbox import Inbox
+from motord.bus.log_listener import LogListener
 from motord.bus.ros2.nodes import TopicPublisher
 
 ROSOUT, LOG = "/rosout", "rcl_interfaces/msg/Log"
-WAITING_MAX = 100
 _LEVELS = ((logging.CRITICAL, 50), (logging.ERROR, 40))
 """Ours and those of rcl_interfaces/Log; all else is a warning."""
 _WARN, _ERROR = 30, 40
 
 
-class Rosout(logging.Handler):
-    """Records come from any thread; they are published in the event loop."""
-
+class Rosout:
     def __init__(self, node: str, publisher: TopicPublisher) -> None:
         """`node`: full name, as it is known in ROS."""
-        super().__init__(logging.WARNING)
+        self.log = LogListener(self._publish)
         self._name, self._publisher = node.strip("/").replace("/", "."), publisher
-        self._waiting: Inbox[logging.LogRecord] = Inbox(WAITING_MAX, self._publish)
         self._why: tuple[str, ...] = ()
-
-    @contextlib.contextmanager
-    def listening(self) -> Iterator[None]:
-        """Publish what is logged meanwhile."""
-        self._waiting.open()
-        logging.getLogger().addHandler(self)
-        try:
-            yield
-        finally:
-            logging.getLogger().removeHandler(self)
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """As logging.Handler.emit."""
-        self._waiting.put(record)
 
     def look(self, why: tuple[str, ...]) -> None:
         """What has led to the faults that are latched: the daemon's own word, each once."""

@@ -88,7 +88,7 @@ class WebAdapter:
 
     async def run(self) -> None:
         """As Adapter.run."""
-        with self._events.listening():
+        with self._events.log.listening():
             async with asyncio.TaskGroup() as tasks:
                 if self._gate is not None:
                     tasks.create_task(self._gate.source.run())

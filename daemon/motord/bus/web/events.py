@@ -4,50 +4,33 @@ the log of this process."""
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from motord.bus.inbox import Inbox
+from motord.bus.log_listener import LogListener
 from motord.bus.messages.topics import View
 
 KEPT_MAX = 500
-WAITING_MAX = 100
 Event = dict[str, Any]
 _LEVELS = ((logging.ERROR, "error"), (logging.WARNING, "warning"))
 
 
-class Events(logging.Handler):
-    """Keeps the newest ones for pages that connect later. Log records come from any thread."""
+class Events:
+    """Keeps the newest ones for pages that connect later."""
 
     def __init__(self, publish: Callable[[Event], None]) -> None:
-        super().__init__(logging.WARNING)
         self._publish = publish
+        self.log = LogListener(self._take)
         self.kept: deque[Event] = deque(maxlen=KEPT_MAX)
         self._number = 0
         self.log_number = 0
         """Of the newest line of the daemon's log that was noted."""
-        self._waiting: Inbox[logging.LogRecord] = Inbox(WAITING_MAX, self._take)
         self._owner: str | None = None
         self._lines: Mapping[str, Any] = {}
         self._status_ns = 0
-
-    @contextlib.contextmanager
-    def listening(self) -> Iterator[None]:
-        """Take what is logged meanwhile."""
-        self._waiting.open()
-        logging.getLogger().addHandler(self)
-        try:
-            yield
-        finally:
-            logging.getLogger().removeHandler(self)
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """As logging.Handler.emit."""
-        self._waiting.put(record)
 
     def note(
         self, source: str, text: str, level: str = "info", wall_time_s: float | None = None
