@@ -7,6 +7,7 @@ import subprocess
 from urllib.parse import urlsplit
 
 from tests.sim.daemon_stage import DEADLINE_S, connected, ended, wait_until
+from tests.sim.web_page import bus_children
 
 from motord.client import Refused
 
@@ -71,6 +72,10 @@ class Dashboard:
 
     def wait_for_rest(self):
         wait_until(self.rests, "the wheels rest")
+
+    def children(self, command):
+        """Processes of motord-bus that run this command of motord."""
+        return bus_children(self.stage, command)
 
     def ready(self):
         """Idle, whatever was before."""

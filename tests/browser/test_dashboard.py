@@ -267,6 +267,19 @@ def test_a_register_is_read(robot, page):
     wait_until(lambda: cell.inner_text() == "36", "the register's value")
 
 
+def test_exchanges_are_shown_live_and_traced_no_longer_than_that(robot, page):
+    page.evaluate("location.hash = 'lines'")
+    button(page, "Show live").click()
+    rows = page.locator(".exchanges tbody tr")
+    wait_until(lambda: rows.count() > 10, "exchanges")
+    assert any(
+        text.startswith(("read", "write")) for text in rows.first.locator("td").all_inner_texts()
+    )
+    wait_until(lambda: len(robot.children("trace")) == 1, "one process traces")
+    page.evaluate(HIDE)
+    wait_until(lambda: not robot.children("trace"), "none traces for a hidden page")
+
+
 def test_a_recording_is_listed_and_downloaded_once(robot, page):
     page.evaluate("location.hash = 'log'")
     rows = page.locator(".recordings button")

@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The dashboard's socket, as a program without a browser sees it."""
 
-import asyncio
-import base64
 import json
 import signal
-import socket
 import struct
 import subprocess
 import sys
@@ -13,24 +10,8 @@ import urllib.request
 
 import aiohttp
 import pytest
-from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
-
-TOKEN = "a-token-for-tests-0123456789"
-DRIVE, ACKNOWLEDGE = 1, 2
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def listens(port):
-    try:
-        socket.create_connection(("127.0.0.1", port), 5.0).close()
-    except OSError:
-        return False
-    return True
+from tests.sim.daemon_stage import DEADLINE_S, ROOT
+from tests.sim.web_page import ACKNOWLEDGE, free_port, listens, pages, with_dashboard
 
 
 @pytest.fixture(scope="module")
@@ -40,63 +21,13 @@ def port():
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory, port):
-    folder = tmp_path_factory.mktemp("web")
-    token = folder / "token"
-    token.write_text(TOKEN, encoding="utf-8")
-    token.chmod(0o600)
-    settings = (
-        "input.web.kind=web", f"input.web.port={port}", f'input.web.token_file="{token}"',
-    )  # fmt: skip
-    with running(folder, *settings) as stage:
-        stage.wait_for("idle")
-        wait_until(lambda: listens(port), "the dashboard listens")
+    with with_dashboard(tmp_path_factory.mktemp("web"), port) as stage:
         yield stage
-
-
-class Page:
-    """What a page does with its socket."""
-
-    def __init__(self, connection):
-        self.connection = connection
-
-    async def until(self, wanted):
-        """The first message of which `wanted` makes something: JSON as it is, a frame as its
-        number."""
-        async with asyncio.timeout(DEADLINE_S):
-            while True:
-                message = await self.connection.receive()
-                if message.type is aiohttp.WSMsgType.BINARY:
-                    found = wanted(struct.unpack_from("<I", message.data, 5)[0])
-                else:
-                    assert message.type is aiohttp.WSMsgType.TEXT, message
-                    found = wanted(json.loads(message.data))
-                if found:
-                    return found
-
-    async def answer(self, call, **params):
-        await self.connection.send_json({"id": 7, "call": call, "params": params})
-        return await self.until(
-            lambda one: isinstance(one, dict) and one.get("answer") == 7 and one
-        )
-
-    async def drive(self, press, linear_m_s, seen_s):
-        now_ms = asyncio.get_running_loop().time() * 1e3
-        command = struct.pack("<BIddddd", DRIVE, press, now_ms, seen_s, linear_m_s, 0.0, 0.0)
-        await self.connection.send_bytes(command)
 
 
 @pytest.fixture
 async def connect(stage, port):
-    async with aiohttp.ClientSession() as session:
-
-        async def connected(token=TOKEN, **headers):
-            protocols = ["motord.1"]
-            if token is not None:
-                protocols.append("token." + base64.urlsafe_b64encode(token.encode()).decode())
-            address = f"http://127.0.0.1:{port}/socket"
-            protocols = [name.rstrip("=") for name in protocols]
-            return Page(await session.ws_connect(address, protocols=protocols, headers=headers))
-
+    async with pages(port) as connected:
         yield connected
 
 
@@ -106,7 +37,7 @@ def frame(one):
 
 
 async def test_a_page_that_acknowledges_nothing_is_sent_the_newest_state_when_it_does(connect):
-    page = await connect()
+    page = await connect(acknowledges=False)
     await page.connection.send_json({"rate_hz": 50})
     newest = 0
 

@@ -26,6 +26,7 @@ from motord.bus.web.frames import Packer
 from motord.bus.web.recordings import ADDRESS, Recordings
 from motord.bus.web.saving import save
 from motord.bus.web.seat import Seat
+from motord.bus.web.tracing import Traces
 from motord.bus.web.viewer import Viewer
 from motord.client import ClientError
 from motord.config import McapPublish, WebInput, WebServer
@@ -75,6 +76,7 @@ class WebAdapter:
                 if isinstance(found, McapPublish)
             }
         )
+        self._traces = Traces(runtime.path)
         self._packer = Packer(len(runtime.robot.joint))
         self._viewers: set[Viewer] = set()
         self._pages = self._frames = 0
@@ -93,6 +95,7 @@ class WebAdapter:
                 if self._gate is not None:
                     tasks.create_task(self._gate.source.run())
                 tasks.create_task(self._server.run())
+                tasks.create_task(self._traces.run())
                 tasks.create_task(self._follow_log())
 
     async def _follow_log(self) -> None:
@@ -188,6 +191,7 @@ class WebAdapter:
             pass  # it went away
         finally:
             self._viewers.discard(viewer)
+            self._traces.leave(viewer)
 
     def _hello(self, viewer: Viewer) -> dict[str, Any]:
         section = self._section
@@ -220,6 +224,8 @@ class WebAdapter:
                     return self._recordings.ticket(params.get("section"), params.get("name"))
                 except LookupError as error:
                     raise NotTaken(str(error)) from error
+            case "trace":
+                return self._trace(viewer, params.get("line"))
             case _ if method in LOOKS:
                 return await self._look(method)
         if self._gate is None:
@@ -238,6 +244,16 @@ class WebAdapter:
             rows = ", ".join(f"{name} = {value}" for name, value in params.items())
             self._events.note(viewer.name, rows[:200])
         return await self._gate.ask(method, **params)
+
+    def _trace(self, viewer: Viewer, line: object) -> dict[str, object]:
+        """Show that page a line's exchanges; None: no more. Raises NotTaken."""
+        if line is None:
+            self._traces.leave(viewer)
+        elif isinstance(line, str) and line in self._runtime.robot.line:
+            self._traces.show(viewer, line)
+        else:
+            raise NotTaken(f"there is no line {short(line)}")
+        return {"line": line}
 
     async def _save(self, viewer: Viewer, *, dry_run: bool) -> Any:
         """Raises NotTaken."""

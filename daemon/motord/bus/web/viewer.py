@@ -107,6 +107,11 @@ class Viewer:
         self._texts.append(text)
         self._arrived.set()
 
+    @property
+    def keeps_up(self) -> bool:
+        """It has read what it was sent: it may be sent what it can do without."""
+        return not self._texts and self._open()
+
     def end(self) -> None:
         """It does not read."""
         if (transport := self._connection.get_extra_info("transport")) is not None:
@@ -125,10 +130,15 @@ class Viewer:
                             self._take_text(message.data, tasks)
                         case _:
                             break
+                self._stand_up()
                 sending.cancel()
         finally:
-            if self._seat is not None:
-                self._seat.leave(self._driver)
+            self._stand_up()
+
+    def _stand_up(self) -> None:
+        """At once, though calls of it are still being answered."""
+        if self._seat is not None:
+            self._seat.leave(self._driver)
 
     async def _send(self) -> None:
         while True:

@@ -4,6 +4,7 @@
 import { html, useEffect, useState } from "./vendor/htm-preact.js";
 import { TEXT } from "./text.js";
 import { Card, number, Rows, useCall, useLink } from "./parts.js";
+import { Trace } from "./trace.js";
 
 const AT_ONCE = 6;
 
@@ -95,6 +96,7 @@ export function Lines({ link }) {
   const registers = Object.entries(listed ?? {}).filter(([name]) => name.startsWith("drive."));
   return html`<div class="grid two">
     ${Object.entries(link.status.lines).map(([name, line]) => html`<${Line} key=${name} name=${name} line=${line} />`)}
+    <${Trace} link=${link} />
     <p class="muted wide">${TEXT.writeOnlyDisarmed}</p>
     ${problem}
     ${link.hello.joints.map((joint) => html`<${Registers} key=${joint} link=${link} joint=${joint}

@@ -96,7 +96,7 @@ export class Link {
     this._calls = new Map();
     this._number = 0;
     this._againMs = AGAIN_MIN_MS;
-    this._listeners = { frame: new Set(), hello: new Set(), status: new Set(), refusal: new Set() };
+    this._listeners = { frame: new Set(), hello: new Set(), status: new Set(), refusal: new Set(), trace: new Set() };
     this._ended = false;
     this._connect();
   }
@@ -104,6 +104,10 @@ export class Link {
   on(kind, listener) {
     this._listeners[kind].add(listener);
     return () => this._listeners[kind].delete(listener);
+  }
+
+  _publish(kind, what) {
+    for (const listener of this._listeners[kind]) listener(what);
   }
 
   get token() { return this._token; }
@@ -165,7 +169,7 @@ export class Link {
     this.frameAt = performance.now();
     this.version += 1;
     this._send(numbered(ACKNOWLEDGE, now.sequence));
-    for (const listener of this._listeners.frame) listener(now);
+    this._publish("frame", now);
   }
 
   _take(message) {
@@ -173,16 +177,17 @@ export class Link {
     if (message.hello) this._open(message.hello);
     else if (message.status) {
       this.status = message.status;
-      for (const listener of this._listeners.status) listener(message.status);
+      this._publish("status", message.status);
     } else if ("dropped" in message) this.missed = message.dropped;
     else if (message.event) this._addEvents([message.event]);
+    else if (message.trace) this._publish("trace", message.trace);
     else if ("answer" in message) this._answered(message);
     else if (message.refused) {
       this.phase = "refused";
       this.why = message.refused;
     } else if (message.not_driven) {
       this.notDriven = message.not_driven;
-      for (const listener of this._listeners.refusal) listener(message.not_driven);
+      this._publish("refusal", message.not_driven);
     }
   }
 
@@ -195,7 +200,7 @@ export class Link {
     this.events = [];
     this._addEvents(hello.events);
     this.setRate(Math.min(this.rateHz, hello.rate_max_hz));
-    for (const listener of this._listeners.hello) listener(hello);
+    this._publish("hello", hello);
   }
 
   _addEvents(events) {

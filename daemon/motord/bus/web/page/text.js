@@ -153,6 +153,13 @@ export const TEXT = {
   size: (bytes) => bytes < 1e6 ? `${(bytes / 1e3).toFixed(0)} kB` : `${(bytes / 1e6).toFixed(1)} MB`,
 
   fleetHelp: "Robots of this page's fleet: `fleet` in each robot file names the other dashboards.",
+  trace: "Exchanges",
+  traceShow: "Show live", traceHide: "Hide",
+  traceHelp: "What goes over the line, decoded. The robot traces a line only while a page shows it.",
+  traceFailures: "Only what failed",
+  traceSkipped: (n) => (n ? `${n} more not shown` : ""),
+  time: "Time", result: "Result", reply: "Reply after", meaning: "Meaning", bytes: "Bytes",
+
   estopAll: "E-STOP for all robots",
   open: "Open",
   tokenFor: (robot) => `Token of ${robot}`,

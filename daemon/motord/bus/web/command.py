@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands of motord as processes of their own: they may load what motord-bus does without, and
+take their time without costing it any."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import sys
+from asyncio.subprocess import DEVNULL, PIPE, Process
+from collections.abc import AsyncIterator
+from typing import Any
+
+from motord.api.deadline import within
+from motord.bus.commands.gate import NotTaken
+
+NICENESS = 19
+"""They give way to everything else."""
+
+
+@contextlib.asynccontextmanager
+async def running(*arguments: str) -> AsyncIterator[Process]:
+    """`motord ARGUMENTS`, with pipes from its output; killed at the end if it still runs."""
+    child = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "motord", *arguments, stdin=DEVNULL, stdout=PIPE, stderr=PIPE
+    )
+    try:
+        with contextlib.suppress(OSError):  # it has ended
+            os.setpriority(os.PRIO_PROCESS, child.pid, NICENESS)
+        yield child
+    finally:
+        if child.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                child.kill()
+
+
+async def answer(*arguments: str, within_s: float) -> Any:
+    """What `motord ARGUMENTS --json` prints, whatever its exit status. Raises NotTaken where it
+    prints nothing."""
+    try:
+        async with within(within_s), running(*arguments, "--json") as child:
+            found, words = await child.communicate()
+    except TimeoutError:
+        raise NotTaken(f"motord {arguments[0]} did not end within {within_s:g} s") from None
+    if child.returncode and not found:
+        raise NotTaken(reason(words, arguments[0]))
+    return json.loads(found)
+
+
+def reason(words: bytes, command: str) -> str:
+    """Why it failed, from its standard error."""
+    text = words.decode(errors="replace").strip().removeprefix("Error: ")
+    return text or f"motord {command} failed"

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The exchanges of a line, live, by `motord trace`: a process runs as long as a page shows that
+line, one for all pages that do."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from asyncio.subprocess import Process
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from motord.api.deadline import within
+from motord.bus.web.command import reason, running
+from motord.bus.web.viewer import Viewer
+
+SEND_EVERY_S = 0.2
+END_WITHIN_S = 5.0
+ROWS_MAX = 40
+"""In one message: a person reads no more."""
+KEPT_MAX = 2000
+"""Between two messages."""
+USUAL = frozenset(("ok", "in", "out", "broadcast"))
+"""Results that are no failure: motord.tools.trace.exchanges.Words."""
+
+Row = dict[str, Any]
+
+
+@dataclass(eq=False)
+class _Look:
+    """At one line."""
+
+    line: str
+    viewers: set[Viewer] = field(default_factory=set)
+    rows: deque[Row] = field(default_factory=lambda: deque(maxlen=KEPT_MAX))
+    seen: int = 0
+    task: asyncio.Task[None] | None = None
+
+
+class Traces:
+    """Of all lines."""
+
+    def __init__(self, local_socket: Path) -> None:
+        self._place = ("--socket", str(local_socket))
+        self._looks: dict[str, _Look] = {}
+        self._tasks: asyncio.TaskGroup | None = None
+
+    async def run(self) -> None:
+        """Until cancelled."""
+        async with asyncio.TaskGroup() as self._tasks:
+            try:
+                await asyncio.Event().wait()
+            finally:
+                self._tasks = None
+
+    def show(self, viewer: Viewer, line: str) -> None:
+        """From now on, instead of what it was shown before."""
+        self.leave(viewer)
+        if self._tasks is None:
+            return
+        look = self._looks.get(line)
+        if look is None:
+            look = self._looks[line] = _Look(line)
+            look.task = self._tasks.create_task(self._follow(look))
+        look.viewers.add(viewer)
+
+    def leave(self, viewer: Viewer) -> None:
+        """It is shown none any more."""
+        for line, look in tuple(self._looks.items()):
+            look.viewers.discard(viewer)
+            if not look.viewers:
+                del self._looks[line]
+                if look.task is not None:
+                    look.task.cancel()
+
+    async def _follow(self, look: _Look) -> None:
+        """Until no page shows it, or the command ends."""
+        async with running("trace", look.line, "--json", *self._place) as child:
+            async with asyncio.TaskGroup() as tasks:
+                errors: deque[bytes] = deque(maxlen=1)
+                tasks.create_task(_read(child.stderr, errors.append))
+                sending = tasks.create_task(self._send(look))
+                await _read(child.stdout, lambda raw: self._take(look, raw))
+                sending.cancel()
+            await self._end(look, child, b"".join(errors))
+
+    def _take(self, look: _Look, raw: bytes) -> None:
+        look.seen += 1
+        look.rows.append(json.loads(raw))
+
+    async def _send(self, look: _Look) -> None:
+        while True:
+            await asyncio.sleep(SEND_EVERY_S)
+            if not look.seen:
+                continue
+            rows = chosen(look.rows)
+            message = {"line": look.line, "rows": rows, "skipped": look.seen - len(rows)}
+            look.rows.clear()
+            look.seen = 0
+            text = json.dumps({"trace": message})
+            for viewer in look.viewers:
+                if viewer.keeps_up:
+                    viewer.say(text)
+
+    async def _end(self, look: _Look, child: Process, words: bytes) -> None:
+        """The command has ended though pages show the line: the daemon is gone, or the line has
+        nothing to trace."""
+        with contextlib.suppress(TimeoutError):  # it is killed then
+            async with within(END_WITHIN_S):
+                await child.wait()
+        text = json.dumps({"trace": {"line": look.line, "problem": reason(words, "trace")}})
+        for viewer in look.viewers:
+            viewer.say(text)
+        if self._looks.get(look.line) is look:
+            del self._looks[look.line]
+
+
+def chosen(rows: deque[Row]) -> list[Row]:
+    """At most ROWS_MAX in their order: failures first, then the newest of the others."""
+    failed = [place for place, row in enumerate(rows) if row["result"] not in USUAL]
+    others = [place for place, row in enumerate(rows) if row["result"] in USUAL]
+    room = ROWS_MAX - len(failed[-ROWS_MAX:])
+    places = {*failed[-ROWS_MAX:], *others[len(others) - min(room, len(others)) :]}
+    return [row for place, row in enumerate(rows) if place in places]
+
+
+async def _read(stream: asyncio.StreamReader | None, take: Callable[[bytes], None]) -> None:
+    """Line by line, to its end."""
+    assert stream is not None  # it is a pipe
+    async for line in stream:
+        take(line)
