@@ -21,7 +21,7 @@ void modules_take_angle(odometry_state *state, const core_config *config, uint32
 
 void modules_look(odometry_state *state, const core_config *config, uint32_t joints)
 {
-    double middle_rad[JOINTS_MAX];
+    double middle_rad[JOINTS_MAX] = {0};
     for (uint32_t j = 0; j < config->joint_count; j++) {
         modules_take_angle(state, config, j);
         double begin_rad = isnan(state->arc_rad[j]) ? state->angle_rad[j] : state->arc_rad[j];

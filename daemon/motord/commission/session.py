@@ -178,7 +178,7 @@ def armed(client: Client, person: Person, owner: str) -> Iterator[Session]:
         try:
             client.arm()
             # a program that ended a moment ago may have left its last command, which holds back
-            # all that follow it until one asks for zero
+            # all that follow it until one is zero
             client.drive(0.0, 0.0, owner=owner)
             yield session
         finally:
