@@ -11,13 +11,14 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
-from tests.sim.daemon_stage import DEADLINE_S, ROBOT, ROOT, SLOW, running
+from tests.sim.daemon_stage import DEADLINE_S, ROBOT, ROOT, running
 
 SETTINGS = (
-    *SLOW, "input.socket.kind=socket", "input.socket.lease_s=1.0", "safety.command_timeout_s=1.0",
-    "joint.left.tries=10", "joint.right.tries=10",
+    "loop.rate_hz=250", "input.socket.kind=socket", "input.socket.lease_s=1.0",
+    "safety.command_timeout_s=1.0",
 )  # fmt: skip
 """A busy machine is no fault."""
 
@@ -123,8 +124,11 @@ def robot_of(folder, file, *settings, truth=(), wheels=(), faults=()):
     of the simulator, and by `wheels`, their physics."""
     options = [part for setting in truth for part in ("--set", setting)]
     options += [part for setting in wheels for part in ("--wheel", setting)]
+    joints = tomllib.loads(file.read_text(encoding="utf-8"))["joint"]
+    patient = ("tries=10", "reply_timeout_s=0.2")
+    tries = [f"joint.{name}.{setting}" for name in joints for setting in patient]
     with running(
-        Path(folder), *SETTINGS, *settings, robot=file, sim_options=options, faults=faults
+        Path(folder), *SETTINGS, *tries, *settings, robot=file, sim_options=options, faults=faults
     ) as stage:
         stage.wait_for("idle")
         yield stage

@@ -5,7 +5,7 @@ import contextlib
 import signal
 
 import pytest
-from tests.sim.daemon_stage import wait_until
+from tests.sim.daemon_stage import ROBOT, wait_until
 from tests.sim.person_stage import at_terminal, copied, robot_of
 
 from motord.client import ClientError
@@ -130,12 +130,12 @@ def test_it_may_begin_again_at_once(how, tmp_path):
             rests_without_power(stage)
 
 
-def test_an_armed_robot_is_refused(stage):
+def test_an_armed_robot_is_refused_before_anything_is_asked(stage):
     stage.robot.arm()
     with spinning(stage, "left") as screen:
-        screen.answer(GROUND, "y")
         assert screen.end() == 1
     assert "the robot is armed" in screen.text
+    assert "off the ground" not in screen.text
     stage.robot.disarm()
     rests_without_power(stage)
 
@@ -155,6 +155,69 @@ def test_swapped_wheels_are_found_and_put_right_in_the_file(tmp_path):
         rests_without_power(stage)
     joints = load_robot(file).joint
     assert (joints["left"].channel, joints["right"].channel) == (2, 1)
+
+
+FORWARD = "wheel turn forward"
+
+
+def test_omni_wheels_turn_one_by_one(tmp_path):
+    file = copied(tmp_path, ROBOT.parent / "omni3.toml")
+    with robot_of(tmp_path, file) as stage:
+        with spinning(stage, "--all") as screen:
+            screen.answer(GROUND, "y")
+            for name in ("front_left", "rear", "front_right"):
+                before = {n: j.position_rad for n, j in stage.sim.truth().joints.items()}
+                screen.answer(f"Did the {name} {FORWARD}", "forward")
+                after = {n: j.position_rad for n, j in stage.sim.truth().joints.items()}
+                assert after[name] - before[name] > 0.5
+                others = {abs(after[n] - before[n]) for n in after if n != name}
+                assert max(others) < 0.1 * (after[name] - before[name])
+            assert screen.end() == 0, screen.text
+        stage.wait_for("idle")  # a RoboClaw has no power to report
+        wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+
+
+MECANUM_SWAPPED = (
+    "joint.front_left.unit=2", "joint.front_left.channel=2",
+    "joint.rear_right.unit=1", "joint.rear_right.channel=1",
+)  # fmt: skip
+
+
+def test_diagonally_swapped_mecanum_wheels_are_found(tmp_path):
+    """Each wheel turns twice; the person names the one that turned both times."""
+    file = copied(tmp_path, ROBOT.parent / "mecanum4.toml")
+    with robot_of(tmp_path, file, truth=MECANUM_SWAPPED) as stage:
+        with spinning(stage, "--all") as screen:
+            screen.answer(GROUND, "y")
+            screen.wait("front_left: this base does not turn it alone")
+            screen.answer(f"Did the front_left {FORWARD} both times", "other")
+            screen.answer("Which wheel turned both times", "rear_right")
+            screen.answer(f"Did the rear_right {FORWARD}", "backward")
+            screen.answer(f"Did the front_right {FORWARD} both times", "forward")
+            screen.answer(f"Did the rear_left {FORWARD} both times", "forward")
+            screen.answer(f"Did the rear_right {FORWARD} both times", "other")
+            screen.answer("Which wheel turned both times", "front_left")
+            screen.answer(f"Did the front_left {FORWARD}", "backward")
+            screen.answer(r"Write .*cart.toml\?", "y")
+            assert screen.end() == 1
+        rests_without_power(stage)
+    joints = load_robot(file).joint
+    assert (joints["front_left"].unit, joints["front_left"].channel) == (2, 2)
+    assert (joints["rear_right"].unit, joints["rear_right"].channel) == (1, 1)
+    assert (joints["front_left"].inverted, joints["rear_right"].inverted) == (False, True)
+
+
+def test_counts_per_turn_that_are_wrong_are_named_with_their_factor(tmp_path):
+    file = copied(tmp_path)
+    counts = load_robot(file).profiles["zlac8015d"].counts_per_turn
+    truth = (f"joint.left.counts_per_turn={2 * counts}",)
+    with robot_of(tmp_path, file, truth=truth) as stage:
+        with spinning(stage, "left") as screen:
+            screen.answer(GROUND, "y")
+            screen.answer("Did the left wheel turn forward", "forward")
+            assert screen.end() == 1
+        rests_without_power(stage)
+    assert "times the commanded angle: counts_per_turn" in " ".join(screen.text.split())
 
 
 @pytest.mark.parametrize(

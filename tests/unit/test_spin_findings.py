@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What first turns of the wheels mean."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from motord.commission.spin import Turned, Wheel, twist_of_side
+from motord.commission.spin import Turned, both_times
 from motord.commission.spin_findings import findings
 from motord.config import load_robot
 
@@ -133,13 +134,19 @@ def test_a_wheel_that_stands_is_judged_by_its_current(demo, current_a, words):
     assert words in found.texts[0]
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_one_side_turns_as_a_twist_in_which_the_other_rests(side):
-    wheel = Wheel(name="one", index=0, side=side, wheel_radius_m=0.1)
-    linear_m_s, angular_rad_s = twist_of_side(wheel, 2.0, 0.5)
-    rims_m_s = {
-        "left": linear_m_s - angular_rad_s * 0.25, "right": linear_m_s + angular_rad_s * 0.25,
-    }  # fmt: skip
-    other = "left" if side == "right" else "right"
-    assert rims_m_s[side] == pytest.approx(0.2)
-    assert rims_m_s[other] == pytest.approx(0.0)
+def test_a_partner_that_counts_in_one_turn_of_two_is_no_crossed_encoder(demo):
+    first = turned("left", seen="left", left=0.0, right=3.0)
+    second = turned("left", seen="left", left=0.0, right=0.0)
+    found = findings(demo, [both_times([first, second])])
+    assert "look for an unplugged encoder" in found.texts[0]
+    stopped = replace(first, together=("left", "right"), faults=("stall",))
+    assert "look for an unplugged encoder" in findings(demo, [stopped]).texts[-1]
+
+
+def test_two_turns_count_what_was_counted_both_times():
+    found = both_times(
+        [turned("left", left=3.0, right=2.9, current_a=1.0),
+         turned("left", left=2.5, right=0.01, current_a=4.0)]
+    )  # fmt: skip
+    assert found.counted_rad == {"left": 2.5, "right": 0.01}
+    assert found.current_max_a == 4.0

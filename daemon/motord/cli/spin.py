@@ -57,7 +57,9 @@ def spin(
     robot file can mend. Any key, Ctrl-C or the emergency stop brings the wheel to rest and disarms
     the robot. The exit status is 1 if something is wrong and 0 if every wheel is right.
 
-    It is for bases with wheels on two sides, not for mecanum and omni bases.
+    A base moves as a whole, so some wheels cannot turn alone: a mecanum wheel turns twice, each
+    time with another one, and is the wheel that turns both times. What cannot be turned is refused
+    before anything is asked.
 
     \b
     Example: motord spin --all

@@ -55,6 +55,8 @@ class Session:
         angular_rad_s: float,
         seconds: float,
         enough: Callable[[Snapshot], bool] = lambda _: False,
+        *,
+        lateral_m_s: float = 0.0,
     ) -> Held:
         """Command this twist for so long, or until `enough`, then zero until the robot is at rest.
         Raises Aborted, Failed, ClientError."""
@@ -66,13 +68,19 @@ class Session:
                 return self._faulty(found)
             if time.monotonic() >= end_s or enough(newest):
                 break
-            self._command(linear_m_s, angular_rad_s)
+            self._command(linear_m_s, angular_rad_s, lateral_m_s)
         end_s = time.monotonic() + RESTS_WITHIN_S
         for newest in self._looks():
             found.append(newest)
             if newest.faults:
                 return self._faulty(found)
-            if newest.at_rest and newest.setpoint_linear_m_s == newest.setpoint_angular_rad_s == 0:
+            if newest.at_rest and not any(
+                (
+                    newest.setpoint_linear_m_s,
+                    newest.setpoint_lateral_m_s,
+                    newest.setpoint_angular_rad_s,
+                )
+            ):
                 return Held(tuple(found), ())
             if time.monotonic() > end_s:
                 raise Failed(f"the robot does not come to rest within {RESTS_WITHIN_S:g} s")
@@ -138,14 +146,14 @@ class Session:
             due_s = max(due_s + LOOK_EVERY_S, time.monotonic())
             time.sleep(max(due_s - time.monotonic(), 0.0))
 
-    def _command(self, linear_m_s: float, angular_rad_s: float) -> None:
+    def _command(self, linear_m_s: float, angular_rad_s: float, lateral_m_s: float = 0.0) -> None:
         try:
-            answer = self.client.drive(linear_m_s, angular_rad_s, owner=self.owner)
+            answer = self.client.drive(linear_m_s, angular_rad_s, lateral_m_s, owner=self.owner)
         except Refused as error:
             if self.newest().faults:
                 return  # the next look ends the motion
             raise Failed(f"another program has stopped the robot: {error}") from error
-        if (linear_m_s or angular_rad_s) and not answer["in_command"]:
+        if any((linear_m_s, angular_rad_s, lateral_m_s)) and not answer["in_command"]:
             raise Failed(f"{answer['owner']} is in command: end that program first")
         if not self.newest().armed and not self.newest().faults:
             raise Failed("another program has disarmed the robot")
@@ -159,18 +167,24 @@ class Session:
         return Held(tuple(found), faults)
 
 
-@contextlib.contextmanager
-def armed(client: Client, person: Person, owner: str) -> Iterator[Session]:
-    """Arm a robot that is at rest and disarmed; disarm it at the end. Raises Failed for one that is
-    not, Refused where it cannot be armed."""
+def require_idle(client: Client) -> str:
+    """The robot's name. Raises Failed for a robot that is not at rest and disarmed."""
     status = client.status()
     if status.state != "idle":
         why = "; ".join(status.why) or "see motord status"
         cure = "motord reset" if status.state in ("fault", "estop") else "motord disarm"
         raise Failed(f"the robot is {status.state} ({why}): {cure} first")
+    return status.robot
+
+
+@contextlib.contextmanager
+def armed(client: Client, person: Person, owner: str) -> Iterator[Session]:
+    """Arm a robot that is at rest and disarmed; disarm it at the end. Raises Failed for one that is
+    not, Refused where it cannot be armed."""
+    name = require_idle(client)
     robot = client.call("robot")
     try:
-        page = StatePage.open(status.robot, owner=client.path.stat().st_uid)
+        page = StatePage.open(name, owner=client.path.stat().st_uid)
     except NoPage as error:
         raise Failed(str(error)) from error
     with page, dead_man(client.path):

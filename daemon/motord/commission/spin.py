@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The first turn of each wheel: which one turns, in which direction, and what its encoder counts.
 
-A wheel turns alone as the twist that turns the base about the wheels of the other side: no path to
-the motors but that of every other command.
+A wheel turns by a twist of the base in which as few others as possible turn (wheel_turns): no path
+to the motors but that of every other command.
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from motord.api.snapshot import Snapshot
 from motord.client import Client
 from motord.commission.person import Failed, Person
-from motord.commission.session import Held, Session, armed
+from motord.commission.session import Held, Session, armed, require_idle
+from motord.commission.wheel_turns import Turn, together, turns_of
 
 Direction = Literal["forward", "backward", "not at all"]
 OWNER = "motord-spin"
@@ -42,8 +43,9 @@ class Wheel:
 
     name: str
     index: int
-    side: str
     wheel_radius_m: float
+    turns: tuple[Turn, ...]
+    """Twists that turn it, one after the other."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,44 +59,68 @@ class Turned:
     """By every joint's feedback."""
     current_max_a: float | None
     faults: tuple[str, ...] = ()
+    together: tuple[str, ...] = ()
+    """Joints that were commanded with it every time, and itself."""
     seen: str = ""
     """Joint that the person saw turn; empty: none."""
     direction: Direction = "not at all"
 
 
-def wheels_of(robot: Mapping[str, object]) -> dict[str, Wheel]:
+def wheels_of(robot: Mapping[str, Any]) -> dict[str, Wheel]:
     """From the daemon's answer of `robot`."""
-    sides, radii = robot["sides"], robot["wheel_radii_m"]
-    assert isinstance(sides, dict)
-    assert isinstance(radii, dict)
+    rows = {name: tuple(row) for name, row in robot["wheel_rows"].items()}
     return {
-        name: Wheel(name=name, index=index, side=side, wheel_radius_m=radii[name])
-        for index, (name, side) in enumerate(sides.items())
+        name: Wheel(
+            name=name,
+            index=index,
+            wheel_radius_m=robot["wheel_radii_m"][name],
+            turns=turns_of(rows, name, strafes=robot["strafes"]),
+        )
+        for index, name in enumerate(rows)
     }
-
-
-def twist_of_side(wheel: Wheel, speed_rad_s: float, track_m: float) -> tuple[float, float]:
-    """The twist in which the wheels of this wheel's side turn so and those of the other rest:
-    v = r w / 2, and a turn about the other side's contact points."""
-    rim_m_s = speed_rad_s * wheel.wheel_radius_m
-    turn_rad_s = rim_m_s / track_m
-    return rim_m_s / 2.0, -turn_rad_s if wheel.side == "left" else turn_rad_s
 
 
 def turn_wheel(session: Session, wheel: Wheel, speed_rad_s: float, seconds: float) -> Turned:
     """Turn one wheel forward and watch all encoders. Raises Failed, Aborted."""
-    if session.robot["strafes"]:
-        raise Failed("motord spin turns wheels of bases with two sides only: nothing was turned")
-    track_m = float(session.robot["effective_track_m"])
-    linear_m_s, angular_rad_s = twist_of_side(wheel, speed_rad_s, track_m)
-    limits = session.client.params_get("limits.linear_m_s", "limits.angular_rad_s")
-    asked = (abs(linear_m_s), abs(angular_rad_s))
-    scale = min(
-        1.0, *(most / part for part, most in zip(asked, limits.values(), strict=True) if most)
+    radii_m, joints = session.robot["wheel_radii_m"], tuple(session.robot["joints"])
+    names = ("limits.linear_m_s", "limits.lateral_m_s", "limits.angular_rad_s")
+    strafes = session.robot["strafes"]
+    limits = session.client.params_get(*(n for n in names if strafes or "lateral" not in n))
+    found = []
+    for number, turn in enumerate(wheel.turns, 1):
+        times = f", time {number} of {len(wheel.turns)}" if len(wheel.turns) > 1 else ""
+        session.person.progress(f"{wheel.name} turns{times}; any key stops it")
+        fastest = max(abs(rim) / radii_m[name] for name, rim in turn.rims.items())
+        rim_m_s = speed_rad_s / fastest
+        parts = dict(zip(names, (turn.linear, turn.lateral, turn.angular), strict=True))
+        for name, part in parts.items():
+            most = limits.get(name)
+            if most and part:
+                rim_m_s = min(rim_m_s, most / abs(part))
+        held = session.hold(
+            turn.linear * rim_m_s, turn.angular * rim_m_s, seconds,
+            lateral_m_s=turn.lateral * rim_m_s,
+        )  # fmt: skip
+        found.append(measured(wheel, joints, held))
+        if held.faults:
+            break
+    return replace(both_times(found), together=together(wheel.turns[: len(found)]))
+
+
+def both_times(turns: Sequence[Turned]) -> Turned:
+    """Of several turns of one wheel: what was counted, and commanded, every time."""
+    first = turns[0]
+    currents_a = [one.current_max_a for one in turns if one.current_max_a is not None]
+    return replace(
+        first,
+        commanded_rad=min((one.commanded_rad for one in turns), key=abs),
+        counted_rad={
+            name: min((one.counted_rad[name] for one in turns), key=abs)
+            for name in first.counted_rad
+        },
+        current_max_a=max(currents_a, default=None),
+        faults=tuple(fault for one in turns for fault in one.faults),
     )
-    session.person.progress(f"{wheel.name} turns; any key stops it")
-    held = session.hold(linear_m_s * scale, angular_rad_s * scale, seconds)
-    return measured(wheel, tuple(session.robot["joints"]), held)
 
 
 def measured(wheel: Wheel, joints: Sequence[str], held: Held) -> Turned:
@@ -127,15 +153,21 @@ def _counted_rad(first: Snapshot, last: Snapshot, index: int) -> float:
     return last.joints[index].position_rad - first.joints[index].position_rad
 
 
-def ask_what_turned(person: Person, turned: Turned, others: Sequence[str]) -> Turned:
-    """The same with the person's answer."""
+def ask_what_turned(
+    person: Person, turned: Turned, others: Sequence[str], every_time: str = ""
+) -> Turned:
+    """The same with the person's answer. `every_time`: words for a wheel that turned twice."""
     answers = ["forward", "backward", "none", *(["other"] if others else [])]
-    answer = person.choose(f"Did the {turned.joint} wheel turn forward?", answers)
+    answer = person.choose(f"Did the {turned.joint} wheel turn forward{every_time}?", answers)
     if answer == "none":
         return turned
     seen = turned.joint
     if answer == "other":
-        seen = others[0] if len(others) == 1 else person.choose("Which wheel turned?", others)
+        seen = (
+            others[0]
+            if len(others) == 1
+            else (person.choose(f"Which wheel turned{every_time}?", others))
+        )
         answer = person.choose(f"Did the {seen} wheel turn forward?", ["forward", "backward"])
     return replace(turned, seen=seen, direction="forward" if answer == "forward" else "backward")
 
@@ -163,21 +195,36 @@ def spin(
     wheels = wheels_of(client.call("robot"))
     if unknown := [name for name in names if name not in wheels]:
         raise Failed(f'no joint "{unknown[0]}": known are {", ".join(wheels)}')
+    if fixed := [name for name in names if not wheels[name].turns]:
+        raise Failed(f"no motion of this base turns {fixed[0]}: nothing was turned")
+    require_idle(client)
     require_idle_ground(person, speed_rad_s, seconds)
     found = []
     for name in names:
         wheel = wheels[name]
-        together = [each.name for each in wheels.values() if each.side == wheel.side]
-        if len(together) > 1:
-            person.show(
-                f"{name}: the wheels {', '.join(together)} turn together: this base drives its "
-                f"sides; look at {name} alone"
-            )
+        _announce(person, wheel)
         with armed(client, person, OWNER) as session:
             turned = turn_wheel(session, wheel, speed_rad_s, seconds)
         person.show(words(turned))
-        found.append(ask_what_turned(person, turned, [each for each in wheels if each != name]))
+        every_time = " both times" if len(wheel.turns) > 1 else ""
+        others = [each for each in wheels if each != name]
+        found.append(ask_what_turned(person, turned, others, every_time))
     return found
+
+
+def _announce(person: Person, wheel: Wheel) -> None:
+    """That other wheels turn too."""
+    if len(wheel.turns) > 1:
+        partners = [" and ".join(j for j in turn.joints if j != wheel.name) for turn in wheel.turns]
+        person.show(
+            f"{wheel.name}: this base does not turn it alone. It turns twice, with {partners[0]}, "
+            f"then with {partners[1]}: look which wheel turns both times"
+        )
+    elif len(wheel.turns[0].joints) > 1:
+        person.show(
+            f"{wheel.name}: the wheels {', '.join(wheel.turns[0].joints)} turn together: this base "
+            f"drives its sides; look at {wheel.name} alone"
+        )
 
 
 def words(turned: Turned) -> str:

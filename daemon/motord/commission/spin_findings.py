@@ -55,7 +55,7 @@ def _encoder(robot: Robot, turned: Turned, found: Findings) -> None:
     if not math.isfinite(own_rad):
         return
     counting = [k for k, rad in turned.counted_rad.items() if abs(rad) >= TURNED_RAD]
-    others = [k for k in counting if robot.joint[k].side != joint.side]
+    others = [k for k in counting if k not in (name, *turned.together)]
     if abs(own_rad) < TURNED_RAD and turned.seen != name:
         return  # `_wheels` judges it
     if abs(own_rad) < TURNED_RAD and others:

@@ -10,7 +10,7 @@ from typing import Any
 from motord.api.commands import CommandReport
 from motord.api.snapshot import Snapshot
 from motord.bus.publish.samples import Samples
-from motord.config.sections.bases import side_of
+from motord.config.sections.bases import side_of, wheel_row
 from motord.control.health import Health
 from motord.control.leases import Lease
 from motord.control.operation import Operation
@@ -83,6 +83,7 @@ def description(operation: Operation) -> dict[str, Any]:
         "effective_track_m": robot.base.effective_track_m,
         "wheel_radius_m": robot.base.wheel_radius_m,
         "wheel_radii_m": {name: robot.wheel_radius_m(name) for name in robot.joint},
+        "wheel_rows": {name: wheel_row(robot.base, joint) for name, joint in robot.joint.items()},
         "strafes": robot.base.strafes,
         "feedback_timeout_s": robot.safety.feedback_timeout_s,
         "inputs": robot.commanders(),
