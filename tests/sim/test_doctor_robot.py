@@ -40,6 +40,27 @@ def test_a_daemon_that_runs_well_fails_in_nothing(stage):
     assert status == 0
 
 
+def test_the_topics_of_a_bus_have_the_rates_of_the_robot_file(tmp_path):
+    publish = (
+        "publish.tape.kind=mcap", f"publish.tape.folder={json.dumps(str(tmp_path / 'tape'))}",
+        "publish.tape.rate_hz=10", "publish.tape.free_min_mb=0",
+    )  # fmt: skip
+    with running(tmp_path, *publish) as stage:
+        stage.wait_for("idle")
+        wait_until(lambda: "at_s" in (stage.robot.status()["bus"] or {}), "motord-bus reports")
+
+        def judged():
+            _, found = doctor("--socket", str(stage.socket))
+            rates = {
+                check: row for check, row in found.items() if check.startswith("3 rate of tape")
+            }
+            moving = [row for row in rates.values() if "has had no message" not in row["text"]]
+            return moving and {row["verdict"] for row in moving} == {"ok"} and rates
+
+        rates = wait_until(judged, "every topic at its rate")  # a busy machine takes some turns
+    assert "3 rate of tape/odom" in rates
+
+
 def test_a_dead_drive_and_a_second_program_on_the_port_are_named(stage):
     port = stage.robot.status()["lines"]["rs485"]["port"]
     stage.sim.inject("silence:unit=1,for_s=1000")

@@ -243,6 +243,69 @@ def test_a_pwm_chip_that_is_not_there_comes_with_the_overlay_of_this_board(plant
     assert "dtoverlay=pwm-2chan" in finding.mend
 
 
+PI4 = "raspberrypi,4-model-b\0brcm,bcm2711"
+PWM_DEVICE = "/sys/devices/platform/soc/fe20c000.pwm"
+PWM_CHIP = f"{PWM_DEVICE}/pwm/pwmchip0"
+PINMUX = "/sys/kernel/debug/pinctrl/fe200000.gpio-pinctrl-bcm2711/pinmux-pins"
+
+
+@pytest.fixture
+def pi4(plant):
+    """A Raspberry Pi 4 with its PWM chip, and pins as `rows` of the kernel's table say."""
+
+    def planted(*rows, npwm="2"):
+        table = "Format: pin (name): mux_owner gpio_owner hog?\n" + "\n".join(rows)
+        root = plant({"/proc/device-tree/compatible": PI4, f"{PWM_CHIP}/npwm": npwm, PINMUX: table})
+        link = root.path("/sys/class/pwm/pwmchip0")
+        link.parent.mkdir(parents=True)
+        link.symlink_to(root.path(PWM_CHIP))
+        root.path(f"{PWM_CHIP}/device").symlink_to(root.path(PWM_DEVICE))
+        return root
+
+    return planted
+
+
+def on_pi4(root):
+    robot = load_robot(ROBOTS / "pi4-encoders.toml")
+    return {each.check: each for each in devices.look(root, robot) if each.group == "device"}
+
+
+def given(*pins):
+    return [
+        f"pin {pin} (gpio{pin}): fe20c000.pwm (GPIO UNCLAIMED) function alt0 group gpio{pin}"
+        for pin in pins
+    ]
+
+
+def test_pwm_channels_that_pins_carry_are_ok(pi4):
+    found = on_pi4(pi4(*given(12, 13)))
+    assert [(check, one.verdict) for check, one in found.items()] == [("line.pins", "ok")]
+    assert "carries pwm0, pwm1" in found["line.pins"].text
+
+
+def test_a_channel_that_no_pin_carries_comes_with_the_overlay(pi4):
+    free = "pin 13 (gpio13): (MUX UNCLAIMED) (GPIO UNCLAIMED)"
+    found = on_pi4(pi4(*given(12), free))["line.pins"]
+    assert found.verdict == "fail"
+    assert "no pin to pwm1 of fe20c000.pwm" in found.text
+    assert "dtoverlay=pwm-2chan,pin=12,func=4,pin2=13,func2=4" in found.mend
+
+
+def test_a_chip_with_too_few_channels_is_named(pi4):
+    found = on_pi4(pi4(*given(12, 13), npwm="1"))["line.pins"]
+    assert (found.verdict, "has 1 channels, and no pwm1" in found.text) == ("fail", True)
+
+
+def test_a_pin_that_another_device_has_is_named_with_what_frees_it(pi4):
+    spi = "pin 5 (gpio5): spi0.0 (GPIO UNCLAIMED) function alt0 group gpio5"
+    free = "pin 6 (gpio6): (MUX UNCLAIMED) gpiochip0:6"
+    found = on_pi4(pi4(*given(12, 13), spi, free))
+    assert found["line.pins GPIO5"].verdict == "fail"
+    assert "belongs to spi0.0" in found["line.pins GPIO5"].text
+    assert "dtparam=spi=off" in found["line.pins GPIO5"].mend
+    assert "line.pins GPIO6" not in found
+
+
 # --------------------------------------------------------------------------------------- heartbeats
 def answer(ticks, cycles=0, **changes):
     joint = {
@@ -316,6 +379,42 @@ def test_a_rate_that_is_off_by_more_than_five_per_cent_is_found(plant):
     found = judged(plant(THREADS), answer(0, 0), answer(100, 50), answer(180, 80))
     assert found["3 rate of loop"].verdict == "warn"
     assert found["3 rate of line rs485"].verdict == "warn"
+
+
+def publishing(taken, at_s=None):
+    """What a publisher of 50 Hz has had; with `at_s` one of motord-bus, which reported it then."""
+    counted = {"taken": taken, "dropped": 0, "topics": {"odom": {"rate_hz": 50.0, "taken": taken}}}
+    if at_s is None:
+        return {"publishers": {"console": counted}}
+    return {"bus": {"pid": 9, "at_s": at_s, "publishers": {"ros2": counted}}}
+
+
+@pytest.mark.parametrize(
+    ("taken", "verdict"),
+    [(100, "ok"), (96, "ok"), (80, "warn"), (130, "warn"), (0, "fail")],
+)
+def test_the_rate_of_each_topic_is_held_against_the_robot_files(plant, taken, verdict):
+    first, last = publishing(1000), publishing(1000 + taken)
+    found = judged(plant(THREADS), answer(0, **first), answer(100, **first), answer(200, **last))
+    assert found["3 rate of console/odom"].verdict == verdict
+    first, last = publishing(1000, 5.0), publishing(1000 + taken, 7.0)
+    found = judged(plant(THREADS), answer(0, **first), answer(100, **last))
+    assert found["3 rate of ros2/odom"].verdict == verdict
+
+
+def test_a_topic_without_any_message_is_named(plant):
+    found = judged(plant(THREADS), answer(0, **publishing(0)), answer(100, **publishing(0)))
+    assert found["3 rate of console/odom"].verdict == "warn"
+    assert "has had no message" in found["3 rate of console/odom"].text
+
+
+def test_a_bus_that_has_reported_once_or_has_started_again_is_not_judged(plant):
+    once = publishing(10, 5.0)
+    found = judged(plant(THREADS), answer(0, **once), answer(100, **once))
+    assert not [check for check in found if "ros2" in check]
+    later = {"bus": {"pid": 9, "at_s": 6.0, "publishers": {}}}
+    found = judged(plant(THREADS), answer(0, **once), answer(100, **later))
+    assert not [check for check in found if "ros2" in check]
 
 
 def test_a_loop_that_stands_still_and_a_thread_that_is_missing_are_found(plant):

@@ -236,7 +236,8 @@ class Status(dict[str, Any]):
     leases: tuple[LeaseStatus, ...] = ()
     inputs: tuple[Commander, ...] = ()
     commands: Commands = field(default_factory=Commands)
-    publishers: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    publishers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Of the daemon itself: "taken", "dropped", and "topics" by name with rate and count."""
     bus: Mapping[str, Any] | None = None
     """What the second process says of itself; None: the robot file has no bus."""
     stalls: Mapping[str, Any] = field(default_factory=dict)

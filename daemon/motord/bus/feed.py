@@ -54,6 +54,16 @@ class Feed:
         self.taken = 0
         self.dropped = 0
         """Replaced by newer ones before they were taken."""
+        self._taken_of = dict.fromkeys(rates_hz, 0)
+
+    def report(self) -> dict[str, Any]:
+        """For `status`: what was taken and dropped, and of each topic its rate in Hz and how many
+        messages were taken."""
+        topics = {
+            name: {"rate_hz": round(1e9 / self._period_ns[name], 3), "taken": taken}
+            for name, taken in self._taken_of.items()
+        }
+        return {"taken": self.taken, "dropped": self.dropped, "topics": topics}
 
     @property
     def period_s(self) -> float:
@@ -89,6 +99,7 @@ class Feed:
                     continue
                 if message is not None:
                     self.taken += 1
+                    self._taken_of[name] += 1
                     yield Sample(TOPICS[name], message)
 
     def _lose(self, error: ValueError) -> None:

@@ -142,7 +142,9 @@ class Runtime:
     def figures(self) -> dict[str, Any]:
         """What went through, for the daemon's `status`."""
         publishers = {
-            name: {"taken": feed.taken, "dropped": feed.dropped}
+            name: feed.report()
+            if isinstance(feed, Feed)
+            else {"taken": feed.taken, "dropped": feed.dropped}
             for name, feed in self.feeds.items()
         }
         commanding = {
@@ -155,7 +157,12 @@ class Runtime:
             }
             for name, source in self.sources.items()
         }
-        return {"publishers": publishers, "inputs": commanding, "failures": self._failures}
+        return {
+            "at_s": time.monotonic(),
+            "publishers": publishers,
+            "inputs": commanding,
+            "failures": self._failures,
+        }
 
     # ------------------------------------------------------------------------------------ at work
     async def run(self) -> None:

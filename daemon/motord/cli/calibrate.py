@@ -15,6 +15,7 @@ from motord.cli.common import (
     Exit,
     Failure,
     dry_run_option,
+    file_option,
     json_option,
     load_or_exit,
     print_json,
@@ -57,10 +58,7 @@ KINDS = (*GEOMETRY, "deadband", "feedforward", "gyro", "all")
     "--socket", "path", metavar="PATH", type=click.Path(path_type=Path),
     help="The daemon's socket, if it is not in the default place.",
 )  # fmt: skip
-@click.option(
-    "--file", "robot_file", metavar="ROBOT.toml", type=click.Path(path_type=Path),
-    help="Robot file to change. Default: the one that the daemon runs by.",
-)  # fmt: skip
+@file_option
 @click.option(
     "--plot", metavar="FILE.png", type=click.Path(path_type=Path, dir_okay=False),
     help="Draw the paths by the old and the new geometry. Needs the plot extra.",

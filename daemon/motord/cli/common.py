@@ -92,6 +92,13 @@ json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object on stdout."
 )
 
+file_option = click.option(
+    "--file",
+    "robot_file",
+    metavar="ROBOT.toml",
+    type=click.Path(path_type=Path),
+    help="Robot file to change. Default: the one that the daemon runs by.",
+)
 yes_option = click.option("--yes", is_flag=True, help="Answer every yes-or-no question with yes.")
 dry_run_option = click.option(
     "--dry-run", is_flag=True, help="Show the difference and write nothing."

@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from motord.cli.common import dry_run_option, json_option, print_json, yes_option
+from motord.cli.common import dry_run_option, file_option, json_option, print_json, yes_option
 from motord.cli.complete import parameter_names, settable_names
 from motord.cli.talk import talking
 from motord.client import Client, ClientError
@@ -83,13 +83,7 @@ def params_set(client: Client, assignments: tuple[str, ...], as_json: bool) -> N
 
 
 @params.command("save")
-@click.option(
-    "--file",
-    "robot_file",
-    metavar="ROBOT.toml",
-    type=click.Path(path_type=Path),
-    help="Robot file to change. Default: the one that the daemon runs by.",
-)
+@file_option
 @yes_option
 @dry_run_option
 @json_option

@@ -8,7 +8,15 @@ from pathlib import Path
 
 import click
 
-from motord.cli.common import Exit, Failure, dry_run_option, json_option, print_json, yes_option
+from motord.cli.common import (
+    Exit,
+    Failure,
+    dry_run_option,
+    file_option,
+    json_option,
+    print_json,
+    yes_option,
+)
 from motord.cli.complete import joint_names
 from motord.cli.talk import talking
 from motord.client import Client
@@ -28,13 +36,7 @@ SECONDS, SECONDS_MAX = 2.0, 10.0
     "--seconds", type=click.FloatRange(0.5, SECONDS_MAX), default=SECONDS, show_default=True,
     help="How long each wheel turns.",
 )  # fmt: skip
-@click.option(
-    "--file",
-    "robot_file",
-    metavar="ROBOT.toml",
-    type=click.Path(path_type=Path),
-    help="Robot file to change. Default: the one that the daemon runs by.",
-)
+@file_option
 @yes_option
 @dry_run_option
 @json_option

@@ -62,9 +62,7 @@ def status(
         "leases": _leases(operation),
         "inputs": operation.robot.commanders(),
         "commands": _commands(operation.loop.commands()),
-        "publishers": {
-            name: {"taken": feed.taken, "dropped": feed.dropped} for name, feed in feeds.items()
-        },
+        "publishers": {name: feed.report() for name, feed in feeds.items()},
         "bus": bus.report() if bus else None,
         "stalls": health.stalls(),
         "version": snapshot["version"],

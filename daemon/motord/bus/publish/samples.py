@@ -25,6 +25,11 @@ class Samples:
         self.dropped = 0
         """Replaced by a newer one before the publisher took it."""
 
+    def report(self) -> dict[str, Any]:
+        """For `status`: as motord.bus.feed.Feed has it; the state is the only topic."""
+        state = {"rate_hz": round(1e9 / self._period_ns, 3), "taken": self.taken}
+        return {"taken": self.taken, "dropped": self.dropped, "topics": {"state": state}}
+
     def offer(self, snapshot: Snapshot, battery: Mapping[str, Any] | None = None) -> None:
         """Kept when its time has come, by its own stamp; a late one is not caught up. `battery`: as
         `status` has it; None: it is not measured."""

@@ -17,7 +17,7 @@ from motord.tools.doctor.finding import Finding, Fix, Root, Run, Verdict, Write
 from motord.tools.doctor.machine import permitted, user
 from motord_hal.base.errors import PortError
 from motord_hal.can.interface import IFF_UP
-from motord_hal.gpio.pinmux import not_muxed, pwm_step
+from motord_hal.gpio.pinmux import freeing_step, mux_owner, not_muxed, pwm_step
 from motord_hal.pwm.sysfs import ChipAbsent, device_of, find_chip
 from motord_hal.serial.latency import UDEV_LINE
 from motord_hal.serial.sysfs import device_file, holders
@@ -148,15 +148,28 @@ def _can(root: Root, where: str, channel: str, bitrate: int) -> Iterator[Finding
 
 
 # ---------------------------------------------------------------------------------------------- PWM
-def _pwm(root: Root, where: str, line: PwmLine, robot: Robot, name: str) -> Iterator[Finding]:
-    if line.pwm_chip is None:
+def _functions(root: Root, where: str, pins: Collection[str]) -> Iterator[Finding]:
+    """Lines of a Raspberry Pi that another device has, as far as the kernel shows it (root)."""
+    tree, debug = root.path("/proc/device-tree"), root.path("/sys/kernel/debug")
+    if "brcm,bcm2" not in root.text("/proc/device-tree/compatible"):
         return
+    for pin in sorted(set(pins)):
+        number = re.fullmatch(r"GPIO(\d+)", pin)
+        if number and (owner := mux_owner("", int(number[1]), debug)):
+            text = f"{pin} belongs to {owner}: it does not obey as a GPIO line"
+            yield _device(f"{where} {pin}", "fail", text, freeing_step(owner, tree))
+
+
+def _pwm(root: Root, where: str, line: PwmLine, robot: Robot, name: str) -> Iterator[Finding]:
     pins = [
         pin.removeprefix("!")
         for joint in robot.joint.values()
         if joint.line == name
         for pin in joint.pins.values()
     ]
+    yield from _functions(root, where, pins)
+    if line.pwm_chip is None:
+        return
     channels = {int(pin[3:]) for pin in pins if re.fullmatch(r"pwm\d+", pin)}
     tree = root.path("/proc/device-tree")
     try:

@@ -15,7 +15,7 @@ from motord.client import Client
 from motord.tools.doctor.finding import Finding, Root, Verdict
 from motord_hal.serial.sysfs import holders
 
-LOOKS = 5
+LOOKS = 7
 LOOK_PERIOD_S = 0.5
 STEADY = 0.05
 """A rate is steady if no window differs more from their mean."""
@@ -152,6 +152,42 @@ def _rates(looks: Sequence[Look]) -> Iterator[Finding]:
         if line.state == "ready":
             cycles = [(look.at_s, look.found.lines[name].cycles) for look in looks]
             yield _rate(f"line {name}", _windows(cycles), None)
+    yield from _published(looks)
+
+
+def _published(looks: Sequence[Look]) -> Iterator[Finding]:
+    """Each topic of each publisher, the daemon's and those of motord-bus, which reports once a
+    second: over the whole time, so that a slow topic has its messages."""
+    own = [(look.at_s, look.found.publishers) for look in looks]
+    of_bus = [
+        (look.found.bus["at_s"], look.found.bus["publishers"])
+        for look in looks
+        if look.found.bus is not None and "at_s" in look.found.bus
+    ]
+    for reports in (own, of_bus):
+        if len(reports) < 2 or reports[-1][0] <= reports[0][0]:
+            continue
+        span_s = reports[-1][0] - reports[0][0]
+        for name, newest in reports[-1][1].items():
+            before = reports[0][1].get(name, {}).get("topics", {})
+            for topic, counted in newest.get("topics", {}).items():
+                if counted["taken"] == 0:
+                    text = "has had no message: the robot has nothing for it, or it has just begun"
+                    yield _finding("daemon", f"3 rate of {name}/{topic}", "warn", text,
+                                   "leave it out of topics in the robot file")  # fmt: skip
+                elif topic in before:
+                    grown = counted["taken"] - before[topic]["taken"]
+                    yield _topic_rate(f"{name}/{topic}", grown, counted["rate_hz"], span_s)
+
+
+def _topic_rate(what: str, messages: int, rate_hz: float, span_s: float) -> Finding:
+    """A message more or less is no fault of a topic that has few in this time."""
+    check, due = f"3 rate of {what}", rate_hz * span_s
+    text = f"{messages / span_s:.1f} Hz of {rate_hz:g} Hz"
+    if abs(messages - due) <= max(STEADY * due, 1.5):
+        return _finding("daemon", check, "ok", text)
+    mend = "lower its rate_hz in the robot file, or see its network: motord status"
+    return _finding("daemon", check, "warn" if messages else "fail", text, mend)
 
 
 def _windows(counts: Sequence[tuple[float, int]]) -> list[float]:
