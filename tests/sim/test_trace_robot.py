@@ -3,6 +3,7 @@
 bus."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -104,3 +105,27 @@ def test_a_can_bus_goes_into_a_file_that_can_utils_understand(tmp_path):
     assert len(messages) == len(rows) == 30
     assert any(row["joint"] and row["what"] for row in rows)
     assert {row["result"] for row in rows} <= {"in", "out"}
+
+
+BOARDS = {
+    "esp32": ("set-points", "feedback", r"velocity_setpoint|target|control"),
+    "arduino-text": ("set-points:", "feedback:", r"left|right"),
+    "roboclaw": ("read command 78", "→", r"encoder|position"),
+    "two-bus-servos": ("read ", "→ left:", r"position|velocity"),
+    "turtlebot3-burger": ("read ", "→ ", r"position|velocity"),
+}
+"""Robot → what is sent, what comes, and names of the profile."""
+
+
+@pytest.mark.parametrize("name", BOARDS)
+def test_boards_and_servos_are_decoded_by_their_profile(tmp_path, name):
+    sent, came, names = BOARDS[name]
+    with running(tmp_path, robot=ROOT / f"config/robots/{name}.toml") as stage:
+        stage.wait_for("idle")
+        rows = [json.loads(row) for row in trace(stage, "--json", "--count", "40").splitlines()]
+    shown = [row["what"] for row in rows]
+    assert any(sent in what for what in shown), shown
+    assert any(came in what for what in shown), shown
+    assert any(re.search(names, what) for what in shown), shown
+    assert {row["result"] for row in rows} & {"ok"}
+    assert {joint for row in rows for joint in row["joint"].split(",")} & {"left", "right"}

@@ -17,7 +17,8 @@ from motord.cli.common import Exit, Failure, load_or_exit
 from motord.cli.complete import line_names
 from motord.cli.talk import interruptible, talking
 from motord.client import Client
-from motord.tools.trace.exchanges import MODBUS, Decoder, Exchange, Joiner, Words
+from motord.tools.trace.decoder import MODBUS, Decoder
+from motord.tools.trace.exchanges import Exchange, Joiner, Words
 from motord.tools.trace.files import opened, record
 
 LOOK_EVERY_S = 0.02

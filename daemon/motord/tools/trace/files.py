@@ -16,7 +16,8 @@ from typing import BinaryIO, Protocol
 from can.io.canutils import CanutilsLogWriter
 from can.io.generic import MessageWriter
 
-from motord.tools.trace.exchanges import Exchange, Words, can_message, rtu_frame
+from motord.tools.trace.decoder import rtu_frame
+from motord.tools.trace.exchanges import Exchange, Words, can_message
 
 _PCAP_MAGIC_NS = 0xA1B23C4D
 _UPPER_PDU = 252

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Words for what boards, RoboClaws, bus servos and hub motors are sent and send, by the codecs that
+the lines and the simulator use. A stream comes in pieces: each decoder keeps what is not whole."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeAlias
+
+from motord.config import Robot
+from motord.config.wiring import line_specs
+from motord.tools.trace.exchanges import Exchange, Words
+from motord_hal.ascii.dialect import texts_of
+from motord_hal.ascii.text import Lines
+from motord_hal.ddsm import codec as ddsm
+from motord_hal.drives.profile import DriveProfile, Register
+from motord_hal.fieldbus.ports import LineSpec
+from motord_hal.mcu import frames as mcu
+from motord_hal.modbus.codec import Function
+from motord_hal.roboclaw import codec as roboclaw
+from motord_hal.servo import packets as servo
+
+BoardDecoder: TypeAlias = Callable[[Exchange], Words]
+
+
+def board_decoder(kind: str, robot: Robot, line: str) -> BoardDecoder | None:
+    """For a line of this kind; None: it is Modbus, CAN, or not decoded."""
+    spec = next((one for one in line_specs(robot, robot.profiles) if one.name == line), None)
+    makers: dict[str, Callable[[LineSpec], BoardDecoder]] = {
+        "mcu": _Frames, "ascii": _Texts, "roboclaw": _roboclaw_of, "ddsm": _ddsm_of,
+        "feetech": _Servos, "dynamixel": _Servos,
+    }  # fmt: skip
+    return makers[kind](spec) if spec is not None and kind in makers else None
+
+
+def _end(exchange: Exchange, problems: Sequence[str], shown: Sequence[str]) -> str:
+    """The result of what is not answered one by one."""
+    if problems:
+        return problems[0]
+    if not exchange.outward:
+        return "in" if shown else "part of a frame"
+    return "ok" if exchange.received else "out"
+
+
+def _values(registers: Sequence[Register], pick: Callable[[Register], int]) -> Iterator[str]:
+    for register in registers:
+        try:
+            yield f"{register.name} {register.to_si(pick(register)):g}"
+        except ValueError:
+            continue  # the frame is shorter than that
+
+
+# ---------------------------------------------------------------------- frames of docs/mcu-frame.md
+class _Frames:
+    """Set-points and feedback of a board."""
+
+    def __init__(self, spec: LineSpec) -> None:
+        self._joints = ",".join(joint.name for joint in spec.joints)
+        self._registers = list(spec.joints[0].profile.registers.values())
+        self._splitters = {True: mcu.Splitter(), False: mcu.Splitter()}
+
+    def __call__(self, exchange: Exchange) -> Words:
+        shown: list[str] = []
+        problems: list[str] = []
+        for outward, data in ((True, exchange.sent), (False, exchange.received)):
+            for piece in self._splitters[outward].feed(data):
+                try:
+                    shown.append(self._frame(mcu.parse(piece)))
+                except mcu.FrameError as error:
+                    problems.append(f"bad frame: {error}")
+        return Words(self._joints, "; ".join(shown), _end(exchange, problems, shown))
+
+    def _frame(self, frame: mcu.Frame) -> str:
+        access = "w" if frame.type == mcu.Type.SETPOINTS else "r"
+        registers = [one for one in self._registers if access in one.access]
+        values = ", ".join(_values(registers, lambda one: mcu.pick(frame.payload, one)))
+        name = "set-points" if access == "w" else "feedback"
+        return f"{name} {frame.sequence}: {values}"
+
+
+# ------------------------------------------------------------------------------------ lines of text
+class _Texts:
+    """By the templates of the robot file."""
+
+    def __init__(self, spec: LineSpec) -> None:
+        self._joints = ",".join(joint.name for joint in spec.joints)
+        _, self._sent, self._received = texts_of(spec)
+        self._lines = Lines()
+
+    def __call__(self, exchange: Exchange) -> Words:
+        shown = [self._words(line, outward=True) for line in Lines.whole(exchange.sent)]
+        shown += [self._words(line, outward=False) for line in self._lines.feed(exchange.received)]
+        return Words(self._joints, "; ".join(shown), _end(exchange, [], shown))
+
+    def _words(self, line: bytes, *, outward: bool) -> str:
+        text = self._sent if outward else self._received
+        found = text.read(line) if text is not None else None
+        if found is None:
+            return line.decode("ascii", "replace").strip()
+        name = "set-points" if outward else "feedback"
+        return f"{name}: {', '.join(f'{field} {value:g}' for field, value in found.items())}"
+
+
+# ----------------------------------------------------------------------------------------- RoboClaw
+def _roboclaw_of(spec: LineSpec) -> BoardDecoder:
+    def words(exchange: Exchange) -> Words:
+        try:
+            request = roboclaw.parse_packet(exchange.sent)
+        except roboclaw.PacketError as error:
+            problem = f"not expected: {error}" if exchange.sent else "came without a request"
+            return Words("", "", problem)
+        joints = [joint for joint in spec.joints if joint.unit == request.unit]
+        names = ",".join(joint.name for joint in joints) or f"unit {request.unit}"
+        profile = joints[0].profile if joints else None
+        reads = request.function is Function.READ_HOLDING
+        address = request.address
+        what = f"read command {roboclaw.reading_command(request)}"
+        if not reads:
+            what = f"write {registers_words(profile, address, request.values)}"
+        if not exchange.received:
+            return Words(names, what, "no reply")
+        try:
+            values = roboclaw.parse(request, exchange.received)
+        except roboclaw.PacketError as error:
+            return Words(names, what, f"bad reply: {error}")
+        return Words(names, f"{what} → {registers_words(profile, address, values)}" if reads
+                     else what, "ok")  # fmt: skip
+
+    return words
+
+
+# --------------------------------------------------------------------------- hub motors (ten bytes)
+def _ddsm_of(spec: LineSpec) -> BoardDecoder:
+    def words(exchange: Exchange) -> Words:
+        frame, size = exchange.sent, ddsm.FRAME_BYTES
+        if len(frame) != size:
+            return Words("", "", "not expected: no frame of ten bytes")
+        joints = [joint for joint in spec.joints if joint.unit == frame[0]]
+        names = ",".join(joint.name for joint in joints) or f"unit {frame[0]}"
+        registers = list(joints[0].profile.registers.values()) if joints else []
+        what = f"command {frame[1]:02X}h: {_ddsm_values(registers, frame[1], frame, 'w')}"
+        if not ddsm.is_answered(frame[1]):
+            return Words(names, what, "out")
+        if not exchange.received:
+            return Words(names, what, "no reply")
+        reply = exchange.received[-size:]
+        if not ddsm.sealed(reply):
+            return Words(names, what, "bad reply: wrong check sum")
+        return Words(names, f"{what} → {_ddsm_values(registers, frame[1], reply, 'r')}", "ok")
+
+    return words
+
+
+def _ddsm_values(registers: Sequence[Register], command: int, frame: bytes, access: str) -> str:
+    fitting = [one for one in registers if access in one.access and ddsm.command_of(one) == command]
+    return ", ".join(_values(fitting, lambda one: ddsm.pick(frame, one)))
+
+
+# --------------------------------------------------------------------------------------- bus servos
+class _Servos:
+    """Feetech and Dynamixel packets; a status is decoded by the request before it."""
+
+    def __init__(self, spec: LineSpec) -> None:
+        self._packets = servo.packets_of(spec.kind)
+        self._number_bytes = len(self._packets.number(0))
+        self._joints = {joint.unit: (joint.name, joint.profile) for joint in spec.joints}
+        self._any = spec.joints[0].profile
+
+    def __call__(self, exchange: Exchange) -> Words:
+        names: list[str] = []
+        shown: list[str] = []
+        problems: list[str] = []
+        first: int | None = None
+        size = 0
+        for packet in servo.take_all(self._packets, exchange.sent):
+            if packet is None:
+                problems.append("not expected: wrong check sum")
+                continue
+            text, first, size = self._request(packet)
+            names.append(self._name(packet.unit))
+            shown.append(text)
+        answered = 0
+        for status in self._statuses(exchange):
+            if status is None:
+                problems.append("bad reply: wrong check sum")
+                continue
+            answered += 1
+            shown.append(f"→ {self._status(status, first)}")
+            if status.code:
+                name = servo.DYNAMIXEL_ERRORS.get(status.code & 0x7F, "see the servo's manual")
+                problems.append(f"{self._name(status.unit)}: error {status.code} ({name})")
+        if size and not answered and not problems:
+            problems.append("no reply")
+        if not exchange.sent and answered:
+            problems.append("came without a request")
+        return Words(
+            ",".join(dict.fromkeys(names)), "; ".join(shown), _end(exchange, problems, shown)
+        )
+
+    def _name(self, unit: int) -> str:
+        if unit == servo.BROADCAST_UNIT:
+            return "all"
+        return self._joints[unit][0] if unit in self._joints else f"unit {unit}"
+
+    def _number(self, data: bytes, at: int) -> int:
+        """The at-th address or count of the parameters."""
+        begin = at * self._number_bytes
+        return int.from_bytes(data[begin : begin + self._number_bytes], "little")
+
+    def _request(self, packet: servo.Packet) -> tuple[str, int, int]:
+        """Words, and the address and number of bytes that are to be read; 0: nothing."""
+        data, width = packet.parameters, self._number_bytes
+        first = self._number(data, 0)
+        if packet.code in (servo.Instruction.READ, servo.Instruction.SYNC_READ):
+            size = self._number(data, 1)
+            units = data[2 * width :] if packet.code == servo.Instruction.SYNC_READ else b""
+            of = f" of {', '.join(self._name(unit) for unit in units)}" if units else ""
+            return f"read {size} bytes from {first}{of}", first, size
+        if packet.code == servo.Instruction.WRITE:
+            profile = self._joints.get(packet.unit, ("", self._any))[1]
+            return f"write {_servo_values(profile, first, data[width:])}", 0, 0
+        if packet.code == servo.Instruction.SYNC_WRITE:
+            size, rest = self._number(data, 1), data[2 * width :]
+            pieces = [rest[at : at + size + 1] for at in range(0, len(rest) - size, size + 1)]
+            parts = [
+                f"{self._name(one[0])}: {_servo_values(self._any, first, one[1:])}"
+                for one in pieces
+            ]
+            return f"write {'; '.join(parts)}", 0, 0
+        known = {one.value: one.name.lower().replace("_", " ") for one in servo.Instruction}
+        text = known.get(packet.code, f"instruction {packet.code:02X}h")
+        return text, 0, int(packet.code == servo.Instruction.PING)
+
+    def _status(self, status: servo.Packet, first: int | None) -> str:
+        if first is None:
+            return f"{self._name(status.unit)}: {status.parameters.hex(' ')}"
+        profile = self._joints.get(status.unit, ("", self._any))[1]
+        return f"{self._name(status.unit)}: {_servo_values(profile, first, status.parameters)}"
+
+    def _statuses(self, exchange: Exchange) -> Iterator[servo.Packet | None]:
+        data = exchange.received.removeprefix(exchange.sent)  # an adapter's echo
+        while data:
+            try:
+                packet, done = self._packets.take(data, status=True)
+            except servo.PacketError as error:
+                packet, done = None, error.done
+                yield None
+            if done == 0:
+                return
+            data = data[done:]
+            if packet is not None:
+                yield packet
+
+
+def _servo_values(profile: DriveProfile, first: int, data: bytes) -> str:
+    """Of the registers that lie in these bytes."""
+    registers = [
+        one
+        for one in profile.registers.values()
+        if first <= one.address and one.address + servo.size_bytes(one) <= first + len(data)
+    ]
+    return ", ".join(_values(registers, lambda one: servo.decode(one, data[one.address - first :])))
+
+
+# ------------------------------------------------------------------------------- registers of words
+def registers_words(profile: DriveProfile | None, start: int, values: Sequence[int]) -> str:
+    """Names and SI values of the registers that lie in these words; other words as they are."""
+    shown, known = [], set[int]()
+    registers: Sequence[Register] = list(profile.registers.values()) if profile else ()
+    for register in registers:
+        first = register.address - start
+        if first >= 0 and first + register.type.words <= len(values):
+            raw = register.decode(tuple(values[first : first + register.type.words]))
+            shown.append(f"{register.name} {register.to_si(raw):g}")
+            known |= set(range(first, first + register.type.words))
+    others = [f"{start + n:04X}h {value:04X}h" for n, value in enumerate(values) if n not in known]
+    return ", ".join(shown + others)
