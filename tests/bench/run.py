@@ -19,6 +19,7 @@ from typing import Any
 import board_stream
 import bus
 import bus_command
+import calibration
 import can_bus
 import core_instructions
 import culprits
@@ -121,6 +122,11 @@ def late_ticks(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
     return culprits.table(found), found, culprits.verdicts(found)
 
 
+def calibrating(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
+    found = calibration.measure(1.0 if size is Size.SMOKE else 4.0)
+    return calibration.table(found), found, calibration.verdicts(found)
+
+
 PARTS = {
     "core": core,
     "wire": on_the_wire,
@@ -130,6 +136,7 @@ PARTS = {
     "datagram": datagrams,
     "lateness": wake_ups,
     "culprits": late_ticks,
+    "calibration": calibrating,
     "bus": second_process,
     "twist": from_twist,
 }

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A command of motord at a real pseudo-terminal, and a person who reads and types there; a robot
-whose file is a copy, and whose simulated truth may differ from it."""
+"""A command of motord at a real pseudo-terminal, and a person who reads and types there, or
+measures on the floor; a robot whose file is a copy, and whose simulated truth may differ from it.
+"""
 
 import contextlib
+import math
 import os
 import pty
 import re
@@ -119,11 +121,12 @@ def copied(folder, robot=ROBOT, replaced=()):
 
 
 @contextlib.contextmanager
-def robot_of(folder, file, *settings, truth=(), wheels=(), faults=()):
+def robot_of(folder, file, *settings, truth=(), wheels=(), faults=(), simulator=()):
     """A daemon that runs by `file`, on drives and wheels that differ from it by `truth`, settings
-    of the simulator, and by `wheels`, their physics."""
+    of the simulator, and by `wheels`, their physics. `simulator`: more of its options."""
     options = [part for setting in truth for part in ("--set", setting)]
     options += [part for setting in wheels for part in ("--wheel", setting)]
+    options += simulator
     joints = tomllib.loads(file.read_text(encoding="utf-8"))["joint"]
     patient = ("tries=10", "reply_timeout_s=0.2")
     tries = [f"joint.{name}.{setting}" for name in joints for setting in patient]
@@ -132,3 +135,41 @@ def robot_of(folder, file, *settings, truth=(), wheels=(), faults=()):
     ) as stage:
         stage.wait_for("idle")
         yield stage
+
+
+class Floor:
+    """A person with a tape and marks on the floor, who reads the simulator's truth."""
+
+    def __init__(self, stage):
+        self._sim = stage.sim
+
+    def back_on_mark(self):
+        self._sim.reset_truth()
+        return "y"
+
+    def along(self):
+        return f"{self._sim.truth().x_m:.3f}"
+
+    def sideways(self):
+        return f"{self._sim.truth().y_m:.3f}"
+
+    def degrees(self):
+        return f"{round(2 * math.degrees(self._sim.truth().heading_rad)) / 2:g}"
+
+    def replies(self, write="y"):
+        return {
+            r"does it stand on its mark\? \[y/n\] ": self.back_on_mark,
+            r"Is there room all around( it)?\? \[y/n\] ": self.back_on_mark,
+            r"in front of the mark .*?\? \[m\] ": self.along,
+            r"How far to the left of the line .*?\? \[m\] ": self.sideways,
+            r"By how many degrees .*?\? \[°\] ": self.degrees,
+            r"Is the path clear\? \[y/n\] ": "y",
+            r"Write \S+cart\.toml\? \[y/n\] ": write,
+        }
+
+
+def calibrated(stage, *words, write="y"):
+    """Exit status and text of `motord calibrate WORDS`, with a person on the floor."""
+    with at_terminal("calibrate", *words, "--socket", stage.socket) as screen:
+        status = screen.answers(Floor(stage).replies(write))
+        return status, screen.text

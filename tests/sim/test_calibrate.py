@@ -3,10 +3,11 @@
 measures where it truly is to the millimetre and to half a degree."""
 
 import math
+import re
 
 import pytest
 from tests.sim.daemon_stage import ROOT, wait_until
-from tests.sim.person_stage import at_terminal, copied, robot_of
+from tests.sim.person_stage import at_terminal, calibrated, copied, robot_of
 
 from motord.config import load_robot
 
@@ -22,43 +23,6 @@ SMALL = (
     "--distance-m", "1.5", "--turns", "1", "--side-m", "1", "--speed-m-s", "0.4",
     "--speed-rad-s", "1.0",
 )  # fmt: skip
-
-
-class Floor:
-    """A person with a tape and marks on the floor, who reads the simulator's truth."""
-
-    def __init__(self, stage):
-        self._sim = stage.sim
-
-    def back_on_mark(self):
-        self._sim.reset_truth()
-        return "y"
-
-    def along(self):
-        return f"{self._sim.truth().x_m:.3f}"
-
-    def sideways(self):
-        return f"{self._sim.truth().y_m:.3f}"
-
-    def degrees(self):
-        return f"{round(2 * math.degrees(self._sim.truth().heading_rad)) / 2:g}"
-
-    def replies(self, write="y"):
-        return {
-            r"does it stand on its mark\? \[y/n\] ": self.back_on_mark,
-            r"Is there room all around( it)?\? \[y/n\] ": self.back_on_mark,
-            r"in front of the mark .*?\? \[m\] ": self.along,
-            r"How far to the left of the line .*?\? \[m\] ": self.sideways,
-            r"By how many degrees .*?\? \[°\] ": self.degrees,
-            r"Is the path clear\? \[y/n\] ": "y",
-            r"Write \S+cart\.toml\? \[y/n\] ": write,
-        }
-
-
-def calibrated(stage, *words, write="y"):
-    with at_terminal("calibrate", *words, "--socket", stage.socket) as screen:
-        status = screen.answers(Floor(stage).replies(write))
-        return status, screen.text
 
 
 def test_radii_and_track_are_recovered_and_written(tmp_path):
@@ -86,6 +50,39 @@ def test_a_dead_band_is_found_with_the_speed_at_full_duty(tmp_path):
         assert joint.duty_dead_band == pytest.approx(0.06, rel=0.05)
         # 8 N·m · (duty − 0.06) = (8 / 18 + 0.02) N·m·s/rad · speed
         assert joint.full_duty_rad_s == pytest.approx(8.0 * 0.94 / (8.0 / 18.0 + 0.02), rel=0.02)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.03])
+def test_the_scale_and_the_offset_of_a_gyro_are_measured(tmp_path, scale):
+    file = copied(tmp_path, ROOT / "config/robots/esp32-imu.toml")
+    imu = ("imu.timeout_s=1.0",)
+    options = ("--gyro-scale", str(scale), "--seed", "5")
+    with robot_of(tmp_path, file, *imu, simulator=options) as stage:
+        wait_until(lambda: (stage.robot.status()["imu"] or {}).get("state") == "used", "the zero")
+        status, text = calibrated(stage, "gyro", "--turns", "2", "--speed-rad-s", "1.0")
+        assert status == 0, text
+        true_rad_s = stage.robot.status()["imu"]["bias_rad_s"]
+    found = re.search(r"offset ([-+.\d]+) rad/s, scale ([.\d]+) ± ([.\d]+)", text)
+    bias_rad_s, measured, difference = (float(number) for number in found.groups())
+    # half a degree of the protractor in two turns
+    assert measured == pytest.approx(1.0 / scale, abs=2 * 0.5 / 720 + 1e-3)
+    assert bias_rad_s == pytest.approx(true_rad_s, abs=5e-3)
+    assert difference < 4 * 0.5 / 720 + 1e-3
+    variance = load_robot(file).imu.turn_variance_rad2_per_rad
+    assert variance == pytest.approx((measured - 1.0) ** 2 * math.tau, rel=0.1, abs=2e-6)
+
+
+def test_the_paths_before_and_after_are_drawn(tmp_path):
+    pytest.importorskip("matplotlib")
+    file, picture = copied(tmp_path), tmp_path / "paths.png"
+    words = ("rotate", "--turns", "1", "--speed-rad-s", "1.0", "--plot", picture, "--dry-run")
+    before = file.read_bytes()
+    with robot_of(tmp_path, file, truth=TRUTH) as stage:
+        status, text = calibrated(stage, *words)
+        assert status == 0, text
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert "paths.png: written" in text
+    assert file.read_bytes() == before
 
 
 def test_a_key_ends_a_run_at_rest_and_a_speed_drive_has_no_dead_band(tmp_path):

@@ -89,6 +89,10 @@ class _WheelType(click.ParamType[tuple[str, str, float]]):
     type=_WheelType(),
     help="Physics of a wheel: left.coulomb_n_m=0.5 (docs/simulator.md). Repeatable.",
 )
+@click.option(
+    "--gyro-scale", type=click.FloatRange(0.5, 2.0), default=1.0,
+    help="Rate of turn that a simulated gyro measures, over the true one.",
+)  # fmt: skip
 @click.option("--list-faults", is_flag=True, help="List the faults with their keys and exit.")
 @click.option(
     "--seed",
@@ -148,6 +152,7 @@ def simulate(
     overrides: tuple[str, ...],
     faults: tuple[str, ...],
     wheels: tuple[tuple[str, str, float], ...],
+    gyro_scale: float,
     list_faults: bool,
     seed: int | None,
     tcp: _Address | None,
@@ -186,6 +191,7 @@ def simulate(
         rig_spec(robot, faults, secrets.randbelow(SEED_MAX) if seed is None else seed),
         ports=_ports(robot, tcp or rtu_over_tcp, raw=rtu_over_tcp is not None),
         can=can,
+        gyro_scale=gyro_scale,
         units=units,
         tagged=tagged,
     )

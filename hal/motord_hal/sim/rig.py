@@ -100,6 +100,8 @@ class RigSpec:
     slip_variance_m2_per_m: float = 0.0
     watchdog_s: float = 0.0
     """A watchdog for drives whose profile has none; 0: none, as in life."""
+    gyro_scale: float = 1.0
+    """Measured over true rate of turn."""
     ports: Mapping[str, PortSpec] = field(default_factory=dict)
     """By line name; a line that is not named is a pseudo-terminal, or on any free TCP port of this
     machine where its kind says TCP."""
@@ -227,7 +229,10 @@ class Rig:
         return 0.0 if profile.watchdog else self.spec.watchdog_s or profile.watchdog_fixed_s
 
     def _make_gyro(self, line: LineSpec) -> SimulatedGyro | None:
-        return SimulatedGyro(self.plant, line.imu, self.spec.seed) if line.imu else None
+        if line.imu is None:
+            return None
+        scale = self.spec.gyro_scale
+        return SimulatedGyro(self.plant, line.imu, self.spec.seed, scale=scale)
 
     def _make_can_line(
         self, line: LineSpec, drives: Mapping[int, SimulatedDrive]

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `motord calibrate` recovers of a simulated robot that differs from its file, and by how much
+the end of a square comes closer to its beginning.
+
+python calibration.py: one JSON object.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+from typing import Any
+
+from tests.sim.daemon_stage import ROOT, SURE, armed, wait_until
+from tests.sim.person_stage import calibrated, copied, robot_of
+
+from motord.config import load_robot
+
+RADIUS_M, TRACK_M = 0.0825, 0.45
+TRUE = {"left": 1.03 * RADIUS_M, "right": 1.02 * RADIUS_M, "track": 0.96 * TRACK_M}
+TRUTH = (
+    f"joint.left.wheel_radius_m={TRUE['left']}",
+    f"joint.right.wheel_radius_m={TRUE['right']}",
+    f"base.track_m={TRUE['track']}",
+)
+FORWARD_ONLY = ROOT / "config/robots/forward-only.toml"
+FRICTION = ("left.coulomb_n_m=0.48", "right.coulomb_n_m=0.48")
+"""Of a motor that stalls at 8 N·m: a dead band of 6 %."""
+FULL_DUTY_RAD_S = 8.0 * 0.94 / (8.0 / 18.0 + 0.02)
+"""8 N·m · (duty − 0.06) = (8 / 18 + 0.02) N·m·s/rad · speed"""
+
+
+def square_error_m(stage: Any, side_m: float) -> float:
+    """How far from its beginning a square ends, the mean of one to the left and one to the right;
+    by the simulated truth."""
+    errors_m = []
+    for sign in (1.0, -1.0):
+        with armed(stage):
+            stage.sim.reset_truth()
+            for _ in range(4):
+                stage.robot.move(side_m, speed_m_s=0.4)
+                stage.robot.turn(sign * math.pi / 2.0, speed_rad_s=0.8)
+            wait_until(lambda: stage.sim.truth().at_rest, "rest")
+            truth = stage.sim.truth()
+            errors_m.append(math.hypot(truth.x_m, truth.y_m))
+    return sum(errors_m) / len(errors_m)
+
+
+def geometry(side_m: float) -> dict[str, Any]:
+    """Radii and track, and the square before and after."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = copied(folder)
+        with robot_of(folder, file, *SURE, truth=TRUTH) as stage:
+            before_m = square_error_m(stage, side_m)
+            status, text = calibrated(stage, "all", "--speed-m-s", "0.4")
+            assert status == 0, text
+        with robot_of(folder, file, *SURE, truth=TRUTH) as stage:
+            after_m = square_error_m(stage, side_m)
+        robot = load_robot(file)
+    found = {name: robot.wheel_radius_m(name) for name in ("left", "right")}
+    found["track"] = robot.base.track_m
+    off = {name: found[name] / true - 1.0 for name, true in TRUE.items()}
+    return {"off": off, "side_m": side_m, "before_m": before_m, "after_m": after_m,
+            "ratio": before_m / after_m}  # fmt: skip
+
+
+def duty() -> dict[str, float]:
+    """Dead band and speed at full duty, relative to the simulated motor's."""
+    with tempfile.TemporaryDirectory() as folder:
+        given = [("duty_dead_band = 0.06", "duty_dead_band = 0.02")]
+        file = copied(folder, FORWARD_ONLY, given)
+        with robot_of(folder, file, wheels=FRICTION) as stage:
+            status, text = calibrated(stage, "feedforward", "--speed-m-s", "0.5")
+            assert status == 0, text
+        joint = load_robot(file).joint["left"]
+    return {"dead_band": joint.duty_dead_band / 0.06 - 1.0,
+            "full_duty": joint.full_duty_rad_s / FULL_DUTY_RAD_S - 1.0}  # fmt: skip
+
+
+def measure(side_m: float = 4.0) -> dict[str, Any]:
+    """All of it."""
+    return {"geometry": geometry(side_m), "duty": duty()}
+
+
+def table(found: dict[str, Any]) -> str:
+    made, motor = found["geometry"], found["duty"]
+    off = ", ".join(f"{name} {part:+.2%}" for name, part in made["off"].items())
+    return (
+        f"calibrated on a robot with radii +3 % and +2 %, track -4 %: off by {off}\n"
+        f"a square of {made['side_m']:g} m ends {1e3 * made['before_m']:.0f} mm from its beginning "
+        f"before, {1e3 * made['after_m']:.0f} mm after: {made['ratio']:.0f} times closer\n"
+        f"dead band of 6 %: off by {motor['dead_band']:+.1%} of it; speed at full duty: "
+        f"{motor['full_duty']:+.1%}"
+    )
+
+
+def verdicts(found: dict[str, Any]) -> list[tuple[str, bool, bool]]:
+    made, motor = found["geometry"], found["duty"]
+    return [
+        ("radii and track are recovered within 0.3 %",
+         max(map(abs, made["off"].values())) < 0.003, False),
+        ("dead band and friction are recovered within 5 %",
+         max(map(abs, motor.values())) < 0.05, False),
+        ("the end error of a square falls ten times or more", made["ratio"] >= 10.0, False),
+    ]  # fmt: skip
+
+
+if __name__ == "__main__":
+    print(json.dumps(measure(), indent=1))
