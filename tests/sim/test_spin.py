@@ -47,6 +47,8 @@ def rests_without_power(stage):
 
 
 def test_nothing_turns_before_a_yes(stage):
+    rests_without_power(stage)
+    stage.sim.reset_truth()
     with spinning(stage, "left") as screen:
         screen.answer(GROUND, "n")
         assert screen.end() == 1
