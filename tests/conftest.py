@@ -5,6 +5,7 @@ as many in `make test` as in `make san`, and few in `make test-fast`. Programs t
 their modules from bytecode: without it, each of some thousand starts compiles a hundred modules
 anew."""
 
+import gc
 import os
 import sys
 
@@ -25,13 +26,28 @@ if directory := os.environ.get("MOTORD_RT_DIR"):
     sys.path.insert(0, os.path.abspath(directory))
 
 
+SHORT = ("rt", "unit", "golden")
+"""Folders of tests that wait for nothing: they fill the time for which the last of the others, each
+of which may take half a minute, still run."""
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Tests that share a fixture of their file stay in one process of `--dist loadgroup`; all
-    others go wherever one is free."""
+    """Tests that share a fixture of their file stay in one process of `--dist loadgroup`, which
+    looks for the mark in this hook; all others go wherever one is free."""
     for item in items:
         definitions = item._fixtureinfo.name2fixturedefs.values()
         if any(found[-1].scope == "module" for found in definitions if found):
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
+    yield  # they are shuffled
+    items.sort(key=lambda item: item.path.parent.name in SHORT)
+
+
+def pytest_collection_finish():
+    """Seven thousand tests and their modules live as long as the process: no collection of garbage
+    looks through them again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_configure():

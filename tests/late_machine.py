@@ -12,7 +12,7 @@ import time
 import pytest
 from _pytest.runner import runtestprotocol
 
-LOOK_EVERY_S = 0.02
+LOOK_EVERY_S = 0.05
 LATE_S = 0.05
 """A thread that wakes so much later than it wanted to."""
 CROWD = 2.0

@@ -13,6 +13,7 @@ from motord_hal.fieldbus.ports import JointSpec, LineSpec, TextSpec, TextWheel
 from motord_hal.modbus.codec import Function, Request, build_request, parse_reply
 from motord_hal.sim.can.port import free_address
 from motord_hal.sim.control import SimControl
+from motord_hal.sim.plant import WheelModel
 from motord_hal.sim.rig import Rig, RigSpec, WheelSpec
 from motord_hal.sim.runner import run
 
@@ -133,8 +134,13 @@ def line_of(profile, port="", engine="asyncio", cycle_hz=50.0, watchdog_s=0.5, g
     )
 
 
-def rig_of(profile, folder, *, gear_ratio=1.0, **options):
-    wheels = {name: WheelSpec(side=name, wheel_radius_m=0.1) for name in ("left", "right")}
+LIGHT = WheelModel(inertia_kg_m2=0.03)
+"""A wheel that friction brings to rest in 0.6 s: for tests in real time."""
+
+
+def rig_of(profile, folder, *, gear_ratio=1.0, model=None, **options):
+    wheel = {"wheel_radius_m": 0.1, "model": model or WheelModel()}
+    wheels = {name: WheelSpec(side=name, **wheel) for name in ("left", "right")}
     line = line_of(profile, engine=engine_of(profile, folder), gear_ratio=gear_ratio)
     if profile.can is not None:
         options["can"] = can_address(folder)
@@ -145,9 +151,9 @@ def rig_of(profile, folder, *, gear_ratio=1.0, **options):
 @contextlib.contextmanager
 def simulated(profile, folder, **options):
     """The robot in real time, in a thread of its own; its control socket is the way to it."""
-    watchdog_s = 0.0 if profile.watchdog else WATCHDOG_S
+    options = {"watchdog_s": 0.0 if profile.watchdog else WATCHDOG_S, "model": LIGHT, **options}
     stopped = threading.Event()
-    with rig_of(profile, folder, gear_ratio=GEAR, watchdog_s=watchdog_s, **options) as rig:
+    with rig_of(profile, folder, gear_ratio=GEAR, **options) as rig:
         thread = threading.Thread(target=run, args=(rig, stopped.is_set))
         thread.start()
         try:
@@ -156,6 +162,16 @@ def simulated(profile, folder, **options):
         finally:
             stopped.set()
             thread.join()
+
+
+@contextlib.contextmanager
+def without_power(control, *units):
+    """These drives, until the end of the block; then they start as after power-up."""
+    for unit in units:
+        control.inject(f"reboot:unit={unit},for_s=1000")
+    yield
+    for unit in units:
+        control.inject(f"reboot:unit={unit},for_s=0")
 
 
 def spec_of(profile, folder):

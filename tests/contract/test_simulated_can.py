@@ -3,7 +3,7 @@
 
 import pytest
 from loop_side import running, until
-from sim_bench import RT, folder_of, simulated, spec_of, with_rt
+from sim_bench import RT, folder_of, simulated, spec_of, with_rt, without_power
 from tests.shipped import shipped_profile
 
 from motord_hal.fieldbus.ports import DriveState, EventKind
@@ -65,9 +65,8 @@ def _enabled(sim):
 
 async def test_a_drive_that_lost_its_power_comes_back_disarmed(rig, sim):
     await set_off(rig, sim)
-    for unit in (1, 2):
-        sim.inject(f"reboot:unit={unit},for_s=3.0")
-    await until(lambda: rig.states() == {DriveState.UNRESPONSIVE}, "both are missed")
+    with without_power(sim, 1, 2):
+        await until(lambda: rig.states() == {DriveState.UNRESPONSIVE}, "both are missed")
     await back_at_rest(rig, sim)
     assert rig.kinds().count(EventKind.DRIVE_BACK) == 2
 

@@ -10,7 +10,17 @@ from dataclasses import replace
 
 import pytest
 from loop_side import running, until
-from sim_bench import GEAR, RT, can_reverse, folder_of, reports, simulated, spec_of, with_rt
+from sim_bench import (
+    GEAR,
+    RT,
+    can_reverse,
+    folder_of,
+    reports,
+    simulated,
+    spec_of,
+    with_rt,
+    without_power,
+)
 from tests.shipped import NAMES, shipped_profile
 
 from motord_hal.fieldbus.ports import DriveState, EventKind
@@ -260,8 +270,8 @@ async def test_a_drive_that_reboots_comes_back_disarmed_with_a_new_epoch(rig, si
     await set_off(rig, sim)
     left = rig.line.spec.joints[0]
     epoch = feedback(rig, left).epoch
-    sim.inject("reboot:unit=1,for_s=3.0")
-    await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "its silence is said")
+    with without_power(sim, 1):
+        await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "its silence is said")
     await until(lambda: EventKind.DRIVE_BACK in rig.kinds(), "its return is said")
     await until(lambda: feedback(rig, left).epoch > epoch, "the counter's origin is a new one")
     assert rig.line.drive_states["left"] is DriveState.READY

@@ -60,12 +60,23 @@ def test_it_loads_nothing_beside_the_standard_library():
     assert done.stdout == "['motord', 'motord_hal']\n"
 
 
+async def in_time(move):
+    """Again where a busy machine has let the odometry grow old, which ends a motion, as it must."""
+    while True:
+        try:
+            return await move()
+        except MoveFailed as error:
+            if "stale" not in str(error):
+                raise
+
+
 async def test_it_arms_moves_turns_and_disarms(stage, armed):
     async with connected(stage) as robot:
         await robot.reset_odometry()
-        moved = await robot.move(0.3)
+        moved = await in_time(lambda: robot.move(0.3))
         assert moved.distance_m == pytest.approx(0.3, abs=0.011)
-        assert (await robot.turn(0.4)).angle_rad == pytest.approx(0.4, abs=0.021)
+        turned = await in_time(lambda: robot.turn(0.4))
+        assert turned.angle_rad == pytest.approx(0.4, abs=0.021)
         status = await robot.status()
         assert (status.state, status.leases) == ("armed", ())
         assert await robot.disarm() == "idle"

@@ -87,7 +87,8 @@ def test_it_prints_and_ends_as_a_real_one(words):
     assert forked == real
 
 
-def test_it_works_in_the_folder_and_the_environment_that_were_asked_for(tmp_path):
+def test_it_works_in_the_folder_and_the_environment_that_were_asked_for(tmp_path_factory):
+    tmp_path = tmp_path_factory.mktemp("own")  # a socket's path is short
     copy = tmp_path / "here.toml"
     copy.write_text(Path(DEMO).read_text(encoding="utf-8"), encoding="utf-8")
     assert motord("check", copy.name, cwd=tmp_path)[0] == 0

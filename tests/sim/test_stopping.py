@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from daemon_stage import DEADLINE_S, ROBOT, ROOT, running, wait_until
+from daemon_stage import DEADLINE_S, ROBOT, ROOT, SLOW, SURE, running, wait_until
 from stopping_rig import BUSY_S, HOGGED, SPEED_M_S, moving, powered, seconds_to_rest
 from tests.fork_server import started_from_nothing
 
@@ -146,10 +146,11 @@ def test_the_demonstration_ends_well_and_prints_what_the_contract_reports(tmp_pa
         assert old in text
         text = text.replace(old, old.split(" = ")[0] + " = 2.0")
     patient.write_text(text, encoding="utf-8")
-    command = [sys.executable, "-m", "motord", "demo", "--json", "--seconds", "8"]
+    settings = [f"--set={setting}" for setting in (*SLOW, *SURE)]
+    command = [sys.executable, "-m", "motord", "demo", "--json", "--seconds", "5", *settings]
     with started_from_nothing():
         run = subprocess.run(
-            [*command, "--robot", patient], capture_output=True, text=True, timeout=90, cwd=ROOT
+            [*command, "--robot", patient], capture_output=True, text=True, timeout=200, cwd=ROOT
         )
     assert run.returncode == 0, run.stderr
     result = json.loads(run.stdout)

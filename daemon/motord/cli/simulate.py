@@ -228,7 +228,7 @@ def _rig(spec: RigSpec, link_dir: Path | None, control: Path | None) -> Rig:
     except FaultError as error:
         raise Failure(str(error), Exit.USAGE) from error
     except OSError as error:
-        raise Failure(f"{error.filename}: {error.strerror}") from error
+        raise Failure(f"{error.filename}: {error.strerror or error}") from error
 
 
 def _ports(robot: Robot, first: _Address | None, *, raw: bool) -> dict[str, PortSpec]:

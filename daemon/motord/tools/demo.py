@@ -34,7 +34,7 @@ from motord_hal.sim.runner import may_be_punctual
 
 COMMAND_PERIOD_S = 0.05
 PATH_PERIOD_S = 0.1
-START_DEADLINE_S = 20.0
+START_DEADLINE_S = 60.0
 REST_DEADLINE_S = 10.0
 STOP_DEADLINE_S = 10.0
 NICE = -10
