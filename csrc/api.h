@@ -346,8 +346,9 @@ void kinematics_invert(const core_config *config, uint32_t joints, twist_inverse
 /* Of a base with modules, whose steering joints are at these angles: what rolls has a speed, and nothing slides across its
  * wheel's direction (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3). */
 void kinematics_modules(const core_config *config, const double *angle_rad, uint32_t joints, twist_inverse *out);
-/* Root mean square of what that motion leaves of the equations, by travel of the rims. */
-double kinematics_residual(const core_config *config, const double *angle_rad, const double *rim, const double *twist_u);
+/* Root mean square of what that motion leaves of the equations of these joints, by travel of the rims. */
+double kinematics_residual(const core_config *config, const double *angle_rad, uint32_t joints, const double *rim,
+                           const double *twist_u);
 
 typedef struct {
     double duty;

@@ -57,7 +57,8 @@ void modules_take_angle(odometry_state *state, const core_config *config, uint32
 /* The same for all, and what follows for these joints from the angles in the middle of the arc. */
 void modules_look(odometry_state *state, const core_config *config, uint32_t joints);
 /* What no motion of the base explains of an arc. */
-void modules_slip(odometry_state *state, const core_config *config, const double *rim_m, const double *twist_u, double elapsed_s);
+void modules_slip(odometry_state *state, const core_config *config, uint32_t joints, const double *rim_m, const double *twist_u,
+                  double elapsed_s);
 
 /* Every number of it is finite; in core.c, which checks it in each tick. */
 bool odometry_finite(const odometry_state *state, uint32_t joint_count);

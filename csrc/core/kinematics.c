@@ -113,6 +113,18 @@ typedef struct {
     wheel_row slides; /* across it */
 } module_rows;
 
+/* Its angle is known, */
+static bool points(const wheel_module *module, uint32_t joints)
+{
+    return module->steering == 0 || joints >> (module->steering - 1) & 1U;
+}
+
+/* and what its wheel rolls. */
+static bool is_driven(const wheel_module *module, uint32_t joints)
+{
+    return points(module, joints) && module->traction != 0 && joints >> (module->traction - 1) & 1U;
+}
+
 static module_rows rows_of(const wheel_module *module, const double *angle_rad, bool strafes)
 {
     direction d = angle_direction(angle_wrap(module_angle(module, angle_rad)));
@@ -129,11 +141,10 @@ void kinematics_modules(const core_config *config, const double *angle_rad, uint
     for (uint32_t i = 0; i < config->module_count; i++) {
         const wheel_module *module = &config->module[i];
         module_rows rows = rows_of(module, angle_rad, out->strafes != 0);
-        if (module->steering != 0 && !(joints >> (module->steering - 1) & 1U)) {
-            continue;
+        if (points(module, joints)) {
+            normal_add(m, &rows.slides);
         }
-        normal_add(m, &rows.slides);
-        if (module->traction != 0 && joints >> (module->traction - 1) & 1U) {
+        if (is_driven(module, joints)) {
             normal_add(m, &rows.rolls);
         }
     }
@@ -143,8 +154,7 @@ void kinematics_modules(const core_config *config, const double *angle_rad, uint
     }
     for (uint32_t i = 0; i < config->module_count; i++) {
         const wheel_module *module = &config->module[i];
-        bool points = module->steering == 0 || joints >> (module->steering - 1) & 1U;
-        if (points && module->traction != 0 && joints >> (module->traction - 1) & 1U) {
+        if (is_driven(module, joints)) {
             module_rows rows = rows_of(module, angle_rad, out->strafes != 0);
             invert_row(m, determinant, &rows.rolls, out, module->traction - 1);
         }
@@ -157,17 +167,21 @@ static double along(const wheel_row *row, const double *twist_u)
     return row->x * twist_u[AXIS_LINEAR] + row->lever_m * twist_u[AXIS_ANGULAR] + row->y * twist_u[AXIS_LATERAL];
 }
 
-double kinematics_residual(const core_config *config, const double *angle_rad, const double *rim, const double *twist_u)
+double kinematics_residual(const core_config *config, const double *angle_rad, uint32_t joints, const double *rim,
+                           const double *twist_u)
 {
     bool strafes = kinematics_strafes(config);
     double sum = 0.0, count = 0.0;
     for (uint32_t i = 0; i < config->module_count; i++) {
         const wheel_module *module = &config->module[i];
+        if (!points(module, joints)) {
+            continue;
+        }
         module_rows rows = rows_of(module, angle_rad, strafes);
         double slides = along(&rows.slides, twist_u);
-        double rolls = module->traction != 0 ? along(&rows.rolls, twist_u) - rim[module->traction - 1] : 0.0;
+        double rolls = is_driven(module, joints) ? along(&rows.rolls, twist_u) - rim[module->traction - 1] : 0.0;
         sum += slides * slides + rolls * rolls;
-        count += module->traction != 0 ? 2.0 : 1.0;
+        count += is_driven(module, joints) ? 2.0 : 1.0;
     }
     return sqrt(sum / count);
 }

@@ -445,7 +445,7 @@ static void integrate(odometry_state *state, const core_config *config, const ui
     motion moved = by_wheels(state, &found, config->joint_count);
     if (config->module_count > 0 && before_ns > 0 && found.stamp_ns > before_ns) {
         const double twist_u[AXES] = {moved.x_m, moved.turn_rad, moved.y_m};
-        modules_slip(state, config, found.rim_m, twist_u, (double)(found.stamp_ns - before_ns) * 1e-9);
+        modules_slip(state, config, found.joints, found.rim_m, twist_u, (double)(found.stamp_ns - before_ns) * 1e-9);
     }
     turn_by_gyro(state, config, &found, &moved);
     follow(state, &moved);

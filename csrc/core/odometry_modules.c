@@ -31,8 +31,9 @@ void modules_look(odometry_state *state, const core_config *config, uint32_t joi
     kinematics_modules(config, middle_rad, joints, &state->used);
 }
 
-void modules_slip(odometry_state *state, const core_config *config, const double *rim_m, const double *twist_u, double elapsed_s)
+void modules_slip(odometry_state *state, const core_config *config, uint32_t joints, const double *rim_m, const double *twist_u,
+                  double elapsed_s)
 {
-    double left_m = kinematics_residual(config, state->angle_rad, rim_m, twist_u);
+    double left_m = kinematics_residual(config, state->angle_rad, joints, rim_m, twist_u);
     state->spread.slip_m_s += (left_m - state->spread.slip_m_s * elapsed_s) / (SLIP_TIME_S + elapsed_s);
 }

@@ -45,7 +45,7 @@ def test_inverse_after_forward_is_the_identity_on_what_can_be_reached(kind, twis
     found = [sum(made.inverse[a][j] * rim for j, rim in enumerate(rims)) for a in range(3)]
     assert found == pytest.approx(in_order(twist), abs=1e-9)
     rows = [twist[0], twist[2], twist[1]]
-    assert lib.kinematics_residual(config, angles, rims, rows) < 1e-9
+    assert lib.kinematics_residual(config, angles, 255, rims, rows) < 1e-9
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -405,6 +405,23 @@ def test_wheels_that_work_against_each_other_are_slip(kind):
     assert clean.state.spread.slip_m_s < 1e-4
     assert slips.state.spread.slip_m_s > 0.01
     assert slips.state.pose_covariance[0] > 1.5 * clean.state.pose_covariance[0]
+
+
+def test_a_module_that_was_never_seen_leaves_the_odometry_to_the_others():
+    base = Odometry("swerve4", (0.3, 0.1, 0.2))
+    lib.odometry_init(base.state, base.config)
+    base.stale[0] = base.stale[1] = 1
+    for joint in (0, 1):
+        base.feedback[joint].stamp_ns = 0
+    counts = np.rint(np.array(base.rims) * 0.02 / (RADIUS_M * oracle.COUNT_RAD))
+    for _ in range(5):
+        for j in range(2, 8):
+            base.feedback[j].count = (base.feedback[j].count + int(counts[j])) % (1 << 64)
+            base.feedback[j].stamp_ns = base.now_ns = base.now_ns + 2_500_000
+        lib.odometry_step(base.state, base.config, base.feedback, base.stale, base.setpoint)
+    assert (base.state.blind, base.state.degraded) == (0, 1)
+    assert base.state.distance_m > 0.01
+    assert math.isfinite(base.state.spread.slip_m_s)
 
 
 BROKEN = {
