@@ -12,7 +12,17 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.sim.daemon_stage import DEADLINE_S, PATIENT, ROBOT, ROOT, SLOW, connected, ended
+from tests.sim.daemon_stage import (
+    DEADLINE_S,
+    PATIENT,
+    ROBOT,
+    ROOT,
+    SLOW,
+    SURE,
+    UNHURRIED,
+    connected,
+    ended,
+)
 from tests.sim.person_stage import at_terminal
 from tests.sim.pseudo_terminal import at_terminal as keyboard
 
@@ -27,7 +37,6 @@ TRUTH = {
     "base.track_m": 0.96 * TRACK_M,
 }
 TRIES = 4
-TRIES_OF_LINE = ("joint.left.tries=10", "joint.right.tries=10")
 """A busy machine may hold up the simulated robot for too long."""
 HEAD = """\
 # From the box to a calibrated base
@@ -169,7 +178,7 @@ def on_a_serial_port(walk, folder):
         title = "ZLAC8015D: find the drive, write the file"
         PLACES[str(port)] = "/dev/ttyUSB0"
         status = walk.step(title, ["init", file, "--at", port], ANSWERS)
-        with running(file, folder, "cart", *SLOW, *TRIES_OF_LINE) as socket:
+        with running(file, folder, "cart", *SLOW, *SURE) as socket:
             status += spun(walk, "ZLAC8015D", socket)
             status += calibrated(walk, sim.control, socket)
         with running(
@@ -187,7 +196,7 @@ def on_a_can_bus(walk, folder):
         file = folder / "duo.toml"
         title = "ODrives: find the drives, write the file"
         status = walk.step(title, ["init", file, "--at", address], ANSWERS)
-        with running(file, folder, "duo", "loop.rate_hz=250") as socket:
+        with running(file, folder, "duo", *UNHURRIED, "loop.rate_hz=250") as socket:
             status += spun(walk, "ODrives", socket)
             return status + driven(walk, "ODrives", sim.control, socket)
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from motord.commission.spin import wheels_of
 from motord.commission.wheel_turns import FASTER_MAX, together, turns_of
 from motord.config import load_robot
 from motord.config.sections.bases import wheel_row
@@ -72,6 +73,20 @@ def test_with_swapped_motors_the_wheel_that_turns_both_times_is_the_commanded_jo
             for turn in turns_of(rows, joint, strafes=strafes)
         ]
         assert set.intersection(*seen) == {wheel_of[joint]}
+
+
+def test_a_joint_without_a_place_among_the_wheels_has_no_turn():
+    """`spin` refuses it before it asks anything."""
+    described = {
+        "joints": ["left", "right", "steering"], "strafes": False,
+        "wheel_rows": {"left": (1.0, 0.0, -0.2), "right": (1.0, 0.0, 0.2)},
+        "wheel_radii_m": {"left": 0.1, "right": 0.1},
+    }  # fmt: skip
+    found = wheels_of(described)
+    assert {name: len(wheel.turns) for name, wheel in found.items()} == {
+        "left": 1, "right": 1, "steering": 0,
+    }  # fmt: skip
+    assert found["steering"].index == 2
 
 
 def test_a_wheel_that_no_motion_turns_has_no_turn():

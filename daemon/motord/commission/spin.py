@@ -45,7 +45,7 @@ class Wheel:
     index: int
     wheel_radius_m: float
     turns: tuple[Turn, ...]
-    """Twists that turn it, one after the other."""
+    """Twists that turn it, one after the other; empty: no twist does."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,10 +73,10 @@ def wheels_of(robot: Mapping[str, Any]) -> dict[str, Wheel]:
         name: Wheel(
             name=name,
             index=index,
-            wheel_radius_m=robot["wheel_radii_m"][name],
-            turns=turns_of(rows, name, strafes=robot["strafes"]),
+            wheel_radius_m=robot["wheel_radii_m"].get(name, math.nan),
+            turns=turns_of(rows, name, strafes=robot["strafes"]) if name in rows else (),
         )
-        for index, name in enumerate(rows)
+        for index, name in enumerate(robot["joints"])
     }
 
 
