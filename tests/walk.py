@@ -182,7 +182,7 @@ def on_a_serial_port(walk, folder):
             status += spun(walk, "ZLAC8015D", socket)
             status += calibrated(walk, sim.control, socket)
         with running(
-            file, folder, "cart", *SLOW, *TRIES_OF_LINE
+            file, folder, "cart", *SLOW, *SURE
         ) as socket:  # by what was calibrated
             return status + driven(walk, "ZLAC8015D", sim.control, socket)
 
