@@ -6,6 +6,7 @@ import contextlib
 import math
 import os
 import re
+import signal
 import subprocess
 import sys
 import tempfile
@@ -91,8 +92,10 @@ class Walk:
 
 def rested(socket):
     """A daemon that is idle: a fault that a busy machine has caused is reset."""
+    end_s = time.monotonic() + DEADLINE_S
     with Client(socket) as robot:
-        while robot.status().state != "idle":
+        while (status := robot.status()).state != "idle":
+            assert time.monotonic() < end_s, status.why
             with contextlib.suppress(ClientError):
                 robot.reset()
             time.sleep(0.1)
@@ -158,6 +161,7 @@ ANSWERS = {
 
 
 def main():
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # no daemon is left behind
     walk, status = Walk(), 0
     PLACES[str(ROOT)] = "/opt/motord"
     with tempfile.TemporaryDirectory() as made:
@@ -181,9 +185,7 @@ def on_a_serial_port(walk, folder):
         with running(file, folder, "cart", *SLOW, *SURE) as socket:
             status += spun(walk, "ZLAC8015D", socket)
             status += calibrated(walk, sim.control, socket)
-        with running(
-            file, folder, "cart", *SLOW, *SURE
-        ) as socket:  # by what was calibrated
+        with running(file, folder, "cart", *SLOW, *SURE) as socket:  # by what was calibrated
             return status + driven(walk, "ZLAC8015D", sim.control, socket)
 
 
