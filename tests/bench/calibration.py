@@ -7,6 +7,7 @@ python calibration.py: one JSON object.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import tempfile
@@ -15,6 +16,7 @@ from typing import Any
 from tests.sim.daemon_stage import ROOT, SURE, armed, wait_until
 from tests.sim.person_stage import calibrated, copied, robot_of
 
+from motord.client import MoveFailed
 from motord.config import load_robot
 
 RADIUS_M, TRACK_M = 0.0825, 0.45
@@ -27,23 +29,27 @@ TRUTH = (
 FORWARD_ONLY = ROOT / "config/robots/forward-only.toml"
 FRICTION = ("left.coulomb_n_m=0.48", "right.coulomb_n_m=0.48")
 """Of a motor that stalls at 8 N·m: a dead band of 6 %."""
+TRIES = 4
+"""A busy machine may hold up the simulated robot for too long."""
 FULL_DUTY_RAD_S = 8.0 * 0.94 / (8.0 / 18.0 + 0.02)
 """8 N·m · (duty − 0.06) = (8 / 18 + 0.02) N·m·s/rad · speed"""
 
 
 def square_error_m(stage: Any, side_m: float) -> float:
-    """How far from its beginning a square ends, the mean of one to the left and one to the right;
-    by the simulated truth."""
+    """How far a square ends from where the odometry has it, the mean of one to the left and one to
+    the right (UMBmark: the return position error)."""
     errors_m = []
-    for sign in (1.0, -1.0):
-        with armed(stage):
+    while len(errors_m) < 2:
+        sign = -1.0 if errors_m else 1.0
+        with armed(stage), contextlib.suppress(MoveFailed):  # a busy machine: once more
             stage.sim.reset_truth()
+            stage.robot.reset_odometry()
             for _ in range(4):
                 stage.robot.move(side_m, speed_m_s=0.4)
                 stage.robot.turn(sign * math.pi / 2.0, speed_rad_s=0.8)
             wait_until(lambda: stage.sim.truth().at_rest, "rest")
-            truth = stage.sim.truth()
-            errors_m.append(math.hypot(truth.x_m, truth.y_m))
+            truth, odometry = stage.sim.truth(), stage.robot.status().odometry
+            errors_m.append(math.hypot(truth.x_m - odometry.x_m, truth.y_m - odometry.y_m))
     return sum(errors_m) / len(errors_m)
 
 
@@ -53,7 +59,10 @@ def geometry(side_m: float) -> dict[str, Any]:
         file = copied(folder)
         with robot_of(folder, file, *SURE, truth=TRUTH) as stage:
             before_m = square_error_m(stage, side_m)
-            status, text = calibrated(stage, "all", "--speed-m-s", "0.4")
+            for _ in range(TRIES):
+                status, text = calibrated(stage, "all", "--speed-m-s", "0.4")
+                if status == 0:
+                    break
             assert status == 0, text
         with robot_of(folder, file, *SURE, truth=TRUTH) as stage:
             after_m = square_error_m(stage, side_m)
@@ -88,8 +97,9 @@ def table(found: dict[str, Any]) -> str:
     off = ", ".join(f"{name} {part:+.2%}" for name, part in made["off"].items())
     return (
         f"calibrated on a robot with radii +3 % and +2 %, track -4 %: off by {off}\n"
-        f"a square of {made['side_m']:g} m ends {1e3 * made['before_m']:.0f} mm from its beginning "
-        f"before, {1e3 * made['after_m']:.0f} mm after: {made['ratio']:.0f} times closer\n"
+        f"a square of {made['side_m']:g} m ends {1e3 * made['before_m']:.0f} mm from where the "
+        f"odometry has it before, {1e3 * made['after_m']:.1f} mm after: {made['ratio']:.0f} times "
+        "closer\n"
         f"dead band of 6 %: off by {motor['dead_band']:+.1%} of it; speed at full duty: "
         f"{motor['full_duty']:+.1%}"
     )
