@@ -43,11 +43,12 @@ def robot(browser, tmp_path_factory):
     settings = (
         "input.web.kind=web", f"input.web.port={port}", f'input.web.token_file="{token}"',
         "publish.tape.kind=mcap", f'publish.tape.folder="{recordings}"',
+        "publish.tape.mode=manual", "publish.tape.journal=true",
     )  # fmt: skip
     file = shutil.copy(ROBOT, folder / "robot.toml")
     with running(folder, *SLOW, *settings, robot=file) as stage:
         stage.wait_for("idle")
-        dashboard = Dashboard(browser, stage, port, file)
+        dashboard = Dashboard(browser, stage, port, file, recordings)
         wait_until(dashboard.listens, "the dashboard listens")
         yield dashboard
         with contextlib.suppress(subprocess.TimeoutExpired):

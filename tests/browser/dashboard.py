@@ -21,8 +21,9 @@ TURNS_RAD_S, RESTS_RAD_S = 1.0, 0.05
 
 
 class Dashboard:
-    def __init__(self, browser, stage, port, file):
-        self.browser, self.stage, self.port, self.file = browser, stage, port, file
+    def __init__(self, browser, stage, port, file, recordings):
+        self.browser, self.stage, self.port = browser, stage, port
+        self.file, self.recordings = file, recordings
         self._again = None
 
     def listens(self):

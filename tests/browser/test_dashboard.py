@@ -3,6 +3,7 @@
 
 import json
 import os
+import re
 import signal
 from urllib.parse import urlsplit
 
@@ -10,6 +11,7 @@ import pytest
 from tests.browser.dashboard import DEADLINE_MS, TOKEN, held, press_key, press_pad, state_of
 from tests.browser.link_proxy import LinkProxy
 from tests.sim.daemon_stage import wait_until
+from tests.sim.journal_copy import flipped, rewritten
 
 ESTOP = ".estop-place .estop"
 
@@ -280,20 +282,31 @@ def test_exchanges_are_shown_live_and_traced_no_longer_than_that(robot, page):
     wait_until(lambda: not robot.children("trace"), "none traces for a hidden page")
 
 
-def test_a_recording_is_listed_and_downloaded_once(robot, page):
+def test_a_recording_is_started_stopped_downloaded_once_and_replayed(robot, page):
     page.evaluate("location.hash = 'log'")
-    rows = page.locator(".recordings button")
-
-    def listed():
-        button(page, "Refresh").click()
-        return rows.count() > 0
-
-    wait_until(listed, "a recording")
+    button(page, "Start recording").click()
+    files = page.locator(".recordings li", has_text="-manual.mcap")
+    wait_until(lambda: "being written" in files.first.inner_text(), "the recording")
+    robot.set_off(page)
+    page.mouse.up()
+    robot.wait_for_rest()
+    page.evaluate("location.hash = 'log'")
+    button(page, "Stop recording").click()
+    wait_until(lambda: "being written" not in files.first.inner_text(), "the file is whole")
+    files.first.get_by_role("button", name="Replay").click()
+    files.first.locator(".good").wait_for()
+    assert "Bit-identical" in files.first.inner_text()
     with page.expect_download() as found:
-        rows.first.click()
+        files.first.get_by_role("button", name="Download").click()
     assert found.value.path().read_bytes().startswith(b"\x89MCAP0\r\n")
     path = urlsplit(found.value.url).path
     assert page.request.get(f"http://127.0.0.1:{robot.port}{path}").status == 404
+
+    rewritten(found.value.path(), robot.recordings / "flipped.mcap", flipped)
+    other = page.locator(".recordings li", has_text="flipped.mcap")
+    other.get_by_role("button", name="Replay").click()
+    other.locator(".differences tbody tr").first.wait_for()
+    assert re.search(r"\d+ ticks? differs?\.", other.inner_text())
 
 
 def test_the_log_shows_what_happened(robot, page):

@@ -3,21 +3,17 @@
 
 import json
 import signal
-import struct
 import subprocess
 import sys
 import uuid
 
 import pytest
-import zstandard
 from daemon_stage import DEADLINE_S, ROBOT, ROOT, running, set_off, wait_until
 from mcap.reader import make_reader
-from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
+from tests.sim.journal_copy import flipped, rewritten
 
 from motord.api.page_file import own_page
-
-JOURNAL = "/core_journal"
 
 
 def settings(folder):
@@ -70,33 +66,6 @@ def odometry(path):
         ]
 
 
-def rewritten(path, target, change):
-    """A copy in which `change(number, data)` made each journal message anew; None leaves it out."""
-    with path.open("rb") as file, target.open("wb") as sink:
-        writer = Writer(sink)
-        writer.start(profile="ros2", library="test")
-        channel, messages = None, make_reader(file).iter_messages(topics=[JOURNAL])
-        for number, (schema, of, message) in enumerate(messages):
-            if channel is None:
-                known = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channel = writer.register_channel(of.topic, of.message_encoding, known)
-            data = change(number, message.data)
-            if data is not None:
-                writer.add_message(channel, message.log_time, data, message.publish_time)
-        writer.finish()
-    return target
-
-
-def with_records(data, change):
-    """The message with other records: they lie behind the checkpoints."""
-    at = 16 + 4 + struct.unpack_from("<I", data, 16)[0]
-    at += -at % 4
-    length = struct.unpack_from("<I", data, at)[0]
-    records = zstandard.ZstdDecompressor().decompress(data[at + 4 : at + 4 + length])
-    packed = zstandard.ZstdCompressor().compress(change(records))
-    return data[:at] + struct.pack("<I", len(packed)) + packed
-
-
 def test_a_recorded_drive_is_bit_identical_when_it_is_run_again(recording):
     found = outcome(recording)
     assert found["identical"]
@@ -107,23 +76,17 @@ def test_a_recorded_drive_is_bit_identical_when_it_is_run_again(recording):
 
 
 def test_a_bit_of_the_input_that_is_another_one_is_found(recording, tmp_path):
-    record_bytes = []
-
-    def flip(number, data):
-        if number != 5:
-            return data
-        record_bytes.append(struct.unpack_from("<I", data, 8)[0])
-        size = record_bytes[0]
-        # the time between two ticks, in the second record's second word
-        return with_records(
-            data, lambda raw: raw[: size + 14] + bytes((raw[size + 14] ^ 1,)) + raw[size + 15 :]
-        )
-
-    other = rewritten(recording, tmp_path / "other.mcap", flip)
+    other = rewritten(recording, tmp_path / "other.mcap", flipped)
     found = outcome(other, status=1)
     assert not found["identical"]
     assert found["differing_ticks"] >= 1
     assert found["first_difference"].startswith("tick ")
+    assert 1 <= len(found["differences"]) <= found["differing_ticks"]
+    first = found["differences"][0]
+    assert found["first_difference"] == (
+        f"tick {first['tick']}: {', '.join(row['field'] for row in first['fields'])}"
+    )
+    assert first["time_s"] > 0.0
 
 
 def test_records_that_are_missing_cost_a_gap_and_the_rest_is_compared(recording, tmp_path):

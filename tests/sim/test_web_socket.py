@@ -61,7 +61,10 @@ async def test_a_wrong_token_is_refused_with_a_reason_and_another_site_without(c
     assert refused.value.status == 403
 
 
-CALLS = ("arm", "estop", "params.set", "params.get", "params.save", "params.diff", "reset")
+CALLS = (
+    *("arm", "estop", "params.set", "params.get", "params.save", "params.diff", "reset"),
+    *("record.start", "record.stop", "replay", "replay.cancel"),
+)
 
 
 @pytest.mark.parametrize("call", CALLS)

@@ -18,7 +18,9 @@ from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 from tests.unit.bus_views import LOOP, MS, view
 
+from motord.bus.commands.gate import NotTaken
 from motord.bus.mcap.files import Entry, Folder
+from motord.bus.mcap.manual import recorder
 from motord.bus.mcap.recorder import McapRecorder
 from motord.bus.mcap.waiting import ENTRY_BYTES, Waiting
 from motord.bus.messages.forms import as_cdr
@@ -316,6 +318,7 @@ NAMES = (
     "demo-20260101T000000-000000000-all.mcap",
     "demo-20260101T000000-000000000-estop.mcap",
     "demo-20260101T000000-000000000-all-estop.mcap",
+    "demo-20260101T000000-000000000-manual.mcap",
     "demo-2-20260101T000000-000000000-all.mcap",
     "demo-2-20260101T000000-000000000-estop.mcap",
     "demo-all.mcap",
@@ -323,15 +326,56 @@ NAMES = (
 )
 
 
-@pytest.mark.parametrize(("everything", "deleted"), [(True, NAMES[:1]), (False, NAMES[1:3])])
-def test_room_is_made_of_recordings_of_this_robot_and_this_mode_alone(
-    tmp_path, everything, deleted
-):
+MODES = [("all", NAMES[:1]), ("fault", NAMES[1:3]), ("manual", NAMES[3:4])]
+
+
+@pytest.mark.parametrize(("mode", "deleted"), MODES)
+def test_room_is_made_of_recordings_of_this_robot_and_this_mode_alone(tmp_path, mode, deleted):
     for name in NAMES:
         (tmp_path / name).write_bytes(bytes(2_000_000))
-    folder = Folder(tmp_path, "demo", everything=everything, total_max_mb=1, free_min_mb=0)
+    folder = Folder(tmp_path, "demo", mode=mode, total_max_mb=1, free_min_mb=0)
     folder.make_room()
     assert {path.name for path in tmp_path.iterdir()} == set(NAMES) - set(deleted)
+
+
+async def test_a_recorder_that_is_started_and_stopped_writes_only_between_the_two(tmp_path):
+    runtime = Runtime(load_robot(DEMO), tmp_path / "no.sock")
+    section = McapPublish(
+        kind="mcap", folder=str(tmp_path), rate_hz=1000.0, mode="manual", free_min_mb=0
+    )
+    made = recorder("tape", section, runtime)
+    assert runtime.recorders == {"tape": made}
+
+    async def until(condition):
+        async with asyncio.timeout(DEADLINE_S):
+            while not condition():
+                runtime.view = view(time.monotonic_ns() // MS)
+                for feed in runtime.feeds.values():
+                    feed.offer(runtime.view)
+                await asyncio.sleep(0.005)
+
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(made.run())
+        for count in (1, 2):
+            await asyncio.sleep(0)
+            assert runtime.feeds == {}
+            assert made.state.file is None
+            made.start()
+            await until(lambda: made.state.file is not None)
+            assert made.state.mode == "manual"
+            path = tmp_path / made.state.file
+            made.stop()
+            await until(lambda: not runtime.feeds)
+            assert len(list(tmp_path.glob("demo-*-manual.mcap"))) == count
+            assert read(path)
+        task.cancel()
+
+
+def test_a_recorder_that_records_by_itself_is_neither_started_nor_stopped(tmp_path):
+    stage = Stage(tmp_path)
+    for act in (stage.recorder.start, stage.recorder.stop):
+        with pytest.raises(NotTaken, match='mode = "manual"'):
+            act()
 
 
 def test_a_message_in_memory_is_as_long_as_the_robot_files_check_takes_it(tmp_path):

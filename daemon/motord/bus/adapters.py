@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
 from types import MappingProxyType
@@ -13,7 +14,7 @@ from typing import Any, Protocol
 PUBLISHERS = MappingProxyType(
     {
         "foxglove": "motord.bus.foxglove.adapter:FoxgloveAdapter",
-        "mcap": "motord.bus.mcap.recorder:McapRecorder",
+        "mcap": "motord.bus.mcap.manual:recorder",
         "mqtt": "motord.bus.mqtt.publisher:MqttPublisher",
         "ros2": "motord.bus.ros2.publisher:Ros2Publisher",
         "ros2-zenoh": "motord.bus.ros2.publisher:Ros2Publisher",
@@ -45,6 +46,37 @@ class Adapter(Protocol):
     async def run(self) -> None:
         """Until cancelled; the world's faults are logged once and survived. One that raises is run
         again (motord.bus.guard)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderState:
+    """What a recorder does now."""
+
+    mode: str
+    """As McapPublish.mode."""
+    recording: bool
+    """False: it waits for its start."""
+    file: str | None = None
+    """Name of the file that it writes; None: it writes none."""
+    since_wall_time_s: float | None = None
+    """When that file was begun."""
+    failing: bool = False
+    """It cannot write: the log names the reason."""
+
+
+class Recorder(Protocol):
+    """Records to files in the folder of its section."""
+
+    @property
+    def state(self) -> RecorderState: ...
+
+    def start(self) -> None:
+        """Begin a file, unless it records. Raises NotTaken: it is not of mode "manual"."""
+        ...
+
+    def stop(self) -> None:
+        """End the file. Raises NotTaken: it is not of mode "manual"."""
         ...
 
 

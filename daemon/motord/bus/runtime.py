@@ -18,7 +18,15 @@ from motord.api.snapshot import Snapshot
 from motord.api.state_page import NoPage, StatePage
 from motord.api.stop_request import KINDS
 from motord.base.extras import how_to_install
-from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHERS, Adapter, find
+from motord.bus.adapters import (
+    INPUT_POINTS,
+    INPUTS,
+    PUBLISHER_POINTS,
+    PUBLISHERS,
+    Adapter,
+    Recorder,
+    find,
+)
 from motord.bus.commands.gap import Gap
 from motord.bus.commands.link import Source, StopSender, call
 from motord.bus.feed import Feed, Sink
@@ -70,6 +78,8 @@ class Runtime:
         """None: the daemon has not been seen, or is gone."""
         self.feeds: dict[str, Sink] = {}
         self.sources: dict[str, Source] = {}
+        self.recorders: dict[str, Recorder] = {}
+        """Of [publish.*] of kind "mcap"."""
         self._stops = StopSender(path)
         self._gaps: list[Gap] = []
         self._failures: dict[str, int] = {}

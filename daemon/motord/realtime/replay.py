@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import math
 import mmap
 import os
+from dataclasses import dataclass
 from typing import Any, Self
 
 from _motord_rt import ffi, lib
@@ -16,6 +18,17 @@ from motord.api.state_page import decode
 LAYOUT_VERSION: int = lib.JOURNAL_LAYOUT_VERSION
 RECORD_BYTES: int = ffi.sizeof("journal_record")
 CHECKPOINT_BYTES: int = ffi.sizeof("core_state")
+
+
+@dataclass(frozen=True, slots=True)
+class Differing:
+    """What came out otherwise than recorded."""
+
+    field: str
+    recorded: float | None = None
+    """As a set-point of a drive has it, with the unit in the name of the field; None where the
+    recording has no number of it."""
+    replayed: float | None = None
 
 
 class ReplayedCore:
@@ -46,20 +59,20 @@ class ReplayedCore:
         """Whether its state is that one, bit for bit."""
         return bytes(ffi.buffer(self._state)) == checkpoint
 
-    def step(self, record: bytes) -> list[str]:
-        """One tick; what came out otherwise than recorded, by name. Raises ValueError for a record
-        of another size."""
+    def step(self, record: bytes) -> list[Differing]:
+        """One tick; what came out otherwise than recorded. Raises ValueError for a record of
+        another size."""
         if len(record) != RECORD_BYTES:
             raise ValueError(f"a record of {len(record)} bytes, not {RECORD_BYTES}")
         raw = self._record
         ffi.memmove(raw, record, RECORD_BYTES)
         lib.core_step(self._state, ffi.addressof(raw, "input"), raw.dt_s, self._out, self._snapshot)
         was = ffi.addressof(raw, "out")
-        differs = []
+        differs: list[Differing] = []
         if bytes(ffi.buffer(self._out)) != bytes(ffi.buffer(was)):
             differs = _differences(self._out, was)
         if not differs and lib.journal_digest(self._snapshot) != raw.digest:
-            differs = ["the snapshot"]
+            differs = [Differing("the snapshot")]
         return differs
 
     def now_ns(self) -> int:
@@ -92,20 +105,35 @@ def tick_of_state(checkpoint: bytes) -> int:
     return tick
 
 
-def _differences(now: Any, was: Any) -> list[str]:
+def _differences(now: Any, was: Any) -> list[Differing]:
     names = ["stamp_ns", "tick", "enabled", "joint_count"]
-    found = [name for name in names if getattr(now, name) != getattr(was, name)]
+    pairs = [(name, getattr(was, name), getattr(now, name)) for name in names]
     for number in range(min(was.joint_count, lib.JOINTS_MAX)):
-        found += [
-            f"joint[{number}].{name}"
+        pairs += [
+            (
+                f"joint[{number}].{name}",
+                getattr(was.joint[number], name),
+                getattr(now.joint[number], name),
+            )
             for name in ("velocity_rad_s", "duty", "torque_n_m")
-            if getattr(now.joint[number], name) != getattr(was.joint[number], name)
         ]
-        if now.positioned >> number & 1 != was.positioned >> number & 1:
-            found.append(f"joint[{number}].positioned")
-        if now.position_rad[number] != was.position_rad[number]:
-            found.append(f"joint[{number}].position_rad")
-    return found or ["the bits of a set-point"]
+        pairs += [
+            (
+                f"joint[{number}].positioned",
+                *((one.positioned >> number & 1) for one in (was, now)),
+            ),
+            (f"joint[{number}].position_rad", was.position_rad[number], now.position_rad[number]),
+        ]
+    found = [
+        Differing(name, _finite(old), _finite(new))
+        for name, old, new in pairs
+        if old != new and not (math.isnan(old) and math.isnan(new))
+    ]
+    return found or [Differing("the bits of a set-point")]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 class ReplayPage:

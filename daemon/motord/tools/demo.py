@@ -8,7 +8,9 @@ is the client that any program uses.
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import itertools
+import json
 import os
 import signal
 import socket
@@ -302,8 +304,19 @@ def show_dashboard(
     if _listens(port):
         raise DemoError(f"another program listens at TCP port {port}: choose another with --port")
     table = f"input.{DASHBOARD}"
-    settings = (f"{table}.kind=web", f"{table}.port={port}", f"{table}.trust_loopback=true")
-    with staged(robot_file, (*robot.overrides, *settings)) as stage:
+    settings = [f"{table}.kind=web", f"{table}.port={port}", f"{table}.trust_loopback=true"]
+    with tempfile.TemporaryDirectory(prefix="motord-recordings-") as folder:
+        if importlib.util.find_spec("mcap") is not None:
+            table = f"publish.{DASHBOARD}"
+            settings += [f"{table}.kind=mcap", f"{table}.folder={json.dumps(folder)}"]
+            settings += [f"{table}.mode=manual", f"{table}.journal=true"]
+        _show(robot_file, (*robot.overrides, *settings), port, stay)
+
+
+def _show(
+    robot_file: Path, settings: Sequence[str], port: int, stay: Callable[[Stage], None]
+) -> None:
+    with staged(robot_file, settings) as stage:
         stage.wait("drives ready", lambda status: status["state"] == "idle", START_DEADLINE_S)
         stage.wait("the dashboard", lambda _: _listens(port), START_DEADLINE_S)
         stay(stage)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import zstandard
@@ -16,6 +16,7 @@ from motord.realtime.replay import (
     CHECKPOINT_BYTES,
     LAYOUT_VERSION,
     RECORD_BYTES,
+    Differing,
     ReplayedCore,
     tick_of,
     tick_of_state,
@@ -27,10 +28,22 @@ _LENGTH = struct.Struct("<I")
 _CDR_HEADER_BYTES = 4
 _CHECKPOINTS_KEPT = 8
 _PART_BYTES_MAX = 64 << 20
+DIFFERENCES_MAX = 50
+"""So many ticks that differ are described; all are counted."""
 
 
 class ReplayError(Exception):
     """The recording cannot be replayed; the text says why and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A tick that differs."""
+
+    tick: int
+    time_s: float
+    """Since the first tick that was compared."""
+    fields: list[Differing]
 
 
 @dataclass
@@ -46,6 +59,8 @@ class Outcome:
     """Places where records are missing: the replay went on from the next recorded state."""
     differing_ticks: int = 0
     first_difference: str | None = None
+    differences: list[Difference] = field(default_factory=list)
+    """The first of them."""
 
     @property
     def identical(self) -> bool:
@@ -105,19 +120,23 @@ class _Run:
             outcome.seconds += (self._core.now_ns() - began_ns) * 1e-9
         outcome.ticks += 1
         if differs:
-            self._differ(", ".join(differs))
+            self._differ(differs)
         self._watch(self._core)
 
     def _compare(self, state: bytes) -> None:
         self.outcome.checkpoints += 1
         if not self._core.is_at(state):
-            self._differ("the core's state")
+            self._differ([Differing("the core's state")])
             self._core.load(state)
 
-    def _differ(self, what: str) -> None:
-        self.outcome.differing_ticks += 1
-        if self.outcome.first_difference is None:
-            self.outcome.first_difference = f"tick {self._core.tick}: {what}"
+    def _differ(self, fields: list[Differing]) -> None:
+        outcome, tick = self.outcome, self._core.tick
+        outcome.differing_ticks += 1
+        if outcome.first_difference is None:
+            what = ", ".join(differing.field for differing in fields)
+            outcome.first_difference = f"tick {tick}: {what}"
+        if len(outcome.differences) < DIFFERENCES_MAX:
+            outcome.differences.append(Difference(tick, outcome.seconds, fields))
 
 
 def _messages(path: Path) -> Iterator[tuple[list[bytes], list[bytes]]]:

@@ -20,8 +20,8 @@ from motord.bus.mcap.rosbag2 import METADATA, RECORD, channel_metadata
 from motord.bus.messages.table import definition
 
 MB = 1_000_000
-ALL = "all"
-"""In the name of a file of mode all, where others have what they were saved for."""
+CONTINUOUS = ("all", "manual")
+"""Modes whose files have the mode in their names, where others have what they were saved for."""
 CHUNK_BYTES = 256 * 1024
 """So much is lost at most when the process is killed; `mcap recover` mends the file."""
 
@@ -41,7 +41,7 @@ class Recording:
 
     def __init__(self, path: Path, robot: str) -> None:
         """Raises OSError."""
-        self.path = path
+        self.path, self.since_wall_time_s = path, time.time()
         self._file: BufferedWriter = path.open("xb")
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library="motord")
@@ -90,12 +90,12 @@ class Folder:
     """All recordings of one robot and one mode."""
 
     def __init__(
-        self, path: Path, robot: str, *, everything: bool, total_max_mb: int, free_min_mb: int
+        self, path: Path, robot: str, *, mode: str, total_max_mb: int, free_min_mb: int
     ) -> None:
-        """`everything`: mode all; else what was saved for a fault."""
+        """`mode`: as McapPublish.mode."""
         self._path = path
         self._robot = robot
-        what = ALL if everything else f"(?!{ALL}\\.)[^.]+"
+        what = mode if mode in CONTINUOUS else rf"(?!({'|'.join(CONTINUOUS)})\.)[^.]+"
         self._name = re.compile(rf"{re.escape(robot)}-\d{{8}}T\d{{6}}-\d{{9}}-{what}\.mcap")
         self._total_max_bytes = total_max_mb * MB
         self._free_min_bytes = free_min_mb * MB

@@ -15,8 +15,10 @@ import threading
 import time
 from typing import TYPE_CHECKING
 
+from motord.bus.adapters import RecorderState
+from motord.bus.commands.gate import NotTaken
 from motord.bus.feed import Sample
-from motord.bus.mcap.files import ALL, Entry, Folder, Recording
+from motord.bus.mcap.files import CONTINUOUS, Entry, Folder, Recording
 from motord.bus.mcap.waiting import Waiting
 from motord.bus.messages.cdr import encode
 from motord.bus.messages.forms import as_cdr, stamp_ns
@@ -49,7 +51,7 @@ class McapRecorder:
         self._folder = Folder(
             runtime.beside_robot_file(section.folder),
             runtime.body.robot,
-            everything=section.mode == "all",
+            mode=section.mode,
             total_max_mb=section.total_max_mb,
             free_min_mb=section.free_min_mb,
         )
@@ -64,18 +66,42 @@ class McapRecorder:
         """A fault whose file is not written yet."""
         self._recording: Recording | None = None
         self._since_s = 0.0
-        self._failing = False
+        self._failing = self._ending = False
         self._writing = threading.Lock()
         """Held by the writer: a thread may outlive the task that waited for it."""
+
+    @property
+    def state(self) -> RecorderState:
+        """As Recorder.state."""
+        recording = self._recording
+        return RecorderState(
+            mode=self._section.mode,
+            recording=True,
+            file=recording.path.name if recording is not None else None,
+            since_wall_time_s=recording.since_wall_time_s if recording is not None else None,
+            failing=self._failing,
+        )
+
+    def start(self) -> None:
+        """As Recorder.start."""
+        raise NotTaken(f'publish.{self._name} needs mode = "manual" to be started and stopped')
+
+    stop = start
+
+    def end(self) -> None:
+        """Have `run` write what waits, close the file, and end: of a mode other than "fault"."""
+        self._ending = True
 
     async def run(self) -> None:
         """As Adapter.run."""
         try:
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._collect())
+                collecting = [tasks.create_task(self._collect())]
                 if self._section.journal:
-                    tasks.create_task(self._collect_journal())
-                tasks.create_task(self._all() if self._section.mode == "all" else self._faults())
+                    collecting.append(tasks.create_task(self._collect_journal()))
+                await (self._all() if self._section.mode in CONTINUOUS else self._faults())
+                for task in collecting:
+                    task.cancel()
         finally:
             self._finish()
 
@@ -107,7 +133,7 @@ class McapRecorder:
 
     # --------------------------------------------------------------------------------------- all
     async def _all(self) -> None:
-        while True:
+        while not self._ending:
             await asyncio.sleep(AGAIN_S if self._failing else WRITE_EVERY_S)
             batch = self._waiting.take()
             try:
@@ -116,6 +142,7 @@ class McapRecorder:
                 self._fail(error, len(batch))
             else:
                 self._recovered()
+        await asyncio.to_thread(self._finish)  # closing a file may take long
 
     def _write(self, batch: list[Entry]) -> None:
         """In the thread. Raises OSError."""
@@ -125,7 +152,7 @@ class McapRecorder:
                 recording, self._recording = self._recording, None
                 recording.close()
             if self._recording is None:
-                self._recording = self._folder.open(ALL)
+                self._recording = self._folder.open(self._section.mode)
                 self._recording.add(self._described(batch))
                 self._since_s = time.monotonic()
             else:

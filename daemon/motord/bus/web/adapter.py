@@ -18,18 +18,20 @@ from motord.bus.http_server import HttpServer, tls_context
 from motord.bus.messages import json_form
 from motord.bus.messages.topics import View
 from motord.bus.secret import Token
+from motord.bus.web import tape
 from motord.bus.web.access import PROTOCOL, Access, Right, Stranger
-from motord.bus.web.assets import answer
+from motord.bus.web.assets import answer as asset
 from motord.bus.web.description import description
 from motord.bus.web.events import Event, Events
 from motord.bus.web.frames import Packer
-from motord.bus.web.recordings import ADDRESS, Recordings
+from motord.bus.web.recordings import ADDRESS
 from motord.bus.web.saving import save
 from motord.bus.web.seat import Seat
+from motord.bus.web.tape import Tape
 from motord.bus.web.tracing import Traces
 from motord.bus.web.viewer import Viewer
 from motord.client import ClientError
-from motord.config import McapPublish, WebInput, WebServer
+from motord.config import WebInput, WebServer
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
@@ -69,13 +71,7 @@ class WebAdapter:
         where = f"{table}.{name}"
         self._access = Access(section, fits)
         self._events = Events(self._publish_event)
-        self._recordings = Recordings(
-            {
-                key: runtime.beside_robot_file(found.folder)
-                for key, found in runtime.robot.publish.items()
-                if isinstance(found, McapPublish)
-            }
-        )
+        self._tape = Tape(runtime, lambda: self._publish({"recordings": "changed"}))
         self._traces = Traces(runtime.path)
         self._packer = Packer(len(runtime.robot.joint))
         self._viewers: set[Viewer] = set()
@@ -96,6 +92,7 @@ class WebAdapter:
                     tasks.create_task(self._gate.source.run())
                 tasks.create_task(self._server.run())
                 tasks.create_task(self._traces.run())
+                tasks.create_task(self._tape.replays.run())
                 tasks.create_task(self._follow_log())
 
     async def _follow_log(self) -> None:
@@ -147,7 +144,7 @@ class WebAdapter:
         if request.path.startswith(ADDRESS):
             return self._download(request)
         if request.path != SOCKET:
-            return answer(request, self._section.fleet)
+            return asset(request, self._section.fleet)
         try:
             self._access.check_origin(request)
         except Stranger as error:
@@ -206,28 +203,22 @@ class WebAdapter:
         }
 
     def _download(self, request: web.BaseRequest) -> web.StreamResponse:
-        path = self._recordings.redeem(request.path)
-        if request.method != "GET" or path is None:
-            text = "this address was good for one download\n"
-            return web.Response(status=HTTPStatus.NOT_FOUND, text=text)
-        headers = {"Content-Type": "application/octet-stream", "Cache-Control": "no-store"}
-        return web.FileResponse(path, headers=headers)
+        answer = self._tape.redeem(request)
+        if answer is not None:
+            return answer
+        text = "this address was good for one download\n"
+        return web.Response(status=HTTPStatus.NOT_FOUND, text=text)
 
     # -------------------------------------------------------------------------------------- calls
     async def _call(self, viewer: Viewer, method: str, params: Mapping[str, Any]) -> Any:
         """Raises NotTaken and ClientError."""
         match method:
-            case "recordings":
-                return await asyncio.to_thread(self._recordings.listed)
-            case "ticket":
-                try:
-                    return self._recordings.ticket(params.get("section"), params.get("name"))
-                except LookupError as error:
-                    raise NotTaken(str(error)) from error
             case "trace":
                 return self._trace(viewer, params.get("line"))
             case _ if method in LOOKS:
                 return await self._look(method)
+            case _ if method in tape.LOOKS:
+                return await self._tape.look(method, params)
         if self._gate is None:
             raise NotTaken("this dashboard only shows the robot: the robot file has no [input.*]")
         if not viewer.may_command:
@@ -238,6 +229,10 @@ class WebAdapter:
             return await self._gate.act(method, viewer.name)
         if method in SAVES:
             return await self._save(viewer, dry_run=method == "params.diff")
+        if method in tape.CHANGES:
+            what = short(params.get("name", params.get("section")))
+            self._events.note(viewer.name, f"{method} {what}")
+            return await self._tape.change(method, params)
         if method not in CHANGES:
             raise NotTaken(f"no call {short(method)}")
         if method == "params.set":

@@ -12,6 +12,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from motord.bus.commands.gate import NotTaken
+
 SUFFIX = ".mcap"
 TICKET_S = 60.0
 TICKETS_MAX = 64
@@ -37,13 +39,18 @@ class Recordings:
                 found.append(row | {"wall_time_s": about.st_mtime})
         return sorted(found, key=lambda row: -row["wall_time_s"])
 
-    def ticket(self, section: object, name: object) -> str:
-        """The address of one download. Raises LookupError for a file that is not listed."""
+    def file(self, section: object, name: object) -> Path:
+        """Where it is. Raises NotTaken for a file that is not listed."""
         known = {(row["section"], row["name"]) for row in self.listed()}
         if (section, name) not in known:
-            raise LookupError("no such recording")
+            raise NotTaken("there is no such recording")
+        return self._folders[str(section)] / str(name)
+
+    def ticket(self, section: object, name: object) -> str:
+        """The address of one download. Raises NotTaken for a file that is not listed."""
+        path = self.file(section, name)
         ticket = secrets.token_urlsafe(24)
-        self._tickets[ticket] = (time.monotonic(), self._folders[str(section)] / str(name))
+        self._tickets[ticket] = (time.monotonic(), path)
         while len(self._tickets) > TICKETS_MAX:
             self._tickets.popitem(last=False)
         return f"{ADDRESS}{ticket}/{name}"

@@ -160,9 +160,10 @@ class McapPublish(BusPublish):
     folder: str = Field(min_length=1)
     """Where the files go; it is made where it is not there. A path that is not absolute is beside
     the robot file."""
-    mode: Literal["all", "fault"] = "all"
-    """Record all, or keep the newest in memory and write it when a fault is latched."""
-    file_s: float = number("a new file after so long (mode all)", 1, 86400, "s", 600.0)
+    mode: Literal["all", "fault", "manual"] = "all"
+    """Record all; or keep the newest in memory and write it when a fault is latched; or record only
+    from start to stop on the dashboard."""
+    file_s: float = number("a new file after so long (not in mode fault)", 1, 86400, "s", 600.0)
     before_s: float = number("what a fault's file holds from before it", 1, 600, "s", 60.0)
     after_s: float = number("what a fault's file holds from after it", 0, 60, "s", 5.0)
     total_max_mb: int = number(

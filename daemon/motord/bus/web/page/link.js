@@ -96,7 +96,8 @@ export class Link {
     this._calls = new Map();
     this._number = 0;
     this._againMs = AGAIN_MIN_MS;
-    this._listeners = { frame: new Set(), hello: new Set(), status: new Set(), refusal: new Set(), trace: new Set() };
+    this._listeners = { frame: new Set(), hello: new Set(), status: new Set(), refusal: new Set(), trace: new Set(),
+      recordings: new Set() };
     this._ended = false;
     this._connect();
   }
@@ -180,6 +181,7 @@ export class Link {
       this._publish("status", message.status);
     } else if ("dropped" in message) this.missed = message.dropped;
     else if (message.event) this._addEvents([message.event]);
+    else if (message.recordings) this._publish("recordings", message.recordings);
     else if (message.trace) this._publish("trace", message.trace);
     else if ("answer" in message) this._answered(message);
     else if (message.refused) {

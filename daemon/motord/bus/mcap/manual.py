@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings that a person starts and stops: mode "manual". Between them nothing is fed, kept or
+written."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from motord.bus.adapters import Adapter, RecorderState
+from motord.bus.mcap.recorder import McapRecorder
+from motord.config import McapPublish
+
+if TYPE_CHECKING:
+    from motord.bus.runtime import Runtime
+
+
+def recorder(name: str, section: McapPublish, runtime: Runtime) -> Adapter:
+    """The adapter of that section, known to the runtime."""
+    kind = ManualRecorder if section.mode == "manual" else McapRecorder
+    made = runtime.recorders[name] = kind(name, section, runtime)
+    return made
+
+
+class ManualRecorder:
+    """It may be started and stopped: motord.bus.adapters.Recorder."""
+
+    def __init__(self, name: str, section: McapPublish, runtime: Runtime) -> None:
+        self._name, self._section, self._runtime = name, section, runtime
+        self._recorder: McapRecorder | None = None
+        self._started = asyncio.Event()
+
+    @property
+    def state(self) -> RecorderState:
+        """As Recorder.state."""
+        recording = self._started.is_set()
+        if self._recorder is None:
+            return RecorderState(mode="manual", recording=recording)
+        return replace(self._recorder.state, recording=recording)
+
+    def start(self) -> None:
+        """A new file; nothing where it records already."""
+        self._started.set()
+
+    def stop(self) -> None:
+        """What waits is written, and the file is closed."""
+        self._started.clear()
+        if self._recorder is not None:
+            self._recorder.end()
+
+    async def run(self) -> None:
+        """As Adapter.run."""
+        while True:
+            await self._started.wait()
+            self._recorder = McapRecorder(self._name, self._section, self._runtime)
+            try:
+                await self._recorder.run()
+            finally:
+                self._recorder = None
+                self._runtime.feeds.pop(self._name, None)

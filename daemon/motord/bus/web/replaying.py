@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings run through the core again by `motord replay`, one at a time, in a process that gives
+way to every other one: this process must not load the core."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from motord.bus.commands.gate import NotTaken
+from motord.bus.web.command import answer
+
+WITHIN_S = 1800.0
+WAITING_MAX = 4
+KEPT_MAX = 100
+"""Outcomes; the oldest goes."""
+
+Key = tuple[str, str]
+"""Section and name of a recording."""
+
+
+class Replays:
+    """What each recording's replay does, or has found."""
+
+    def __init__(self, changed: Callable[[], None]) -> None:
+        self.found: dict[Key, dict[str, Any]] = {}
+        """{"state": "waits" or "runs"}, {"outcome": ...} or {"problem": why}."""
+        self._changed = changed
+        self._one = asyncio.Lock()
+        self._running: dict[Key, asyncio.Task[None]] = {}
+        self._tasks: asyncio.TaskGroup | None = None
+
+    async def run(self) -> None:
+        """Until cancelled."""
+        async with asyncio.TaskGroup() as self._tasks:
+            try:
+                await asyncio.Event().wait()
+            finally:
+                self._tasks = None
+
+    def start(self, key: Key, path: Path) -> None:
+        """Raises NotTaken."""
+        if self._tasks is None or key in self._running:
+            raise NotTaken("it is replayed already")
+        if len(self._running) >= WAITING_MAX:
+            raise NotTaken("too many recordings wait for a replay: try again")
+        self._note(key, {"state": "waits"})
+        self._running[key] = self._tasks.create_task(self._replay(key, path))
+
+    def cancel(self, key: Key) -> None:
+        """Nothing where it is not replayed."""
+        if (task := self._running.get(key)) is not None:
+            task.cancel()
+
+    async def _replay(self, key: Key, path: Path) -> None:
+        found: dict[str, Any] = {}
+        try:
+            async with self._one:
+                self._note(key, {"state": "runs"})
+                found = {"outcome": await answer("replay", str(path), within_s=WITHIN_S)}
+        except NotTaken as error:
+            found = {"problem": str(error)}
+        finally:
+            del self._running[key]
+            self._note(key, found)
+
+    def _note(self, key: Key, found: dict[str, Any]) -> None:
+        self.found.pop(key, None)
+        if found:
+            self.found[key] = found
+        while len(self.found) > KEPT_MAX:
+            del self.found[next(iter(self.found))]
+        self._changed()

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What pages do with recordings: list and download them, start and stop them, run them again."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from aiohttp import web
+
+from motord.bus.commands.gate import NotTaken, short
+from motord.bus.web.recordings import Recordings
+from motord.bus.web.replaying import Replays
+from motord.config import McapPublish
+
+if TYPE_CHECKING:
+    from motord.bus.runtime import Runtime
+
+LOOKS = ("recordings", "ticket")
+CHANGES = ("record.start", "record.stop", "replay", "replay.cancel")
+"""Calls: those that a page may make that only watches, and the others."""
+
+
+class Tape:
+    """Of one dashboard."""
+
+    def __init__(self, runtime: Runtime, changed: Callable[[], None]) -> None:
+        """`changed`: a page that shows recordings has to look again."""
+        self._runtime, self._changed = runtime, changed
+        self._files = Recordings(
+            {
+                key: runtime.beside_robot_file(found.folder)
+                for key, found in runtime.robot.publish.items()
+                if isinstance(found, McapPublish)
+            }
+        )
+        self.replays = Replays(changed)
+
+    async def look(self, method: str, params: Mapping[str, Any]) -> Any:
+        """Answer one of LOOKS. Raises NotTaken."""
+        if method == "ticket":
+            return await asyncio.to_thread(
+                self._files.ticket, params.get("section"), params.get("name")
+            )
+        return self._described(await asyncio.to_thread(self._files.listed))
+
+    async def change(self, method: str, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Answer one of CHANGES. Raises NotTaken."""
+        section, name = params.get("section"), params.get("name")
+        if method.startswith("record."):
+            recorder = self._runtime.recorders.get(str(section))
+            if recorder is None:
+                raise NotTaken(f"there is no [publish.*] of kind mcap named {short(section)}")
+            recorder.start() if method == "record.start" else recorder.stop()
+            self._changed()
+            return {}
+        path = await asyncio.to_thread(self._files.file, section, name)
+        key = (str(section), str(name))
+        if method == "replay.cancel":
+            self.replays.cancel(key)
+        elif path.name in self._open():
+            raise NotTaken("it is still being written: stop it first")
+        else:
+            self.replays.start(key, path)
+        return {}
+
+    def redeem(self, request: web.BaseRequest) -> web.StreamResponse | None:
+        """A download. None: its address is not good any more."""
+        path = self._files.redeem(request.path)
+        if request.method != "GET" or path is None:
+            return None
+        headers = {"Content-Type": "application/octet-stream", "Cache-Control": "no-store"}
+        return web.FileResponse(path, headers=headers)
+
+    def _described(self, rows: list[dict[str, Any]]) -> dict[str, Any]:
+        recorders = [
+            {"section": name, **asdict(one.state)} for name, one in self._runtime.recorders.items()
+        ]
+        files = [
+            row | {
+                "writing": row["name"] in self._open(),
+                "replay": self.replays.found.get((row["section"], row["name"])),
+            }
+            for row in rows
+        ]  # fmt: skip
+        return {"recorders": recorders, "files": files}
+
+    def _open(self) -> set[str | None]:
+        """Names of files that are being written."""
+        return {one.state.file for one in self._runtime.recorders.values()}

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Copies of a recording whose journal is another one."""
+
+import struct
+
+import zstandard
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+JOURNAL = "/core_journal"
+
+
+def rewritten(path, target, change):
+    """A copy in which `change(number, data)` made each journal message anew; None leaves it out."""
+    with path.open("rb") as file, target.open("wb") as sink:
+        writer = Writer(sink)
+        writer.start(profile="ros2", library="test")
+        channel, messages = None, make_reader(file).iter_messages(topics=[JOURNAL])
+        for number, (schema, of, message) in enumerate(messages):
+            if channel is None:
+                known = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channel = writer.register_channel(of.topic, of.message_encoding, known)
+            data = change(number, message.data)
+            if data is not None:
+                writer.add_message(channel, message.log_time, data, message.publish_time)
+        writer.finish()
+    return target
+
+
+def with_records(data, change):
+    """The message with other records: they lie behind the checkpoints."""
+    at = 16 + 4 + struct.unpack_from("<I", data, 16)[0]
+    at += -at % 4
+    length = struct.unpack_from("<I", data, at)[0]
+    records = zstandard.ZstdDecompressor().decompress(data[at + 4 : at + 4 + length])
+    packed = zstandard.ZstdCompressor().compress(change(records))
+    return data[:at] + struct.pack("<I", len(packed)) + packed
+
+
+def flipped(number, data):
+    """For `rewritten`: one bit of the input is another one."""
+    if number != 5:
+        return data
+    size = struct.unpack_from("<I", data, 8)[0]
+    at = size + 14  # the time between two ticks, in the second record's second word
+    return with_records(data, lambda raw: raw[:at] + bytes((raw[at] ^ 1,)) + raw[at + 1 :])
