@@ -120,7 +120,7 @@ def _differences(now: Any, was: Any) -> list[Differing]:
         pairs += [
             (
                 f"joint[{number}].positioned",
-                *((one.positioned >> number & 1) for one in (was, now)),
+                *(one.positioned >> number & 1 for one in (was, now)),
             ),
             (f"joint[{number}].position_rad", was.position_rad[number], now.position_rad[number]),
         ]
