@@ -32,9 +32,9 @@ class Dashboard:
         return False
 
     @contextlib.contextmanager
-    def page(self, token=TOKEN, port=None, at="", viewport=None):
+    def page(self, token=TOKEN, port=None, at="", viewport=None, fleet=()):
         """A page in a browser profile of its own. What it logs and which hosts it asks is checked
-        at its end."""
+        at its end. `fleet`: ports of other dashboards that it may ask."""
         address = f"http://127.0.0.1:{port or self.port}"
         context = self.browser.new_context(viewport=viewport or {"width": 1280, "height": 800})
         problems, hosts = [], set()
@@ -57,10 +57,10 @@ class Dashboard:
             yield page
         finally:
             context.close()
-        assert hosts <= {urlsplit(address).netloc, ""}
+        others = {f"127.0.0.1:{other}" for other in fleet}
+        assert hosts <= {urlsplit(address).netloc, "", *others}
         lost = ("WebSocket connection to", "Failed to load resource: net::ERR_CONNECTION")
-        others = [text for text in problems if not text.startswith(lost)]
-        assert others == []
+        assert [text for text in problems if not text.startswith(lost)] == []
 
     def speeds_rad_s(self):
         return [abs(one.velocity_rad_s) for one in self.stage.sim.truth().joints.values()]

@@ -180,6 +180,62 @@ def test_the_button_of_the_emergency_stop_is_there_on_every_page(robot, page):
         shows(page, "idle")
 
 
+GAMEPADS = """window.pads = [null];
+window.looks = 0;
+navigator.getGamepads = () => {
+    window.looks += 1;
+    return window.pads;
+};
+window.plug = (pressed) => {
+    window.pads = [null, {
+        index: 1, id: 'pad of the test', connected: true, axes: [0, pressed ? -0.6 : 0, 0, 0],
+        buttons: Array.from({length: 17}, (_, n) => ({pressed: pressed && n === 4, value: 0})),
+    }];
+};"""
+"""The browser's interface; there is no gamepad here."""
+
+
+def looked(page):
+    """The page has looked at its gamepads as they are now."""
+    seen = page.evaluate("window.looks")
+    page.wait_for_function("seen => window.looks > seen + 1", arg=seen)
+
+
+def press_gamepad(page):
+    """Straight ahead, and held."""
+    page.evaluate("plug(false)")
+    looked(page)
+    page.evaluate("plug(true)")
+
+
+GAMEPAD_ENDINGS = {
+    "its button is released": "plug(false)",
+    "it is unplugged": "window.pads = [null]",
+    "its slot stays, disconnected": "window.pads[1].connected = false",
+    "another one takes its place": "window.pads[1] = {...window.pads[1], id: 'another one'}",
+    "the focus is lost": "window.dispatchEvent(new Event('blur'))",
+    "the page is hidden": f"({HIDE})()",
+}
+
+
+@pytest.mark.parametrize("ending", GAMEPAD_ENDINGS.values(), ids=GAMEPAD_ENDINGS)
+def test_a_gamepad_drives_until_it_ends_and_again_only_after_its_button_was_released(
+    robot, page, ending
+):
+    page.evaluate(GAMEPADS)
+    robot.set_off(page, press_gamepad)
+    page.evaluate(ending)
+    robot.wait_for_rest()
+    assert not held(page)
+    page.evaluate("delete document.hidden")
+    if ending != "plug(false)":
+        page.evaluate("plug(true)")  # plugged in again, or shown again, with the button held
+        looked(page)
+        assert not held(page)
+        assert robot.rests()
+    robot.set_off(page, press_gamepad)
+
+
 def test_a_second_page_does_not_drive_while_the_first_one_does(robot, page):
     with robot.page(at="drive") as other:
         other.wait_for_selector(".pad")

@@ -6,14 +6,13 @@ import { TEXT } from "./text.js";
 import { Card, measure, Rows, useLink } from "./parts.js";
 import { commander, StateCard } from "./overview.js";
 import { BaseView } from "./base_view.js";
+import { useGamepad } from "./gamepad.js";
 
 const KEYS = {
   KeyW: ["linear", 1], ArrowUp: ["linear", 1], KeyS: ["linear", -1], ArrowDown: ["linear", -1],
   KeyA: ["angular", 1], ArrowLeft: ["angular", 1], KeyD: ["angular", -1], ArrowRight: ["angular", -1],
   KeyQ: ["lateral", 1], KeyE: ["lateral", -1],
 };
-const DEAD_ZONE = 0.12;
-const DEAD_MAN_BUTTON = 4;  // left shoulder, of the standard gamepad (w3c.github.io/gamepad)
 const REST = { linear: 0, lateral: 0, angular: 0 };
 
 const clipped = (value) => Math.min(1, Math.max(-1, value));
@@ -54,33 +53,6 @@ function useKeys(pilot) {
       pilot.letGo("keys");
     };
   }, [pilot]);
-}
-
-function useGamepad(pilot, lateral) {
-  const [name, setName] = useState("");
-  useEffect(() => {
-    let was = false;
-    const zone = (value = 0) =>
-      Math.abs(value) < DEAD_ZONE ? 0 : (value - Math.sign(value) * DEAD_ZONE) / (1 - DEAD_ZONE);
-    const look = () => {
-      const found = [...navigator.getGamepads()].find(Boolean);
-      setName(found?.id ?? "");
-      const held = Boolean(found?.buttons[DEAD_MAN_BUTTON]?.pressed);
-      if (held && (!was || pilot.holder === "gamepad")) {
-        const [x, y, second] = found.axes;
-        pilot.hold("gamepad", {
-          linear: -zone(y), angular: -zone(lateral ? second : x), lateral: lateral ? -zone(x) : 0,
-        });
-      } else if (!held) pilot.letGo("gamepad");
-      was = held;
-    };
-    const timer = setInterval(look, 40);
-    return () => {
-      clearInterval(timer);
-      pilot.letGo("gamepad");
-    };
-  }, [pilot, lateral]);
-  return name;
 }
 
 function Pad({ pilot, sideways }) {

@@ -25,7 +25,8 @@ function Robot({ link, own }) {
     <p class="muted">${own ? TEXT.thisRobot : html`<a href=${link.address}>${link.address}</a>`}</p>
     ${link.phase === "lost" && html`<p class="why">${TEXT.lost}</p>`}
     ${link.phase === "refused" || (link.phase === "open" && !link.mayCommand && link.hello.takes_commands) ? html`
-      <form onSubmit=${connect}><label><span>${TEXT.tokenFor(name)}</span>
+      <form onSubmit=${connect}>
+        ${link.why && html`<p class="problem" role="alert">${link.why}</p>`}<label><span>${TEXT.tokenFor(name)}</span>
         <input type="password" value=${token} onInput=${(event) => setToken(event.target.value)} /></label>
         <button type="submit">${TEXT.tokenSend}</button></form>` : null}
     ${now && html`<${Rows} rows=${[
