@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The files of the dashboard: what they weigh, where they come from, and what they may load."""
 
+import base64
 import gzip
 import hashlib
 import json
@@ -40,6 +41,17 @@ def test_the_page_names_no_other_machine_and_has_no_inline_script_or_style():
         assert not re.search(r"\beval\(|new Function|innerHTML|style=\"", text), path.name
     page = (FOLDER / "index.html").read_text(encoding="utf-8")
     assert not re.search(r"<script(?![^>]*src=)|<style|\son\w+=", page)
+
+
+def test_what_the_first_paint_needs_is_in_the_page_and_permitted_by_its_hash_alone():
+    page = assets()["/"].raw.decode()
+    inline = re.findall(r"<(style|script)>(.*?)</\1>", page, re.DOTALL)
+    assert [element for element, _ in inline] == ["style", "script"]
+    for element, text in inline:
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert re.search(rf"{element}-src 'self' 'sha256-{re.escape(digest)}';", policy(()))
+    for name in re.findall(r'(?:href|src)="([^"]+)"', page):
+        assert f"/{name}" in assets(), name
 
 
 def test_every_module_that_is_imported_is_there():

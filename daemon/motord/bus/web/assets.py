@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of the page: read once, compressed once, and asked for again by their hash."""
+"""The files of the page: read once, compressed once, and asked for again by their hash.
+
+What the first paint needs is in the page itself: one request, which the policy permits by hash.
+"""
 
 from __future__ import annotations
 
+import base64
 import functools
 import gzip
 import hashlib
@@ -14,6 +18,11 @@ from pathlib import Path
 from aiohttp import web
 
 FOLDER = Path(__file__).parent / "page"
+_INLINE = {
+    "style.css": ('<link rel="stylesheet" href="style.css" />', "style"),
+    "theme.js": ('<script src="theme.js"></script>', "script"),
+}
+"""Files that are part of the page: what stands for them in it, and the element that holds them."""
 _TYPES = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -44,13 +53,30 @@ def assets() -> Mapping[str, Asset]:
     """By path; "/" is the page itself."""
     found = {}
     for path in sorted(FOLDER.rglob("*")):
-        if path.suffix in _TYPES:
-            raw = path.read_bytes()
+        if path.suffix in _TYPES and path.name not in _INLINE:
+            raw = _with_inline(path) if path.suffix == ".html" else path.read_bytes()
             etag = f'"{hashlib.sha256(raw).hexdigest()[:24]}"'
             name = f"/{path.relative_to(FOLDER).as_posix()}"
             found[name] = Asset(_TYPES[path.suffix], etag, raw, gzip.compress(raw, mtime=0))
     found["/"] = found["/index.html"]
     return found
+
+
+def _with_inline(path: Path) -> bytes:
+    """The page with the files that are part of it."""
+    page = path.read_text(encoding="utf-8")
+    for name, (place, element) in _INLINE.items():
+        text = (FOLDER / name).read_text(encoding="utf-8")
+        assert page.count(place) == 1
+        page = page.replace(place, f"<{element}>{text}</{element}>")
+    return page.encode()
+
+
+@functools.cache
+def _hash_of(name: str) -> str:
+    """As the policy permits an element with that content."""
+    digest = hashlib.sha256((FOLDER / name).read_bytes()).digest()
+    return f"'sha256-{base64.b64encode(digest).decode()}'"
 
 
 def policy(fleet: Iterable[str]) -> str:
@@ -59,7 +85,8 @@ def policy(fleet: Iterable[str]) -> str:
     others = [f"{address} ws{address.removeprefix('http')}" for address in fleet]
     connect = " ".join(("'self'", *others))
     return (
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
+        f"default-src 'none'; script-src 'self' {_hash_of('theme.js')}; "
+        f"style-src 'self' {_hash_of('style.css')}; img-src 'self' data:; "
         f"connect-src {connect}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
 
