@@ -23,6 +23,7 @@ import calibration
 import can_bus
 import core_instructions
 import culprits
+import dashboard
 import datagram
 import lateness
 import servo_bus
@@ -99,6 +100,15 @@ def from_twist(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
     return bus_command.table(found), found, []
 
 
+def in_a_browser(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
+    seconds, rounds, times, heap_s, plots_s = {
+        Size.SMOKE: (0.5, 1, 1, 0.0, 1.0), Size.QUICK: (5.0, 1, 20, 0.0, 10.0),
+        Size.WHOLE: (15.0, 3, 100, 600.0, 60.0),
+    }[size]  # fmt: skip
+    found = dashboard.measure(seconds, rounds, times, heap_s, plots_s)
+    return dashboard.table(found), found, dashboard.verdicts(found)
+
+
 def wake_ups(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
     pairs, seconds = {Size.SMOKE: (1, 1.0), Size.QUICK: (3, 3.0), Size.WHOLE: (9, 5.0)}[size]
     found = lateness.measure(pairs, seconds)
@@ -139,6 +149,7 @@ PARTS = {
     "calibration": calibrating,
     "bus": second_process,
     "twist": from_twist,
+    "dashboard": in_a_browser,
 }
 
 
