@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 from xml.etree.ElementTree import fromstring
@@ -38,7 +39,17 @@ def _wheels(robot: Robot) -> Iterator[dict[str, Any]]:
             x_m, y_m, _ = _numbers(origin.get("xyz"))
             *_, heading_rad = _numbers(origin.get("rpy"))
             place = {"x_m": x_m, "y_m": y_m, "heading_rad": heading_rad}
+            place["roller_rad"] = _roller_rad(robot, x_m, y_m)
             yield {"joint": name, **place, "radius_m": robot.wheel_radius_m(name)}
+
+
+def _roller_rad(robot: Robot, x_m: float, y_m: float) -> float | None:
+    """Direction of the upper rollers' axes, seen from above. None: the wheel has none that matter
+    to a drawing."""
+    if robot.base.kind != "mecanum":
+        return None
+    outward = 1.0 if x_m * y_m > 0.0 else -1.0  # in an X they point to the middle
+    return math.radians(45.0) * outward * (1.0 if robot.base.rollers == "x" else -1.0)
 
 
 def _numbers(text: str | None) -> tuple[float, float, float]:

@@ -136,14 +136,17 @@ class Painter {
     paint.strokeStyle = colour("outline");
     paint.lineWidth = 1.5;
     paint.beginPath();
-    paint.roundRect(back * scale, -side * scale, (front - back) * scale, 2 * side * scale, 8);
+    const round = Math.max(...wheels.map(({ x_m, y_m }) => Math.hypot(x_m, y_m)));
+    if (hello.kind === "omni") paint.arc(0, 0, round * scale, 0, 2 * Math.PI);
+    else paint.roundRect(back * scale, -side * scale, (front - back) * scale, 2 * side * scale, 8);
     paint.fill();
     paint.stroke();
     paint.fillStyle = colour("outline");
-    paint.beginPath();  // the nose
-    paint.moveTo(front * scale - 4, 0);
-    paint.lineTo(front * scale - 14, -7);
-    paint.lineTo(front * scale - 14, 7);
+    const nose = (hello.kind === "omni" ? round : front) * scale;
+    paint.beginPath();
+    paint.moveTo(nose - 4, 0);
+    paint.lineTo(nose - 14, -7);
+    paint.lineTo(nose - 14, 7);
     paint.fill();
     wheels.forEach((wheel) => this._wheel(wheel, hello, now, scale));
     this._twist(now, scale);
@@ -161,12 +164,26 @@ class Painter {
     paint.beginPath();
     paint.roundRect(-radius, -0.4 * radius, 2 * radius, 0.8 * radius, 0.25 * radius);
     paint.fill();
+    if (wheel.roller_rad !== null) this._rollers(radius, wheel.roller_rad - wheel.heading_rad);
     const ahead = radius * AHEAD_S;
     paint.strokeStyle = paint.fillStyle = colour("setpoint");
     arrow(paint, 0, 0, joint.setpoint_rad_s * ahead, 0, 5);
     paint.strokeStyle = paint.fillStyle = colour("speed");
     arrow(paint, 0, 0, joint.velocity_rad_s * ahead, 0, 2);
     paint.restore();
+  }
+
+  _rollers(radius, turned) {
+    const { paint } = this;
+    const [x, y] = [0.4 * radius * Math.cos(turned), -0.4 * radius * Math.sin(turned)];
+    paint.strokeStyle = colour("body");
+    paint.lineWidth = 1.5;
+    paint.beginPath();
+    for (const at of [-0.55, 0, 0.55]) {
+      paint.moveTo(at * radius - x, -y);
+      paint.lineTo(at * radius + x, y);
+    }
+    paint.stroke();
   }
 
   _twist(now, scale) {
