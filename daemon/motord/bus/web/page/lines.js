@@ -62,7 +62,7 @@ function Registers({ link, joint, rows }) {
     ${problem}
     <div class="table" tabindex="0" role="region" aria-label=${`${TEXT.registers} ${joint}`}><table>
       <thead><tr><th scope="col">${TEXT.register}</th><th scope="col" class="num">${TEXT.value}</th>
-        <th scope="col">${TEXT.unit}</th><th scope="col">${TEXT.range}</th><th scope="col"></th>
+        <th scope="col">${TEXT.unit}</th><th scope="col">${TEXT.range}</th><td></td>
         <th scope="col">${TEXT.source}</th></tr></thead>
       <tbody>${rows.map(([name, about]) => {
         const register = name.split(".").slice(2).join(".");
