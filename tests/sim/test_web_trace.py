@@ -48,6 +48,7 @@ async def test_two_pages_see_the_same_exchanges_by_one_process_that_ends_with_th
         assert row["joint"] in ("left", "right", "left,right")
         assert row["what"].startswith(("read", "write"))
         assert row["sent"]
+        assert row["failed"] == (row["result"] != "ok")
     assert len(tracing(stage)) == 1
     await first.answer("trace", line=None)
     assert await second.until(trace_of)
@@ -63,10 +64,10 @@ async def test_a_line_that_there_is_not_is_named(connect):
 
 
 def test_failures_are_shown_before_all_else_and_the_order_is_kept():
-    rows = deque({"result": "ok", "number": n} for n in range(10 * ROWS_MAX))
-    rows[7]["result"] = "no reply"
+    rows = deque({"failed": False, "number": n} for n in range(10 * ROWS_MAX))
+    rows[7]["failed"] = True
     found = [row["number"] for row in chosen(rows)]
     assert len(found) == ROWS_MAX
     assert found == [7, *range(10 * ROWS_MAX - ROWS_MAX + 1, 10 * ROWS_MAX)]
-    broken = deque({"result": "no reply", "number": n} for n in range(2 * ROWS_MAX))
+    broken = deque({"failed": True, "number": n} for n in range(2 * ROWS_MAX))
     assert [row["number"] for row in chosen(broken)] == list(range(ROWS_MAX, 2 * ROWS_MAX))

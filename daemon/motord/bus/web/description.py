@@ -38,9 +38,11 @@ def _wheels(robot: Robot) -> Iterator[dict[str, Any]]:
         if joint.get("type") == "continuous" and name in robot.joint and origin is not None:
             x_m, y_m, _ = _numbers(origin.get("xyz"))
             *_, heading_rad = _numbers(origin.get("rpy"))
-            place = {"x_m": x_m, "y_m": y_m, "heading_rad": heading_rad}
-            place["roller_rad"] = _roller_rad(robot, x_m, y_m)
-            yield {"joint": name, **place, "radius_m": robot.wheel_radius_m(name)}
+            yield {
+                "joint": name, "x_m": x_m, "y_m": y_m, "heading_rad": heading_rad,
+                "roller_rad": _roller_rad(robot, x_m, y_m),
+                "radius_m": robot.wheel_radius_m(name),
+            }  # fmt: skip
 
 
 def _roller_rad(robot: Robot, x_m: float, y_m: float) -> float | None:

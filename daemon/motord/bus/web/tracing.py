@@ -24,8 +24,8 @@ ROWS_MAX = 40
 """In one message: a person reads no more."""
 KEPT_MAX = 2000
 """Between two messages."""
-USUAL = frozenset(("ok", "in", "out", "broadcast"))
-"""Results that are no failure: motord.tools.trace.exchanges.Words."""
+USUAL = frozenset(("ok", "in", "out", "broadcast", "part of a frame"))
+"""Results that are no failure: motord.tools.trace.exchanges.Words. Pages get them as `failed`."""
 
 Row = dict[str, Any]
 
@@ -90,7 +90,8 @@ class Traces:
 
     def _take(self, look: _Look, raw: bytes) -> None:
         look.seen += 1
-        look.rows.append(json.loads(raw))
+        row = json.loads(raw)
+        look.rows.append(row | {"failed": row["result"] not in USUAL})
 
     async def _send(self, look: _Look) -> None:
         while True:
@@ -121,8 +122,8 @@ class Traces:
 
 def chosen(rows: deque[Row]) -> list[Row]:
     """At most ROWS_MAX in their order: failures first, then the newest of the others."""
-    failed = [place for place, row in enumerate(rows) if row["result"] not in USUAL]
-    others = [place for place, row in enumerate(rows) if row["result"] in USUAL]
+    failed = [place for place, row in enumerate(rows) if row["failed"]]
+    others = [place for place, row in enumerate(rows) if not row["failed"]]
     room = ROWS_MAX - len(failed[-ROWS_MAX:])
     places = {*failed[-ROWS_MAX:], *others[len(others) - min(room, len(others)) :]}
     return [row for place, row in enumerate(rows) if place in places]

@@ -7,7 +7,6 @@ import { Card, Choice, number, useCall } from "./parts.js";
 
 const KEPT_MAX = 500;
 const SHOWN_MAX = 100;
-const USUAL = ["ok", "in", "out", "broadcast"];
 
 const clock = (seconds) => {
   const date = new Date(seconds * 1000);
@@ -66,7 +65,7 @@ export function Trace({ link }) {
   };
   const wanted = filter.toLowerCase();
   const rows = shown.rows
-    .filter((row) => !failures || !USUAL.includes(row.result))
+    .filter((row) => !failures || row.failed)
     .filter((row) => !wanted || `${row.joint} ${row.what} ${row.result} ${bytesOf(row)}`.toLowerCase().includes(wanted))
     .slice(-SHOWN_MAX).reverse();
   return html`<${Card} className="wide trace" title=${TEXT.trace} extra=${html`
@@ -85,7 +84,7 @@ export function Trace({ link }) {
       <div class="table exchanges" tabindex="0" role="region" aria-label=${TEXT.trace}><table>
         <thead><tr><th scope="col">${TEXT.time}</th><th scope="col">${TEXT.joint}</th><th scope="col">${TEXT.result}</th>
           <th scope="col" class="num">${TEXT.reply}</th><th scope="col">${TEXT.meaning}</th><th scope="col">${TEXT.bytes}</th></tr></thead>
-        <tbody>${rows.map((row) => html`<tr key=${`${row.time_s} ${row.sent}`} class=${USUAL.includes(row.result) ? "" : "bad"}>
+        <tbody>${rows.map((row) => html`<tr key=${`${row.time_s} ${row.sent}`} class=${row.failed ? "bad" : ""}>
           <td>${clock(row.time_s)}</td><td>${row.joint}</td><td>${row.result}</td>
           <td class="num">${row.reply_us === null ? "" : `${number(row.reply_us / 1000, 2)} ms`}</td>
           <td>${row.what}</td><td class="bytes">${bytesOf(row)}</td></tr>`)}</tbody></table></div>`}
