@@ -89,12 +89,12 @@ export class History {
   /** Buckets of the loop's lateness that came within the last minute: [low_us, high_us, count]. */
   addLateness(latency) {
     const at = performance.now();
-    const buckets = new Map(latency.buckets.lateness.map(([low, high, n]) => [low, [low, high, n]]));
-    this._lateness.push({ at, buckets });
+    const rows = latency.buckets.lateness;
+    this._lateness.push({ at, counts: new Map(rows.map(([low, , n]) => [low, n])) });
     while (this._lateness.length > 2 && at - this._lateness[1].at > SECONDS * 1000) this._lateness.shift();
-    const before = this._lateness.length > 1 ? this._lateness[0].buckets : new Map();
-    return [...buckets.values()]
-      .map(([low, high, n]) => [low / 1e3, high / 1e3, n - (before.get(low)?.[2] ?? 0)])
+    const before = this._lateness.length > 1 ? this._lateness[0].counts : new Map();
+    return rows
+      .map(([low, high, n]) => [low / 1e3, high / 1e3, n - (before.get(low) ?? 0)])
       .filter(([, , n]) => n > 0);
   }
 

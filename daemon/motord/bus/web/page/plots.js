@@ -88,7 +88,7 @@ function TimePlot({ history, plot, seconds, paused, zoom }) {
           zoom([u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x")])],
       },
     }, [[], ...names.map(() => [])], place.current);
-    place.current.addEventListener("dblclick", () => zoom(null));
+    place.current.ondblclick = () => zoom(null);
     const draw = () => {
       const ring = history[plot.ring];
       if (!ring?.count || document.hidden || !place.current || state.current.frozen) return;
