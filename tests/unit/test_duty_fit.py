@@ -5,8 +5,9 @@ import random
 from pathlib import Path
 
 import pytest
+from tests.unit.bus_views import joint, view
 
-from motord.commission.duty import Point, duty_changes, duty_joints, fit_duty
+from motord.commission.duty import Point, duty_changes, duty_joints, fit_duty, steady
 from motord.commission.person import Failed
 from motord.config import load_robot
 
@@ -23,6 +24,18 @@ def points(dead_band=0.06, full_duty_rad_s=14.0, noise_rad_s=0.0, seed=0):
             speed += noise.gauss(0.0, noise_rad_s) if speed else 0.0
             found.append(Point(sign * duty, sign * speed))
     return found
+
+
+def test_feedback_that_a_busy_machine_delays_does_not_bend_a_speed():
+    """The position is that of the feedback's time, not of the state's."""
+    late_ms = {100: 90, 2000: 95}
+    snapshots = []
+    for at_ms in range(100, 2001, 20):
+        age_s = late_ms.get(at_ms, 5) / 1000.0
+        turned = joint(duty=0.3, position_rad=4.0 * (at_ms / 1000.0 - age_s), feedback_age_s=age_s)
+        snapshots.append(view(at_ms, joints=(turned,)).snapshot)
+    found = steady(snapshots, 0)
+    assert (found.duty, found.velocity_rad_s) == (pytest.approx(0.3), pytest.approx(4.0))
 
 
 def test_exact_speeds_give_the_exact_dead_band():

@@ -128,7 +128,7 @@ def drive_levels(
                         f"the robot stopped by itself ({', '.join(held.faults)}): motord spin --all"
                     )
                 for name in names:
-                    points[name].append(_steady(held.snapshots, joints.index(name)))
+                    points[name].append(steady(held.snapshots, joints.index(name)))
     return {name: fit_duty(name, found) for name, found in points.items()}
 
 
@@ -145,7 +145,7 @@ def _question(speed_m_s: float, *, reverses: bool) -> str:
     )
 
 
-def _steady(snapshots: Sequence[Snapshot], index: int) -> Point:
+def steady(snapshots: Sequence[Snapshot], index: int) -> Point:
     """The mean over the end of the time for which the duty was held."""
     highest = max(abs(each.joints[index].duty) for each in snapshots)
     if not highest > 0.0:
@@ -155,7 +155,7 @@ def _steady(snapshots: Sequence[Snapshot], index: int) -> Point:
     window = [each for each in held if each.stamp_ns > end_ns - STEADY_S * 1e9]
     duty = sum(each.joints[index].duty for each in window) / len(window)
     first, last = window[0], window[-1]
-    elapsed_s = (last.stamp_ns - first.stamp_ns) * 1e-9
+    elapsed_s = _fed_s(last, index) - _fed_s(first, index)
     angle_rad = last.joints[index].position_rad - first.joints[index].position_rad
     if elapsed_s > 0.5 * STEADY_S and math.isfinite(angle_rad):
         return Point(duty, angle_rad / elapsed_s)  # a counter is more exact than a speed
@@ -163,6 +163,11 @@ def _steady(snapshots: Sequence[Snapshot], index: int) -> Point:
     if not all(map(math.isfinite, velocities)):
         raise Failed("a wheel measures neither position nor velocity: it cannot be calibrated")
     return Point(duty, sum(velocities) / len(velocities))
+
+
+def _fed_s(snapshot: Snapshot, index: int) -> float:
+    """When what a wheel's position is of was received."""
+    return snapshot.stamp_ns * 1e-9 - snapshot.joints[index].feedback_age_s
 
 
 def duty_changes(
