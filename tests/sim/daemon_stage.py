@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from motord.api.page_file import own_page
-from motord.client import Client, ClientError, Refused
+from motord.client import Client, ClientError, MoveFailed, Refused
 from motord.tools.simulator import start_simulator
 from motord_hal.sim.control import SimControl
 
@@ -113,6 +113,22 @@ def obeying(stage, command):
         return state == "moving"
 
     wait_until(attempt, f"moving\n{stage.said()}")
+
+
+def was_held_up(error):
+    """Whether a motion ended as it must where a busy machine lets the program, or the feedback that
+    it moves by, wait for half a second: it rests, but not at its goal."""
+    return "stale" in str(error) or "behind the goal" in str(error)
+
+
+def in_time(move):
+    """What it returns; again where it was held up."""
+    while True:
+        try:
+            return move()
+        except MoveFailed as error:
+            if not was_held_up(error):
+                raise
 
 
 @contextlib.contextmanager

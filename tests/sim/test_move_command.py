@@ -9,7 +9,7 @@ import subprocess
 import sys
 
 import pytest
-from tests.sim.daemon_stage import DEADLINE_S, ROOT, SURE, armed, running, wait_until
+from tests.sim.daemon_stage import DEADLINE_S, ROOT, SURE, armed, in_time, running, wait_until
 
 from motord.api.motion import Goal
 from motord.client import ClientError, MoveFailed
@@ -130,16 +130,20 @@ def test_what_cannot_be_moves_nothing(stage, words, code, why):
 
 
 def test_a_program_drives_a_distance_and_turns_right_after_its_own_commands(armed):
-    before = armed.sim.truth()
-    armed.robot.drive(0.0, 0.0)
-    moved = armed.robot.move(0.3)
+    def driven():
+        before = armed.sim.truth()
+        armed.robot.drive(0.0, 0.0)
+        return before, armed.robot.move(0.3)
+
+    before, moved = in_time(driven)
     assert (moved.end.value, moved.why) == ("succeeded", "")
     assert moved.distance_m == pytest.approx(0.3, abs=0.011)
     after = armed.sim.truth()
     assert math.hypot(after.x_m - before.x_m, after.y_m - before.y_m) == pytest.approx(
         0.3, abs=0.03
     )
-    assert armed.robot.turn(-0.4).angle_rad == pytest.approx(-0.4, abs=0.021)
+    turned = in_time(lambda: armed.robot.turn(-0.4))
+    assert turned.angle_rad == pytest.approx(-0.4, abs=0.021)
     assert armed.robot.status()["leases"] == []
 
 

@@ -36,7 +36,7 @@ ROBOT = HERE / "four-drives.toml"
 PROFILE = HERE / "soak-servo.toml"
 LINE = "rs485"
 DEADLINE_S = 100.0
-RECOVER_S = 30.0
+RECOVER_S = 100.0
 """From the last fault's end until the robot moves again: back-off of 2 s, opening, set-up and
 arming, each of which a busy machine may draw out."""
 REST_S = 5.0
