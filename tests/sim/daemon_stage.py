@@ -118,7 +118,7 @@ def obeying(stage, command):
 def was_held_up(error):
     """Whether a motion ended as it must where a busy machine lets the program, or the feedback that
     it moves by, wait for half a second: it rests, but not at its goal."""
-    return "stale" in str(error) or "behind the goal" in str(error)
+    return any(why in str(error) for why in ("stale", "behind the goal", "was not looked at"))
 
 
 def in_time(move):

@@ -39,7 +39,8 @@ def stage(everyone):
     everyone.robot.params_set(**everyone.limits)
     everyone.wait_for("idle")
     wait_until(lambda: not everyone.robot.status()["leases"], "the last test's sources are gone")
-    everyone.robot.drive(0.0, 0.0)  # who was held in the test before, is held no more
+    # who was held in the test before, is held no more
+    wait_until(lambda: accepted(lambda: everyone.robot.drive(0.0, 0.0)), "the loop takes commands")
     everyone.robot.release()
     everyone.sim.reset_truth()
     return everyone
@@ -145,7 +146,7 @@ def test_a_source_that_goes_on_through_a_stop_has_to_let_go_first(stage):
         wait_until(lambda: len(source.refusals) > 10, "refusals")
         assert "send zero once" in source.refusals[-1]
         assert stage.state() == "armed"
-        assert stage.sim.truth().at_rest
+        at_rest(stage)
         source.command = (0.0, 0.0)
         source.answers.clear()
         wait_until(lambda: source.answers, "an answer")

@@ -133,6 +133,7 @@ def test_it_may_begin_again_at_once(how, tmp_path):
 
 
 def test_an_armed_robot_is_refused_before_anything_is_asked(stage):
+    becomes_idle(stage)
     stage.robot.arm()
     with spinning(stage, "left") as screen:
         assert screen.end() == 1
