@@ -476,9 +476,10 @@ def test_a_robot_that_nothing_drives_shows_no_stale_command(stage):
     assert "may command  local socket (socket, priority 100)" in shown
 
 
-def test_an_emergency_stop_without_a_name_stops_every_robot(stage, tmp_path, monkeypatch):
-    folder = tmp_path / "sockets"
-    folder.mkdir(mode=0o700)
+def test_an_emergency_stop_without_a_name_stops_every_robot(
+    stage, tmp_path, tmp_path_factory, monkeypatch
+):
+    folder = tmp_path_factory.mktemp("all")  # a socket's path is short
     with running(tmp_path) as other:
         other.wait_for("idle")
         for robot in (stage, other):
