@@ -29,7 +29,7 @@ static double setpoint_sum(const core_state *state)
     return sum;
 }
 
-static void zero_at_once(core_state *state, tick *t)
+static inline void zero_at_once(core_state *state, tick *t)
 {
     t->checksum += setpoint_sum(state);
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
@@ -220,7 +220,7 @@ static void doubt(core_state *state, tick *t)
     for (uint32_t j = 0; j < count; j++) {
         plausible_state *joint = &state->plausible[j];
         const joint_odometry *odometry = &state->odometry.joint[j];
-        if (state->stale[j] || !plausible_due(joint, odometry)) {
+        if (!plausible_due(joint, odometry) || state->stale[j]) {
             continue;
         }
         if (plausible(joint, &state->config.joint[j].plausible, odometry, t->input->feedback[j].velocity_rad_s,
@@ -244,21 +244,6 @@ static void doubt(core_state *state, tick *t)
     if (t->moving) {
         zero_at_once(state, t);
     }
-}
-
-/* false: a number in it is not finite */
-bool odometry_finite(const odometry_state *state, uint32_t joint_count)
-{
-    const double *p = state->pose_covariance, *q = state->twist_covariance, *r = state->lateral_covariance;
-    /* a sum with an infinity or a NaN in it is one itself */
-    double sum = state->x_m + state->y_m + state->heading_rad + state->distance_m + state->turned_rad + state->linear_m_s +
-                 state->angular_rad_s + state->lateral_m_s + state->spread.slip_m_s + r[0] + r[1] + r[2] + p[0] + p[1] + p[2] +
-                 p[3] + p[4] + p[5] + q[0] + q[1] + q[2] + state->gyro.yaw_rad + state->gyro.bias_rad_s +
-                 state->gyro.bias_variance_rad2_s2;
-    for (uint32_t j = 0; j < joint_count; j++) {
-        sum += state->joint[j].position_rad; /* pending_rad is a part of it */
-    }
-    return isfinite(sum);
 }
 
 /* Without a new sample and without a joint that has gone silent there is nothing to measure. */

@@ -60,8 +60,20 @@ void modules_look(odometry_state *state, const core_config *config, uint32_t joi
 void modules_slip(odometry_state *state, const core_config *config, uint32_t joints, const double *rim_m, const double *twist_u,
                   double elapsed_s);
 
-/* Every number of it is finite; in core.c, which checks it in each tick. */
-bool odometry_finite(const odometry_state *state, uint32_t joint_count);
+/* false: a number in it is not finite */
+static inline bool odometry_finite(const odometry_state *state, uint32_t joint_count)
+{
+    const double *p = state->pose_covariance, *q = state->twist_covariance, *r = state->lateral_covariance;
+    /* a sum with an infinity or a NaN in it is one itself */
+    double sum = state->x_m + state->y_m + state->heading_rad + state->distance_m + state->turned_rad + state->linear_m_s +
+                 state->angular_rad_s + state->lateral_m_s + state->spread.slip_m_s + r[0] + r[1] + r[2] + p[0] + p[1] + p[2] +
+                 p[3] + p[4] + p[5] + q[0] + q[1] + q[2] + state->gyro.yaw_rad + state->gyro.bias_rad_s +
+                 state->gyro.bias_variance_rad2_s2;
+    for (uint32_t j = 0; j < joint_count; j++) {
+        sum += state->joint[j].position_rad; /* pending_rad is a part of it */
+    }
+    return isfinite(sum);
+}
 
 /* The pose's covariance takes in what has been done since the last look, which is over at `now_ns`. */
 static const int64_t SPREAD_EVERY_NS = 50000000;

@@ -60,13 +60,17 @@ static uint32_t suspicions(const plausible_state *state, const plausible_config 
     double along_rad_s = against ? -speed_rad_s : speed_rad_s; /* no wheel is too slow for a set-point of zero */
     double reported_rad_s = fabs(state->reported_rad_s);
     double allowed_rad_s = APART * (speed_rad_s > reported_rad_s ? speed_rad_s : reported_rad_s);
+    bool slow = speed_rad_s < config->slow_rad_s, back = along_rad_s <= -config->slow_rad_s;
     uint32_t found = 0;
-    if (wanted_rad_s >= config->setpoint_min_rad_s) {
-        found |= (uint32_t)(along_rad_s <= -config->slow_rad_s) << DIRECTION;
-        found |= (uint32_t)(speed_rad_s < config->slow_rad_s) << STALL;
+    if ((slow || back) && wanted_rad_s >= config->setpoint_min_rad_s) {
+        found = slow ? 1U << STALL : 1U << DIRECTION;
     }
-    found |= (uint32_t)(wanted_rad_s - along_rad_s > config->short_rad_s) << FOLLOWING;
-    found |= (uint32_t)(speed_rad_s - wanted_rad_s > config->beyond_rad_s) << RUNAWAY;
+    if (wanted_rad_s - along_rad_s > config->short_rad_s) {
+        found |= 1U << FOLLOWING;
+    }
+    if (speed_rad_s - wanted_rad_s > config->beyond_rad_s) {
+        found |= 1U << RUNAWAY;
+    }
     if (fabs(state->measured_rad_s - state->reported_rad_s) > config->apart_rad_s + allowed_rad_s /* not the same speed */
         || state->rough_rad_s > config->beyond_rad_s + allowed_rad_s) {                           /* no speed at all */
         found |= 1U << IMPLAUSIBLE;
