@@ -29,7 +29,7 @@ static double setpoint_sum(const core_state *state)
     return sum;
 }
 
-static inline void zero_at_once(core_state *state, tick *t)
+static void zero_at_once(core_state *state, tick *t)
 {
     t->checksum += setpoint_sum(state);
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
@@ -138,7 +138,7 @@ static void ramp_steered(core_state *state, tick *t, double *goal_u_s, double dt
 }
 
 /* Its wheels turn to where the twist rolls them, and it waits for them. */
-static void drive_steered(core_state *state, tick *t)
+__attribute__((noinline)) static void drive_steered(core_state *state, tick *t)
 {
     steer_state *steer = &state->steer;
     double dt_s = t->dt_s < DT_MAX_S ? t->dt_s : DT_MAX_S;
