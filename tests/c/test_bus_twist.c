@@ -44,13 +44,14 @@ static size_t encoded(uint8_t *raw, uint32_t frame_bytes, int order, const doubl
 static void a_twist_is_read_in_both_byte_orders(void)
 {
     static uint8_t raw[ROOM];
-    const double twist[6] = {0.25, 9.0, 9.0, 9.0, 9.0, -0.5};
+    const double twist[6] = {0.25, 0.75, 9.0, 9.0, 9.0, -0.5};
     for (uint32_t frame_bytes = 0; frame_bytes < 40; frame_bytes++) {
         for (int order = BIG; order <= LITTLE; order++) {
             stamped_twist found;
             size_t bytes = encoded(raw, frame_bytes, order, twist);
             CHECK(twist_parse(raw, bytes, &found) == 0);
-            CHECK(found.linear_m_s == 0.25 && found.angular_rad_s == -0.5 && found.stamp_s == -1.5);
+            CHECK(found.linear_m_s == 0.25 && found.lateral_m_s == 0.75 && found.angular_rad_s == -0.5);
+            CHECK(found.stamp_s == -1.5);
             CHECK(twist_parse(raw, bytes - 1, &found) == 1 + TWIST_NOT_ONE);
         }
     }
@@ -59,10 +60,10 @@ static void a_twist_is_read_in_both_byte_orders(void)
 static void what_is_no_number_passes_and_is_the_loops_to_refuse(void)
 {
     static uint8_t raw[ROOM];
-    const double twist[6] = {(double)NAN, 0.0, 0.0, 0.0, 0.0, (double)INFINITY};
+    const double twist[6] = {(double)NAN, (double)NAN, 0.0, 0.0, 0.0, (double)INFINITY};
     stamped_twist found;
     CHECK(twist_parse(raw, encoded(raw, 1, LITTLE, twist), &found) == 0);
-    CHECK(isnan(found.linear_m_s) && isinf(found.angular_rad_s));
+    CHECK(isnan(found.linear_m_s) && isnan(found.lateral_m_s) && isinf(found.angular_rad_s));
 }
 
 static void another_encoding_or_length_is_no_twist(void)

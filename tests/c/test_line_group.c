@@ -26,6 +26,19 @@ static void one_request_carries_all_set_points_and_asks_all(void)
     }
 }
 
+static void each_reply_is_stamped_after_the_one_before(void)
+{
+    servos_begin(3, ECHO_NONE);
+    servos_arm();
+    servos_go_on(1.0, 50 * SERVO_MS);
+    int64_t last_ns = m->joint[2].feedback.stamp_ns;
+    while (m->joint[2].feedback.stamp_ns == last_ns) {
+        servos_step(1.0, 1);
+    }
+    CHECK(m->joint[1].feedback.stamp_ns > m->joint[0].feedback.stamp_ns);
+    CHECK(m->joint[2].feedback.stamp_ns >= m->joint[1].feedback.stamp_ns); /* all of them came at once */
+}
+
 static void who_is_not_armed_gets_no_set_point(void)
 {
     servos_begin(2, ECHO_NONE);
@@ -191,7 +204,7 @@ static void a_group_that_cannot_be_is_refused(void)
 #define REFUSED(change)                                                                                                          \
     s.table = good;                                                                                                              \
     change;                                                                                                                      \
-    CHECK(line_table_check(&s.table, name) != NULL)
+    CHECK(!line_group_is_good(&s.table) && line_table_check(&s.table, name) != NULL)
     REFUSED(s.table.group.used = 2);
     REFUSED(s.table.group.write_bytes = GROUP_HEAD_MAX + 1);
     REFUSED(s.table.group.read_bytes = GROUP_HEAD_MAX + 1);
@@ -205,6 +218,9 @@ static void a_group_that_cannot_be_is_refused(void)
             s.table.drive[1].cyclic[1].setpoint_count = 1);
     REFUSED(s.table.drive[1].cyclic[0].frame.request_bytes = 8);
     REFUSED(s.table.drive[0].cyclic[0].frame.request_seal = SEAL_CRC8);
+    REFUSED(s.table.drive[1].cyclic[0].frame.request_seal = SEAL_STUFFED);
+    REFUSED(s.table.drive[1].cyclic[1].frame.request_seal = SEAL_STUFFED);
+    REFUSED(s.table.drive[1].cyclic[1].frame.reply_seal = SEAL_STUFFED);
     REFUSED(s.table.drive[1].idle[0] = s.table.drive[1].cyclic[0].frame; s.table.drive[1].idle_count = 1);
     s.table = good;
     s.table.group.used = 0;
@@ -212,8 +228,36 @@ static void a_group_that_cannot_be_is_refused(void)
     CHECK(line_table_check(&s.table, name) == NULL);
 }
 
+/* Its set-points end before the check sum; all of it fits in one request. */
+static void a_group_has_room_for_its_set_points_and_fits_on_the_wire(void)
+{
+    servos_begin(2, ECHO_NONE);
+    line_table good = s.table;
+    line_frame *first = &s.table.drive[0].cyclic[0].frame, *second = &s.table.drive[1].cyclic[0].frame;
+    s.table.group.data_byte = first->request_bytes - 2;
+    for (uint32_t i = 0; i < 2; i++) {
+        s.table.drive[i].cyclic[0].setpoint[0].byte = first->request_bytes - 1;
+    }
+    CHECK(line_group_is_good(&s.table)); /* one byte of data */
+    s.table.group.data_byte++;
+    CHECK(!line_group_is_good(&s.table)); /* the check sum's place */
+    for (uint32_t odd = 0; odd < 2; odd++) {
+        s.table = good;
+        s.table.group.write_bytes += odd;
+        uint32_t heads = s.table.group.write_bytes + s.table.group.read_bytes + 2, each;
+        do {
+            CHECK(line_group_is_good(&s.table));
+            second->request_bytes = ++first->request_bytes;
+            each = 2 + first->request_bytes - s.table.group.data_byte;
+        } while (heads + 2 * each <= FRAME_BYTES_MAX);
+        CHECK(!line_group_is_good(&s.table));
+    }
+}
+
 int main(void)
 {
+    a_group_has_room_for_its_set_points_and_fits_on_the_wire();
+    each_reply_is_stamped_after_the_one_before();
     one_request_carries_all_set_points_and_asks_all();
     who_is_not_armed_gets_no_set_point();
     who_is_stood_down_gets_its_zero_at_once();

@@ -344,8 +344,32 @@ static void the_first_thing_that_is_wrong_is_named(void)
     CHECK(refused("drive[0].setpoint.joint"));
 }
 
+/* Head, length and check sum; stuffing adds a byte to each three; a reply has a status as well. */
+static void a_servo_s_packet_has_room_for_its_head(void)
+{
+    const struct {
+        uint32_t seal, request_min, request_max, reply_min;
+    } KINDS[] = {{SEAL_SUM, 6, FRAME_BYTES_MAX, 6}, {SEAL_STUFFED, 10, 3 * FRAME_BYTES_MAX / 4 - 2, 11}};
+    for (uint32_t i = 0; i < 2; i++) {
+        line_frame packet = {.request_seal = KINDS[i].seal, .request_bytes = KINDS[i].request_min};
+        CHECK(line_frame_is_good(&packet)); /* one that is not answered */
+        packet.request_bytes = KINDS[i].request_max;
+        CHECK(line_frame_is_good(&packet));
+        packet.request_bytes = KINDS[i].request_min - 1;
+        CHECK(!line_frame_is_good(&packet));
+        packet.request_bytes = KINDS[i].request_max + 1;
+        CHECK(!line_frame_is_good(&packet));
+        packet = (line_frame){.request_seal = KINDS[i].seal, .request_bytes = 20, .reply_seal = KINDS[i].seal, .match_bytes = 5};
+        packet.reply_bytes = KINDS[i].reply_min;
+        CHECK(line_frame_is_good(&packet));
+        packet.reply_bytes = KINDS[i].reply_min - 1;
+        CHECK(!line_frame_is_good(&packet));
+    }
+}
+
 int main(void)
 {
+    a_servo_s_packet_has_room_for_its_head();
     begin_with(2, 0);
     good = w.table;
     the_numbers_of_a_line();
