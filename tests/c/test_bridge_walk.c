@@ -1,0 +1,108 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * A motor on a bridge in every mode, and every event. It has no set-up and no reply: its pins are all there is. */
+#include <string.h>
+
+#include "drive_walk.h"
+#include "rt.h"
+
+static const int64_t MS = 1000000;
+
+static struct {
+    bridge_config config;
+    bridge_state state;
+    bridge_control control;
+    setpoints newest;
+    drive_state shown;
+    int64_t now_ns;
+    uint64_t motion;
+    bool old;
+} b;
+
+static void begin_bridge(void)
+{
+    memset(&b, 0, sizeof b);
+    b.now_ns = 5000 * MS;
+    b.config = (bridge_config){
+        .inputs_fd = -1,
+        .event_fd = -1,
+        .period_ns = MS,
+        .setpoint_timeout_ns = 100 * MS,
+        .stopping_ns = 1000 * MS, /* the wheel turns */
+        .joint_count = 1,
+        .output_count = 1,
+        .joint = {{.sign = 1.0, .rest_mode = BRIDGE_BRAKE}},
+        .output = {{.fd = -1, .base = {0.0, 0.1, 0.2, 0.2}, .slope = {0.0, 0.0, 0.7, 0.7}}},
+    };
+    b.newest = (setpoints){.enabled = 1, .joint_count = 1, .joint = {{.duty = 0.5}}, .stamp_ns = b.now_ns};
+    CHECK(bridge_config_check(&b.config) == 0);
+}
+
+static void set_up_bridge(void)
+{
+}
+
+static void control_bridge(uint32_t mode)
+{
+    b.control.mode = mode;
+    b.control.number++;
+}
+
+static void arm_bridge(void)
+{
+    control_bridge(PWM_ARMED);
+}
+
+/* READY is no request of a bridge: it is what it is when it is neither armed nor off. */
+static void request_of_bridge(uint32_t mode)
+{
+    if (mode == DRIVE_OFF) {
+        control_bridge(PWM_OFF);
+    } else if (mode == DRIVE_STAND_DOWN) {
+        control_bridge(PWM_STOP);
+    }
+}
+
+static void setpoints_old(void)
+{
+    b.old = true;
+}
+
+static void setpoints_not_enabled(void)
+{
+    b.newest.enabled = 0;
+}
+
+static void end_bridge(void)
+{
+    control_bridge(PWM_STOP);
+}
+
+static void go_on_for(int64_t for_ns)
+{
+    for (int64_t end_ns = b.now_ns + for_ns; b.now_ns < end_ns; b.now_ns += MS) {
+        double level[PWM_OUTPUTS_MAX] = {0};
+        b.newest.stamp_ns = b.old ? b.newest.stamp_ns : b.now_ns;
+        bridge_step(&b.state, &b.config, &b.control, &b.newest, b.now_ns, level);
+        b.motion += level[0] > 0.3;
+    }
+}
+
+static const drive_state *state_of_bridge(void)
+{
+    bool off = b.control.mode == PWM_OFF && b.control.number > 0;
+    b.shown.mode = b.state.armed != 0 ? DRIVE_ARMED : off ? DRIVE_OFF : DRIVE_READY;
+    b.shown.stopping = b.state.stop_until_ns != 0;
+    return &b.shown;
+}
+
+static uint64_t motion_sent(void)
+{
+    return b.motion;
+}
+
+int main(void)
+{
+    const walk_medium medium = {begin_bridge, set_up_bridge, arm_bridge, request_of_bridge, setpoints_old, setpoints_not_enabled,
+                                NULL,         end_bridge,    go_on_for,  state_of_bridge,   motion_sent};
+    return walk_all(&medium, "bridge walk");
+}
