@@ -15,7 +15,7 @@ static bool near(double value, double expected)
     return fabs(value - expected) < 1e-12;
 }
 
-/* From a linear and an angular velocity at constant speed, with dt 0.01 s. */
+/* From a linear, an angular and a lateral velocity at constant speed, with dt 0.01 s. */
 static const struct {
     bool soft, urgent;
     double from[AXES], goal[AXES], expected[AXES];
@@ -48,12 +48,16 @@ static const struct {
     {true, true, {0.0, 0.0}, {1.0, 0.0}, {0.01, 0.0}, REASON_LINEAR_ACCELERATION},
     {true, true, {1.0, 0.0}, {0.0, 0.0}, {0.985, 0.0}, REASON_LINEAR_DECELERATION},
     {true, true, {0.01, 0.0}, {0.0, 0.0}, {0.0, 0.0}, 0},
+    /* sideways */
+    {false, false, {0.0}, {0.0, 0.0, 1.0}, {0.0, 0.0, 0.008}, REASON_LATERAL_ACCELERATION},
+    {false, false, {0.0, 0.0, 1.0}, {0.0}, {0.0, 0.0, 0.988}, REASON_LATERAL_DECELERATION},
+    {true, false, {0.0}, {0.0, 0.0, -1.0}, {0.0, 0.0, -0.0006}, REASON_LATERAL_JERK},
 };
 
 static void one_step_keeps_each_limit_and_says_which_one(void)
 {
     for (size_t i = 0; i < sizeof STEPS / sizeof STEPS[0]; i++) {
-        limit_state axis[AXES] = {{STEPS[i].from[0], 0.0}, {STEPS[i].from[1], 0.0}};
+        limit_state axis[AXES] = {{STEPS[i].from[0], 0.0}, {STEPS[i].from[1], 0.0}, {STEPS[i].from[2], 0.0}};
         uint32_t reason = ramp_step(axis, AXES, STEPS[i].soft ? &SOFT : &PLAIN, NULL, STEPS[i].goal, DT_S, STEPS[i].urgent);
         for (int a = 0; a < AXES; a++) {
             CHECK(near(axis[a].velocity_u_s, STEPS[i].expected[a]));

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_spread: the covariances of a base with mecanum wheels by the matrices of the textbook, written out anew. */
+ * test_spread: pose and covariances of a base with mecanum wheels by the formulas of the textbook, written out anew. */
 #include <math.h>
 #include <string.h>
 
@@ -141,8 +141,42 @@ static void the_first_look_adds_errors_without_a_time(void)
     check_pose(&s, p, &e, moved_m, 0.0);
 }
 
+/* Lynch & Park, Modern Robotics, 2017, 13.4: the exponential of a constant twist. */
+static void a_curve_sideways_ends_where_the_textbook_says(void)
+{
+    static odometry_state s;
+    static joint_feedback feedback[JOINTS_MAX];
+    const uint32_t stale[JOINTS_MAX] = {0};
+    const joint_setpoint setpoint[JOINTS_MAX] = {{0}};
+    const double x = 0.02, y = 0.03, turn = 0.4, from = 0.3;
+    core_config config = mecanum();
+    for (int j = 0; j < WHEELS; j++) {
+        config.joint[j].rad_per_count = 1e-7;
+    }
+    odometry_init(&s, &config);
+    for (int step = 1; step <= 2; step++) {
+        for (int j = 0; j < WHEELS; j++) {
+            const wheel_row *row = &config.joint[j].row;
+            double rim_m = row->x * x + row->y * y + row->lever_m * turn;
+            feedback[j].stamp_ns = step * STEP_NS;
+            feedback[j].count = step == 1 ? 0 : (uint64_t)llround(rim_m / config.joint[j].wheel_radius_m * 1e7);
+            feedback[j].velocity_rad_s = NAN;
+        }
+        s.heading_rad = s.spread.heading_rad = from;
+        odometry_step(&s, &config, feedback, stale, setpoint);
+    }
+    double ahead = (sin(turn) * x - (1.0 - cos(turn)) * y) / turn, left = ((1.0 - cos(turn)) * x + sin(turn) * y) / turn;
+    CHECK(fabs(s.x_m - (cos(from) * ahead - sin(from) * left)) < 1e-7);
+    CHECK(fabs(s.y_m - (sin(from) * ahead + cos(from) * left)) < 1e-7);
+    CHECK(fabs(s.heading_rad - from - turn) < 1e-7 && fabs(s.turned_rad - turn) < 1e-7);
+    CHECK(fabs(s.distance_m - hypot(x, y)) < 1e-7);
+    CHECK(fabs(s.linear_m_s - x / 0.05) < 1e-5 && fabs(s.lateral_m_s - y / 0.05) < 1e-5);
+    CHECK(fabs(s.angular_rad_s - turn / 0.05) < 1e-5 && s.degraded == 0);
+}
+
 int main(void)
 {
+    a_curve_sideways_ends_where_the_textbook_says();
     a_look_carries_the_wheels_errors_and_their_slip_into_pose_and_twist();
     the_first_look_adds_errors_without_a_time();
     return checks_report("test_spread");
