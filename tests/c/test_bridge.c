@@ -11,12 +11,13 @@
 #include <unistd.h>
 
 #include "check.h"
+#include "exchange.h"
 #include "rt.h"
 
 static const int64_t MS = 1000000, START_NS = 5000000000;
 static const uint64_t PERIOD_NS = 50000;
 
-static _Alignas(64) uint8_t exchange_memory[16384];
+static exchange shared_exchange;
 
 static const uint64_t DIRECTION_BIT = 1u << 3;
 static const uint64_t POWER_BIT = 1u << 5;
@@ -44,7 +45,7 @@ int ioctl(int fd, unsigned long request, ...)
 static bridge_config config_of(int fd)
 {
     bridge_config config = {
-        .exchange = (exchange *)exchange_memory,
+        .exchange = &shared_exchange,
         .outputs_fd = 99,
         .inputs_fd = -1,
         .event_fd = -1,
@@ -195,7 +196,7 @@ static bool comes_true(int fd, unsigned long duty_ns, double duty)
     for (int i = 0; i < 10000; i++) {
         setpoints newest = duty_of(duty, 1, clock_now_ns());
         if (duty != 0.0) {
-            exchange_put_setpoints((exchange *)exchange_memory, 1, &newest);
+            exchange_put_setpoints(&shared_exchange, 1, &newest);
         }
         if (duty_in(fd) == duty_ns) {
             return true;
@@ -212,7 +213,7 @@ static void the_thread_writes_the_files_and_ends_at_rest(void)
     config.output_count = 1; /* no GPIO lines here */
     config.outputs_fd = -1;
     bridge_report report;
-    exchange_init((exchange *)exchange_memory);
+    exchange_init(&shared_exchange);
     CHECK(pwm_line_stop(1) == -ESRCH && pwm_line_read_report(1, &report) == -ESRCH);
     CHECK(pwm_line_start(1, &config) == 0 && pwm_line_start(1, &config) == -EBUSY);
     CHECK(comes_true(fd, 0, 0.5));
@@ -248,7 +249,7 @@ static bool ends(uint32_t line, double duty, bridge_report *report)
 {
     for (int i = 0; i < 10000 && report->running != 0; i++) {
         setpoints newest = duty_of(duty, 1, clock_now_ns());
-        exchange_put_setpoints((exchange *)exchange_memory, line, &newest);
+        exchange_put_setpoints(&shared_exchange, line, &newest);
         (void)nanosleep(&(struct timespec){.tv_nsec = MS}, NULL);
         CHECK(pwm_line_read_report(line, report) == 0);
     }
@@ -262,7 +263,7 @@ static void pins_that_rest_after_a_failure_are_sent_to_rest(void)
     config.inputs_fd = 98; /* nobody's */
     config.joint[0].fault_mask = 1;
     bridge_report report = {.running = 1};
-    exchange_init((exchange *)exchange_memory);
+    exchange_init(&shared_exchange);
     CHECK(pwm_line_start(2, &config) == 0 && ends(2, 0.5, &report) && pwm_line_stop(2) == 0);
     CHECK(report.error == ENOTTY && report.rest_error == 0 && close(fd) == 0);
 }
@@ -275,7 +276,7 @@ static uint64_t changed_at_a_failure(const bridge_config *wanted, double duty, d
     bridge_config config = *wanted;
     config.output[0].fd = fd;
     bridge_report report = {.running = 1};
-    exchange_init((exchange *)exchange_memory);
+    exchange_init(&shared_exchange);
     CHECK(pwm_line_start(1, &config) == 0);
     CHECK(comes_true(fd, 0, duty));
     pwm_line_put_control(1, &(bridge_control){.mode = PWM_ARMED, .number = 1});

@@ -13,12 +13,13 @@
 #include <unistd.h>
 
 #include "check.h"
+#include "exchange.h"
 #include "line_trace.h"
 #include "rt.h"
 
 enum { ROUNDS = 100000, LOOP_TICKS = 300, LOOP_RUNS = 2 };
 
-static _Alignas(64) uint8_t exchange_memory[16384];
+static exchange shared_exchange;
 static _Alignas(64) uint8_t page[PAGE_BYTES];
 static histogram shared_histogram;
 static _Atomic bool done;
@@ -33,7 +34,7 @@ static pthread_t spawn(void *(*run)(void *), void *arg)
 static void *writes(void *unused)
 {
     (void)unused;
-    exchange *x = (exchange *)exchange_memory;
+    exchange *x = &shared_exchange;
     robot_state state;
     memset(&state, 0, sizeof state);
     for (uint64_t n = 1; n <= ROUNDS; n++) {
@@ -57,7 +58,7 @@ static void *writes(void *unused)
 static void *takes(void *unused)
 {
     (void)unused;
-    exchange *x = (exchange *)exchange_memory;
+    exchange *x = &shared_exchange;
     joint_feedback feedback;
     static command_report report;
     uint64_t last = 0, fresh = 0;
@@ -149,8 +150,7 @@ static void entries_of_a_trace_are_whole_or_refused(void)
 
 static void values_cross_whole_and_in_order(void)
 {
-    CHECK(exchange_bytes() <= sizeof exchange_memory);
-    exchange_init((exchange *)exchange_memory);
+    exchange_init(&shared_exchange);
     CHECK(page_init(page) == 0);
     pthread_t threads[] = {spawn(takes, NULL), spawn(reads_the_page, NULL), spawn(reads_the_page, NULL),
                            spawn(reads_the_histogram, NULL), spawn(writes, NULL)};
