@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
  * api.h: the border between Python and C; the gyro is in api_imu.h, what a joint's feedback comes to in api_feedback.h, joints
- * that take positions in api_position.h, the loop and its exchange in api_loop.h, commands in api_command.h, serial lines in
- * api_line.h.
+ * that take positions in api_position.h, speed loops in api_speed_loop.h, derating in api_derating.h, the loop and its exchange
+ * in api_loop.h, commands in api_command.h, serial lines in api_line.h.
  * Two readers: the C compiler (through rt.h) and cffi (through build_ffi.py). So all hold typedefs, enums, comments and
  * prototypes, and no preprocessor line.
  *
@@ -42,6 +42,7 @@ enum {
     REASON_CURVATURE = 1 << 22,          /* the range of its steering does not allow so tight a curve: a wider one */
     REASON_TURN_IMPOSSIBLE = 1 << 23,    /* this base cannot turn on the spot: the angular part of the command is left out */
     REASON_POSITION_UNKNOWN = 1 << 24,   /* where a joint is is not known: see robot_state.steering.unknown */
+    REASON_DERATED = 1 << 25,            /* [joint] derating: see robot_state.derating */
 };
 /* It is to rest, whatever was asked for. */
 enum { REASONS_TO_STAND = 0x11F0000 };
@@ -104,13 +105,6 @@ typedef struct {
     double full_duty_rad_s; /* > 0: wheel speed at duty 1 (open-loop map) */
 } pwm_config;
 
-/* Of a joint whose drive takes a torque: the speed loop is the core's. All at the wheel. */
-typedef struct {
-    double gain_n_m_s_per_rad;   /* >= 0: torque for a speed error */
-    double integral_n_m_per_rad; /* >= 0: torque for the sum of it, an angle */
-    double torque_max_n_m;       /* >= 0; 0: the drive takes no torque */
-} speed_loop_config;
-
 typedef struct {
     wheel_row row;
     double wheel_radius_m;     /* > 0 */
@@ -124,6 +118,7 @@ typedef struct {
     speed_loop_config speed_loop;
     plausible_config plausible;
     position_config position;
+    derating_config derating;
 } joint_config;
 
 typedef struct {
@@ -172,6 +167,9 @@ typedef struct {
     uint32_t machine_state;        /* the daemon's state, copied to the state page; the core does not read it */
     uint32_t owner;                /* the lease in command (its number), copied likewise */
     base_limits limits;            /* replace the configured ones as a group; refused by base_limits_check: kept */
+    uint32_t gains_count;          /* a change puts `gains` in force, of all joints or, where one is out of range, of none */
+    uint32_t reserved;
+    speed_loop_gains gains[JOINTS_MAX];
 } core_control;
 
 /* what a drive may say beside position; a value it does not say is NaN */
@@ -285,6 +283,9 @@ typedef struct {
     feedback_doubt doubt; /* the first of FAULTS_OF_FEEDBACK, until the reset */
     lateral_state lateral;
     steering_state steering;
+    speed_loop_shown speed_loop[JOINTS_MAX];
+    derating_shown derating;
+    reasons_shown reason; /* when each of `reasons` began */
 } robot_state;
 
 /* --------------------------------------------------------------------------------------- pure computations */
@@ -358,15 +359,10 @@ typedef struct {
 /* velocity → duty by config; last_duty is the duty of the step before. NaN: 0. */
 pwm_output pwm_step(const pwm_config *config, double last_duty, double velocity_rad_s, double dt_s);
 
-typedef struct {
-    double integral_n_m;
-    uint32_t overspeed; /* 1: no torque any more, until the power has been off */
-    uint32_t reserved;
-} speed_loop_state;
-
-/* The torque that brings a wheel to a speed, within torque_max_n_m. What is not finite: 0. dt_s > 0. */
-double speed_loop_step(speed_loop_state *state, const speed_loop_config *config, double want_rad_s, double measured_rad_s,
-                       double dt_s);
+/* Takes a sample; returns 0..1, and what it is by. A measure that is no number changes nothing. */
+double derating_factor(derating_state *state, const derating_config *config, const joint_feedback *feedback, uint32_t *by);
+/* Whether any of it is in use. */
+bool derating_used(const derating_config *config);
 
 /* signed difference of two raw counters of 8..64 bits, the shorter of the two */
 int64_t counter_difference(uint64_t now, uint64_t before, uint32_t bits);
@@ -414,6 +410,8 @@ typedef struct {
     uint32_t reasons;
     uint32_t zero;  /* 1: a finite command of zero */
     uint32_t known; /* 0: goal_u_s, saturation and reasons are not up to date */
+    uint32_t saturated_joint;
+    uint32_t reserved;
 } core_goal;
 
 /* The wheels' part of the last tick: holds as long as the twist is the same and no duty is ramping. */
@@ -451,8 +449,10 @@ typedef struct {
     limit_state axis[AXES]; /* of the twist that goes to the wheels */
     odometry_state odometry;
     speed_loop_state speed_loop[JOINTS_MAX];
+    speed_loop_gains gains[JOINTS_MAX]; /* in force */
     plausible_state plausible[JOINTS_MAX];
     steer_state steer;
+    derating_state derating[JOINTS_MAX];
     robot_state snapshot;       /* of the last tick */
     uint32_t stale[JOINTS_MAX]; /* 1: the joint has sent no feedback for feedback_timeout_s */
     uint64_t tick;
@@ -460,6 +460,7 @@ typedef struct {
     uint32_t armed_seen; /* control.armed of the tick before: arming wants an edge */
     uint32_t reset_seen;
     uint32_t odometry_reset_seen;
+    uint32_t gains_seen;
     uint32_t faults;
     uint32_t holding;   /* the drives stay enabled until rest (or for ever: STOP_HOLD) after a fault */
     uint32_t commanded; /* a fresh command has come since arming */
@@ -467,10 +468,11 @@ typedef struct {
     uint32_t slow;      /* no wheel with feedback turned faster than rest_velocity_rad_s */
     uint32_t at_rest;   /* after the last tick */
     uint32_t slewed;    /* 1: a joint has a duty slew */
-    uint32_t torques;   /* 1: a joint's drive takes a torque */
     uint32_t axes;      /* that the base moves by: AXES, or without the lateral one, which is the last */
     uint32_t steered;   /* 1: a base with modules */
     uint32_t extras;    /* 1: it has modules or a gyro */
+    uint32_t loops;     /* bit n: joint n has a speed loop, and with its gains one that does something */
+    uint32_t derates;   /* 1: a joint may derate the base */
     uint32_t reserved;
     int64_t armed_ns;      /* the tick that armed */
     int64_t zero_since_ns; /* holding: the tick from which on the set-points have been zero; 0: they are not */

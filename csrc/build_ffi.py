@@ -42,6 +42,8 @@ HEADERS = (
     "api_imu.h",
     "api_feedback.h",
     "api_position.h",
+    "api_speed_loop.h",
+    "api_derating.h",
     "api.h",
     "api_loop.h",
     "api_command.h",

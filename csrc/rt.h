@@ -11,6 +11,8 @@
 #include "api_imu.h"
 #include "api_feedback.h"
 #include "api_position.h"
+#include "api_speed_loop.h"
+#include "api_derating.h"
 #include "api.h"
 #include "api_loop.h"
 #include "api_command.h"

@@ -258,13 +258,15 @@ def test_the_top_level_holds_the_rooms_and_nothing_else():
 
 UNIT = re.compile(
     r"_(m|m_s|m_s2|m_s3|rad|rad_s|rad_s2|rad_s3|hz|s|ms|us|ns|v|a|c|per_s)$|"
-    r"_(m2|rad2|m2_s2|rad2_s2|m2_per_m|rad2_per_rad|n_m|n_m_per_rad|n_m_s_per_rad)$"
+    r"_(m2|rad2|m2_s2|rad2_s2|m2_per_m|rad2_per_rad|n_m|n_m_per_rad|n_m_s_per_rad)$|"
+    r"_(n_m_s2_per_rad|s_per_rad|per_rad|s2_per_rad|kg_m2)$"
 )
 UNITLESS = {
     # counts, names, ratios: numbers without a dimension
     "unit", "channel", "gear_ratio", "priority", "cpu", "baudrate", "stop_bits", "tries",
     "bitrate", "data_bitrate",
     "counts_per_turn", "port", "duty_dead_band", "duty_min", "duty_max", "track_slip_factor",
+    "correction_max",
     "schema", "scale",
 }  # fmt: skip
 

@@ -63,9 +63,22 @@ static const rule JOINT_RULES[] = {
     RULE(joint_config, pwm.duty_max, 0.0, 1.0),
     RULE(joint_config, pwm.slew_per_s, LEAST, INFINITY),
     RULE(joint_config, pwm.full_duty_rad_s, LEAST, MOST),
-    RULE(joint_config, speed_loop.gain_n_m_s_per_rad, 0.0, MOST),
-    RULE(joint_config, speed_loop.integral_n_m_per_rad, 0.0, MOST),
-    RULE(joint_config, speed_loop.torque_max_n_m, 0.0, MOST),
+    RULE(joint_config, speed_loop.gains.gain_u_s_per_rad, 0.0, MOST),
+    RULE(joint_config, speed_loop.gains.integral_u_per_rad, 0.0, MOST),
+    RULE(joint_config, speed_loop.gains.derivative_u_s2_per_rad, 0.0, MOST),
+    RULE(joint_config, speed_loop.gains.static_u, 0.0, MOST),
+    RULE(joint_config, speed_loop.gains.viscous_u_s_per_rad, 0.0, MOST),
+    RULE(joint_config, speed_loop.gains.acceleration_u_s2_per_rad, 0.0, MOST),
+    RULE(joint_config, speed_loop.filter_s, 0.0, MOST),
+    RULE(joint_config, speed_loop.correction_max_u, 0.0, MOST),
+    RULE(joint_config, speed_loop.output_min_u, -MOST, 0.0),
+    RULE(joint_config, speed_loop.output_max_u, 0.0, MOST),
+    RULE(joint_config, derating.range[DERATED_BY_TEMPERATURE].full, -MOST, MOST),
+    RULE(joint_config, derating.range[DERATED_BY_TEMPERATURE].none, -MOST, MOST),
+    RULE(joint_config, derating.range[DERATED_BY_CURRENT].full, -MOST, MOST),
+    RULE(joint_config, derating.range[DERATED_BY_CURRENT].none, -MOST, MOST),
+    RULE(joint_config, derating.range[DERATED_BY_VOLTAGE].full, -MOST, MOST),
+    RULE(joint_config, derating.range[DERATED_BY_VOLTAGE].none, -MOST, MOST),
     RULE(joint_config, plausible.setpoint_min_rad_s, 0.0, MOST),
     RULE(joint_config, plausible.slow_rad_s, 0.0, MOST),
     RULE(joint_config, plausible.short_rad_s, 0.0, MOST),
@@ -117,6 +130,15 @@ static const char *bad_joint_field(const joint_config *joint)
     }
     if (bits != 0 && !(fabs(joint->rad_per_count) >= LEAST && fabs(joint->rad_per_count) <= MOST)) {
         return "rad_per_count";
+    }
+    const derating_range *range = joint->derating.range;
+    if (range[DERATED_BY_TEMPERATURE].none < range[DERATED_BY_TEMPERATURE].full ||
+        range[DERATED_BY_CURRENT].none < range[DERATED_BY_CURRENT].full ||
+        range[DERATED_BY_VOLTAGE].none > range[DERATED_BY_VOLTAGE].full) {
+        return "derating.range";
+    }
+    if (joint->speed_loop.kind > SPEED_LOOP_DUTY) {
+        return "speed_loop.kind";
     }
     if (joint->position.used == 0) {
         return joint->line < LINES_MAX ? NULL : "line";

@@ -5,6 +5,7 @@
  * The order is core_step()'s at the foot of the page. Set-points are built from zero in each tick.
  */
 #include "goal.h"
+#include "loops.h"
 #include "snapshot.h"
 #include "steer.h"
 #include "watch.h"
@@ -14,8 +15,6 @@
 #include <math.h>
 #include <string.h>
 
-static const double DT_MAX_S = 0.1;                /* after a longer pause the ramps go on as if it had been this */
-static const double OVERSPEED = 1.5;               /* times its limit: what no speed loop that is well tuned overshoots to */
 static const int64_t HOLD_AT_ZERO_NS = 2000000000; /* after a fault: zero this long, and the power goes off anyway */
 
 /* not finite when one of them is not */
@@ -246,6 +245,29 @@ static void doubt(core_state *state, tick *t)
     }
 }
 
+/* The joint that leaves the base the least of its speed limits. */
+static void take_derating(core_state *state, const tick *t)
+{
+    derating_shown now = {.factor = 1.0}, *shown = &state->snapshot.derating;
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
+        const derating_config *config = &state->config.joint[j].derating;
+        uint32_t by = 0;
+        if (!derating_used(config) || state->stale[j]) {
+            continue;
+        }
+        double factor = derating_factor(&state->derating[j], config, &t->input->feedback[j], &by);
+        if (factor < now.factor) {
+            now = (derating_shown){.factor = factor, .joint = j, .by = by};
+        }
+    }
+    bool same = now.joint == shown->joint && now.by == shown->by && shown->since_ns != 0;
+    now.since_ns = now.factor < 1.0 ? (same ? shown->since_ns : t->input->now_ns) : 0;
+    if (now.factor != shown->factor) {
+        state->goal.known = 0;
+    }
+    *shown = now;
+}
+
 /* Without a new sample and without a joint that has gone silent there is nothing to measure. */
 static void measure(core_state *state, tick *t)
 {
@@ -265,47 +287,10 @@ static void measure(core_state *state, tick *t)
     }
     state->slow = all_slow(state);
     doubt(state, t);
+    if (state->derates) {
+        take_derating(state, t);
+    }
     snapshot_write_feedback(state, t->input->feedback);
-}
-
-static bool runs_away(const joint_config *joint, double velocity_rad_s)
-{
-    double limit = fmax(joint->velocity_max_rad_s, -joint->velocity_min_rad_s);
-    return fabs(velocity_rad_s) > OVERSPEED * limit;
-}
-
-/* What its speed loop wants of a wheel. Without power, without a measure, or once it ran away: nothing. */
-static double torque_of(core_state *state, const tick *t, uint32_t j)
-{
-    const joint_config *joint = &state->config.joint[j];
-    speed_loop_state *loop = &state->speed_loop[j];
-    double velocity_rad_s = state->odometry.joint[j].velocity_rad_s;
-    if (!(state->armed | state->holding)) {
-        *loop = (speed_loop_state){0};
-        return 0.0;
-    }
-    if (!state->stale[j] && runs_away(joint, velocity_rad_s)) {
-        loop->overspeed = 1;
-        watch_latch(state, FAULT_OVERSPEED);
-    }
-    if (state->stale[j] || loop->overspeed || state->plausible[j].doubted) {
-        loop->integral_n_m = 0.0;
-        return 0.0;
-    }
-    double want_rad_s = state->wheels.joint[j].velocity_rad_s;
-    return speed_loop_step(loop, &joint->speed_loop, want_rad_s, velocity_rad_s, fmin(t->dt_s, DT_MAX_S));
-}
-
-static void set_torques(core_state *state, const tick *t)
-{
-    if (!state->torques) {
-        return;
-    }
-    for (uint32_t j = 0; j < state->config.joint_count; j++) {
-        if (state->config.joint[j].speed_loop.torque_max_n_m > 0.0) {
-            state->wheels.joint[j].torque_n_m = torque_of(state, t, j);
-        }
-    }
 }
 
 /* The last look at what has been computed: nothing that is not a number leaves. */
@@ -315,6 +300,7 @@ static void guard(core_state *state, tick *t)
         return;
     }
     zero_at_once(state, t);
+    loops_off(state);
     t->calm = false;
     t->saturation = 1.0;
     state->goal.known = 0;
@@ -352,6 +338,9 @@ static void write_setpoints(const core_state *state, const tick *t, setpoints *o
     out->joint_count = state->config.joint_count;
     if (out->enabled) {
         memcpy(out->joint, state->wheels.joint, sizeof out->joint);
+        if (state->loops != 0) {
+            loops_write_duties(state, out);
+        }
     } else {
         memset(out->joint, 0, sizeof out->joint);
     }
@@ -376,7 +365,9 @@ static void note_extras(core_state *state)
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
         const joint_config *joint = &state->config.joint[j];
         state->slewed |= joint->pwm.slew_per_s < INFINITY;
-        state->torques |= joint->speed_loop.torque_max_n_m > 0.0;
+        state->derates |= derating_used(&joint->derating);
+        state->gains[j] = joint->speed_loop.gains;
+        state->loops |= (uint32_t)loop_is_on(state, j) << j;
     }
     state->extras = state->steered | state->config.gyro.used;
 }
@@ -413,9 +404,14 @@ void core_step(core_state *state, const core_input *input, double dt_s, setpoint
     tick t;
     state->tick++;
     watch(state, input, dt_s, &t);
+    if (input->control.gains_count != state->gains_seen) {
+        take_gains(state, &input->control);
+    }
     drive(state, &t);
     measure(state, &t);
-    set_torques(state, &t);
+    if (state->loops != 0) {
+        set_loops(state, &t);
+    }
     guard(state, &t);
     state->at_rest = !t.moving && state->slow;
     if (state->holding) {

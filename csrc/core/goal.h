@@ -35,6 +35,38 @@ static inline uint32_t limit_direction(const core_state *state, double *twist_u_
            (lateral != lateral_m_s ? (uint32_t)REASON_LATERAL_VELOCITY : 0);
 }
 
+/* All axes by one factor, so that none exceeds its derated limit and the direction stays. Returns the reasons. */
+static inline uint32_t derate(const core_state *state, double *twist_u_s)
+{
+    const axis_limits *limits[AXES] = {&state->limits.linear, &state->limits.angular, &state->limits.lateral};
+    double part = state->snapshot.derating.since_ns != 0 ? state->snapshot.derating.factor : 1.0, scale = 1.0;
+    for (int i = 0; i < AXES && part < 1.0; i++) {
+        double most_u_s = part * limits[i]->velocity_u_s;
+        if (fabs(twist_u_s[i]) > most_u_s) {
+            scale = fmin(scale, most_u_s / fabs(twist_u_s[i]));
+        }
+    }
+    for (int i = 0; i < AXES && scale < 1.0; i++) {
+        twist_u_s[i] *= scale;
+    }
+    return scale < 1.0 ? (uint32_t)REASON_DERATED : 0;
+}
+
+/* The joint that has to be slowed down by the largest part. */
+static inline uint32_t most_saturated(const core_config *config, const double *wheel_rad_s)
+{
+    uint32_t worst = 0;
+    double least = INFINITY;
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        double factor = saturate_factor(&wheel_rad_s[j], &config->joint[j], 1);
+        if (factor < least) {
+            least = factor;
+            worst = j;
+        }
+    }
+    return worst;
+}
+
 /* The twist to ramp to, scaled to what the wheels can do: the ramp runs straight to it, and nothing is scaled after. */
 static inline void set_goal(core_state *state)
 {
@@ -54,13 +86,17 @@ static inline void set_goal(core_state *state)
         twist_u_s[AXIS_ANGULAR] = within(twist_u_s[AXIS_ANGULAR], state->limits.angular.velocity_u_s);
         goal->reasons |= twist_u_s[AXIS_ANGULAR] != goal->wanted_u_s[AXIS_ANGULAR] ? (uint32_t)REASON_ANGULAR_VELOCITY : 0;
     }
+    goal->reasons |= derate(state, twist_u_s);
     if (state->steered) {
         steer_speeds(&state->steer, config, twist_u_s, wheel_rad_s);
     } else {
         kinematics_wheels(config, twist_u_s, wheel_rad_s);
     }
     goal->saturation = saturate_factor(wheel_rad_s, config->joint, config->joint_count);
-    goal->reasons |= goal->saturation < 1.0 ? (uint32_t)REASON_WHEEL_SATURATED : 0;
+    if (goal->saturation < 1.0) {
+        goal->reasons |= (uint32_t)REASON_WHEEL_SATURATED;
+        goal->saturated_joint = most_saturated(config, wheel_rad_s);
+    }
     for (int i = 0; i < AXES; i++) {
         twist_u_s[i] *= goal->saturation;
     }

@@ -140,6 +140,18 @@ static inline uint32_t all_reasons(const core_state *state, const tick *t)
     return reasons;
 }
 
+/* Since when each of them holds. */
+static inline void note_reasons(robot_state *to, uint32_t reasons, int64_t now_ns)
+{
+    uint32_t changed = to->reasons ^ reasons;
+    to->reasons = reasons;
+    for (uint32_t bit = 0; bit < REASONS_MAX && changed != 0; bit++) {
+        if (changed & 1U << bit) {
+            to->reason.since_ns[bit] = reasons & 1U << bit ? now_ns : 0;
+        }
+    }
+}
+
 static inline void snapshot_write(core_state *state, const tick *t)
 {
     robot_state *to = &state->snapshot;
@@ -147,7 +159,8 @@ static inline void snapshot_write(core_state *state, const tick *t)
     to->tick = state->tick;
     to->machine_state = t->input->control.machine_state;
     to->owner = t->input->control.owner;
-    to->reasons = all_reasons(state, t);
+    note_reasons(to, all_reasons(state, t), t->input->now_ns);
+    to->reason.saturated_joint = state->goal.saturated_joint;
     to->faults = state->faults;
     to->armed = state->armed;
     to->enabled = state->armed | state->holding;
@@ -169,9 +182,13 @@ _Static_assert(sizeof(imu_state) == 10 * 8 + 4 * 4, "padding in imu_state");
 _Static_assert(sizeof(feedback_doubt) == 4 * 8 + 2 * 4, "padding in feedback_doubt");
 _Static_assert(sizeof(lateral_state) == 7 * 8, "padding in lateral_state");
 _Static_assert(sizeof(steering_state) == (JOINTS_MAX + 1) * 8 + 2 * 4, "padding in steering_state");
+_Static_assert(sizeof(speed_loop_shown) == 2 * 8, "padding in speed_loop_shown");
+_Static_assert(sizeof(derating_shown) == 2 * 8 + 2 * 4, "padding in derating_shown");
+_Static_assert(sizeof(reasons_shown) == REASONS_MAX * 8 + 2 * 4, "padding in reasons_shown");
 _Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 32 + 8, "padding in setpoints");
 _Static_assert(sizeof(robot_state) == 8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80 + sizeof(imu_state) +
-                                          sizeof(feedback_doubt) + sizeof(lateral_state) + sizeof(steering_state),
+                                          sizeof(feedback_doubt) + sizeof(lateral_state) + sizeof(steering_state) +
+                                          JOINTS_MAX * sizeof(speed_loop_shown) + sizeof(derating_shown) + sizeof(reasons_shown),
                "padding in robot_state");
 
 #endif

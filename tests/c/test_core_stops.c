@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * test_core_stops: how a move ends, and when the power goes off. */
 #include "core_rig.h"
+#include "torque_loop.h"
 
 /* `config` changed by what comes, at speed; milliseconds until the power is off, 0: never within five seconds. */
 static int power_off_after_ms(const core_config *config, const change *of, bool wheels_stop)
@@ -155,9 +156,9 @@ static void a_torque_ends_with_its_power_its_feedback_or_its_runaway(void)
         config.joint[j].counter_bits = 0;
         config.joint[j].velocity_min_rad_s = -4.0;
         config.joint[j].velocity_max_rad_s = 8.0;
-        config.joint[j].speed_loop = (speed_loop_config){1.0, 4.0, 8.0};
+        config.joint[j].speed_loop = torque_loop(1.0, 4.0, 8.0);
     }
-    config.joint[1].speed_loop.torque_max_n_m = 0.0;
+    config.joint[1].speed_loop.kind = SPEED_LOOP_NONE;
     config.on_fault = STOP_HOLD;
     for (int sign = -1; sign <= 1; sign += 2) {
         rig r;
@@ -172,7 +173,7 @@ static void a_torque_ends_with_its_power_its_feedback_or_its_runaway(void)
         prepare(&r);
         r.input.feedback[0].velocity_rad_s = sign * 12.1;
         CHECK(step(&r)->faults == FAULT_OVERSPEED && r.out.joint[0].torque_n_m == 0.0 && r.out.enabled == 1);
-        CHECK(r.state.speed_loop[0].integral_n_m == 0.0 && r.out.joint[2].torque_n_m != 0.0);
+        CHECK(r.state.speed_loop[0].integral_u == 0.0 && r.out.joint[2].torque_n_m != 0.0);
         prepare(&r); /* latched: it is slower again, and gets no torque */
         r.input.feedback[0].velocity_rad_s = -sign;
         CHECK(step(&r)->faults == FAULT_OVERSPEED && r.out.joint[0].torque_n_m == 0.0);
@@ -181,14 +182,14 @@ static void a_torque_ends_with_its_power_its_feedback_or_its_runaway(void)
         ticks(&r, 3000);
         r.input.control.reset_count++;
         ticks(&r, 2);
-        CHECK(r.shown.faults == 0 && r.state.speed_loop[0].overspeed == 0 && r.state.speed_loop[2].integral_n_m == 0.0);
+        CHECK(r.shown.faults == 0 && r.state.speed_loop[0].overspeed == 0 && r.state.speed_loop[2].integral_u == 0.0);
     }
     rig r;
     start(&r, &config);
     go(&r, 0.2, 0.0);
     step_with(&r, &(change)AGE_OF(feedback[2].stamp_ns, 300000000, 0));
     CHECK(r.shown.faults == FAULT_FEEDBACK_STALE && r.out.joint[2].torque_n_m == 0.0);
-    CHECK(r.state.speed_loop[2].integral_n_m == 0.0 && r.out.joint[0].velocity_rad_s > 1.0);
+    CHECK(r.state.speed_loop[2].integral_u == 0.0 && r.out.joint[0].velocity_rad_s > 1.0);
 }
 
 int main(void)

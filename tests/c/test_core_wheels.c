@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * test_core_wheels: from a twist to what leaves for the drives, in the ticks in which something changes. */
 #include "core_rig.h"
+#include "torque_loop.h"
 
 static void a_base_that_turned_on_the_spot_stands_still_afterwards(void)
 {
@@ -142,7 +143,7 @@ static void a_base_of_as_many_wheels_as_there_can_be(void)
     for (int j = 4; j < JOINTS_MAX; j++) {
         config.joint[j] = config.joint[j - 4];
     }
-    config.joint[JOINTS_MAX - 1].speed_loop = (speed_loop_config){1.0, 4.0, 8.0};
+    config.joint[JOINTS_MAX - 1].speed_loop = torque_loop(1.0, 4.0, 8.0);
     config.joint[JOINTS_MAX - 1].plausible = (plausible_config){.slow_rad_s = 0.3,
                                                                 .setpoint_min_rad_s = 1.0,
                                                                 .short_rad_s = 100.0,
@@ -171,7 +172,7 @@ static void each_wheel_with_a_speed_loop_gets_its_torque(void)
     for (int own = -1; own < 4; own++) {
         core_config config = good_config();
         if (own >= 0) {
-            config.joint[own].speed_loop = (speed_loop_config){0.01, 0.04, 0.05};
+            config.joint[own].speed_loop = torque_loop(0.01, 0.04, 0.05);
         }
         rig r;
         start(&r, &config);
@@ -196,7 +197,7 @@ static void a_wheel_runs_away_beyond_its_larger_limit_of_either_way(void)
                 config.joint[j].counter_bits = 0;
                 config.joint[j].velocity_min_rad_s = back ? -8.0 : -4.0;
                 config.joint[j].velocity_max_rad_s = back ? 4.0 : 8.0;
-                config.joint[j].speed_loop = (speed_loop_config){1.0, 4.0, 8.0};
+                config.joint[j].speed_loop = torque_loop(1.0, 4.0, 8.0);
             }
             rig r;
             start(&r, &config);

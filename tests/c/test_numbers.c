@@ -5,6 +5,7 @@
 
 #include "check.h"
 #include "core.h"
+#include "torque_loop.h"
 
 /* ----------------------------------------------------------------------------------------------------- angles */
 static const double PI = 3.14159265358979323846;
@@ -56,43 +57,45 @@ static void no_speed_that_is_a_number_or_no_time_is_no_duty(void)
 }
 
 /* ------------------------------------------------------------------------------------------------- speed loop */
-static const speed_loop_config LOOP = {.gain_n_m_s_per_rad = 0.5, .integral_n_m_per_rad = 4.0, .torque_max_n_m = 3.0};
 
 static void the_torque_is_the_error_s_share_and_its_integral(void)
 {
-    speed_loop_state state = {0};
-    CHECK(fabs(speed_loop_step(&state, &LOOP, 3.0, 1.0, 0.1) - (1.0 + 0.8)) < 1e-12 && fabs(state.integral_n_m - 0.8) < 1e-12);
-    CHECK(fabs(speed_loop_step(&state, &LOOP, 1.0, 2.0, 0.1) - (-0.5 + 0.4)) < 1e-12 && fabs(state.integral_n_m - 0.4) < 1e-12);
-    CHECK(!signbit(speed_loop_step(&(speed_loop_state){0}, &LOOP, 0.0, 0.0, 0.1)));
-    CHECK(!signbit(speed_loop_step(&(speed_loop_state){.integral_n_m = -0.0}, &LOOP, -0.0, 0.0, 0.1)));
+    const speed_loop_config loop = torque_loop(0.5, 4.0, 3.0);
+    speed_loop_state state = {.begun = 1};
+    CHECK(fabs(loop_step(&state, &loop, 3.0, 1.0, 0.1) - (1.0 + 0.8)) < 1e-12 && fabs(state.integral_u - 0.8) < 1e-12);
+    CHECK(fabs(loop_step(&state, &loop, 1.0, 2.0, 0.1) - (-0.5 + 0.4)) < 1e-12 && fabs(state.integral_u - 0.4) < 1e-12);
+    CHECK(!signbit(loop_step(&(speed_loop_state){.begun = 1}, &loop, 0.0, 0.0, 0.1)));
+    CHECK(!signbit(loop_step(&(speed_loop_state){.begun = 1, .integral_u = -0.0}, &loop, -0.0, 0.0, 0.1)));
 }
 
 static void the_integral_is_held_where_it_would_drive_the_torque_beyond_its_limit(void)
 {
-    speed_loop_state state = {.integral_n_m = 1.0};
-    CHECK(speed_loop_step(&state, &LOOP, 10.0, 0.0, 0.01) == 3.0 && state.integral_n_m == 1.0);
-    CHECK(speed_loop_step(&state, &LOOP, -20.0, 0.0, 0.01) == -3.0 && state.integral_n_m == 1.0);
-    state.integral_n_m = 3.0; /* back from the limit it comes at once: the error is against what was wanted */
-    const speed_loop_config weak = {.gain_n_m_s_per_rad = 0.0, .integral_n_m_per_rad = 4.0, .torque_max_n_m = 2.0};
-    CHECK(speed_loop_step(&state, &weak, -1.0, 0.0, 0.1) == 2.0 && state.integral_n_m == 2.0);
-    state.integral_n_m = -3.0; /* so from the other side */
-    CHECK(speed_loop_step(&state, &weak, 1.0, 0.0, 0.1) == -2.0 && state.integral_n_m == -2.0);
-    const speed_loop_config eager = {.gain_n_m_s_per_rad = 0.02, .integral_n_m_per_rad = 0.01, .torque_max_n_m = 0.001};
-    state.integral_n_m = 0.0005; /* small products are products: away from rest it is held, too */
-    CHECK(speed_loop_step(&state, &eager, 0.1, 0.0, 0.01) == 0.001 && state.integral_n_m == 0.0005);
+    const speed_loop_config loop = torque_loop(0.5, 4.0, 3.0);
+    speed_loop_state state = {.begun = 1, .integral_u = 1.0};
+    CHECK(loop_step(&state, &loop, 10.0, 0.0, 0.01) == 3.0 && state.integral_u == 1.0);
+    CHECK(loop_step(&state, &loop, -20.0, 0.0, 0.01) == -3.0 && state.integral_u == 1.0);
+    state.integral_u = 3.0; /* back from the limit it comes at once: the error is against what was wanted */
+    const speed_loop_config weak = torque_loop(0.0, 4.0, 2.0);
+    CHECK(loop_step(&state, &weak, -1.0, 0.0, 0.1) == 2.0 && state.integral_u == 2.0);
+    state.integral_u = -3.0; /* so from the other side */
+    CHECK(loop_step(&state, &weak, 1.0, 0.0, 0.1) == -2.0 && state.integral_u == -2.0);
+    const speed_loop_config eager = torque_loop(0.02, 0.01, 0.001);
+    state.integral_u = 0.0005; /* small products are products: away from rest it is held, too */
+    CHECK(loop_step(&state, &eager, 0.1, 0.0, 0.01) == 0.001 && state.integral_u == 0.0005);
 }
 
 static void what_cannot_be_reckoned_empties_the_integral(void)
 {
+    const speed_loop_config loop = torque_loop(0.5, 4.0, 3.0);
     const double bad[] = {(double)NAN, (double)INFINITY, -(double)INFINITY};
     for (int i = 0; i < 3; i++) {
-        speed_loop_state state = {.integral_n_m = 1.0};
-        CHECK(speed_loop_step(&state, &LOOP, bad[i], 1.0, 0.1) == 0.0 && state.integral_n_m == 0.0);
-        state.integral_n_m = bad[i];
-        CHECK(speed_loop_step(&state, &LOOP, 1.0, 1.0, 0.1) == 0.0 && state.integral_n_m == 0.0);
+        speed_loop_state state = {.begun = 1, .integral_u = 1.0};
+        CHECK(loop_step(&state, &loop, bad[i], 1.0, 0.1) == 0.0 && state.integral_u == 0.0);
+        state.integral_u = bad[i];
+        CHECK(loop_step(&state, &loop, 1.0, 1.0, 0.1) == 0.0 && state.integral_u == 0.0);
     }
-    speed_loop_state state = {.integral_n_m = 1.0};
-    CHECK(speed_loop_step(&state, &LOOP, 1.0, 0.0, 0.0) == 0.0 && state.integral_n_m == 0.0);
+    speed_loop_state state = {.begun = 1, .integral_u = 1.0};
+    CHECK(loop_step(&state, &loop, 1.0, 0.0, 0.0) == 0.0 && state.integral_u == 0.0);
 }
 
 /* ---------------------------------------------------------------------------------------------------- drift */
@@ -198,7 +201,7 @@ static void a_joint_s_numbers_have_their_range(void)
     is_between(&joint->pwm.duty_min, -1.0, 0.0, "joint[1].pwm.duty_min");
     is_between(&joint->pwm.duty_max, 0.0, 1.0, "joint[1].pwm.duty_max");
     is_between(&joint->pwm.slew_per_s, 1e-12, (double)INFINITY, "joint[1].pwm.slew_per_s");
-    is_between(&joint->speed_loop.torque_max_n_m, 0.0, 1e9, "joint[1].speed_loop.torque_max_n_m");
+    is_between(&joint->speed_loop.correction_max_u, 0.0, 1e9, "joint[1].speed_loop.correction_max_u");
     is_between(&joint->rad_per_count, 1e-12, 1e9, "joint[1].rad_per_count");
     joint->rad_per_count = -1e-12;
     CHECK(is_good());

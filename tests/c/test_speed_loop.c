@@ -3,6 +3,7 @@
  * numbers on the way. What they promise is tested in tests/rt/test_speed_loop.py. */
 #include "check.h"
 #include "core.h"
+#include "torque_loop.h"
 
 #include <float.h>
 #include <math.h>
@@ -10,7 +11,7 @@
 
 static const int64_t TICK_NS = 1000000;
 static const double HOSTILE[] = {NAN, INFINITY, -INFINITY, 0.0, -0.0, DBL_MIN, DBL_MAX, -DBL_MAX, 1.0, -1.0};
-static const speed_loop_config GAINS = {1.0, 4.0, 8.0};
+static const double TORQUE_MAX_N_M = 8.0;
 enum { HOSTILE_COUNT = sizeof HOSTILE / sizeof HOSTILE[0], WHEELS = 2 };
 
 typedef struct {
@@ -43,7 +44,7 @@ static core_config two_wheels(void)
                                          .velocity_min_rad_s = -9.0,
                                          .velocity_max_rad_s = 9.0,
                                          .pwm = {0.0, -1.0, 1.0, INFINITY, 9.0},
-                                         .speed_loop = GAINS};
+                                         .speed_loop = torque_loop(1.0, 4.0, TORQUE_MAX_N_M)};
     }
     return config;
 }
@@ -74,11 +75,12 @@ static void armed(base *b, const core_config *config)
 
 static void the_torque_is_a_number_within_its_limit(void)
 {
+    const speed_loop_config config = torque_loop(1.0, 4.0, TORQUE_MAX_N_M);
     for (int i = 0; i < HOSTILE_COUNT * HOSTILE_COUNT * HOSTILE_COUNT; i++) {
-        speed_loop_state state = {.integral_n_m = HOSTILE[i % HOSTILE_COUNT]};
-        double torque_n_m = speed_loop_step(&state, &GAINS, HOSTILE[i / HOSTILE_COUNT % HOSTILE_COUNT],
-                                            HOSTILE[i / HOSTILE_COUNT / HOSTILE_COUNT], i % 2 == 0 ? 1e-3 : HOSTILE[i % 7]);
-        CHECK(fabs(torque_n_m) <= GAINS.torque_max_n_m);
+        speed_loop_state state = {.integral_u = HOSTILE[i % HOSTILE_COUNT], .begun = (uint32_t)i % 3};
+        double torque_n_m = loop_step(&state, &config, HOSTILE[i / HOSTILE_COUNT % HOSTILE_COUNT],
+                                      HOSTILE[i / HOSTILE_COUNT / HOSTILE_COUNT], i % 2 == 0 ? 1e-3 : HOSTILE[i % 7]);
+        CHECK(fabs(torque_n_m) <= TORQUE_MAX_N_M);
     }
 }
 
@@ -93,7 +95,7 @@ static void a_wheel_that_is_too_slow_is_pushed_until_it_is_disarmed(void)
     CHECK(b.out.joint[0].torque_n_m > 1.0 && b.out.joint[1].torque_n_m == b.out.joint[0].torque_n_m);
     b.input.control.armed = 0;
     tick(&b, 1.0);
-    CHECK(b.out.enabled == 0 && b.out.joint[0].torque_n_m == 0.0 && b.state.speed_loop[0].integral_n_m == 0.0);
+    CHECK(b.out.enabled == 0 && b.out.joint[0].torque_n_m == 0.0 && b.state.speed_loop[0].integral_u == 0.0);
 }
 
 static void a_wheel_beyond_all_speed_is_let_go(void)
@@ -121,18 +123,18 @@ static void a_wheel_that_is_not_received_any_more_loses_its_integral_while_it_is
     for (int i = 0; i < 500; i++) {
         tick(&b, 1.0);
     }
-    CHECK(b.state.speed_loop[0].integral_n_m > 0.0);
+    CHECK(b.state.speed_loop[0].integral_u > 0.0);
     while (b.state.stale[0] == 0) {
         b.input.now_ns += TICK_NS;
         b.input.control.heartbeat_ns = b.input.command.stamp_ns = b.input.now_ns;
         b.input.command.expires_ns = b.input.now_ns + 1000000000;
         b.input.feedback[1].stamp_ns = b.input.now_ns; /* the other one is heard */
-        CHECK(b.state.speed_loop[0].integral_n_m > 0.0);
+        CHECK(b.state.speed_loop[0].integral_u > 0.0);
         core_step(&b.state, &b.input, 1e-3, &b.out, &b.shown);
     }
     CHECK(b.out.enabled == 1);
-    CHECK(b.state.speed_loop[0].integral_n_m == 0.0 && b.out.joint[0].torque_n_m == 0.0);
-    CHECK(b.state.speed_loop[1].integral_n_m != 0.0);
+    CHECK(b.state.speed_loop[0].integral_u == 0.0 && b.out.joint[0].torque_n_m == 0.0);
+    CHECK(b.state.speed_loop[1].integral_u != 0.0);
 }
 
 static void a_wheel_that_ran_away_loses_its_integral_at_once(void)
@@ -143,11 +145,11 @@ static void a_wheel_that_ran_away_loses_its_integral_at_once(void)
     for (int i = 0; i < 500; i++) {
         tick(&b, 1.0);
     }
-    CHECK(b.state.speed_loop[0].integral_n_m > 0.0);
+    CHECK(b.state.speed_loop[0].integral_u > 0.0);
     tick(&b, -14.0);
     CHECK(b.out.enabled == 1);
     for (uint32_t j = 0; j < WHEELS; j++) {
-        CHECK(b.state.speed_loop[j].integral_n_m == 0.0 && b.out.joint[j].torque_n_m == 0.0);
+        CHECK(b.state.speed_loop[j].integral_u == 0.0 && b.out.joint[j].torque_n_m == 0.0);
     }
 }
 

@@ -40,19 +40,34 @@ async def until(condition: Callable[[], bool], what: str = "") -> None:
         raise AssertionError(f"never came true: {what or condition}") from None
 
 
-GAINS = {"gain_n_m_s_per_rad": 0.7, "integral_n_m_per_rad": 1.4, "torque_max_n_m": 3.0}
+LOOP = {
+    "gains": {"gain_u_s_per_rad": 0.7, "integral_u_per_rad": 1.4},
+    "correction_max_u": 3.0,
+    "output_min_u": -3.0,
+    "output_max_u": 3.0,
+    "kind": lib.SPEED_LOOP_TORQUE,
+}
 
 
 class SpeedLoop:
     """The core's speed loop, for a wheel whose drive takes a torque."""
 
     def __init__(self):
-        self._state = ffi.new("speed_loop_state *")
-        self._config = ffi.new("speed_loop_config *", GAINS)
+        self._state = ffi.new("speed_loop_state *", {"begun": 1})
+        self._config = ffi.new("speed_loop_config *", LOOP)
 
     def torque_n_m(self, want_rad_s: float, measured_rad_s: float) -> float:
+        step = ffi.new(
+            "speed_loop_input *",
+            {
+                "want_rad_s": want_rad_s,
+                "measured_rad_s": measured_rad_s,
+                "low_u": self._config.output_min_u,
+                "high_u": self._config.output_max_u,
+            },
+        )
         return lib.speed_loop_step(
-            self._state, self._config, want_rad_s, measured_rad_s, SETPOINTS_EVERY_S
+            self._state, self._config, ffi.addressof(self._config, "gains"), step, SETPOINTS_EVERY_S
         )
 
 

@@ -50,6 +50,23 @@ def joint_config(side: float, **changes: Any) -> dict[str, Any]:
     } | changes
 
 
+def torque_loop(
+    gain_n_m_s_per_rad: float = 1.0, integral_n_m_per_rad: float = 4.0, most_n_m: float = 8.0
+) -> dict[str, Any]:
+    """PI alone."""
+    return {
+        "gains": {
+            "gain_u_s_per_rad": gain_n_m_s_per_rad,
+            "integral_u_per_rad": integral_n_m_per_rad,
+        },
+        "filter_s": 0.05,
+        "correction_max_u": most_n_m,
+        "output_min_u": -most_n_m,
+        "output_max_u": most_n_m,
+        "kind": lib.SPEED_LOOP_TORQUE,
+    }
+
+
 def core_config(joints: int = 2, **changes: Any) -> dict[str, Any]:
     """Joints alternate: left, right, left, right."""
     return {

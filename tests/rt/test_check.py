@@ -44,9 +44,17 @@ BAD: dict[str, list[Any]] = {
     "joint[1].pwm.duty_max": [1.1, -0.1, math.nan],
     "joint[1].pwm.slew_per_s": [0.0, -1.0, math.nan],
     "joint[1].pwm.full_duty_rad_s": POSITIVE,
-    "joint[1].speed_loop.gain_n_m_s_per_rad": [-1.0, math.nan, math.inf],
-    "joint[1].speed_loop.integral_n_m_per_rad": [-1.0, math.nan, math.inf],
-    "joint[1].speed_loop.torque_max_n_m": [-1.0, math.nan, math.inf],
+    "joint[1].speed_loop.gains.gain_u_s_per_rad": [-1.0, math.nan, math.inf],
+    "joint[1].speed_loop.gains.integral_u_per_rad": [-1.0, math.nan, math.inf],
+    "joint[1].speed_loop.gains.derivative_u_s2_per_rad": [-1.0, math.nan, math.inf],
+    "joint[1].speed_loop.gains.static_u": [-1.0, math.nan, math.inf],
+    "joint[1].speed_loop.gains.viscous_u_s_per_rad": [-1.0, math.nan, math.inf],
+    "joint[1].speed_loop.gains.acceleration_u_s2_per_rad": [-1.0, math.nan, math.inf],
+    "joint[1].speed_loop.filter_s": [-1.0, math.nan, math.inf],
+    "joint[1].speed_loop.correction_max_u": [-1.0, math.nan, math.inf],
+    "joint[1].speed_loop.output_min_u": [1.0, math.nan, -math.inf],
+    "joint[1].speed_loop.output_max_u": [-1.0, math.nan, math.inf],
+    "joint[1].speed_loop.kind": [3],
 }
 
 

@@ -112,7 +112,16 @@ def test_a_page_made_anew_forgets_the_old_snapshot(page):
 
 
 @pytest.mark.parametrize(
-    "struct_name", ["robot_state", "joint_state", "imu_state", "feedback_doubt"]
+    "struct_name",
+    [
+        "robot_state",
+        "joint_state",
+        "imu_state",
+        "feedback_doubt",
+        "speed_loop_shown",
+        "derating_shown",
+        "reasons_shown",
+    ],
 )
 def test_the_documented_offsets_are_the_compilers(struct_name):
     text = (ROOT / "docs/state-page.md").read_text(encoding="utf-8")

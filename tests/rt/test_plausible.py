@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 from _motord_rt import lib
-from core_rig import RAD_PER_COUNT, TICK_S, Rig, assert_rest, core_config, joint_config
+from core_rig import RAD_PER_COUNT, TICK_S, Rig, assert_rest, core_config, joint_config, torque_loop
 
 TOP_RAD_S = 15.0
 CHECKS = {
@@ -365,10 +365,9 @@ def test_a_reported_velocity_without_a_counter_that_no_wheel_has_is_a_fault():
 
 
 def test_a_torque_has_no_part_in_a_stop_by_feedback_that_is_not_trusted():
-    gains = {"gain_n_m_s_per_rad": 1.0, "integral_n_m_per_rad": 4.0, "torque_max_n_m": 8.0}
     rig = Wheels()
     for j in (0, 1):
-        rig.config.joint[j].speed_loop = gains
+        rig.config.joint[j].speed_loop = torque_loop()
     assert lib.core_init(rig.state, rig.config) == 0
     rig.moving()
     assert rig.out.joint[LEFT].torque_n_m == pytest.approx(0.0, abs=1.0)

@@ -13,11 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motord.api.snapshot import (
+    DERATED_BY,
     SNAPSHOT_VERSION,
+    DeratingSnapshot,
     DoubtSnapshot,
     ImuSnapshot,
     JointSnapshot,
     Snapshot,
+    SpeedLoopSnapshot,
 )
 from motord.api.state_page import FAULTS, REASONS
 from motord.realtime import loop as rt
@@ -33,13 +36,17 @@ def python_fields(kind):
     return [field.name for field in dataclasses.fields(kind)]
 
 
+APART = {"joint", "imu", "doubt", "lateral", "steering", "speed_loop", "derating", "reason"}
+"""Structures within the state."""
+
+
 def raw_state():
     """Each field another number, so that two that were swapped show."""
     raw = ffi.new("robot_state *")
     for number, name in enumerate(c_fields("robot_state"), 1000):
         if name.endswith("covariance"):
             setattr(raw, name, [number * 10 + i for i in range(len(getattr(raw, name)))])
-        elif name not in ("joint", "imu", "doubt", "lateral", "steering"):
+        elif name not in APART:
             setattr(raw, name, number)
     raw.reasons = lib.REASON_LINEAR_JERK | lib.REASON_COMMAND_STALE
     raw.faults = lib.FAULT_ESTOP | lib.FAULT_STATE
@@ -60,6 +67,11 @@ def raw_state():
     for number, name in enumerate(c_fields("steering_state"), 9500):
         vector = name == "setpoint_rad"
         setattr(raw.steering, name, [number * 10 + i for i in range(8)] if vector else number)
+    for index in range(3):
+        raw.speed_loop[index] = {"output_u": 9100 + index, "integral_u": 9200 + index}
+    raw.derating = {"since_ns": 9300, "factor": 0.5, "joint": 1, "by": lib.DERATED_BY_VOLTAGE}
+    raw.reason.since_ns = list(range(9400, 9432))
+    raw.reason.saturated_joint = 2
     return raw
 
 
@@ -81,9 +93,17 @@ STEERING = {
 
 
 def test_the_names_are_those_of_the_c_struct():
-    expected = set(c_fields("robot_state")) - {"joint_count", "joint", "lateral"} - {"steering"}
-    apart = {"joints", "version", *LATERAL, *STEERING}
-    assert set(python_fields(Snapshot)) == expected | apart
+    expected = set(c_fields("robot_state")) - {"joint_count", *APART}
+    ours = (
+        {"joints", "speed_loops", "version", "imu", "doubt", "derating"}
+        | set(LATERAL)
+        | set(STEERING)
+    )
+    ours |= {"reasons_since_ns", "saturated_joint"}
+    assert set(python_fields(Snapshot)) == expected | ours
+    assert python_fields(SpeedLoopSnapshot) == c_fields("speed_loop_shown")
+    assert python_fields(DeratingSnapshot) == c_fields("derating_shown")
+    assert c_fields("reasons_shown") == ["since_ns", "saturated_joint", "reserved"]
     assert list(STEERING.values()) == c_fields("steering_state")
     assert list(LATERAL.values()) == c_fields("lateral_state")
     assert python_fields(JointSnapshot) == c_fields("joint_state")
@@ -95,7 +115,8 @@ def test_every_field_arrives_in_its_place():
     raw = raw_state()
     made = rt._snapshot(raw)
     assert (made.reasons, made.faults) == (("linear_jerk", "command_stale"), ("estop", "state"))
-    apart = {"joints", "version", "reasons", "faults", "imu", "doubt"}
+    apart = {"joints", "speed_loops", "version", "reasons", "faults", "imu", "doubt", "derating"}
+    apart |= {"reasons_since_ns", "saturated_joint"}
     for name, raw_name in LATERAL.items():
         value = getattr(made, name)
         assert value == type(value)(getattr(raw.lateral, raw_name)), name
@@ -110,12 +131,31 @@ def test_every_field_arrives_in_its_place():
         for name in python_fields(JointSnapshot):
             value = getattr(joint, name)
             assert value == type(value)(getattr(raw.joint[index], name)), name
+    assert made.speed_loops == tuple(
+        SpeedLoopSnapshot(output_u=9100 + index, integral_u=9200 + index) for index in range(3)
+    )
+    assert made.derating == DeratingSnapshot(since_ns=9300, factor=0.5, joint=1, by="voltage")
+    assert made.reasons_since_ns == {word: 9400 + bit for bit, word in REASONS.items()}
+    assert made.saturated_joint is None
     for name in set(python_fields(ImuSnapshot)) - {"state"}:
         value = getattr(made.imu, name)
         assert value == type(value)(getattr(raw.imu, name)), name
     assert made.doubt.fault == "stall"
     for name in set(python_fields(DoubtSnapshot)) - {"fault"}:
         assert getattr(made.doubt, name) == getattr(raw.doubt, name), name
+
+
+def test_a_saturated_wheel_is_named_while_it_is_and_what_derates_nothing_is_none():
+    raw = raw_state()
+    raw.reasons = lib.REASON_WHEEL_SATURATED
+    raw.reason.since_ns = [0] * lib.REASONS_MAX
+    raw.reason.since_ns[8] = 77
+    raw.derating.since_ns = 0
+    made = rt._snapshot(raw)
+    assert made.saturated_joint == 2
+    assert made.reasons_since_ns == {"wheel_saturated": 77}
+    assert made.derating is None
+    assert len(DERATED_BY) == lib.DERATINGS
 
 
 def test_without_a_fault_of_the_feedback_there_is_no_doubt():

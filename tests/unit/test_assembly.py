@@ -12,6 +12,7 @@ from motord.config import Limits, load_robot
 from motord.config.schema import robot_schema
 from motord.control.assembly import base_limits, core_config, line_specs, loop_settings
 from motord.realtime import loop as rt
+from motord.realtime.loop import SpeedLoopKind
 
 DEFINITIONS = robot_schema()["$defs"]
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
@@ -71,13 +72,40 @@ def test_a_wheel_that_cannot_reverse_never_gets_a_negative_set_point():
 def test_a_torque_drive_brings_its_speed_loop_and_others_have_none():
     _, _, config = assembled("cia402-torque")
     for joint in config["joint"]:
-        assert joint["speed_loop"] == {
-            "gain_n_m_s_per_rad": 1.0,
-            "integral_n_m_per_rad": 4.0,
-            "torque_max_n_m": 3.0,
+        loop = joint["speed_loop"]
+        assert {name for name, value in loop["gains"].items() if value} == {
+            "gain_u_s_per_rad",
+            "integral_u_per_rad",
         }
+        assert (loop["output_min_u"], loop["output_max_u"], loop["correction_max_u"]) == (-3, 3, 3)
+        assert loop["kind"] == SpeedLoopKind.TORQUE
     _, _, demo = assembled("demo")
-    assert {joint["speed_loop"]["torque_max_n_m"] for joint in demo["joint"]} == {0.0}
+    assert {joint["speed_loop"]["kind"] for joint in demo["joint"]} == {SpeedLoopKind.NONE}
+
+
+def test_a_duty_with_an_encoder_may_get_a_loop_and_has_none_without_gains():
+    _, _, config = assembled("pi4-encoders")
+    for joint in config["joint"]:
+        loop = joint["speed_loop"]
+        assert loop["kind"] == SpeedLoopKind.DUTY
+        assert (loop["output_min_u"], loop["output_max_u"], loop["correction_max_u"]) == (
+            -1,
+            1,
+            0.3,
+        )
+        gains = {name: value for name, value in loop["gains"].items() if value}
+        assert gains == {"static_u": 0.05, "viscous_u_s_per_rad": pytest.approx(0.95 / 18.0)}
+        assert joint["plausible"]["following_s"] == 0.0
+    _, _, blind = assembled("sabertooth")
+    assert {joint["speed_loop"]["kind"] for joint in blind["joint"]} == {SpeedLoopKind.NONE}
+
+
+def test_a_duty_with_gains_is_checked_as_a_drive_that_holds_its_speed():
+    _, _, config = assembled("pi4-encoders", "joint.left.speed_loop.gain_s_per_rad=0.02")
+    left, right = config["joint"]
+    assert left["speed_loop"]["gains"]["gain_u_s_per_rad"] == 0.02
+    assert left["plausible"]["following_s"] == 1.0
+    assert left["plausible"]["beyond_rad_s"] < right["plausible"]["beyond_rad_s"]
 
 
 def test_feedback_is_checked_in_parts_of_the_speed_that_the_limits_ask_of_a_wheel():

@@ -23,7 +23,9 @@ UNITS = {
     "rad2_per_rad": "rad²/rad",
     "rad2_per_s": "rad²/s", "rad2": "rad²", "m2_s2": "m²/s²", "rad2_s2": "rad²/s²",
     "mb": "MB", "v": "V", "ah": "Ah", "ohm": "Ω", "n_m": "N·m",
-    "n_m_per_rad": "N·m/rad", "n_m_s_per_rad": "N·m·s/rad",
+    "n_m_per_rad": "N·m/rad", "n_m_s_per_rad": "N·m·s/rad", "n_m_s2_per_rad": "N·m·s²/rad",
+    "s_per_rad": "s/rad", "per_rad": "1/rad", "s2_per_rad": "s²/rad", "kg_m2": "kg·m²",
+    "c": "°C", "a": "A",
 }  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from motord.commission.params_save import put_limits
+from motord.commission.params_save import put_in_force
 from motord.commission.person import Failed
 from motord.commission.robot_file_edit import EditError, RobotFileEdit, write_new
 from motord.config import ConfigError, load_robot
@@ -143,7 +143,7 @@ def in_force(file, **changes):
 
 def test_limits_in_force_go_into_the_file(file):
     edit = RobotFileEdit(file)
-    put = put_limits(edit, in_force(file, linear_m_s=0.3, linear_m_s3=None))
+    put = put_in_force(edit, in_force(file, linear_m_s=0.3, linear_m_s3=None))
     assert set(put) == {"limits.linear_m_s", "limits.linear_m_s3"}
     assert added(edit) == [
         "-linear_m_s = 1.0", "+linear_m_s = 0.3", "-linear_m_s3 = 8.0", "+linear_m_s3 = inf",
@@ -154,11 +154,11 @@ def test_a_limit_that_would_follow_another_is_written_too(file):
     text = file.read_text("utf-8").replace("linear_deceleration_m_s2 = 1.5\n", "")
     file.write_text(text, "utf-8")
     edit = RobotFileEdit(file)
-    put_limits(edit, in_force(file, linear_m_s2=2.0))
+    put_in_force(edit, in_force(file, linear_m_s2=2.0))
     limits = edit.checked().limits
     assert (limits.linear_m_s2, limits.linear_deceleration_m_s2) == (2.0, 1.0)
 
 
 def test_a_register_of_a_drive_has_no_place_in_the_file(file):
     with pytest.raises(Failed, match="store it in the drive"):
-        put_limits(RobotFileEdit(file), {"drive.left.kp": 1.0})
+        put_in_force(RobotFileEdit(file), {"drive.left.kp": 1.0})

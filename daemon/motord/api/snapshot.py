@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 SNAPSHOT_VERSION = 1
@@ -18,6 +19,8 @@ STATES = ("off", "configuring", "idle", "armed", "moving", "stopping", "fault", 
 """By `machine_state`."""
 GYRO_STATES = ("none", "unbiased", "used", "stale", "reversed")
 """By GYRO_* of csrc/api_imu.h."""
+DERATED_BY = ("temperature", "current", "voltage")
+"""By DERATED_BY_* of csrc/api_derating.h."""
 
 
 I64 = int
@@ -33,6 +36,7 @@ Joints8 = tuple[float, ...]
 Reasons = tuple[str, ...]
 Faults = tuple[str, ...]
 FirstFault = str
+DeratedBy = str
 GyroState = str
 
 
@@ -97,6 +101,28 @@ class DoubtSnapshot:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DeratingSnapshot:
+    """What makes the base slower; of the joint that does so most."""
+
+    since_ns: I64
+    factor: float
+    """Of the base's speed limits."""
+    joint: U32
+    """Its place in the robot file."""
+    by: DeratedBy
+    """`temperature`, `current` or `voltage`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedLoopSnapshot:
+    """What the core's speed loop makes of one wheel: a torque in N m, or a duty. 0: it has none."""
+
+    output_u: float
+    integral_u: float
+    """Of the output."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
     """The robot after one tick. `stamp_ns` is CLOCK_MONOTONIC; publishers add the wall time."""
 
@@ -155,11 +181,24 @@ class Snapshot:
     imu: ImuSnapshot | None = None
     """None: there is none, or it was never received."""
     doubt: DoubtSnapshot | None = None
+    speed_loops: tuple[SpeedLoopSnapshot, ...] = ()
+    """By joint."""
+    derating: DeratingSnapshot | None = None
+    """None: no joint derates the base."""
+    reasons_since_ns: Mapping[str, int] = field(default_factory=dict)
+    """Since when each of `reasons` holds."""
+    saturated_joint: int | None = None
+    """While `wheel_saturated` is a reason: the place of the joint whose limit it is."""
     version: int = SNAPSHOT_VERSION
 
     def to_json(self) -> dict[str, Any]:
         """Ready for json.dumps(allow_nan=False): NaN and infinities are None, tuples are lists."""
         return _record(self)
+
+
+def derated_by(number: int) -> str:
+    """What `by` of the C core's derating_shown means."""
+    return DERATED_BY[number] if number < len(DERATED_BY) else f"reason {number}"
 
 
 def gyro_word(state: int) -> str:
@@ -168,7 +207,12 @@ def gyro_word(state: int) -> str:
     return GYRO_STATES[state] if state < len(GYRO_STATES) else f"state {state}"
 
 
-def _record(record: Snapshot | JointSnapshot | ImuSnapshot | DoubtSnapshot) -> dict[str, Any]:
+_Record = (
+    Snapshot | JointSnapshot | ImuSnapshot | DoubtSnapshot | SpeedLoopSnapshot | DeratingSnapshot
+)
+
+
+def _record(record: _Record) -> dict[str, Any]:
     return {key.name: _plain(getattr(record, key.name)) for key in dataclasses.fields(record)}
 
 
@@ -177,6 +221,4 @@ def _plain(value: Any) -> Any:
         return value if math.isfinite(value) else None
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
-    return (
-        _record(value) if isinstance(value, JointSnapshot | ImuSnapshot | DoubtSnapshot) else value
-    )
+    return _record(value) if isinstance(value, _Record) else value

@@ -19,10 +19,13 @@ from typing import Any, Self
 from motord.api.page_file import find_page
 from motord.api.snapshot import (
     GYRO_STATES,
+    DeratingSnapshot,
     DoubtSnapshot,
     ImuSnapshot,
     JointSnapshot,
     Snapshot,
+    SpeedLoopSnapshot,
+    derated_by,
     gyro_word,
 )
 
@@ -52,6 +55,7 @@ REASONS = {
     22: "curvature",
     23: "turn_impossible",
     24: "position_unknown",
+    25: "derated",
 }
 """By bit: REASON_* of csrc/api.h."""
 FAULTS = {
@@ -119,6 +123,7 @@ _FORMS: Mapping[str, tuple[str, Callable[[Any], Any] | None]] = {
     "Faults": ("I", _faults),
     "FirstFault": ("I", _first_fault),
     "GyroState": ("I", gyro_word),
+    "DeratedBy": ("I", derated_by),
 }
 """How csrc/api.h has what a dataclass calls by that type, and what it is in Python."""
 
@@ -175,25 +180,45 @@ _STATE = _Record(
 )
 _LATERAL = _Record(Snapshot, only=lambda name: name in _LATERAL_NAMES)
 _STEERING = _Record(Snapshot, only=lambda name: name in _STEERING_NAMES)
+_SPEED_LOOP = _Record(SpeedLoopSnapshot)
 _JOINTS_MAX = 8
 _IMU_OFFSET = _STATE.bytes + _JOINTS_MAX * _JOINT.bytes
 _DOUBT_OFFSET = _IMU_OFFSET + _IMU.bytes
 _LATERAL_OFFSET = _DOUBT_OFFSET + _DOUBT.bytes
 _STEERING_OFFSET = _LATERAL_OFFSET + _LATERAL.bytes
-_PAYLOAD_BYTES = _STEERING_OFFSET + _STEERING.bytes
+_SPEED_LOOP_OFFSET = _STEERING_OFFSET + _STEERING.bytes
+_DERATING = _Record(DeratingSnapshot)
+_DERATING_OFFSET = _SPEED_LOOP_OFFSET + _JOINTS_MAX * _SPEED_LOOP.bytes
+_REASON = struct.Struct("=32qII")
+_REASON_OFFSET = _DERATING_OFFSET + _DERATING.bytes
+_PAYLOAD_BYTES = _REASON_OFFSET + _REASON.size
 
 
 def decode(payload: bytes) -> Snapshot:
     """A `robot_state`, byte for byte as the page has it."""
     state = _STATE.values(payload, 0)
     imu, doubt = _IMU.values(payload, _IMU_OFFSET), _DOUBT.values(payload, _DOUBT_OFFSET)
+    derating = _DERATING.values(payload, _DERATING_OFFSET)
+    *since_ns, saturated_joint, _ = _REASON.unpack_from(payload, _REASON_OFFSET)
+    places = range(min(state.pop("joint_count"), _JOINTS_MAX))
     return Snapshot(
         joints=tuple(
             JointSnapshot(**_JOINT.values(payload, _STATE.bytes + place * _JOINT.bytes))
-            for place in range(min(state.pop("joint_count"), _JOINTS_MAX))
+            for place in places
+        ),
+        speed_loops=tuple(
+            SpeedLoopSnapshot(
+                **_SPEED_LOOP.values(payload, _SPEED_LOOP_OFFSET + place * _SPEED_LOOP.bytes)
+            )
+            for place in places
         ),
         imu=ImuSnapshot(**imu) if imu["state"] != GYRO_STATES[0] else None,
         doubt=DoubtSnapshot(**doubt) if doubt["fault"] else None,
+        derating=DeratingSnapshot(**derating) if derating["since_ns"] else None,
+        reasons_since_ns={
+            word: since_ns[bit] for bit, word in REASONS.items() if since_ns[bit] != 0
+        },
+        saturated_joint=saturated_joint if "wheel_saturated" in state["reasons"] else None,
         **state,
         **_LATERAL.values(payload, _LATERAL_OFFSET),
         **_STEERING.values(payload, _STEERING_OFFSET),

@@ -207,6 +207,20 @@ class Commands:
     """Commands of lateral motion, given to a base that cannot move sideways."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Limited:
+    """A reason why the set-point is not what was asked for."""
+
+    for_s: float = NAN
+    """How long it has held."""
+    joint: str | None = None
+    """Where it comes from one joint."""
+    by: str | None = None
+    """Of derating: temperature, current or voltage."""
+    factor: float | None = None
+    """Of derating: what is left of the base's speed limits."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Status(dict[str, Any]):
     """Everything the daemon knows about itself and the robot. As a dict it is the answer itself:
@@ -222,6 +236,8 @@ class Status(dict[str, Any]):
     at_rest: bool = False
     reasons: tuple[str, ...] = ()
     """Why the set-point is not what was asked for."""
+    limited: Mapping[str, Limited] = field(default_factory=dict)
+    """Each of `reasons` in detail."""
     faults: tuple[str, ...] = ()
     """What is latched."""
     stops: int = 0

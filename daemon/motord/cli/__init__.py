@@ -38,6 +38,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "motord.cli.calibrate:calibrate",
         "Measure radii, track and dead band; write the file.",
     ),
+    "tune": ("motord.cli.tune:tune", "Find the gains of a wheel's speed loop."),
     "stop": ("motord.cli.talk:stop", "Come to rest and stay armed."),
     "estop": ("motord.cli.talk:estop", "Emergency stop; latched until reset."),
     "stop-all": ("motord.cli.stop_all:stop_all", "Stop every drive after the daemon crashed."),

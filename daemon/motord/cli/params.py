@@ -59,7 +59,7 @@ def params_list(client: Client, as_json: bool) -> None:
 @json_option
 @talking
 def params_get(client: Client, names: tuple[str, ...], as_json: bool) -> None:
-    """Show values by name; without a name, all limits.
+    """Show values by name; without a name, all limits and gains.
 
     \b
     Example: motord params get limits.linear_m_s drive.left.bus_voltage
@@ -74,7 +74,7 @@ def params_get(client: Client, names: tuple[str, ...], as_json: bool) -> None:
 @json_option
 @talking
 def params_set(client: Client, assignments: tuple[str, ...], as_json: bool) -> None:
-    """Change limits, all or none, and registers; inf: no limit.
+    """Change limits and gains, all or none, and registers; inf: no limit.
 
     \b
     Example: motord params set limits.linear_m_s=0.3 limits.linear_m_s3=inf
@@ -91,7 +91,7 @@ def params_set(client: Client, assignments: tuple[str, ...], as_json: bool) -> N
 def params_save(
     client: Client, robot_file: Path | None, yes: bool, dry_run: bool, as_json: bool
 ) -> None:
-    """Write the limits in force into the robot file.
+    """Write the limits and gains in force into the robot file.
 
     Comments stay. The old file is kept beside it as ROBOT.toml.TIME.bak. What comes from --set
     options of the daemon counts as in force, too. Registers of drives are not saved: a robot file
@@ -101,12 +101,12 @@ def params_save(
     Example: motord params set limits.linear_m_s=0.3 && motord params save
     """
     from motord.cli.terminal import Terminal, failing, write_asking
-    from motord.commission.params_save import put_limits
+    from motord.commission.params_save import put_in_force
     from motord.commission.robot_file_edit import RobotFileEdit
 
     with failing(), Terminal(yes=yes) as person:
         edit = RobotFileEdit(robot_file or _file_of(client))
-        put, diff = put_limits(edit, client.params_get()), edit.diff()
+        put, diff = put_in_force(edit, client.params_get()), edit.diff()
         backup = write_asking(person, edit, dry_run=dry_run)
     if as_json:
         shown = {name: None if value == math.inf else value for name, value in put.items()}
@@ -128,7 +128,7 @@ def _assignments(client: Client, texts: Sequence[str]) -> dict[str, float | None
 @params.command("dump")
 @talking
 def params_dump(client: Client) -> None:
-    """Print the limits, and what can be set in the drives, as TOML.
+    """Print limits and gains, and what can be set in the drives, as TOML.
 
     \b
     Example: motord params dump > tuned.toml

@@ -16,7 +16,7 @@ def show_status(found: dict[str, Any]) -> None:
         ("state", found["state"]),
         *(("because", reason) for reason in found["why"]),
         ("faults", ", ".join(found["faults"])),
-        ("reasons", ", ".join(_telling(found["reasons"], found["state"]))),
+        ("reasons", ", ".join(_reasons(found))),
         ("command", _command(found)),
         ("odometry", _odometry(found["odometry"])),
         *((f"joint {name}", _joint(joint)) for name, joint in found["joints"].items()),
@@ -39,6 +39,21 @@ def _telling(reasons: Sequence[str], state: str) -> list[str]:
     """Without what is so of every robot that is not driven."""
     usual = () if state in ("armed", "moving", "stopping") else ("not_armed", "command_stale")
     return [reason for reason in reasons if reason not in usual]
+
+
+def _reasons(found: dict[str, Any]) -> list[str]:
+    """Each with its joint, and for how long it has held."""
+    return [
+        _reason(name, found["limited"].get(name, {}))
+        for name in _telling(found["reasons"], found["state"])
+    ]
+
+
+def _reason(name: str, about: Mapping[str, Any]) -> str:
+    by = f" to {100 * about['factor']:.0f} % by {about['by']}" if "by" in about else ""
+    joint = f" of {about['joint']}" if "joint" in about else ""
+    lasts = f" for {about['for_s']:.1f} s" if "for_s" in about else ""
+    return f"{name}{by}{joint}{lasts}"
 
 
 def _sideways(lateral_m_s: float) -> str:

@@ -9,17 +9,18 @@ from collections.abc import Mapping
 from motord.commission.person import Failed
 from motord.commission.robot_file_edit import RobotFileEdit
 from motord.config import Robot
+from motord.config.sections.speed_loop import SpeedLoop
 
-PREFIX = "limits."
+LIMITS, JOINT = "limits.", "joint."
 _ROUNDS = 2
 """A value that the file does not give may follow from another one."""
 
 
-def put_limits(edit: RobotFileEdit, in_force: Mapping[str, float | None]) -> dict[str, float]:
-    """Give the file the limits in force that it does not have; which ones, by name. `in_force` is
-    the answer of `params.get`; null: no limit. Raises ConfigError, Failed."""
+def put_in_force(edit: RobotFileEdit, in_force: Mapping[str, float | None]) -> dict[str, float]:
+    """Give the file the limits and gains in force that it does not have; which ones, by name.
+    `in_force` is the answer of `params.get`; null: no limit. Raises ConfigError, Failed."""
     wanted = {name: math.inf if value is None else value for name, value in in_force.items()}
-    if other := [name for name in wanted if not name.startswith(PREFIX)]:
+    if other := [name for name in wanted if not name.startswith((LIMITS, JOINT))]:
         raise Failed(
             f"{other[0]}: is a register of a drive, and the robot file holds none: store it in the "
             "drive with its maker's tool"
@@ -27,7 +28,7 @@ def put_limits(edit: RobotFileEdit, in_force: Mapping[str, float | None]) -> dic
     put: dict[str, float] = {}
     for _ in range(_ROUNDS):
         for name, value in _differing(edit.checked(), wanted).items():
-            edit.set(("limits", name.removeprefix(PREFIX)), value)
+            edit.set(tuple(name.split(".")), value)
             put[name] = value
     if left := _differing(edit.checked(), wanted):
         raise Failed(f"{', '.join(left)}: the file does not take the value in force")
@@ -35,8 +36,12 @@ def put_limits(edit: RobotFileEdit, in_force: Mapping[str, float | None]) -> dic
 
 
 def _differing(robot: Robot, wanted: Mapping[str, float]) -> dict[str, float]:
-    return {
-        name: value
-        for name, value in wanted.items()
-        if getattr(robot.limits, name.removeprefix(PREFIX)) != value
-    }
+    return {name: value for name, value in wanted.items() if _of_file(robot, name) != value}
+
+
+def _of_file(robot: Robot, name: str) -> float:
+    *_, key = name.split(".")
+    if name.startswith(LIMITS):
+        return float(getattr(robot.limits, key))
+    _, joint, *_ = name.split(".")
+    return float(getattr(robot.joint[joint].speed_loop or SpeedLoop(), key))

@@ -47,6 +47,7 @@ class Session:
     robot: dict[str, Any]
     """The daemon's answer of `robot`."""
     faults: list[str] = field(default_factory=list)
+    look_every_s: float = LOOK_EVERY_S
 
     # ------------------------------------------------------------------------------------- motions
     def hold(
@@ -143,7 +144,7 @@ class Session:
             elif time.monotonic() - changed_s > 1.0:
                 raise Failed("the daemon's loop stands still")
             yield newest
-            due_s = max(due_s + LOOK_EVERY_S, time.monotonic())
+            due_s = max(due_s + self.look_every_s, time.monotonic())
             time.sleep(max(due_s - time.monotonic(), 0.0))
 
     def _command(self, linear_m_s: float, angular_rad_s: float, lateral_m_s: float = 0.0) -> None:

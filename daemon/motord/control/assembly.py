@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 from motord.config.sections.bases import wheel_row
+from motord.config.sections.derating import PAIRS, Derating
 from motord.config.sections.imu import Imu
 from motord.config.sections.limits import Limits
 from motord.config.sections.model import Joint, Robot
+from motord.config.sections.speed_loop import DUTY_GAINS, SpeedLoop
 from motord.config.sections.wheels import (
     Profiles,
     counter_bits,
+    gains_of,
     rad_per_count,
     takes_duty,
     takes_torque,
@@ -18,7 +21,14 @@ from motord.config.sections.wheels import (
 )
 from motord.config.wiring import line_specs
 from motord.realtime import loop as rt
-from motord.realtime.types import GuardConfig, PlausibleConfig, SpeedLoopConfig
+from motord.realtime.types import (
+    DeratingConfig,
+    DeratingRange,
+    GuardConfig,
+    PlausibleConfig,
+    SpeedLoopConfig,
+    SpeedLoopGains,
+)
 from motord_hal.drives.profile import DriveProfile
 
 __all__ = ["core_config", "base_limits", "line_specs", "loop_settings"]
@@ -135,22 +145,24 @@ def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
         "counter_bits": counter_bits(joint, profile),
         "line": list(robot.line).index(joint.line),
         "pwm": _pwm(joint, profile, forward_rad_s, reversible=backward_rad_s < 0),
-        "speed_loop": _speed_loop(joint, profile),
+        "speed_loop": _speed_loop(joint, profile, reversible=backward_rad_s < 0),
         "plausible": _plausible(robot, name, profile),
+        "derating": _derating(joint.derating or Derating()),
     }
 
 
 def _plausible(robot: Robot, name: str, profile: DriveProfile) -> PlausibleConfig:
     """[safety.feedback] for one wheel. A coarse encoder widens the limits by its resolution. A duty
-    holds no speed: only a wheel that stands at much of it, or is faster than ever asked, is
-    wrong."""
+    without a speed loop holds no speed: only a wheel that stands at much of it, or is faster than
+    ever asked, is wrong."""
     checks, joint = robot.safety.feedback, robot.joint[name]
     working_rad_s = working_speed_rad_s(robot, name, profile)
     count_rad = abs(rad_per_count(joint, profile)) if counter_bits(joint, profile) else 0.0
     unsure_rad_s = _UNSURE_COUNTS_PER_S * count_rad
     setpoint_min_rad_s = checks.setpoint_min_part * working_rad_s
     runaway_part, following_s = checks.runaway_part, checks.following_s
-    if takes_duty(joint, profile):
+    loop = joint.speed_loop or SpeedLoop()
+    if takes_duty(joint, profile) and not any(getattr(loop, key) for key in DUTY_GAINS):
         given = checks.model_fields_set
         full_duty_rad_s = joint.full_duty_rad_s or working_rad_s
         if "setpoint_min_part" not in given:
@@ -175,15 +187,47 @@ def _plausible(robot: Robot, name: str, profile: DriveProfile) -> PlausibleConfi
     }
 
 
-def _speed_loop(joint: Joint, profile: DriveProfile) -> SpeedLoopConfig:
-    """All zero for a drive that holds the speed by itself."""
-    loop = joint.speed_loop if takes_torque(joint, profile) else None
-    if loop is None:
-        return {"gain_n_m_s_per_rad": 0.0, "integral_n_m_per_rad": 0.0, "torque_max_n_m": 0.0}
+def _derating(derating: Derating) -> DeratingConfig:
+    """What is not given is not in use."""
+    found: list[DeratingRange] = []
+    for begin, end in PAIRS.values():
+        full, none = getattr(derating, begin), getattr(derating, end)
+        given = full is not None and none is not None
+        found.append({"full": full if given else 0.0, "none": none if given else 0.0})
+    return {"range": found}
+
+
+def speed_loop_gains(joint: Joint, profile: DriveProfile, loop: SpeedLoop) -> SpeedLoopGains:
+    """In the core's terms; none for a drive that holds the speed by itself. Static and
+    viscous feed-forward of a duty are its open-loop map."""
+    found = SpeedLoopGains()
+    for key, core_key in gains_of(joint, profile).items():
+        found[core_key] = getattr(loop, key)  # type: ignore[literal-required]
+    if found and takes_duty(joint, profile) and joint.full_duty_rad_s is not None:
+        found["static_u"] = joint.duty_dead_band
+        found["viscous_u_s_per_rad"] = (1.0 - joint.duty_dead_band) / joint.full_duty_rad_s
+    return found
+
+
+def _speed_loop(joint: Joint, profile: DriveProfile, *, reversible: bool) -> SpeedLoopConfig:
+    """A duty without gains is the open-loop map, and may get gains while the robot runs."""
+    loop = joint.speed_loop or SpeedLoop()
+    if takes_torque(joint, profile):
+        most_n_m = loop.torque_max_n_m or 0.0
+        low, high, correction, kind = -most_n_m, most_n_m, most_n_m, rt.SpeedLoopKind.TORQUE
+    elif gains_of(joint, profile):
+        low, high = joint.duty_min if reversible else 0.0, joint.duty_max
+        correction, kind = loop.correction_max, rt.SpeedLoopKind.DUTY
+    else:
+        low = high = correction = 0.0
+        kind = rt.SpeedLoopKind.NONE
     return {
-        "gain_n_m_s_per_rad": loop.gain_n_m_s_per_rad,
-        "integral_n_m_per_rad": loop.integral_n_m_per_rad,
-        "torque_max_n_m": loop.torque_max_n_m,
+        "gains": speed_loop_gains(joint, profile, loop),
+        "filter_s": loop.filter_s,
+        "correction_max_u": correction,
+        "output_min_u": low,
+        "output_max_u": high,
+        "kind": kind,
     }
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +22,9 @@ from motord.api.snapshot import Snapshot
 from motord.base.log import about
 from motord.base.sdnotify import Notifier
 from motord.config import Limits, Robot
-from motord.control.assembly import base_limits
+from motord.config.sections.speed_loop import SpeedLoop
+from motord.config.sections.wheels import gains_of
+from motord.control.assembly import base_limits, speed_loop_gains
 from motord.control.battery import BatteryLevel, BatteryWatch
 from motord.control.doubt import doubt_text
 from motord.control.leases import Lease, Leases, NoLease
@@ -30,7 +32,7 @@ from motord.control.machine import Event, Facts, Refusal, State, step
 from motord.control.waiting import Waiting
 from motord.local_socket.server import Refused
 from motord.realtime.loop import Control, Loop
-from motord.realtime.types import StopRequests
+from motord.realtime.types import SpeedLoopGains, StopRequests
 from motord_hal.base.clock import within
 from motord_hal.fieldbus.ports import DriveState, EventKind, Line, LineEvent, LineState
 from motord_hal.realtime.exchange import now_ns
@@ -86,6 +88,15 @@ class Operation:
         self.snapshot: Snapshot = loop.read_state()
         self.leases = Leases(loop)
         self.limits: Limits = robot.limits
+        profiles = robot.profiles
+        self.speed_loops: dict[str, SpeedLoop] = {
+            name: joint.speed_loop or SpeedLoop()
+            for name, joint in robot.joint.items()
+            if gains_of(joint, profiles[joint.drive])
+        }
+        """By joint, as they are in force; of those whose speed motord holds, or could."""
+        self._gains_count = 0
+        self._gains: tuple[SpeedLoopGains, ...] = ()
         self.why: tuple[str, ...] = ()
         """What led to the fault or the emergency stop that is latched."""
         self.stops = 0
@@ -192,6 +203,8 @@ class Operation:
                 reset_count=self._reset_count,
                 odometry_reset_count=self._odometry_reset_count,
                 machine_state=self.state.number,
+                gains_count=self._gains_count,
+                gains=self._gains,
                 limits=base_limits(self.limits),
             )
         )
@@ -217,6 +230,19 @@ class Operation:
     def set_limits(self, limits: Limits) -> None:
         """In force from the next tick on. They have been checked."""
         self.limits = limits
+        self.put_control()
+
+    def set_speed_loops(self, loops: Mapping[str, SpeedLoop]) -> None:
+        """In force from the next tick on, without a step of the output. They have been checked."""
+        self.speed_loops |= loops
+        profiles = self.robot.profiles
+        self._gains = tuple(
+            speed_loop_gains(joint, profiles[joint.drive], self.speed_loops[name])
+            if name in self.speed_loops
+            else SpeedLoopGains()
+            for name, joint in self.robot.joint.items()
+        )
+        self._gains_count += 1
         self.put_control()
 
     # ---------------------------------------------------------------------------------- commanding

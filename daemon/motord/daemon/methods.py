@@ -15,7 +15,7 @@ from motord.control.health import Health
 from motord.control.leases import LEASE_MAX_S, LEASE_MIN_S
 from motord.control.machine import State
 from motord.control.operation import WHY_CHARS_MAX, Operation
-from motord.daemon import drive_parameters, parameters, procedures, report
+from motord.daemon import drive_parameters, gain_parameters, parameters, procedures, report
 from motord.daemon.bus_supervisor import BusSupervisor
 from motord.daemon.tracing import Tracing
 from motord.local_socket.command_sockets import CommandSockets
@@ -82,6 +82,7 @@ def methods(
         "params.list": _looking(
             lambda: (
                 parameters.listed(operation.limits, operation.robot.base.strafes)
+                | gain_parameters.listed(operation.robot, operation.speed_loops)
                 | drive_parameters.listed(operation.lines)
             )
         ),
@@ -190,24 +191,39 @@ def _release(operation: Operation, caller: Caller, params: OwnerParams) -> dict[
 
 
 async def _get(operation: Operation, names: Sequence[str]) -> dict[str, float | None]:
-    """Without a name: all limits; drives are asked only for what is named."""
-    of_drives = [name for name in names if name.startswith(drive_parameters.PREFIX)]
-    ours = [name for name in names if name not in of_drives]
-    strafes = operation.robot.base.strafes
-    found = parameters.values(operation.limits, strafes, ours) if ours or not names else {}
+    """Without a name: all limits and gains; drives are asked only for what is named."""
+    robot, loops, strafes = operation.robot, operation.speed_loops, operation.robot.base.strafes
+    if not names:
+        limits = parameters.values(operation.limits, strafes)
+        return limits | gain_parameters.values(robot, loops)
+    of_drives, gains, limit_names = _by_kind(names)
+    found = parameters.values(operation.limits, strafes, limit_names) if limit_names else {}
+    found |= gain_parameters.values(robot, loops, gains)
     return found | await drive_parameters.values(operation.lines, of_drives)
 
 
+def _by_kind(names: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
+    """Those of drives, of speed loops, and all others."""
+    prefixes = (drive_parameters.PREFIX, gain_parameters.PREFIX)
+    of_drives, gains = ([name for name in names if name.startswith(one)] for one in prefixes)
+    return of_drives, gains, [name for name in names if not name.startswith(prefixes)]
+
+
 async def _set(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, float | None]:
-    """Limits all or none; or registers of drives, one after the other."""
-    of_drives = {
-        name: value for name, value in wanted.items() if name.startswith(drive_parameters.PREFIX)
-    }
+    """Limits and gains all or none; or registers of drives, one after the other."""
+    of_drives, gains, limits = (
+        {name: wanted[name] for name in names} for names in _by_kind(list(wanted))
+    )
     if of_drives and len(of_drives) < len(wanted):
         raise RpcError("limits and registers of drives are set one after the other", INVALID_PARAMS)
     if of_drives:
         return dict(await drive_parameters.write(operation, of_drives))
-    now, strafes = operation.snapshot, operation.robot.base.strafes
+    now, robot = operation.snapshot, operation.robot
     moving = now.setpoint_linear_m_s, now.setpoint_angular_rad_s, now.setpoint_lateral_m_s
-    operation.set_limits(parameters.changed(operation.limits, strafes, wanted, *moving))
-    return parameters.values(operation.limits, strafes, wanted)
+    new_limits = parameters.changed(operation.limits, robot.base.strafes, limits, *moving)
+    new_loops = gain_parameters.changed(robot, operation.speed_loops, gains)
+    if limits:
+        operation.set_limits(new_limits)
+    if new_loops:
+        operation.set_speed_loops(new_loops)
+    return await _get(operation, list(wanted)) if wanted else {}

@@ -45,6 +45,7 @@ def status(
         "armed": snapshot["armed"],
         "at_rest": snapshot["at_rest"],
         "reasons": snapshot["reasons"],
+        "limited": _limited(operation),
         "faults": snapshot["faults"],
         "stops": operation.stops,
         "command": {key: snapshot[key] for key in _COMMAND},
@@ -108,6 +109,25 @@ def latency(loop: Loop) -> dict[str, Any]:
 def _age_s(stamp_ns: int) -> float | None:
     """None: never."""
     return (now_ns() - stamp_ns) / 1e9 if stamp_ns else None
+
+
+def _limited(operation: Operation) -> dict[str, dict[str, Any]]:
+    """Each reason: for how long, and the joint that it comes from where it comes from one."""
+    snapshot, joints = operation.snapshot, list(operation.robot.joint)
+    found: dict[str, dict[str, Any]] = {
+        reason: {"for_s": (snapshot.stamp_ns - since_ns) / 1e9}
+        for reason, since_ns in snapshot.reasons_since_ns.items()
+    }
+    if snapshot.saturated_joint is not None and "wheel_saturated" in found:
+        found["wheel_saturated"]["joint"] = joints[snapshot.saturated_joint]
+    if (derating := snapshot.derating) is not None and "derated" in found:
+        found["derated"] |= {
+            "joint": joints[derating.joint],
+            "by": derating.by,
+            "factor": derating.factor,
+            "for_s": (snapshot.stamp_ns - derating.since_ns) / 1e9,
+        }
+    return found
 
 
 def _imu(snapshot: Snapshot, shown: dict[str, Any] | None) -> dict[str, Any] | None:

@@ -57,6 +57,7 @@ __all__ = [
     "CoreConfig",
     "GyroConfig",
     "StopAction",
+    "SpeedLoopKind",
     "ConfigRefused",
     "limits_problem",
     "HistogramKind",
@@ -73,6 +74,7 @@ __all__ = [
 LEASES_MAX: int = lib.LEASES_MAX
 LEASE_NUMBERS = itertools.count(1)  # of the whole process: leases differ by them
 _ESTOP_INPUTS = ("none", "clear", "active", "lost")  # by ESTOP_*
+_NO_GAINS = {name: 0.0 for name, _ in ffi.typeof("speed_loop_gains").fields}
 _POLICIES = {os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_OTHER: "SCHED_OTHER"}
 # Once: each call gives the GIL up, and a busy thread gives it back late.
 _FLOORS_NS = tuple(lib.histogram_bucket_floor_ns(i) for i in range(lib.HISTOGRAM_BUCKETS))
@@ -83,6 +85,12 @@ class StopAction(enum.IntEnum):
     BRAKE = lib.STOP_BRAKE
     HOLD = lib.STOP_HOLD
     COAST = lib.STOP_COAST
+
+
+class SpeedLoopKind(enum.IntEnum):
+    NONE = lib.SPEED_LOOP_NONE
+    TORQUE = lib.SPEED_LOOP_TORQUE
+    DUTY = lib.SPEED_LOOP_DUTY
 
 
 class ConfigRefused(ValueError):
@@ -292,6 +300,9 @@ class Loop:
         raw.odometry_reset_count = control.odometry_reset_count
         raw.machine_state = control.machine_state
         raw.limits = control.limits
+        if raw.gains_count != control.gains_count:
+            raw.gains_count = control.gains_count
+            raw.gains = [{**_NO_GAINS, **gains} for gains in control.gains]
         self.beat()
 
     def beat(self) -> None:

@@ -43,10 +43,38 @@ class PwmConfig(TypedDict):
     full_duty_rad_s: float
 
 
+class SpeedLoopGains(TypedDict, total=False):
+    """u: N m of a torque, 1 of a duty. What is left out is 0."""
+
+    gain_u_s_per_rad: float
+    integral_u_per_rad: float
+    derivative_u_s2_per_rad: float
+    static_u: float
+    viscous_u_s_per_rad: float
+    acceleration_u_s2_per_rad: float
+
+
 class SpeedLoopConfig(TypedDict):
-    gain_n_m_s_per_rad: float
-    integral_n_m_per_rad: float
-    torque_max_n_m: float
+    gains: SpeedLoopGains
+    filter_s: float
+    correction_max_u: float
+    output_min_u: float
+    output_max_u: float
+    kind: int
+    """A SpeedLoopKind."""
+
+
+class DeratingRange(TypedDict):
+    """`full` == `none`: not in use."""
+
+    full: float
+    none: float
+
+
+class DeratingConfig(TypedDict):
+    """By temperature in °C, current in A, voltage in V."""
+
+    range: list[DeratingRange]
 
 
 class PlausibleConfig(TypedDict, total=False):
@@ -89,9 +117,10 @@ class JointConfig(TypedDict):
     line: int
     pwm: PwmConfig
     speed_loop: NotRequired[SpeedLoopConfig]
-    """Only of a joint whose drive takes a torque."""
+    """Only of a joint whose drive takes a torque, or a duty."""
     plausible: NotRequired[PlausibleConfig]
     position: NotRequired[PositionConfig]
+    derating: NotRequired[DeratingConfig]
 
 
 class GyroConfig(TypedDict, total=False):
@@ -256,4 +285,8 @@ class Control:
     reset_count: int = 0
     odometry_reset_count: int = 0
     machine_state: int = 0
+    gains_count: int = 0
+    """Another number puts `gains` in force; 0: those of the configuration are."""
+    gains: tuple[SpeedLoopGains, ...] = ()
+    """By joint."""
     limits: BaseLimits

@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator
 
 from motord.config.finding import Finding
 from motord.config.rules.battery import battery_readings
+from motord.config.rules.derating import derating
+from motord.config.rules.speed_loop import speed_loops
 from motord.config.rules.wire import budget, cycle_limit_hz, helps
 from motord.config.sections.bases import OmniBase, side_of, wheel_row
 from motord.config.sections.line import CanLine, PwmLine, SerialLine
@@ -23,7 +25,6 @@ from motord.config.sections.wheels import (
     rad_per_count,
     takes_duty,
     takes_torque,
-    torque_max_n_m,
     velocity_range_rad_s,
 )
 from motord.config.toml_lines import Path
@@ -113,28 +114,6 @@ def _velocity(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             can = f'drive "{joint.drive}" can (at most {most:.4g} rad/s)'
             text = f"{wanted_rad_s:g} rad/s is more than {can}"
             yield Finding(on, text)
-
-
-def _torque(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    for name, joint in robot.joint.items():
-        profile, drive = profiles[joint.drive], ("joint", name, "drive")
-        loop: Path = ("joint", name, "speed_loop")
-        if not takes_torque(joint, profile):
-            if joint.speed_loop is not None:
-                text = f'is not used: drive "{joint.drive}" holds the speed by itself'
-                yield Finding((loop, drive), text, warning=True)
-            continue
-        takes = f'drive "{joint.drive}" takes a torque'
-        if joint.velocity_max_rad_s is None:
-            path = ("joint", name, "velocity_max_rad_s")
-            yield Finding((path, drive), f"is missing: {takes}, and knows no speed at most")
-        if joint.speed_loop is None:
-            yield Finding((loop, drive), f"is missing: {takes}, and motord holds the speed")
-        elif joint.speed_loop.torque_max_n_m > (most := torque_max_n_m(joint, profile)) * (
-            1 + _ROUNDING
-        ):
-            text = f'is more than drive "{joint.drive}" takes (at most {most:.4g} N·m at the wheel)'
-            yield Finding(((*loop, "torque_max_n_m"), drive), text)
 
 
 def _duty(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
@@ -378,7 +357,8 @@ _RULES: tuple[Rule, ...] = (
     _protocol,
     _mounting,
     _velocity,
-    _torque,
+    speed_loops,
+    derating,
     _duty,
     _reverse,
     _counter,

@@ -41,6 +41,7 @@ from motord.config.sections.bus import (
     ZenohInput,
     ZenohPublish,
 )
+from motord.config.sections.derating import Derating
 from motord.config.sections.encoder import AnyEncoder
 from motord.config.sections.feedback import FeedbackChecks
 from motord.config.sections.guard import EstopInput, WatchdogOutput
@@ -220,7 +221,10 @@ class Joint(Section):
         None,
     )
     speed_loop: SpeedLoop | None = None
-    """Of a drive that takes a torque."""
+    """How motord holds the wheel's speed: of a drive that takes a torque, and of one that takes a
+    duty where its wheel is measured. Without it, a duty follows the open-loop map."""
+    derating: Derating | None = None
+    """How the base becomes slower with the temperature, current and supply voltage of its drive."""
     pins: dict[str, str] = Field(default_factory=dict)
     """On a line of kind "pwm": pin of the bridge → where it is: pwmN, or a GPIO line's name or
     number; with ! before it it is active low. Every bridge may have "fault", an input, and "pump",

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 from motord.config.sections.bases import wheel_row
 from motord.config.sections.model import Joint, Robot
+from motord.config.sections.speed_loop import DUTY_GAINS, TORQUE_GAINS
 from motord_hal.drives.profile import DriveProfile, Register
 
 Profiles = Mapping[str, DriveProfile]
@@ -28,6 +29,21 @@ def takes_duty(joint: Joint, profile: DriveProfile) -> bool:
 def takes_torque(joint: Joint, profile: DriveProfile) -> bool:
     """Whether the set-point is a torque: the core holds the speed."""
     return profile.channels[joint.channel].torque_setpoint is not None
+
+
+def measures_speed(joint: Joint, profile: DriveProfile) -> bool:
+    """Whether the core gets to know how fast the wheel turns."""
+    return bool(
+        counter_bits(joint, profile) or profile.channels[joint.channel].velocity is not None
+    )
+
+
+def gains_of(joint: Joint, profile: DriveProfile) -> Mapping[str, str]:
+    """Keys of [joint.NAME.speed_loop] that can be changed while the robot runs, by the core's;
+    empty: motord holds no speed of this wheel."""
+    if takes_torque(joint, profile):
+        return TORQUE_GAINS
+    return DUTY_GAINS if takes_duty(joint, profile) and measures_speed(joint, profile) else {}
 
 
 def torque_max_n_m(joint: Joint, profile: DriveProfile) -> float:

@@ -1,0 +1,38 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * api_derating.h: how the base becomes slower with what its drives measure, and since when a reason holds. Read before api.h,
+ * and like it: typedefs, enums, comments and prototypes, no preprocessor line.
+ */
+
+enum { DERATED_BY_TEMPERATURE = 0, DERATED_BY_CURRENT = 1, DERATED_BY_VOLTAGE = 2, DERATINGS = 3, REASONS_MAX = 32 };
+
+/* The base's speed limits fall linearly from all of them at `full` to nothing at `none`. `full` == `none`: no such limit. */
+typedef struct {
+    double full;
+    double none;
+} derating_range;
+
+/* Of one joint, by DERATED_BY_*: °C, A and V. `none` of a voltage is below `full`. */
+typedef struct {
+    derating_range range[DERATINGS];
+} derating_config;
+
+typedef struct {
+    int64_t stamp_ns;           /* of the last sample; 0: there was none */
+    double measured[DERATINGS]; /* smoothed; NaN: never measured */
+} derating_state;
+
+/* For a person: the joint that derates the base most, while one does. */
+typedef struct {
+    int64_t since_ns; /* 0: none does */
+    double factor;    /* of the base's speed limits */
+    uint32_t joint;
+    uint32_t by; /* DERATED_BY_* */
+} derating_shown;
+
+/* Since when each reason holds. */
+typedef struct {
+    int64_t since_ns[REASONS_MAX]; /* by bit; 0: it does not */
+    uint32_t saturated_joint;      /* while REASON_WHEEL_SATURATED holds: the joint whose limit it is */
+    uint32_t reserved;
+} reasons_shown;

@@ -1,0 +1,152 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * loops.h: the speed loops of a base's wheels in a tick. A part of core.c, as snapshot.h is.
+ *
+ * Duties of the open-loop map stay in core_wheels: they are what a wheel gets whose feedback is not to be trusted, and what the
+ * ramp is slewed by. Those of a loop take their place when the set-points are written.
+ */
+#ifndef MOTORD_LOOPS_H
+#define MOTORD_LOOPS_H
+
+#include "watch.h"
+#include "wheel.h"
+
+#include <math.h>
+#include <string.h>
+
+static const double DT_MAX_S = 0.1;       /* after a longer pause the ramps go on as if it had been this */
+static const double OVERSPEED = 1.5;      /* times its limit: what no speed loop that is well tuned overshoots to */
+static const double INTEGRAL_GONE = 1e-4; /* of a loop without gains: the open-loop map takes over */
+
+/* Whether its gains make the loop do anything. */
+static inline bool loop_is_on(const core_state *state, uint32_t j)
+{
+    const speed_loop_gains *gains = &state->gains[j];
+    uint32_t kind = state->config.joint[j].speed_loop.kind;
+    bool some = gains->gain_u_s_per_rad > 0.0 || gains->integral_u_per_rad > 0.0 || gains->derivative_u_s2_per_rad > 0.0 ||
+                gains->acceleration_u_s2_per_rad > 0.0;
+    return kind == SPEED_LOOP_TORQUE || (kind == SPEED_LOOP_DUTY && some);
+}
+
+/* Gains of all joints or, where one of them is out of range, of none. A loop whose gains change goes on from the output of
+ * before; one that begins, from the duty of the map. */
+static inline void take_gains(core_state *state, const core_control *control)
+{
+    uint32_t count = state->config.joint_count;
+    state->gains_seen = control->gains_count;
+    for (uint32_t j = 0; j < count; j++) {
+        if (!speed_loop_gains_good(&control->gains[j])) {
+            return;
+        }
+    }
+    for (uint32_t j = 0; j < count; j++) {
+        if (memcmp(&state->gains[j], &control->gains[j], sizeof state->gains[j]) == 0) {
+            continue;
+        }
+        state->gains[j] = control->gains[j];
+        state->speed_loop[j].begun = 0;
+        if (!(state->loops & 1U << j) && loop_is_on(state, j)) {
+            state->speed_loop[j].output_u = state->wheels.joint[j].duty;
+            state->loops |= 1U << j;
+        }
+    }
+}
+
+static inline bool runs_away(const joint_config *joint, double velocity_rad_s)
+{
+    double limit = fmax(joint->velocity_max_rad_s, -joint->velocity_min_rad_s);
+    return fabs(velocity_rad_s) > OVERSPEED * limit;
+}
+
+/* What a wheel gets while nothing is known of its speed: no torque; the duty of the open-loop map. */
+static inline double without_loop(const core_state *state, uint32_t j)
+{
+    bool duty = state->config.joint[j].speed_loop.kind == SPEED_LOOP_DUTY && !state->speed_loop[j].overspeed;
+    return duty ? state->wheels.joint[j].duty : 0.0;
+}
+
+/* What may go out now: a duty rises away from zero by its slew at most, from the dead band's edge. */
+static inline void bound_output(const joint_config *joint, double last_u, speed_loop_input *input, double dt_s)
+{
+    input->low_u = joint->speed_loop.output_min_u;
+    input->high_u = joint->speed_loop.output_max_u;
+    if (joint->speed_loop.kind != SPEED_LOOP_DUTY || !(joint->pwm.slew_per_s < INFINITY)) {
+        return;
+    }
+    double rises = joint->pwm.slew_per_s * dt_s;
+    input->high_u = fmin(input->high_u, fmax(last_u, joint->pwm.dead_band) + rises);
+    input->low_u = fmax(input->low_u, -(fmax(-last_u, joint->pwm.dead_band) + rises));
+}
+
+/* Without power, without a measure, or once it ran away, the loop does nothing. */
+static inline double loop_output(core_state *state, uint32_t j, double dt_s)
+{
+    const joint_config *joint = &state->config.joint[j];
+    speed_loop_state *loop = &state->speed_loop[j];
+    double velocity_rad_s = state->odometry.joint[j].velocity_rad_s;
+    if (!(state->armed | state->holding)) {
+        *loop = (speed_loop_state){0};
+        return 0.0;
+    }
+    if (!state->stale[j] && runs_away(joint, velocity_rad_s)) {
+        loop->overspeed = 1;
+        watch_latch(state, FAULT_OVERSPEED);
+    }
+    if (state->stale[j] || loop->overspeed || state->plausible[j].doubted || !isfinite(velocity_rad_s)) {
+        *loop = (speed_loop_state){.output_u = without_loop(state, j), .overspeed = loop->overspeed};
+        return loop->output_u;
+    }
+    speed_loop_input input = {
+        .want_rad_s = state->wheels.joint[j].velocity_rad_s,
+        .measured_rad_s = velocity_rad_s,
+        .rest_rad_s = state->config.rest_velocity_rad_s,
+    };
+    bound_output(joint, loop->output_u, &input, dt_s);
+    return speed_loop_step(loop, &joint->speed_loop, &state->gains[j], &input, dt_s);
+}
+
+/* A loop whose gains are all zero: once what it has summed up is gone, the open-loop map is all there is. */
+static inline void end_loop(core_state *state, uint32_t j)
+{
+    if (!loop_is_on(state, j) && fabs(state->speed_loop[j].integral_u) < INTEGRAL_GONE) {
+        state->loops &= ~(1U << j);
+        state->snapshot.joint[j].duty = state->wheels.joint[j].duty;
+        state->snapshot.speed_loop[j] = (speed_loop_shown){0};
+    }
+}
+
+static inline void set_loops(core_state *state, const tick *t)
+{
+    double dt_s = t->dt_s < DT_MAX_S ? t->dt_s : DT_MAX_S;
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
+        if (!(state->loops & 1U << j)) {
+            continue;
+        }
+        double output_u = loop_output(state, j, dt_s);
+        if (state->config.joint[j].speed_loop.kind == SPEED_LOOP_TORQUE) {
+            state->wheels.joint[j].torque_n_m = output_u;
+        } else {
+            state->snapshot.joint[j].duty = output_u;
+        }
+        state->snapshot.speed_loop[j] = (speed_loop_shown){output_u, state->speed_loop[j].integral_u};
+        end_loop(state, j);
+    }
+}
+
+/* Nothing that a loop has computed leaves. */
+static inline void loops_off(core_state *state)
+{
+    memset(state->speed_loop, 0, sizeof state->speed_loop);
+    memset(state->snapshot.speed_loop, 0, sizeof state->snapshot.speed_loop);
+}
+
+static inline void loops_write_duties(const core_state *state, setpoints *out)
+{
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
+        if ((state->loops & 1U << j) && state->config.joint[j].speed_loop.kind == SPEED_LOOP_DUTY) {
+            out->joint[j].duty = state->speed_loop[j].output_u;
+        }
+    }
+}
+
+#endif

@@ -1,0 +1,300 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tunes the speed loop of one wheel: steps on the floor, what the wheel is by its answer, gains,
+and the same steps again with them.
+
+The robot moves by twists, as by every other command, so [limits] hold. Gains are changed by
+`params.set` while it runs; what the person does not keep is put back.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from motord.api.snapshot import Snapshot
+from motord.client import Client, ClientError
+from motord.commission.person import Failed, Person
+from motord.commission.robot_file_edit import KeyPath
+from motord.commission.session import Session, armed
+from motord.commission.tune_fit import (
+    Aggressiveness,
+    Gains,
+    Plant,
+    Response,
+    Run,
+    gains_of,
+    identify,
+    response_of,
+)
+from motord.config import Robot
+from motord.config.sections.bases import wheel_row
+from motord.config.sections.speed_loop import SpeedLoop
+from motord.config.sections.wheels import gains_of as gain_keys_of
+from motord.config.sections.wheels import takes_duty, velocity_range_rad_s
+
+OWNER = "motord-tune"
+LEVELS = (0.5, 1.0)
+"""Of the speed at most: two, because one cannot separate friction from drag."""
+SPEED_M_S, SPEED_MAX_M_S = 0.3, 1.0
+STEP_S, STEP_MAX_S = 1.5, 4.0
+LOOK_EVERY_S = 0.01
+TURNS_PART_MIN = 0.3
+"""Part of the base's straight motion that a rim has to follow: else the base turns on the spot."""
+DISTANCE_MARGIN = 1.5
+_GAIN_WORDS = re.compile(r"gain|pid|(^|_)k[pid]($|_)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bounds:
+    """How fast, how long and with how much current the wheel may be driven."""
+
+    speed_m_s: float = SPEED_M_S
+    """At the rim."""
+    step_s: float = STEP_S
+    current_max_a: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.speed_m_s <= SPEED_MAX_M_S and 0.0 < self.step_s <= STEP_MAX_S):
+            raise ValueError(f"at most {SPEED_MAX_M_S:g} m/s and {STEP_MAX_S:g} s a step")
+
+    @property
+    def step_m(self) -> float:
+        """How far a step goes at most, with its ramps."""
+        return DISTANCE_MARGIN * self.speed_m_s * self.step_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tuned:
+    """Before and after. `gains` are those of the robot file, by key."""
+
+    joint: str
+    plant: Plant
+    gains: Mapping[str, float]
+    before: Response
+    after: Response
+    before_runs: tuple[Run, ...]
+    after_runs: tuple[Run, ...]
+
+    @property
+    def better(self) -> bool:
+        return self.after.error_rad_s < self.before.error_rad_s
+
+
+def tunable(robot: Robot, name: str) -> None:
+    """Raises Failed where motord does not hold the speed of this wheel, and says what does."""
+    if name not in robot.joint:
+        raise Failed(f'no joint "{name}": known are {", ".join(robot.joint)}')
+    joint = robot.joint[name]
+    profile = robot.profiles[joint.drive]
+    if gain_keys_of(joint, profile):
+        return
+    if takes_duty(joint, profile):
+        raise Failed(
+            f"{name}: nothing measures this wheel, and without a measure there is no speed loop: "
+            "give the joint an encoder ([joint.NAME.encoder] or counts_per_turn)"
+        )
+    registers = [one for one in profile.registers if _GAIN_WORDS.search(one)]
+    where = (
+        f"its registers {', '.join(registers)}: motord params get drive.{name}.{registers[0]}"
+        if registers
+        else f'its maker\'s tool: profile "{joint.drive}" names no registers of them'
+    )
+    raise Failed(
+        f'{name}: drive "{joint.drive}" holds the speed of the wheel by itself, so its gains are '
+        f"in the drive. Change them by {where}"
+    )
+
+
+class Tuning:
+    """A context: gains that were tried and not kept are put back at its end."""
+
+    def __init__(
+        self, client: Client, person: Person, robot: Robot, name: str, bounds: Bounds
+    ) -> None:
+        """Raises Failed, ClientError."""
+        tunable(robot, name)
+        self._client, self._person, self._bounds = client, person, bounds
+        self._robot, self._name = robot, name
+        joint = robot.joint[name]
+        profile = robot.profiles[joint.drive]
+        self._keys = {core: key for key, core in gain_keys_of(joint, profile).items()}
+        self._open_loop = takes_duty(joint, profile)
+        self._reverses = all(
+            velocity_range_rad_s(one, robot.profiles[one.drive])[0] < 0.0
+            for one in robot.joint.values()
+        )
+        self._index = list(robot.joint).index(name)
+        self._was = client.params_get(*map(self._parameter, self._keys.values()))
+        self._kept = False
+
+    def __enter__(self) -> Tuning:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if not self._kept:
+            with contextlib.suppress(ClientError):  # a daemon that is gone begins by its file
+                self._client.params_set(**self._was)
+
+    def keep(self) -> None:
+        """The gains that are in force now are those of the robot file."""
+        self._kept = True
+
+    def run(self, aggressiveness: Aggressiveness) -> Tuned:
+        """Drive, find the gains, drive with them. Raises Failed, Aborted, ClientError."""
+        if not self._person.confirm(self._question()):
+            raise Failed("nothing was driven")
+        before = self._steps("as it is")
+        if self._open_loop and any(self._was.values()):
+            self._put(dict.fromkeys(self._keys, 0.0))
+            plant = identify(self._name, self._steps("without a loop"))
+        else:
+            plant = identify(self._name, before)
+        gains = self._gains(plant, gains_of(plant, aggressiveness))
+        self._put(gains)
+        after = self._steps("with the new gains")
+        return Tuned(
+            joint=self._name,
+            plant=plant,
+            gains={self._keys[core]: value for core, value in gains.items()},
+            before=response_of(before),
+            after=response_of(after),
+            before_runs=before,
+            after_runs=after,
+        )
+
+    def changes(self, tuned: Tuned) -> dict[KeyPath, Any]:
+        """Keys of the robot file; what is in it already, also as a default, is no change."""
+        has = self._robot.joint[self._name].speed_loop or SpeedLoop()
+        return {
+            ("joint", self._name, "speed_loop", key): value
+            for key, value in tuned.gains.items()
+            if getattr(has, key) != value
+        }
+
+    def _gains(self, plant: Plant, loop: Gains) -> dict[str, float]:
+        """By the core's names, rounded as the file gets them. The derivative is 0: a plant of the
+        first order needs none (Skogestad)."""
+        wanted = {
+            "gain_u_s_per_rad": loop.gain_u_s_per_rad,
+            "integral_u_per_rad": loop.integral_u_per_rad,
+            "derivative_u_s2_per_rad": 0.0,
+            "static_u": plant.static_u,
+            "viscous_u_s_per_rad": plant.viscous_u_s_per_rad,
+            "acceleration_u_s2_per_rad": plant.acceleration_u_s2_per_rad,
+        }
+        return {core: float(f"{wanted[core]:.4g}") for core in self._keys}
+
+    def _put(self, gains: Mapping[str, float]) -> None:
+        values = {self._parameter(self._keys[core]): value for core, value in gains.items()}
+        self._client.params_set(**values)
+
+    def _parameter(self, key: str) -> str:
+        return f"joint.{self._name}.speed_loop.{key}"
+
+    def _question(self) -> str:
+        bounds = self._bounds
+        turns = "on the spot" if self._twist(1.0)[1] else ""
+        how = (
+            f"drives {len(LEVELS)} times forward and back {turns}".rstrip()
+            if self._reverses
+            else f"drives forward {len(LEVELS)} times"
+        )
+        return (
+            f"The robot {how}, each time by up to {bounds.step_m:.1f} m at its rims, with at most "
+            f"{bounds.speed_m_s:g} m/s; then again with the new gains. Is the path clear?"
+        )
+
+    def _twist(self, rim_m_s: float) -> tuple[float, float]:
+        """A twist in which the rim of this wheel goes so fast."""
+        row = wheel_row(self._robot.base, self._robot.joint[self._name])
+        if abs(row.x) >= TURNS_PART_MIN:
+            return rim_m_s / row.x, 0.0
+        return 0.0, rim_m_s / row.lever_m
+
+    def _steps(self, what: str) -> tuple[Run, ...]:
+        runs = []
+        signs = (1.0, -1.0) if self._reverses else (1.0,)
+        with armed(self._client, self._person, OWNER) as session:
+            session.look_every_s = LOOK_EVERY_S
+            for level in LEVELS:
+                for sign in signs:
+                    self._person.progress(f"{self._name}, {what}; any key stops it")
+                    runs.append(self._step(session, sign * level * self._bounds.speed_m_s))
+        return tuple(runs)
+
+    def _step(self, session: Session, rim_m_s: float) -> Run:
+        start = session.newest().joints[self._index].position_rad
+        far: list[str] = []
+
+        def beyond(newest: Snapshot) -> bool:
+            joint = newest.joints[self._index]
+            most_rad = self._bounds.step_m / self._robot.wheel_radius_m(self._name)
+            if abs(joint.current_a) > self._bounds.current_max_a:
+                far.append(f"{abs(joint.current_a):.2f} A are more than --current-max-a allows")
+            elif abs(joint.position_rad - start) > most_rad:
+                far.append(f"the wheel has turned by more than {most_rad:.1f} rad")
+            return bool(far)
+
+        linear_m_s, angular_rad_s = self._twist(rim_m_s)
+        held = session.hold(linear_m_s, angular_rad_s, self._bounds.step_s, beyond)
+        if far:
+            raise Failed(f"{self._name}: {far[0]}: the robot was stopped, nothing was written")
+        if held.faults:
+            raise Failed(
+                f"the robot stopped by itself ({', '.join(held.faults)}): motord spin {self._name}"
+            )
+        return run_of(held.snapshots, self._index, duty=self._open_loop)
+
+
+def run_of(snapshots: tuple[Snapshot, ...], index: int, *, duty: bool) -> Run:
+    """The samples of one wheel; each measure once. Raises Failed for a wheel that sends none."""
+    begin_ns = snapshots[0].stamp_ns
+    times: list[float] = []
+    measured: list[float] = []
+    wants, outputs, speeds = [], [], []
+    for snapshot in snapshots:
+        joint = snapshot.joints[index]
+        now_s = (snapshot.stamp_ns - begin_ns) * 1e-9
+        output_u = joint.duty if duty else snapshot.speed_loops[index].output_u
+        if times and now_s <= times[-1]:
+            continue  # the loop was late: the same tick again
+        times.append(now_s)
+        wants.append(joint.setpoint_rad_s)
+        outputs.append(output_u)
+        stamp_s = now_s - joint.feedback_age_s
+        is_new = not measured or stamp_s > measured[-1] + 1e-4
+        if stamp_s >= 0.0 and is_new and math.isfinite(joint.velocity_rad_s):
+            measured.append(stamp_s)
+            speeds.append(joint.velocity_rad_s)
+    if len(measured) < 2:
+        raise Failed("the wheel measures no speed: motord doctor")
+    return Run(*(np.array(each) for each in (times, wants, outputs, measured, speeds)))
+
+
+def words(tuned: Tuned, *, unit: str) -> list[str]:
+    """What was found, and what it does."""
+    plant, before, after = tuned.plant, tuned.before, tuned.after
+    wheel = (
+        f"{plant.steady_rad_s_per_u:.2f} rad/s for a {unit}, time constant "
+        f"{plant.time_constant_s:.3f} s, dead time {plant.dead_time_s:.3f} s, static friction "
+        f"{plant.static_u:.4f} (off by {plant.misfit_rad_s:.3f} rad/s)"
+    )
+    gains = ", ".join(f"{key} {value:g}" for key, value in tuned.gains.items())
+    change = (
+        f"error {before.error_rad_s:.3f} → {after.error_rad_s:.3f} rad/s rms, at the end of a "
+        f"step {before.off_rad_s:.3f} → {after.off_rad_s:.3f} rad/s, overshoot "
+        f"{before.overshoot_rad_s:.3f} → {after.overshoot_rad_s:.3f} rad/s"
+    )
+    return [f"{tuned.joint}: {text}" for text in (wheel, gains, change)]
+
+
+def unit_of(robot: Robot, name: str) -> str:
+    """Of the output of this wheel's loop, for a sentence."""
+    joint = robot.joint[name]
+    return "duty of 1" if takes_duty(joint, robot.profiles[joint.drive]) else "N·m"

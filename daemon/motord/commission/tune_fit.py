@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a wheel is by its answer to steps, and the gains that follow from it. Pure.
+
+Plant: acceleration · dv/dt = u(t − dead time) − viscous · v − static · sign(v), at the wheel, u the
+output of the speed loop (Lynch & Park, Modern Robotics, 2017, 8.9.1; a dead time as in Åström &
+Hägglund, Advanced PID Control, 2006, 2.7): of the first order, with friction. The parameters are
+those for which the simulated speed differs least from the measured one (output error, Ljung, System
+Identification, 1999, 3.2 and 10.2: damped Gauss-Newton), so that a coarse encoder makes no bias.
+
+Gains: Skogestad, Simple analytic rules for model reduction and PID controller tuning, Journal of
+Process Control 13, 2003 (SIMC), a PI: gain = time constant / (steady gain · (τc + dead time)),
+integral time = min(time constant, 4 (τc + dead time)). τc is the time constant that is wanted of
+the closed loop, in dead times: 1 is the "tight" choice of the paper.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from motord.commission.person import Failed
+
+Array = npt.NDArray[np.float64]
+Aggressiveness = Literal["gentle", "normal", "brisk"]
+CLOSED_LOOP: dict[Aggressiveness, float] = {"gentle": 4.0, "normal": 2.0, "brisk": 1.0}
+"""τc, in dead times."""
+STEP_S = 0.002
+DEAD_TIMES_S = tuple(0.01 * n for n in range(16))
+ROUNDS = 25
+MISFIT_MAX = 0.12
+"""Root mean square of the residuals, of the greatest speed: more is no such wheel."""
+TURNED_PART = 0.2
+POINTS_MIN = 30
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One motion, from rest to rest. Times in s since its begin, of one clock."""
+
+    time_s: Array
+    """When set-point and output were in force."""
+    want_rad_s: Array
+    output_u: Array
+    measured_s: Array
+    """When the speeds were measured."""
+    speed_rad_s: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plant:
+    """One wheel; u is N m or 1 (a duty)."""
+
+    acceleration_u_s2_per_rad: float
+    viscous_u_s_per_rad: float
+    static_u: float
+    dead_time_s: float
+    misfit_rad_s: float
+    sample_s: float
+    """Between two measures."""
+
+    @property
+    def time_constant_s(self) -> float:
+        return self.acceleration_u_s2_per_rad / self.viscous_u_s_per_rad
+
+    @property
+    def steady_rad_s_per_u(self) -> float:
+        return 1.0 / self.viscous_u_s_per_rad
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gains:
+    """Of a PI; the feed-forward is the plant itself."""
+
+    gain_u_s_per_rad: float
+    integral_u_per_rad: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Response:
+    """How a wheel follows its set-point."""
+
+    error_rad_s: float
+    """Root mean square while it is to move."""
+    overshoot_rad_s: float
+    """Beyond the greatest set-point."""
+    off_rad_s: float
+    """Mean distance from the set-point at the end of each step."""
+
+
+def gains_of(plant: Plant, aggressiveness: Aggressiveness) -> Gains:
+    """SIMC. No loop is faster than its measure."""
+    dead_time_s = max(plant.dead_time_s, plant.sample_s)
+    reach_s = (1.0 + CLOSED_LOOP[aggressiveness]) * dead_time_s
+    gain = plant.acceleration_u_s2_per_rad / reach_s
+    integral_s = min(plant.time_constant_s, 4.0 * reach_s)
+    return Gains(gain_u_s_per_rad=gain, integral_u_per_rad=gain / integral_s)
+
+
+def response_of(runs: Sequence[Run]) -> Response:
+    """Raises Failed where nothing was wanted."""
+    errors, beyond, off = [], [0.0], []
+    for run in runs:
+        want = np.interp(run.measured_s, run.time_s, run.want_rad_s)
+        moving = np.abs(want) > 0.0
+        most = float(np.max(np.abs(want), initial=0.0))
+        if not moving.any() or most == 0.0:
+            continue
+        error = want - run.speed_rad_s
+        errors.append(error[moving])
+        beyond.append(float(np.max(np.abs(run.speed_rad_s))) - most)
+        steady = np.abs(want) > 0.999 * most
+        off.append(abs(float(np.mean(error[steady][-max(int(steady.sum()) // 3, 1) :]))))
+    if not errors:
+        raise Failed("the wheel got no set-point: a limit or another program keeps it at rest")
+    return Response(
+        error_rad_s=float(np.sqrt(np.mean(np.concatenate(errors) ** 2))),
+        overshoot_rad_s=max(beyond),
+        off_rad_s=float(np.mean(off)),
+    )
+
+
+def identify(name: str, runs: Sequence[Run]) -> Plant:
+    """Raises Failed for data that do not determine the wheel, or are of no such wheel."""
+    points = sum(len(run.measured_s) for run in runs)
+    fastest = max((float(np.max(np.abs(run.speed_rad_s), initial=0.0)) for run in runs), default=0)
+    wanted = max((float(np.max(np.abs(run.want_rad_s), initial=0.0)) for run in runs), default=0)
+    if points < POINTS_MIN or not fastest > TURNED_PART * wanted > 0.0:
+        raise Failed(
+            f"{name}: turned with {fastest:.2f} of {wanted:.2f} rad/s: charge the battery, let the "
+            "wheels turn freely, or allow more speed (--speed-m-s)"
+        )
+    start = min((_regressed(runs, dead_s) for dead_s in DEAD_TIMES_S), key=lambda one: one[1])[0]
+    found, misfit = _refined(runs, start)
+    acceleration, viscous, static, dead_s = (float(one) for one in found)
+    if misfit > MISFIT_MAX * fastest or not (acceleration > 0.0 and viscous > 0.0):
+        raise Failed(
+            f"{name}: answers as no motor with friction does (off by {misfit:.2f} rad/s): a slope, "
+            "a slipping wheel, a sagging battery, or a drive that holds the speed by itself: "
+            "repeat on level ground"
+        )
+    gaps = np.concatenate([np.diff(run.measured_s) for run in runs])
+    return Plant(
+        acceleration_u_s2_per_rad=acceleration,
+        viscous_u_s_per_rad=viscous,
+        static_u=max(static, 0.0),
+        dead_time_s=max(dead_s, 0.0),
+        misfit_rad_s=misfit,
+        sample_s=float(np.median(gaps)),
+    )
+
+
+def _regressed(runs: Sequence[Run], dead_s: float) -> tuple[Array, float]:
+    """Least squares of the integrated equation over windows of some measures, for a given dead
+    time: where to begin, and its residual."""
+    rows, sums = [], []
+    for run in runs:
+        inputs = _running(run.time_s, run.output_u)
+        travel = _running(run.measured_s, run.speed_rad_s)
+        rubbing = _running(run.measured_s, np.sign(run.speed_rad_s))
+        moved = np.interp(run.measured_s - dead_s, run.time_s, inputs)
+        width = 4
+        turning = (run.speed_rad_s[width:] != 0.0) & (run.speed_rad_s[:-width] != 0.0)
+        columns = (run.speed_rad_s, travel, rubbing)
+        rows += [(column[width:] - column[:-width])[turning] for column in columns]
+        sums.append((moved[width:] - moved[:-width])[turning])
+    design = np.stack([np.concatenate(rows[part::3]) for part in range(3)], axis=1)
+    target = np.concatenate(sums)
+    if len(target) < POINTS_MIN // 2:
+        return np.array([1.0, 1.0, 0.0, dead_s]), math.inf
+    found, *_ = np.linalg.lstsq(design, target, rcond=None)
+    residual = float(np.sum((target - design @ found) ** 2))
+    return np.array([*np.maximum(found, [1e-6, 1e-6, 0.0]), dead_s]), residual
+
+
+def _running(time_s: Array, values: Array) -> Array:
+    """The integral from the first sample on, by trapezoids."""
+    parts = np.diff(time_s) * (values[1:] + values[:-1]) / 2.0
+    return np.concatenate([[0.0], np.cumsum(parts)])
+
+
+def _refined(runs: Sequence[Run], start: Array) -> tuple[Array, float]:
+    """Damped Gauss-Newton (Levenberg-Marquardt) on the simulated speeds."""
+    found, damping = start, 1e-3
+    residual = _residual(runs, found)
+    for _ in range(ROUNDS):
+        steps = np.maximum(np.abs(found) * 0.01, [1e-7, 1e-7, 1e-5, 0.001])
+        jacobian = np.stack(
+            [
+                (_residual(runs, found + np.eye(4)[part] * steps[part]) - residual) / steps[part]
+                for part in range(4)
+            ],
+            axis=1,
+        )
+        normal = jacobian.T @ jacobian
+        change = np.linalg.solve(
+            normal + damping * np.diag(np.diag(normal) + 1e-12), -jacobian.T @ residual
+        )
+        tried = np.maximum(found + change, [1e-6, 1e-6, 0.0, 0.0])
+        after = _residual(runs, tried)
+        gained = float(residual @ residual) - float(after @ after)
+        if gained <= 0.0:
+            damping *= 10.0
+            if damping > 1e6:
+                break
+            continue
+        done = gained < 1e-6 * float(residual @ residual)
+        found, residual, damping = tried, after, max(damping / 10.0, 1e-6)
+        if done:
+            break
+    return found, math.sqrt(float(residual @ residual) / len(residual))
+
+
+def _residual(runs: Sequence[Run], plant: Array) -> Array:
+    return np.concatenate([simulated(run, plant) - run.speed_rad_s for run in runs])
+
+
+def simulated(run: Run, plant: Array) -> Array:
+    """The speeds at the times of the measures: backward Euler, friction as the impulse that can at
+    most bring the wheel to rest (as in the simulator)."""
+    acceleration, viscous, static, dead_s = (float(one) for one in plant)
+    steps = math.ceil(float(run.measured_s[-1]) / STEP_S) + 2
+    moments_s = np.arange(steps) * STEP_S
+    inputs = np.interp(moments_s - dead_s, run.time_s, run.output_u).tolist()
+    drag = 1.0 / (1.0 + STEP_S * viscous / acceleration)
+    pushes = STEP_S / acceleration * drag
+    held = static * pushes
+    speed, speeds = 0.0, []
+    for pushed in inputs:
+        free = speed * drag + pushed * pushes
+        speed = free - held if free > held else free + held if free < -held else 0.0
+        speeds.append(speed)
+    found: Array = np.interp(run.measured_s, moments_s, speeds)
+    return found
+
+
+def settled_s(run: Run, part: float = 0.05) -> float:
+    """How long after its greatest set-point was reached the wheel is within this part of it, while
+    that lasts; NaN: it never is."""
+    most = float(np.max(np.abs(run.want_rad_s), initial=0.0))
+    steady = np.flatnonzero(np.abs(run.want_rad_s) > 0.999 * most)
+    begin_s, end_s = float(run.time_s[steady[0]]), float(run.time_s[steady[-1]])
+    first, last = bisect_left(run.measured_s, begin_s), bisect_left(run.measured_s, end_s)
+    off = np.abs(np.abs(run.speed_rad_s[first:last]) - most) > part * most
+    if len(off) == 0 or off[-1]:
+        return math.nan
+    late = np.flatnonzero(off)
+    return 0.0 if len(late) == 0 else float(run.measured_s[first + late[-1] + 1]) - begin_s

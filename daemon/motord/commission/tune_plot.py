@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Step responses before and after: as a picture, which needs the extra `plot`, or as a line of
+text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from motord.base.extras import how_to_install
+from motord.commission.person import Failed
+from motord.commission.tune import Tuned
+from motord.commission.tune_fit import Run
+
+BARS = "▁▂▃▄▅▆▇█"
+COLUMNS = 60
+
+
+def plot_responses(file: Path, tuned: Tuned) -> None:
+    """The fastest step, before and after. Raises Failed."""
+    try:
+        import matplotlib as mpl
+
+        mpl.use("Agg")
+        from matplotlib import pyplot as plt
+    except ImportError as error:
+        raise Failed(f"matplotlib is not installed: {how_to_install('plot')}") from error
+    figure, (speed, output) = plt.subplots(2, 1, sharex=True, figsize=(8, 6))
+    for runs, name, style in (
+        (tuned.before_runs, "before", "--"),
+        (tuned.after_runs, "after", "-"),
+    ):
+        run = _fastest(runs)
+        speed.plot(run.measured_s, run.speed_rad_s, style, linewidth=1, label=name)
+        output.plot(run.time_s, run.output_u, style, linewidth=1, label=name)
+    run = _fastest(tuned.after_runs)
+    speed.plot(run.time_s, run.want_rad_s, "k:", linewidth=1, label="set-point")
+    speed.set_ylabel(f"{tuned.joint} [rad/s]")
+    output.set_ylabel("output [1 or N·m]")
+    output.set_xlabel("time [s]")
+    speed.legend(fontsize=8)
+    try:
+        figure.savefig(file)
+    except OSError as error:
+        raise Failed(f"{file}: cannot be written: {error.strerror}") from error
+    finally:
+        plt.close(figure)
+
+
+def sparklines(tuned: Tuned) -> list[str]:
+    """The fastest step: set-point, before, after; all to one scale."""
+    before, after = _fastest(tuned.before_runs), _fastest(tuned.after_runs)
+    rows = {
+        "set-point": (after.time_s, after.want_rad_s),
+        "before": (before.measured_s, before.speed_rad_s),
+        "after": (after.measured_s, after.speed_rad_s),
+    }
+    end_s = min(float(times_s[-1]) for times_s, _ in rows.values())
+    most = max(float(np.max(speeds)) for _, speeds in rows.values())
+    moments_s = np.linspace(0.0, end_s, COLUMNS)
+    found = []
+    for name, (times_s, speeds) in rows.items():
+        heights = np.interp(moments_s, times_s, np.maximum(speeds, 0.0)) / (most or 1.0)
+        bars = "".join(BARS[min(int(height * len(BARS)), len(BARS) - 1)] for height in heights)
+        found.append(f"{name:>9} {bars}")
+    return found
+
+
+def _fastest(runs: tuple[Run, ...]) -> Run:
+    return max(runs, key=lambda run: float(np.max(run.want_rad_s)))

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a wheel is by its answer to steps: the simulator's wheel with known inertia, friction and
+dead time is found again, and the gains are those of the rule."""
+
+import math
+import random
+
+import numpy as np
+import pytest
+
+from motord.commission.person import Failed
+from motord.commission.tune_fit import (
+    CLOSED_LOOP,
+    Plant,
+    Run,
+    gains_of,
+    identify,
+    response_of,
+    settled_s,
+)
+from motord_hal.sim.plant import SUBSTEP_S, Wheel, WheelModel
+
+FULL_RAD_S = 18.0
+
+
+def ramped(peak, acceleration, hold_s):
+    """Up, hold, down, and some rest, in steps of the simulator."""
+    rise_s = abs(peak) / acceleration
+    moments = np.arange(0.0, 2.0 * rise_s + hold_s + 0.4, SUBSTEP_S)
+    knots = [0.0, rise_s, rise_s + hold_s, 2.0 * rise_s + hold_s]
+    return moments, np.interp(moments, knots, [0.0, peak, peak, 0.0])
+
+
+def run_of(model, peak, *, dead_s=0.03, cycle_s=0.02, look_s=0.01, resolution=0.1, seed=0):
+    """A wheel that is driven by the open-loop map, and measured as a drive measures it."""
+    wheel, chance = Wheel(model), random.Random(seed)
+    moments, want = ramped(peak, 10.0, 0.8)
+    duty = np.where(want == 0.0, 0.0, 0.05 * np.sign(want) + want * 0.95 / FULL_RAD_S)
+    delay = round(dead_s / SUBSTEP_S)
+    measured_s, speeds, due_s = [], [], 0.0
+    for number, moment in enumerate(moments):
+        wheel.push(float(duty[max(number - delay, 0)]), FULL_RAD_S)
+        wheel.substep(SUBSTEP_S)
+        if moment >= due_s:
+            due_s += cycle_s * (1.0 + 0.1 * chance.random())
+            measured_s.append(moment)
+            speeds.append(round(wheel.velocity_rad_s / resolution) * resolution)
+    shown = slice(None, None, round(look_s / SUBSTEP_S))
+    return Run(moments[shown], want[shown], duty[shown], np.array(measured_s), np.array(speeds))
+
+
+@pytest.mark.parametrize("dead_s", [0.0, 0.03, 0.08])
+@pytest.mark.parametrize("coulomb_n_m", [0.1, 0.6, 1.2])
+@pytest.mark.parametrize("inertia_kg_m2", [0.02, 0.07, 0.2])
+def test_inertia_friction_and_dead_time_are_found_again(inertia_kg_m2, coulomb_n_m, dead_s):
+    model = WheelModel(inertia_kg_m2=inertia_kg_m2, coulomb_n_m=coulomb_n_m)
+    runs = [run_of(model, peak, dead_s=dead_s, seed=n) for n, peak in enumerate((4, 8, -4, -8))]
+    found = identify("left", runs)
+    stall = model.torque_max_n_m
+    # of 0.02 kg m² the time constant is two samples: it shows in the dead time as well
+    part = 0.3 if inertia_kg_m2 < 0.05 else 0.08
+    assert found.acceleration_u_s2_per_rad == pytest.approx(inertia_kg_m2 / stall, rel=part)
+    viscous = 1.0 / FULL_RAD_S + model.viscous_n_m_s_rad / stall
+    assert found.viscous_u_s_per_rad == pytest.approx(viscous, rel=0.03)
+    assert found.static_u == pytest.approx(coulomb_n_m / stall, abs=0.006)
+    assert found.dead_time_s == pytest.approx(dead_s, abs=0.012)
+    assert found.misfit_rad_s < 0.1
+
+
+PLANT = Plant(
+    acceleration_u_s2_per_rad=0.008, viscous_u_s_per_rad=0.05, static_u=0.05, dead_time_s=0.03,
+    misfit_rad_s=0.05, sample_s=0.02,
+)  # fmt: skip
+
+
+def test_gains_are_those_of_simc():
+    found = gains_of(PLANT, "brisk")
+    assert found.gain_u_s_per_rad == pytest.approx(0.16 / (20.0 * 0.06))
+    assert found.integral_u_per_rad == pytest.approx(found.gain_u_s_per_rad / 0.16)
+
+
+def test_the_gentler_the_less_gain_and_no_loop_is_faster_than_its_measure():
+    gains = [gains_of(PLANT, how).gain_u_s_per_rad for how in ("gentle", "normal", "brisk")]
+    assert gains == sorted(gains)
+    assert set(CLOSED_LOOP) == {"gentle", "normal", "brisk"}
+    slow = Plant(
+        acceleration_u_s2_per_rad=0.008, viscous_u_s_per_rad=0.05, static_u=0.05, dead_time_s=0.0,
+        misfit_rad_s=0.05, sample_s=0.04,
+    )  # fmt: skip
+    assert gains_of(slow, "brisk").gain_u_s_per_rad == pytest.approx(0.008 / 0.08)
+
+
+def test_a_wheel_that_does_not_turn_is_refused():
+    stuck = WheelModel(coulomb_n_m=9.0)
+    with pytest.raises(Failed, match=r"turned with 0\.00 of 8\.00 rad/s"):
+        identify("left", [run_of(stuck, 8.0)])
+    with pytest.raises(Failed, match="turned with"):
+        identify("left", [])
+
+
+def test_a_wheel_that_holds_its_speed_by_itself_is_refused():
+    run = run_of(WheelModel(), 8.0)
+    noise = np.random.default_rng(1).normal(0.0, 3.0, len(run.speed_rad_s))
+    wild = Run(run.time_s, run.want_rad_s, run.output_u, run.measured_s, run.speed_rad_s + noise)
+    with pytest.raises(Failed, match="answers as no motor with friction does"):
+        identify("left", [wild])
+
+
+def test_a_response_is_measured_against_its_set_point():
+    moments, want = ramped(5.0, 10.0, 1.0)
+    exact = Run(moments, want, want, moments, want)
+    assert response_of([exact]).error_rad_s == 0.0
+    assert settled_s(exact) == 0.0
+    slow = Run(moments, want, want, moments, 0.8 * want)
+    found = response_of([slow])
+    assert found.off_rad_s == pytest.approx(1.0)
+    assert found.error_rad_s > 0.5
+    assert math.isnan(settled_s(slow))
+    over = Run(moments, want, want, moments, 1.1 * want)
+    assert response_of([over]).overshoot_rad_s == pytest.approx(0.5)
+    with pytest.raises(Failed, match="got no set-point"):
+        response_of([Run(moments, 0.0 * want, want, moments, want)])
