@@ -94,12 +94,14 @@ def _tuned(
     client: Client, person: Any, joint: str, options: dict[str, Any]
 ) -> tuple[Tuned, Path | None]:
     from motord.cli.terminal import write_asking
+    from motord.commission.geometry import require_same
     from motord.commission.robot_file_edit import RobotFileEdit
     from motord.commission.tune import Bounds, Tuning, unit_of, words
     from motord.commission.tune_plot import plot_responses, sparklines
 
     described = client.call("robot")
     edit = RobotFileEdit(options["robot_file"] or Path(described["file"]))
+    require_same(edit.before, described)
     bounds = Bounds(
         speed_m_s=options["speed_m_s"],
         step_s=options["step_s"],
