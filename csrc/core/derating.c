@@ -26,7 +26,7 @@ static void measure(derating_state *state, const joint_feedback *feedback)
         if (!isfinite(now[by])) {
             continue;
         }
-        bool first = state->stamp_ns == 0 || !isfinite(state->measured[by]);
+        bool first = !isfinite(state->measured[by]);
         double share = first ? 1.0 : elapsed_s / (SMOOTHING_S + elapsed_s);
         state->measured[by] = first ? now[by] : state->measured[by] + (now[by] - state->measured[by]) * share;
     }

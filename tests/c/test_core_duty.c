@@ -171,6 +171,11 @@ static void a_duty_rises_by_its_slew_and_falls_at_once(void)
     CHECK(r.out.joint[0].duty < before - 0.1);
     turned(&r, 3.2); /* backward: from the dead band's edge */
     CHECK(fabs(r.out.joint[0].duty + DEAD_BAND + 0.002) < 1e-12);
+    start(&r, &config);
+    go(&r, -0.4, 0.0);
+    before = r.out.joint[0].duty;
+    turned(&r, 0.5);
+    CHECK(before < -0.2 && fabs(r.out.joint[0].duty - before + 0.002) < 1e-12);
 }
 
 static void gains_change_while_the_robot_moves_without_a_step_and_wrong_ones_change_nothing(void)
@@ -205,6 +210,73 @@ static void gains_change_while_the_robot_moves_without_a_step_and_wrong_ones_cha
     }
     CHECK(r.state.loops == 0 && r.out.joint[0].duty == open_loop(&r, 0) && r.shown.joint[0].duty == r.out.joint[0].duty);
     CHECK(r.shown.speed_loop[0].output_u == 0.0 && r.shown.speed_loop[0].integral_u == 0.0);
+}
+
+static void each_gain_alone_makes_a_loop(void)
+{
+    const speed_loop_gains alone[] = {
+        {.gain_u_s_per_rad = 0.01},
+        {.integral_u_per_rad = 0.01},
+        {.derivative_u_s2_per_rad = 0.01},
+        {.acceleration_u_s2_per_rad = 0.01},
+    };
+    for (size_t i = 0; i < sizeof alone / sizeof alone[0]; i++) {
+        rig r;
+        core_config config = with_loops(alone[i]);
+        start(&r, &config);
+        CHECK(r.state.loops == 0xF);
+    }
+}
+
+static void only_what_changes_goes_on_from_before_and_joints_that_are_not_there_do_not_count(void)
+{
+    rig r;
+    core_config config = with_loops(PI);
+    start(&r, &config);
+    go(&r, 0.4, 0.0);
+    for (int i = 0; i < 200; i++) {
+        turned(&r, 0.8);
+    }
+    double before[4];
+    for (int j = 0; j < 4; j++) {
+        before[j] = r.out.joint[j].duty;
+    }
+    put_gains(&r, PI);
+    r.input.control.gains[0].gain_u_s_per_rad = 0.05;
+    r.input.control.gains[4] = (speed_loop_gains){.gain_u_s_per_rad = (double)NAN, .static_u = 1.0};
+    turned(&r, 0.5); /* the error grows by 1.2 rad/s in the same tick */
+    CHECK(r.state.gains[0].gain_u_s_per_rad == 0.05 && r.state.gains[4].static_u == 0.0);
+    CHECK(fabs(r.out.joint[0].duty - before[0]) < 1e-3);
+    for (int j = 1; j < 4; j++) {
+        CHECK(fabs(r.out.joint[j].duty - before[j] - 0.02 * 1.2) < 1e-3);
+    }
+    put_gains(&r, (speed_loop_gains){.gain_u_s_per_rad = 0.09});
+    for (int j = 0; j < 4; j++) {
+        before[j] = r.out.joint[j].duty;
+    }
+    turned(&r, 0.5);
+    for (int j = 0; j < 4; j++) {
+        CHECK(fabs(r.out.joint[j].duty - before[j]) < 1e-3);
+    }
+    put_gains(&r, PI);
+    r.input.control.gains[0].static_u = -1.0; /* the first of them, too */
+    turned(&r, 0.5);
+    CHECK(r.state.gains[1].gain_u_s_per_rad == 0.09);
+}
+
+static void a_loop_without_gains_ends_when_its_integral_is_gone(void)
+{
+    rig r;
+    core_config config = with_loops(PI);
+    start(&r, &config);
+    go(&r, 0.4, 0.0);
+    put_gains(&r, (speed_loop_gains){0});
+    turned(&r, 1.0);
+    r.state.speed_loop[0].integral_u = 1.1e-4;
+    r.state.speed_loop[1].integral_u = -0.9e-4;
+    r.state.loops = 0xF;
+    turned(&r, 1.0);
+    CHECK((r.state.loops & 3U) == 1);
 }
 
 static void gains_alone_move_nothing(void)
@@ -247,6 +319,9 @@ int main(void)
     a_wheel_beyond_all_speed_gets_no_duty_and_one_without_gains_is_not_looked_at();
     a_duty_rises_by_its_slew_and_falls_at_once();
     gains_change_while_the_robot_moves_without_a_step_and_wrong_ones_change_nothing();
+    each_gain_alone_makes_a_loop();
+    only_what_changes_goes_on_from_before_and_joints_that_are_not_there_do_not_count();
+    a_loop_without_gains_ends_when_its_integral_is_gone();
     gains_alone_move_nothing();
     a_state_that_is_no_number_is_no_duty_of_any_loop();
     return checks_report("test_core_duty");

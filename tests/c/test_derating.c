@@ -25,6 +25,7 @@ static void the_factor_falls_from_all_to_nothing_and_names_what_it_is_by(void)
     } cases[] = {
         {60.0, 10.0, 22.0, 1.0, 9},
         {65.0, 0.0, 24.0, 0.75, DERATED_BY_TEMPERATURE},
+        {79.0, 0.0, 24.0, 0.05, DERATED_BY_TEMPERATURE},
         {80.0, 0.0, 24.0, 0.0, DERATED_BY_TEMPERATURE},
         {90.0, 0.0, 24.0, 0.0, DERATED_BY_TEMPERATURE},
         {65.0, -15.0, 24.0, 0.5, DERATED_BY_CURRENT},
@@ -58,6 +59,10 @@ static void a_measure_is_smoothed_and_one_that_is_no_number_changes_nothing(void
     CHECK(near(derating_factor(&state, &HOT, &feedback, &by), 0.9));
     feedback = sample_of(1.0, 60.0, 0.0, 0.0); /* an older one */
     CHECK(near(derating_factor(&state, &HOT, &feedback, &by), 0.9));
+    const derating_config sagging = {.range = {{0.0, 0.0}, {0.0, 0.0}, {22.0, 20.0}}};
+    derating_state never = {0};
+    feedback = sample_of(0.0, 0.0, 0.0, 0.0); /* of a drive that has sent nothing: its 0 V are no measure */
+    CHECK(derating_factor(&never, &sagging, &feedback, &by) == 1.0);
     derating_state late = {0};
     feedback = sample_of(1.0, (double)NAN, 0.0, 0.0);
     CHECK(derating_factor(&late, &HOT, &feedback, &by) == 1.0);
