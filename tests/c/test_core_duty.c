@@ -149,6 +149,7 @@ static void a_wheel_beyond_all_speed_gets_no_duty_and_one_without_gains_is_not_l
     r.input.feedback[0].velocity_rad_s = -14.0;
     CHECK(step(&r)->faults == FAULT_OVERSPEED && r.out.enabled == 1 && r.out.joint[0].duty == 0.0);
     CHECK(r.out.joint[2].duty != 0.0);
+    CHECK(r.out.joint[1].duty == open_loop(&r, 1) && r.out.joint[1].duty != 0.0); /* the map's */
     turned(&r, 1.0);
     CHECK(r.out.joint[0].duty == 0.0);
 }
