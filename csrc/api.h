@@ -410,8 +410,6 @@ typedef struct {
     uint32_t reasons;
     uint32_t zero;  /* 1: a finite command of zero */
     uint32_t known; /* 0: goal_u_s, saturation and reasons are not up to date */
-    uint32_t saturated_joint;
-    uint32_t reserved;
 } core_goal;
 
 /* The wheels' part of the last tick: holds as long as the twist is the same and no duty is ramping. */
@@ -462,18 +460,18 @@ typedef struct {
     uint32_t odometry_reset_seen;
     uint32_t gains_seen;
     uint32_t faults;
-    uint32_t holding;   /* the drives stay enabled until rest (or for ever: STOP_HOLD) after a fault */
-    uint32_t commanded; /* a fresh command has come since arming */
-    uint32_t silent;    /* a joint is stale */
-    uint32_t slow;      /* no wheel with feedback turned faster than rest_velocity_rad_s */
-    uint32_t at_rest;   /* after the last tick */
-    uint32_t slewed;    /* 1: a joint has a duty slew */
-    uint32_t axes;      /* that the base moves by: AXES, or without the lateral one, which is the last */
-    uint32_t steered;   /* 1: a base with modules */
-    uint32_t extras;    /* 1: it has modules or a gyro */
-    uint32_t loops;     /* bit n: joint n has a speed loop, and with its gains one that does something */
-    uint32_t derates;   /* 1: a joint may derate the base */
-    uint32_t reserved;
+    uint32_t holding;      /* the drives stay enabled until rest (or for ever: STOP_HOLD) after a fault */
+    uint32_t commanded;    /* a fresh command has come since arming */
+    uint32_t silent;       /* a joint is stale */
+    uint32_t slow;         /* no wheel with feedback turned faster than rest_velocity_rad_s */
+    uint32_t at_rest;      /* after the last tick */
+    uint32_t slewed;       /* 1: a joint has a duty slew */
+    uint32_t axes;         /* that the base moves by: AXES, or without the lateral one, which is the last */
+    uint32_t steered;      /* 1: a base with modules */
+    uint32_t extras;       /* not 0: it has modules, a gyro or speed loops */
+    uint32_t loops;        /* bit n: joint n has a speed loop, and with its gains one that does something */
+    uint32_t derates;      /* 1: a joint may derate the base */
+    uint32_t gains_idle;   /* the gains_count with which no loop has anything to do; another one while loops run */
     int64_t armed_ns;      /* the tick that armed */
     int64_t zero_since_ns; /* holding: the tick from which on the set-points have been zero; 0: they are not */
 } core_state;

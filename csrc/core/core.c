@@ -338,16 +338,13 @@ static void write_setpoints(const core_state *state, const tick *t, setpoints *o
     out->joint_count = state->config.joint_count;
     if (out->enabled) {
         memcpy(out->joint, state->wheels.joint, sizeof out->joint);
-        if (state->loops != 0) {
-            loops_write_duties(state, out);
-        }
     } else {
         memset(out->joint, 0, sizeof out->joint);
     }
     out->positioned = 0;
 }
 
-/* What only some bases have: joints that take positions, a gyro. */
+/* What only some bases have: joints that take positions, a gyro, duties of speed loops. */
 __attribute__((noinline)) static void write_extras(core_state *state, const tick *t, setpoints *out)
 {
     if (state->steered) {
@@ -356,6 +353,9 @@ __attribute__((noinline)) static void write_extras(core_state *state, const tick
     }
     if (state->config.gyro.used) {
         write_imu(state, t->input);
+    }
+    if (out->enabled) {
+        loops_write_duties(state, out);
     }
 }
 
@@ -369,7 +369,8 @@ static void note_extras(core_state *state)
         state->gains[j] = joint->speed_loop.gains;
         state->loops |= (uint32_t)loop_is_on(state, j) << j;
     }
-    state->extras = state->steered | state->config.gyro.used;
+    state->gains_idle = state->loops != 0 ? ~0U : 0;
+    state->extras = state->steered | state->config.gyro.used | state->loops;
 }
 
 int core_init(core_state *state, const core_config *config)
@@ -404,12 +405,9 @@ void core_step(core_state *state, const core_input *input, double dt_s, setpoint
     tick t;
     state->tick++;
     watch(state, input, dt_s, &t);
-    if (input->control.gains_count != state->gains_seen) {
-        take_gains(state, &input->control);
-    }
     drive(state, &t);
     measure(state, &t);
-    if (state->loops != 0) {
+    if (input->control.gains_count != state->gains_idle) {
         set_loops(state, &t);
     }
     guard(state, &t);

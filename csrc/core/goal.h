@@ -95,7 +95,7 @@ static inline void set_goal(core_state *state)
     goal->saturation = saturate_factor(wheel_rad_s, config->joint, config->joint_count);
     if (goal->saturation < 1.0) {
         goal->reasons |= (uint32_t)REASON_WHEEL_SATURATED;
-        goal->saturated_joint = most_saturated(config, wheel_rad_s);
+        state->snapshot.reason.saturated_joint = most_saturated(config, wheel_rad_s);
     }
     for (int i = 0; i < AXES; i++) {
         twist_u_s[i] *= goal->saturation;

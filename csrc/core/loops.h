@@ -48,6 +48,7 @@ static inline void take_gains(core_state *state, const core_control *control)
         if (!(state->loops & 1U << j) && loop_is_on(state, j)) {
             state->speed_loop[j].output_u = state->wheels.joint[j].duty;
             state->loops |= 1U << j;
+            state->extras = 1;
         }
     }
 }
@@ -115,9 +116,15 @@ static inline void end_loop(core_state *state, uint32_t j)
     }
 }
 
-static inline void set_loops(core_state *state, const tick *t)
+/* New gains, and a step of each loop. Not called where there are neither: a tick without loops costs one comparison. */
+__attribute__((noinline)) static void set_loops(core_state *state, const tick *t)
 {
+    const core_control *control = &t->input->control;
     double dt_s = t->dt_s < DT_MAX_S ? t->dt_s : DT_MAX_S;
+    if (control->gains_count != state->gains_seen) {
+        take_gains(state, control);
+    }
+    state->gains_idle = state->loops != 0 ? ~control->gains_count : control->gains_count;
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
         if (!(state->loops & 1U << j)) {
             continue;

@@ -141,15 +141,15 @@ static inline uint32_t all_reasons(const core_state *state, const tick *t)
 }
 
 /* Since when each of them holds. */
-static inline void note_reasons(robot_state *to, uint32_t reasons, int64_t now_ns)
+__attribute__((noinline)) static void note_reasons(robot_state *to, uint32_t reasons)
 {
     uint32_t changed = to->reasons ^ reasons;
-    to->reasons = reasons;
     for (uint32_t bit = 0; bit < REASONS_MAX && changed != 0; bit++) {
         if (changed & 1U << bit) {
-            to->reason.since_ns[bit] = reasons & 1U << bit ? now_ns : 0;
+            to->reason.since_ns[bit] = reasons & 1U << bit ? to->stamp_ns : 0;
         }
     }
+    to->reasons = reasons;
 }
 
 static inline void snapshot_write(core_state *state, const tick *t)
@@ -159,8 +159,10 @@ static inline void snapshot_write(core_state *state, const tick *t)
     to->tick = state->tick;
     to->machine_state = t->input->control.machine_state;
     to->owner = t->input->control.owner;
-    note_reasons(to, all_reasons(state, t), t->input->now_ns);
-    to->reason.saturated_joint = state->goal.saturated_joint;
+    uint32_t reasons = all_reasons(state, t);
+    if (reasons != to->reasons) {
+        note_reasons(to, reasons);
+    }
     to->faults = state->faults;
     to->armed = state->armed;
     to->enabled = state->armed | state->holding;
