@@ -80,8 +80,9 @@ typedef enum {
     SETPOINT_POSITION = 3 /* 0 is an angle, not rest: see setpoint_position() of joint_values.h */
 } setpoint_kind;
 
-/* A place in a request that holds what a joint is to do: raw = nearest(clamp(si raw_per_si, raw_min, raw_max)).
- * Not armed, not fresh, not enabled, NaN, infinite: si is 0. */
+/* A place in a request that holds what a joint is to do: raw = nearest(clamp(si raw_per_si + raw_offset, raw_min, raw_max)).
+ * Not armed, not fresh, not enabled, NaN, infinite: si is 0. Of a POSITION, 0 is a place like any other: instead, nothing is
+ * sent of the exchange that it is in. */
 typedef struct {
     uint32_t joint;     /* place in setpoints.joint */
     uint32_t kind;      /* setpoint_kind */
@@ -90,7 +91,8 @@ typedef struct {
     uint32_t magnitude; /* 1: without its sign; the direction is a line_direction */
     uint32_t reserved;
     double raw_per_si; /* sign, gear, scale: not 0 */
-    double raw_min;    /* <= 0 or, for a magnitude, whatever the drive takes as least: 0 */
+    double raw_offset; /* of a POSITION of 0; of other kinds 0 */
+    double raw_min;    /* <= 0 or, for a magnitude, whatever the drive takes as least: 0; of a POSITION any */
     double raw_max;
 } line_setpoint;
 
@@ -106,14 +108,15 @@ typedef enum {
     FIELD_REFERENCED = 8   /* (raw & equals_mask) == equals: the joint's counter has a reference */
 } field_kind;
 
-/* Of buses and boards: the number that says what a joint is to do, raw = nearest(clamp(si raw_per_si, raw_min, raw_max)).
- * Not armed, not fresh, not enabled, NaN, infinite: si is 0. */
+/* Of buses and boards: the number that says what a joint is to do, as of line_setpoint. A POSITION that must not be sent is
+ * left out with the frame that it is in; in frames that are sent all the same it stays as it was written last. */
 typedef struct {
     uint32_t joint;    /* place in setpoints.joint */
     uint32_t kind;     /* setpoint_kind */
     double raw_per_si; /* sign, gear, scale: not 0 */
-    double raw_min;    /* <= 0 */
-    double raw_max;    /* >= 0 */
+    double raw_offset; /* of a POSITION of 0; of other kinds 0 */
+    double raw_min;    /* <= 0; of a POSITION any */
+    double raw_max;    /* >= 0; of a POSITION not below raw_min */
 } setpoint_scale;
 
 /* Of buses and boards: what a number that was read says. */

@@ -8,19 +8,6 @@
 #include "fault_word.h"
 #include "rt.h"
 
-/* What the core wants of a joint; 0 where it says nothing of it, or no number. Whether the joint may move is not asked. */
-static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t kind)
-{
-    if (joint >= from->joint_count || joint >= JOINTS_MAX) {
-        return 0.0;
-    }
-    const joint_setpoint *setpoint = &from->joint[joint];
-    double value = kind == SETPOINT_VELOCITY ? setpoint->velocity_rad_s
-                   : kind == SETPOINT_DUTY   ? setpoint->duty
-                                             : setpoint->torque_n_m;
-    return isfinite(value) ? value : 0.0;
-}
-
 /* The angle that the core wants of a joint. false: none, it stays where it is; an angle is never made up. */
 static inline bool setpoint_position(const setpoints *from, uint32_t joint, double *position_rad)
 {
@@ -31,11 +18,41 @@ static inline bool setpoint_position(const setpoints *from, uint32_t joint, doub
     return isfinite(*position_rad);
 }
 
+/* What the core wants of a joint; where it says nothing of it, or no number: 0, of a position NaN. Whether the joint may move is
+ * not asked. */
+static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t kind)
+{
+    if (kind == SETPOINT_POSITION) {
+        double position_rad;
+        return setpoint_position(from, joint, &position_rad) ? position_rad : (double)NAN;
+    }
+    if (joint >= from->joint_count || joint >= JOINTS_MAX) {
+        return 0.0;
+    }
+    const joint_setpoint *setpoint = &from->joint[joint];
+    double value = kind == SETPOINT_VELOCITY ? setpoint->velocity_rad_s
+                   : kind == SETPOINT_DUTY   ? setpoint->duty
+                                             : setpoint->torque_n_m;
+    return isfinite(value) ? value : 0.0;
+}
+
+/* Whether anything may be sent of a set-point. Zero of the other kinds is rest; zero of a position is a place to go to. */
+static inline bool may_send(const setpoints *from, bool may_move, uint32_t joint, uint32_t kind)
+{
+    return kind != SETPOINT_POSITION || (may_move && !isnan(setpoint_of(from, joint, kind)));
+}
+
+/* Beyond its ends a number would go out as another one. NaN: the smallest, which may_send() keeps from being sent. */
+static inline double within_span(double raw, double raw_min, double raw_max)
+{
+    return fmin(fmax(raw, raw_min), raw_max);
+}
+
 /* The number for what the core commands a joint; where it may not move, that of 0. */
 static inline double scaled(const setpoints *from, bool may_move, const setpoint_scale *scale)
 {
-    double raw = (may_move ? setpoint_of(from, scale->joint, scale->kind) : 0.0) * scale->raw_per_si;
-    return fmin(fmax(raw, scale->raw_min), scale->raw_max);
+    double si = may_move ? setpoint_of(from, scale->joint, scale->kind) : 0.0;
+    return within_span(si * scale->raw_per_si + scale->raw_offset, scale->raw_min, scale->raw_max);
 }
 
 static inline uint64_t count_mask(uint32_t counter_bits)

@@ -140,7 +140,8 @@ static inline void step(void)
     if (w.enabled < 2) {
         w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = w.enabled, .joint_count = JOINTS_MAX};
         for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-            w.machine.newest.joint[j] = (joint_setpoint){w.velocity_rad_s, w.velocity_rad_s, w.velocity_rad_s};
+            w.machine.newest.joint[j] =
+                (joint_setpoint){.velocity_rad_s = w.velocity_rad_s, .duty = w.velocity_rad_s, .torque_n_m = w.velocity_rad_s};
         }
     }
     w.wake_ns = board_machine_step(&w.machine, w.now_ns);

@@ -100,7 +100,8 @@ static void set_points(uint8_t choice)
     *newest =
         (setpoints){.stamp_ns = w.now_ns - (choice >> 6) * 40 * MS, .enabled = choice >> 3 & 1, .joint_count = choice >> 4 & 3};
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        newest->joint[j] = (joint_setpoint){w.velocity_rad_s, w.velocity_rad_s, w.velocity_rad_s};
+        newest->joint[j] =
+            (joint_setpoint){.velocity_rad_s = w.velocity_rad_s, .duty = w.velocity_rad_s, .torque_n_m = w.velocity_rad_s};
     }
 }
 

@@ -10,7 +10,8 @@ static void kick(double velocity_rad_s)
     w.velocity_rad_s = velocity_rad_s;
     w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = w.enabled, .joint_count = JOINTS_MAX};
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        w.machine.newest.joint[j] = (joint_setpoint){velocity_rad_s, velocity_rad_s, velocity_rad_s};
+        w.machine.newest.joint[j] =
+            (joint_setpoint){.velocity_rad_s = velocity_rad_s, .duty = velocity_rad_s, .torque_n_m = velocity_rad_s};
     }
     board_machine_kick(&w.machine, w.now_ns);
     CHECK(w.sent_count == before && (!due || w.now_ns >= w.machine.cycle.due_ns));

@@ -222,7 +222,7 @@ static void set_points(void)
     scale->joint = JOINTS_MAX;
     CHECK(refused("drive[1].setpoint.joint"));
     scale->joint = 0;
-    scale->kind = SETPOINT_TORQUE + 1;
+    scale->kind = SETPOINT_POSITION + 1;
     CHECK(refused("drive[1].setpoint.kind"));
     scale->kind = 0;
     const double bad_factors[] = {0.0, (double)NAN, (double)INFINITY};
@@ -308,7 +308,8 @@ static void what_is_read(void)
     BAD(DRIVE.input[1].field[1].si_at_zero, (double)NAN, "drive[1].field.si_at_zero");
     BAD(DRIVE.input[1].field[1].meaning.joint, JOINTS_MAX, "drive[1].field.joint");
     GOOD(DRIVE.input[1].field[1].meaning.joint, JOINTS_MAX - 1);
-    BAD(DRIVE.input[1].field[1].meaning.kind, FIELD_ENABLED + 1, "drive[1].field.kind");
+    BAD(DRIVE.input[1].field[1].meaning.kind, FIELD_KEPT, "drive[1].field.kind");
+    BAD(DRIVE.input[1].field[1].meaning.kind, FIELD_REFERENCED + 1, "drive[1].field.kind");
     BAD(DRIVE.input[1].field[1].meaning.si_per_raw, (double)INFINITY, "drive[1].field.si_per_raw");
     BAD(DRIVE.input[1].field[0].meaning.counter_bits, 0, "drive[1].field.counter_bits");
     GOOD(DRIVE.input[1].field[0].meaning.counter_bits, 1);

@@ -254,7 +254,8 @@ static void each_kind_of_set_point_is_sent_to_whom_it_is_for(void)
     restart();
     arm(0);
     want(0.0, 0.0);
-    w.machine.newest.joint[0] = w.machine.newest.joint[1] = (joint_setpoint){1.0, 0.5, -3.0};
+    w.machine.newest.joint[0] = w.machine.newest.joint[1] =
+        (joint_setpoint){.velocity_rad_s = 1.0, .duty = 0.5, .torque_n_m = -3.0};
     go_on(15 * MS);
     CHECK(speed_in(newest_of(0)) == -300 && second_speed() == 50);
 }

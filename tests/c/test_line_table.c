@@ -209,7 +209,7 @@ static void a_field_lies_in_its_reply(void)
     GOOD(field->joint, JOINTS_MAX - 1);
     BAD(field->joint, JOINTS_MAX, "drive[0].field.joint");
     GOOD(field->kind, FIELD_KEPT);
-    BAD(field->kind, FIELD_KEPT + 1, "drive[0].field.kind");
+    BAD(field->kind, FIELD_REFERENCED + 1, "drive[0].field.kind");
     GOOD(field->byte, 5);
     BAD(field->byte, 6, "drive[0].field.byte");
     BAD(field->byte, UINT32_MAX, "drive[0].field.byte");

@@ -57,9 +57,13 @@ static void send_all(can_machine *m, const can_packet *poll, uint32_t count)
 static void send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
-    bool motion = false, all = true;
+    bool motion = false, all = true, held_back = false;
     for (uint32_t o = 0; o < m->table.drive[number].output_count; o++) {
         can_packet packet;
+        if (!can_sends(m, number, o)) {
+            held_back = true;
+            continue;
+        }
         bool moves = can_build(m, number, o, &packet);
         motion |= moves;
         drive->state.sent_motion |= moves;
@@ -74,7 +78,7 @@ static void send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
     }
     if (all) {
         drive->state.sent_motion = motion;
-        drive->last_sent_ns = now_ns;
+        drive->last_sent_ns = held_back ? drive->last_sent_ns : now_ns;
     }
 }
 
@@ -82,6 +86,9 @@ bool can_differs(const can_machine *m, uint32_t number)
 {
     for (uint32_t o = 0; o < m->table.drive[number].output_count; o++) {
         can_packet packet;
+        if (!can_sends(m, number, o)) {
+            continue;
+        }
         (void)can_build(m, number, o, &packet);
         if (memcmp(m->drive[number].last_sent[o], packet.data, packet.bytes) != 0) {
             return true;

@@ -60,7 +60,8 @@ typedef struct {
     int64_t count_ns; /* stamps of the newest of each kind; 0: none */
     int64_t velocity_ns;
     int64_t newest_ns;
-    bool no_number; /* its position is not finite: no feedback */
+    bool no_number;         /* its position is not finite: no feedback */
+    double position_number; /* as it stands in the drive's frame; NaN: not known */
     uint32_t fault_word;
 } can_joint_state;
 
@@ -123,7 +124,9 @@ bool can_write_is_good(const can_write *write, uint32_t output_count);
 /* ------------------------------------------------------------------------ can_values.c */
 int64_t can_get(const uint8_t *data, const can_place *place);
 void can_put(uint8_t *data, const can_place *place, int64_t raw);
-/* The frame of a cycle with the newest set-points, or zeros; true: one of them is not zero. */
+/* Whether the frame of a cycle goes out: a position that is unknown holds it back. */
+bool can_sends(const can_machine *m, uint32_t drive, uint32_t output);
+/* The frame of a cycle with the newest set-points, or zeros, or where the drive is; true: one of them moves it. */
 bool can_build(const can_machine *m, uint32_t drive, uint32_t output, can_packet *out);
 bool can_wants_motion(const can_machine *m, uint32_t drive);
 void can_read(can_machine *m, uint32_t drive, const can_input *input, const uint8_t *data, int64_t stamp_ns);

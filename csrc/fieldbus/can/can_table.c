@@ -36,7 +36,8 @@ static void check_setpoint(finding *f, const can_setpoint *setpoint, uint32_t by
         double least = place->form == CAN_SIGNED ? -span / 2.0 : 0.0;
         double most = place->form == CAN_SIGNED ? span / 2.0 - 1.0 : span - 1.0;
         bool is_float = place->form == CAN_FLOAT;
-        check_scale(f, &setpoint->scale, SETPOINT_TORQUE, is_float ? -(double)FLT_MAX : least, is_float ? (double)FLT_MAX : most);
+        check_scale(f, &setpoint->scale, SETPOINT_POSITION, is_float ? -(double)FLT_MAX : least,
+                    is_float ? (double)FLT_MAX : most);
     }
 }
 
@@ -67,7 +68,8 @@ bool can_write_is_good(const can_write *write, uint32_t output_count)
 static void check_field(finding *f, const can_field *field, uint32_t bytes)
 {
     check_place(f, &field->place, bytes);
-    check_meaning(f, &field->meaning, FIELD_ENABLED);
+    check_meaning(f, &field->meaning, FIELD_REFERENCED);
+    need(f, field->meaning.kind != FIELD_KEPT, "field.kind");
     need(f, isfinite(field->si_at_zero), "field.si_at_zero");
 }
 

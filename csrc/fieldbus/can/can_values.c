@@ -53,10 +53,39 @@ static double number_of(const can_place *place, int64_t raw)
 
 /* ------------------------------------------------------------------------------------------------ set-points */
 /* can_guard has taken ARMED back before, in this very step, where the set-points are old. */
+static bool may_move(const can_machine *m, uint32_t drive)
+{
+    return m->drive[drive].state.mode == DRIVE_ARMED && m->newest.enabled == 1 && !m->motion_stays;
+}
+
+/* Where it is, for a drive that is there and without power: it goes nowhere, and misses no set-point. NaN: nothing is sent. */
+static double position_kept(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
+{
+    const drive_state *state = &m->drive[drive].state;
+    double number = m->joint[setpoint->scale.joint].position_number;
+    bool rests = state->mode == DRIVE_READY && state->enabled != 1;
+    return rests && number >= setpoint->scale.raw_min && number <= setpoint->scale.raw_max ? number : (double)NAN;
+}
+
+static bool goes(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
+{
+    return may_send(&m->newest, may_move(m, drive), setpoint->scale.joint, setpoint->scale.kind);
+}
+
+bool can_sends(const can_machine *m, uint32_t drive, uint32_t output)
+{
+    const can_output *from = &m->table.drive[drive].output[output];
+    bool sends = true;
+    for (uint32_t i = 0; i < from->setpoint_count; i++) {
+        sends &= goes(m, drive, &from->setpoint[i]) || !isnan(position_kept(m, drive, &from->setpoint[i]));
+    }
+    return sends;
+}
+
 static int64_t raw_of(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
-    bool may_move = m->drive[drive].state.mode == DRIVE_ARMED && m->newest.enabled == 1 && !m->motion_stays;
-    double raw = scaled(&m->newest, may_move, &setpoint->scale);
+    double raw =
+        goes(m, drive, setpoint) ? scaled(&m->newest, may_move(m, drive), &setpoint->scale) : position_kept(m, drive, setpoint);
     if (setpoint->place.form != CAN_FLOAT) {
         return (int64_t)nearbyint(raw);
     }
@@ -64,6 +93,12 @@ static int64_t raw_of(const can_machine *m, uint32_t drive, const can_setpoint *
     uint32_t pattern;
     memcpy(&pattern, &number, sizeof pattern);
     return pattern;
+}
+
+/* A place that is not where it is at rest moves it, whatever its number. */
+static bool moves(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
+{
+    return setpoint->scale.kind == SETPOINT_POSITION ? goes(m, drive, setpoint) : raw_of(m, drive, setpoint) != 0;
 }
 
 bool can_build(const can_machine *m, uint32_t drive, uint32_t output, can_packet *out)
@@ -75,7 +110,7 @@ bool can_build(const can_machine *m, uint32_t drive, uint32_t output, can_packet
     for (uint32_t i = 0; i < from->setpoint_count; i++) {
         int64_t raw = raw_of(m, drive, &from->setpoint[i]);
         can_put(out->data, &from->setpoint[i].place, raw);
-        motion |= raw != 0;
+        motion |= moves(m, drive, &from->setpoint[i]);
     }
     return motion;
 }
@@ -85,7 +120,7 @@ bool can_wants_motion(const can_machine *m, uint32_t drive)
     const can_drive *table = &m->table.drive[drive];
     for (uint32_t o = 0; o < table->output_count; o++) {
         for (uint32_t i = 0; i < table->output[o].setpoint_count; i++) {
-            if (raw_of(m, drive, &table->output[o].setpoint[i]) != 0) {
+            if (moves(m, drive, &table->output[o].setpoint[i])) {
                 return true;
             }
         }
@@ -98,6 +133,7 @@ static void read_count(can_joint_state *joint, const can_field *field, double nu
 {
     double count = number * field->meaning.si_per_raw + field->si_at_zero;
     joint->no_number = !(fabs(count) < COUNT_MAX);
+    joint->position_number = joint->no_number ? (double)NAN : number;
     if (!joint->no_number) {
         joint->feedback.count = (uint64_t)(int64_t)nearbyint(count) & count_mask(field->meaning.counter_bits);
         joint->count_ns = stamp_ns;
@@ -133,7 +169,8 @@ static void read_field(can_machine *m, uint32_t number, const can_field *field, 
     } else if (field->meaning.kind == FIELD_FAULT) {
         read_fault(m, number, field, (uint32_t)raw);
     } else {
-        m->drive[number].state.enabled = ((uint32_t)raw & field->meaning.equals_mask) == field->meaning.equals ? 1 : 0;
+        uint32_t equal = ((uint32_t)raw & field->meaning.equals_mask) == field->meaning.equals ? 1 : 0;
+        *(field->meaning.kind == FIELD_ENABLED ? &m->drive[number].state.enabled : &joint->feedback.referenced) = equal;
     }
 }
 
@@ -174,7 +211,8 @@ void can_forget(can_machine *m, uint32_t drive)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         if (has_joint(m, drive, j)) {
-            m->joint[j] = (can_joint_state){.fault_word = m->joint[j].fault_word, .feedback = feedback_unknown()};
+            m->joint[j] =
+                (can_joint_state){.fault_word = m->joint[j].fault_word, .feedback = feedback_unknown(), .position_number = NAN};
         }
     }
     memset(m->drive[drive].sample_ns, 0, sizeof m->drive[drive].sample_ns);

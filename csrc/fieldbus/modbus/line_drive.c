@@ -176,7 +176,7 @@ static bool next_exchange(line_machine *m, uint32_t number, line_frame *out)
     const line_drive *table = &m->table.drive[number];
     bool writing = drive->stage == STAGE_SETPOINTS;
     for (; drive->place < table->cyclic_count; drive->place++) {
-        if ((table->cyclic[drive->place].setpoint_count > 0) == writing) {
+        if ((table->cyclic[drive->place].setpoint_count > 0) == writing && line_sends(m, number, drive->place)) {
             bool motion = line_build(m, number, drive->place, out);
             drive->cycle_motion |= motion;
             drive->state.sent_motion |= motion;

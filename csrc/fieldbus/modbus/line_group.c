@@ -31,6 +31,9 @@ static bool is_member(const line_machine *m, uint32_t number)
 static bool gets_setpoints(const line_machine *m, uint32_t number)
 {
     const drive_state *state = &m->drive[number].state;
+    if (!line_sends(m, number, 0)) {
+        return false;
+    }
     if (state->mode == DRIVE_UNRESPONSIVE) {
         return m->drive[number].may_turn;
     }

@@ -219,7 +219,9 @@ void line_expire_request(line_machine *m, int64_t now_ns);
 uint32_t line_pick_request(const line_machine *m, int64_t now_ns);
 
 /* ----------------------------------------------------------------------- line_values.c */
-/* The request of an exchange with the newest set-points in it, sealed; true: one of them is not zero. */
+/* Whether the exchange goes out: a position that is unknown, or of a joint that may not move, holds it back. */
+bool line_sends(const line_machine *m, uint32_t drive, uint32_t turn);
+/* The request of an exchange with the newest set-points in it, sealed; true: one of them is not zero, or is a position. */
 bool line_build(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out);
 /* The same without its check sum. */
 bool line_fill(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out);

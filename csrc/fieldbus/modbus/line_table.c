@@ -68,15 +68,17 @@ static void check_range(finding *f, const line_setpoint *setpoint)
     double span = ldexp(1.0, (int)(8 * rtu_form_bytes(setpoint->form)));
     double least = form_has_sign ? -span / 2.0 : 0.0, most = form_has_sign ? span / 2.0 - 1.0 : span - 1.0;
     least += setpoint->form == FORM_M16_LE ? 1.0 : 0.0;
-    need(f, setpoint->raw_min <= 0.0 && setpoint->raw_min >= least, "setpoint.raw_min");
-    need(f, setpoint->raw_max >= 0.0 && setpoint->raw_max <= most, "setpoint.raw_max");
+    check_span(f, setpoint->kind, setpoint->raw_offset, setpoint->raw_min, setpoint->raw_max);
+    need(f, setpoint->raw_min >= least, "setpoint.raw_min");
+    need(f, setpoint->raw_max <= most, "setpoint.raw_max");
 }
 
 static void check_setpoint(finding *f, const line_setpoint *setpoint, const line_frame *frame)
 {
     uint32_t end = setpoint->byte + rtu_form_bytes(setpoint->form);
     need(f, setpoint->joint < JOINTS_MAX, "setpoint.joint");
-    need(f, setpoint->kind <= SETPOINT_DUTY, "setpoint.kind");
+    need(f, setpoint->kind <= SETPOINT_POSITION && setpoint->kind != SETPOINT_TORQUE, "setpoint.kind");
+    need(f, setpoint->kind != SETPOINT_POSITION || setpoint->magnitude == 0, "setpoint.magnitude");
     need(f, is_form(setpoint->form), "setpoint.form");
     need(f, setpoint->byte < FRAME_BYTES_MAX && end <= frame->request_bytes - rtu_seal_bytes(frame->request_seal),
          "setpoint.byte");
@@ -89,7 +91,7 @@ static void check_setpoint(finding *f, const line_setpoint *setpoint, const line
 static void check_field(finding *f, const line_field *field, const line_frame *frame)
 {
     need(f, field->joint < JOINTS_MAX, "field.joint");
-    need(f, field->kind <= FIELD_KEPT, "field.kind");
+    need(f, field->kind <= FIELD_REFERENCED, "field.kind");
     need(f, is_form(field->form), "field.form");
     need(f, field->byte < FRAME_BYTES_MAX && field->byte + rtu_form_bytes(field->form) <= frame->reply_bytes, "field.byte");
     need(f, field->direction <= DRIVE_DIRECTIONS_MAX, "field.direction");
@@ -107,6 +109,29 @@ static void check_exchange(finding *f, const line_exchange *turn)
     }
     for (uint32_t i = 0; i < turn->field_count && !f->bad; i++) {
         check_field(f, &turn->field[i], &turn->frame);
+    }
+}
+
+static bool has_position(const line_exchange *turn)
+{
+    for (uint32_t i = 0; i < turn->setpoint_count; i++) {
+        if (turn->setpoint[i].kind == SETPOINT_POSITION) {
+            return true;
+        }
+    }
+    return false;
+}
+
+/* What holds a position is not sent while the drive may not move: nothing else may depend on it. */
+static void check_positions(finding *f, const line_drive *drive)
+{
+    for (uint32_t i = 0; !f->bad && i < drive->cyclic_count; i++) {
+        if (has_position(&drive->cyclic[i])) {
+            need(f, drive->cyclic[i].field_count == 0, "field_count");
+            need(f, drive->probe != i + 1 && (drive->probe > 0 || drive->extra_count > 0), "probe");
+            need(f, drive->direction_count == 0, "direction_count");
+            need(f, drive->idle_count == 0, "idle_count");
+        }
     }
 }
 
@@ -153,6 +178,7 @@ static void check_drive(finding *f, const line_drive *drive)
         check_frame(f, &drive->idle[0]);
         need(f, drive->idle[0].reply_bytes == drive->cyclic[0].frame.reply_bytes, "idle.reply_bytes");
     }
+    check_positions(f, drive);
 }
 
 const char *line_table_check(const line_table *table, char *name)

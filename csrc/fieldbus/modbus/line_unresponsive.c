@@ -9,10 +9,12 @@
 static const int64_t URGENT_NOISE_NS = 20 * LINE_MS;
 static const int64_t PROBE_FIRST_NS = 100 * LINE_MS, PROBE_LAST_NS = 2000 * LINE_MS;
 
-static uint32_t zero_exchanges(const line_drive *table)
+/* Those that go out to a drive that is not armed; where there is a position in the first one, there are no others. */
+static uint32_t zero_exchanges(const line_machine *m, uint32_t number)
 {
+    const line_drive *table = &m->table.drive[number];
     uint32_t count = 0;
-    while (count < table->cyclic_count && table->cyclic[count].setpoint_count > 0) {
+    while (count < table->cyclic_count && table->cyclic[count].setpoint_count > 0 && line_sends(m, number, count)) {
         count++;
     }
     return count;
@@ -22,7 +24,7 @@ static uint32_t zero_exchanges(const line_drive *table)
 static uint32_t stop_probes(const line_machine *m, uint32_t number)
 {
     const line_drive *table = &m->table.drive[number];
-    return m->drive[number].may_turn ? table->quick_stop_count + zero_exchanges(table) : 0;
+    return m->drive[number].may_turn ? table->quick_stop_count + zero_exchanges(m, number) : 0;
 }
 
 void line_becomes_unresponsive(line_machine *m, uint32_t number, int64_t now_ns)

@@ -14,9 +14,24 @@ static const setpoints *source(const line_machine *m, uint32_t drive)
 }
 
 /* line_guard has taken ARMED back before, in this very step, where the set-points are old. */
+static bool may_move(const line_machine *m, uint32_t drive)
+{
+    return m->drive[drive].state.mode == DRIVE_ARMED && m->newest.enabled == 1;
+}
+
+bool line_sends(const line_machine *m, uint32_t drive, uint32_t turn)
+{
+    const line_exchange *from = &m->table.drive[drive].cyclic[turn];
+    bool sends = true;
+    for (uint32_t i = 0; i < from->setpoint_count; i++) {
+        sends &= may_send(&m->newest, may_move(m, drive), from->setpoint[i].joint, from->setpoint[i].kind);
+    }
+    return sends;
+}
+
 double line_wanted(const line_machine *m, uint32_t drive, uint32_t joint, uint32_t kind)
 {
-    if (m->drive[drive].state.mode != DRIVE_ARMED || m->newest.enabled != 1) {
+    if (!may_move(m, drive)) {
         return 0.0;
     }
     double now = setpoint_of(&m->newest, joint, kind);
@@ -26,11 +41,11 @@ double line_wanted(const line_machine *m, uint32_t drive, uint32_t joint, uint32
 
 static int64_t raw_of(const line_machine *m, uint32_t drive, const line_setpoint *setpoint)
 {
-    double raw = line_wanted(m, drive, setpoint->joint, setpoint->kind) * setpoint->raw_per_si;
+    double raw = line_wanted(m, drive, setpoint->joint, setpoint->kind) * setpoint->raw_per_si + setpoint->raw_offset;
     if (setpoint->magnitude != 0) {
         raw = fabs(raw);
     }
-    return (int64_t)nearbyint(fmin(fmax(raw, setpoint->raw_min), setpoint->raw_max));
+    return (int64_t)nearbyint(within_span(raw, setpoint->raw_min, setpoint->raw_max));
 }
 
 /* It is to regulate nothing: neither armed nor coming to rest, and not one that may turn without reporting it. */
@@ -50,7 +65,7 @@ bool line_fill(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out)
         int64_t raw = raw_of(m, drive, setpoint);
         rtu_write(out->request + setpoint->byte, setpoint->form, raw);
         m->drive[drive].last_sent[turn][i] = raw;
-        motion |= raw != 0;
+        motion |= raw != 0 || setpoint->kind == SETPOINT_POSITION;
     }
     return motion;
 }
@@ -71,7 +86,7 @@ bool line_differs(line_machine *m, uint32_t drive)
 {
     const line_drive *table = &m->table.drive[drive];
     for (uint32_t e = 0; e < table->cyclic_count; e++) {
-        for (uint32_t i = 0; i < table->cyclic[e].setpoint_count; i++) {
+        for (uint32_t i = 0; i < table->cyclic[e].setpoint_count && line_sends(m, drive, e); i++) {
             if (raw_of(m, drive, &table->cyclic[e].setpoint[i]) != m->drive[drive].last_sent[e][i]) {
                 return true;
             }
@@ -86,7 +101,9 @@ bool line_wants_motion(const line_machine *m, uint32_t drive)
     for (uint32_t e = 0; e < table->cyclic_count; e++) {
         for (uint32_t i = 0; i < table->cyclic[e].setpoint_count; i++) {
             const line_setpoint *setpoint = &table->cyclic[e].setpoint[i];
-            if (line_wanted(m, drive, setpoint->joint, setpoint->kind) != 0.0) {
+            bool goes = setpoint->kind == SETPOINT_POSITION ? line_sends(m, drive, e)
+                                                            : line_wanted(m, drive, setpoint->joint, setpoint->kind) != 0.0;
+            if (goes) {
                 return true;
             }
         }
@@ -127,7 +144,7 @@ static void read_field(line_machine *m, uint32_t number, const line_field *field
     int64_t raw = rtu_masked(whole, field->mask, field->form);
     double si = (double)raw * field->si_per_raw;
     bool equal = ((uint32_t)whole & field->equals_mask) == field->equals;
-    if (field->kind < FIELD_ENABLED) {
+    if (field->kind < FIELD_ENABLED || field->kind == FIELD_REFERENCED) {
         joint->newest_ns = stamp_ns;
     }
     switch (field->kind) {
@@ -137,6 +154,7 @@ static void read_field(line_machine *m, uint32_t number, const line_field *field
         break;
     case FIELD_FAULT: read_fault(m, field, (uint32_t)raw); break;
     case FIELD_ENABLED: drive->state.enabled = equal ? 1 : 0; break;
+    case FIELD_REFERENCED: joint->feedback.referenced = equal ? 1 : 0; break;
     case FIELD_KEPT: drive->lost_setup |= !equal; break;
     case FIELD_VELOCITY:
         joint->feedback.velocity_rad_s = signed_velocity(drive, field, si);

@@ -1,0 +1,175 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Positions on a CAN bus: a drive without power gets the place where it is, one that must not move gets nothing. */
+#include <math.h>
+
+#include "can_wire.h"
+
+static const can_machine *const m = &w.machine;
+static double wanted_rad;
+static uint32_t positioned;
+
+/* Its target stands in turns of a float, as what it measures; two turns where the angle is 0. */
+static void begin(void)
+{
+    begin_with(1);
+    can_output *output = &table_of(0)->output[0];
+    output->packet.bytes = 6;
+    output->setpoint[0] = (can_setpoint){
+        .place = {.start_bit = 16, .length = 32, .form = CAN_FLOAT},
+        .scale = {.kind = SETPOINT_POSITION, .raw_per_si = 0.5, .raw_offset = 2.0, .raw_min = -10.0, .raw_max = 10.0}};
+    restart();
+    w.enabled = 2; /* `step` leaves the set-points to us */
+    positioned = 0;
+}
+
+static float target_in(const can_packet *packet)
+{
+    float target;
+    memcpy(&target, packet->data + 2, sizeof target);
+    return target;
+}
+
+static void say_all(float turns)
+{
+    say_state(0, w.powered ? 8 : 1);
+    say_motion(0, turns, 0.0F);
+}
+
+static void put(void)
+{
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 1};
+    w.machine.newest.position_rad[0] = wanted_rad;
+    w.machine.newest.positioned = positioned ? 1U : 0U;
+}
+
+static void run(float at_turns, int64_t for_ns)
+{
+    for (int64_t end_ns = w.now_ns + for_ns; w.now_ns < end_ns; w.now_ns += 2 * MS) {
+        put();
+        say_all(at_turns);
+        step();
+    }
+}
+
+static void ask_for(uint32_t mode)
+{
+    put();
+    w.machine.control.drive[0].count++;
+    w.machine.control.drive[0].mode = mode;
+    step();
+}
+
+static void make_armed(void)
+{
+    run(2.25F, 20 * MS);
+    ask_for(DRIVE_READY);
+    run(2.25F, 20 * MS);
+    w.powered = true;
+    ask_for(DRIVE_ARMED);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED);
+}
+
+static void a_drive_without_power_gets_the_place_where_it_is(void)
+{
+    begin();
+    wanted_rad = 1.0, positioned = 1;
+    run(2.25F, 50 * MS);
+    CHECK(count_sent(SPEED) == 0); /* nothing is known of it yet: not set up */
+    ask_for(DRIVE_READY);
+    forget_sent();
+    run(2.25F, 50 * MS);
+    CHECK(count_sent(SPEED) >= 4 && target_in(newest_of(0)) == 2.25F);
+    run(-3.5F, 50 * MS); /* turned by hand */
+    CHECK(target_in(newest_of(0)) == -3.5F && !state_of(0)->state.sent_motion && !can_wants_motion(m, 0));
+    run(11.0F, 10 * MS); /* a place that it could not be sent to */
+    forget_sent();
+    run(11.0F, 50 * MS);
+    CHECK(count_sent(SPEED) == 0);
+    w.now_ns += 6 * MS;
+    say_motion(0, NAN, 0.0F);
+    put();
+    step();
+    CHECK(isnan(m->joint[0].position_number));
+    forget_sent();
+    w.powered = true; /* it should not be */
+    run(2.25F, 10 * MS);
+    CHECK(count_sent(SPEED) <= 1); /* its power-off, and no place */
+}
+
+static void an_armed_drive_gets_its_places_and_nothing_where_there_is_none(void)
+{
+    static const double NO_PLACES[] = {NAN, INFINITY, 0.5};
+    for (uint32_t i = 0; i < 3; i++) {
+        begin();
+        make_armed();
+        CHECK(!state_of(0)->state.sent_motion);
+        wanted_rad = 0.5, positioned = 1;
+        run(2.25F, 50 * MS);
+        CHECK(target_in(newest_of(0)) == 2.25F && state_of(0)->state.sent_motion && !can_differs(m, 0));
+        wanted_rad = 1e300;
+        run(2.25F, 20 * MS);
+        CHECK(target_in(newest_of(0)) == 10.0F);
+        forget_sent();
+        wanted_rad = NO_PLACES[i], positioned = i < 2;
+        run(2.25F, 100 * MS);
+        CHECK(count_sent(SPEED) == 0 && !state_of(0)->state.sent_motion && !can_wants_motion(m, 0));
+        CHECK(state_of(0)->state.mode == DRIVE_ARMED);
+    }
+}
+
+/* Where nothing is sent for as long as its watchdog waits, it may have stopped by itself: it is stopped here, too. */
+static void what_is_held_back_for_too_long_is_a_drive_left_alone(void)
+{
+    begin();
+    make_armed();
+    wanted_rad = 0.5, positioned = 1;
+    run(2.25F, 50 * MS);
+    positioned = 0;
+    run(2.25F, 700 * MS);
+    CHECK((state_of(0)->state.fault_reasons & DRIVE_FAULT_LEFT_ALONE) != 0 && state_of(0)->state.mode == DRIVE_READY);
+}
+
+static void one_that_does_not_answer_gets_its_stops_and_no_place(void)
+{
+    begin();
+    make_armed();
+    wanted_rad = 0.5, positioned = 1;
+    run(2.25F, 50 * MS);
+    for (int64_t end_ns = w.now_ns + 1000 * MS; w.now_ns < end_ns; w.now_ns += 2 * MS) {
+        put();
+        step();
+        if (state_of(0)->state.mode == DRIVE_ARMED) {
+            forget_sent();
+        }
+    }
+    CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE);
+    for (uint32_t i = 0; i < w.sent_count; i++) {
+        CHECK(w.sent[i].id != SPEED || w.sent[i].data[0] == QUICK_STOP || w.sent[i].data[0] == DISABLE);
+    }
+}
+
+static void whether_it_has_a_reference_is_reported_beside_its_power(void)
+{
+    begin();
+    table_of(0)->input[0].field_count = 2;
+    table_of(0)->input[0].field[1] = (can_field){
+        .place = {.length = 8}, .meaning = {.kind = FIELD_REFERENCED, .equals_mask = 8, .equals = 8, .si_per_raw = 1.0}};
+    restart();
+    CHECK(m->joint[0].feedback.referenced == 2);
+    ask_for(DRIVE_READY);
+    run(1.0F, 10 * MS);
+    CHECK(m->joint[0].feedback.referenced == 0 && state_of(0)->state.enabled == 0);
+    w.powered = true;
+    say_state(0, 8);
+    CHECK(m->joint[0].feedback.referenced == 1 && state_of(0)->state.enabled == 1);
+}
+
+int main(void)
+{
+    a_drive_without_power_gets_the_place_where_it_is();
+    an_armed_drive_gets_its_places_and_nothing_where_there_is_none();
+    what_is_held_back_for_too_long_is_a_drive_left_alone();
+    one_that_does_not_answer_gets_its_stops_and_no_place();
+    whether_it_has_a_reference_is_reported_beside_its_power();
+    return checks_report("can position");
+}

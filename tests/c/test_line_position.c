@@ -1,0 +1,250 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Positions on a serial line: 0 is a place like any other, so what must not move is sent nothing. */
+#include <math.h>
+
+#include "line_wire.h"
+
+static const double FAR = 1e300;
+static line_machine *const m = &w.machine;
+static line_setpoint *const setpoint = &w.table.drive[0].cyclic[0].setpoint[0];
+static uint32_t targets, reads;
+static int16_t newest_target;
+
+/* One drive that goes to positions: 1000 counts for a rad, 2000 where the angle is 0. */
+static void begin(void)
+{
+    begin_with(1, 0);
+    *setpoint = (line_setpoint){.kind = SETPOINT_POSITION,
+                                .byte = 4,
+                                .form = FORM_I16,
+                                .raw_per_si = -1000.0,
+                                .raw_offset = 2000.0,
+                                .raw_min = 100.0,
+                                .raw_max = 4000.0};
+    CHECK(line_machine_init(m, &w.table, 0, w.now_ns) == 0);
+    targets = reads = 0;
+}
+
+static void want(double position_rad, uint32_t positioned)
+{
+    m->newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 1};
+    m->newest.joint[0] = (joint_setpoint){.velocity_rad_s = 1.0};
+    m->newest.position_rad[0] = position_rad;
+    m->newest.positioned = positioned != 0;
+}
+
+static void look(void)
+{
+    line_machine_step(m, w.now_ns, w.bytes, w.count, &w.out);
+    w.count = 0;
+    if (w.out.send == NULL) {
+        w.now_ns = w.out.wake_ns;
+        return;
+    }
+    line_machine_sent(m, w.now_ns);
+    reads += w.out.send[1] == READ;
+    if (w.out.send[1] == WRITE && w.out.send[3] == SPEED) {
+        targets++;
+        newest_target = (int16_t)rtu_read(w.out.send + 4, FORM_I16);
+    }
+    answer_on_the_wire(w.out.send);
+    w.now_ns = w.count == 0 ? m->until_ns : w.now_ns;
+}
+
+static void go_to(double position_rad, uint32_t positioned, int64_t for_ns)
+{
+    for (int64_t end_ns = w.now_ns + for_ns; w.now_ns < end_ns;) {
+        want(position_rad, positioned);
+        look();
+    }
+}
+
+static void arm_it(void)
+{
+    request(0, DRIVE_READY);
+    go_to(NAN, 0, 50 * MS);
+    request(0, DRIVE_ARMED);
+    want(NAN, 0);
+    look();
+    CHECK(m->drive[0].state.mode == DRIVE_ARMED);
+}
+
+static void a_position_is_scaled_from_its_zero_and_held_within_its_range(void)
+{
+    static const struct {
+        double position_rad;
+        int16_t raw;
+    } cases[] = {{0.0, 2000}, {0.5, 1500},  {-0.5, 2500}, {0.0004, 2000}, {0.0006, 1999}, {1.9, 100},
+                 {1.91, 100}, {-2.0, 4000}, {-2.1, 4000}, {40.0, 100},    {FAR, 100},     {-FAR, 4000}};
+    begin();
+    arm_it();
+    for (uint32_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        go_to(cases[i].position_rad, 1, 50 * MS);
+        CHECK(newest_target == cases[i].raw && m->drive[0].state.sent_motion);
+    }
+}
+
+static void what_is_not_armed_is_sent_no_position(void)
+{
+    begin();
+    go_to(0.5, 1, 100 * MS);
+    request(0, DRIVE_READY);
+    go_to(0.5, 1, 200 * MS);
+    CHECK(targets == 0 && reads > 8 && !m->drive[0].state.sent_motion && !line_wants_motion(m, 0));
+}
+
+static void a_position_that_is_not_known_is_not_sent_and_the_drive_goes_on_being_read(void)
+{
+    static const double NO_PLACES[] = {NAN, INFINITY, -INFINITY};
+    for (uint32_t i = 0; i < 4; i++) {
+        begin();
+        arm_it();
+        go_to(0.5, 1, 50 * MS);
+        CHECK(targets > 0 && line_wants_motion(m, 0) && !line_differs(m, 0));
+        uint32_t sent = targets, seen = reads;
+        go_to(i < 3 ? NO_PLACES[i] : 0.7, i < 3 ? 1 : 0, 200 * MS);
+        CHECK(targets == sent && reads > seen + 8 && m->drive[0].state.mode == DRIVE_ARMED);
+        CHECK(!line_wants_motion(m, 0) && !line_differs(m, 0) && !m->drive[0].state.sent_motion);
+        go_to(0.7, 1, 50 * MS);
+        CHECK(targets > sent && newest_target == 1300);
+    }
+}
+
+static void a_new_position_does_not_wait_for_its_cycle(void)
+{
+    begin();
+    arm_it();
+    go_to(0.5, 1, 50 * MS);
+    want(0.6, 1);
+    CHECK(line_differs(m, 0));
+    want(0.5, 1);
+    CHECK(!line_differs(m, 0));
+}
+
+static void the_core_takes_enabled_back_and_the_power_goes_off_without_a_position(void)
+{
+    begin();
+    arm_it();
+    go_to(0.5, 1, 50 * MS);
+    uint32_t sent = targets;
+    for (int64_t end_ns = w.now_ns + 200 * MS; w.now_ns < end_ns;) {
+        want(0.9, 1);
+        m->newest.enabled = 0;
+        look();
+    }
+    CHECK(targets == sent && w.power_offs[0] > 0 && m->drive[0].state.mode == DRIVE_READY);
+}
+
+static void old_set_points_stop_it_without_a_position(void)
+{
+    begin();
+    arm_it();
+    go_to(0.5, 1, 50 * MS);
+    uint32_t sent = targets;
+    for (int64_t end_ns = w.now_ns + 300 * MS; w.now_ns < end_ns;) {
+        look();
+    }
+    CHECK(w.quick_stop_ns[0] > 0 && w.power_offs[0] > 0 && targets <= sent + 5);
+    sent = targets;
+    go_to(0.9, 1, 200 * MS);
+    CHECK(targets == sent);
+}
+
+/* Its probes are its stop and a question: the first set-point exchange "with zeros" would be a place to go to. */
+static void one_that_does_not_answer_is_sent_its_stop_and_no_position(void)
+{
+    begin();
+    arm_it();
+    go_to(0.5, 1, 50 * MS);
+    w.mute = 1;
+    go_to(0.6, 1, 500 * MS);
+    CHECK(m->drive[0].state.mode == DRIVE_UNRESPONSIVE && w.quick_stop_sent[0] > 0);
+    uint32_t sent = targets, seen = reads;
+    go_to(0.9, 1, 5000 * MS);
+    CHECK(targets == sent && reads > seen);
+}
+
+static void whether_its_counter_has_a_reference_is_reported(void)
+{
+    for (uint32_t mask = 0; mask < 2; mask++) {
+        begin();
+        w.table.drive[0].cyclic[1].field_count = 2;
+        w.table.drive[0].cyclic[1].field[1] = (line_field){
+            .kind = FIELD_REFERENCED, .byte = 3, .form = FORM_U16, .equals_mask = 8 << mask, .equals = 8, .si_per_raw = 1.0};
+        CHECK(line_machine_init(m, &w.table, 0, w.now_ns) == 0);
+        CHECK(m->joint[0].feedback.referenced == 2);
+        request(0, DRIVE_READY);
+        go_to(NAN, 0, 100 * MS); /* it reads 9 */
+        CHECK(m->joint[0].feedback.referenced == (mask == 0));
+    }
+}
+
+static bool refused(const char *name)
+{
+    char bad[FIELD_NAME_BYTES];
+    const char *found = line_table_check(&w.table, bad);
+    return found != NULL && strcmp(found, name) == 0;
+}
+
+static void tables_by_which_a_position_could_go_astray_are_refused(void)
+{
+    begin();
+    setpoint->raw_offset = NAN;
+    CHECK(refused("drive[0].setpoint.raw_offset"));
+    begin();
+    setpoint->raw_min = 4001.0;
+    CHECK(refused("drive[0].setpoint.raw_min"));
+    begin();
+    setpoint->raw_max = 32768.0;
+    CHECK(refused("drive[0].setpoint.raw_max"));
+    begin();
+    setpoint->raw_min = -32769.0;
+    CHECK(refused("drive[0].setpoint.raw_min"));
+    begin();
+    setpoint->magnitude = 1;
+    CHECK(refused("drive[0].setpoint.magnitude"));
+    begin();
+    setpoint->kind = SETPOINT_TORQUE;
+    CHECK(refused("drive[0].setpoint.kind"));
+    begin();
+    setpoint->kind = SETPOINT_POSITION + 1;
+    CHECK(refused("drive[0].setpoint.kind"));
+    begin();
+    setpoint->kind = SETPOINT_VELOCITY; /* rest would be at 2000 */
+    CHECK(refused("drive[0].setpoint.raw_offset"));
+    begin();
+    w.table.drive[0].probe = 1;
+    CHECK(refused("drive[0].probe"));
+    begin();
+    w.table.drive[0].probe = 0;
+    CHECK(refused("drive[0].probe"));
+    begin();
+    w.table.drive[0].cyclic[0].field_count = 1;
+    w.table.drive[0].cyclic[0].field[0] = w.table.drive[0].cyclic[1].field[0];
+    CHECK(refused("drive[0].field_count"));
+    begin();
+    w.table.drive[0].idle_count = 1;
+    w.table.drive[0].idle[0] = w.table.drive[0].cyclic[0].frame;
+    CHECK(refused("drive[0].idle_count"));
+    begin();
+    w.table.drive[0].direction_count = 1;
+    w.table.drive[0].direction[0].rest = w.table.drive[0].direction[0].forward = w.table.drive[0].direction[0].reverse =
+        w.table.drive[0].cyclic[0].frame;
+    CHECK(refused("drive[0].direction_count"));
+    begin();
+    CHECK(line_table_check(&w.table, (char[FIELD_NAME_BYTES]){0}) == NULL);
+}
+
+int main(void)
+{
+    a_position_is_scaled_from_its_zero_and_held_within_its_range();
+    what_is_not_armed_is_sent_no_position();
+    a_position_that_is_not_known_is_not_sent_and_the_drive_goes_on_being_read();
+    a_new_position_does_not_wait_for_its_cycle();
+    the_core_takes_enabled_back_and_the_power_goes_off_without_a_position();
+    old_set_points_stop_it_without_a_position();
+    one_that_does_not_answer_is_sent_its_stop_and_no_position();
+    whether_its_counter_has_a_reference_is_reported();
+    tables_by_which_a_position_could_go_astray_are_refused();
+    return checks_report("line position");
+}
