@@ -23,6 +23,7 @@ bool can_write_out(can_machine *m, uint32_t drive, const can_write *write)
     can_packet packet = write->packet;
     if (write->output > 0) {
         uint8_t *held = m->drive[drive].held[write->output - 1];
+        can_hold_positions(m, drive, write->output - 1);
         for (uint32_t i = 0; i < CAN_BYTES_MAX; i++) {
             held[i] = (uint8_t)((held[i] & ~write->mask[i]) | (packet.data[i] & write->mask[i]));
         }
@@ -64,6 +65,7 @@ static void send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
             held_back = true;
             continue;
         }
+        can_hold_positions(m, number, o);
         bool moves = can_build(m, number, o, &packet);
         motion |= moves;
         drive->state.sent_motion |= moves;

@@ -128,6 +128,8 @@ void can_put(uint8_t *data, const can_place *place, int64_t raw);
 bool can_sends(const can_machine *m, uint32_t drive, uint32_t output);
 /* The frame of a cycle with the newest set-points, or zeros, or where the drive is; true: one of them moves it. */
 bool can_build(const can_machine *m, uint32_t drive, uint32_t output, can_packet *out);
+/* What is written to the frame beside the set-points goes out with the newest place, never with another one. */
+void can_hold_positions(can_machine *m, uint32_t drive, uint32_t output);
 bool can_wants_motion(const can_machine *m, uint32_t drive);
 void can_read(can_machine *m, uint32_t drive, const can_input *input, const uint8_t *data, int64_t stamp_ns);
 void can_publish(can_machine *m, uint32_t drive);

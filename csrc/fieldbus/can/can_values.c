@@ -115,6 +115,18 @@ bool can_build(const can_machine *m, uint32_t drive, uint32_t output, can_packet
     return motion;
 }
 
+void can_hold_positions(can_machine *m, uint32_t drive, uint32_t output)
+{
+    const can_output *from = &m->table.drive[drive].output[output];
+    for (uint32_t i = 0; i < from->setpoint_count; i++) {
+        const can_setpoint *setpoint = &from->setpoint[i];
+        bool known = goes(m, drive, setpoint) || !isnan(position_kept(m, drive, setpoint));
+        if (setpoint->scale.kind == SETPOINT_POSITION && known) {
+            can_put(m->drive[drive].held[output], &setpoint->place, raw_of(m, drive, setpoint));
+        }
+    }
+}
+
 bool can_wants_motion(const can_machine *m, uint32_t drive)
 {
     const can_drive *table = &m->table.drive[drive];

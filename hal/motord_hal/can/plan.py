@@ -121,7 +121,8 @@ class CanPlan(Plan):
         """What odometry is made of."""
         self.probed = tuple(frame for frame in self.fast if not frame.period_s)
         """Requested when the drive is silent."""
-        sent = {frame.name for frame in self.setpoint_frames if self.table.idle_setpoints}
+        regular = self.table.idle_setpoints and not self.profile.goes_to_positions
+        sent = {frame.name for frame in self.setpoint_frames if regular}
         self.asked_fast = tuple(frame for frame in self.probed if frame.answers not in sent)
         """Asked for in every cycle: what does not answer the set-points."""
         self.asked_slow = tuple(
@@ -139,7 +140,8 @@ class CanPlan(Plan):
         return [self.channel(joint).setpoint for joint in self.joints]
 
     def _fast_names(self) -> list[str]:
-        names = [self.profile.enabled.register] if self.profile.enabled else []
+        places = (self.profile.enabled, self.profile.homed)
+        names = [place.register for place in places if place is not None]
         for joint in self.joints:
             channel = self.channel(joint)
             names += [n for n in (channel.position, channel.velocity, channel.fault) if n]

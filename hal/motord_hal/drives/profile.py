@@ -175,7 +175,9 @@ class Channel:
     velocity_setpoint: str | None = None
     duty_setpoint: str | None = None
     torque_setpoint: str | None = None
-    """Of the motor; the speed loop is then the core's. Exactly one of the three set-points is
+    """Of the motor; the speed loop is then the core's."""
+    position_setpoint: str | None = None
+    """In the unit of `position`, from the same origin. Exactly one of the four set-points is
     there."""
     setpoint_with: tuple[tuple[str, int], ...] = ()
     """(register, raw value) of what is written with each set-point, in one request: the drive obeys
@@ -190,14 +192,15 @@ class Channel:
     @property
     def setpoint(self) -> str:
         """The set-point's register."""
-        return self.velocity_setpoint or self.duty_setpoint or self.torque_setpoint or ""
+        setpoints = (self.velocity_setpoint, self.duty_setpoint, self.torque_setpoint)
+        return next(filter(None, (*setpoints, self.position_setpoint)), "")
 
     def to_motor(self, gear_ratio: float) -> float:
         """The motor's set-point for one of 1 at the wheel: a gear makes it faster and its torque
         smaller; a duty is the same."""
         if self.torque_setpoint is not None:
             return 1.0 / gear_ratio
-        return gear_ratio if self.velocity_setpoint is not None else 1.0
+        return 1.0 if self.duty_setpoint is not None else gear_ratio
 
     @property
     def commands(self) -> frozenset[str]:
@@ -223,6 +226,8 @@ class Step:
     """For a write: the value is the time of the line's cycle, in the unit of the register."""
     verify: bool = True
     """For a write: whether the register keeps what was written, so that it can be read back."""
+    copy_of: str = ""
+    """A write whose raw value is that of this register, read right before."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -327,6 +332,10 @@ class DriveProfile:
     clear_fault: tuple[Step, ...]
     enabled: Enabled | None
     """None: the drive cannot say."""
+    absolute: bool = False
+    """Its position means the same after each power-up."""
+    homed: Enabled | None = None
+    """Its position has a reference when this is so; None: the drive cannot say."""
     watchdog: Watchdog | None
     watchdog_note: str
     """Why there is none, and what to do instead; empty where there is one."""
@@ -339,6 +348,10 @@ class DriveProfile:
     """The frames of a drive on a CAN bus, whose registers are signals in them."""
     bridge: Bridge | None = None
     """Only of the protocol "pwm"."""
+
+    @property
+    def goes_to_positions(self) -> bool:
+        return any(channel.position_setpoint for channel in self.channels.values())
 
     def faults_in(self, word: int) -> tuple[FaultBit, ...]:
         """What a fault word says. A bit or code that the profile does not list is a fault too."""

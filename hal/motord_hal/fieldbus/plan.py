@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from motord_hal.drives.profile import Channel, DriveProfile
+from motord_hal.drives.profile import Channel, DriveProfile, Step
 from motord_hal.fieldbus.ports import JointSpec
 from motord_hal.realtime.exchange import JointSetpoint
 
@@ -20,6 +20,8 @@ def of_kind(channel: Channel, setpoint: JointSetpoint) -> float:
     """What the channel takes of it, at the wheel."""
     if channel.torque_setpoint is not None:
         return setpoint.torque_n_m
+    if channel.position_setpoint is not None:
+        return setpoint.position_rad or 0.0
     return setpoint.velocity_rad_s if channel.velocity_setpoint is not None else setpoint.duty
 
 
@@ -34,6 +36,15 @@ class Reading:
     temperature_c: float
     enabled: bool | None
     fault_word: int
+
+
+def present_positions(channels: Iterable[Channel]) -> Iterator[Step]:
+    """Writes after which a drive that gets its power stays where it is."""
+    for channel in channels:
+        if channel.position_setpoint is not None and channel.position is not None:
+            yield Step(
+                register=channel.position_setpoint, value=0, copy_of=channel.position, verify=False
+            )
 
 
 class Plan:

@@ -76,6 +76,10 @@ class JointSpec:
     """Motor turns per wheel turn, > 0."""
     inverted: bool = False
     """True where the motor turns backward when the robot drives forward."""
+    counts_per_turn: int = 0
+    """Of the motor, of a joint that takes positions; 0: as its profile has them."""
+    zero_count: int = 0
+    """The counter where the angle of such a joint is 0."""
     pins: Mapping[str, str] = field(default_factory=dict)
     """Pin of the bridge → where it is: "pwmN", or a GPIO line's name or number; with "!" before it
     it is active low. "fault" is an input."""

@@ -10,7 +10,14 @@ from dataclasses import dataclass
 
 from motord_hal.drives.profile import DriveProfile, Register, Step
 from motord_hal.fieldbus.job import kept_registers
-from motord_hal.fieldbus.plan import REST, Plan, Reading, Wanted, of_kind
+from motord_hal.fieldbus.plan import (
+    REST,
+    Plan,
+    Reading,
+    Wanted,
+    of_kind,
+    present_positions,
+)
 from motord_hal.fieldbus.ports import JointSpec
 from motord_hal.modbus.codec import (
     READ_REGISTERS_MAX,
@@ -70,6 +77,8 @@ def wanted_registers(
         fast += [channel.position, channel.velocity, channel.fault]
         slow += [channel.current, channel.temperature]
     slow = [*kept_registers(profile), *slow]
+    if profile.homed:
+        slow.insert(0, profile.homed.register)
     if profile.enabled:
         slow.insert(0, profile.enabled.register)
     return (
@@ -172,8 +181,12 @@ class DrivePlan(Plan):
         )
 
     def zero_steps(self) -> tuple[Step, ...]:
-        """Writes that leave zero in the set-point registers, one by one, and let the drive know."""
-        zeros = [Step(register=self.channel(joint).setpoint, value=0) for joint in self.joints]
+        """Writes that leave zero in the set-point registers, or the place where the motor is, one
+        by one, and let the drive know."""
+        channels = [self.channel(joint) for joint in self.joints]
+        zeros = [Step(register=one.setpoint, value=0) for one in channels]
+        if self.profile.goes_to_positions:
+            zeros = [*present_positions(channels)]
         obey = (pair for joint in self.joints for pair in self.channel(joint).setpoint_with)
         return (*zeros, *(Step(register=name, value=raw, verify=False) for name, raw in obey))
 

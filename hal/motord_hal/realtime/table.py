@@ -47,6 +47,7 @@ class SetpointKind(enum.IntEnum):
     DUTY = 1
     TORQUE = 2
     """On a CAN bus only."""
+    POSITION = 3
 
 
 class FieldKind(enum.IntEnum):
@@ -58,6 +59,7 @@ class FieldKind(enum.IntEnum):
     FAULT = 5
     ENABLED = 6
     KEPT = 7
+    REFERENCED = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,6 +82,7 @@ class LineSetpoint:
     form: Form
     magnitude: int
     raw_per_si: float
+    raw_offset: float = 0.0
     raw_min: float
     raw_max: float
 

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
-from motord_hal.drives.profile import Channel, DriveProfile
+from motord_hal.drives.profile import Channel, DriveProfile, Register
 from motord_hal.fieldbus.ports import JointSpec
 from motord_hal.realtime.table import FieldKind, SetpointKind
 
@@ -28,7 +29,36 @@ def setpoint_kind(channel: Channel) -> SetpointKind:
     """What is reported of its joint."""
     if channel.torque_setpoint is not None:
         return SetpointKind.TORQUE
+    if channel.position_setpoint is not None:
+        return SetpointKind.POSITION
     return SetpointKind.VELOCITY if channel.velocity_setpoint else SetpointKind.DUTY
+
+
+def raw_offset(joint: JointSpec, profile: DriveProfile) -> float:
+    """The raw set-point of an angle of 0; of what is no position 0."""
+    channel = profile.channels[joint.channel]
+    if channel.position_setpoint is None:
+        return 0.0
+    register, bits = profile.registers[channel.position_setpoint], profile.counter_bits
+    low = register.raw_range[0]
+    below = low < 0 and register.type.bits == bits and joint.zero_count >> (bits - 1)
+    count = joint.zero_count - (1 << bits if below else 0)
+    return count * _unit_per_count(joint, profile, register) / register.scale
+
+
+def raw_per_rad(joint: JointSpec, profile: DriveProfile) -> float:
+    """Of a joint that takes positions: as the core converts its counts to an angle."""
+    register = profile.registers[profile.channels[joint.channel].setpoint]
+    counts = (joint.counts_per_turn or profile.counts_per_turn) * joint.gear_ratio
+    sign = -1.0 if joint.inverted else 1.0
+    per_count = _unit_per_count(joint, profile, register) / register.scale
+    return sign * counts / (2.0 * math.pi) * per_count
+
+
+def _unit_per_count(joint: JointSpec, profile: DriveProfile, register: Register) -> float:
+    """A register in turns has the count that the profile makes of them."""
+    counts = joint.counts_per_turn or profile.counts_per_turn
+    return 1.0 if register.unit == "count" else 1.0 / counts
 
 
 def setpoint_scale(
@@ -36,10 +66,13 @@ def setpoint_scale(
 ) -> dict[str, Any]:
     """setpoint_scale of csrc/api_line.h."""
     sign = -1.0 if joint.inverted else 1.0
+    factor = sign * channel.to_motor(joint.gear_ratio) / si_per_raw
+    takes_position = channel.position_setpoint is not None
     return {
         "joint": joint.index,
         "kind": int(setpoint_kind(channel)),
-        "raw_per_si": sign * channel.to_motor(joint.gear_ratio) / si_per_raw,
+        "raw_per_si": raw_per_rad(joint, joint.profile) if takes_position else factor,
+        "raw_offset": raw_offset(joint, joint.profile),
         "raw_min": limits[0],
         "raw_max": limits[1],
     }

@@ -58,11 +58,14 @@ class Motor:
     axis: Axis
     encoder: Encoder | None
     counter_start: int = 0
+    absolute: bool = False
+    """Its counter means the same after each power-up."""
     faults: list[FaultBit] = field(default_factory=list)
     switched_on: bool = False
     braking: bool = False
-    sent_raw: int = 0
-    """The set-point that it obeys, where one counts only with what is written beside it."""
+    sent_raw: int | None = 0
+    """The set-point that it obeys, where one counts only with what is written beside it; None: no
+    position since it got its power."""
     defects: Mapping[str, float] = field(default_factory=dict)
     """What is wrong with it now: `FaultScript.defects`."""
     _frozen: int = 0
@@ -109,7 +112,7 @@ class Motor:
         self.defects = defects
 
     def restart_counter(self) -> None:
-        if self.encoder is not None:
+        if self.encoder is not None and not self.absolute:
             self.encoder.restart(self.axis.shaft_rad, self.counter_start)
 
     def start_at(self, count: int) -> None:
@@ -135,5 +138,7 @@ def new_motor(profile: DriveProfile, number: int, axis: Axis) -> Motor:
     encoder = None
     if profile.counter_bits:
         counts_per_turn = axis.counts_per_turn or profile.counts_per_turn
-        encoder = Encoder(counts_per_turn, profile.counter_bits)
-    return Motor(profile.channels[number], axis, encoder)
+        # an absolute one shows the middle of its turn where its joint is at rest
+        middle = counts_per_turn // 2 if profile.absolute else 0
+        encoder = Encoder(counts_per_turn, profile.counter_bits, middle)
+    return Motor(profile.channels[number], axis, encoder, absolute=profile.absolute)

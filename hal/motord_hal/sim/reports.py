@@ -25,11 +25,13 @@ class Reports:
         registers: Registers,
         motors: Mapping[int, Motor],
         enabled: Callable[[int], bool],
+        homed: Callable[[], bool],
     ) -> None:
         self._profile = profile
         self._registers = registers
         self._motors = motors
         self._enabled = enabled
+        self._homed = homed
         for motor in motors.values():
             self._bind_motor(motor)
         self._bind(profile.bus_voltage, self._supply_v)
@@ -81,7 +83,8 @@ class Reports:
         """The registers that show whether a sequence has come to its end."""
         steps = (step for steps, _ in self._ends() for step in steps)
         watched: set[str | None] = {step.register for step in steps if step.value is None}
-        return watched | ({self._profile.enabled.register} if self._profile.enabled else set())
+        places = (self._profile.enabled, self._profile.homed)
+        return watched | {place.register for place in places if place is not None}
 
     def _ends(self) -> list[tuple[tuple[Step, ...], bool]]:
         """The sequences, and whether what each of them wants is so."""
@@ -112,6 +115,9 @@ class Reports:
         if enabled is not None and enabled.register == name:
             all_enabled = all(self._enabled(number) for number in self._motors)
             conditions.append((enabled.mask, enabled.equals, all_enabled))
+        homed = self._profile.homed
+        if homed is not None and homed.register == name:
+            conditions.append((homed.mask, homed.equals, self._homed()))
         for mask, equals, true in sorted(conditions, key=lambda condition: condition[2]):
             word = _with_condition(word, mask % self._span(name), equals, true=true)
         return self._signed(name, word)

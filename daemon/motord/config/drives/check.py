@@ -16,6 +16,7 @@ _CHANNEL_RULES: dict[str, tuple[tuple[str, ...], str]] = {
     "velocity_setpoint": (_SPEED_UNITS, "w"),
     "duty_setpoint": (("percent",), "w"),
     "torque_setpoint": (("n_m",), "w"),
+    "position_setpoint": (("count", "turn"), "w"),
     "position": (("count", "turn"), "r"),
     "velocity": (_SPEED_UNITS, "r"),
     "current": (("a",), "r"),
@@ -29,6 +30,7 @@ _UNSEALED = 0xA0
 # of bus servos: an instruction is written as a register (motord_hal.servo.packets)
 _INSTRUCTIONS = 0xFF00
 _SERVOS = ("feetech", "dynamixel")
+_GO_TO_POSITIONS = ("modbus-rtu", "can", *_SERVOS)
 _FRAMES = (
     "ddsm",
     "mcu-frame",
@@ -237,11 +239,12 @@ def _reference(
 
 
 def _check_channel(profile: DriveProfile, key: str, channel: Channel, problems: Problems) -> None:
-    setpoints = (channel.velocity_setpoint, channel.duty_setpoint, channel.torque_setpoint)
-    if sum(name is not None for name in setpoints) != 1:
+    if sum(getattr(channel, entry) is not None for entry in _SETPOINTS) != 1:
         problems.add(key, f"must have exactly one of {', '.join(_SETPOINTS)}")
     if channel.torque_setpoint is not None:
         _check_torque(profile, key, channel, problems)
+    if channel.position_setpoint is not None:
+        _check_position(profile, key, channel, problems)
     setpoint = None
     for entry, (units, access) in _CHANNEL_RULES.items():
         name = getattr(channel, entry)
@@ -270,6 +273,29 @@ def _check_torque(profile: DriveProfile, key: str, channel: Channel, problems: P
         problems.add(key, "torque_setpoint goes without direction: it has a sign")
 
 
+def _check_position(profile: DriveProfile, key: str, channel: Channel, problems: Problems) -> None:
+    """It is armed with the place where it is, and moved only from a place that is known."""
+    if profile.protocol not in _GO_TO_POSITIONS:
+        problems.add(key, f'position_setpoint: not with protocol "{profile.protocol}"')
+        return
+    if profile.protocol == "pwm":
+        return
+    target = profile.registers.get(channel.position_setpoint or "")
+    position = profile.registers.get(channel.position or "")
+    if channel.position is None:
+        problems.add(key, "position_setpoint needs position: it begins where the motor is")
+    elif target and position and (target.unit, target.scale) != (position.unit, position.scale):
+        problems.add(key, "position_setpoint and position differ in unit or scale")
+    if profile.absolute == (profile.homed is not None):
+        problems.add(key, "position_setpoint needs either absolute = true, or [homed]")
+    if profile.read_write_function is not None:
+        problems.add("serial.read_write_function", "is not for positions: they are not always sent")
+    if channel.direction is not None:
+        problems.add(key, "position_setpoint goes without direction: it has a sign")
+    if any(one.position_setpoint is None for one in profile.channels.values()):
+        problems.add(key, "position_setpoint: all channels take positions, or none does")
+
+
 def _check_setpoint(
     profile: DriveProfile,
     key: str,
@@ -283,7 +309,8 @@ def _check_setpoint(
     if direction is not None and register.type.signed:
         problems.add(f"{key}.direction", "the set-point is signed: it needs no direction")
     low, high = register.minimum, register.maximum
-    if (low is not None and low > 0) or (high is not None and high < 0):
+    rests_at_zero = register.unit not in _CHANNEL_RULES["position_setpoint"][0]
+    if rests_at_zero and ((low is not None and low > 0) or (high is not None and high < 0)):
         problems.add(key, f'the set-point "{register.name}" has no zero in its range')
 
 
@@ -348,14 +375,13 @@ def _check_steps(
 
 
 def _check_enabled(profile: DriveProfile, problems: Problems) -> None:
-    enabled = profile.enabled
-    if enabled is None:
-        return
-    _reference(profile, "enabled.register", enabled.register, "r", (), problems)
-    if enabled.equals & ~enabled.mask:
-        problems.add(
-            "enabled", f"never true: {enabled.equals:#x} has bits outside {enabled.mask:#x}"
-        )
+    for key, place in (("enabled", profile.enabled), ("homed", profile.homed)):
+        if place is None:
+            continue
+        _reference(profile, f"{key}.register", place.register, "r", (), problems)
+        if place.equals & ~place.mask:
+            never = f"never true: {place.equals:#x} has bits outside {place.mask:#x}"
+            problems.add(key, never)
 
 
 def _check_watchdog(profile: DriveProfile, problems: Problems) -> None:

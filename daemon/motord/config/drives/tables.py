@@ -116,6 +116,8 @@ class MotorChannel(Section):
     """Register of the duty that the motor shall have."""
     torque_setpoint: Text | None = None
     """Register of the torque that the motor shall have; motord closes the speed loop."""
+    position_setpoint: Text | None = None
+    """Register of the position that the motor shall go to, in the unit of `position`."""
     position: Text | None = None
     """Register of the position."""
     velocity: Text | None = None
@@ -197,6 +199,10 @@ class EnabledWhen(Section):
     """The register."""
     mask: int = Mask()
     equals: int = number("its value then", 0, 0xFFFFFFFF, "1")
+
+
+class HomedWhen(EnabledWhen):
+    """[homed]: the position has a reference when (register & mask) = equals."""
 
 
 class DriveWatchdog(Section):
@@ -281,6 +287,8 @@ class DriveFile(Section):
     """Where all this is from: manual, version, table."""
     bus_voltage: Text | None = None
     """Register of the supply voltage."""
+    absolute: bool = False
+    """The position means the same after each power-up: an absolute encoder on the output."""
     watchdog_fixed_s: float | None = number(
         "time of a communication watchdog that can neither be set nor read",
         0.001,
@@ -307,6 +315,7 @@ class DriveFile(Section):
     """The drive's motors, numbered 1, 2, ..."""
     steps: Sequences
     enabled: EnabledWhen | None = None
+    homed: HomedWhen | None = None
     watchdog: DriveWatchdog | None = None
     faults: list[FaultCode] = Field(default_factory=list, alias="fault")
     """The drive's faults."""

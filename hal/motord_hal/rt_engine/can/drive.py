@@ -82,9 +82,13 @@ class CanRtDrive(RtDrive):
             await asyncio.sleep(self._cycle_s)
 
     def _arming_steps(self) -> tuple[Step, ...]:
-        zeros = self.jobs.plan.setpoints({}).items()
-        rest = (Step(register=name, value=raw) for name, raw in zeros)
-        return (*rest, *self.jobs.profile.arm)
+        plan, arm = self.jobs.plan, self.jobs.profile.arm
+        if plan.profile.goes_to_positions:  # C sends it the place where it is as long as it rests
+            positions = {plan.channel(joint).position or "" for joint in plan.joints}
+            known = (Step(register=name, mask=0, equals=0) for name in sorted(positions))
+            return (*known, *arm)
+        rest = (Step(register=name, value=raw) for name, raw in plan.setpoints({}).items())
+        return (*rest, *arm)
 
     async def enable(self, began: int) -> None:
         """As RtDrive.enable, after a power-off in progress."""

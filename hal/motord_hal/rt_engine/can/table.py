@@ -16,7 +16,7 @@ from typing import Any
 from motord_hal.can.job_step import merged_writes
 from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent
 from motord_hal.drives.can_profile import FLOAT_MAX, Frame, Sender, Signal, signals_of
-from motord_hal.drives.profile import SI_UNITS, Step
+from motord_hal.drives.profile import SI_UNITS, Enabled, Step
 from motord_hal.fieldbus.ports import JointSpec, LineSpec
 from motord_hal.realtime.can import EXTENDED, REMOTE
 from motord_hal.realtime.table import FieldKind
@@ -200,7 +200,7 @@ def silence_s(plan: CanPlan, spec: LineSpec, frame: Frame) -> float:
 
 
 def _input(plan: CanPlan, spec: LineSpec, frame: Frame) -> Plain:
-    fields = [*_joint_fields(plan, frame), *_enabled_field(plan, frame)]
+    fields = [*_joint_fields(plan, frame), *_enabled_field(plan, frame), *_homed(plan, frame)]
     spacing_s = SAMPLE_PART * frame.period_s if frame in plan.measuring else 0.0
     return {
         "silence_ns": round(silence_s(plan, spec, frame) * _NS_PER_S),
@@ -245,12 +245,25 @@ def _joint_field(plan: CanPlan, joint: JointSpec, kind: FieldKind, signal: Signa
 def _enabled_field(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
     enabled_place = plan.profile.enabled
     if enabled_place is not None and plan.read_frame_of(enabled_place.register) is frame:
-        yield {
-            "place": _place(plan.signal(enabled_place.register)),
-            "meaning": {
-                "kind": int(FieldKind.ENABLED),
-                "si_per_raw": 1.0,
-                "equals_mask": enabled_place.mask & _U32,
-                "equals": enabled_place.equals & _U32,
-            },
-        }
+        yield _is_so(plan, FieldKind.ENABLED, 0, enabled_place)
+
+
+def _homed(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
+    homed = plan.profile.homed
+    if homed is not None and plan.read_frame_of(homed.register) is frame:
+        for joint in plan.joints:
+            yield _is_so(plan, FieldKind.REFERENCED, joint.index, homed)
+
+
+def _is_so(plan: CanPlan, kind: FieldKind, joint: int, place: Enabled) -> Plain:
+    return {
+        "place": _place(plan.signal(place.register)),
+        "meaning": {
+            "joint": joint,
+            "kind": int(kind),
+            "si_per_raw": 1.0,
+            "equals_mask": place.mask & _U32,
+            "equals": place.equals & _U32,
+        },
+        "si_at_zero": 0.0,
+    }

@@ -44,8 +44,14 @@ class DriveJobs:
             if step.value is None:
                 await self._wait_for(name, step, check)
                 continue
-            for frame in self.frames.writes({step.register: step.value}):
+            value = await self._copied(step, check) if step.copy_of else step.value
+            for frame in self.frames.writes({step.register: value}):
                 await self.send(frame, urgent=urgent, check=check)
+
+    async def _copied(self, step: Step, check: Check) -> int:
+        registers = self.profile.registers
+        raw = await self.read(step.copy_of, check=check)
+        return registers[step.register].from_si(registers[step.copy_of].to_si(raw))
 
     async def _wait_for(self, name: str, step: Step, check: Check) -> None:
         give_up_s = None

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from motord_hal.drives.profile import DriveProfile, Register, Step
+from motord_hal.fieldbus.plan import present_positions
 from motord_hal.fieldbus.ports import JointSpec
 from motord_hal.modbus.plan import WireTime, wanted_registers
 from motord_hal.realtime.table import LineFrame, LineGroup, Seal
@@ -70,7 +71,9 @@ class ServoFrames:
         return ()
 
     def zero_steps(self) -> tuple[Step, ...]:
-        return (Step(register=self._setpoint().name, value=0),)
+        channel = self.profile.channels[self.joints[0].channel]
+        present = tuple(present_positions([channel]))
+        return present or (Step(register=self._setpoint().name, value=0),)
 
     def writes(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:
         """One frame a register."""

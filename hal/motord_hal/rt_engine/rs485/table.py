@@ -29,7 +29,13 @@ from motord_hal.realtime.table import (
     LineSetpoint,
     LineTable,
 )
-from motord_hal.rt_engine.decoding import harmless, setpoint_kind, sources_of
+from motord_hal.rt_engine.decoding import (
+    harmless,
+    raw_offset,
+    raw_per_rad,
+    setpoint_kind,
+    sources_of,
+)
 from motord_hal.rt_engine.rs485.frames import DriveFrames, PlannedFrame
 from motord_hal.rt_engine.rs485.servo_frames import EXTRA_EVERY_CYCLES as SERVO_EXTRA_EVERY
 from motord_hal.rt_engine.rs485.servo_frames import ServoFrames, group_of
@@ -127,7 +133,7 @@ def _exchange(frames: DriveFrames, planned: PlannedFrame, kept: tuple[Step, ...]
         setpoint=tuple(_setpoints(frames, planned.writes)),
         field=(
             *_joint_fields(frames, planned.reads),
-            *_drive_fields(frames.profile, planned.reads, kept),
+            *_drive_fields(frames, planned.reads, kept),
         ),
     )
 
@@ -143,13 +149,17 @@ def _setpoints(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineS
         magnitude = channel.direction is not None
         sign = -1.0 if joint.inverted and not magnitude else 1.0
         low, high = raw_limits(register)
+        factor = sign * channel.to_motor(joint.gear_ratio) / si_per_raw(register)
+        if channel.position_setpoint is not None:
+            factor = raw_per_rad(joint, frames.profile)
         yield LineSetpoint(
             joint=joint.index,
             kind=setpoint_kind(channel),
             byte=places[name],
             form=form_of(frames.profile, register),
             magnitude=int(magnitude),
-            raw_per_si=sign * channel.to_motor(joint.gear_ratio) / si_per_raw(register),
+            raw_per_si=factor,
+            raw_offset=raw_offset(joint, frames.profile),
             raw_min=low,
             raw_max=high,
         )
@@ -250,16 +260,21 @@ def _counter(register: Register, profile: DriveProfile) -> tuple[Form, int]:
 
 
 def _drive_fields(
-    profile: DriveProfile, places: Mapping[str, int], kept: tuple[Step, ...]
+    frames: DriveFrames, places: Mapping[str, int], kept: tuple[Step, ...]
 ) -> Iterable[LineField]:
-    place = profile.enabled
-    wanted = [(FieldKind.KEPT, step.register, step.mask, step.equals or 0) for step in kept]
+    profile = frames.profile
+    place, homed = profile.enabled, profile.homed
+    wanted = [(FieldKind.KEPT, 0, step.register, step.mask, step.equals or 0) for step in kept]
     if place is not None:
-        wanted.append((FieldKind.ENABLED, place.register, place.mask, place.equals))
-    for kind, name, mask, equals in wanted:
+        wanted.append((FieldKind.ENABLED, 0, place.register, place.mask, place.equals))
+    if homed is not None:
+        referenced = (homed.register, homed.mask, homed.equals)
+        wanted += [(FieldKind.REFERENCED, joint.index, *referenced) for joint in frames.joints]
+    for kind, joint, name, mask, equals in wanted:
         if name in places:
             register = profile.registers[name]
             yield LineField(
+                joint=joint,
                 kind=kind,
                 byte=places[name],
                 form=form_of(profile, register),

@@ -20,6 +20,7 @@ from motord_hal.servo.packets import KINDS as SERVO_KINDS
 from motord_hal.sim.axis import Axis, Defect, Motor, new_motor
 from motord_hal.sim.can.content import CanContent
 from motord_hal.sim.journal import Journal
+from motord_hal.sim.positioning import approach_rad_s
 from motord_hal.sim.reports import Reports
 from motord_hal.sim.rs485.content import ControlTable, FrameContent, NamedContent
 from motord_hal.sim.rs485.registers import BUSY, ILLEGAL_FUNCTION, Refusal, RegisterFile
@@ -87,6 +88,7 @@ class SimulatedDrive:
             if _commands(profile, name)
         }
         self._switching = _switching(profile)
+        self._positions = profile.goes_to_positions
         self._always_on = not any(step.value is not None for step in profile.arm)
         self._switch(on=self._always_on)
         self._received_s = math.inf
@@ -94,7 +96,9 @@ class SimulatedDrive:
         self._keeps_counter = False
         self._flash_until_s = -math.inf
         self._flash_busy = False
-        Reports(profile, self.registers, self._motors, self.enabled)
+        self.homed = profile.homed is not None
+        """Its position has a reference."""
+        Reports(profile, self.registers, self._motors, self.enabled, lambda: self.homed)
 
     # ------------------------------------------------------------------------------- state, read
     @property
@@ -237,7 +241,7 @@ class SimulatedDrive:
         for motor in self._motors.values():
             motor.switched_on = on
             motor.braking = False
-            motor.sent_raw = 0
+            motor.sent_raw = None if motor.channel.position_setpoint else 0
 
     # ---------------------------------------------------------------------------------- motors
     def _brake(self) -> None:
@@ -250,6 +254,8 @@ class SimulatedDrive:
 
     def _zero_setpoints(self) -> None:
         for motor in self._motors.values():
+            if motor.channel.position_setpoint is not None:
+                continue  # 0 would be a place to go to
             motor.sent_raw = 0
             self.registers.put(motor.channel.setpoint, 0)
             if motor.channel.direction is not None:
@@ -274,6 +280,10 @@ class SimulatedDrive:
             return
         name = channel.setpoint
         raw = motor.sent_raw if channel.setpoint_with else self.registers.stored(name)
+        if channel.position_setpoint is not None:
+            axis.wheel.turn(0.0 if raw is None else approach_rad_s(self.profile, motor, raw))
+            return
+        raw = raw or 0
         value = self.profile.registers[name].to_si(raw) * self._sign(channel)
         if channel.velocity_setpoint is not None:
             axis.wheel.turn(value / axis.motor_per_wheel)
@@ -300,7 +310,7 @@ class SimulatedDrive:
             self._received_s = math.inf
             self._brake()
             self._apply()
-        elif any(motor.braking for motor in self._motors.values()):
+        elif self._positions or any(motor.braking for motor in self._motors.values()):
             self._apply()
 
     def _watchdog_bites(self, now_s: float) -> bool:
@@ -332,6 +342,7 @@ class SimulatedDrive:
             motor.faults.clear()
             if not self._keeps_counter:
                 motor.restart_counter()
+        self.homed &= self._keeps_counter
         self._apply()
 
     # ---------------------------------------------------------------------------------- faults

@@ -142,7 +142,8 @@ class SimulatedServo(SimulatedDrive):
             return
         self.registers.put(self.profile.watchdog.register, -1)
         for channel in self.profile.channels.values():
-            self.registers.put(channel.setpoint, 0)
+            held = self.registers.value(channel.position or "") if channel.position_setpoint else 0
+            self.registers.put(channel.setpoint, held)
 
 
 def answer_servos(
