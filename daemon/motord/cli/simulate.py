@@ -28,10 +28,18 @@ from motord.cli.common import (
     set_option,
 )
 from motord.config import Joint, Robot
-from motord.config.sections.bases import side_of, wheel_row
+from motord.config.sections.bases import (
+    CarBase,
+    SteeredBase,
+    WheelRow,
+    side_of,
+    wheel_modules,
+    wheel_row,
+)
 from motord.config.wiring import line_specs
 from motord_hal.modbus.codec import UNIT_MAX
 from motord_hal.sim.fault_kinds import KINDS, FaultError, list_kinds
+from motord_hal.sim.ground import Module
 from motord_hal.sim.pins.line import channels_of
 from motord_hal.sim.plant import WheelModel
 from motord_hal.sim.rig import TCP_KINDS, AnySimulatedLine, PortSpec, Rig, RigSpec, WheelSpec
@@ -249,19 +257,41 @@ def rig_spec(robot: Robot, faults: tuple[str, ...], seed: int) -> RigSpec:
         track_m=robot.base.effective_track_m,
         lines=line_specs(robot, profiles),
         wheels={name: _wheel(robot, name, joint) for name, joint in robot.joint.items()},
+        modules=tuple(_modules(robot)),
         seed=seed,
         faults=faults,
     )
+
+
+def _modules(robot: Robot) -> Iterator[Module]:
+    """The wheels of a base with steered wheels; the fixed axle has wheels also where no joint
+    drives them."""
+    for module in wheel_modules(robot.base, robot.joint):
+        yield Module(
+            x_m=module.x_m,
+            y_m=module.y_m,
+            steering="".join(module.steering),
+            traction="".join(module.traction),
+        )
+    if isinstance(robot.base, CarBase):
+        yield Module(x_m=0.0, y_m=0.0)
 
 
 def _wheel(robot: Robot, name: str, joint: Joint) -> WheelSpec:
     return WheelSpec(
         side=side_of(robot.base, joint),
         wheel_radius_m=robot.wheel_radius_m(name),
-        row=wheel_row(robot.base, joint) if robot.base.strafes else None,
+        row=_row(robot, joint),
+        rolls=not joint.steers,
         full_duty_rad_s=joint.full_duty_rad_s or FULL_DUTY_RAD_S,
         counts_per_turn=joint.counts_per_turn or 0,
     )
+
+
+def _row(robot: Robot, joint: Joint) -> WheelRow | None:
+    """Of a base that moves sideways by its rollers."""
+    rollers = robot.base.strafes and not isinstance(robot.base, SteeredBase)
+    return wheel_row(robot.base, joint) if rollers else None
 
 
 def _say_faults(*, as_json: bool) -> None:

@@ -87,9 +87,12 @@ def understood(robot: Robot) -> Understood:
         if row.x
     )
     spot_rad_s = min(
-        min(ranges[name][1], -ranges[name][0]) * radii[name] / abs(row.lever_m)
-        for name, row in rows.items()
-        if row.lever_m
+        [
+            min(ranges[name][1], -ranges[name][0]) * radii[name] / abs(row.lever_m)
+            for name, row in rows.items()
+            if row.lever_m
+        ]
+        or [0.0]
     )
     top_m_s = min(robot.limits.linear_m_s, wheels_m_s)
     stop_s = robot.limits.linear_rest_s(top_m_s)
@@ -101,7 +104,9 @@ def understood(robot: Robot) -> Understood:
         stop_time_s=stop_s,
         stop_distance_m=stop_m,
         lost_distance_m=stop_m + top_m_s * robot.safety.command_timeout_s,
-        wheels=tuple(_wheel(robot, name, top_m_s) for name in robot.joint),
+        wheels=tuple(
+            _wheel(robot, name, top_m_s) for name, joint in robot.joint.items() if not joint.steers
+        ),
         wires=tuple(_wires(robot)),
         watchdogs=tuple(_watchdogs(robot)),
         defaults={

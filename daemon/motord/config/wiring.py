@@ -153,6 +153,8 @@ def _joint_spec(
         unit=joint.unit,
         channel=joint.channel,
         gear_ratio=joint.gear_ratio,
+        counts_per_turn=counts_per_turn(joint, profiles[joint.drive]) if joint.steers else 0,
+        zero_count=joint.zero_count,
         inverted=joint.inverted,
         cycle_hz=joint.cycle_hz,
         pins=joint.pins,

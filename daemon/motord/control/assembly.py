@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from motord.config.sections.bases import wheel_row
+from motord.config.sections.bases import wheel_modules, wheel_row
 from motord.config.sections.derating import PAIRS, Derating
 from motord.config.sections.imu import Imu
 from motord.config.sections.limits import Limits
@@ -14,7 +14,9 @@ from motord.config.sections.wheels import (
     counter_bits,
     gains_of,
     rad_per_count,
+    reference_of,
     takes_duty,
+    takes_position,
     takes_torque,
     velocity_range_rad_s,
     working_speed_rad_s,
@@ -26,8 +28,10 @@ from motord.realtime.types import (
     DeratingRange,
     GuardConfig,
     PlausibleConfig,
+    PositionConfig,
     SpeedLoopConfig,
     SpeedLoopGains,
+    WheelModule,
 )
 from motord_hal.drives.profile import DriveProfile
 
@@ -72,7 +76,7 @@ def loop_settings(
 
 def core_config(robot: Robot, profiles: Profiles) -> rt.CoreConfig:
     """The core's config, joints in the file's order."""
-    safety = robot.safety
+    safety, modules = robot.safety, _modules(robot)
     return {
         "joint_count": len(robot.joint),
         "limits": base_limits(robot.limits),
@@ -90,7 +94,40 @@ def core_config(robot: Robot, profiles: Profiles) -> rt.CoreConfig:
         "twist_variance_floor_m2_s2": robot.odometry.twist_variance_floor_m2_s2,
         "twist_variance_floor_rad2_s2": robot.odometry.twist_variance_floor_rad2_s2,
         "gyro": _gyro(robot.imu),
+        "module_count": len(modules),
+        "module": modules,
         "joint": [_joint(robot, name, profiles) for name in robot.joint],
+    }
+
+
+def _modules(robot: Robot) -> list[WheelModule]:
+    number = {name: place for place, name in enumerate(robot.joint, 1)}
+    return [
+        {
+            "x_m": module.x_m,
+            "y_m": module.y_m,
+            "angle_rad": 0.0,
+            "steering": number[module.steering[0]] if module.steering else 0,
+            "traction": number[module.traction[0]] if module.traction else 0,
+        }
+        for module in wheel_modules(robot.base, robot.joint)
+    ]
+
+
+def _position(joint: Joint, profile: DriveProfile) -> PositionConfig:
+    """All zero for a joint that takes none. What its counter shows at its zero is the joint's own
+    frame: gear and mounting are in rad_per_count."""
+    if not takes_position(joint, profile):
+        return {"used": 0}
+    bits = counter_bits(joint, profile)
+    return {
+        "used": 1,
+        "reference": reference_of(joint, profile),
+        "zero_count": joint.zero_count % (1 << bits) if bits else 0,
+        "position_min_rad": joint.position_min_rad or 0.0,
+        "position_max_rad": joint.position_max_rad or 0.0,
+        "velocity_rad_s": velocity_range_rad_s(joint, profile)[1],
+        "acceleration_rad_s2": joint.acceleration_max_rad_s2,
     }
 
 
@@ -146,8 +183,9 @@ def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
         "line": list(robot.line).index(joint.line),
         "pwm": _pwm(joint, profile, forward_rad_s, reversible=backward_rad_s < 0),
         "speed_loop": _speed_loop(joint, profile, reversible=backward_rad_s < 0),
-        "plausible": _plausible(robot, name, profile),
+        "plausible": {} if joint.steers else _plausible(robot, name, profile),
         "derating": _derating(joint.derating or Derating()),
+        "position": _position(joint, profile),
     }
 
 

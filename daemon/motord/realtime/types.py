@@ -134,6 +134,16 @@ class GyroConfig(TypedDict, total=False):
     turn_variance_rad2_per_rad: float
 
 
+class WheelModule(TypedDict):
+    """A wheel of a base with steered wheels; joints by number from 1 on, 0: none."""
+
+    x_m: float
+    y_m: float
+    angle_rad: float
+    steering: int
+    traction: int
+
+
 class CoreConfig(TypedDict):
     joint_count: int
     limits: BaseLimits
@@ -152,6 +162,9 @@ class CoreConfig(TypedDict):
     twist_variance_floor_m2_s2: float
     twist_variance_floor_rad2_s2: float
     gyro: NotRequired[GyroConfig]
+    module_count: NotRequired[int]
+    """Without it the joints' rows count."""
+    module: NotRequired[list[WheelModule]]
     joint: list[JointConfig]
 
 

@@ -32,6 +32,17 @@ STRAFING: Course = (
     (0.20, 0.20, -0.5, -0.30),
 )
 """Out, sideways, aslant, sideways in a curve, back aslant, a turn on the spot, home in a circle."""
+CAR: Course = (
+    (0.14, 0.60, 0.0),
+    (0.16, 0.50, 0.6),
+    (0.14, 0.40, 0.55),
+    (0.14, -0.40, 0.55),
+    (0.14, 0.40, 0.55),
+    (0.12, 0.60, 0.0),
+    (0.16, 0.50, -0.5),
+)
+"""Out, a curve, a turn in three moves (forward left, backward right, forward left), on, and a curve
+to the other side."""
 DISTANCE_ERROR_MAX_PERCENT = 1.0
 HEADING_ERROR_MAX_RAD = 0.02
 ESTIMATE_ERROR_MAX_PERCENT = 50.0

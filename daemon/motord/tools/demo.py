@@ -26,9 +26,20 @@ from typing import Any
 from motord.api.page_file import own_page
 from motord.client import Client, ClientError, Refused
 from motord.config import Robot
+from motord.config.sections.bases import CarBase
 from motord.config.sections.imu import ChipImu
 from motord.config.sections.wheels import counter_bits, velocity_range_rad_s
-from motord.tools.course import COURSE, CURVES, STRAFING, Course, Pose, Score, command_at, score
+from motord.tools.course import (
+    CAR,
+    COURSE,
+    CURVES,
+    STRAFING,
+    Course,
+    Pose,
+    Score,
+    command_at,
+    score,
+)
 from motord.tools.demo_words import Source, held_up_words, worth
 from motord.tools.simulator import start_simulator
 from motord_hal.sim.control import RobotTruth, SimControl
@@ -332,6 +343,8 @@ def course_of(robot: Robot) -> Course:
     """One that this base can drive, and that shows what it can."""
     if robot.base.strafes:
         return STRAFING
+    if isinstance(robot.base, CarBase):
+        return CAR
     turns = all(
         velocity_range_rad_s(joint, robot.profiles[joint.drive])[0] < 0.0
         for joint in robot.joint.values()

@@ -20,6 +20,8 @@ import random
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from motord_hal.sim.ground import LeastSquares, Module, SteeredGround
+
 SUBSTEP_S = 0.001
 
 AMBIENT_C = 25.0
@@ -191,43 +193,10 @@ class Truth:
     """Fastest wheel so far, at its rim."""
 
 
-class Strafing:
-    """How a base that moves sideways does so when its wheels roll: Gram-Schmidt on the columns of
-    the wheels' rows (Golub & Van Loan, Matrix Computations, 5.2.7), then back substitution."""
-
-    def __init__(self, contacts: Mapping[str, Contact]) -> None:
-        """Raises ValueError where the wheels do not determine the motion."""
-        rows = [contact.row or (0.0, 0.0, 0.0) for contact in contacts.values()]
-        self._q: list[list[float]] = []
-        self._r = [[0.0] * 3 for _ in range(3)]
-        for k in range(3):
-            column = [row[k] for row in rows]
-            before = math.hypot(*column)
-            for i, direction in enumerate(self._q):
-                self._r[i][k] = part = _dot(direction, column)
-                column = [c - part * d for c, d in zip(column, direction, strict=True)]
-            self._r[k][k] = length = math.hypot(*column)
-            if not length > 1e-3 * before:
-                raise ValueError("the wheels do not determine how the base moves")
-            self._q.append([c / length for c in column])
-
-    def motion(self, rims_m: Sequence[float]) -> tuple[float, float, float]:
-        """Forward and to the left in m, about in rad."""
-        found = [0.0, 0.0, 0.0]
-        for i in (2, 1, 0):
-            later = sum(self._r[i][k] * found[k] for k in range(i + 1, 3))
-            found[i] = (_dot(self._q[i], rims_m) - later) / self._r[i][i]
-        return found[0], found[1], found[2]
-
-
-def _dot(a: Sequence[float], b: Sequence[float]) -> float:
-    return sum(x * y for x, y in zip(a, b, strict=True))
-
-
 class Plant:
     """All wheels, and the base that rolls on those with a contact: two sides, as differential and
-    skid-steered bases have (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2), or wheels with
-    rollers; the pose by the exact arc of each sub-step."""
+    skid-steered bases have (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2), wheels with
+    rollers, or steered ones; the pose by the exact arc of each sub-step."""
 
     def __init__(
         self,
@@ -235,14 +204,16 @@ class Plant:
         contacts: Mapping[str, Contact],
         track_m: float,
         *,
+        modules: Sequence[Module] = (),
         slip_variance_m2_per_m: float = 0.0,
         seed: int = 0,
     ) -> None:
+        """`modules`: of a base with steered wheels, whose contacts are those of its joints."""
         if not (math.isfinite(track_m) and track_m > 0.0):
             raise ValueError(f"track {track_m} m: must be positive")
         strafing = all(contact.row is not None for contact in contacts.values())
         sides = {contact.side for contact in contacts.values()}
-        if not strafing and sides != {"left", "right"}:
+        if not (strafing or modules) and sides != {"left", "right"}:
             raise ValueError("a base needs a wheel on the left and one on the right")
         self.wheels = dict(wheels)
         self._all = tuple(wheels.values())
@@ -252,7 +223,13 @@ class Plant:
             for side in ("left", "right")
         }
         self._track_m = track_m
-        self._strafing = Strafing(contacts) if any(c.row for c in contacts.values()) else None
+        self._fit = (
+            LeastSquares([c.row or (0.0, 0.0, 0.0) for c in contacts.values()])
+            if any(c.row for c in contacts.values())
+            else None
+        )
+        self._steered = SteeredGround(modules, self._angle_rad) if modules else None
+        self._rim = {name: i for i, name in enumerate(contacts)}
         self._slip_variance_m2_per_m = slip_variance_m2_per_m
         self._random = random.Random(f"slip {seed}")
         self.truth = Truth()
@@ -293,9 +270,16 @@ class Plant:
             self.rest_s = 0.0
             self._roll()
 
+    def _angle_rad(self, name: str) -> float:
+        return self.wheels[name].position_rad
+
     def _roll(self) -> None:
-        if self._strafing is not None:
-            self._roll_freely(self._strafing)
+        if self._fit is not None:
+            self._follow_best(self._fit.motion(self._rims_m()))
+            return
+        if self._steered is not None:
+            rims_m = self._rims_m()
+            self._follow_best(self._steered.motion(lambda name: rims_m[self._rim[name]]))
             return
         travel_m = {"left": 0.0, "right": 0.0}
         for wheel, contact in self._rolling:
@@ -313,8 +297,7 @@ class Plant:
             (travel_m["right"] - travel_m["left"]) / self._track_m,
         )
 
-    def _roll_freely(self, strafing: Strafing) -> None:
-        """The motion that fits all rims best: what they do against each other is slip."""
+    def _rims_m(self) -> list[float]:
         rims_m = []
         for wheel, contact in self._rolling:
             rim_m_s = wheel.velocity_rad_s * contact.wheel_radius_m
@@ -324,7 +307,11 @@ class Plant:
                 deviation = math.sqrt(self._slip_variance_m2_per_m * abs(travel_m))
                 travel_m += self._random.gauss(0.0, deviation)
             rims_m.append(travel_m)
-        forward_m, left_m, turn_rad = strafing.motion(rims_m)
+        return rims_m
+
+    def _follow_best(self, motion: tuple[float, float, float]) -> None:
+        """What fits all rims best: what they do against each other is slip."""
+        forward_m, left_m, turn_rad = motion
         self._follow_arc(forward_m, turn_rad, left_m)
 
     def _follow_arc(self, forward_m: float, turn_rad: float, left_m: float = 0.0) -> None:

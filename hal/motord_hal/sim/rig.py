@@ -30,6 +30,7 @@ from motord_hal.sim.boards.text_talk import TextTalk
 from motord_hal.sim.can.cia402 import Cia402Drive, speaks_cia402
 from motord_hal.sim.fault_kinds import FaultError
 from motord_hal.sim.faults import Fault, FaultScript
+from motord_hal.sim.ground import Module
 from motord_hal.sim.gyro import SimulatedGyro
 from motord_hal.sim.pins.bridge import SimulatedBridge
 from motord_hal.sim.pins.folder import PinFolder
@@ -74,6 +75,8 @@ class WheelSpec:
     """Wheel speed at full duty, of drives whose set-point is a duty."""
     counts_per_turn: int = 0
     """Of this motor's encoder; 0: as the profile says."""
+    rolls: bool = True
+    """Else it turns no wheel on the ground: it steers one."""
     model: WheelModel = field(default_factory=WheelModel)
 
 
@@ -95,6 +98,8 @@ class RigSpec:
     lines: tuple[LineSpec, ...]
     wheels: Mapping[str, WheelSpec]
     """By joint name."""
+    modules: tuple[Module, ...] = ()
+    """Of a base with steered wheels."""
     seed: int = 0
     faults: tuple[str, ...] = ()
     slip_variance_m2_per_m: float = 0.0
@@ -175,11 +180,13 @@ class Rig:
         contacts = {
             name: Contact(side=wheel.side, wheel_radius_m=wheel.wheel_radius_m, row=wheel.row)
             for name, wheel in self.spec.wheels.items()
+            if wheel.rolls
         }
         return Plant(
             wheels,
             contacts,
             self.spec.track_m,
+            modules=self.spec.modules,
             slip_variance_m2_per_m=self.spec.slip_variance_m2_per_m,
             seed=self.spec.seed,
         )

@@ -7,7 +7,16 @@ import math
 from collections.abc import Callable, Iterator
 
 from motord.config.finding import Finding
-from motord.config.sections.bases import PLACES, MecanumBase, OmniBase, SkidBase, wheel_row
+from motord.config.rules.steering import STEERING_RULES
+from motord.config.sections.bases import (
+    PLACES,
+    MecanumBase,
+    OmniBase,
+    SkidBase,
+    SteeredBase,
+    TwoSidedBase,
+    wheel_row,
+)
 from motord.config.sections.model import Joint, Robot
 from motord.config.toml_lines import Path
 
@@ -23,13 +32,19 @@ _OF_KIND: dict[str, tuple[str, ...]] = {
     "skid": ("side",),
     "mecanum": ("place",),
     "omni": ("angle_rad", "x_m", "y_m", "rolling_rad"),
+    "ackermann": ("place",),
+    "tricycle": ("place",),
+    "swerve": ("place", "x_m", "y_m"),
 }
+_CAR_PLACES = f"place is missing: one of front, rear, {', '.join(PLACES)}"
 
 
 def _placed(joint: Joint, kind: str) -> bool:
+    given = joint.x_m is not None, joint.y_m is not None
     if kind == "omni":
-        given = joint.x_m is not None, joint.y_m is not None
         return all(given) if any(given) else joint.angle_rad is not None
+    if kind == "swerve" and any(given):
+        return all(given)
     return getattr(joint, _OF_KIND[kind][0]) is not None
 
 
@@ -49,12 +64,15 @@ def _places(robot: Robot) -> Iterator[Finding]:
             wanted = {
                 "mecanum": f"place is missing: one of {', '.join(PLACES)}",
                 "omni": "angle_rad is missing (or x_m and y_m): where is this wheel?",
+                "ackermann": _CAR_PLACES,
+                "tricycle": _CAR_PLACES,
+                "swerve": "place is missing (or x_m and y_m): where is this wheel?",
             }.get(kind, 'side is missing: "left" or "right"')
             yield Finding((("joint", name),), wanted)
 
 
 def _sides(robot: Robot) -> Iterator[Finding]:
-    if robot.base.strafes or not robot.joint:
+    if not isinstance(robot.base, TwoSidedBase) or not robot.joint:
         return
     sides = tuple(("joint", name, "side") for name in robot.joint)
     for side in ("left", "right"):
@@ -77,7 +95,12 @@ def _corners(robot: Robot) -> Iterator[Finding]:
 def _can_move(robot: Robot) -> Iterator[Finding]:
     """The wheels determine the motion: else some of it is no wheel's, and nothing brakes it."""
     base, joints = robot.base, robot.joint
-    if not base.strafes or not joints or not all(_placed(j, base.kind) for j in joints.values()):
+    if (
+        isinstance(base, SteeredBase)
+        or not base.strafes
+        or not joints
+        or not all(_placed(j, base.kind) for j in joints.values())
+    ):
         return
     at = (("base",), *(("joint", name) for name in joints))
     if isinstance(base, OmniBase) and len(joints) < 3:
@@ -138,4 +161,5 @@ BASE_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _can_move,
     _slip_factor,
     _geometry,
+    *STEERING_RULES,
 )

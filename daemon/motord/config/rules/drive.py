@@ -12,8 +12,9 @@ from motord.config.finding import Finding
 from motord.config.rules.battery import battery_readings
 from motord.config.rules.derating import derating
 from motord.config.rules.speed_loop import speed_loops
+from motord.config.rules.steering import STEERING_DRIVE_RULES
 from motord.config.rules.wire import budget, cycle_limit_hz, helps
-from motord.config.sections.bases import OmniBase, side_of, wheel_row
+from motord.config.sections.bases import OmniBase, SteeredBase, side_of, wheel_row
 from motord.config.sections.line import CanLine, PwmLine, SerialLine
 from motord.config.sections.model import Joint, Robot
 from motord.config.sections.wheels import (
@@ -78,7 +79,7 @@ def _mounting(robot: Robot, _: Profiles) -> Iterator[Finding]:
     """Motors that face each other turn in opposite directions; motors on one side turn in the
     same."""
     for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
-        if isinstance(robot.base, OmniBase):
+        if isinstance(robot.base, OmniBase | SteeredBase):
             return
         sides = side_of(robot.base, first), side_of(robot.base, second)
         placed = "place" if robot.base.strafes else "side"
@@ -129,9 +130,10 @@ def _duty(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
                 paths = (("joint", name, "duty_dead_band"), ("joint", name, "duty_max"))
                 yield Finding(paths, "the dead band leaves nothing below duty_max")
             continue
+        takes = "a torque" if takes_torque(joint, profiles[joint.drive]) else "a velocity"
         for key in keys:
             if key in joint.model_fields_set:
-                what = "a torque" if takes_torque(joint, profiles[joint.drive]) else "a velocity"
+                what = "a position" if joint.steers else takes
                 text = f'is not used: drive "{joint.drive}" takes {what}'
                 yield Finding((("joint", name, key), drive), text, warning=True)
 
@@ -151,6 +153,8 @@ def _counter(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     for name, joint in robot.joint.items():
         profile = profiles[joint.drive]
         path, drive = ("joint", name, "counts_per_turn"), ("joint", name, "drive")
+        if joint.steers:
+            continue  # rules/steering.py
         if counts_per_turn(joint, profile) and not counter_bits(joint, profile):
             yield Finding((path, drive), f'drive "{joint.drive}" has no position counter')
         elif not counts_per_turn(joint, profile) and joint.drive not in reported:
@@ -165,7 +169,7 @@ def _resolution(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     """Where a count is much travel or nearly none, the counts or the gear are usually wrong."""
     for name, joint in robot.joint.items():
         profile = profiles[joint.drive]
-        if not counts_per_turn(joint, profile):
+        if not counts_per_turn(joint, profile) or joint.steers:
             continue
         travel_mm = abs(rad_per_count(joint, profile)) * robot.wheel_radius_m(name) * 1e3
         if TRAVEL_PER_COUNT_USUAL_MM[0] <= travel_mm <= TRAVEL_PER_COUNT_USUAL_MM[1]:
@@ -370,6 +374,7 @@ _RULES: tuple[Rule, ...] = (
     _budget,
     _watchdogs,
     battery_readings,
+    *STEERING_DRIVE_RULES,
 )
 
 

@@ -9,6 +9,7 @@ Robotics, 2017, 13.2, equation 13.5 with the wheel's radius left out).
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from motord.config.sections.section import Section, number
@@ -16,8 +17,10 @@ from motord.config.sections.section import Section, number
 if TYPE_CHECKING:
     from motord.config.sections.model import Joint
 
-Place = Literal["front-left", "front-right", "rear-left", "rear-right"]
+Place = Literal["front-left", "front-right", "rear-left", "rear-right", "front", "rear"]
 PLACES: tuple[Place, ...] = ("front-left", "front-right", "rear-left", "rear-right")
+"""The corners."""
+_SAME_PLACE_M = 1e-6
 
 
 class WheelRow(NamedTuple):
@@ -34,6 +37,16 @@ class WheelPlace(NamedTuple):
     x_m: float
     y_m: float
     rolling_rad: float
+
+
+class WheelModule(NamedTuple):
+    """A wheel of a base with steered wheels, and the names of the joints that move it."""
+
+    x_m: float
+    y_m: float
+    steering: tuple[str, ...]
+    """One, or none of a wheel that is fixed; more are a mistake in the robot file."""
+    traction: tuple[str, ...]
 
 
 class Base(Section):
@@ -127,11 +140,90 @@ class OmniBase(Base):
         return True
 
 
-AnyBase = DifferentialBase | SkidBase | MecanumBase | OmniBase
+class SteeredBase(Base):
+    """What every base with steered wheels has."""
+
+    track_m: float = number("distance of the left wheels from the right ones", 0.02, 20, "m")
+    wheelbase_m: float = number("distance of the front axle from the rear one", 0.02, 20, "m")
+
+    @property
+    def effective_track_m(self) -> float:
+        """The track of a differential base that turns as this one."""
+        return self.track_m
+
+
+class CarBase(SteeredBase):
+    """One axle is fixed and the other steered: two wheels with a joint each, or one in the middle
+    (a tricycle, or two wheels that a rod keeps together). Its pose is that of the fixed axle's
+    middle."""
+
+    kind: Literal["ackermann", "tricycle"]
+    steered: Literal["front", "rear"] = "front"
+    """The axle whose wheels are steered."""
+    turning_radius_m: float | None = number(
+        "the tightest curve that it has to drive, of the fixed axle's middle; the check refuses "
+        "steering that does not reach it",
+        0,
+        1000,
+        "m",
+        None,
+    )
+
+
+class SwerveBase(SteeredBase):
+    """Two to four wheels that are driven and steered each: it moves in any direction."""
+
+    kind: Literal["swerve"]
+
+    @property
+    def strafes(self) -> bool:
+        """It moves sideways too."""
+        return True
+
+
+AnyBase = DifferentialBase | SkidBase | MecanumBase | OmniBase | CarBase | SwerveBase
+
+
+def _corner(base: SteeredBase, joint: Joint) -> tuple[float, float]:
+    """Where a place is, in m."""
+    place = joint.place or "front"
+    across = place.partition("-")[2]
+    y_m = {"left": base.track_m / 2.0, "right": -base.track_m / 2.0}.get(across, 0.0)
+    front = place.startswith("front")
+    if isinstance(base, CarBase):
+        sign = 1.0 if base.steered == "front" else -1.0
+        return sign * base.wheelbase_m if front == (sign > 0.0) else 0.0, y_m
+    return (base.wheelbase_m if front else -base.wheelbase_m) / 2.0, y_m
+
+
+def wheel_modules(base: AnyBase, joints: Mapping[str, Joint]) -> list[WheelModule]:
+    """The wheels of a base with steered wheels, each with the joints at its place; none of another
+    base."""
+    found: list[WheelModule] = []
+    for name, joint in joints.items() if isinstance(base, SteeredBase) else ():
+        place = wheel_place(base, joint)
+        own = WheelModule(place.x_m, place.y_m, *(((name,), ()) if joint.steers else ((), (name,))))
+        for i, other in enumerate(found):
+            if math.dist(own[:2], other[:2]) < _SAME_PLACE_M:
+                found[i] = other._replace(
+                    steering=other.steering + own.steering, traction=other.traction + own.traction
+                )
+                break
+        else:
+            found.append(own)
+    return found
 
 
 def wheel_place(base: AnyBase, joint: Joint) -> WheelPlace:
     """Wheels of two sides are beside the middle: where along the base makes no difference."""
+    if isinstance(base, SteeredBase):
+        x_m, y_m = _corner(base, joint)
+        given = joint.x_m is not None and joint.y_m is not None
+        return (
+            WheelPlace(joint.x_m or 0.0, joint.y_m or 0.0, 0.0)
+            if given
+            else (WheelPlace(x_m, y_m, 0.0))
+        )
     if isinstance(base, OmniBase):
         angle_rad = joint.angle_rad or 0.0
         x_m = base.radius_m * math.cos(angle_rad) if joint.x_m is None else joint.x_m
@@ -149,8 +241,15 @@ def wheel_place(base: AnyBase, joint: Joint) -> WheelPlace:
 def wheel_row(base: AnyBase, joint: Joint) -> WheelRow:
     """Two sides: Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3. Mecanum: Taheri, Qiao and
     Ghaeminezhad, Kinematic Model of a Four Mecanum Wheeled Mobile Robot, 2015, equation 20. Omni:
-    the speed of the floor along the rolling direction."""
+    the speed of the floor along the rolling direction. Of a wheel that is steered: the most that
+    each axis does, for the core has its equations by its angle."""
     place = wheel_place(base, joint)
+    if isinstance(base, SteeredBase):
+        if joint.steers:
+            return WheelRow(0.0, 0.0, 0.0)
+        if isinstance(base, SwerveBase):
+            return WheelRow(1.0, 1.0, math.hypot(place.x_m, place.y_m))
+        return WheelRow(1.0, 0.0, -place.y_m)
     if isinstance(base, OmniBase):
         sine, cosine = math.sin(place.rolling_rad), math.cos(place.rolling_rad)
         return WheelRow(_rounded(cosine), _rounded(sine), place.x_m * sine - place.y_m * cosine)
@@ -163,7 +262,7 @@ def wheel_row(base: AnyBase, joint: Joint) -> WheelRow:
 
 def side_of(base: AnyBase, joint: Joint) -> Literal["left", "right"]:
     """The side of the base that a wheel is on; one in the middle counts as right."""
-    if isinstance(base, OmniBase):
+    if isinstance(base, OmniBase | SteeredBase):
         return "left" if wheel_place(base, joint).y_m > 1e-9 else "right"
     if isinstance(base, MecanumBase):
         return "left" if (joint.place or "").endswith("left") else "right"

@@ -156,7 +156,34 @@ class Joint(Section):
     side: Literal["left", "right"] | None = None
     """Of a base with wheels on two sides."""
     place: Place | None = None
-    """Of a mecanum base."""
+    """Of a mecanum base, and of a base with steered wheels."""
+    steers: bool = False
+    """Of a base with steered wheels: the joint turns the wheel at its place about the vertical; its
+    drive takes positions."""
+    position_min_rad: float | None = number(
+        "of a joint that steers: the farthest to the right, from straight ahead",
+        -1000,
+        0,
+        "rad",
+        None,
+    )
+    position_max_rad: float | None = number(
+        "of a joint that steers: the farthest to the left, from straight ahead",
+        0,
+        1000,
+        "rad",
+        None,
+    )
+    acceleration_max_rad_s2: float = number(
+        "of a joint that steers: how fast its speed changes at most", 0.1, 10000, "rad/s²", 20.0
+    )
+    zero_count: int = number(
+        "of a joint that steers: what its counter shows when the wheel points straight ahead",
+        -(1 << 63),
+        (1 << 63) - 1,
+        "1",
+        0,
+    )
     angle_rad: float | None = number(
         "of an omni base: where the wheel is, seen from the middle; 0 is forward, pi / 2 left",
         -6.2832,
@@ -165,14 +192,15 @@ class Joint(Section):
         None,
     )
     x_m: float | None = number(
-        "of an omni base, in place of the angle: the wheel's place, forward of the middle",
+        "the wheel's place, forward of the middle: of an omni base instead of the angle, of a "
+        "swerve base instead of `place`",
         -10,
         10,
         "m",
         None,
     )
     y_m: float | None = number(
-        "of an omni base, in place of the angle: the wheel's place, to the left of the middle",
+        "the wheel's place, to the left of the middle, as x_m",
         -10,
         10,
         "m",

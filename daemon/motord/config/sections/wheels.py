@@ -46,6 +46,19 @@ def gains_of(joint: Joint, profile: DriveProfile) -> Mapping[str, str]:
     return DUTY_GAINS if takes_duty(joint, profile) and measures_speed(joint, profile) else {}
 
 
+def takes_position(joint: Joint, profile: DriveProfile) -> bool:
+    """Whether the set-point is an angle: the core goes there."""
+    return profile.channels[joint.channel].position_setpoint is not None
+
+
+def reference_of(joint: Joint, profile: DriveProfile) -> int:
+    """How the angle of a joint that takes positions is known: position_reference of
+    csrc/api_position.h. -1: not at all."""
+    if counter_bits(joint, profile) == 0:
+        return 2
+    return 0 if profile.absolute else 1 if profile.homed is not None else -1
+
+
 def torque_max_n_m(joint: Joint, profile: DriveProfile) -> float:
     """What its set-point can request, at the wheel; the gear loses nothing here."""
     return min(map(abs, _setpoint(joint, profile).si_limits)) * joint.gear_ratio
@@ -54,6 +67,8 @@ def torque_max_n_m(joint: Joint, profile: DriveProfile) -> float:
 def drive_can_reverse(joint: Joint, profile: DriveProfile) -> bool:
     """Whether the set-point can say backward."""
     channel = profile.channels[joint.channel]
+    if takes_position(joint, profile):
+        return True
     setpoint = _setpoint(joint, profile)
     negative = setpoint.minimum < 0 if setpoint.minimum is not None else setpoint.type.signed
     return negative or channel.direction is not None
@@ -61,9 +76,9 @@ def drive_can_reverse(joint: Joint, profile: DriveProfile) -> bool:
 
 def drive_velocity_max_rad_s(joint: Joint, profile: DriveProfile) -> float:
     """The fastest that the set-point can request. A torque, and a duty without `full_duty_rad_s`,
-    could turn it anyhow fast: infinity."""
+    could turn it anyhow fast: infinity. So could an angle, but for `velocity_max_rad_s`."""
     setpoint = _setpoint(joint, profile)
-    if takes_torque(joint, profile):
+    if takes_torque(joint, profile) or takes_position(joint, profile):
         return math.inf
     if takes_duty(joint, profile):
         return math.inf if joint.full_duty_rad_s is None else joint.full_duty_rad_s * joint.duty_max
