@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mecanum and omni bases in the robot file: rows as the textbook has them, and what is refused."""
+"""Bases in the robot file: rows and modules as the textbook has them, and what is refused."""
 
 import math
 from pathlib import Path
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from motord.config import ConfigError, load_robot
-from motord.config.sections.bases import wheel_row
+from motord.config.sections.bases import wheel_modules, wheel_row
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
 
@@ -99,3 +99,129 @@ def test_wheels_that_cannot_work_are_refused_with_the_reason(tmp_path, name, cha
     found = problems(tmp_path, name, *changes)
     assert words in found
     assert all(row.split(":")[1].isdigit() for row in found.splitlines() if "robot.toml" in row)
+
+
+SWERVE = """[robot]
+name = "swerve"
+
+[base]
+kind = "swerve"
+track_m = 0.3
+wheelbase_m = 0.4
+wheel_radius_m = 0.05
+
+[line.servos]
+kind = "feetech"
+port = "/dev/ttyACM0"
+baudrate = 1000000
+cycle_hz = 20
+"""
+
+
+def module(number, where):
+    """A wheel on two bus servos."""
+    return f"""
+[joint.drive{number}]
+line = "servos"
+drive = "sts3215"
+unit = {2 * number}
+{where}
+
+[joint.steer{number}]
+line = "servos"
+drive = "sts3215-position"
+unit = {2 * number + 1}
+{where}
+steers = true
+position_min_rad = -1.6
+position_max_rad = 1.6
+velocity_max_rad_s = 4.0
+zero_count = 2048
+"""
+
+
+def written(tmp_path, text):
+    path = tmp_path / "robot.toml"
+    path.write_text(text, "utf-8")
+    return load_robot(path)
+
+
+def test_the_modules_of_a_car_are_its_places_from_the_middle_of_the_fixed_axle():
+    robot = load_robot(ROBOTS / "ackermann-servo.toml")
+    assert wheel_modules(robot.base, robot.joint) == [
+        (0.0, 0.0, (), ("drive",)),
+        (0.32, 0.0, ("steering",), ()),
+    ]
+
+
+def test_a_swerve_has_its_modules_at_corners_or_anywhere(tmp_path):
+    places = [f"x_m = {x}\ny_m = {y}" for x, y in ((0.2, 0.0), (-0.1, 0.15), (-0.1, -0.15))]
+    text = SWERVE + "".join(module(n, place) for n, place in enumerate(places, 1))
+    robot = written(tmp_path, text)
+    assert wheel_modules(robot.base, robot.joint) == [
+        (0.2, 0.0, ("steer1",), ("drive1",)),
+        (-0.1, 0.15, ("steer2",), ("drive2",)),
+        (-0.1, -0.15, ("steer3",), ("drive3",)),
+    ]
+    corners = SWERVE + module(1, 'place = "front-left"') + module(2, 'place = "rear-right"')
+    robot = written(tmp_path, corners)
+    assert [found[:2] for found in wheel_modules(robot.base, robot.joint)] == [
+        (0.2, 0.15), (-0.2, -0.15),
+    ]  # fmt: skip
+
+
+def test_a_tricycle_may_be_driven_and_steered_by_its_one_wheel_behind(tmp_path):
+    text = (ROBOTS / "ackermann-servo.toml").read_text("utf-8")
+    text = text.replace('kind = "ackermann"', 'kind = "tricycle"\nsteered = "rear"')
+    text = text.replace('place = "front"', 'place = "rear"')
+    robot = written(tmp_path, text)
+    assert wheel_modules(robot.base, robot.joint) == [(-0.32, 0.0, ("steering",), ("drive",))]
+
+
+CAR = "ackermann-servo"
+STEERED_MISTAKES = [
+    ([('place = "front"', 'place = "rear"')], "this wheel is on the fixed axle"),
+    ([('place = "rear" ', 'place = "front-left" ')], "would be dragged in a curve"),
+    ([("steers = true\n", "")], "only a joint that steers has it"),
+    ([('drive = "sts3215-position"', 'drive = "sts3215"')], "takes no positions"),
+    ([("turning_radius_m = 0.7", "turning_radius_m = 0.3")], "a curve of 0.3 m needs"),
+    ([("position_max_rad = 0.5\n", "")], "position_max_rad is missing"),
+    ([("velocity_max_rad_s = 4.0 ", "# ")], "velocity_max_rad_s is missing"),
+    (
+        [("position_min_rad = -0.5", "position_min_rad = 0"), ("max_rad = 0.5", "max_rad = 0")],
+        "a range of nothing",
+    ),
+    ([('kind = "ackermann"', 'kind = "differential"')], "a differential base has no steered"),
+]
+
+
+@pytest.mark.parametrize(("changes", "words"), STEERED_MISTAKES)
+def test_steering_that_cannot_work_is_refused(tmp_path, changes, words):
+    if "differential" in changes[0][1]:
+        changes = [*changes, ("wheelbase_m = 0.32", "#"), ("turning_radius_m = 0.7", "#")]
+        changes += [('place = "rear" ', 'side = "left" '), ('place = "front" ', 'side = "right" ')]
+    assert words in problems(tmp_path, CAR, *changes)
+
+
+@pytest.mark.parametrize(
+    ("modules", "words"),
+    [
+        (module(1, 'place = "front"'), "has 2 to 4 modules at different places, not 1"),
+        (
+            module(1, 'place = "front"') + module(2, 'place = "front"'),
+            "joints steer1 and steer2 steer the same wheel",
+        ),
+        (
+            module(1, 'place = "front"')
+            + module(2, 'place = "rear"').replace("position_max_rad = 1.6", "position_max_rad = 1"),
+            "too small for a swerve module",
+        ),
+        (
+            module(1, 'place = "front"') + module(2, 'place = "rear"').partition("\n[joint.st")[0],
+            "no joint steers this wheel",
+        ),
+    ],
+)
+def test_a_swerve_that_cannot_work_is_refused(tmp_path, modules, words):
+    with pytest.raises(ConfigError, match=words):
+        written(tmp_path, SWERVE + modules)
