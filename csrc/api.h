@@ -342,6 +342,8 @@ typedef struct {
 
 /* Whether some wheel rolls when the base moves sideways. */
 bool kinematics_strafes(const core_config *config);
+/* Whether it turns on the spot. */
+bool kinematics_spins(const core_config *config);
 /* Of a base with modules: as if all wheels were at the 0 of their steering joints. */
 void kinematics_invert(const core_config *config, uint32_t joints, twist_inverse *out);
 /* Of a base with modules, whose steering joints are at these angles: what rolls has a speed, and nothing slides across its

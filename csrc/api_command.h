@@ -92,6 +92,7 @@ typedef struct {
     uint64_t accepted;
     uint64_t refused[REFUSAL_KINDS];
     uint64_t sideways; /* accepted with a lateral part that this base cannot do, which counts as zero */
+    uint64_t on_spot;  /* the same of a turn on the spot */
     lease_state lease[LEASES_MAX];
 } command_report;
 

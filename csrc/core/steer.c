@@ -125,6 +125,15 @@ void steer_init(steer_state *steer, const core_config *config)
     steer->turns_on_spot = 1;
 }
 
+bool kinematics_spins(const core_config *config)
+{
+    steer_state steer = {.turns_on_spot = 1};
+    if (config->module_count > 0) {
+        steer_init(&steer, config);
+    }
+    return steer.turns_on_spot != 0;
+}
+
 uint32_t steer_within_reach(const steer_state *steer, const base_limits *limits, const double *wanted_u_s, double *goal_u_s)
 {
     double linear_m_s = wanted_u_s[AXIS_LINEAR], angular_rad_s = wanted_u_s[AXIS_ANGULAR];

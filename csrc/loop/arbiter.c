@@ -190,7 +190,11 @@ static int take(arbiter *a, uint32_t place, const command_datagram *command, boo
         return refuse(a, !finite ? REFUSED_NOT_FINITE : !possible ? REFUSED_JOINTS : REFUSED_OUT_OF_RANGE);
     }
     a->report.accepted++;
-    a->report.sideways += command->lateral_m_s != 0.0 && a->base != NULL && !kinematics_strafes(a->base);
+    if (a->base != NULL) {
+        bool on_spot = command->linear_m_s == 0.0 && command->lateral_m_s == 0.0 && command->angular_rad_s != 0.0;
+        a->report.sideways += command->lateral_m_s != 0.0 && !kinematics_strafes(a->base);
+        a->report.on_spot += on_spot && !kinematics_spins(a->base);
+    }
     return 0;
 }
 

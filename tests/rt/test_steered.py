@@ -452,3 +452,10 @@ def test_a_geometry_that_cannot_work_is_refused(what):
         else:
             setattr(config, name, value)
     assert lib.core_init(ffi.new("core_state *"), config) < 0
+
+
+def test_commands_that_a_car_cannot_obey_are_counted():
+    config = ffi.new("core_config *", oracle.config_of("bicycle"))
+    assert not lib.kinematics_spins(config)
+    for kind in ("tricycle", *SWERVES):
+        assert lib.kinematics_spins(ffi.new("core_config *", oracle.config_of(kind)))

@@ -162,3 +162,8 @@ def test_the_emergency_stops_contact_forbids_the_reset_and_reports_why():
     assert isinstance(refusal, Refusal)
     assert refusal.reason == why
     assert step(State.ESTOP, Event.RESET, Facts()) is State.IDLE
+
+
+def test_a_joint_whose_place_is_unknown_keeps_the_robot_from_arming_and_is_named():
+    refusal = step(State.IDLE, Event.ARM, Facts(lost_positions=("steering",)))
+    assert refusal == Refusal("where steering stands is not known; home it, then try again")

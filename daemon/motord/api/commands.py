@@ -87,6 +87,8 @@ class CommandReport:
     """By number."""
     sideways: int = 0
     """Accepted, but for a lateral part that this base cannot do and that counts as zero."""
+    on_spot: int = 0
+    """The same of a turn on the spot."""
 
 
 def datagram(

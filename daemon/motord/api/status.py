@@ -205,6 +205,8 @@ class Commands:
     """By reason."""
     sideways: int = 0
     """Commands of lateral motion, given to a base that cannot move sideways."""
+    on_spot: int = 0
+    """Commands to turn on the spot, given to a base whose steering cannot."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -77,6 +77,8 @@ class Facts:
 
     unready_lines: tuple[str, ...] = ()
     stale_joints: tuple[str, ...] = ()
+    lost_positions: tuple[str, ...] = ()
+    """Joints that take positions, and where they are is not known."""
     drive_faults: tuple[str, ...] = ()
     """`joint: words` for each joint whose drive reports a fault."""
     commanding: str | None = None
@@ -173,6 +175,9 @@ def _presence_refusal(facts: Facts) -> Refusal | None:
     if facts.stale_joints:
         joints = _list(facts.stale_joints)
         return Refusal(f"no fresh feedback of {joints}; look at cable and power, then try again")
+    if facts.lost_positions:
+        joints = _list(facts.lost_positions)
+        return Refusal(f"where {joints} stands is not known; home it, then try again")
     return None
 
 

@@ -120,7 +120,8 @@ class Operation:
         self.stop_requests = StopRequests()
         """What the loop has received, as of the last look."""
         self._acknowledged = StopRequests()
-        self._sideways_reported = False
+        self._reported: set[str] = set()
+        """Reasons for which a part of a command was left out, each logged once."""
         self.disarm_requested = asyncio.Event()
         """Set until `acknowledge_disarm`."""
 
@@ -132,6 +133,7 @@ class Operation:
         return Facts(
             unready_lines=tuple(self._unready()),
             stale_joints=tuple(name for name, joint in joints.items() if joint.stale),
+            lost_positions=self._lost_positions(),
             drive_faults=tuple(
                 f"{name}: {', '.join(words.get(name) or ['fault'])}"
                 for name, joint in joints.items()
@@ -142,6 +144,10 @@ class Operation:
             estop_input=self.estop_input(),
             battery_forbids=self.battery_forbids,
         )
+
+    def _lost_positions(self) -> tuple[str, ...]:
+        lost = self.snapshot.position_unknown
+        return tuple(name for place, name in enumerate(self.robot.joint) if lost >> place & 1)
 
     def estop_input(self) -> str:
         """Why the emergency stop's contact stops the robot now; empty: it does not."""
@@ -373,13 +379,18 @@ class Operation:
         except BlockingIOError:  # overtaken by the loop in every try: the next look is not far
             return
         snapshot = self.snapshot
-        if "lateral_impossible" in snapshot.reasons and not self._sideways_reported:
-            self._sideways_reported = True
-            _log.warning(
-                "a command asks this base to move sideways (%g m/s), which it cannot: that part "
-                "counts as zero, here and from now on (commands.sideways of status counts them)",
-                snapshot.wanted_lateral_m_s,
-            )
+        self._report_once(
+            "lateral_impossible",
+            "a command asks this base to move sideways (%g m/s), which it cannot: that part "
+            "counts as zero, here and from now on (commands.sideways of status counts them)",
+            snapshot.wanted_lateral_m_s,
+        )
+        self._report_once(
+            "turn_impossible",
+            "a command asks this base to turn on the spot (%g rad/s), which its steering cannot: "
+            "that counts as zero, here and from now on (commands.on_spot of status counts them)",
+            snapshot.wanted_angular_rad_s,
+        )
         if snapshot.faults:
             estop = "estop" in snapshot.faults
             self.estops += estop and "estop" not in before.faults
@@ -400,12 +411,18 @@ class Operation:
             self.take(Event.RESTED)
         self._notify()
 
+    def _report_once(self, reason: str, text: str, speed: float) -> None:
+        if reason in self.snapshot.reasons and reason not in self._reported:
+            self._reported.add(reason)
+            _log.warning(text, speed)
+
     def _explained(self, snapshot: Snapshot) -> list[str]:
         """The faults in words, with names where they are known."""
         facts = self.facts()
         details = {
             "estop": facts.estop_input,
             "feedback_stale": ", ".join(facts.stale_joints),
+            "position_unknown": ", ".join(facts.lost_positions),
             "drive": "; ".join(facts.drive_faults),
             "external": self._broken or "",
             "suspended": "the computer was suspended; look at the robot, then motord reset",

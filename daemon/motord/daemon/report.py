@@ -197,7 +197,12 @@ def _line(line: Line, operation: Operation) -> dict[str, Any]:
 def _commands(report: CommandReport) -> dict[str, Any]:
     """How many were taken, and how many refused for which reason."""
     refused = {kind.name.lower(): count for kind, count in report.refused.items()}
-    return {"accepted": report.accepted, "refused": refused, "sideways": report.sideways}
+    return {
+        "accepted": report.accepted,
+        "refused": refused,
+        "sideways": report.sideways,
+        "on_spot": report.on_spot,
+    }
 
 
 def _leases(operation: Operation) -> list[dict[str, Any]]:

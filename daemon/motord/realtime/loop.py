@@ -282,6 +282,7 @@ class Loop:
             accepted=raw.accepted,
             refused={kind: raw.refused[kind] for kind in Refusal},
             sideways=raw.sideways,
+            on_spot=raw.on_spot,
             leases={lease.number: _lease_state(lease) for lease in raw.lease if lease.number},
         )
 

@@ -217,13 +217,9 @@ def wheel_modules(base: AnyBase, joints: Mapping[str, Joint]) -> list[WheelModul
 def wheel_place(base: AnyBase, joint: Joint) -> WheelPlace:
     """Wheels of two sides are beside the middle: where along the base makes no difference."""
     if isinstance(base, SteeredBase):
-        x_m, y_m = _corner(base, joint)
-        given = joint.x_m is not None and joint.y_m is not None
-        return (
-            WheelPlace(joint.x_m or 0.0, joint.y_m or 0.0, 0.0)
-            if given
-            else (WheelPlace(x_m, y_m, 0.0))
-        )
+        if joint.x_m is not None and joint.y_m is not None:
+            return WheelPlace(joint.x_m, joint.y_m, 0.0)
+        return WheelPlace(*_corner(base, joint), 0.0)
     if isinstance(base, OmniBase):
         angle_rad = joint.angle_rad or 0.0
         x_m = base.radius_m * math.cos(angle_rad) if joint.x_m is None else joint.x_m
