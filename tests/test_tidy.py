@@ -265,8 +265,8 @@ UNITLESS = {
     # counts, names, ratios: numbers without a dimension
     "unit", "channel", "gear_ratio", "priority", "cpu", "baudrate", "stop_bits", "tries",
     "bitrate", "data_bitrate",
-    "counts_per_turn", "port", "duty_dead_band", "duty_min", "duty_max", "track_slip_factor",
-    "correction_max",
+    "counts_per_turn", "zero_count", "port", "duty_dead_band", "duty_min", "duty_max",
+    "track_slip_factor", "correction_max",
     "schema", "scale",
 }  # fmt: skip
 

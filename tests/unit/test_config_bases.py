@@ -225,3 +225,12 @@ def test_steering_that_cannot_work_is_refused(tmp_path, changes, words):
 def test_a_swerve_that_cannot_work_is_refused(tmp_path, modules, words):
     with pytest.raises(ConfigError, match=words):
         written(tmp_path, SWERVE + modules)
+
+
+def test_a_joint_that_steers_is_refused_on_the_engine_that_does_not_carry_positions(tmp_path):
+    changes = [('drive = "sts3215-position"', 'drive = "sts3215-position"'), ("tries = 6", "")]
+    can = ('line = "servos"', 'line = "can0"')
+    found = problems(
+        tmp_path, CAR, *changes, can, ('interface = "socketcan"', 'interface = "slcan"')
+    )
+    assert 'joint steering steers: its line needs interface = "socketcan"' in found

@@ -15,6 +15,7 @@ from motord.config.sections.bases import (
     WheelModule,
     wheel_modules,
 )
+from motord.config.sections.line import CanLine
 from motord.config.sections.model import Joint, Robot
 from motord.config.sections.wheels import Profiles, reference_of, takes_position
 from motord.config.toml_lines import Path
@@ -147,6 +148,20 @@ def _range(robot: Robot) -> Iterator[Finding]:
             yield Finding(where, "a range of nothing steers no wheel")
 
 
+def _engine(robot: Robot) -> Iterator[Finding]:
+    """Positions are carried by the engine in C alone, which never sends one that nobody set."""
+    for name, joint in robot.joint.items():
+        line = robot.line.get(joint.line)
+        if line is None or not joint.steers:
+            continue
+        where = (("line", joint.line, "engine"), ("joint", name, "line"))
+        if line.engine == "asyncio":
+            yield Finding(where, f'joint {name} steers: its line needs engine = "rt"')
+        elif isinstance(line, CanLine) and line.interface != "socketcan":
+            text = f'joint {name} steers: its line needs interface = "socketcan", for the rt engine'
+            yield Finding((("line", joint.line, "interface"), *where), text)
+
+
 def _drives(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     """What steers takes positions that mean the same each time; what rolls takes none."""
     for name, joint in robot.joint.items():
@@ -174,5 +189,6 @@ STEERING_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _car,
     _swerve,
     _range,
+    _engine,
 )
 STEERING_DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (_drives,)
