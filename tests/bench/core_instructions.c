@@ -1,9 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * core_instructions.c: core_step() of a four-wheel skid drive at 1 kHz, for an instruction counter to look at.
+ * core_instructions.c: core_step() at 1 kHz, for an instruction counter to look at.
  *
- *     core_instructions moving|ramping|rest TICKS FEEDBACK_EVERY_TICKS
+ *     core_instructions moving|ramping|rest TICKS FEEDBACK_EVERY_TICKS [skid|omni|car|swerve JOINTS]
  *
+ * Without a base it is a four-wheel skid drive. A car has one or two steered wheels beside its driven ones, a swerve base half
+ * of its joints.
  * Feedback of all wheels comes in every FEEDBACK_EVERY_TICKS-th tick. Moving: a new request every 2 s, so that ramps, easing,
  * wheel saturation and curves all take their part. Ramping: every 50 ms, so that no ramp ever ends. Rest: armed, a fresh
  * command of zero.
@@ -16,11 +18,11 @@
 
 static const int64_t TICK_NS = 1000000;
 
-static core_config four_wheels(void)
+static core_config wheels(uint32_t joints)
 {
     axis_limits linear = {1.0, 1.0, 1.5, 8.0}, angular = {2.0, 3.0, 4.0, 30.0}, lateral = linear;
     core_config config = {
-        .joint_count = 4,
+        .joint_count = joints,
         .limits = {linear, angular, lateral},
         .command_timeout_s = 0.3,
         .feedback_timeout_s = 0.25,
@@ -51,12 +53,45 @@ static core_config four_wheels(void)
     return config;
 }
 
+static void place(core_config *config, double x_m, double y_m, uint32_t steering, uint32_t traction)
+{
+    config->module[config->module_count++] = (wheel_module){x_m, y_m, 0.0, steering, traction};
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        config->joint[j].row = (wheel_row){0};
+    }
+    if (steering > 0) {
+        config->joint[steering - 1].position = (position_config){1, REFERENCE_ABSOLUTE, 0, -1.7, 1.7, 6.0, 60.0};
+    }
+}
+
+/* Omni wheels all around, a car whose last joints steer, or modules of two joints. */
+static core_config base_of(const char *kind, uint32_t joints)
+{
+    core_config config = wheels(joints);
+    double part = 6.283185307179586 / (double)joints;
+    for (uint32_t j = 0; strcmp(kind, "omni") == 0 && j < joints; j++) {
+        double angle_rad = part * (double)j;
+        config.joint[j].row = (wheel_row){-sin(angle_rad), cos(angle_rad), 0.25};
+    }
+    uint32_t steered = joints > 3 ? 2 : 1;
+    for (uint32_t j = 0; strcmp(kind, "car") == 0 && j < joints; j++) {
+        double y_m = j % 2 == 0 ? 0.2 : -0.2;
+        bool steers = j >= joints - steered;
+        place(&config, steers ? 0.4 : 0.0, steered == 1 && steers ? 0.0 : y_m, steers ? j + 1 : 0, steers ? 0 : j + 1);
+    }
+    for (uint32_t j = 0; strcmp(kind, "swerve") == 0 && j < joints; j += 2) {
+        place(&config, 0.3 * cos(part * j), 0.3 * sin(part * j), j + 1, j + 2);
+    }
+    return config;
+}
+
 /* The wheels follow their set-points; the drives count. */
 static void turn_wheels(const core_config *config, const setpoints *out, core_input *input, double *position_rad, double dt_s)
 {
     for (uint32_t j = 0; j < config->joint_count; j++) {
         joint_feedback *feedback = &input->feedback[j];
-        position_rad[j] += out->joint[j].velocity_rad_s * dt_s;
+        bool steers = out->positioned >> j & 1U;
+        position_rad[j] = steers ? out->position_rad[j] : position_rad[j] + out->joint[j].velocity_rad_s * dt_s;
         feedback->stamp_ns = input->now_ns;
         feedback->count = (uint64_t)(int64_t)floor(position_rad[j] / config->joint[j].rad_per_count);
         feedback->velocity_rad_s = out->joint[j].velocity_rad_s;
@@ -85,7 +120,7 @@ static void command(core_input *input, long tick, long leg_ticks)
 
 int main(int argc, char **argv)
 {
-    if (argc != 4) {
+    if (argc != 4 && argc != 6) {
         return 2;
     }
     long leg_ticks = strcmp(argv[1], "moving") == 0 ? 2000 : strcmp(argv[1], "ramping") == 0 ? 50 : 0;
@@ -95,7 +130,7 @@ int main(int argc, char **argv)
     static setpoints out;
     const robot_state *shown = &state.snapshot;
     double position_rad[JOINTS_MAX] = {0};
-    core_config config = four_wheels();
+    core_config config = argc == 6 ? base_of(argv[4], (uint32_t)atoi(argv[5])) : wheels(4);
     if (every < 1 || core_init(&state, &config) != 0) {
         return 2;
     }

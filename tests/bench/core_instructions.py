@@ -7,7 +7,8 @@ machine moves. Sources, flags and libraries are those of csrc/build_ffi.py.
 Prints one JSON line; exit status 1 beyond the limits, 3 where valgrind is missing. `moving` and
 `rest` are means of a four-wheel base at 1 kHz with feedback of all wheels every 10th tick and, when
 moving, a new goal every 2 s; `moving_with_feedback` has feedback in every tick. Beside them,
-without a limit: `ramping`, a new goal every 50 ms, so that no ramp ever ends.
+without a limit: `ramping`, a new goal every 50 ms, so that no ramp ever ends, and `bases`: moving
+and at rest by base and number of joints.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 HERE = Path(__file__).resolve().parent
 CSRC = HERE.parent.parent / "csrc"
@@ -27,6 +29,15 @@ TICKS = 20_000
 MOVING_MAX = 900.0
 FEEDBACK_MAX = 1800.0
 RATIO_MAX = 1.2
+GROWTH_MAX = 1.25
+"""Of a base with eight joints, a joint more costs so many times what it costs of one with few."""
+BASES = {
+    "skid": (2, 4, 8),
+    "omni": (3, 4, 8),
+    "car": (2, 3, 4, 8),
+    "swerve": (4, 8),
+}
+"""Which numbers of joints each can have of 2, 3, 4 and 8."""
 NEEDS = "valgrind is missing: apt install valgrind"
 
 
@@ -45,14 +56,14 @@ def compile_to(program: Path) -> None:
     subprocess.run([*command, "-o", str(program), *libraries], check=True, timeout=300)
 
 
-def count(program: Path, mode: str, feedback_every_ticks: int, ticks: int) -> float:
-    """Mean instructions of a tick."""
+def count(program: Path, mode: str, feedback_every_ticks: int, ticks: int, *base: object) -> float:
+    """Mean instructions of a tick; `base`: kind and joints, none: four wheels."""
     with tempfile.NamedTemporaryFile(prefix="callgrind.") as out:
         done = subprocess.run(
             [
                 "valgrind", "--tool=callgrind", "--toggle-collect=core_step",
                 f"--callgrind-out-file={out.name}",
-                str(program), mode, str(ticks), str(feedback_every_ticks),
+                str(program), mode, str(ticks), str(feedback_every_ticks), *map(str, base),
             ],
             capture_output=True, text=True, timeout=300, check=True,
         )  # fmt: skip
@@ -62,7 +73,30 @@ def count(program: Path, mode: str, feedback_every_ticks: int, ticks: int) -> fl
     return int(collected.group(1)) / ticks
 
 
-def measure(ticks: int) -> dict[str, float] | None:
+def of_bases(program: Path, ticks: int) -> dict[str, dict[int, tuple[float, float]]]:
+    """By base and joints: moving, and at rest."""
+    return {
+        kind: {
+            joints: (
+                round(count(program, "moving", 10, ticks, kind, joints), 1),
+                round(count(program, "rest", 10, ticks, kind, joints), 1),
+            )
+            for joints in numbers
+        }
+        for kind, numbers in BASES.items()
+    }
+
+
+def growth(found: dict[int, tuple[float, float]]) -> float:
+    """What a joint more costs between the two largest numbers of joints, as parts of what it costs
+    from the smallest on; 1: linear."""
+    few, *between, many = sorted(found)
+    middle = between[-1] if between else few
+    late = (found[many][0] - found[middle][0]) / (many - middle)
+    return late / ((found[many][0] - found[few][0]) / (many - few))
+
+
+def measure(ticks: int) -> dict[str, Any] | None:
     """None where there is no valgrind."""
     if shutil.which("valgrind") is None:
         return None
@@ -73,21 +107,25 @@ def measure(ticks: int) -> dict[str, float] | None:
             count(program, m, 10, ticks) for m in ("moving", "rest", "ramping")
         )
         fresh = count(program, "moving", 1, ticks)
+        bases = of_bases(program, ticks // 4)
     return {
         "moving": round(moving, 1),
         "rest": round(rest, 1),
         "ratio": round(rest / moving, 3),
         "ramping": round(ramping, 1),
         "moving_with_feedback": round(fresh, 1),
+        "growth": round(max(map(growth, bases.values())), 3),
+        "bases": bases,
     }
 
 
-def verdicts(found: dict[str, float]) -> list[tuple[str, bool, bool]]:
+def verdicts(found: dict[str, Any]) -> list[tuple[str, bool, bool]]:
     """As wire.verdicts; no load on the machine moves these figures."""
     rows = (
         ("moving", MOVING_MAX, "instructions of a moving tick"),
         ("moving_with_feedback", FEEDBACK_MAX, "with feedback of four wheels"),
         ("ratio", RATIO_MAX, "at rest, of that when moving"),
+        ("growth", GROWTH_MAX, "growth with the joints, of linear growth"),
     )
     return [
         (f"{what}: {found[name]:g} (at most {most:g})", found[name] <= most, True)
