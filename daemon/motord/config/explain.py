@@ -23,7 +23,7 @@ from motord_hal.base.nearest import nearest
 
 # Kinds and keys that motord plans and does not have; * is any name.
 _LATER: dict[Path, frozenset[str]] = {
-    ("base", "kind"): frozenset({"ackermann", "tricycle", "swerve", "joints"}),
+    ("base", "kind"): frozenset({"joints"}),
     ("line", "*", "kind"): frozenset({"canopen", "gpio", "serial"}),
     ("input", "*", "kind"): frozenset({"zenoh"}),
     ("publish", "*", "kind"): frozenset({"zenoh"}),

@@ -149,7 +149,7 @@ def _range(robot: Robot) -> Iterator[Finding]:
 
 
 def _engine(robot: Robot) -> Iterator[Finding]:
-    """Positions are carried by the engine in C alone, which never sends one that nobody set."""
+    """Positions are carried by the engine in C alone, which sends none but those of the core."""
     for name, joint in robot.joint.items():
         line = robot.line.get(joint.line)
         if line is None or not joint.steers:
