@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from motord.config.finding import Finding
 from motord.config.rules.steering import STEERING_RULES
@@ -154,12 +155,30 @@ def _geometry(robot: Robot) -> Iterator[Finding]:
         yield Finding((track, radii[0][0]), text, warning=True)
 
 
-BASE_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
-    _places,
-    _sides,
-    _corners,
-    _can_move,
-    _slip_factor,
-    _geometry,
-    *STEERING_RULES,
+_BaseRule = Callable[[Robot], Iterator[Finding]]
+
+
+def _by_kind(rule: _BaseRule) -> _BaseRule:
+    """What a rule finds means nothing where the kind of the base is wrong."""
+
+    def found(robot: Robot) -> Iterator[Finding]:
+        for hit in rule(robot):
+            yield replace(hit, paths=(*hit.paths, ("base", "kind")))
+
+    return found
+
+
+BASE_RULES: tuple[_BaseRule, ...] = tuple(
+    map(
+        _by_kind,
+        (
+            _places,
+            _sides,
+            _corners,
+            _can_move,
+            _slip_factor,
+            _geometry,
+            *STEERING_RULES,
+        ),
+    )
 )
