@@ -246,7 +246,7 @@ static void doubt(core_state *state, tick *t)
 }
 
 /* The joint that leaves the base the least of its speed limits. */
-static void take_derating(core_state *state, const tick *t)
+__attribute__((noinline)) static void take_derating(core_state *state, const tick *t)
 {
     derating_shown now = {.factor = 1.0}, *shown = &state->snapshot.derating;
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
@@ -329,7 +329,7 @@ static void release(core_state *state, const tick *t)
     }
 }
 
-/* Zero, and only where the drives are enabled in this very tick what the wheels shall do. */
+/* Zero, and only where the drives are enabled in this very tick what the wheels shall do; every byte is written. */
 static void write_setpoints(const core_state *state, const tick *t, setpoints *out)
 {
     out->stamp_ns = t->input->now_ns;
@@ -341,7 +341,10 @@ static void write_setpoints(const core_state *state, const tick *t, setpoints *o
     } else {
         memset(out->joint, 0, sizeof out->joint);
     }
-    out->positioned = 0;
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        out->position_rad[j] = 0.0;
+    }
+    out->positioned = out->reserved = 0;
 }
 
 /* What only some bases have: joints that take positions, a gyro, duties of speed loops. */
