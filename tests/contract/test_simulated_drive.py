@@ -34,8 +34,9 @@ TURNAROUND_S = 0.002
 
 
 def profiles_that(have_it):
-    """Of the drives that a line talks to: bridges on pins are in test_simulated_pins.py."""
-    found = {name: shipped_profile(name) for name in NAMES}
+    """Of the drives that a line talks to and that take a speed, a duty or a torque: bridges on pins
+    are in test_simulated_pins.py, servos that take positions drive the robots of test_demos.py."""
+    found = {name: shipped_profile(name) for name in NAMES if not name.endswith("-position")}
     return with_rt([name for name, one in found.items() if one.protocol != "pwm" and have_it(one)])
 
 

@@ -26,6 +26,11 @@ def stage(tmp_path_factory):
         yield stage
 
 
+@pytest.fixture(autouse=True)
+def without_gains(stage):
+    stage.robot.params_set(**dict.fromkeys(GAINS, 0.0))
+
+
 def wheel_rad_s(stage):
     stage.robot.drive(SPEED_M_S, 0.0)
     return stage.robot.status().joints["left"].velocity_rad_s

@@ -8,6 +8,7 @@ import pytest
 
 from motord.bus.web.description import description
 from motord.config import load_robot
+from motord.config.sections.bases import wheel_modules
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
 
@@ -16,7 +17,9 @@ ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
 def test_every_joint_of_a_base_has_its_wheel_in_the_drawing(file):
     robot = load_robot(file)
     wheels = description(robot)["wheels"]
-    assert sorted(wheel["joint"] for wheel in wheels) == sorted(robot.joint)
+    modules = wheel_modules(robot.base, robot.joint)
+    named = [(module.traction or module.steering)[0] for module in modules] or list(robot.joint)
+    assert sorted(wheel["joint"] for wheel in wheels) == sorted(named)
     assert len({(wheel["x_m"], wheel["y_m"]) for wheel in wheels}) == len(wheels)
 
 

@@ -11,6 +11,7 @@ from xml.etree.ElementTree import fromstring
 from motord.bus.ros2.urdf import urdf
 from motord.bus.web.frames import layout
 from motord.config import Robot
+from motord.config.sections.bases import SteeredBase, wheel_modules
 
 
 def description(robot: Robot) -> dict[str, Any]:
@@ -32,7 +33,17 @@ def description(robot: Robot) -> dict[str, Any]:
 
 
 def _wheels(robot: Robot) -> Iterator[dict[str, Any]]:
-    """In base_link, by the robot description: the joints that turn without end."""
+    """In base_link. A steered base: its wheels straight ahead, each by the joint that drives it or
+    else the one that steers it. Others: by the robot description, the joints that turn without end.
+    """
+    for module in wheel_modules(robot.base, robot.joint):
+        name = (module.traction or module.steering)[0]
+        yield {
+            "joint": name, "x_m": module.x_m, "y_m": module.y_m, "heading_rad": 0.0,
+            "roller_rad": None, "radius_m": robot.wheel_radius_m(name),
+        }  # fmt: skip
+    if isinstance(robot.base, SteeredBase):
+        return
     for joint in fromstring(urdf(robot)).iter("joint"):
         name, origin = joint.get("name", ""), joint.find("origin")
         if joint.get("type") == "continuous" and name in robot.joint and origin is not None:
