@@ -81,6 +81,8 @@ class LoopSide:
     enabled: bool = False
     velocity_rad_s: dict[int, float] = field(default_factory=dict)
     duty: dict[int, float] = field(default_factory=dict)
+    position_rad: dict[int, float] = field(default_factory=dict)
+    """Of joints that take positions; the others have no place to go to."""
     speed_loops: dict[int, SpeedLoop] = field(default_factory=dict)
     """Of joints whose drives take a torque."""
     running: bool = True
@@ -91,7 +93,10 @@ class LoopSide:
         self.put_ns = now_ns()
         wheels = tuple(
             JointSetpoint(
-                self.velocity_rad_s.get(n, 0.0), self.duty.get(n, 0.0), self._torque_n_m(n)
+                self.velocity_rad_s.get(n, 0.0),
+                self.duty.get(n, 0.0),
+                self._torque_n_m(n),
+                self.position_rad.get(n),
             )
             for n in range(self.joints)
         )

@@ -35,9 +35,14 @@ TURNAROUND_S = 0.002
 
 def profiles_that(have_it):
     """Of the drives that a line talks to and that take a speed, a duty or a torque: bridges on pins
-    are in test_simulated_pins.py, servos that take positions drive the robots of test_demos.py."""
-    found = {name: shipped_profile(name) for name in NAMES if not name.endswith("-position")}
-    return with_rt([name for name, one in found.items() if one.protocol != "pwm" and have_it(one)])
+    are in test_simulated_pins.py, servos that take positions in test_servo_positions.py."""
+    found = {name: shipped_profile(name) for name in NAMES}
+    turning = {
+        name: one
+        for name, one in found.items()
+        if one.protocol != "pwm" and not one.goes_to_positions
+    }
+    return with_rt([name for name, one in turning.items() if have_it(one)])
 
 
 def one_of_each_protocol(names):
