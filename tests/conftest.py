@@ -43,6 +43,14 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: item.path.parent.name in SHORT)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_logreport(report):
+    """The process that counts names a test without its group: what has failed is found again by
+    `--last-failed`, with or without groups, and by who copies its name."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        report.nodeid = report.nodeid.removesuffix("@" + report.nodeid.partition("::")[0])
+
+
 def pytest_collection_finish():
     """Seven thousand tests and their modules live as long as the process: no collection of garbage
     looks through them again."""

@@ -2,6 +2,8 @@
 """What tests/conftest.py does for tests that run side by side."""
 
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -15,3 +17,24 @@ def test_tests_that_share_a_fixture_of_their_file_stay_in_one_process(shared, re
     if not request.config.getoption("loadgroup", default=False):
         pytest.skip("only one process, or another --dist than loadgroup")
     assert request.node.nodeid.endswith(f"@tests/unit/{os.path.basename(__file__)}")
+
+
+def test_what_failed_in_a_group_is_all_that_runs_again_without_groups(tmp_path):
+    (tmp_path / "conftest.py").write_text("from tests.conftest import *\n")
+    (tmp_path / "test_two.py").write_text(
+        "import pytest\n\n"
+        "@pytest.fixture(scope='module')\ndef shared():\n    pass\n\n"
+        "def test_fails(shared):\n    assert 0\n\n"
+        "def test_passes(shared):\n    pass\n"
+    )
+
+    def ran(*options):
+        command = [sys.executable, "-m", "pytest", "-v", f"--rootdir={tmp_path}", *options]
+        where = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+        where.pop("PYTEST_XDIST_WORKER", None)
+        return subprocess.run(
+            command, cwd=tmp_path, env=where, capture_output=True, text=True, timeout=300
+        ).stdout
+
+    assert "1 failed, 1 passed" in ran("-n", "1", "--dist", "loadgroup")
+    assert "1 failed, 1 deselected" in ran("-n", "0", "--last-failed")
