@@ -83,10 +83,16 @@ def test_a_switch_out_is_no_second_holder_and_a_broken_record_ends_the_reading()
 
 def test_names_parents_and_forks_come_from_the_records():
     switches = Switches()
-    switches.read(named(HOG, "sh") + fork(HOG, 300, 1) + fork(HOG, 301, 2) + named(301, "true"))
+    switches.read(named(HOG, "sh") + fork(HOG, 300, 1) + fork(HOG, 301, 2) + named(301, "true", 3))
     assert switches.parent == {300: HOG, 301: HOG}
     assert switches.forks == {HOG: 2}
     assert (switches.name[300], switches.name[301]) == ("sh", "true")
+
+
+def test_records_of_several_processors_count_in_the_order_of_their_times():
+    switches = Switches()
+    switches.read(named(300, "true", 3), named(HOG, "sh") + fork(HOG, 300, 2))
+    assert switches.name[300] == "true"
 
 
 def test_a_real_time_thread_above_the_loop_is_named_with_its_priority():

@@ -67,21 +67,16 @@ class Switches:
             kept = next((i for i, row in enumerate(rows) if row[0] > before_ns), len(rows))
             self.on[cpu] = rows[max(kept - 1, 0) :]
 
-    def read(self, records: bytes) -> None:
-        """Add records of one processor."""
-        at = 0
-        while at + _HEADER.size <= len(records):
-            kind, misc, size = _HEADER.unpack_from(records, at)
-            if size < _HEADER.size:
-                return
-            self._add(kind, misc, records[at + _HEADER.size : at + size])
-            at += size
+    def read(self, *processors: bytes) -> None:
+        """Add the records of each processor, all in the order of their times: a process is often
+        started on one and named on another."""
+        records = [one for processor in processors for one in _records(processor)]
+        for kind, misc, body in sorted(records, key=_time_ns):
+            self._add(kind, misc, body)
 
     def _add(self, kind: int, misc: int, body: bytes) -> None:
         if kind == _RECORD_LOST:
             self.lost += struct.unpack_from("=Q", body, 8)[0]
-            return
-        if len(body) < _SAMPLE_ID.size:
             return
         _, thread, time_ns, cpu, _ = _SAMPLE_ID.unpack_from(body, len(body) - _SAMPLE_ID.size)
         if kind == _RECORD_SWITCH_CPU_WIDE and not misc & _MISC_SWITCH_OUT:
@@ -95,6 +90,24 @@ class Switches:
         elif kind == _RECORD_COMM:
             named = struct.unpack_from("=II", body)[1]
             self.name[named] = body[8 : -_SAMPLE_ID.size].split(b"\0")[0].decode(errors="replace")
+
+
+def _records(processor: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Kind, flags and body of each that is whole."""
+    at = 0
+    while at + _HEADER.size <= len(processor):
+        kind, misc, size = _HEADER.unpack_from(processor, at)
+        if size < _HEADER.size:
+            return
+        body = processor[at + _HEADER.size : at + size]
+        if len(body) >= _SAMPLE_ID.size:
+            yield kind, misc, body
+        at += size
+
+
+def _time_ns(record: tuple[int, int, bytes]) -> int:
+    body = record[2]
+    return int(_SAMPLE_ID.unpack_from(body, len(body) - _SAMPLE_ID.size)[2])
 
 
 class SwitchReader:
@@ -116,8 +129,7 @@ class SwitchReader:
 
     def read(self, now_ns: int) -> Switches:
         """What came until now; older than KEPT_NS is forgotten."""
-        for ring in self._rings:
-            self.switches.read(_taken(ring))
+        self.switches.read(*map(_taken, self._rings))
         self.switches.forget(now_ns - KEPT_NS)
         return self.switches
 
