@@ -107,16 +107,10 @@ def _scan(
     most_s = min(bound_s(settings, units), within_s)
     _say(f"{port}: {len(settings)} settings, {len(units)} units, at most {most_s:.0f} s; read only")
     found = list(scan(port, settings, units, within_s, _say))
-    if as_json:
-        print_json({"port": port, "found": [asdict(one) for one in found]})
-    else:
-        for one in found:
-            _print(port, one)
-    if not found:
-        _say(
-            "no unit answers: A and B swapped? power, ground, unit? docs/rs485.md goes on from here"
-        )
-        raise click.exceptions.Exit(Exit.FAILED)
+    _report(
+        port, found, as_json,
+        "no unit answers: A and B swapped? power, ground, unit? docs/rs485.md goes on from here",
+    )  # fmt: skip
 
 
 def _scan_can(port: str, baudrate: int | None, *, as_json: bool) -> None:
@@ -136,13 +130,21 @@ def _scan_can(port: str, baudrate: int | None, *, as_json: bool) -> None:
         found = scan_can(address, bitrate, FD_BITRATE if carries_fd(address) else None, _say)
     except PortError as error:
         raise Failure(str(error), Exit.FAULT) from error
+    _report(
+        port, found, as_json,
+        "no node answers: bit rate, termination, power? docs/can.md goes on from here",
+    )  # fmt: skip
+
+
+def _report(port: str, found: list[Found], as_json: bool, advice: str) -> None:
+    """`advice`: what to do where nothing was found."""
     if as_json:
         print_json({"port": port, "found": [asdict(one) for one in found]})
     else:
         for one in found:
             _print(port, one)
     if not found:
-        _say("no node answers: bit rate, termination, power? docs/can.md goes on from here")
+        _say(advice)
         raise click.exceptions.Exit(Exit.FAILED)
 
 

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from motord.cli.common import Exit, Failure, dry_run_option, json_option, print_json, yes_option
+from motord.cli.common import (
+    Exit,
+    Failure,
+    dry_run_option,
+    file_option,
+    json_option,
+    print_json,
+    yes_option,
+)
 from motord.cli.complete import joint_names
 from motord.cli.talk import talking
 from motord.client import Client
@@ -41,10 +49,7 @@ STEP_S, STEP_MAX_S = 1.5, 4.0
     "--current-max-a", type=click.FloatRange(0.0, min_open=True), default=math.inf,
     help="More current of the wheel stops the robot. Default: no bound of this command's own.",
 )  # fmt: skip
-@click.option(
-    "--file", "robot_file", metavar="ROBOT.toml", type=click.Path(path_type=Path),
-    help="Robot file to change. Default: the one that the daemon runs by.",
-)  # fmt: skip
+@file_option
 @click.option(
     "--plot", metavar="FILE.png", type=click.Path(path_type=Path, dir_okay=False),
     help="Draw the step before and after. Needs the plot extra.",

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A calibration as a picture. Needs the extra `plot`."""
+"""Pictures of what was measured. They need the extra `plot`."""
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +16,10 @@ from motord.base.extras import how_to_install
 from motord.commission.person import Failed
 
 
-def plot_paths(file: Path, measures: Sequence[Measure], track_m: float, found: Fit) -> None:
-    """Each path by the geometry before and after, and where it was measured to end. Raises
-    Failed."""
+@contextlib.contextmanager
+def picture(file: Path, rows: int, size_in: tuple[float, float]) -> Iterator[Any]:
+    """The axes of a new figure, one below the other with one horizontal axis; afterwards it is in
+    the file. Raises Failed."""
     try:
         import matplotlib as mpl
 
@@ -24,24 +27,31 @@ def plot_paths(file: Path, measures: Sequence[Measure], track_m: float, found: F
         from matplotlib import pyplot as plt
     except ImportError as error:
         raise Failed(f"matplotlib is not installed: {how_to_install('plot')}") from error
-    figure, axes = plt.subplots(figsize=(7, 7))
-    for measure in measures:
-        for factors, style in ((Factors(), "--"), (found.factors, "-")):
-            x_m, y_m = _path(measure, track_m, factors)
-            axes.plot(x_m, y_m, style, linewidth=1, label=f"{measure.name} {_WORDS[style]}")
-        if math.isfinite(measure.found.x_m):
-            axes.plot(measure.found.x_m, measure.found.y_m, "k+", markersize=12)
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
-    axes.axis("equal")
-    if len(measures) <= _NAMED_MAX:
-        axes.legend(fontsize=7)
+    figure, axes = plt.subplots(rows, 1, sharex=True, figsize=size_in)
     try:
+        yield axes
         figure.savefig(file)
     except OSError as error:
         raise Failed(f"{file}: cannot be written: {error.strerror}") from error
     finally:
         plt.close(figure)
+
+
+def plot_paths(file: Path, measures: Sequence[Measure], track_m: float, found: Fit) -> None:
+    """Each path by the geometry before and after, and where it was measured to end. Raises
+    Failed."""
+    with picture(file, 1, (7.0, 7.0)) as axes:
+        for measure in measures:
+            for factors, style in ((Factors(), "--"), (found.factors, "-")):
+                x_m, y_m = _path(measure, track_m, factors)
+                axes.plot(x_m, y_m, style, linewidth=1, label=f"{measure.name} {_WORDS[style]}")
+            if math.isfinite(measure.found.x_m):
+                axes.plot(measure.found.x_m, measure.found.y_m, "k+", markersize=12)
+        axes.set_xlabel("x [m]")
+        axes.set_ylabel("y [m]")
+        axes.axis("equal")
+        if len(measures) <= _NAMED_MAX:
+            axes.legend(fontsize=7)
 
 
 _WORDS = {"--": "before", "-": "after"}

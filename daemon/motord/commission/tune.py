@@ -34,7 +34,7 @@ from motord.commission.tune_fit import (
 )
 from motord.config import Robot
 from motord.config.sections.bases import wheel_row
-from motord.config.sections.speed_loop import SpeedLoop
+from motord.config.sections.speed_loop import CoreGain, SpeedLoop
 from motord.config.sections.wheels import gains_of as gain_keys_of
 from motord.config.sections.wheels import takes_duty, velocity_range_rad_s
 
@@ -177,10 +177,10 @@ class Tuning:
             if getattr(has, key) != value
         }
 
-    def _gains(self, plant: Plant, loop: Gains) -> dict[str, float]:
+    def _gains(self, plant: Plant, loop: Gains) -> dict[CoreGain, float]:
         """By the core's names, rounded as the file gets them. The derivative is 0: a plant of the
         first order needs none (Skogestad)."""
-        wanted = {
+        wanted: dict[CoreGain, float] = {
             "gain_u_s_per_rad": loop.gain_u_s_per_rad,
             "integral_u_per_rad": loop.integral_u_per_rad,
             "derivative_u_s2_per_rad": 0.0,
@@ -190,7 +190,7 @@ class Tuning:
         }
         return {core: float(f"{wanted[core]:.4g}") for core in self._keys}
 
-    def _put(self, gains: Mapping[str, float]) -> None:
+    def _put(self, gains: Mapping[CoreGain, float]) -> None:
         values = {self._parameter(self._keys[core]): value for core, value in gains.items()}
         self._client.params_set(**values)
 

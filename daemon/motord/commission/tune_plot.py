@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from motord.base.extras import how_to_install
-from motord.commission.person import Failed
+from motord.commission.plots import picture
 from motord.commission.tune import Tuned
 from motord.commission.tune_fit import Run
 
@@ -19,33 +18,20 @@ COLUMNS = 60
 
 def plot_responses(file: Path, tuned: Tuned) -> None:
     """The fastest step, before and after. Raises Failed."""
-    try:
-        import matplotlib as mpl
-
-        mpl.use("Agg")
-        from matplotlib import pyplot as plt
-    except ImportError as error:
-        raise Failed(f"matplotlib is not installed: {how_to_install('plot')}") from error
-    figure, (speed, output) = plt.subplots(2, 1, sharex=True, figsize=(8, 6))
-    for runs, name, style in (
-        (tuned.before_runs, "before", "--"),
-        (tuned.after_runs, "after", "-"),
-    ):
-        run = _fastest(runs)
-        speed.plot(run.measured_s, run.speed_rad_s, style, linewidth=1, label=name)
-        output.plot(run.time_s, run.output_u, style, linewidth=1, label=name)
-    run = _fastest(tuned.after_runs)
-    speed.plot(run.time_s, run.want_rad_s, "k:", linewidth=1, label="set-point")
-    speed.set_ylabel(f"{tuned.joint} [rad/s]")
-    output.set_ylabel("output [1 or N·m]")
-    output.set_xlabel("time [s]")
-    speed.legend(fontsize=8)
-    try:
-        figure.savefig(file)
-    except OSError as error:
-        raise Failed(f"{file}: cannot be written: {error.strerror}") from error
-    finally:
-        plt.close(figure)
+    with picture(file, 2, (8.0, 6.0)) as (speed, output):
+        for runs, name, style in (
+            (tuned.before_runs, "before", "--"),
+            (tuned.after_runs, "after", "-"),
+        ):
+            run = _fastest(runs)
+            speed.plot(run.measured_s, run.speed_rad_s, style, linewidth=1, label=name)
+            output.plot(run.time_s, run.output_u, style, linewidth=1, label=name)
+        run = _fastest(tuned.after_runs)
+        speed.plot(run.time_s, run.want_rad_s, "k:", linewidth=1, label="set-point")
+        speed.set_ylabel(f"{tuned.joint} [rad/s]")
+        output.set_ylabel("output [1 or N·m]")
+        output.set_xlabel("time [s]")
+        speed.legend(fontsize=8)
 
 
 def sparklines(tuned: Tuned) -> list[str]:

@@ -240,7 +240,7 @@ def speed_loop_gains(joint: Joint, profile: DriveProfile, loop: SpeedLoop) -> Sp
     viscous feed-forward of a duty are its open-loop map."""
     found = SpeedLoopGains()
     for key, core_key in gains_of(joint, profile).items():
-        found[core_key] = getattr(loop, key)  # type: ignore[literal-required]
+        found[core_key] = getattr(loop, key)
     if found and takes_duty(joint, profile) and joint.full_duty_rad_s is not None:
         found["static_u"] = joint.duty_dead_band
         found["viscous_u_s_per_rad"] = (1.0 - joint.duty_dead_band) / joint.full_duty_rad_s

@@ -4,10 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Literal
 
 from motord.config.sections.section import Number, Section, number, numbers_of
 
-TORQUE_GAINS: Mapping[str, str] = {
+CoreGain = Literal[
+    "gain_u_s_per_rad",
+    "integral_u_per_rad",
+    "derivative_u_s2_per_rad",
+    "static_u",
+    "viscous_u_s_per_rad",
+    "acceleration_u_s2_per_rad",
+]
+"""Fields of `speed_loop_gains` of the core."""
+TORQUE_GAINS: Mapping[str, CoreGain] = {
     "gain_n_m_s_per_rad": "gain_u_s_per_rad",
     "integral_n_m_per_rad": "integral_u_per_rad",
     "derivative_n_m_s2_per_rad": "derivative_u_s2_per_rad",
@@ -16,7 +26,7 @@ TORQUE_GAINS: Mapping[str, str] = {
     "inertia_kg_m2": "acceleration_u_s2_per_rad",
 }
 """Keys of a drive that takes a torque, by `speed_loop_gains` of the core."""
-DUTY_GAINS: Mapping[str, str] = {
+DUTY_GAINS: Mapping[str, CoreGain] = {
     "gain_s_per_rad": "gain_u_s_per_rad",
     "integral_per_rad": "integral_u_per_rad",
     "derivative_s2_per_rad": "derivative_u_s2_per_rad",

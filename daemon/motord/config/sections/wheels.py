@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from motord.config.sections.bases import wheel_row
 from motord.config.sections.model import Joint, Robot
-from motord.config.sections.speed_loop import DUTY_GAINS, TORQUE_GAINS
+from motord.config.sections.speed_loop import DUTY_GAINS, TORQUE_GAINS, CoreGain
 from motord_hal.drives.profile import DriveProfile, Register
 
 Profiles = Mapping[str, DriveProfile]
@@ -38,7 +38,7 @@ def measures_speed(joint: Joint, profile: DriveProfile) -> bool:
     )
 
 
-def gains_of(joint: Joint, profile: DriveProfile) -> Mapping[str, str]:
+def gains_of(joint: Joint, profile: DriveProfile) -> Mapping[str, CoreGain]:
     """Keys of [joint.NAME.speed_loop] that can be changed while the robot runs, by the core's;
     empty: motord holds no speed of this wheel."""
     if takes_torque(joint, profile):
