@@ -115,20 +115,38 @@ def obeying(stage, command):
     wait_until(attempt, f"moving\n{stage.said()}")
 
 
+def becomes_idle(stage):
+    """Whatever it was: a latched fault, also of a machine that was too busy, is reset."""
+
+    def idle():
+        with contextlib.suppress(ClientError):
+            if stage.state() in ("fault", "estop"):
+                stage.robot.reset()
+            elif stage.state() != "idle":
+                stage.robot.disarm()
+        return stage.state() == "idle"
+
+    wait_until(idle, "idle")
+
+
+TRIES = 3
+
+
 def was_held_up(error):
     """Whether a motion ended as it must where a busy machine lets the program, or the feedback that
-    it moves by, wait for half a second: it rests, but not at its goal."""
-    return any(why in str(error) for why in ("stale", "behind the goal", "was not looked at"))
+    it moves by, wait for half a second. Past the goal is a failure: it is not among them."""
+    return any(why in str(error) for why in ("stale", "was not looked at"))
 
 
 def in_time(move):
-    """What it returns; again where it was held up."""
-    while True:
+    """What it returns; again where it was held up, at most TRIES times."""
+    for _ in range(TRIES - 1):
         try:
             return move()
         except MoveFailed as error:
             if not was_held_up(error):
                 raise
+    return move()
 
 
 @contextlib.contextmanager

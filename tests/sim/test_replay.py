@@ -118,7 +118,7 @@ def test_a_replay_is_played_to_the_buses_of_a_robot_file(recording, tmp_path):
     (path,) = again.glob("*.mcap")
     was, now = odometry(recording), odometry(path)
     assert now[-1] == pytest.approx(was[-1], abs=0.005)
-    assert len(set(now)) > 10  # on the way too; how many a second is the machine's affair
+    assert len(now) > len(was) / 2
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

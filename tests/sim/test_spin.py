@@ -5,7 +5,7 @@ import contextlib
 import signal
 
 import pytest
-from tests.sim.daemon_stage import ROBOT, wait_until
+from tests.sim.daemon_stage import ROBOT, becomes_idle, wait_until
 from tests.sim.person_stage import at_terminal, copied, robot_of
 
 from motord.client import ClientError
@@ -66,18 +66,6 @@ def test_a_robot_without_a_fault_is_good(stage):
     assert "every wheel turns as the robot file has it" in screen.text
     assert stage.file.read_bytes() == before
     rests_without_power(stage)
-
-
-def becomes_idle(stage):
-    """A fault that a too busy machine latched is reset."""
-
-    def idle():
-        with contextlib.suppress(ClientError):
-            if stage.state() in ("fault", "estop"):
-                stage.robot.reset()
-        return stage.state() == "idle"
-
-    wait_until(idle, "idle")
 
 
 @pytest.mark.parametrize("how", ["key", "Ctrl-C", "SIGTERM", "hang up", "kill -9", "e-stop"])

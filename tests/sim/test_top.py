@@ -8,10 +8,8 @@ import subprocess
 import sys
 
 import pytest
-from tests.sim.daemon_stage import DEADLINE_S, ROOT, obeying, running, wait_until
+from tests.sim.daemon_stage import DEADLINE_S, ROOT, becomes_idle, obeying, running, wait_until
 from tests.sim.pseudo_terminal import at_terminal
-
-from motord.client import ClientError
 
 pytest.importorskip("textual")
 
@@ -26,16 +24,7 @@ def stage(tmp_path_factory):
 @contextlib.contextmanager
 def top(stage):
     """On a robot that is idle, whatever the test before left."""
-
-    def idle():
-        with contextlib.suppress(ClientError):
-            if stage.state() in ("estop", "fault"):
-                stage.robot.reset()
-            elif stage.state() != "idle":
-                stage.robot.disarm()
-        return stage.state() == "idle"
-
-    wait_until(idle, "idle")
+    becomes_idle(stage)
     with at_terminal("top", "--socket", str(stage.socket), answers=False) as terminal:
         terminal.wait_for("joint")
         yield terminal

@@ -2,16 +2,14 @@
 """`motord tune` at a real terminal: the simulated wheel is identified, its gains make it follow
 better, and whatever ends the command leaves the robot at rest with the gains that it had."""
 
-import contextlib
 import json
 import re
 import signal
 
 import pytest
-from tests.sim.daemon_stage import ROOT, wait_until
+from tests.sim.daemon_stage import ROOT, becomes_idle, wait_until
 from tests.sim.person_stage import at_terminal, copied, robot_of
 
-from motord.client import ClientError
 from motord.config import load_robot
 
 FORWARD_ONLY = ROOT / "config/robots/forward-only.toml"
@@ -31,22 +29,19 @@ def stage(tmp_path_factory):
         yield stage
 
 
+@pytest.fixture(autouse=True)
+def as_it_was(stage):
+    """Whatever the test before wrote or set."""
+    becomes_idle(stage)
+    copied(stage.file.parent, FORWARD_ONLY)
+    gains = [name for name in stage.robot.params_list() if ".speed_loop." in name]
+    stage.robot.params_set(**dict.fromkeys(gains, 0.0))
+
+
 def tuned(stage, *words, write="y"):
     replies = REPLIES | {r"Write \S+cart\.toml\? \[y/n\] ": write}
     with at_terminal("tune", *words, "--socket", stage.socket) as screen:
         return screen.answers(replies), screen.text
-
-
-def becomes_idle(stage):
-    """A fault that a too busy machine latched is reset."""
-
-    def idle():
-        with contextlib.suppress(ClientError):
-            if stage.state() in ("fault", "estop"):
-                stage.robot.reset()
-        return stage.state() == "idle"
-
-    wait_until(idle, "idle")
 
 
 def at_rest_with_its_gains(stage, before):
@@ -57,7 +52,6 @@ def at_rest_with_its_gains(stage, before):
 
 
 def test_nothing_moves_without_a_yes(stage):
-    becomes_idle(stage)
     before, place = stage.file.read_bytes(), stage.sim.truth().distance_m
     with at_terminal("tune", "left", "--socket", stage.socket) as screen:
         screen.answer(r"with at most 0.3 m/s; .*Is the path clear\? ", "n")
@@ -69,7 +63,6 @@ def test_nothing_moves_without_a_yes(stage):
 
 @pytest.mark.parametrize("how", ["key", "Ctrl-C", "SIGTERM", "SIGHUP", "kill -9", "e-stop"])
 def test_whatever_ends_it_leaves_the_robot_at_rest_with_the_gains_that_it_had(stage, how):
-    becomes_idle(stage)
     before, place = stage.file.read_bytes(), stage.sim.truth().distance_m
     with at_terminal("tune", "left", "--step-s", "4", "--socket", stage.socket) as screen:
         screen.answer("Is the path clear", "y")
@@ -100,7 +93,6 @@ def test_whatever_ends_it_leaves_the_robot_at_rest_with_the_gains_that_it_had(st
 
 
 def test_it_is_stopped_by_its_bounds(stage):
-    becomes_idle(stage)
     before = stage.file.read_bytes()
     status, text = tuned(stage, "left", "--current-max-a", "0.5")
     assert status == 1
@@ -109,7 +101,6 @@ def test_it_is_stopped_by_its_bounds(stage):
 
 
 def test_gains_that_are_not_written_are_put_back(stage):
-    becomes_idle(stage)
     before = stage.file.read_bytes()
     status, text = tuned(stage, "left", write="n")
     assert status == 0, text
@@ -118,7 +109,6 @@ def test_gains_that_are_not_written_are_put_back(stage):
 
 
 def test_the_wheel_is_identified_and_follows_better_with_its_gains(stage, tmp_path):
-    becomes_idle(stage)
     plot = tmp_path / "left.png"
     status, text = tuned(stage, "left", "--plot", str(plot), "--json")
     assert status == 0, text
