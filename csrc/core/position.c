@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * position.c: the way of a joint to an angle, exact in whole steps: the fastest within velocity and acceleration that ends at
- * rest on the goal.
+ * position.c: the motion of a joint to an angle, exact in whole steps: the fastest within velocity and acceleration that ends
+ * at rest on the goal.
  */
 #include "core.h"
 

@@ -6,7 +6,7 @@
  * The ramp of limit.c runs straight from twist to twist, and on that line each wheel's direction changes: by
  * v x dv / |v|^2 for the speed v of the floor under the wheel. Three rules keep the wheels where they have to point:
  *
- * A line on which a wheel would have to turn around is left for one by way of rest: there it may roll backward instead.
+ * Where a wheel would have to turn around on that line, the base comes to rest first: from there the wheel may roll backward.
  * The ramp is paced so that no wheel's direction changes faster than its joint follows.
  * A wheel that does not point there slows the base down, to rest where it is far off.
  */
@@ -16,10 +16,10 @@
 
 static const double HALF_TURN_RAD = 3.14159265358979323846;
 /* A wheel that is off by less drives at full speed, by more not at all; between them the speed falls in proportion. At FULL a
- * wheel slides by 5 % of its way sideways. */
+ * wheel slides sideways by 5 % of the distance that it rolls. */
 static const double ALIGNED_FULL_RAD = 0.05;
 static const double ALIGNED_NOT_RAD = 0.25;
-/* A profile that follows a direction is behind by the way in which it brakes: v^2 / 2 a. */
+/* A profile that follows a direction is behind by its braking distance: v^2 / 2 a. */
 static const double LAG_RAD = 0.04;
 static const double PACE_PART = 0.8; /* of a joint's speed: the rest is for catching up */
 /* The floor under a wheel is slower than this part of the fastest: its direction means nothing. */

@@ -17,8 +17,8 @@ uint32_t steer_within_reach(const steer_state *steer, const base_limits *limits,
 /* Wheel speeds of a twist when all wheels point to where they are to roll. */
 void steer_speeds(const steer_state *steer, const core_config *config, const double *twist_u_s, double *wheel_rad_s);
 
-/* Before the ramp: a goal that would turn a wheel around is reached by way of rest, and while the wheels do not point there the
- * base slows down. rate_max_s: so fast may the ramp be for the wheels to follow. Returns the reasons. */
+/* Before the ramp: the base comes to rest before a goal that would turn a wheel around, and slows down while its wheels do not
+ * point there. rate_max_s: so fast may the ramp be for the wheels to follow. Returns the reasons. */
 uint32_t steer_goal(steer_state *steer, const core_config *config, const limit_state *axis, const double *angle_rad,
                     double *goal_u_s, double *rate_max_s);
 /* A step of the ramp that is faster than that is shortened: it is straight, so what is left of it keeps all limits, too. */

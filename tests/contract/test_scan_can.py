@@ -79,8 +79,9 @@ def simulated(folder, drive, nodes=(3, 7)):
             witness.shutdown()
 
 
-def drives_of(address, data_bitrate=None, said=None):
-    found = scan_can(address, 500_000, data_bitrate, (said if said is not None else []).append)
+def drives_of(address, data_bitrate=None, progress=None):
+    progress = [] if progress is None else progress
+    found = scan_can(address, 500_000, data_bitrate, progress.append)
     return {one.unit: [match.profile for match in one.matches] for one in found}
 
 
@@ -124,7 +125,7 @@ def test_drives_that_speak_by_themselves_are_sent_nothing_of_another_protocol(tm
 
 
 def test_a_bus_of_an_unknown_protocol_is_sent_nothing():
-    said, seen, ended = [], [], threading.Event()
+    progress, seen, ended = [], [], threading.Event()
     with shared_bus("unix") as address:
         stranger, witness = end_of(address), end_of(address)
 
@@ -137,22 +138,22 @@ def test_a_bus_of_an_unknown_protocol_is_sent_nothing():
         chattering = threading.Thread(target=chatter)
         chattering.start()
         try:
-            assert drives_of(address, said=said) == {}
+            assert drives_of(address, progress=progress) == {}
         finally:
             ended.set()
             chattering.join()
             stranger.shutdown()
             witness.shutdown()
     assert set(seen) == {0x123}
-    assert "of no protocol that the scan knows" in said[-1]
+    assert "of no protocol that the scan knows" in progress[-1]
 
 
 def test_a_scan_that_is_ended_stops_asking():
-    said, ends_s = [], time.monotonic() + LISTEN_S + 0.05
+    progress, ends_s = [], time.monotonic() + LISTEN_S + 0.05
     with shared_bus("unix") as address:
-        found = scan_can(address, 500_000, None, said.append, lambda: time.monotonic() > ends_s)
+        found = scan_can(address, 500_000, None, progress.append, lambda: time.monotonic() > ends_s)
     assert found == []
-    assert len(said) < 1 + len(PROTOCOLS)
+    assert len(progress) < 1 + len(PROTOCOLS)
 
 
 def test_a_bus_that_cannot_be_opened_is_named_with_the_cure(tmp_path):
@@ -163,7 +164,7 @@ def test_a_bus_that_cannot_be_opened_is_named_with_the_cure(tmp_path):
 
 
 # ----------------------------------------------------------------------------- what is requested
-def heard(*messages):
+def nodes_of(*messages):
     found = Received()
     for message in messages:
         found.add(message)
@@ -177,9 +178,9 @@ def standard(identifier, data):
 def test_pdos_of_a_canopen_node_are_no_odrive():
     pdo = standard(0x181, bytes(8))  # the heartbeat of an ODrive 12 would look like it
     heartbeat = standard(0x701, b"\x05")
-    assert heard(pdo) == set()
-    assert heard(pdo, pdo) == {("ODrive", 12)}
-    assert heard(heartbeat, pdo, pdo) == heard(pdo, pdo, heartbeat) == {("CANopen", 1)}
+    assert nodes_of(pdo) == set()
+    assert nodes_of(pdo, pdo) == {("ODrive", 12)}
+    assert nodes_of(heartbeat, pdo, pdo) == nodes_of(pdo, pdo, heartbeat) == {("CANopen", 1)}
 
 
 def test_a_canopen_device_of_another_kind_fits_no_profile():
@@ -197,7 +198,7 @@ def test_a_canopen_device_of_another_kind_fits_no_profile():
      standard(0x581, b"\x80\x00\x10\x00" + bytes(4)), standard(0x700, b"\x00")],
 )  # fmt: skip
 def test_what_is_no_answer_is_no_drive(message):
-    assert heard(message) == set()
+    assert nodes_of(message) == set()
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
@@ -211,4 +212,4 @@ def test_requests_are_reads_of_one_form_and_no_broadcast(protocol):
 
 def test_a_ping_of_a_vesc_is_answered_with_its_number():
     pong = can.Message(arbitration_id=18 << 8 | 254, data=b"\x2a\x00", is_extended_id=True)
-    assert heard(pong) == {("VESC", 42)}
+    assert nodes_of(pong) == {("VESC", 42)}

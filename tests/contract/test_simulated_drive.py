@@ -277,8 +277,8 @@ async def test_a_drive_that_reboots_comes_back_disarmed_with_a_new_epoch(rig, si
     left = rig.line.spec.joints[0]
     epoch = feedback(rig, left).epoch
     with without_power(sim, 1):
-        await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "its silence is said")
-    await until(lambda: EventKind.DRIVE_BACK in rig.kinds(), "its return is said")
+        await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "unresponsive")
+    await until(lambda: EventKind.DRIVE_BACK in rig.kinds(), "back")
     await until(lambda: feedback(rig, left).epoch > epoch, "the counter's origin is a new one")
     assert rig.line.drive_states["left"] is DriveState.READY
     await until(lambda: sim.truth().joints["left"].velocity_rad_s == 0.0, "its wheel is at rest")

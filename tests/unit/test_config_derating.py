@@ -21,7 +21,7 @@ def problems(tmp_path, lines):
 
 
 @pytest.mark.parametrize(
-    ("lines", "said"),
+    ("lines", "message"),
     [
         ("temperature_from_c = 60", "temperature_to_c: is missing beside temperature_from_c"),
         ("current_to_a = 60", "current_from_a: is missing beside current_to_a"),
@@ -36,8 +36,8 @@ def problems(tmp_path, lines):
         ),
     ],
 )
-def test_a_range_that_cannot_be_is_refused(tmp_path, lines, said):
-    assert f"joint.left.derating.{said}" in problems(tmp_path, lines)
+def test_a_range_that_cannot_be_is_refused(tmp_path, lines, message):
+    assert f"joint.left.derating.{message}" in problems(tmp_path, lines)
 
 
 def test_what_the_drive_does_not_report_cannot_derate(tmp_path):

@@ -27,7 +27,7 @@ IN_N_M = "[joint.left.speed_loop]\nstatic_n_m = 1.0\n\n[joint.left.encoder]"
 
 
 @pytest.mark.parametrize(
-    ("robot", "edit", "key", "said"),
+    ("robot", "edit", "key", "message"),
     [
         ("cia402-torque", ("torque_max_n_m = 3.0   ", IN_DUTY), "gain_s_per_rad",
          f"has the wrong unit: {TORQUE}"),
@@ -39,8 +39,8 @@ IN_N_M = "[joint.left.speed_loop]\nstatic_n_m = 1.0\n\n[joint.left.encoder]"
          'has the wrong unit: drive "tb6612fng" takes a duty'),
     ],
 )  # fmt: skip
-def test_a_speed_loop_is_in_the_unit_of_its_drive(tmp_path, robot, edit, key, said):
-    assert f"joint.left.speed_loop.{key}: {said}" in errors(tmp_path, robot, *edit)
+def test_a_speed_loop_is_in_the_unit_of_its_drive(tmp_path, robot, edit, key, message):
+    assert f"joint.left.speed_loop.{key}: {message}" in errors(tmp_path, robot, *edit)
 
 
 def test_a_speed_loop_needs_a_measured_speed(tmp_path):

@@ -139,7 +139,7 @@ def decoder_of(name, line=None):
     return Decoder(robot.line[line].kind, robot, line)
 
 
-def said(decoder, sent=b"", received=b""):
+def decoded(decoder, sent=b"", received=b""):
     return decoder.words(Exchange(stamp_ns=0, sent=sent, received=received, reply_ns=1))
 
 
@@ -150,9 +150,9 @@ def board_frame(kind, sequence, payload):
 def test_a_frame_of_a_board_that_comes_in_pieces_is_decoded_when_it_is_whole():
     decoder = decoder_of("esp32")
     frame = board_frame(mcu.Type.FEEDBACK, 7, bytes(36))
-    first = said(decoder, received=frame[:9])
+    first = decoded(decoder, received=frame[:9])
     assert (first.what, first.result) == ("", "part of a frame")
-    second = said(decoder, received=frame[9:])
+    second = decoded(decoder, received=frame[9:])
     assert second.what.startswith("feedback 7: status 0, ")
     assert "position_2 0" in second.what
     assert second.result == "in"
@@ -161,19 +161,19 @@ def test_a_frame_of_a_board_that_comes_in_pieces_is_decoded_when_it_is_whole():
 def test_a_frame_of_a_board_with_a_wrong_crc_is_named():
     frame = bytearray(board_frame(mcu.Type.SETPOINTS, 1, bytes(18)))
     frame[-2] ^= 1
-    assert said(decoder_of("esp32"), sent=bytes(frame)).result.startswith("bad frame: ")
+    assert decoded(decoder_of("esp32"), sent=bytes(frame)).result.startswith("bad frame: ")
 
 
 def test_a_short_frame_of_a_board_shows_the_values_that_it_has():
-    found = said(decoder_of("esp32"), sent=board_frame(mcu.Type.SETPOINTS, 1, bytes(6)))
+    found = decoded(decoder_of("esp32"), sent=board_frame(mcu.Type.SETPOINTS, 1, bytes(6)))
     assert "watchdog 0" in found.what
     assert "target_velocity" not in found.what
 
 
 def test_text_of_a_board_that_fits_no_template_is_shown_as_it_is():
     decoder = decoder_of("arduino-text")
-    said(decoder, received=b"\n")  # what came before may be half a line
-    assert said(decoder, received=b"hello\n").what == "hello"
+    decoded(decoder, received=b"\n")  # what came before may be half a line
+    assert decoded(decoder, received=b"hello\n").what == "hello"
 
 
 @pytest.mark.parametrize(
@@ -181,14 +181,14 @@ def test_text_of_a_board_that_fits_no_template_is_shown_as_it_is():
     [(b"", "no reply"), (b"\x01\x02\x03\x04", "bad reply: "), (bytes(8) + b"\xc8\x9a", "ok")],
 )
 def test_a_read_of_a_roboclaw_ends_as_it_was_answered(received, result):
-    found = said(decoder_of("roboclaw"), b"\x80\x4e", received)
+    found = decoded(decoder_of("roboclaw"), b"\x80\x4e", received)
     assert found.result.startswith(result)
     assert found.joint == "left,right"
 
 
 def test_what_a_roboclaw_is_not_asked_is_named():
-    assert said(decoder_of("roboclaw"), b"\x80\x77").result.startswith("not expected: ")
-    assert said(decoder_of("roboclaw"), b"", b"\xff").result == "came without a request"
+    assert decoded(decoder_of("roboclaw"), b"\x80\x77").result.startswith("not expected: ")
+    assert decoded(decoder_of("roboclaw"), b"", b"\xff").result == "came without a request"
 
 
 def test_servos_are_named_with_what_they_are_sent_and_answer():
@@ -200,20 +200,20 @@ def test_servos_are_named_with_what_they_are_sent_and_answer():
     velocity = (100).to_bytes(4, "little")
     write = packets.build(0xFE, Instruction.SYNC_WRITE,
                           number(goal) + number(4) + bytes((unit,)) + velocity)  # fmt: skip
-    found = said(decoder, write)
+    found = decoded(decoder, write)
     assert found.what.startswith("write left: goal_velocity ")
     assert (found.joint, found.result) == ("all", "out")
     read = packets.build(unit, Instruction.READ, number(goal) + number(4))
-    assert said(decoder, read).result == "no reply"
+    assert decoded(decoder, read).result == "no reply"
     answer = packets.build_status(unit, 0, velocity)
-    echoed = said(decoder, read, read + answer)
+    echoed = decoded(decoder, read, read + answer)
     assert "→ left: goal_velocity " in echoed.what
     assert echoed.result == "ok"
-    failed = said(decoder, read, packets.build_status(unit, 4))
+    failed = decoded(decoder, read, packets.build_status(unit, 4))
     assert failed.result == "left: error 4 (data range error)"
-    spoilt = said(decoder, read, answer[:-1] + bytes((answer[-1] ^ 1,)))
+    spoilt = decoded(decoder, read, answer[:-1] + bytes((answer[-1] ^ 1,)))
     assert spoilt.result == "bad reply: wrong check sum"
-    assert said(decoder, b"", answer).result == "came without a request"
+    assert decoded(decoder, b"", answer).result == "came without a request"
 
 
 def test_a_hub_motor_is_decoded_by_its_command():
@@ -226,9 +226,9 @@ def test_a_hub_motor_is_decoded_by_its_command():
     registers = [r for r in robot.profiles["ddsm115"].registers.values() if "r" in r.access]
     fitting = [r for r in registers if ddsm.command_of(r) == 0x74]
     reply = ddsm.build_reply(1, 0x74, dict.fromkeys(fitting, 1))
-    found = said(decoder, query, reply)
+    found = decoded(decoder, query, reply)
     assert (found.joint, found.result) == ("left", "ok")
     assert fitting[0].name in found.what
-    assert said(decoder, query).result == "no reply"
-    assert said(decoder, query, reply[:-1] + b"\0").result == "bad reply: wrong check sum"
-    assert said(decoder, b"\1\2").result.startswith("not expected")
+    assert decoded(decoder, query).result == "no reply"
+    assert decoded(decoder, query, reply[:-1] + b"\0").result == "bad reply: wrong check sum"
+    assert decoded(decoder, b"\1\2").result.startswith("not expected")

@@ -17,7 +17,7 @@ from motord.api.deadline import within
 from motord.bus.commands.gate import NotTaken
 
 NICENESS = 19
-"""They give way to everything else."""
+"""Every other process runs first."""
 
 
 @contextlib.asynccontextmanager

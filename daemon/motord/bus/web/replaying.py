@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings run through the core again by `motord replay`, one at a time, in a process that gives
-way to every other one: this process must not load the core."""
+"""Recordings run through the core again by `motord replay`, one at a time, in a process of the
+lowest priority: this process must not load the core."""
 
 from __future__ import annotations
 
