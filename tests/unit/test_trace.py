@@ -18,9 +18,11 @@ from motord_hal.base.clock import within
 from motord_hal.ddsm import codec as ddsm
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.trace import ENTRIES_MAX, PythonTrace
+from motord_hal.hoverboard import codec as hoverboard
 from motord_hal.mcu import frames as mcu
 from motord_hal.modbus.codec import Function, Request, build_exception, build_reply, build_request
 from motord_hal.realtime.exchange import Exchange as CoreExchange
+from motord_hal.sabertooth import codec as sabertooth
 from motord_hal.servo.packets import Instruction, packets_of
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
@@ -214,6 +216,35 @@ def test_servos_are_named_with_what_they_are_sent_and_answer():
     spoilt = decoded(decoder, read, answer[:-1] + bytes((answer[-1] ^ 1,)))
     assert spoilt.result == "bad reply: wrong check sum"
     assert decoded(decoder, b"", answer).result == "came without a request"
+
+
+def test_a_hoverboard_is_decoded_as_its_firmware_mixes_the_command():
+    decoder = decoder_of("hoverboard-rover")
+    packet = hoverboard.build(struct.pack("<hh", 60, -30))
+    assert decoded(decoder, packet[:5]).what == ""
+    found = decoded(decoder, packet[5:])
+    assert found.joint == "left,right"
+    assert found.what == "set-points: target_left 6.28319, target_right 3.14159"
+    text = (ROBOTS / "hoverboard-rover.toml").read_text("utf-8")
+    text = text.replace('drive = "hoverboard"', 'drive = "hoverboard-steer"')
+    robot = load_robot(ROBOTS / "hoverboard-rover.toml", text=text)
+    mixed = decoded(Decoder("hoverboard", robot, "board"), packet)
+    assert "target_left 0" in mixed.what
+    assert "target_right " in mixed.what
+    reply = hoverboard.build(bytes(hoverboard.VALUE_BYTES))
+    decoded(decoder, received=reply)
+    spoilt = decoded(decoder, received=reply[:-1] + bytes((reply[-1] ^ 1,)))
+    assert spoilt.result.startswith("bad packet")
+
+
+def test_each_sabertooth_on_a_wire_is_named_with_what_it_is_sent():
+    decoder = decoder_of("sabertooth")
+    packets = sabertooth.packet(128, 14, 3) + sabertooth.packet(128, 1, 127)
+    found = decoded(decoder, packets)
+    assert (found.joint, found.result) == ("left,right", "out")
+    assert found.what == "write serial_timeout 0.3, motor_1 -1"
+    assert decoded(decoder, packets[:-1] + b"\1").result.startswith("bad packet")
+    assert decoded(decoder, b"", b"\1").result.startswith("not expected")
 
 
 def test_a_hub_motor_is_decoded_by_its_command():

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Words for what boards, RoboClaws, bus servos and hub motors are sent and send, by the codecs that
-the lines and the simulator use. A stream comes in pieces: each decoder keeps what is not whole."""
+"""Words for what boards, motor drivers, bus servos and hub motors are sent and send, by the codecs
+that the lines and the simulator use. A stream comes in pieces: each decoder keeps what is not
+whole."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TypeAlias
 
 from motord.config import Robot
@@ -15,9 +16,11 @@ from motord_hal.ascii.text import Lines
 from motord_hal.ddsm import codec as ddsm
 from motord_hal.drives.profile import DriveProfile, Register
 from motord_hal.fieldbus.ports import LineSpec
+from motord_hal.hoverboard import codec as hoverboard
 from motord_hal.mcu import frames as mcu
 from motord_hal.modbus.codec import Function
 from motord_hal.roboclaw import codec as roboclaw
+from motord_hal.sabertooth import codec as sabertooth
 from motord_hal.servo import packets as servo
 
 BoardDecoder: TypeAlias = Callable[[Exchange], Words]
@@ -28,7 +31,8 @@ def board_decoder(kind: str, robot: Robot, line: str) -> BoardDecoder | None:
     spec = next((one for one in line_specs(robot, robot.profiles) if one.name == line), None)
     makers: dict[str, Callable[[LineSpec], BoardDecoder]] = {
         "mcu": _Frames, "ascii": _Texts, "roboclaw": _roboclaw_of, "ddsm": _ddsm_of,
-        "feetech": _Servos, "dynamixel": _Servos,
+        "feetech": _Servos, "dynamixel": _Servos, "hoverboard": _Hoverboard,
+        "sabertooth": _Sabertooth,
     }  # fmt: skip
     return makers[kind](spec) if spec is not None and kind in makers else None
 
@@ -127,6 +131,69 @@ def _roboclaw_of(spec: LineSpec) -> BoardDecoder:
                      else what, "ok")  # fmt: skip
 
     return words
+
+
+# ------------------------------------------------- hoverboard packets, Sabertooth packet serial
+class _Hoverboard:
+    """Commands, as the firmware mixes them, and feedback of a main board."""
+
+    def __init__(self, spec: LineSpec) -> None:
+        self._joints = ",".join(joint.name for joint in spec.joints)
+        self._profile = spec.joints[0].profile
+        self._sent = hoverboard.Splitter(hoverboard.COMMAND_BYTES)
+        self._received = hoverboard.Splitter(hoverboard.FEEDBACK_BYTES)
+
+    def __call__(self, exchange: Exchange) -> Words:
+        sent = list(self._sent.feed(exchange.sent))
+        received = list(self._received.feed(exchange.received))
+        shown = [f"set-points: {self._command(one)}" for one in sent if one is not None]
+        shown += [f"feedback: {self._feedback(one)}" for one in received if one is not None]
+        problems = ["bad packet: wrong check sum"] if None in (*sent, *received) else []
+        return Words(self._joints, "; ".join(shown), _end(exchange, problems, shown))
+
+    def _command(self, values: bytes) -> str:
+        raw = hoverboard.commanded(self._profile, values)
+        return _by_name(self._profile, raw)
+
+    def _feedback(self, values: bytes) -> str:
+        registers = [one for one in self._profile.registers.values() if "r" in one.access]
+        return ", ".join(_values(registers, lambda one: hoverboard.pick(values, one)))
+
+
+class _Sabertooth:
+    """Packets to the drivers on one wire, each at its address; they send nothing."""
+
+    def __init__(self, spec: LineSpec) -> None:
+        self._drivers = {
+            joint.unit: (joint.profile, sabertooth.Receiver(joint.profile, joint.unit))
+            for joint in spec.joints
+        }
+        self._names = {
+            unit: ",".join(joint.name for joint in spec.joints if joint.unit == unit)
+            for unit in self._drivers
+        }
+
+    def __call__(self, exchange: Exchange) -> Words:
+        names: list[str] = []
+        shown: list[str] = []
+        problems: list[str] = []
+        for unit, (profile, receiver) in self._drivers.items():
+            packets = list(receiver.feed(exchange.sent))
+            whole = [_by_name(profile, one) for one in packets if one]
+            if whole:
+                names.append(self._names[unit])
+                shown += whole
+            if None in packets:
+                problems.append("bad packet: wrong check sum")
+        if exchange.received:
+            problems.append("not expected: a Sabertooth sends nothing")
+        what = f"write {', '.join(shown)}" if shown else ""
+        return Words(",".join(names), what, _end(exchange, problems, shown))
+
+
+def _by_name(profile: DriveProfile, raw: Mapping[str, int]) -> str:
+    """SI values of registers, by their names."""
+    return ", ".join(f"{name} {profile.registers[name].to_si(n):g}" for name, n in raw.items())
 
 
 # --------------------------------------------------------------------------- hub motors (ten bytes)
