@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from motord.api.procedures import CALIBRATIONS, OPTIONS
 from motord.cli.common import (
     POSITIVE,
     Exit,
@@ -24,16 +25,15 @@ from motord.cli.common import (
 from motord.client import Client, ClientError, find_socket
 
 if TYPE_CHECKING:
-    from motord.api.geometry_fit import Free
+    from collections.abc import Sequence
+
+    from motord.api.geometry_fit import Fit, Measure
     from motord.cli.terminal import Terminal
     from motord.commission.robot_file_edit import RobotFileEdit
 
-GEOMETRY = ("straight", "rotate", "square")
-KINDS = (*GEOMETRY, "deadband", "feedforward", "gyro", "all")
-
 
 @click.command
-@click.argument("what", type=click.Choice(KINDS), required=False)
+@click.argument("what", type=click.Choice(CALIBRATIONS), required=False)
 @click.option(
     "--from", "log", metavar="LOG", type=click.Path(path_type=Path),
     help="Fit the geometry to a recording with external poses; nothing moves.",
@@ -43,14 +43,40 @@ KINDS = (*GEOMETRY, "deadband", "feedforward", "gyro", "all")
     help="Of a LOG.mcap: topic of the external poses (PoseStamped or Odometry).",
 )  # fmt: skip
 @click.option(
-    "--distance-m", type=POSITIVE, default=3.0, show_default=True, help="Length of straight."
+    "--distance-m",
+    type=POSITIVE,
+    default=OPTIONS["distance_m"].usual,
+    show_default=True,
+    help="Length of straight.",
 )
 @click.option(
-    "--turns", type=POSITIVE, default=2.0, show_default=True, help="Turns of rotate and gyro."
+    "--turns",
+    type=POSITIVE,
+    default=OPTIONS["turns"].usual,
+    show_default=True,
+    help="Turns of rotate and gyro.",
 )
-@click.option("--side-m", type=POSITIVE, default=2.0, show_default=True, help="Side of square.")
-@click.option("--speed-m-s", type=POSITIVE, default=0.3, show_default=True, help="Top speed.")
-@click.option("--speed-rad-s", type=POSITIVE, default=0.8, show_default=True, help="Fastest turn.")
+@click.option(
+    "--side-m",
+    type=POSITIVE,
+    default=OPTIONS["side_m"].usual,
+    show_default=True,
+    help="Side of square.",
+)
+@click.option(
+    "--speed-m-s",
+    type=POSITIVE,
+    default=OPTIONS["speed_m_s"].usual,
+    show_default=True,
+    help="Top speed.",
+)
+@click.option(
+    "--speed-rad-s",
+    type=POSITIVE,
+    default=OPTIONS["speed_rad_s"].usual,
+    show_default=True,
+    help="Fastest turn.",
+)
 @click.option(
     "--robot", metavar="NAME", help="The robot's name. Needed if several run on this machine."
 )
@@ -101,93 +127,48 @@ def calibrate(what: str | None, log: Path | None, as_json: bool, **options: Any)
 
 
 def _live(person: Terminal, what: str, options: dict[str, Any]) -> dict[str, Any]:
-    from motord.commission.duty import drive_levels, duty_changes, duty_words
-    from motord.commission.geometry import require_same
-    from motord.commission.gyro import gyro_changes, measure_gyro
+    from motord.commission.calibration import calibrated
     from motord.commission.robot_file_edit import RobotFileEdit
 
     with Client(options["path"] or find_socket(options["robot"])) as client:
         described = client.call("robot")
         edit = RobotFileEdit(options["robot_file"] or Path(described["file"]))
-        robot = edit.before
-        require_same(robot, described)
-        found: dict[str, Any] = {"what": what}
-        if what in (*GEOMETRY, "all"):
-            found["geometry"] = _geometry(client, person, edit, what, options)
-        if what in ("deadband", "feedforward") or (what == "all" and _takes_duty(robot)):
-            fits = drive_levels(client, person, robot, options["speed_m_s"])
-            for text in duty_words(robot, fits):
-                person.show(text)
-            edit.update(duty_changes(robot, fits, feed_forward=what != "deadband"))
-            found["duty"] = {name: asdict(fit) for name, fit in fits.items()}
-        if what == "gyro":
-            gyro = measure_gyro(client, person, robot, options["turns"], options["speed_rad_s"])
-            person.show(
-                f"gyro: offset {gyro.bias_rad_s:+.5f} rad/s, scale {gyro.scale:.4f} "
-                f"± {gyro.difference:.4f}; the robot file holds the variance that follows"
-            )
-            edit.update(gyro_changes(gyro))
-            found["gyro"] = asdict(gyro)
+        measured = calibrated(client, person, edit, what, options)
+    found: dict[str, Any] = {"what": what}
+    if measured.fit is not None:
+        _plot(person, edit, measured.measures, measured.fit, options)
+        found["geometry"] = _numbers(measured.measures, measured.fit)
+    if measured.duty:
+        found["duty"] = {name: asdict(fit) for name, fit in measured.duty.items()}
+    if measured.gyro is not None:
+        found["gyro"] = asdict(measured.gyro)
     return found | {"backup": _written(person, edit, options)}
 
 
-def _takes_duty(robot: Any) -> bool:
-    from motord.config.sections.wheels import takes_duty
-
-    profiles = robot.profiles
-    return any(takes_duty(joint, profiles[joint.drive]) for joint in robot.joint.values())
-
-
-def _geometry(
-    client: Client, person: Terminal, edit: RobotFileEdit, what: str, options: dict[str, Any]
-) -> dict[str, Any]:
-    from motord.commission.geometry import free_of
-    from motord.commission.runs import Bounds, Runs
-
-    free = free_of(edit.before, what)
-    bounds = Bounds(
-        distance_m=options["distance_m"],
-        turns=options["turns"],
-        side_m=options["side_m"],
-        linear_m_s=options["speed_m_s"],
-        angular_rad_s=options["speed_rad_s"],
-    )
-    runs = Runs(client, person, bounds)
-    kinds = GEOMETRY if what == "all" else (what,)
-    measures = [measure for kind in kinds for measure in getattr(runs, kind)()]
-    return _fitted(person, edit, free, measures, options)
-
-
-def _fitted(
+def _plot(
     person: Terminal,
     edit: RobotFileEdit,
-    free: tuple[Free, ...],
-    measures: list[Any],
+    measures: Sequence[Measure],
+    fit: Fit,
     options: dict[str, Any],
-    *,
-    robust: bool = False,
-) -> dict[str, Any]:
-    from motord.api.geometry_fit import fit
-    from motord.commission.geometry import changes, words
-
-    robot = edit.before
-    found = fit(measures, robot.base.effective_track_m, free, robust=robust)
-    for text in words(robot, found, measures):
-        person.show(text)
+) -> None:
     if options["plot"] is not None:
         from motord.commission.plots import plot_paths
 
-        plot_paths(options["plot"], measures, robot.base.effective_track_m, found)
+        plot_paths(options["plot"], measures, edit.before.base.effective_track_m, fit)
         person.show(f"{options['plot']}: written")
-    edit.update(changes(robot, found, free))
+
+
+def _numbers(measures: Sequence[Measure], fit: Fit) -> dict[str, Any]:
     return {
-        "factors": asdict(found.factors),
-        "deviations": asdict(found.deviations),
+        "factors": asdict(fit.factors),
+        "deviations": asdict(fit.deviations),
         "measures": len(measures),
     }
 
 
 def _from_log(person: Terminal, log: Path, options: dict[str, Any]) -> dict[str, Any]:
+    from motord.commission.calibration import fitted
     from motord.commission.geometry import free_of
     from motord.commission.log_fit import read_csv, windows
     from motord.commission.robot_file_edit import RobotFileEdit
@@ -207,8 +188,9 @@ def _from_log(person: Terminal, log: Path, options: dict[str, Any]) -> dict[str,
     else:
         read = read_csv(log, sides, radii_m)
     measures = windows(read)
-    geometry = _fitted(person, edit, free, measures, options, robust=True)
-    found = {"what": "log", "geometry": geometry}
+    fit = fitted(person, edit, free, measures, robust=True)
+    _plot(person, edit, measures, fit, options)
+    found = {"what": "log", "geometry": _numbers(measures, fit)}
     return found | {"backup": _written(person, edit, options)}
 
 
@@ -221,7 +203,7 @@ def _file_of_daemon(options: dict[str, Any]) -> Path:
 
 
 def _written(person: Terminal, edit: RobotFileEdit, options: dict[str, Any]) -> str | None:
-    from motord.cli.terminal import write_asking
+    from motord.commission.robot_file_edit import write_asking
 
     backup = write_asking(person, edit, dry_run=options["dry_run"])
     if backup is not None:

@@ -100,9 +100,9 @@ def params_save(
     \b
     Example: motord params set limits.linear_m_s=0.3 && motord params save
     """
-    from motord.cli.terminal import Terminal, failing, write_asking
+    from motord.cli.terminal import Terminal, failing
     from motord.commission.params_save import put_in_force
-    from motord.commission.robot_file_edit import RobotFileEdit
+    from motord.commission.robot_file_edit import RobotFileEdit, write_asking
 
     with failing(), Terminal(yes=yes) as person:
         edit = RobotFileEdit(robot_file or _file_of(client))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from motord.api.procedures import OPTIONS
 from motord.cli.common import (
     Exit,
     Failure,
@@ -21,20 +22,19 @@ from motord.cli.complete import joint_names
 from motord.cli.talk import talking
 from motord.client import Client
 
-SPEED_RAD_S, SPEED_MAX_RAD_S = 1.5, 5.0
-SECONDS, SECONDS_MAX = 2.0, 10.0
+SPEED, SECONDS = OPTIONS["wheel_rad_s"], OPTIONS["seconds"]
 
 
 @click.command
 @click.argument("joints", metavar="[JOINT]...", nargs=-1, shell_complete=joint_names)
 @click.option("--all", "all_joints", is_flag=True, help="Every joint, one after the other.")
 @click.option(
-    "--speed-rad-s", type=click.FloatRange(0.1, SPEED_MAX_RAD_S), default=SPEED_RAD_S,
+    "--speed-rad-s", type=click.FloatRange(SPEED.low, SPEED.high), default=SPEED.usual,
     show_default=True, help="Speed of the wheel.",
 )  # fmt: skip
 @click.option(
-    "--seconds", type=click.FloatRange(0.5, SECONDS_MAX), default=SECONDS, show_default=True,
-    help="How long each wheel turns.",
+    "--seconds", type=click.FloatRange(SECONDS.low, SECONDS.high), default=SECONDS.usual,
+    show_default=True, help="How long each wheel turns.",
 )  # fmt: skip
 @file_option
 @yes_option
@@ -69,8 +69,8 @@ def spin(
     """
     if bool(joints) == all_joints:
         raise click.UsageError("name the joints, or give --all")
-    from motord.cli.terminal import Terminal, failing, write_asking
-    from motord.commission.robot_file_edit import RobotFileEdit
+    from motord.cli.terminal import Terminal, failing
+    from motord.commission.robot_file_edit import RobotFileEdit, write_asking
     from motord.commission.spin import spin as procedure
     from motord.commission.spin_findings import findings
 

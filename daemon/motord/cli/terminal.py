@@ -13,7 +13,6 @@ import termios
 import time
 import tty
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from types import FrameType
 from typing import Any, Self
 
@@ -22,7 +21,7 @@ import click
 from motord.cli.common import Exit, Failure
 from motord.client import ClientError, Refused
 from motord.commission.person import Aborted, Failed
-from motord.commission.robot_file_edit import EditError, RobotFileEdit
+from motord.commission.robot_file_edit import EditError
 from motord.config import ConfigError
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -61,11 +60,14 @@ class Terminal:
         with contextlib.suppress(OSError):  # a terminal that is gone: `aborted` finds out
             click.echo(text, err=True)
 
+    def difference(self, text: str) -> None:
+        self.show(text)
+
     def progress(self, text: str) -> None:
         if sys.stderr.isatty() and time.monotonic() > self._shown_s + PROGRESS_EVERY_S:
             self._shown_s = time.monotonic()
             with contextlib.suppress(OSError):
-                click.echo(f"\r\033[K{text}", nl=False, err=True)
+                click.echo(f"\r\033[K{text}; any key stops it", nl=False, err=True)
             self._line_open = True
 
     def confirm(self, question: str) -> bool:
@@ -171,18 +173,3 @@ def failing() -> Iterator[None]:
         raise Failure(str(error), Exit.FAULT) from error
     except (Failed, EditError, ClientError) as error:
         raise Failure(str(error)) from error
-
-
-def write_asking(person: Terminal, edit: RobotFileEdit, *, dry_run: bool = False) -> Path | None:
-    """Show the difference, confirm, write; returns the backup of the old file. None: nothing
-    written. Raises ConfigError, EditError, Aborted."""
-    if not edit.changed:
-        person.show(f"{edit.path}: nothing changes")
-        return None
-    person.show(edit.diff().rstrip())
-    if dry_run or not person.confirm(f"Write {edit.path}?"):
-        person.show("nothing was written")
-        return None
-    backup = edit.save()
-    person.show(f"{edit.path}: written; the old file is {backup.name}")
-    return backup

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from motord.api.procedures import OPTIONS
 from motord.cli.common import (
     Exit,
     Failure,
@@ -25,10 +26,10 @@ from motord.cli.talk import talking
 from motord.client import Client
 
 if TYPE_CHECKING:
+    from motord.cli.terminal import Terminal
     from motord.commission.tune import Tuned
 
-SPEED_M_S, SPEED_MAX_M_S = 0.3, 1.0
-STEP_S, STEP_MAX_S = 1.5, 4.0
+SPEED, STEP = OPTIONS["rim_m_s"], OPTIONS["step_s"]
 
 
 @click.command
@@ -38,11 +39,11 @@ STEP_S, STEP_MAX_S = 1.5, 4.0
     show_default=True, help="How fast the closed loop is: 4, 2 or 1 dead times of the wheel.",
 )  # fmt: skip
 @click.option(
-    "--speed-m-s", type=click.FloatRange(0.02, SPEED_MAX_M_S), default=SPEED_M_S,
+    "--speed-m-s", type=click.FloatRange(SPEED.low, SPEED.high), default=SPEED.usual,
     show_default=True, help="Speed of the wheel's rim at most.",
 )  # fmt: skip
 @click.option(
-    "--step-s", type=click.FloatRange(0.5, STEP_MAX_S), default=STEP_S, show_default=True,
+    "--step-s", type=click.FloatRange(STEP.low, STEP.high), default=STEP.usual, show_default=True,
     help="How long each step lasts.",
 )  # fmt: skip
 @click.option(
@@ -96,35 +97,27 @@ def tune(client: Client, joint: str, as_json: bool, **options: Any) -> None:
 
 
 def _tuned(
-    client: Client, person: Any, joint: str, options: dict[str, Any]
+    client: Client, person: Terminal, joint: str, options: dict[str, Any]
 ) -> tuple[Tuned, Path | None]:
-    from motord.cli.terminal import write_asking
-    from motord.commission.geometry import require_same
     from motord.commission.robot_file_edit import RobotFileEdit
-    from motord.commission.tune import Bounds, Tuning, unit_of, words
+    from motord.commission.tune import Bounds
+    from motord.commission.tune import tune as procedure
     from motord.commission.tune_plot import plot_responses, sparklines
 
-    described = client.call("robot")
-    edit = RobotFileEdit(options["robot_file"] or Path(described["file"]))
-    require_same(edit.before, described)
+    def pictured(tuned: Tuned) -> None:
+        for text in sparklines(tuned):
+            person.show(text)
+        if options["plot"] is not None:
+            plot_responses(options["plot"], tuned)
+            person.show(f"{options['plot']}: written")
+
     bounds = Bounds(
         speed_m_s=options["speed_m_s"],
         step_s=options["step_s"],
         current_max_a=options["current_max_a"],
     )
-    with Tuning(client, person, edit.before, joint, bounds) as tuning:
-        tuned = tuning.run(options["aggressiveness"])
-        for text in (*words(tuned, unit=unit_of(edit.before, joint)), *sparklines(tuned)):
-            person.show(text)
-        if options["plot"] is not None:
-            plot_responses(options["plot"], tuned)
-            person.show(f"{options['plot']}: written")
-        if not tuned.better:
-            person.show("the wheel follows no better with these gains: nothing was written")
-            return tuned, None
-        edit.update(tuning.changes(tuned))
-        backup = write_asking(person, edit, dry_run=options["dry_run"])
-        if backup is not None:
-            tuning.keep()
-            person.show("The gains are in force already. Restart the daemon for its checks.")
-    return tuned, backup
+    edit = RobotFileEdit(options["robot_file"] or Path(client.call("robot")["file"]))
+    return procedure(
+        client, person, edit, joint, bounds, options["aggressiveness"], pictured,
+        dry_run=options["dry_run"],
+    )  # fmt: skip

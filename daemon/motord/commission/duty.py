@@ -121,7 +121,7 @@ def drive_levels(
     with armed(client, person, OWNER) as session:
         for number, level in enumerate(LEVELS, 1):
             for sign in (1.0, -1.0) if reverses else (1.0,):
-                person.progress(f"level {number} of {len(LEVELS)}; any key stops it")
+                person.progress(f"level {number} of {len(LEVELS)}")
                 held = session.hold(sign * level * speed_m_s, 0.0, HOLD_S)
                 if held.faults:
                     raise Failed(

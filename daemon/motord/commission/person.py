@@ -23,6 +23,9 @@ class Person(Protocol):
     def show(self, text: str) -> None:
         """A result or a notice, one or more lines."""
 
+    def difference(self, text: str) -> None:
+        """What would change in a file, as `diff -u` shows it."""
+
     def progress(self, text: str) -> None:
         """What happens now; each text replaces the one before."""
 

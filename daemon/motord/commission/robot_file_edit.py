@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Change keys of a robot file: comments and order stay, and a file that would not pass `motord
-check` is not written."""
+"""Change a robot file or some of its keys: comments and order stay, and a file that would not pass
+`motord check` is not written."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import tomlkit
 from tomlkit.container import Container, OutOfOrderTableProxy
 from tomlkit.items import InlineTable, Table
 
+from motord.commission.person import Person
 from motord.config import ConfigError, Robot, load_robot
 from motord_hal.base import bounded
 
@@ -28,60 +29,30 @@ class EditError(Exception):
     """The file cannot be read or written; the message names it, the cause and the cure."""
 
 
-class RobotFileEdit:
-    """One robot file with changes that are not on disk before `save`."""
+class RobotFileText:
+    """One robot file, and the text that it should have. That is not on disk before `save`."""
 
-    def __init__(self, path: Path) -> None:
-        """Raises EditError for a file that cannot be read, ConfigError for one that is no TOML."""
+    def __init__(self, path: Path, text: str | None = None) -> None:
+        """`text`: what the file has, unless given. Raises EditError for a file that cannot be
+        read."""
         self.path = path.resolve()  # the file itself: `save` must not replace a link to it
         try:
             self._found = bounded.read(self.path)
+            self._text = self._found.decode() if text is None else text
         except OSError as error:
             raise EditError(f"{path}: cannot be read: {error.strerror}") from error
-        self.before = load_robot(self.path)
-        self._document = tomlkit.parse(self._found.decode())
+        except UnicodeDecodeError as error:
+            raise EditError(f"{path}: is no UTF-8: {error.reason}") from error
 
     @property
     def text(self) -> str:
         """The file with all changes."""
-        return self._document.as_string()
+        return self._text
 
     @property
     def changed(self) -> bool:
         """Whether `save` has anything to write."""
         return self.text.encode() != self._found
-
-    def get(self, path: KeyPath) -> Any:
-        """The value that the file gives for a key; None: the file does not give it."""
-        value: Any = self._document.unwrap()
-        for part in path:
-            if not isinstance(value, dict) or part not in value:
-                return None
-            value = value[part]
-        return value
-
-    def set(self, path: KeyPath, value: Any) -> None:
-        """Give a key this value, in the table where it belongs. A value that is there already
-        keeps its spelling."""
-        if self.get(path) == value:
-            return
-        *parents, key = path
-        table: _AnyTable = self._document
-        for part in parents:
-            if part not in table:
-                table[part] = tomlkit.table()
-            table = table[part]
-        if key in table or not isinstance(table, Table):
-            table[key] = value
-            return
-        tail = _tail(table.value)
-        table[key] = value
-        table.value.body.extend(tail)
-
-    def update(self, values: Mapping[KeyPath, Any]) -> None:
-        """`set` for each."""
-        for path, value in values.items():
-            self.set(path, value)
 
     def diff(self) -> str:
         """What changes, as `diff -u` shows it; empty: nothing."""
@@ -126,6 +97,53 @@ class RobotFileEdit:
                 file.write(self._found)
             return backup
         raise EditError(f"{self.path}: has 100 backups of this second")
+
+
+class RobotFileEdit(RobotFileText):
+    """Keys of one robot file with values of their own."""
+
+    def __init__(self, path: Path) -> None:
+        """As RobotFileText; raises ConfigError for a file that does not pass."""
+        super().__init__(path)
+        self.before = load_robot(self.path)
+        self._document = tomlkit.parse(self._text)
+
+    @property
+    def text(self) -> str:
+        """The file with all changes."""
+        return self._document.as_string()
+
+    def get(self, path: KeyPath) -> Any:
+        """The value that the file gives for a key; None: the file does not give it."""
+        value: Any = self._document.unwrap()
+        for part in path:
+            if not isinstance(value, dict) or part not in value:
+                return None
+            value = value[part]
+        return value
+
+    def set(self, path: KeyPath, value: Any) -> None:
+        """Give a key this value, in the table where it belongs. A value that is there already
+        keeps its spelling."""
+        if self.get(path) == value:
+            return
+        *parents, key = path
+        table: _AnyTable = self._document
+        for part in parents:
+            if part not in table:
+                table[part] = tomlkit.table()
+            table = table[part]
+        if key in table or not isinstance(table, Table):
+            table[key] = value
+            return
+        tail = _tail(table.value)
+        table[key] = value
+        table.value.body.extend(tail)
+
+    def update(self, values: Mapping[KeyPath, Any]) -> None:
+        """`set` for each."""
+        for path, value in values.items():
+            self.set(path, value)
 
 
 def replace_file(path: Path, content: bytes) -> None:
@@ -192,4 +210,22 @@ def _tail(body: Container) -> list[Any]:
     return tail
 
 
-__all__ = ["ConfigError", "EditError", "KeyPath", "RobotFileEdit", "replace_file", "write_new"]
+def write_asking(person: Person, edit: RobotFileText, *, dry_run: bool = False) -> Path | None:
+    """Show the difference, confirm, write; returns the backup of the old file. None: nothing
+    written. Raises ConfigError, EditError, Aborted."""
+    if not edit.changed:
+        person.show(f"{edit.path}: nothing changes")
+        return None
+    person.difference(edit.diff().rstrip())
+    if dry_run or not person.confirm(f"Write {edit.path}?"):
+        person.show("nothing was written")
+        return None
+    backup = edit.save()
+    person.show(f"{edit.path}: written; the old file is {backup.name}")
+    return backup
+
+
+__all__ = [
+    "ConfigError", "EditError", "KeyPath", "RobotFileEdit", "RobotFileText", "replace_file",
+    "write_asking", "write_new",
+]  # fmt: skip

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,17 +24,6 @@ DEVIATION = Pose(TAPE_M, TAPE_M, PROTRACTOR_RAD, TAPE_M)
 SIDEWAYS_MAX_M = 20.0
 SETTLE_S = 0.5
 _MARK = "of the mark that you made at the start"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Bounds:
-    """How far and how fast the robot may move."""
-
-    distance_m: float = 3.0
-    turns: float = 2.0
-    side_m: float = 2.0
-    linear_m_s: float = 0.3
-    angular_rad_s: float = 0.8
 
 
 @dataclass(slots=True)
@@ -65,17 +54,18 @@ class Recorder:
 class Runs:
     """Motions of one robot on the floor. Raises Aborted, Failed, ClientError."""
 
-    def __init__(self, client: Client, person: Person, bounds: Bounds) -> None:
-        self._client, self._person, self._bounds = client, person, bounds
+    def __init__(self, client: Client, person: Person, options: Mapping[str, float]) -> None:
+        """`options`: how far and how fast, by the names of motord.api.procedures."""
+        self._client, self._person, self._options = client, person, options
         self._robot: dict[str, Any] = client.call("robot")
 
     def straight(self) -> Iterator[Measure]:
         """Forward and back on a line."""
-        length_m = self._bounds.distance_m
+        length_m = self._options["distance_m"]
         self._ready(
             f"Put the robot at the beginning of a straight line on the floor and mark where it "
             f"stands. It drives {length_m:g} m forward and then back, with at most "
-            f"{self._bounds.linear_m_s:g} m/s. Is the path clear, and does it stand on its mark?"
+            f"{self._options['speed_m_s']:g} m/s. Is the path clear, and does it stand on its mark?"
         )
         recorder = Recorder(self._robot)
         for name, distance_m in (("straight forward", length_m), ("straight back", -length_m)):
@@ -89,10 +79,10 @@ class Runs:
 
     def rotate(self) -> Iterator[Measure]:
         """Turns on the spot to the left, then to the right."""
-        turns = self._bounds.turns
+        turns = self._options["turns"]
         self._ready(
             f"Mark on the floor where the robot's nose points. It turns {turns:g} times to the "
-            f"left and then to the right, with at most {self._bounds.angular_rad_s:g} rad/s. "
+            f"left and then to the right, with at most {self._options['speed_rad_s']:g} rad/s. "
             "Is there room all around it?"
         )
         before_rad = 0.0
@@ -111,7 +101,7 @@ class Runs:
 
     def square(self) -> Iterator[Measure]:
         """Squares in both directions (UMBmark)."""
-        side_m = self._bounds.side_m
+        side_m = self._options["side_m"]
         for name, sign in (("left", 1.0), ("right", -1.0)):
             self._ready(
                 f"Put the robot on its mark at the beginning of the line, looking along it. It "
@@ -138,10 +128,10 @@ class Runs:
             raise Failed("nothing was driven")
 
     def _move(self, distance_m: float) -> Goal:
-        return Goal(axis="linear", distance_u=distance_m, velocity_u_s=self._bounds.linear_m_s)
+        return Goal(axis="linear", distance_u=distance_m, velocity_u_s=self._options["speed_m_s"])
 
     def _turn(self, angle_rad: float) -> Goal:
-        return Goal(axis="angular", distance_u=angle_rad, velocity_u_s=self._bounds.angular_rad_s)
+        return Goal(axis="angular", distance_u=angle_rad, velocity_u_s=self._options["speed_rad_s"])
 
     def _drive(self, name: str, recorder: Recorder, goals: Sequence[Goal]) -> None:
         with armed(self._client, self._person, OWNER) as session:
@@ -157,8 +147,7 @@ class Runs:
             recorder.add(newest)
             unit = units[motion.plan.axis]
             self._person.progress(
-                f"{name}: {motion.distance_u:.2f} {unit} of {motion.plan.distance_u:.2f}; "
-                "any key stops it"
+                f"{name}: {motion.distance_u:.2f} {unit} of {motion.plan.distance_u:.2f}"
             )
 
         return look

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from motord.api.procedures import OPTIONS
 from motord.api.snapshot import Snapshot
 from motord.client import Client
 from motord.commission.person import Failed, Person
@@ -23,8 +24,6 @@ Direction = Literal["forward", "backward", "not at all"]
 OWNER = "motord-spin"
 TURNED_RAD = 0.2
 """An encoder that counts less has not seen the wheel turn."""
-SPEED_RAD_S, SPEED_MAX_RAD_S = 1.5, 5.0
-SECONDS, SECONDS_MAX = 2.0, 10.0
 RATIO_MIN, RATIO_MAX = 0.8, 1.25
 """Counted over commanded angle of a drive that holds its speed; else counts or gear are wrong."""
 DOUBTS = {
@@ -89,7 +88,7 @@ def turn_wheel(session: Session, wheel: Wheel, speed_rad_s: float, seconds: floa
     found = []
     for number, turn in enumerate(wheel.turns, 1):
         times = f", time {number} of {len(wheel.turns)}" if len(wheel.turns) > 1 else ""
-        session.person.progress(f"{wheel.name} turns{times}; any key stops it")
+        session.person.progress(f"{wheel.name} turns{times}")
         fastest = max(abs(rim) / radii_m[name] for name, rim in turn.rims.items())
         rim_m_s = speed_rad_s / fastest
         parts = dict(zip(names, (turn.linear, turn.lateral, turn.angular), strict=True))
@@ -174,10 +173,9 @@ def ask_what_turned(
 
 def require_idle_ground(person: Person, speed_rad_s: float, seconds: float) -> None:
     """Ask before anything turns. Raises Failed."""
-    if not 0.0 < speed_rad_s <= SPEED_MAX_RAD_S or not 0.0 < seconds <= SECONDS_MAX:
-        raise Failed(
-            f"a wheel is turned with at most {SPEED_MAX_RAD_S:g} rad/s for {SECONDS_MAX:g} s"
-        )
+    fastest_rad_s, longest_s = OPTIONS["wheel_rad_s"].high, OPTIONS["seconds"].high
+    if not 0.0 < speed_rad_s <= fastest_rad_s or not 0.0 < seconds <= longest_s:
+        raise Failed(f"a wheel is turned with at most {fastest_rad_s:g} rad/s for {longest_s:g} s")
     question = (
         f"Each wheel turns for {seconds:g} s with at most {speed_rad_s:g} rad/s "
         f"({speed_rad_s * 60 / math.tau:.0f} rpm). Are all wheels off the ground, and is nothing "

@@ -11,16 +11,19 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from motord.api.procedures import OPTIONS
 from motord.api.snapshot import Snapshot
 from motord.client import Client, ClientError
+from motord.commission.geometry import require_same
 from motord.commission.person import Failed, Person
-from motord.commission.robot_file_edit import KeyPath
+from motord.commission.robot_file_edit import KeyPath, RobotFileEdit, write_asking
 from motord.commission.session import Session, armed
 from motord.commission.tune_fit import (
     Aggressiveness,
@@ -41,8 +44,7 @@ from motord.config.sections.wheels import takes_duty, velocity_range_rad_s
 OWNER = "motord-tune"
 LEVELS = (0.5, 1.0)
 """Of the speed at most: two, because one cannot separate friction from drag."""
-SPEED_M_S, SPEED_MAX_M_S = 0.3, 1.0
-STEP_S, STEP_MAX_S = 1.5, 4.0
+SPEED, STEP = OPTIONS["rim_m_s"], OPTIONS["step_s"]
 LOOK_EVERY_S = 0.01
 TURNS_PART_MIN = 0.3
 """Part of the base's straight motion that a rim has to follow: else the base turns on the spot."""
@@ -54,14 +56,14 @@ _GAIN_WORDS = re.compile(r"gain|pid|(^|_)k[pid]($|_)")
 class Bounds:
     """How fast, how long and with how much current the wheel may be driven."""
 
-    speed_m_s: float = SPEED_M_S
+    speed_m_s: float = SPEED.usual
     """At the rim."""
-    step_s: float = STEP_S
+    step_s: float = STEP.usual
     current_max_a: float = math.inf
 
     def __post_init__(self) -> None:
-        if not (0.0 < self.speed_m_s <= SPEED_MAX_M_S and 0.0 < self.step_s <= STEP_MAX_S):
-            raise ValueError(f"at most {SPEED_MAX_M_S:g} m/s and {STEP_MAX_S:g} s a step")
+        if not (0.0 < self.speed_m_s <= SPEED.high and 0.0 < self.step_s <= STEP.high):
+            raise ValueError(f"at most {SPEED.high:g} m/s and {STEP.high:g} s a step")
 
     @property
     def step_m(self) -> float:
@@ -224,7 +226,7 @@ class Tuning:
             session.look_every_s = LOOK_EVERY_S
             for level in LEVELS:
                 for sign in signs:
-                    self._person.progress(f"{self._name}, {what}; any key stops it")
+                    self._person.progress(f"{self._name}, {what}")
                     runs.append(self._step(session, sign * level * self._bounds.speed_m_s))
         return tuple(runs)
 
@@ -275,6 +277,36 @@ def run_of(snapshots: tuple[Snapshot, ...], index: int, *, duty: bool) -> Run:
     if len(measured) < 2:
         raise Failed("the wheel measures no speed: motord doctor")
     return Run(*(np.array(each) for each in (times, wants, outputs, measured, speeds)))
+
+
+def tune(
+    client: Client,
+    person: Person,
+    edit: RobotFileEdit,
+    name: str,
+    bounds: Bounds,
+    aggressiveness: Aggressiveness,
+    pictured: Callable[[Tuned], None],
+    *,
+    dry_run: bool = False,
+) -> tuple[Tuned, Path | None]:
+    """From the first question to the robot file; the second result is the backup of the old one.
+    `pictured` shows the steps. Raises Aborted, Failed, EditError, ClientError."""
+    require_same(edit.before, client.call("robot"))
+    with Tuning(client, person, edit.before, name, bounds) as tuning:
+        tuned = tuning.run(aggressiveness)
+        for text in words(tuned, unit=unit_of(edit.before, name)):
+            person.show(text)
+        pictured(tuned)
+        if not tuned.better:
+            person.show("the wheel follows no better with these gains: nothing was written")
+            return tuned, None
+        edit.update(tuning.changes(tuned))
+        backup = write_asking(person, edit, dry_run=dry_run)
+        if backup is not None:
+            tuning.keep()
+            person.show("The gains are in force already. Restart the daemon for its checks.")
+    return tuned, backup
 
 
 def words(tuned: Tuned, *, unit: str) -> list[str]:

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A calibration from the first question to the keys of the robot file; what writes them comes
+after it. Needs numpy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from motord.api.geometry_fit import Fit, Free, Measure, fit
+from motord.client import Client
+from motord.commission.duty import DutyFit, drive_levels, duty_changes, duty_words
+from motord.commission.geometry import changes, free_of, require_same, words
+from motord.commission.gyro import GyroFound, gyro_changes, measure_gyro
+from motord.commission.person import Person
+from motord.commission.robot_file_edit import RobotFileEdit
+from motord.commission.runs import Runs
+from motord.config import Robot
+from motord.config.sections.wheels import takes_duty
+
+GEOMETRY = ("straight", "rotate", "square")
+
+
+@dataclass(slots=True)
+class Calibration:
+    """What was measured; None and empty: that was not the subject."""
+
+    measures: list[Measure] = field(default_factory=list)
+    fit: Fit | None = None
+    duty: Mapping[str, DutyFit] = field(default_factory=dict)
+    gyro: GyroFound | None = None
+
+
+def calibrated(
+    client: Client, person: Person, edit: RobotFileEdit, what: str, options: Mapping[str, float]
+) -> Calibration:
+    """Move, measure, show, and give `edit` the new values. `what`: a kind of `motord calibrate`;
+    `options`: those of motord.api.procedures. Raises Aborted, Failed, BadData, ClientError."""
+    robot, found = edit.before, Calibration()
+    require_same(robot, client.call("robot"))
+    if what in (*GEOMETRY, "all"):
+        free = free_of(robot, what)
+        runs = Runs(client, person, options)
+        kinds = GEOMETRY if what == "all" else (what,)
+        found.measures = [measure for kind in kinds for measure in getattr(runs, kind)()]
+        found.fit = fitted(person, edit, free, found.measures)
+    if what in ("deadband", "feedforward") or (what == "all" and _takes_duty(robot)):
+        found.duty = drive_levels(client, person, robot, options["speed_m_s"])
+        for text in duty_words(robot, found.duty):
+            person.show(text)
+        edit.update(duty_changes(robot, found.duty, feed_forward=what != "deadband"))
+    if what == "gyro":
+        gyro = measure_gyro(client, person, robot, options["turns"], options["speed_rad_s"])
+        person.show(
+            f"gyro: offset {gyro.bias_rad_s:+.5f} rad/s, scale {gyro.scale:.4f} "
+            f"± {gyro.difference:.4f}; the robot file holds the variance that follows"
+        )
+        edit.update(gyro_changes(gyro))
+        found.gyro = gyro
+    return found
+
+
+def fitted(
+    person: Person,
+    edit: RobotFileEdit,
+    free: tuple[Free, ...],
+    measures: Sequence[Measure],
+    *,
+    robust: bool = False,
+) -> Fit:
+    """Radii and track that explain the measures best. Raises BadData."""
+    robot = edit.before
+    found = fit(measures, robot.base.effective_track_m, free, robust=robust)
+    for text in words(robot, found, measures):
+        person.show(text)
+    edit.update(changes(robot, found, free))
+    return found
+
+
+def _takes_duty(robot: Robot) -> bool:
+    profiles = robot.profiles
+    return any(takes_duty(joint, profiles[joint.drive]) for joint in robot.joint.values())
