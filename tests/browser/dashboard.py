@@ -6,8 +6,8 @@ import socket
 import subprocess
 from urllib.parse import urlsplit
 
-from tests.sim.daemon_stage import DEADLINE_S, connected, ended, wait_until
-from tests.sim.web_page import bus_children
+from tests.sim.daemon_stage import DEADLINE_S, connected, ended, running, wait_until
+from tests.sim.web_page import bus_children, free_port
 
 from motord.client import Refused
 
@@ -132,6 +132,28 @@ class Dashboard:
         self.stage.robot = connected(self._again, self.stage.socket, self.stage.log)
         self.stage.wait_for("idle")
         wait_until(self.listens, "the dashboard listens")
+
+
+@contextlib.contextmanager
+def dashboard_of(browser, folder, file, *settings, **simulated):
+    """Of a robot that runs by a file in that folder; `simulated`: as `running`."""
+    token = folder / "token"
+    token.write_text(TOKEN, encoding="utf-8")
+    token.chmod(0o600)
+    port = free_port()
+    recordings = folder / "recordings"
+    web = (
+        "input.web.kind=web", f"input.web.port={port}", f'input.web.token_file="{token}"',
+        "publish.tape.kind=mcap", f'publish.tape.folder="{recordings}"',
+        "publish.tape.mode=manual", "publish.tape.journal=true",
+    )  # fmt: skip
+    with running(folder, *settings, *web, robot=file, **simulated) as stage:
+        stage.wait_for("idle")
+        dashboard = Dashboard(browser, stage, port, file, recordings)
+        wait_until(dashboard.listens, "the dashboard listens")
+        yield dashboard
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            dashboard.end()
 
 
 def press_pad(page):

@@ -9,10 +9,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from motord.api.geometry_fit import Array, Factors, Fit, Measure
+from motord.api.geometry_fit import Factors, Fit, Measure
 from motord.base.extras import how_to_install
+from motord.commission.calibration_pictures import path
 from motord.commission.person import Failed
 
 
@@ -43,7 +42,7 @@ def plot_paths(file: Path, measures: Sequence[Measure], track_m: float, found: F
     with picture(file, 1, (7.0, 7.0)) as axes:
         for measure in measures:
             for factors, style in ((Factors(), "--"), (found.factors, "-")):
-                x_m, y_m = _path(measure, track_m, factors)
+                x_m, y_m = path(measure, track_m, factors)
                 axes.plot(x_m, y_m, style, linewidth=1, label=f"{measure.name} {_WORDS[style]}")
             if math.isfinite(measure.found.x_m):
                 axes.plot(measure.found.x_m, measure.found.y_m, "k+", markersize=12)
@@ -56,12 +55,3 @@ def plot_paths(file: Path, measures: Sequence[Measure], track_m: float, found: F
 
 _WORDS = {"--": "before", "-": "after"}
 _NAMED_MAX = 8
-
-
-def _path(measure: Measure, track_m: float, factors: Factors) -> tuple[Array, Array]:
-    left = np.diff(measure.left_m) * factors.left
-    right = np.diff(measure.right_m) * factors.right
-    turn = (right - left) / (track_m * factors.track)
-    middle = np.cumsum(turn) - turn / 2.0
-    forward = (left + right) / 2.0
-    return np.cumsum(forward * np.cos(middle)), np.cumsum(forward * np.sin(middle))

@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Step responses before and after: as a picture, which needs the extra `plot`, or as a line of
-text."""
+"""Step responses before and after: as a picture, which needs the extra `plot`, as plots of a user
+interface, or as a line of text."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
+from motord.commission.pictures import Plot, axis, series
 from motord.commission.plots import picture
 from motord.commission.tune import Tuned
-from motord.commission.tune_fit import Run
+from motord.commission.tune_fit import Run, simulated
 
 BARS = "▁▂▃▄▅▆▇█"
 COLUMNS = 60
@@ -32,6 +34,35 @@ def plot_responses(file: Path, tuned: Tuned) -> None:
         output.set_ylabel("output [1 or N·m]")
         output.set_xlabel("time [s]")
         speed.legend(fontsize=8)
+
+
+def pictures_of_steps(tuned: Tuned) -> Iterator[Plot]:
+    """The fastest step before and after, and the plant that explains the wheel's answer."""
+    before, after = _fastest(tuned.before_runs), _fastest(tuned.after_runs)
+    time, speed = axis("time", "s"), axis("speed of the wheel", "rad/s")
+    yield {
+        "title": f"A step of {tuned.joint}, before and after", "x": time, "y": speed,
+        "series": [
+            series("set-point", "dashed", after.time_s, after.want_rad_s),
+            series("before", "line", before.measured_s, before.speed_rad_s),
+            series("after", "line", after.measured_s, after.speed_rad_s),
+        ],
+    }  # fmt: skip
+    plant = tuned.plant
+    model = np.array(
+        [
+            plant.acceleration_u_s2_per_rad,
+            plant.viscous_u_s_per_rad,
+            plant.static_u,
+            plant.dead_time_s,
+        ]
+    )
+    off_rad_s = after.speed_rad_s - simulated(after, model)
+    yield {
+        "title": "Measured minus the identified wheel, after", "x": time,
+        "y": axis("left over", "rad/s"),
+        "series": [series("left over", "points", after.measured_s, off_rad_s)],
+    }  # fmt: skip
 
 
 def sparklines(tuned: Tuned) -> list[str]:

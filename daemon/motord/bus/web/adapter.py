@@ -8,12 +8,14 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
 
 from aiohttp import web
 
-from motord.bus.commands.gate import TRIGGERS, CommandGate, NotTaken, short
+from motord.api.procedures import OPTIONS, PROCEDURES
+from motord.bus.commands.gate import TRIGGERS, URGENT, CommandGate, NotTaken, short
 from motord.bus.http_server import HttpServer, tls_context
 from motord.bus.messages import json_form
 from motord.bus.messages.topics import View
@@ -21,6 +23,7 @@ from motord.bus.secret import Token
 from motord.bus.web import tape
 from motord.bus.web.access import PROTOCOL, Access, Right, Stranger
 from motord.bus.web.assets import answer as asset
+from motord.bus.web.commissioning import Commissioning
 from motord.bus.web.description import description
 from motord.bus.web.events import Event, Events
 from motord.bus.web.frames import Packer
@@ -52,6 +55,9 @@ LOOKS = ("status", "latency", "params.list")
 CHANGES = ("params.get", "params.set")
 SAVES = ("params.diff", "params.save")
 """Beside the calls of every bus. Reading a register costs a turn on the line."""
+COMMISSION = ("commission.start", "commission.answer", "commission.stop", "commission.take")
+AT_ANY_TIME = (*URGENT, "disarm", "params.get", *tape.CHANGES, *COMMISSION)
+"""Calls that a running procedure does not exclude."""
 
 
 class WebAdapter:
@@ -78,6 +84,9 @@ class WebAdapter:
         self._pages = self._frames = 0
         self._status_ns = 0
         self._saving = asyncio.Lock()
+        self._commissioning = Commissioning(
+            runtime.path, self._publish_commissioning, self._publish_progress
+        )
         self._looked: dict[str, tuple[float, Any]] = {}
         self.taken = self.dropped = 0
         runtime.feeds[where if self._gate else name] = self
@@ -90,6 +99,7 @@ class WebAdapter:
             async with asyncio.TaskGroup() as tasks:
                 if self._gate is not None:
                     tasks.create_task(self._gate.source.run())
+                    tasks.create_task(self._commissioning.run())
                 tasks.create_task(self._server.run())
                 tasks.create_task(self._traces.run())
                 tasks.create_task(self._tape.replays.run())
@@ -128,7 +138,9 @@ class WebAdapter:
 
     def _status(self, status: Mapping[str, Any]) -> dict[str, Any]:
         driver = self._seat.driver if self._seat is not None else None
-        return {**status, "pages": len(self._viewers), "driver": driver}
+        record = self._commissioning.record if self._commissioning.running else None
+        running = record and {"procedure": record["procedure"], "page": record["page"]}
+        return {**status, "pages": len(self._viewers), "driver": driver, "commissioning": running}
 
     def _publish(self, message: dict[str, Any]) -> None:
         text = json_form.encode(message).decode()
@@ -138,6 +150,27 @@ class WebAdapter:
     def _publish_event(self, event: Event) -> None:
         if self._viewers:
             self._publish({"event": event})
+
+    def _publish_commissioning(self) -> None:
+        """To every page at once that it runs or does not; the rest to those that may command: it
+        may contain parts of the robot file."""
+        running = self._commissioning.running
+        if self._seat is not None:
+            self._seat.reserved_for = running
+        self._status_ns = 0
+        for viewer in self._viewers:
+            self._show_commissioning(viewer)
+
+    def _show_commissioning(self, viewer: Viewer) -> None:
+        record = self._commissioning.record
+        if record is not None and viewer.may_command:
+            yours = viewer is self._commissioning.owner
+            viewer.say(json_form.encode({"commissioning": {**record, "yours": yours}}).decode())
+
+    def _publish_progress(self, text: str) -> None:
+        for viewer in self._viewers:
+            if viewer.may_command:
+                viewer.say(json_form.encode({"progress": text}).decode())
 
     # -------------------------------------------------------------------------------------- pages
     async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
@@ -178,8 +211,11 @@ class WebAdapter:
         self._pages += 1
         seat = self._seat if right.command else None
         name = f"page {self._pages} at {remote}"
-        viewer = Viewer(connection, name, self._section.rate_hz, seat, self._call)
+        viewer = Viewer(
+            connection, name, self._section.rate_hz, seat, self._commissioning, self._call
+        )
         viewer.say(json_form.encode({"hello": self._hello(viewer)}).decode())
+        self._show_commissioning(viewer)
         self._viewers.add(viewer)
         self._status_ns = 0
         try:
@@ -199,6 +235,8 @@ class WebAdapter:
             "rate_max_hz": section.rate_hz,
             "lease_s": section.lease_s if isinstance(section, WebInput) else None,
             "fleet": section.fleet,
+            "procedures": PROCEDURES,
+            "options": {name: asdict(option) for name, option in OPTIONS.items()},
             "events": list(self._events.kept),
         }
 
@@ -224,6 +262,10 @@ class WebAdapter:
         if not viewer.may_command:
             self._gate.refuse("the token is missing")
             raise NotTaken("this page may only watch: it has not shown the token")
+        if method not in AT_ANY_TIME:
+            self._commissioning.require_none()
+        if method in COMMISSION:
+            return self._commission(viewer, method, params)
         if method in TRIGGERS:
             self._events.note(viewer.name, method)
             return await self._gate.act(method, viewer.name)
@@ -249,6 +291,23 @@ class WebAdapter:
         else:
             raise NotTaken(f"there is no line {short(line)}")
         return {"line": line}
+
+    def _commission(self, viewer: Viewer, method: str, params: Mapping[str, Any]) -> None:
+        """Raises NotTaken."""
+        match method:
+            case "commission.start":
+                if self._seat is not None and self._seat.driver is not None:
+                    raise NotTaken(f"{self._seat.driver} is driving")
+                self._commissioning.start(viewer, params)
+                self._events.note(viewer.name, f"{self._commissioning.running} begins")
+            case "commission.answer":
+                self._commissioning.answer(viewer, params)
+            case "commission.stop":
+                self._events.note(viewer.name, f"{self._commissioning.running} is stopped")
+                hidden = params.get("why") == "hidden"
+                self._commissioning.stop("the page was hidden" if hidden else "stopped on a page")
+            case _:
+                self._commissioning.take(viewer)
 
     async def _save(self, viewer: Viewer, *, dry_run: bool) -> Any:
         """Raises NotTaken."""

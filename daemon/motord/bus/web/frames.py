@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from motord.api.snapshot import STATES, JointSnapshot, Snapshot
 from motord.api.state_page import FAULTS, REASONS
 
-STATE, DRIVE, ACKNOWLEDGE, RELEASE = 1, 1, 2, 3
+STATE, DRIVE, ACKNOWLEDGE, RELEASE, PRESENT = 1, 1, 2, 3, 4
 """First byte: of frames to the page, and of those from it."""
 VERSION = 1
 FLAGS = ("armed", "enabled", "at_rest", "odometry_degraded")
@@ -41,6 +41,7 @@ _BITS = {word: 1 << bit for bit, word in REASONS.items()}
 _FAULT_BITS = {word: 1 << bit for bit, word in FAULTS.items()}
 _DRIVE = struct.Struct("<BIddddd")
 _NUMBERED = struct.Struct("<BI")
+_PRESENT = struct.Struct("<Bdd")
 
 
 def layout() -> dict[str, Any]:
@@ -138,3 +139,14 @@ def number_of(raw: bytes) -> int:
     if len(raw) != _NUMBERED.size:
         raise ValueError(f"such a frame has {_NUMBERED.size} bytes")
     return int(_NUMBERED.unpack(raw)[1])
+
+
+def present_frame(raw: bytes) -> tuple[float, float]:
+    """`sent_ms` and `seen_s` of a PRESENT frame: as those of a command. Raises ValueError for what
+    is no such frame."""
+    if len(raw) != _PRESENT.size:
+        raise ValueError(f"such a frame has {_PRESENT.size} bytes")
+    _, sent_ms, seen_s = _PRESENT.unpack(raw)
+    if not (math.isfinite(sent_ms) and math.isfinite(seen_s)):
+        raise ValueError("the times of a page are finite")
+    return sent_ms, seen_s

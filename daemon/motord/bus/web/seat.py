@@ -20,6 +20,7 @@ SEEN_AHEAD_S = 0.1
 PAUSED = "no command for {:g} s: release the pad and press it again"
 OLD_VIEW = "the page shows a state of {:.1f} s ago: the connection is too slow to drive"
 TAKEN = "{} is driving"
+RESERVED = "{} is running on another page or here: the pad does not drive meanwhile"
 
 
 @dataclass(slots=True, eq=False)
@@ -43,6 +44,8 @@ class Seat:
         self._gate = gate
         self._lease_s = lease_s
         self._driver: Driver | None = None
+        self.reserved_for: str | None = None
+        """A procedure that moves the robot; no page drives beside it."""
 
     @property
     def driver(self) -> str | None:
@@ -55,6 +58,9 @@ class Seat:
         """Pass it on. Raises NotTaken."""
         now_s = time.monotonic()
         waited_s = driver.delays.waited_s("page", round(command.sent_ms * 1e6))
+        if self.reserved_for is not None:
+            self.release(driver, command.press)
+            raise NotTaken(RESERVED.format(self.reserved_for))
         if command.press <= driver.over:
             raise NotTaken(PAUSED.format(self._lease_s))
         if command.press > driver.press:

@@ -20,7 +20,16 @@ from aiohttp import WSMsgType, web
 
 from motord.bus.commands.gate import URGENT, NotTaken, short, tag
 from motord.bus.messages import json_form
-from motord.bus.web.frames import ACKNOWLEDGE, DRIVE, RELEASE, drive_frame, number_of
+from motord.bus.web.commissioning import Commissioning
+from motord.bus.web.frames import (
+    ACKNOWLEDGE,
+    DRIVE,
+    PRESENT,
+    RELEASE,
+    drive_frame,
+    number_of,
+    present_frame,
+)
 from motord.bus.web.seat import Driver, Seat
 from motord.client import ClientError
 
@@ -31,6 +40,7 @@ TEXTS_MAX = 256
 CALLS_MAX = 8
 CALLS_HZ, COMMANDS_HZ = 20.0, 100.0
 COMPLAIN_AGAIN_S = 0.5
+NEVER_TOO_MANY = (*URGENT, "commission.stop")
 BUSY = "too many requests: try again"
 
 Serve = Callable[["Viewer", str, Mapping[str, Any]], Awaitable[Any]]
@@ -64,13 +74,14 @@ class Viewer:
         name: str,
         rate_hz: float,
         seat: Seat | None,
+        commissioning: Commissioning,
         serve: Serve,
     ) -> None:
         """`seat`: None for a page that only watches."""
         self.name = name
         self.may_command = seat is not None
         self._connection = connection
-        self._seat, self._serve = seat, serve
+        self._seat, self._commissioning, self._serve = seat, commissioning, serve
         self._driver = Driver(name)
         self._rate_max_hz = self.rate_hz = rate_hz
         self.dropped = 0
@@ -137,6 +148,7 @@ class Viewer:
 
     def _stand_up(self) -> None:
         """At once, though calls of it are still being answered."""
+        self._commissioning.leave(self)
         if self._seat is not None:
             self._seat.leave(self._driver)
 
@@ -167,6 +179,10 @@ class Viewer:
                     self._complain("this page may only watch: it has not shown the token")
                 case head if head[0] == RELEASE:
                     self._seat.release(self._driver, number_of(raw))
+                case head if head[0] == PRESENT:
+                    sent_ms, seen_s = present_frame(raw)
+                    waited_s = self._driver.delays.waited_s("page", round(sent_ms * 1e6))
+                    self._commissioning.present(self, waited_s, seen_s)
                 case head if head[0] == DRIVE:
                     self._drive(self._seat, raw)
 
@@ -204,7 +220,9 @@ class Viewer:
             self._set_rate(request["rate_hz"])
         else:
             method = request.get("call")
-            if method not in URGENT and (self._calls >= CALLS_MAX or not self._asking.take()):
+            if method not in NEVER_TOO_MANY and (
+                self._calls >= CALLS_MAX or not self._asking.take()
+            ):
                 self._answer(request, {"error": BUSY})
                 return
             self._calls += 1

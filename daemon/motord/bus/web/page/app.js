@@ -24,6 +24,7 @@ const PAGES = {
   plots: () => import("./plots.js").then(({ Plots }) => ({ default: Plots })),
   lines: () => import("./lines.js").then(({ Lines }) => ({ default: Lines })),
   parameters: () => import("./parameters.js").then(({ Parameters }) => ({ default: Parameters })),
+  commission: () => import("./commission.js").then(({ Commission }) => ({ default: Commission })),
   log: () => import("./log.js").then(({ Log }) => ({ default: Log })),
   fleet: () => import("./fleet.js").then(({ Fleet }) => ({ default: Fleet })),
 };
@@ -119,6 +120,10 @@ function Token() {
 function Banner({ askToken }) {
   if (link.phase === "lost") return html`<p class="banner bad" role="alert">${TEXT.lostText}</p>`;
   if (link.phase === "open" && link.stale) return html`<p class="banner bad" role="alert">${TEXT.staleText}</p>`;
+  const running = link.status?.commissioning;
+  if (link.phase === "open" && running && !link.commissioning?.yours) {
+    return html`<p class="banner">${TEXT.commissionedBy(running.procedure, running.page)}</p>`;
+  }
   if (link.phase === "open" && !link.mayCommand) {
     if (!link.hello.takes_commands) return html`<p class="banner">${TEXT.watchOnly}</p>`;
     return html`<p class="banner">${TEXT.watching}.

@@ -4,6 +4,7 @@
 const ACKNOWLEDGE = 2;
 const RELEASE = 3;
 const DRIVE = 1;
+const PRESENT = 4;
 const AGAIN_MIN_MS = 300;
 const AGAIN_MAX_MS = 5000;
 const CALL_WITHIN_MS = 15000;
@@ -183,6 +184,8 @@ export class Link {
     else if (message.event) this._addEvents([message.event]);
     else if (message.recordings) this._publish("recordings", message.recordings);
     else if (message.trace) this._publish("trace", message.trace);
+    else if (message.commissioning) this._commissioned(message.commissioning);
+    else if ("progress" in message) this.progress = message.progress;
     else if ("answer" in message) this._answered(message);
     else if (message.refused) {
       this.phase = "refused";
@@ -200,9 +203,16 @@ export class Link {
     this.why = "";
     this._againMs = AGAIN_MIN_MS;
     this.events = [];
+    this.commissioning = null;
+    this.progress = "";
     this._addEvents(hello.events);
     this.setRate(Math.min(this.rateHz, hello.rate_max_hz));
     this._publish("hello", hello);
+  }
+
+  _commissioned(record) {
+    this.commissioning = record;
+    if (record.question || record.end) this.progress = "";
   }
 
   _addEvents(events) {
@@ -243,6 +253,15 @@ export class Link {
     view.setUint32(1, press, true);
     [performance.now(), this.now?.stamp_s ?? 0, linear, lateral, angular].forEach((value, place) =>
       view.setFloat64(5 + 8 * place, value, true));
+    this._send(view.buffer);
+  }
+
+  /** This page is shown, and shows the newest state. */
+  present() {
+    const view = new DataView(new ArrayBuffer(17));
+    view.setUint8(0, PRESENT);
+    view.setFloat64(1, performance.now(), true);
+    view.setFloat64(9, this.now?.stamp_s ?? 0, true);
     this._send(view.buffer);
   }
 

@@ -3,7 +3,7 @@
 
 import { html, useEffect, useState } from "./vendor/htm-preact.js";
 import { TEXT } from "./text.js";
-import { Card, useCall, useLink } from "./parts.js";
+import { Card, Difference, useCall, useLink } from "./parts.js";
 
 const STEPS = 400;
 const SPAN = 20;  // a slider reaches from a part of the value in force to a multiple of it
@@ -44,13 +44,11 @@ function Row({ name, about, inForce, value, change }) {
   </div>`;
 }
 
-function Difference({ found, save, close }) {
+function Saving({ found, save, close }) {
   const written = found.backup !== null;  // the old file, kept beside it
-  const rows = found.diff.trimEnd().split("\n");
-  const kind = (row) => (row.startsWith("+") ? "added" : row.startsWith("-") ? "removed" : "");
   return html`<div class="difference" role="region" aria-label=${TEXT.difference}>
     <p>${written ? TEXT.saved(found.file) : found.diff ? TEXT.wouldSave(found.file) : TEXT.nothingToSave(found.file)}</p>
-    ${found.diff && html`<pre tabindex="0">${rows.map((row) => html`<span class=${kind(row)}>${`${row}\n`}</span>`)}</pre>`}
+    ${found.diff && html`<${Difference} text=${found.diff} />`}
     <div class="actions">
       ${found.diff && !written && html`<button class="main" onClick=${save}>${TEXT.write}</button>`}
       <button onClick=${close}>${written || !found.diff ? TEXT.close : TEXT.cancel}</button>
@@ -93,7 +91,7 @@ export function Parameters({ link }) {
       <button class="main" disabled=${!count || !link.mayCommand} onClick=${apply}>${TEXT.apply}</button>
       <button disabled=${count || !link.mayCommand} onClick=${compare}>${TEXT.save}</button>`}>
     ${problem}
-    ${diff && html`<${Difference} found=${diff} save=${save} close=${() => setDiff(null)} />`}
+    ${diff && html`<${Saving} found=${diff} save=${save} close=${() => setDiff(null)} />`}
     ${rows.map(([name, about]) => html`<${Row} key=${name} name=${name} about=${about} inForce=${about.value}
       value=${name in edited ? edited[name] : about.value}
       change=${(key, value) => setEdited((before) => ({ ...before, [key]: value }))} />`)}

@@ -75,6 +75,13 @@ export function Choice({ label, value, options, onChange }) {
     </select></label>`;
 }
 
+/** What changes in a file, as `diff -u` shows it. */
+export function Difference({ text }) {
+  const kind = (row) => (row.startsWith("+") ? "added" : row.startsWith("-") ? "removed" : "");
+  return html`<pre class="diff" tabindex="0">${text.trimEnd().split("\n").map((row) =>
+    html`<span class=${kind(row)}>${`${row}\n`}</span>`)}</pre>`;
+}
+
 /** Give the person a file. */
 export function save(name, text, type) {
   const link = document.createElement("a");

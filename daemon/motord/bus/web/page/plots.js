@@ -22,7 +22,7 @@ Object.assign(sheet, { rel: "stylesheet", href: "vendor/uPlot.css" });
 document.head.append(sheet);
 
 /** What is plotted: title, unit, ring and its series with label, colour and dash. */
-function plotsOf(hello, status) {
+export function plotsOf(hello, status) {
   const base = [["linear", "linear_m_s", "m_s"], ["angular", "angular_rad_s", "rad_s"]];
   if (hello.limits.lateral_m_s > 0) base[0].push(["lateral_m_s", TEXT.lateral]);
   const twist = base.map(([key, measured, unit, more]) => ({
@@ -64,7 +64,7 @@ function axes(unit) {
   ];
 }
 
-function TimePlot({ history, plot, seconds, paused, zoom }) {
+export function TimePlot({ history, plot, seconds, paused, zoom }) {
   const place = useRef(null);
   const state = useRef({});
   Object.assign(state.current, { seconds, paused });

@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A guided procedure that a page conducts: one at a time. It runs in a process of its own, which
+may load what this one does without, and commands the daemon by itself
+(motord/commission/on_page.py). This is the relay between it and its page.
+
+The page guards what moves: the procedure ends at rest when the page stops it, is hidden or closed,
+or is silent. While a question is open the robot rests without power, and the page may be away.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from motord.api.deadline import within
+from motord.api.procedures import PROCEDURES, chosen
+from motord.bus.commands.gate import NotTaken, short
+from motord.bus.web.seat import SEEN_AHEAD_S, SEEN_MAX_S
+
+if TYPE_CHECKING:
+    from motord.bus.web.viewer import Viewer
+
+SHOWN_MAX = 200
+LINE_BYTES_MAX = 1 << 20
+ENDS_WITHIN_S = 25.0
+"""After a stop: the longest stop that a robot file may have, and the power-off."""
+ABANDONED_S = 900.0
+"""For how long a question waits for its page to come back."""
+LOOK_EVERY_S = 0.5
+BUFFERED_MAX = 16384
+FAILED = "the procedure failed: see the log of motord-bus"
+
+_log = logging.getLogger(__name__)
+
+
+class Commissioning:
+    """`publish` is called whenever `record` has changed, `progress` with a new text of it."""
+
+    def __init__(
+        self, local_socket: Path, publish: Callable[[], None], progress: Callable[[str], None]
+    ) -> None:
+        self._socket = local_socket
+        self._publish, self._progress = publish, progress
+        self._requested = asyncio.Event()
+        self._process: asyncio.subprocess.Process | None = None
+        self._stopped_s: float | None = None
+        self._left_s: float | None = None
+        self._request: dict[str, Any] = {}
+        self.owner: Viewer | None = None
+        """The page that conducts it."""
+        self.record: dict[str, Any] | None = None
+        """What pages show: `procedure`, `page`, `shown`, `question`, and `end`, None until it is
+        over. None: there was none."""
+
+    @property
+    def running(self) -> str | None:
+        """The procedure that runs now."""
+        if self.record is None or self.record["end"] is not None:
+            return None
+        return str(self.record["procedure"])
+
+    # -------------------------------------------------------------------------------- from a page
+    def start(self, viewer: Viewer, params: Mapping[str, Any]) -> None:
+        """Begin one. Raises NotTaken."""
+        self.require_none()
+        what, options = params.get("procedure"), params.get("options", {})
+        joints = params.get("joints", [])
+        if not isinstance(what, str) or what not in PROCEDURES:
+            raise NotTaken(f"no procedure {short(what)}: there are {', '.join(PROCEDURES)}")
+        if not isinstance(joints, list) or not all(isinstance(one, str) for one in joints):
+            raise NotTaken("joints is a list of names")
+        try:
+            numbers = chosen(what, options if isinstance(options, Mapping) else {})
+        except ValueError as error:
+            raise NotTaken(str(error)) from error
+        self.owner, self._stopped_s, self._left_s = viewer, None, None
+        self._request = {
+            "socket": str(self._socket), "procedure": what, "options": numbers, "joints": joints,
+        }  # fmt: skip
+        self.record = {
+            "procedure": what, "page": viewer.name, "shown": [], "question": None, "end": None,
+        }  # fmt: skip
+        self._requested.set()
+        self._publish()
+
+    def answer(self, viewer: Viewer, params: Mapping[str, Any]) -> None:
+        """Of its open question. Raises NotTaken."""
+        question = self._of(viewer)["question"]
+        if question is None or params.get("number") != question["number"]:
+            raise NotTaken("this question is not open any more")
+        value = params.get("value")
+        if not isinstance(value, str | int | float):
+            raise NotTaken("an answer is a text, a number or yes or no")
+        record = self._of(viewer)
+        self._show({"question": question["text"], "answer": value})
+        record["question"] = None
+        self._send({"answer": question["number"], "value": value})
+        self._publish()
+
+    def stop(self, why: str) -> None:
+        """Have it end at rest."""
+        if self.running is None:
+            return
+        if self._stopped_s is None:
+            self._stopped_s = time.monotonic()
+        self._send({"stop": why})
+
+    def take(self, viewer: Viewer) -> None:
+        """Conduct it from this page on, where its own is gone. Raises NotTaken."""
+        if self.record is None or self.running is None:
+            raise NotTaken("no procedure runs")
+        if self.owner is not None:
+            raise NotTaken(f"{self.owner.name} conducts it")
+        self.owner, self._left_s = viewer, None
+        self.record["page"] = viewer.name
+        self._publish()
+
+    def present(self, viewer: Viewer, waited_s: float, seen_s: float) -> None:
+        """The page was there so long ago, and has shown a state of that time."""
+        now_s = time.monotonic()
+        if viewer is self.owner and -SEEN_AHEAD_S <= now_s - seen_s <= SEEN_MAX_S:
+            self._send({"present_s": now_s - waited_s})
+
+    def leave(self, viewer: Viewer) -> None:
+        """Its connection has ended."""
+        if viewer is not self.owner:
+            return
+        self.owner, self._left_s = None, time.monotonic()
+        if self.record is not None and self.running is not None:
+            self.record["page"] = None
+            if self.record["question"] is None:
+                self.stop("the page is gone")
+            self._publish()
+
+    def require_none(self) -> None:
+        """Raises NotTaken while one runs."""
+        if self.running is not None:
+            raise NotTaken(f"{self.running} is running: stop it, or wait for its end")
+
+    def _of(self, viewer: Viewer) -> dict[str, Any]:
+        if self.record is None or self.running is None or viewer is not self.owner:
+            raise NotTaken("this page conducts no procedure")
+        return self.record
+
+    # ------------------------------------------------------------------------------------ at work
+    async def run(self) -> None:
+        """Until cancelled."""
+        while True:
+            await self._requested.wait()
+            self._requested.clear()
+            try:
+                end = await self._carry_out()
+            except OSError as error:
+                end = {"good": False, "text": f"the procedure cannot be started: {error}"}
+            assert self.record is not None
+            self.record |= {"question": None, "end": end}
+            self._publish()
+
+    async def _carry_out(self) -> dict[str, Any]:
+        self._process = process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "motord.commission.on_page"),
+            stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, process_group=0,
+            limit=LINE_BYTES_MAX, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        )  # fmt: skip
+        end: list[dict[str, Any]] = []
+        try:
+            self._send(self._request)
+            if self._stopped_s is not None:
+                self._send({"stop": "stopped"})
+            async with asyncio.TaskGroup() as tasks:
+                watch = tasks.create_task(self._watch(process))
+                await self._follow(process, end)
+                watch.cancel()
+        finally:
+            await _ended(process)
+            self._process = None
+        return end[0] if end else {"good": False, "text": FAILED}
+
+    async def _follow(self, process: asyncio.subprocess.Process, end: list[dict[str, Any]]) -> None:
+        """What it sends, until it has ended."""
+        assert process.stdout is not None
+        assert self.record is not None
+        while line := await process.stdout.readline():
+            message = json.loads(line)
+            if "progress" in message:
+                self._progress(message["progress"])
+                continue
+            if "end" in message:
+                end.append(message["end"])
+                return
+            if "question" in message:
+                self.record["question"] = message["question"]
+            else:
+                self._show(message)
+            self._publish()
+
+    async def _watch(self, process: asyncio.subprocess.Process) -> None:
+        """End one that does not end, or whose page does not come back."""
+        while True:
+            await asyncio.sleep(LOOK_EVERY_S)
+            now_s = time.monotonic()
+            if self._left_s is not None and now_s - self._left_s > ABANDONED_S:
+                self.stop("no page came back")
+            if self._stopped_s is not None and now_s - self._stopped_s > ENDS_WITHIN_S:
+                _log.error("a procedure did not end within %g s: killed", ENDS_WITHIN_S)
+                process.kill()  # its dead man disarms the robot
+                return
+
+    def _show(self, message: dict[str, Any]) -> None:
+        assert self.record is not None
+        self.record["shown"] = [*self.record["shown"], message][-SHOWN_MAX:]
+
+    def _send(self, message: Mapping[str, Any]) -> None:
+        """Never waits; one that does not read is silent for the procedure, which ends."""
+        if self._process is None or self._process.stdin is None:
+            return
+        transport = self._process.stdin.transport
+        if not transport.is_closing() and transport.get_write_buffer_size() < BUFFERED_MAX:
+            self._process.stdin.write(json.dumps(message).encode() + b"\n")
+
+
+async def _ended(process: asyncio.subprocess.Process) -> None:
+    """The end of its stdin stops it."""
+    assert process.stdin is not None
+    process.stdin.close()
+    try:
+        with contextlib.suppress(TimeoutError):
+            async with within(ENDS_WITHIN_S):
+                await process.wait()
+    finally:
+        if process.returncode is None:
+            process.kill()

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One procedure for a page of the dashboard: motord-bus starts `python -m
+motord.commission.on_page`, passes messages between it and the page (page_person.py), and kills it
+if it does not end. It commands as every other program does; dead_man.py disarms when it is gone.
+
+The first line that comes names the daemon's socket, the procedure, its options and the joints to
+turn; the last that goes is `{"end": ...}`.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from motord.api.procedures import chosen
+from motord.client import Client, ClientError
+from motord.commission.page_person import PagePerson
+from motord.commission.person import Aborted, Failed
+from motord.commission.pictures import picture_of_turns
+from motord.commission.robot_file_edit import (
+    ConfigError,
+    EditError,
+    RobotFileEdit,
+    write_asking,
+)
+from motord.commission.spin import spin
+from motord.commission.spin_findings import findings
+
+if TYPE_CHECKING:
+    from motord.commission.tune import Tuned
+    from motord.commission.tune_fit import Aggressiveness
+
+CLIENT_WITHIN_S = 30.0
+
+
+def carry_out(person: PagePerson, request: Mapping[str, Any]) -> dict[str, Any]:
+    """The procedure. `good`: it has a result; `text`: in words; `backup`: the robot file was
+    written; `new_file`: the text that it should have, but cannot be given."""
+    what = request["procedure"]
+    try:
+        options = chosen(what, request["options"])
+        with Client(request["socket"], timeout_s=CLIENT_WITHIN_S) as client:
+            edit = RobotFileEdit(Path(client.call("robot")["file"]))
+            match what:
+                case "spin":
+                    text = _spin(client, person, edit, request["joints"], options)
+                case "tune":
+                    return _tune(client, person, edit, request["joints"], options)
+                case _:
+                    text = _calibrate(client, person, edit, what, options)
+        return _written(person, edit) | {"text": text}
+    except Aborted as error:
+        why = f"{person.why}: " if person.why and person.why not in str(error) else ""
+        return {"good": False, "text": f"{why}{error}"}
+    except (Failed, EditError, ConfigError, ClientError, ValueError, KeyError) as error:
+        return {"good": False, "text": str(error)}
+
+
+def _spin(
+    client: Client,
+    person: PagePerson,
+    edit: RobotFileEdit,
+    joints: Sequence[str],
+    options: Mapping[str, float],
+) -> str:
+    names = joints or client.call("robot")["joints"]
+    turns = spin(client, person, names, options["wheel_rad_s"], options["seconds"])
+    found = findings(edit.before, turns)
+    person.picture(picture_of_turns(turns))
+    for text in found.texts:
+        person.show(text)
+    edit.update(found.changes)
+    if found.good:
+        return "every wheel turns as the robot file has it"
+    return "; ".join(found.texts)
+
+
+def _calibrate(
+    client: Client,
+    person: PagePerson,
+    edit: RobotFileEdit,
+    what: str,
+    options: Mapping[str, float],
+) -> str:
+    _require_numpy()
+    from motord.api.geometry_fit import BadData
+    from motord.commission.calibration import calibrated
+    from motord.commission.calibration_pictures import pictures
+
+    try:
+        found = calibrated(client, person, edit, what, options)
+    except BadData as error:
+        raise Failed(f"{error}; nothing was written") from error
+    for plot in pictures(edit.before, found):
+        person.picture(plot)
+    return "measured"
+
+
+def _tune(
+    client: Client,
+    person: PagePerson,
+    edit: RobotFileEdit,
+    joints: Sequence[str],
+    options: Mapping[str, float],
+) -> dict[str, Any]:
+    _require_numpy()
+    from motord.commission.tune import Bounds, tunable, tune
+    from motord.commission.tune_plot import pictures_of_steps
+
+    if len(joints) != 1:
+        raise Failed("one wheel at a time: choose it")
+    tunable(edit.before, joints[0])
+    speeds: tuple[Aggressiveness, ...] = ("gentle", "normal", "brisk")
+    how = person.choose("How fast should the closed loop be?", speeds)
+    aggressiveness = next(one for one in speeds if one == how)
+    bounds = Bounds(speed_m_s=options["rim_m_s"], step_s=options["step_s"])
+
+    def pictured(tuned: Tuned) -> None:
+        for plot in pictures_of_steps(tuned):
+            person.picture(plot)
+
+    answer: dict[str, Any] = {"good": True, "file": str(edit.path), "backup": None}
+    try:
+        tuned, backup = tune(client, person, edit, joints[0], bounds, aggressiveness, pictured)
+    except EditError as error:
+        person.show(str(error))
+        return answer | {"new_file": edit.text, "text": "measured"}
+    text = "measured" if tuned.better else "the wheel follows no better with these gains"
+    return answer | {"good": tuned.better, "backup": backup and str(backup), "text": text}
+
+
+def _require_numpy() -> None:
+    if importlib.util.find_spec("numpy") is None:
+        from motord.base.extras import how_to_install
+
+        raise Failed(f"numpy is not installed: {how_to_install('calibrate')}")
+
+
+def _written(person: PagePerson, edit: RobotFileEdit) -> dict[str, Any]:
+    """What becomes of the file."""
+    answer: dict[str, Any] = {"good": True, "file": str(edit.path), "backup": None}
+    if not edit.changed:
+        return answer
+    try:
+        backup = write_asking(person, edit)
+    except EditError as error:
+        person.show(str(error))
+        return answer | {"new_file": edit.text}
+    return answer | {"backup": backup and str(backup)}
+
+
+def main() -> None:
+    """Until the procedure has ended, or stdin has."""
+    messages = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what libraries print is no message
+    request = json.loads(sys.stdin.readline())
+    person = PagePerson(sys.stdin, messages)
+    person.send({"end": carry_out(person, request)})
+
+
+if __name__ == "__main__":
+    main()

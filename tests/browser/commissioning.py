@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A person who commissions a simulated robot on its dashboard: reads what the page shows, measures
+the simulator's truth, and answers."""
+
+import contextlib
+import re
+
+from tests.sim.daemon_stage import wait_until
+
+from motord.client import ClientError
+
+ENDED = ".ended"
+
+
+def open_page(page, title):
+    """The form of one procedure."""
+    page.evaluate("location.hash = 'commission'")
+    page.wait_for_selector(".commission, .ended")
+    another = page.get_by_role("button", name="Another procedure", exact=True)
+    if another.count():
+        another.click()
+    page.get_by_role("button", name=title, exact=True).click()
+
+
+def fill(page, **values):
+    """By the labels of the fields."""
+    for label, value in values.items():
+        page.get_by_label(label.replace("_", " ")).fill(str(value))
+
+
+def begin(page):
+    page.get_by_role("button", name="Begin", exact=True).click()
+
+
+def answers(page, replies):
+    """Answer what is asked, until the end; `replies`: pattern of a question → a button's name or a
+    number, or what makes it. Returns the text of the end."""
+    while True:
+        wait_until(
+            lambda: page.locator(ENDED).count() or asked_text(page), "a question, or the end"
+        )
+        if page.locator(ENDED).count():
+            return page.locator(f"{ENDED} .asks").inner_text()
+        question = asked_text(page)
+        reply = next(
+            (one for pattern, one in replies.items() if re.search(pattern, question)), None
+        )
+        if reply is not None:  # the question went away meanwhile
+            give(page, reply() if callable(reply) else reply)
+
+
+def asked_text(page):
+    """The open question that is not answered yet; empty: there is none."""
+    return page.evaluate("document.querySelector('.question.open .asks')?.innerText ?? ''")
+
+
+def give(page, reply):
+    if reply in ("Yes", "No", "Forward", "Backward", "No wheel turned", "Another wheel"):
+        page.locator(".question").get_by_role("button", name=reply, exact=True).click()
+        return
+    page.locator(".question input").fill(str(reply))
+    page.locator(".question").get_by_role("button", name="Answer", exact=True).click()
+
+
+def rests_without_power(stage):
+    def safe():
+        with contextlib.suppress(ClientError):
+            truth = stage.sim.truth()
+            powered = any(joint.enabled for joint in truth.joints.values())
+            return truth.at_rest and not powered and stage.state() == "idle"
+        return False
+
+    wait_until(safe, "at rest and disarmed, without power")

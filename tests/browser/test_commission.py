@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commissioning in a real browser: the simulated robot differs from its file, and the page finds
+out; whatever ends a procedure ends it at rest and without power."""
+
+import math
+
+import pytest
+from tests.browser.commissioning import (
+    answers,
+    asked_text,
+    begin,
+    fill,
+    give,
+    open_page,
+    rests_without_power,
+)
+from tests.browser.dashboard import dashboard_of, press_pad, state_of
+from tests.browser.link_proxy import LinkProxy
+from tests.sim.daemon_stage import ROOT, SURE, wait_until
+from tests.sim.person_stage import copied
+
+from motord.config import load_robot
+
+PINS = ROOT / "config/robots/pi5-bts7960.toml"
+SPIN, RADII, TRACK = "First turn of each wheel", "Wheel radii", "Track"
+GROUND, TURNED = "Are all wheels off the ground", "Did the (left|right) wheel turn forward"
+RADIUS_M, TRACK_M = 0.0825, 0.45
+TRUE_LEFT_M, TRUE_RIGHT_M, TRUE_TRACK_M = 1.03 * RADIUS_M, 1.02 * RADIUS_M, 0.96 * TRACK_M
+TRUTH = (
+    f"joint.left.wheel_radius_m={TRUE_LEFT_M}", f"joint.right.wheel_radius_m={TRUE_RIGHT_M}",
+    f"base.track_m={TRUE_TRACK_M}",
+)  # fmt: skip
+
+
+def truth(*settings):
+    return [part for setting in settings for part in ("--set", setting)]
+
+
+@pytest.fixture(scope="module")
+def robot(browser, tmp_path_factory):
+    """Its wheels are larger and closer to each other than its file says."""
+    folder = tmp_path_factory.mktemp("commission")
+    with dashboard_of(
+        browser, folder, copied(folder), *SURE, sim_options=truth(*TRUTH)
+    ) as dashboard:
+        yield dashboard
+
+
+@pytest.fixture(autouse=True)
+def idle(request):
+    if "robot" in request.fixturenames:
+        request.getfixturevalue("robot").ready()
+
+
+def wheels_turn(robot):
+    wait_until(lambda: max(robot.speeds_rad_s()) > 0.5, "a wheel turns")
+
+
+def spinning(robot, page):
+    """The left wheel turns, for so long that a test ends it."""
+    open_page(page, SPIN)
+    page.get_by_label("Wheels").select_option("left")
+    fill(page, Time_for_each_wheel=10)
+    begin(page)
+    wait_until(lambda: GROUND in asked_text(page), "the question")
+    give(page, "Yes")
+    wheels_turn(robot)
+
+
+def test_a_reversed_encoder_is_found_and_put_right_in_the_file(browser, tmp_path):
+    patient = [("[joint.left]", "[safety]\nfeedback_timeout_s = 2.0\n\n[joint.left]")]
+    file = copied(tmp_path, PINS, patient)
+    planted = ["turned-encoder:unit=1,channel=1"]
+    with dashboard_of(browser, tmp_path, file, faults=planted) as robot, robot.page() as page:
+        open_page(page, SPIN)
+        begin(page)
+        text = answers(page, {GROUND: "Yes", TURNED: "Forward", "Write .*cart.toml": "Yes"})
+        assert "left: its encoder counts against its motor: reversed is changed" in text
+        assert "is written" in page.locator(".ended").inner_text()
+        assert "Start the daemon again" in page.locator(".ended").inner_text()
+        assert page.locator(".picture rect").count() > 3
+        rests_without_power(robot.stage)
+    joints = load_robot(file).joint
+    assert (joints["left"].encoder.reversed, joints["right"].encoder.reversed) == (True, False)
+
+
+class Floor:
+    """What a tape and marks on the floor show."""
+
+    def __init__(self, robot):
+        self._sim = robot.stage.sim
+
+    def back_on_mark(self):
+        self._sim.reset_truth()
+        return "Yes"
+
+    def replies(self):
+        return {
+            "stand on its mark|room all around": self.back_on_mark,
+            "in front of the mark": lambda: f"{self._sim.truth().x_m:.3f}",
+            "to the left of the line": lambda: f"{self._sim.truth().y_m:.3f}",
+            "By how many degrees": lambda: self.degrees(),
+            "Write .*cart.toml": "Yes",
+        }
+
+    def degrees(self):
+        return f"{round(2 * math.degrees(self._sim.truth().heading_rad)) / 2:g}"
+
+
+@pytest.mark.parametrize(
+    ("title", "fields"),
+    [
+        (RADII, {"Length_of_the_line": 1.5, "Top_speed": 0.4}),
+        (TRACK, {"Turns_on_the_spot": 1, "Fastest_turn": 1.0}),
+    ],
+)
+def test_a_calibration_recovers_what_was_planted(browser, tmp_path, title, fields):
+    file = copied(tmp_path)
+    with (
+        dashboard_of(browser, tmp_path, file, *SURE, sim_options=truth(*TRUTH)) as robot,
+        robot.page() as page,
+    ):
+        open_page(page, title)
+        fill(page, **fields)
+        begin(page)
+        answers(page, Floor(robot).replies())
+        shown = page.locator(".ended").inner_text()
+        assert "is written" in shown, shown
+        assert "after" in shown
+        assert page.locator(".picture svg").count() >= 2
+        rests_without_power(robot.stage)
+    found = load_robot(file)
+    if title == RADII:
+        assert found.wheel_radius_m("left") == pytest.approx(TRUE_LEFT_M, rel=0.003)
+        assert found.wheel_radius_m("right") == pytest.approx(TRUE_RIGHT_M, rel=0.003)
+    else:  # by the radii of the file, which are too small
+        assert found.base.track_m == pytest.approx(TRUE_TRACK_M / 1.025, rel=0.005)
+    assert len(list(tmp_path.glob("*.bak"))) == 1
+
+
+HIDE = """() => {
+    Object.defineProperty(document, 'hidden', {value: true, configurable: true});
+    document.dispatchEvent(new Event('visibilitychange'));
+}"""
+ENDINGS = {
+    "the stop button": lambda page: page.get_by_role("button", name="STOP").click(),
+    "a key": lambda page: page.keyboard.press("x"),
+    "the page is hidden": lambda page: page.evaluate(HIDE),
+    "another page is shown": lambda page: page.evaluate("location.hash = 'overview'"),
+    "the page is closed": lambda page: page.close(),
+}
+
+
+@pytest.mark.parametrize("ending", ENDINGS.values(), ids=ENDINGS)
+def test_each_end_of_a_procedure_ends_at_rest_and_without_power(robot, ending):
+    before = robot.file.read_bytes()
+    with robot.page() as page:
+        spinning(robot, page)
+        ending(page)
+        rests_without_power(robot.stage)
+    assert robot.file.read_bytes() == before
+
+
+def test_a_cut_link_ends_a_procedure_at_rest_and_without_power(robot):
+    with LinkProxy(robot.port) as link, robot.page(port=link.port) as page:
+        spinning(robot, page)
+        link.cut = True
+        rests_without_power(robot.stage)
+        link.cut = False
+        wait_until(lambda: page.locator(".ended").count(), "the end")
+        assert "silent" in page.locator(".ended").inner_text()
+
+
+def test_the_emergency_stop_ends_a_procedure(robot):
+    with robot.page() as page:
+        spinning(robot, page)
+        page.keyboard.press("Space")
+        wait_until(lambda: robot.stage.state() == "estop", "the emergency stop")
+        robot.wait_for_rest()
+        wait_until(lambda: page.locator(".ended").count(), "the end")
+        assert "emergency stop" in page.locator(".ended").inner_text()
+
+
+def test_another_page_sees_that_a_procedure_runs_and_commands_nothing_but_stops(robot):
+    with robot.page() as page, robot.page(at="drive") as other:
+        spinning(robot, page)
+        wait_until(
+            lambda: "First turn of each wheel is running" in other.locator(".banner").inner_text(),
+            "the other page shows it",
+        )
+        press_pad(other)
+        wait_until(lambda: "is running" in other.locator(".notice").inner_text(), "it is refused")
+        other.mouse.up()
+        assert state_of(other) == "moving"
+        other.evaluate("location.hash = 'commission'")
+        other.get_by_role("button", name="STOP").click()
+        rests_without_power(robot.stage)
+
+
+def test_a_page_without_the_token_sees_that_a_procedure_runs_and_nothing_of_it(robot):
+    with robot.page() as page, robot.page(token=None) as other:
+        spinning(robot, page)
+        wait_until(lambda: "is running" in other.locator(".banner").inner_text(), "it is shown")
+        other.evaluate("location.hash = 'commission'")
+        other.wait_for_selector("main .card")
+        assert "needs the token" in other.locator("main").inner_text()
+        assert other.get_by_role("button", name="STOP", exact=True).count() == 0
+        page.get_by_role("button", name="STOP").click()
+        rests_without_power(robot.stage)
+
+
+def test_a_question_waits_for_a_page_that_was_closed_and_another_one_goes_on(robot):
+    with robot.page() as page:
+        open_page(page, SPIN)
+        begin(page)
+        wait_until(lambda: GROUND in asked_text(page), "the question")
+    with robot.page(at="commission") as page:
+        page.get_by_role("button", name="Conduct it on this page").click()
+        wait_until(lambda: asked_text(page), "it may answer")
+        give(page, "No")
+        wait_until(lambda: page.locator(".ended").count(), "the end")
+        assert "nothing was turned" in page.locator(".ended").inner_text()
+    rests_without_power(robot.stage)
