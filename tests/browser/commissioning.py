@@ -41,12 +41,10 @@ def answers(page, replies):
         )
         if page.locator(ENDED).count():
             return page.locator(f"{ENDED} .asks").inner_text()
-        question = asked_text(page)
-        reply = next(
-            (one for pattern, one in replies.items() if re.search(pattern, question)), None
-        )
-        if reply is not None:  # the question went away meanwhile
-            give(page, reply() if callable(reply) else reply)
+        if question := asked_text(page):  # else it went away meanwhile
+            known = [one for pattern, one in replies.items() if re.search(pattern, question)]
+            assert known, question
+            give(page, known[0]() if callable(known[0]) else known[0])
 
 
 def asked_text(page):
@@ -62,12 +60,19 @@ def give(page, reply):
     page.locator(".question").get_by_role("button", name="Answer", exact=True).click()
 
 
-def rests_without_power(stage):
+def rests_disarmed(stage):
     def safe():
         with contextlib.suppress(ClientError):
-            truth = stage.sim.truth()
-            powered = any(joint.enabled for joint in truth.joints.values())
-            return truth.at_rest and not powered and stage.state() == "idle"
+            return stage.sim.truth().at_rest and stage.state() == "idle"
         return False
 
-    wait_until(safe, "at rest and disarmed, without power")
+    wait_until(safe, "at rest and disarmed")
+
+
+def rests_without_power(stage):
+    rests_disarmed(stage)
+
+    def off():
+        return not any(joint.enabled for joint in stage.sim.truth().joints.values())
+
+    wait_until(off, "without power")

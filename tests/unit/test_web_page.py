@@ -70,6 +70,21 @@ def test_every_text_that_is_used_is_there():
         assert used <= known, path.name
 
 
+def test_no_text_has_the_name_of_another_one():
+    """The second one would take its place everywhere."""
+    text = (FOLDER / "text.js").read_text(encoding="utf-8")
+    block = text[text.index("export const TEXT = {") : text.index("\n};")]
+    block = re.sub(r'"(?:[^"\\]|\\.)*"|//.*', "", block)
+    depth, names = 0, []
+    for part in re.findall(r"[({\[]|[)}\]]|(?<=[\s,{])\w+(?=:)|.", block, re.DOTALL):
+        depth += (part in "({[") - (part in ")}]")
+        if depth == 1 and part.isidentifier() and len(part) > 1:
+            names.append(part)
+    names = [name for name in names if re.search(rf"\b{name}:", block)]
+    assert len(names) > 100
+    assert {name for name in names if names.count(name) > 1} == set()
+
+
 def test_the_policy_lets_the_page_connect_to_its_own_robot_and_its_fleet():
     assert "connect-src 'self';" in policy(())
     fleet = policy(["https://r2.example:8088"])

@@ -69,7 +69,7 @@ function Choose({ link, chosen, choose }) {
         ${names.map((name) => html`<label key=${name}><span>${options[name].title}</span>
           <span class="entry"><input inputmode="decimal" size="7" aria-invalid=${wrong(name)} value=${typed[name] ?? options[name].usual}
             onInput=${(event) => setTyped({ ...typed, [name]: event.target.value })} /> ${unitOf(options[name])}</span>
-          <span class="muted small">${TEXT.range(options[name].low, options[name].high, unitOf(options[name]))}</span></label>`)}
+          <span class="muted small">${TEXT.between(options[name].low, options[name].high, unitOf(options[name]))}</span></label>`)}
         <p class="muted">${TEXT.commissionHelp}</p>
         <div class="actions"><button class="main" type="submit" disabled=${!link.mayCommand || names.some(wrong)}>${TEXT.begin}</button></div>
         ${problem}
@@ -107,8 +107,8 @@ function Question({ question, yours, answer, problem }) {
     ${(isNumber || question.kind === "text") && html`<form class="actions" onSubmit=${send}>
       <input aria-label=${question.text} inputmode=${isNumber ? "text" : undefined} size=${isNumber ? 8 : 24} value=${typed} disabled=${!open}
         onInput=${(event) => setTyped(event.target.value)} /> ${question.unit}
-      <button class="main" type="submit" disabled=${!open || wrong}>${TEXT.reply}</button>
-      ${isNumber && html`<span class="muted small">${TEXT.range(question.low, question.high, question.unit)}</span>`}</form>`}
+      <button class="main" type="submit" disabled=${!open || wrong}>${TEXT.sendAnswer}</button>
+      ${isNumber && html`<span class="muted small">${TEXT.between(question.low, question.high, question.unit)}</span>`}</form>`}
     ${problem}
   </div>`;
 }
@@ -135,7 +135,7 @@ function Running({ link, history, record }) {
   const [call, problem] = useCall(link);
   const { question, yours, page } = record;
   const title = TEXT.procedures[record.procedure]?.title ?? record.procedure;
-  const answer = (value) => call("commission.answer", TEXT.reply, { number: question.number, value });
+  const answer = (value) => call("commission.answer", TEXT.sendAnswer, { number: question.number, value });
   return html`<div class="grid commission">
     <div class="column">
       <${Card} title=${title} className=${question ? "" : "moves"} extra=${html`<span class="muted">${page}</span>`}>
