@@ -10,6 +10,7 @@ from tests.sim.daemon_stage import wait_until
 from motord.client import ClientError
 
 ENDED = ".ended"
+BUTTONS = ("Yes", "No", "Forward", "Backward", "No wheel turned", "Another wheel", "Normal")
 
 
 def open_page(page, title):
@@ -53,7 +54,7 @@ def asked_text(page):
 
 
 def give(page, reply):
-    if reply in ("Yes", "No", "Forward", "Backward", "No wheel turned", "Another wheel"):
+    if reply in BUTTONS:
         page.locator(".question").get_by_role("button", name=reply, exact=True).click()
         return
     page.locator(".question input").fill(str(reply))

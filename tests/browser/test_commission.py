@@ -24,6 +24,7 @@ from motord.config import load_robot
 
 PINS = ROOT / "config/robots/pi5-bts7960.toml"
 SPIN, RADII, TRACK = "First turn of each wheel", "Wheel radii", "Track"
+GAINS = "Gains of a wheel"
 GROUND, TURNED = "Are all wheels off the ground", "Did the (left|right) wheel turn forward"
 RADIUS_M, TRACK_M = 0.0825, 0.45
 TRUE_LEFT_M, TRUE_RIGHT_M, TRUE_TRACK_M = 1.03 * RADIUS_M, 1.02 * RADIUS_M, 0.96 * TRACK_M
@@ -35,6 +36,10 @@ TRUTH = (
 
 def truth(*settings):
     return [part for setting in settings for part in ("--set", setting)]
+
+
+def wheels(*settings):
+    return [part for setting in settings for part in ("--wheel", setting)]
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +88,29 @@ def test_a_reversed_encoder_is_found_and_put_right_in_the_file(browser, tmp_path
         rests_disarmed(robot.stage)  # pins of a bridge have no power switch
     joints = load_robot(file).joint
     assert (joints["left"].encoder.reversed, joints["right"].encoder.reversed) == (True, False)
+
+
+def test_swapped_wheels_are_found_and_put_right_in_the_file(browser, tmp_path):
+    file = copied(tmp_path)
+    swapped = truth("joint.left.channel=2", "joint.right.channel=1")
+    with (
+        dashboard_of(browser, tmp_path, file, *SURE, sim_options=swapped) as robot,
+        robot.page() as page,
+    ):
+
+        def seen():
+            """The other wheel turns, and backward: it is mounted on the other side."""
+            other = page.locator(".question").get_by_role("button", name="Another wheel")
+            return "Another wheel" if other.count() else "Backward"
+
+        open_page(page, SPIN)
+        begin(page)
+        text = answers(page, {GROUND: "Yes", TURNED: seen, "Write .*cart.toml": "Yes"})
+        assert "left" in text
+        assert "is written" in page.locator(".ended").inner_text()
+        rests_without_power(robot.stage)
+    joints = load_robot(file).joint
+    assert (joints["left"].channel, joints["right"].channel) == (2, 1)
 
 
 class Floor:
@@ -139,6 +167,26 @@ def test_a_calibration_recovers_what_was_planted(browser, tmp_path, title, field
     assert len(list(tmp_path.glob("*.bak"))) == 1
 
 
+def test_the_gains_of_a_wheel_are_found_shown_and_kept(browser, tmp_path):
+    file = copied(tmp_path, ROOT / "config/robots/forward-only.toml")
+    heavy = wheels("left.coulomb_n_m=1.2", "right.coulomb_n_m=1.2")
+    with (
+        dashboard_of(browser, tmp_path, file, *SURE, sim_options=heavy) as robot,
+        robot.page() as page,
+    ):
+        open_page(page, GAINS)
+        begin(page)
+        replies = {"How fast": "Normal", "Is the path clear": "Yes", "Write .*cart.toml": "Yes"}
+        assert answers(page, replies) == "measured"
+        assert "before" in page.locator(".ended .picture").first.inner_text()
+        assert page.locator(".ended .picture polyline").count() == 3
+        rests_disarmed(robot.stage)
+        gain = "joint.left.speed_loop.gain_s_per_rad"
+        in_force = robot.stage.robot.params_get(gain)[gain]
+    loop = load_robot(file).joint["left"].speed_loop
+    assert loop.gain_s_per_rad == in_force > 0.0
+
+
 HIDE = """() => {
     Object.defineProperty(document, 'hidden', {value: true, configurable: true});
     document.dispatchEvent(new Event('visibilitychange'));
@@ -146,6 +194,7 @@ HIDE = """() => {
 ENDINGS = {
     "the stop button": lambda page: page.locator(".halt").click(),
     "a key": lambda page: page.keyboard.press("x"),
+    "the focus is lost": lambda page: page.evaluate("window.dispatchEvent(new Event('blur'))"),
     "the page is hidden": lambda page: page.evaluate(HIDE),
     "another page is shown": lambda page: page.evaluate("location.hash = 'overview'"),
     "the page is closed": lambda page: page.close(),

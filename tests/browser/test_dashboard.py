@@ -14,6 +14,7 @@ from tests.sim.daemon_stage import wait_until
 from tests.sim.journal_copy import flipped, rewritten
 
 ESTOP = ".estop-place .estop"
+TABS = ("overview", "drive", "plots", "lines", "parameters", "commission", "log", "fleet")
 
 
 @pytest.fixture(autouse=True)
@@ -54,7 +55,7 @@ def test_the_page_shows_the_robot_and_its_buttons_arm_and_disarm_it(robot, page)
 
 
 def test_every_page_of_the_dashboard_opens(robot, page):
-    for tab in ("drive", "plots", "lines", "parameters", "log", "fleet", "overview"):
+    for tab in TABS:
         page.evaluate(f"location.hash = '{tab}'")
         page.wait_for_selector(f"nav a[href='#{tab}'][aria-current]")
         page.wait_for_selector("main .card")
@@ -390,7 +391,7 @@ def test_axe_finds_nothing(robot, theme, width):
     with robot.page(viewport={"width": width, "height": 844}) as page:
         page.emulate_media(color_scheme=theme)
         session = page.context.new_cdp_session(page)
-        for tab in ("overview", "drive", "plots", "lines", "parameters", "log", "fleet"):
+        for tab in TABS:
             page.evaluate(f"location.hash = '{tab}'")
             page.wait_for_selector("main .card")
             if tab == "lines":

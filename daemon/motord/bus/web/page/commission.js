@@ -13,24 +13,25 @@ const NO_STOP = ["Tab", "Shift", "Control", "Alt", "Meta", " "];  // the space b
 
 const mayMove = ({ commissioning: record }) => Boolean(record) && record.end === null && record.question === null;
 
-/** The dead man: while this page is shown it is present; what ends that ends a motion at rest. */
+/** The dead man: the page is present while it is shown and has the focus; the end of that ends a motion at rest. */
 function usePresence(link) {
   useEffect(() => {
     const stop = (why) => link.commissioning?.yours && mayMove(link) && link.call("commission.stop", { why }).catch(() => {});
-    const present = () => !document.hidden && link.commissioning?.yours && link.commissioning.end === null && link.present();
-    const look = () => (document.hidden ? stop("hidden") : present());
-    const press = (event) => !NO_STOP.includes(event.key) && stop("key");
-    const leave = () => stop("hidden");
+    const conducts = () => link.commissioning?.yours && link.commissioning.end === null;
+    const present = () => !document.hidden && document.hasFocus() && conducts() && link.present();
+    const listeners = [
+      [document, "visibilitychange", () => (document.hidden ? stop("hidden") : present())],
+      [window, "focus", present],  // before the answer that the click on the page may give
+      [window, "blur", () => stop("hidden")],
+      [window, "pagehide", () => stop("hidden")],
+      [window, "keydown", (event) => !NO_STOP.includes(event.key) && stop("key")],
+    ];
+    for (const [target, kind, listener] of listeners) target.addEventListener(kind, listener);
     const timer = setInterval(present, PRESENT_EVERY_MS);
-    document.addEventListener("visibilitychange", look);
-    window.addEventListener("pagehide", leave);
-    window.addEventListener("keydown", press);
     return () => {
       clearInterval(timer);
-      document.removeEventListener("visibilitychange", look);
-      window.removeEventListener("pagehide", leave);
-      window.removeEventListener("keydown", press);
-      leave();
+      for (const [target, kind, listener] of listeners) target.removeEventListener(kind, listener);
+      stop("hidden");
     };
   }, [link]);
 }

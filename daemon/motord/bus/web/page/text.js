@@ -165,7 +165,7 @@ export const TEXT = {
     gyro: { title: "Gyro", about: "Turns that end at a mark. Sets the variance of the gyro's heading." },
   },
   procedure: "Procedure", whichWheels: "Wheels", allWheels: "all, one after the other",
-  commissionHelp: "motord writes nothing before you have seen the difference and agreed. The robot comes to rest and is disarmed when you stop the procedure, when this page is hidden, closed or left, and when its connection is silent for 1 s. While a question is open the robot rests without power.",
+  commissionHelp: "motord writes nothing before you have seen the difference and agreed. The robot comes to rest and is disarmed when you stop the procedure, when this page loses the focus, is hidden, closed or left, and when its connection is silent for 1 s. While a question is open the robot rests without power.",
   commissionNeedsToken: "Commissioning needs the token.",
   begin: "Begin", yes: "Yes", no: "No", sendAnswer: "Answer", another: "Another procedure",
   stopProcedure: "STOP", stopKey: "any key",
