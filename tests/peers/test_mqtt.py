@@ -21,6 +21,9 @@ from motord.bus.messages.topics import TOPICS
 pytestmark = needs_mosquitto
 LEASE_S = 1.0
 ANSWER_WITHIN_S = 10.0
+READER = ("mosquitto_sub", "-W", f"{DEADLINE_S:.0f}", "-v",
+          "-t", "site/r2/answer", "-t", "site/r2/odom")  # fmt: skip
+"""Answers, and odometry that shows that it is subscribed; it ends where the broker is silent."""
 
 
 @pytest.fixture(scope="module")
@@ -70,10 +73,7 @@ def called(stage, peer, method, **more):
     """Ask by the broker, and wait for the answer to it; once more where the broker had just lost
     the one who listens, as after a test that hung it."""
     number, asked_s = os.urandom(4).hex(), -math.inf
-    with subprocess.Popen(
-        ["mosquitto_sub", "-p", str(peer.port), "-t", "site/r2/answer", "-t", "site/r2/odom", "-v"],
-        stdout=subprocess.PIPE,
-    ) as reader:
+    with subprocess.Popen([*READER, "-p", str(peer.port)], stdout=subprocess.PIPE) as reader:
         try:
             for line in reader.stdout:  # it is subscribed: something has come
                 if time.monotonic() - asked_s > ANSWER_WITHIN_S:
@@ -85,7 +85,7 @@ def called(stage, peer, method, **more):
                     return answer
         finally:
             reader.kill()
-    return None
+    raise AssertionError(f"no answer to {method} from the broker")
 
 
 def twist(linear_m_s, age_s=0.0, **more):
@@ -291,10 +291,7 @@ def test_an_emergency_stop_behind_a_heap_of_calls_is_obeyed_and_each_is_answered
     names = [f"{os.urandom(4).hex()}-{number}" for number in range(60)]
     calls = [{"token": TOKEN, "method": "status", "id": name} for name in names[:-1]]
     calls.append({"token": TOKEN, "method": "estop", "id": names[-1]})
-    with subprocess.Popen(
-        ["mosquitto_sub", "-p", str(peer.port), "-t", "site/r2/answer", "-t", "site/r2/odom", "-v"],
-        stdout=subprocess.PIPE,
-    ) as reader:
+    with subprocess.Popen([*READER, "-p", str(peer.port)], stdout=subprocess.PIPE) as reader:
         try:
             reader.stdout.readline()  # it is subscribed: something has come
             subprocess.run(
@@ -317,14 +314,16 @@ def test_an_emergency_stop_behind_a_heap_of_calls_is_obeyed_and_each_is_answered
 def test_a_broker_that_hangs_stops_the_robot_and_is_found_again(stage, peer):
     armed(stage, peer)
     pid = stage.robot.status()["bus"]["pid"]
-    with Driving(peer, 0.2) as driving:
-        stage.wait_for("moving")
-        peer.process.send_signal(signal.SIGSTOP)
-        stage.wait_for("armed")
-        wait_until(lambda: "publish.fleet: 127.0.0.1" in stage.said(), "a word in the log")
-    wait_until(lambda: time.monotonic() - driving.last_s > LEASE_S, "the lease's end")
-    before = accepted(stage)
-    peer.process.send_signal(signal.SIGCONT)
+    try:
+        with Driving(peer, 0.2) as driving:
+            stage.wait_for("moving")
+            peer.process.send_signal(signal.SIGSTOP)
+            stage.wait_for("armed")
+            wait_until(lambda: "publish.fleet: 127.0.0.1" in stage.said(), "a line in the log")
+        wait_until(lambda: time.monotonic() - driving.last_s > LEASE_S, "the lease's end")
+        before = accepted(stage)
+    finally:
+        peer.process.send_signal(signal.SIGCONT)
     wait_until(lambda: "publish.fleet: connected again" in stage.said(), "the connection")
     assert json.loads(peer.get("site/r2/odom"))
     assert (stage.robot.status()["bus"]["pid"], accepted(stage)) == (pid, before)

@@ -28,6 +28,17 @@ def test_deadline(number):
     assert number >= {good_at}
 """
 
+HANGS = """
+import ctypes, pathlib, time
+
+runs = pathlib.Path(__file__).with_suffix(".runs")
+
+def test_it_hangs():
+    runs.write_text("1" + runs.read_text() if runs.exists() else "1")
+    ctypes.PyDLL(None).usleep(200_000)  # the machine is late
+    time.sleep(100)
+"""
+
 
 @pytest.fixture
 def ran(tmp_path):
@@ -57,6 +68,19 @@ def test_a_failure_that_comes_each_time_is_a_failure(ran):
     code, runs, out = ran(hold_s=0.3, good_at=99)
     assert (code, runs) == (1, 4)
     assert "1 failed" in out
+
+
+def test_a_test_that_hung_is_not_run_again(tmp_path):
+    (tmp_path / "conftest.py").write_text(CONFTEST, encoding="utf-8")
+    test = tmp_path / "test_it.py"
+    test.write_text(HANGS, encoding="utf-8")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--timeout", "1"]
+    found = subprocess.run(
+        [*command, "--rootdir", tmp_path, "-c", "/dev/null", test],
+        cwd=ROOT, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert (found.returncode, test.with_suffix(".runs").read_text()) == (1, "1")
+    assert "Timeout" in found.stdout
 
 
 def test_a_test_that_passes_is_run_once_however_late_the_machine_is(ran):
