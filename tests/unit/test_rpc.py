@@ -3,6 +3,7 @@
 
 import asyncio
 import contextlib
+import errno
 import json
 import os
 import resource
@@ -19,7 +20,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from motord.client import Client, ClientError
+from motord.config import load_robot
 from motord.local_socket import server as rpc
+from motord.local_socket.command_sockets import open_stop_socket
 from motord.local_socket.params import Params, number
 from motord.local_socket.server import Method, Refused, SocketInUse, listening, serve, socket_path
 
@@ -104,6 +107,9 @@ class Peer:
 
     def close(self):
         self.writer.close()
+
+
+DEMO = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
 
 
 @pytest.fixture
@@ -412,6 +418,16 @@ def test_the_socket_of_a_live_daemon_is_left_alone(path):
             pass
         with socket.socket(socket.AF_UNIX) as peer:
             peer.connect(str(path))
+
+
+@pytest.mark.parametrize(
+    "opened", [listening, lambda path: open_stop_socket(load_robot(DEMO), path)]
+)
+def test_a_path_that_is_longer_than_the_kernel_takes_is_named_with_the_reason(path, opened):
+    far = path.with_name("x" * 110)
+    with pytest.raises(OSError, match=f"too long: '{path.parent}") as raised, opened(far):
+        pass
+    assert raised.value.errno == errno.ENAMETOOLONG
 
 
 def test_a_file_that_is_no_socket_is_left_alone(path):

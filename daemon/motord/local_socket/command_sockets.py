@@ -7,6 +7,7 @@ There are none unless the robot file has an `[input.*]` of kind "rt", or one of 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import socket
 from collections.abc import Iterator, Mapping
@@ -103,5 +104,7 @@ def _bind(opened: socket.socket, address: object, address_text: str) -> None:
         opened.bind(address)  # type: ignore[arg-type]  # a path or a pair, by the family
     except OSError as error:
         raise OSError(
-            error.errno, f"commands cannot come in: {error.strerror}", address_text
+            error.errno or errno.ENAMETOOLONG,  # Python has no number for it
+            f"commands cannot come in: {error.strerror or error}",
+            address_text,
         ) from error

@@ -120,7 +120,8 @@ def listening(path: Path) -> Iterator[socket.socket]:
         try:
             listener.bind(str(path))
         except OSError as error:
-            raise OSError(error.errno, error.strerror, str(path)) from error
+            number = error.errno or errno.ENAMETOOLONG  # Python has no number for it
+            raise OSError(number, error.strerror or str(error), str(path)) from error
         made = path.stat()
         try:
             path.chmod(SOCKET_MODE)

@@ -62,7 +62,7 @@ class SimControl:
             self._socket.connect(os.fspath(path))
         except OSError as error:
             self._socket.close()
-            raise ControlError(f"no simulator at {path}: {error.strerror}") from error
+            raise ControlError(f"no simulator at {path}: {error.strerror or error}") from error
 
     def __enter__(self) -> Self:
         return self

@@ -4,6 +4,7 @@ line, `{"method": ..., "params": {...}}` in, `{"result": ...}` or `{"error": ...
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import socket
@@ -29,7 +30,8 @@ class ControlServer:
             self._listener.bind(os.fspath(path))
         except OSError as error:
             self._listener.close()
-            raise OSError(error.errno, error.strerror, os.fspath(path)) from error
+            number = error.errno or errno.ENAMETOOLONG  # Python has no number for it
+            raise OSError(number, error.strerror or str(error), os.fspath(path)) from error
         path.chmod(0o600)
         self._listener.listen()
         self._listener.settimeout(0.0)

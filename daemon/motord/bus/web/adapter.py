@@ -305,7 +305,11 @@ class WebAdapter:
             case "commission.stop":
                 self._events.note(viewer.name, f"{self._commissioning.running} is stopped")
                 hidden = params.get("why") == "hidden"
-                why = "the page was hidden, left or without the focus" if hidden else "stopped on a page"
+                why = (
+                    "the page was hidden, left or without the focus"
+                    if hidden
+                    else "stopped on a page"
+                )
                 self._commissioning.stop(why)
             case _:
                 self._commissioning.take(viewer)
