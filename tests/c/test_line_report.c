@@ -57,6 +57,9 @@ static void each_drive_is_sent_by_itself(void)
         CHECK(to->turnaround_ns == n + 8 && to->deadline_ns == n + 9 && to->cycle_ns == n + 10);
         CHECK(to->cycles == n + 20 && to->exchanges == n + 21 && to->unresponsive == n + 22 && to->received_ns == n + 23);
     }
+    w.machine.table.drive[1].reply_timeout_ns = 200 * MS; /* of the robot file: it is in force */
+    look();
+    CHECK(report.drive[0].deadline_ns == 9 && report.drive[1].deadline_ns == 200 * MS);
 }
 
 static void a_stop_waits_until_it_has_arrived_and_also_where_it_is_refused(void)

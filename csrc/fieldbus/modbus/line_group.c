@@ -141,8 +141,7 @@ int64_t line_group_wait_ns(const line_machine *m)
 {
     int64_t longest_ns = 0;
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        int64_t fixed_ns = m->table.drive[i].reply_timeout_ns;
-        int64_t wait_ns = fixed_ns > 0 ? fixed_ns : m->drive[i].deadline_ns;
+        int64_t wait_ns = line_deadline_ns(m, i);
         bool waits = (m->group.waiting >> i & 1) != 0;
         longest_ns = waits && wait_ns > longest_ns ? wait_ns : longest_ns;
     }

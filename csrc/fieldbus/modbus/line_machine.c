@@ -48,10 +48,8 @@ static int64_t wait_for_ns(const line_machine *m)
         return longest_ns;
     }
     const line_drive *table = &m->table.drive[m->worker];
-    if (table->reply_timeout_ns > 0) {
-        return table->reply_timeout_ns;
-    }
-    return m->work == WORK_CYCLE ? m->drive[m->worker].deadline_ns : table->turnaround_ns;
+    bool cyclic = m->work == WORK_CYCLE || table->reply_timeout_ns > 0;
+    return cyclic ? line_deadline_ns(m, m->worker) : table->turnaround_ns;
 }
 
 /* Whether another drive waits for its stop, or the line ends. */

@@ -185,6 +185,13 @@ typedef struct line_machine {
     bool answered;
 } line_machine;
 
+/* How long a cyclic request waits for the first byte of its reply. */
+static inline int64_t line_deadline_ns(const line_machine *m, uint32_t number)
+{
+    int64_t fixed_ns = m->table.drive[number].reply_timeout_ns;
+    return fixed_ns > 0 ? fixed_ns : m->drive[number].deadline_ns;
+}
+
 /* What the thread has to do after a step. */
 typedef struct {
     const uint8_t *send; /* write these now, then call line_machine_sent; NULL: nothing */

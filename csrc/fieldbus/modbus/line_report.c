@@ -29,7 +29,7 @@ void line_machine_report(const line_machine *m, line_report *report)
         to->last_failure = drive->last_failure;
         to->last_exception = drive->last_exception;
         to->turnaround_ns = drive->smoothed_ns;
-        to->deadline_ns = drive->deadline_ns;
+        to->deadline_ns = line_deadline_ns(m, i);
         to->cycle_ns = drive->cycle_ns;
     }
 }
