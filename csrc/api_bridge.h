@@ -6,7 +6,8 @@ enum { PWM_OUTPUTS_MAX = 32, BRIDGE_MODES = 4 };
 /* What a bridge does with its motor. COAST is what it is left in: no power. */
 enum { BRIDGE_COAST, BRIDGE_BRAKE, BRIDGE_FORWARD, BRIDGE_REVERSE };
 
-/* What the line is to do: OFF no power, at once; STOP brakes for stopping_ns, then no power; ARMED follow the set-points. */
+/* What the line is to do: OFF no power, at once; STOP an armed one brakes for stopping_ns, then no power; ARMED follow the
+ * set-points, which one that still brakes does not. */
 enum { PWM_OFF, PWM_STOP, PWM_ARMED };
 
 /* One pin. Its level, 0 to 1, is base + slope × |duty| of the mode; a GPIO line is high from one half on. */
@@ -41,7 +42,7 @@ typedef struct {
     uint64_t cpu_mask;   /* 0: all */
     int64_t period_ns;
     int64_t setpoint_timeout_ns;
-    int64_t stopping_ns;
+    int64_t stopping_ns; /* DRIVE_STOPPING_NS at most */
     uint32_t epoch;
     uint32_t joint_count;
     uint32_t output_count;
@@ -78,16 +79,12 @@ typedef struct {
 
 /* -------------------------------------------------------------------------------- pure: what the pins shall be */
 typedef struct {
-    uint32_t armed;
-    uint32_t was_enabled;
-    uint32_t fault_reasons;
-    uint32_t number;
-    uint32_t phase; /* of pins that pump */
-    uint32_t reserved;
-    int64_t stop_until_ns; /* 0: not stopping */
-    int64_t last_ns;
+    drive_state drive;      /* of all its joints. Without a set-up it is READY from the first step on */
+    int64_t brake_until_ns; /* where it is stopping */
+    int64_t last_ns;        /* of the step before */
     uint64_t enabled_count; /* how often the set-points have become enabled: its stepper writes it first */
-    uint64_t enabled_count_armed;
+    uint32_t phase;         /* of pins that pump */
+    uint32_t reserved;
 } bridge_state;
 
 /* level[i] of output i, 0 to 1. Set-points that are old, not enabled or no numbers move nothing. */

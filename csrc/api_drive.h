@@ -45,8 +45,13 @@ typedef struct {
     bool overtaken; /* one before it was never seen: it may have been a stop */
 } drive_answer;
 
-/* DRIVE_FAULT_* that an armed drive has to be taken back for, 0: none. `was_enabled`: since it was armed. */
-uint32_t drive_fault_reason(bool fresh, bool left_alone, bool enabled, bool was_enabled);
+/* It last got something at `last_ns`, and its watchdog has bitten since: it may have stopped by itself. watchdog_ns 0: it has
+ * none. */
+bool drive_left_alone(int64_t last_ns, int64_t now_ns, int64_t watchdog_ns);
+/* Whether set-points that are not zero may go to it. */
+bool drive_may_move(const drive_state *drive, bool fresh, bool enabled);
+/* It moves, and the newest set-points do not: zero goes out at once, and does not wait for its cycle. */
+bool drive_has_to_rest(const drive_state *drive, bool wants_motion);
 /* Each returns the stop that its medium has to begin. */
 drive_stop drive_guard(drive_state *drive, const drive_view *view);
 drive_stop drive_quick_stop(drive_state *drive, uint32_t why, int64_t now_ns);

@@ -60,7 +60,23 @@ bool drive_stop_done(drive_state *drive)
 }
 
 /* -------------------------------------------------------------------------------------------------- guarding */
-uint32_t drive_fault_reason(bool fresh, bool left_alone, bool enabled, bool was_enabled)
+bool drive_left_alone(int64_t last_ns, int64_t now_ns, int64_t watchdog_ns)
+{
+    return watchdog_ns > 0 && now_ns - last_ns > watchdog_ns;
+}
+
+bool drive_may_move(const drive_state *drive, bool fresh, bool enabled)
+{
+    return drive->mode == DRIVE_ARMED && fresh && enabled;
+}
+
+bool drive_has_to_rest(const drive_state *drive, bool wants_motion)
+{
+    return drive_is_cycled(drive) && drive->sent_motion && !wants_motion;
+}
+
+/* 0: an armed drive stays so. `was_enabled`: since it was armed. */
+static uint32_t fault_reason(bool fresh, bool left_alone, bool enabled, bool was_enabled)
 {
     if (!fresh) {
         return DRIVE_FAULT_SETPOINTS_OLD;
@@ -78,7 +94,7 @@ drive_stop drive_guard(drive_state *drive, const drive_view *view)
         return STOP_NOTHING;
     }
     bool was_enabled = drive->was_enabled || drive->enabled_count != view->enabled_count;
-    uint32_t why = drive_fault_reason(view->fresh, view->left_alone, view->enabled, was_enabled);
+    uint32_t why = fault_reason(view->fresh, view->left_alone, view->enabled, was_enabled);
     if (why == DRIVE_FAULT_NOT_ENABLED) {
         drive_take_back(drive, why, DRIVE_READY);
         return drive_power_off(drive);

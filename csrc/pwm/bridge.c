@@ -8,55 +8,37 @@
 #include "fresh.h"
 #include "rt.h"
 
-static void take_back(bridge_state *state, uint32_t why, int64_t stop_until_ns)
+static void begin_brake(bridge_state *state, const bridge_config *config, drive_stop stop, int64_t now_ns)
 {
-    state->armed = 0;
-    state->fault_reasons |= why;
-    state->stop_until_ns = stop_until_ns;
-}
-
-static void obey_request(bridge_state *state, const bridge_config *config, const bridge_control *control, bool fresh,
-                         int64_t now_ns)
-{
-    if (control->number == state->number) {
-        return;
-    }
-    bool overtaken = control->number - state->number > 1; /* one that was never seen may have been a stop */
-    bool powered = state->armed != 0 || state->stop_until_ns != 0;
-    state->number = control->number;
-    if (overtaken && powered && control->mode == PWM_ARMED) {
-        state->armed = 0;
-        state->fault_reasons = 0;
-        state->stop_until_ns = 0;
-    } else if (control->mode == PWM_ARMED && fresh) {
-        state->armed = 1;
-        state->was_enabled = state->fault_reasons = 0;
-        state->enabled_count_armed = state->enabled_count;
-        state->stop_until_ns = 0;
-    } else if (control->mode == PWM_ARMED) {
-        take_back(state, DRIVE_FAULT_SETPOINTS_OLD, 0);
-    } else {
-        bool braking = control->mode == PWM_STOP && state->armed != 0;
-        state->armed = 0;
-        state->stop_until_ns = braking ? now_ns + config->stopping_ns : 0;
+    if (stop == STOP_QUICK) {
+        state->brake_until_ns = now_ns + config->stopping_ns;
     }
 }
 
-/* Old set-points, or a thread that was held up: brake. Not enabled any more: no power. */
-static void look_at_setpoints(bridge_state *state, const bridge_config *config, const setpoints *newest, bool fresh,
-                              int64_t now_ns)
+static drive_view view_of(const bridge_state *state, const bridge_config *config, const setpoints *newest, int64_t now_ns)
 {
-    bool left_alone = state->last_ns != 0 && now_ns - state->last_ns > config->setpoint_timeout_ns;
-    bool enabled = newest->enabled != 0;
-    if (state->armed == 0) {
+    int64_t last_ns = state->last_ns != 0 ? state->last_ns : now_ns;
+    return (drive_view){.now_ns = now_ns,
+                        .fresh = fresh_stamp(now_ns, newest->stamp_ns, config->setpoint_timeout_ns),
+                        .enabled = newest->enabled == 1,
+                        .left_alone = drive_left_alone(last_ns, now_ns, config->setpoint_timeout_ns),
+                        .enabled_count = state->enabled_count};
+}
+
+static void obey_request(bridge_state *state, const bridge_config *config, const bridge_control *control, const drive_view *view)
+{
+    drive_state *drive = &state->drive;
+    uint32_t mode = control->mode == PWM_ARMED ? DRIVE_ARMED : DRIVE_STAND_DOWN;
+    drive_answer answer = drive_obey(drive, &(mode_request){.mode = mode, .count = control->number}, view);
+    if (answer.request == REQUEST_NONE) {
         return;
     }
-    bool was_enabled = state->was_enabled != 0 || state->enabled_count_armed != state->enabled_count;
-    uint32_t why = drive_fault_reason(fresh, left_alone, enabled, was_enabled);
-    if (why != 0) {
-        take_back(state, why, why == DRIVE_FAULT_NOT_ENABLED ? 0 : now_ns + config->stopping_ns);
-    } else if (enabled) {
-        state->was_enabled = 1;
+    if (mode == DRIVE_ARMED && drive->mode != DRIVE_ARMED && !view->fresh) {
+        drive->fault_reasons |= DRIVE_FAULT_SETPOINTS_OLD;
+    } else if (control->mode == PWM_OFF) {
+        (void)drive_power_off(drive);
+    } else if (control->mode == PWM_STOP && answer.request == REQUEST_STAND_DOWN) { /* one that brakes goes on */
+        begin_brake(state, config, drive_quick_stop(drive, 0, view->now_ns), view->now_ns);
     }
 }
 
@@ -69,31 +51,31 @@ static double duty_of(const bridge_joint *joint, const setpoints *newest)
     return duty > 1.0 ? 1.0 : duty < -1.0 ? -1.0 : duty;
 }
 
-static uint32_t mode_of(const bridge_state *state, const bridge_joint *joint, bool moving, double duty)
+static uint32_t mode_of(const drive_state *drive, const bridge_joint *joint, bool moving, double duty)
 {
-    if (state->armed != 0) {
+    if (drive->mode == DRIVE_ARMED) {
         return !moving || duty == 0.0 ? joint->rest_mode : duty > 0.0 ? BRIDGE_FORWARD : BRIDGE_REVERSE;
     }
-    return state->stop_until_ns != 0 ? BRIDGE_BRAKE : BRIDGE_COAST;
+    return drive->stopping ? BRIDGE_BRAKE : BRIDGE_COAST;
 }
 
 void bridge_step(bridge_state *state, const bridge_config *config, const bridge_control *control, const setpoints *newest,
                  int64_t now_ns, double *level)
 {
-    bool fresh = fresh_stamp(now_ns, newest->stamp_ns, config->setpoint_timeout_ns);
-    obey_request(state, config, control, fresh, now_ns);
-    look_at_setpoints(state, config, newest, fresh, now_ns);
-    if (state->stop_until_ns != 0 && now_ns >= state->stop_until_ns) {
-        state->stop_until_ns = 0;
-    }
+    drive_state *drive = &state->drive;
+    drive_view view = view_of(state, config, newest, now_ns);
+    drive->mode = drive->mode == DRIVE_OFF ? DRIVE_READY : drive->mode; /* it has no set-up */
+    obey_request(state, config, control, &view);
+    begin_brake(state, config, drive_guard(drive, &view), now_ns);
+    (void)drive_end_stopping(drive, now_ns >= state->brake_until_ns, now_ns);
     state->last_ns = now_ns;
-    bool moving = state->armed != 0 && newest->enabled != 0;
+    bool moving = drive_may_move(drive, view.fresh, view.enabled);
     state->phase ^= 1;
     for (uint32_t i = 0; i < config->output_count; i++) {
         const bridge_pin *output = &config->output[i];
         const bridge_joint *joint = &config->joint[output->joint];
         double duty = moving ? duty_of(joint, newest) : 0.0;
-        uint32_t mode = mode_of(state, joint, moving, duty);
+        uint32_t mode = mode_of(drive, joint, moving, duty);
         double pumped = moving && state->phase != 0 ? 1.0 : 0.0;
         level[i] = output->pumps != 0 ? pumped : output->base[mode] + output->slope[mode] * fabs(duty);
     }

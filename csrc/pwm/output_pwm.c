@@ -267,15 +267,15 @@ static void feed_back(pwm_thread *t, int64_t now_ns)
 
 static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns, uint64_t inputs_before)
 {
-    bool armed = t->state.armed != 0, stopping = t->state.stop_until_ns != 0;
+    bool armed = t->state.drive.mode == DRIVE_ARMED, stopping = t->state.drive.stopping;
     bool notify = armed != (t->out.armed != 0) || stopping != (t->out.stopping != 0) || !running ||
-                  t->out.number != t->state.number || t->out.active_inputs != inputs_before;
+                  t->out.number != t->state.drive.request_seen || t->out.active_inputs != inputs_before;
     t->out.running = running;
     t->out.error = -error;
     t->out.armed = armed;
     t->out.stopping = stopping;
-    t->out.fault_reasons = t->state.fault_reasons;
-    t->out.number = t->state.number;
+    t->out.fault_reasons = t->state.drive.fault_reasons;
+    t->out.number = t->state.drive.request_seen;
     t->out.policy = t->grant.policy;
     t->out.scheduler_errno = t->grant.scheduler_errno;
     if (notify || now_ns - t->reported_ns >= REPORT_EVERY_NS) {
@@ -332,8 +332,8 @@ static void *run(void *arg)
     int32_t where = t->out.error_output;
     int rested = rest(t);
     t->out.error_output = error != 0 ? where : t->out.error_output;
-    t->state.armed = 0;
-    t->state.stop_until_ns = 0;
+    drive_take_back(&t->state.drive, 0, DRIVE_READY);
+    (void)drive_power_off(&t->state.drive);
     put_report(t, false, error != 0 ? error : rested, clock_now_ns(), t->out.active_inputs);
     return NULL;
 }

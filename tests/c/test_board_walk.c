@@ -61,7 +61,8 @@ static uint64_t motion_sent(void)
 
 int main(void)
 {
-    const walk_medium medium = {begin_board, set_up,   arm_board, request_mode,   setpoints_old, setpoints_not_enabled,
-                                fall_silent, end_line, go_on,     state_of_drive, motion_sent};
-    return walk_all(&medium, "board walk");
+    const walk_medium medium = {
+        ON_BOARD,    begin_board, set_up, arm_board,      request_mode, setpoints_old, setpoints_not_enabled,
+        fall_silent, end_line,    go_on,  state_of_drive, motion_sent};
+    return walk_all(&medium, 40, "board walk");
 }

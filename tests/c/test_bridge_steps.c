@@ -95,11 +95,11 @@ static void each_mode_has_its_level(void)
     }
     asks(&b, PWM_STOP);
     CHECK(b.level[0] == 0.2 && b.level[1] == 0.2);
-    CHECK(steps_on(&b, 300 * MS - 1)[1] == 0.2 && steps_on(&b, 1)[1] == 0.1 && b.state.stop_until_ns == 0);
+    CHECK(steps_on(&b, 300 * MS - 1)[1] == 0.2 && steps_on(&b, 1)[1] == 0.1 && !b.state.drive.stopping);
     asks(&b, PWM_ARMED);
-    CHECK(b.state.armed == 1);
+    CHECK(b.state.drive.mode == DRIVE_ARMED);
     asks(&b, PWM_OFF);
-    CHECK(b.level[0] == 0.1 && b.level[1] == 0.1 && b.state.stop_until_ns == 0);
+    CHECK(b.level[0] == 0.1 && b.level[1] == 0.1 && !b.state.drive.stopping);
 }
 
 static void a_joint_that_the_set_points_do_not_have_rests(void)
@@ -115,33 +115,46 @@ static void each_reason_stays_until_it_is_armed_again(void)
     bench b = begun();
     asks(&b, PWM_ARMED);
     steps_on(&b, 100 * MS); /* as long as set-points count */
-    CHECK(b.state.armed == 1 && b.state.fault_reasons == 0);
+    CHECK(b.state.drive.mode == DRIVE_ARMED && b.state.drive.fault_reasons == 0);
     steps_on(&b, 100 * MS + 1);
-    CHECK(b.state.fault_reasons == DRIVE_FAULT_LEFT_ALONE && b.level[0] == 0.2);
+    CHECK(b.state.drive.fault_reasons == DRIVE_FAULT_LEFT_ALONE && b.level[0] == 0.2);
     b.age_ns = 100 * MS + 1;
     asks(&b, PWM_ARMED);
-    CHECK(b.state.armed == 0 && b.state.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_SETPOINTS_OLD));
-    CHECK(b.state.stop_until_ns == 0 && b.level[0] == 0.1);
+    CHECK(b.state.drive.mode == DRIVE_READY &&
+          b.state.drive.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_SETPOINTS_OLD));
+    CHECK(b.state.drive.stopping && b.level[0] == 0.2);
     b.age_ns = 100 * MS;
+    asks(&b, PWM_OFF);
+    CHECK(!b.state.drive.stopping && b.level[0] == 0.1);
     asks(&b, PWM_ARMED);
-    CHECK(b.state.armed == 1 && b.state.fault_reasons == 0);
+    CHECK(b.state.drive.mode == DRIVE_ARMED && b.state.drive.fault_reasons == 0);
     b.age_ns = 100 * MS + 1;
     steps_on(&b, MS);
-    CHECK(b.state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD && b.state.stop_until_ns == b.now_ns + 300 * MS);
+    CHECK(b.state.drive.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD && b.state.drive.stopping &&
+          b.state.brake_until_ns == b.now_ns + 300 * MS);
     b.age_ns = 0;
     b.control.number++;
     asks(&b, PWM_ARMED); /* a request was not seen: it may have been a stop */
-    CHECK(b.state.armed == 0 && b.state.fault_reasons == 0 && b.state.stop_until_ns == 0 && b.level[0] == 0.1);
+    CHECK(b.state.drive.mode == DRIVE_READY && !b.state.drive.stopping && b.level[0] == 0.1);
 }
 
-static void one_that_is_armed_while_it_brakes_does_not_brake_any_more(void)
+static void one_that_brakes_goes_on_whatever_is_requested_but_no_power(void)
 {
     bench b = begun();
     asks(&b, PWM_ARMED);
     asks(&b, PWM_STOP);
-    CHECK(b.state.stop_until_ns == b.now_ns + 300 * MS);
+    int64_t until_ns = b.now_ns + 300 * MS;
+    CHECK(b.state.drive.stopping && b.state.brake_until_ns == until_ns);
     asks(&b, PWM_ARMED);
-    CHECK(b.state.armed == 1 && b.state.stop_until_ns == 0);
+    CHECK(b.state.drive.mode == DRIVE_READY && b.state.drive.stopping && b.level[0] == 0.2 && b.level[1] == 0.2);
+    asks(&b, PWM_STOP); /* its line ends */
+    CHECK(b.state.drive.stopping && b.state.brake_until_ns == until_ns && b.level[0] == 0.2);
+    asks(&b, PWM_OFF);
+    CHECK(!b.state.drive.stopping && b.level[0] == 0.1 && b.level[1] == 0.1);
+    asks(&b, PWM_STOP);
+    CHECK(!b.state.drive.stopping && b.level[0] == 0.1); /* what has no power does not brake */
+    asks(&b, PWM_ARMED);
+    CHECK(b.state.drive.mode == DRIVE_ARMED);
 }
 
 /* The core may enable it later; once it has, even between two looks, the end of that takes the power. */
@@ -151,19 +164,19 @@ static void one_that_was_enabled_and_is_no_more_has_no_power(void)
     b.state.enabled_count = 5;
     b.newest.enabled = 0;
     asks(&b, PWM_ARMED);
-    CHECK(b.state.armed == 1 && b.level[0] == 0.2 && b.level[1] == 0.1);
+    CHECK(b.state.drive.mode == DRIVE_ARMED && b.level[0] == 0.2 && b.level[1] == 0.1);
     steps_on(&b, MS);
-    CHECK(b.state.armed == 1);
+    CHECK(b.state.drive.mode == DRIVE_ARMED);
     b.state.enabled_count = 6;
     steps_on(&b, MS);
-    CHECK(b.state.fault_reasons == DRIVE_FAULT_NOT_ENABLED && b.level[0] == 0.1 && b.state.stop_until_ns == 0);
+    CHECK(b.state.drive.fault_reasons == DRIVE_FAULT_NOT_ENABLED && b.level[0] == 0.1 && !b.state.drive.stopping);
     asks(&b, PWM_ARMED);
     b.newest.enabled = 1;
     steps_on(&b, MS);
-    CHECK(b.state.armed == 1 && is(b.level[0], 0.3 + 0.25 * 0.5));
+    CHECK(b.state.drive.mode == DRIVE_ARMED && is(b.level[0], 0.3 + 0.25 * 0.5));
     b.newest.enabled = 0;
     steps_on(&b, MS);
-    CHECK(b.state.fault_reasons == DRIVE_FAULT_NOT_ENABLED && b.state.armed == 0);
+    CHECK(b.state.drive.fault_reasons == DRIVE_FAULT_NOT_ENABLED && b.state.drive.mode == DRIVE_READY);
 }
 
 static void a_level_is_rounded_to_whole_nanoseconds_of_the_period(void)
@@ -266,7 +279,7 @@ int main(void)
     each_mode_has_its_level();
     a_joint_that_the_set_points_do_not_have_rests();
     each_reason_stays_until_it_is_armed_again();
-    one_that_is_armed_while_it_brakes_does_not_brake_any_more();
+    one_that_brakes_goes_on_whatever_is_requested_but_no_power();
     one_that_was_enabled_and_is_no_more_has_no_power();
     a_level_is_rounded_to_whole_nanoseconds_of_the_period();
     each_number_of_a_config_ends_where_it_says();

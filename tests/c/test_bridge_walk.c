@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A motor on a bridge in every mode, and every event. It has no set-up and no reply: its pins are all there is. */
+ * A motor on a bridge in every mode, and every event that it has. */
 #include <string.h>
 
 #include "drive_walk.h"
@@ -12,7 +12,6 @@ static struct {
     bridge_state state;
     bridge_control control;
     setpoints newest;
-    drive_state shown;
     int64_t now_ns;
     uint64_t motion;
     bool old;
@@ -52,14 +51,15 @@ static void arm_bridge(void)
     control_bridge(PWM_ARMED);
 }
 
-/* READY is no request of a bridge: it is what it is when it is neither armed nor off. */
 static void request_of_bridge(uint32_t mode)
 {
-    if (mode == DRIVE_OFF) {
-        control_bridge(PWM_OFF);
-    } else if (mode == DRIVE_STAND_DOWN) {
-        control_bridge(PWM_STOP);
-    }
+    CHECK(mode == DRIVE_STAND_DOWN);
+    control_bridge(PWM_OFF);
+}
+
+static void never_silent(void)
+{
+    CHECK(false);
 }
 
 static void setpoints_old(void)
@@ -89,10 +89,7 @@ static void go_on_for(int64_t for_ns)
 
 static const drive_state *state_of_bridge(void)
 {
-    bool off = b.control.mode == PWM_OFF && b.control.number > 0;
-    b.shown.mode = b.state.armed != 0 ? DRIVE_ARMED : off ? DRIVE_OFF : DRIVE_READY;
-    b.shown.stopping = b.state.stop_until_ns != 0;
-    return &b.shown;
+    return &b.state.drive;
 }
 
 static uint64_t motion_sent(void)
@@ -102,7 +99,8 @@ static uint64_t motion_sent(void)
 
 int main(void)
 {
-    const walk_medium medium = {begin_bridge, set_up_bridge, arm_bridge, request_of_bridge, setpoints_old, setpoints_not_enabled,
-                                NULL,         end_bridge,    go_on_for,  state_of_bridge,   motion_sent};
-    return walk_all(&medium, "bridge walk");
+    const walk_medium medium = {ON_BRIDGE,         begin_bridge,  set_up_bridge,         arm_bridge,
+                                request_of_bridge, setpoints_old, setpoints_not_enabled, never_silent,
+                                end_bridge,        go_on_for,     state_of_bridge,       motion_sent};
+    return walk_all(&medium, 15, "bridge walk");
 }

@@ -122,6 +122,27 @@ static void an_armed_drive_is_taken_back_for_each_reason_in_its_order(void)
     }
 }
 
+static void a_drive_is_left_alone_when_it_got_nothing_for_longer_than_its_watchdog_waits(void)
+{
+    CHECK(!drive_left_alone(NOW_NS - 5, NOW_NS, 5) && drive_left_alone(NOW_NS - 6, NOW_NS, 5));
+    CHECK(!drive_left_alone(NOW_NS, NOW_NS, 1) && drive_left_alone(0, NOW_NS, 1));
+    CHECK(!drive_left_alone(0, NOW_NS, 0) && !drive_left_alone(0, NOW_NS, -1)); /* it has none */
+    CHECK(!drive_left_alone(NOW_NS + 6, NOW_NS, 5));                            /* it got something meanwhile */
+}
+
+static void only_an_armed_drive_moves_by_fresh_set_points_that_are_enabled(void)
+{
+    for (int m = 0; m < MODES; m++) {
+        for (uint32_t bits = 0; bits < 8; bits++) {
+            bool fresh = bits & 1, enabled = bits & 2, wants = bits & 4, moved = bits & 2;
+            drive_state drive = {.mode = MODE[m], .sent_motion = moved};
+            CHECK(drive_may_move(&drive, fresh, enabled) == (MODE[m] == DRIVE_ARMED && fresh && enabled));
+            bool cycled = MODE[m] == DRIVE_ARMED || MODE[m] == DRIVE_READY;
+            CHECK(drive_has_to_rest(&drive, wants) == (cycled && moved && !wants));
+        }
+    }
+}
+
 static void the_power_goes_off_at_rest_or_in_time_but_not_before_the_stop_has_arrived(void)
 {
     for (uint32_t bits = 0; bits < 16; bits++) {
@@ -202,6 +223,8 @@ int main(void)
     nothing_is_armed_while_anything_is_against_it();
     a_request_that_was_overtaken_counts_as_a_stop();
     an_armed_drive_is_taken_back_for_each_reason_in_its_order();
+    a_drive_is_left_alone_when_it_got_nothing_for_longer_than_its_watchdog_waits();
+    only_an_armed_drive_moves_by_fresh_set_points_that_are_enabled();
     the_power_goes_off_at_rest_or_in_time_but_not_before_the_stop_has_arrived();
     its_own_word_takes_its_power_where_nobody_has_armed_it();
     a_stop_that_has_arrived_brings_back_what_was_unresponsive();

@@ -64,7 +64,8 @@ static uint64_t motion_sent(void)
 
 int main(void)
 {
-    const walk_medium medium = {begin_line,  set_up_drive, arm_drive, request_mode,   setpoints_old, setpoints_not_enabled,
-                                fall_silent, end_line,     go_on_for, state_of_drive, motion_sent};
-    return walk_all(&medium, "line walk");
+    const walk_medium medium = {ON_RS485,     begin_line,    set_up_drive,          arm_drive,
+                                request_mode, setpoints_old, setpoints_not_enabled, fall_silent,
+                                end_line,     go_on_for,     state_of_drive,        motion_sent};
+    return walk_all(&medium, 40, "line walk");
 }

@@ -84,7 +84,7 @@ async def test_a_loop_that_dies_stops_the_bridges_until_they_are_armed_again(chi
         await until(lambda: rig.line.stats().cycles > cycles + 10)
         assert chip.duties() == REST
         await until(lambda: EventKind.DRIVE_WARNING in rig.kinds())
-        await rig.line.arm()
+        await rig.arm()
         await until(lambda: chip.duties()[0] == 25_000)
 
 

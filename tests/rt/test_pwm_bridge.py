@@ -42,6 +42,10 @@ class Bench:
         assert lib.bridge_config_check(self.config) == 0
         self.now_ns = NOW_NS
 
+    @property
+    def armed(self):
+        return self.state.drive.mode == lib.DRIVE_ARMED
+
     def request_mode(self, request):
         self.control.mode, self.control.number = request, self.control.number + 1
 
@@ -101,11 +105,11 @@ def test_whatever_comes_levels_are_levels_and_only_the_armed_move(drive, events)
             bench.request_mode(request)
         levels = bench.step(duty, enabled, age_ns, after_ns)
         assert all(0.0 <= level <= 1.0 for level in levels.values())
-        may_move = bench.state.armed and enabled and age_ns <= TIMEOUT_NS
+        may_move = bench.armed and enabled and age_ns <= TIMEOUT_NS
         if not may_move:
             resting = [bench.levels("coast"), bench.levels("brake")]
             assert levels in resting
-        if not bench.state.armed and bench.state.stop_until_ns == 0:
+        if not bench.armed and not bench.state.drive.stopping:
             assert levels == bench.levels("coast")
 
 
@@ -133,7 +137,7 @@ def test_old_set_points_brake_then_take_the_power_and_it_stays_off():
     bench.request_mode(lib.PWM_ARMED)
     bench.step(0.5)
     assert bench.step(0.5, age_ns=TIMEOUT_NS + 1) == bench.levels("brake")
-    assert bench.state.fault_reasons == lib.DRIVE_FAULT_SETPOINTS_OLD
+    assert bench.state.drive.fault_reasons == lib.DRIVE_FAULT_SETPOINTS_OLD
     assert bench.step(0.5) == bench.levels("brake")
     assert bench.step(0.5, after_ns=STOPPING_NS) == bench.levels("coast")
     assert bench.step(0.5) == bench.levels("coast")
@@ -146,7 +150,7 @@ def test_set_points_that_are_not_enabled_any_more_take_the_power_at_once():
     bench.step(0.5)
     assert bench.step(0.5, enabled=False) == bench.levels("coast")
     assert bench.step(0.5) == bench.levels("coast")
-    assert bench.state.fault_reasons == lib.DRIVE_FAULT_NOT_ENABLED
+    assert bench.state.drive.fault_reasons == lib.DRIVE_FAULT_NOT_ENABLED
 
 
 def test_a_thread_that_was_held_up_does_not_go_on_where_it_was():
@@ -154,7 +158,7 @@ def test_a_thread_that_was_held_up_does_not_go_on_where_it_was():
     bench.request_mode(lib.PWM_ARMED)
     bench.step(0.5)
     assert bench.step(0.5, after_ns=TIMEOUT_NS + 1) == bench.levels("brake")
-    assert bench.state.fault_reasons == lib.DRIVE_FAULT_LEFT_ALONE
+    assert bench.state.drive.fault_reasons == lib.DRIVE_FAULT_LEFT_ALONE
 
 
 def test_arming_needs_fresh_set_points_and_a_new_request():

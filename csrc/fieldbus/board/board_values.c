@@ -38,7 +38,7 @@ int64_t board_raw_max(const board_place *place)
 /* board_guard has taken ARMED back before, in this very step, where the set-points are old. */
 bool board_payload(const board_machine *m, uint8_t *payload)
 {
-    bool motion = false, may_move = m->state.mode == DRIVE_ARMED && m->newest.enabled == 1;
+    bool motion = false, may_move = drive_may_move(&m->state, true, m->newest.enabled == 1);
     memcpy(payload, m->held, BOARD_PAYLOAD_MAX);
     for (uint32_t i = 0; i < m->table.setpoint_count; i++) {
         const board_setpoint *setpoint = &m->table.setpoint[i];

@@ -225,7 +225,7 @@ static drive_view view_of(const can_machine *m, uint32_t number, int64_t now_ns)
     return (drive_view){.now_ns = now_ns,
                         .fresh = fresh_stamp(now_ns, m->newest.stamp_ns, m->table.setpoint_timeout_ns),
                         .enabled = m->newest.enabled == 1,
-                        .left_alone = watchdog_ns > 0 && now_ns - m->drive[number].last_sent_ns > watchdog_ns,
+                        .left_alone = drive_left_alone(m->drive[number].last_sent_ns, now_ns, watchdog_ns),
                         .shut_down = m->control.shut_down != 0,
                         .enabled_count = m->enabled_count};
 }

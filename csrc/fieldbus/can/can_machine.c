@@ -223,8 +223,7 @@ static void send_stops(can_machine *m, int64_t now_ns)
         if (drive->state.stop != STOP_NOTHING) {
             can_send_stop(m, i);
         }
-        bool cyclic = drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED;
-        if (cyclic && drive->state.sent_motion && !can_wants_motion(m, i)) {
+        if (drive_has_to_rest(&drive->state, can_wants_motion(m, i))) {
             can_send_setpoints(m, i, now_ns); /* a stop does not wait for its cycle */
         }
     }

@@ -55,7 +55,7 @@ static double number_of(const can_place *place, int64_t raw)
 /* can_guard has taken ARMED back before, in this very step, where the set-points are old. */
 static bool may_move(const can_machine *m, uint32_t drive)
 {
-    return m->drive[drive].state.mode == DRIVE_ARMED && m->newest.enabled == 1 && !m->motion_stays;
+    return drive_may_move(&m->drive[drive].state, true, m->newest.enabled == 1) && !m->motion_stays;
 }
 
 /* Where it is, for a drive that is there and without power: it goes nowhere, and misses no set-point. NaN: nothing is sent. */

@@ -60,7 +60,7 @@ static drive_view view_of(const line_machine *m, uint32_t number, int64_t now_ns
     return (drive_view){.now_ns = now_ns,
                         .fresh = line_fresh(m, now_ns),
                         .enabled = m->newest.enabled == 1,
-                        .left_alone = watchdog_ns > 0 && !busy && now_ns - drive->answered_ns > watchdog_ns,
+                        .left_alone = !busy && drive_left_alone(drive->answered_ns, now_ns, watchdog_ns),
                         .shut_down = m->control.shut_down != 0,
                         .enabled_count = m->enabled_count};
 }
@@ -70,7 +70,7 @@ void line_guard(line_machine *m, uint32_t number, int64_t now_ns)
     line_drive_state *drive = &m->drive[number];
     drive_view view = view_of(m, number, now_ns);
     line_begin_stop(m, number, drive_guard(&drive->state, &view), now_ns);
-    if (drive->state.sent_motion && !line_wants_motion(m, number) && drive->due_ns > now_ns) {
+    if (drive_has_to_rest(&drive->state, line_wants_motion(m, number)) && drive->due_ns > now_ns) {
         drive->due_ns = now_ns; /* a stop does not wait for its turn */
     }
     line_begin_stop(m, number, drive_end_stopping(&drive->state, false, now_ns), now_ns);
@@ -358,7 +358,7 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     line_settle(m, number, now_ns);
     int64_t took_ns = now_ns - m->end_ns - line_reply_ns(m, &m->transaction.frame);
     int64_t stamp_ns = drive->usual_ns == 0 || took_ns <= drive->usual_ns ? line_stamp(m, number, now_ns) : 0;
-    if (drive->state.mode == DRIVE_ARMED && watchdog_ns > 0 && m->end_ns - drive->answered_ns > watchdog_ns) {
+    if (drive->state.mode == DRIVE_ARMED && drive_left_alone(drive->answered_ns, m->end_ns, watchdog_ns)) {
         line_begin_stop(m, number, drive_quick_stop(&drive->state, DRIVE_FAULT_LEFT_ALONE, now_ns), now_ns);
     }
     if (drive->owed_count == 0) { /* else it may be the answer to one that counted as failed: it is late, not well */

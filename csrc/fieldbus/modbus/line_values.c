@@ -16,7 +16,7 @@ static const setpoints *source(const line_machine *m, uint32_t drive)
 /* line_guard has taken ARMED back before, in this very step, where the set-points are old. */
 static bool may_move(const line_machine *m, uint32_t drive)
 {
-    return m->drive[drive].state.mode == DRIVE_ARMED && m->newest.enabled == 1;
+    return drive_may_move(&m->drive[drive].state, true, m->newest.enabled == 1);
 }
 
 bool line_sends(const line_machine *m, uint32_t drive, uint32_t turn)

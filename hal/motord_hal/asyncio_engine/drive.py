@@ -17,10 +17,10 @@ from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.faults import FaultWatch, Say
 from motord_hal.fieldbus.job import Job
 from motord_hal.fieldbus.line import PRESENT
-from motord_hal.fieldbus.plan import Plan, Reading
-from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
+from motord_hal.fieldbus.plan import Plan, Reading, Wanted
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 from motord_hal.realtime.drive_state import DriveRules, FaultReason, Mode, Stop
-from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.exchange import Exchange, is_fresh
 
 _STATES = {
     Mode.OFF: DriveState.UNKNOWN,
@@ -41,10 +41,10 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         plan: AnyPlan,
         exchange: Exchange,
         say: Say,
+        spec: LineSpec,
         *,
         setup: tuple[Step, ...],
         watchdog_s: float,
-        rest_velocity_rad_s: float,
     ) -> None:
         self.plan = plan
         self.jobs: deque[Job] = deque()
@@ -54,14 +54,13 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self.enabled_count = 0
         """How often set-points had become enabled when it was armed: those of a short while no look
         may see."""
-        self.sent_motion = False
-        """It was sent set-points that are not zero, and has not been sent zero since, as far as
-        its wire shows."""
         self._exchange = exchange
         self._say = say
         self._setup = setup
         self._watchdog_s = watchdog_s
-        self._rest_velocity_rad_s = rest_velocity_rad_s
+        self._line = spec.index
+        self._setpoint_timeout_s = spec.setpoint_timeout_s
+        self._rest_velocity_rad_s = spec.rest_velocity_rad_s
         self._values: dict[str, int] = {}
         """Register → the newest raw value."""
         self._rules = DriveRules()
@@ -100,6 +99,24 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         return self.state in PRESENT
 
     @property
+    def sent_motion(self) -> bool:
+        """As DriveRules.sent_motion."""
+        return self._rules.sent_motion
+
+    @sent_motion.setter
+    def sent_motion(self, value: bool) -> None:
+        self._rules.sent_motion = value
+
+    def may_move(self, *, fresh: bool, enabled: bool) -> bool:
+        """Whether set-points that are not zero may go to it."""
+        return self._rules.may_move(fresh=fresh, enabled=enabled)
+
+    def has_to_rest(self, wanted: Wanted) -> bool:
+        """It was sent motion, and the newest set-points are zero: that does not wait for its
+        cycle."""
+        return self._rules.has_to_rest(wants_motion=self.plan.wants_motion(wanted))
+
+    @property
     def is_stopping(self) -> bool:
         """A quick stop was sent, and the wheel has not been seen at rest since."""
         return self._rules.is_stopping
@@ -113,7 +130,6 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         while self.jobs:
             self.jobs.popleft().fail(error)
         self._values = {}
-        self._rules.forget()
 
     def _hint(self) -> str:
         """What else could be the reason for its silence, as its medium shows it."""
@@ -232,7 +248,9 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._reported_unresponsive = False
 
     def _armed(self) -> None:
-        self._rules.request(Mode.ARMED, self.enabled_count)
+        newest = self._exchange.take_setpoints(self._line)
+        good = is_fresh(newest.stamp_ns, self._setpoint_timeout_s)
+        self._rules.request(Mode.ARMED, fresh=good, enabled_count=self.enabled_count)
 
     # ------------------------------------------------------------------------------------ stopping
     async def guard(self, *, fresh: bool, enabled: bool, enabled_count: int) -> None:

@@ -21,7 +21,7 @@ from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.job import Job, clear_steps
 from motord_hal.fieldbus.line import DriveLine, fresh
 from motord_hal.fieldbus.parameter import readable, write_steps
-from motord_hal.fieldbus.plan import REST, Plan, Wanted
+from motord_hal.fieldbus.plan import Plan, Wanted
 from motord_hal.fieldbus.ports import DriveState, LineSpec, Listener
 from motord_hal.realtime.exchange import Exchange
 
@@ -113,15 +113,14 @@ class AsyncioLine(DriveLine[AnyDrive]):
             self._look()
 
     def _has_to_stop(self, drive: AnyDrive) -> bool:
-        wanted = self._wanted(drive).values()
-        return drive.is_cycled and drive.sent_motion and all(one == REST for one in wanted)
+        return drive.has_to_rest(self._wanted(drive))
 
     # ------------------------------------------------------------------------------------- safety
     def _wanted(self, drive: AnyDrive) -> Wanted:
         """The newest set-points, or nothing at all: the drive then gets zero."""
         newest = self._exchange.take_setpoints(self.spec.index)
         good = fresh(newest.stamp_ns, self.spec.setpoint_timeout_s)
-        if drive.state is not DriveState.ARMED or not newest.enabled or not good:
+        if not drive.may_move(fresh=good, enabled=newest.enabled):
             return {}
         return {
             joint.index: newest.joints[joint.index]

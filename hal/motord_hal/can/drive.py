@@ -22,7 +22,7 @@ from motord_hal.fieldbus.job import Job, configure_steps
 from motord_hal.fieldbus.line import PRESENT
 from motord_hal.fieldbus.plan import Wanted
 from motord_hal.fieldbus.ports import DriveState, LineSpec
-from motord_hal.realtime.drive_state import STOPPING_WITHIN_S
+from motord_hal.realtime.drive_state import STOPPING_WITHIN_S, left_alone
 from motord_hal.realtime.exchange import Exchange
 
 PROBE_FIRST_S = 0.1
@@ -56,9 +56,9 @@ class CanDrive(AsyncioDrive[CanPlan]):
             plan,
             exchange,
             say,
+            spec,
             setup=configure_steps(with_cycle(plan.profile, cycle_s), spec.watchdog_s),
             watchdog_s=spec.watchdog_s,
-            rest_velocity_rad_s=spec.rest_velocity_rad_s,
         )
         self._send = send
         self._cycle_s = cycle_s
@@ -71,7 +71,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._received_ns: dict[str, int] = {}
         self._unanswered: dict[str, tuple[float, int]] = {}
         """Frame that was asked for since it came last → since when, and how often."""
-        self._sent_s = -math.inf
+        self._sent_s = 0.0
         """When set-points went out last."""
         self._waits_since_s = 0.0
         """Nothing is known of it since then: the line was opened."""
@@ -244,7 +244,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
 
     def _send_setpoints(self, wanted: Wanted) -> None:
         raw = self.plan.setpoints(wanted)
-        motion = any(raw.values())
+        motion = self.plan.wants_motion(wanted)
         self.sent_motion |= motion
         sent = [self._write(frame, raw) for frame in self.plan.setpoint_frames]
         if all(sent):
@@ -338,7 +338,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
     @property
     def has_stopped_itself(self) -> bool:
         """As AsyncioDrive.has_stopped_itself."""
-        return now_s() - self._sent_s > self._watchdog_s
+        return left_alone(self._sent_s, now_s(), self._watchdog_s)
 
     def _is_at_rest(self) -> bool:
         readings = [self.plan.reading(joint, self._values) for joint in self.plan.joints]

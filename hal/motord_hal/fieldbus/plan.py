@@ -65,6 +65,17 @@ class Plan:
             return None
         return values[enabled.register] & enabled.mask == enabled.equals
 
+    def wants_motion(self, wanted: Wanted) -> bool:
+        """Whether a joint is to move. An angle is a place to go to, also that of 0."""
+        for joint in self.joints:
+            channel, setpoint = self.channel(joint), wanted.get(joint.index, REST)
+            if channel.position_setpoint is not None and setpoint.position_rad is not None:
+                return True
+            value = of_kind(channel, setpoint)
+            if math.isfinite(value) and value != 0.0:
+                return True
+        return False
+
     def setpoints(self, wanted: Wanted) -> dict[str, int]:
         """Register → raw for the set-points, and for what goes with them. What is missing, NaN or
         infinite is zero; where a register of its own says the direction, it is the magnitude."""

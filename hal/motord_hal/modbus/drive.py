@@ -20,6 +20,7 @@ from motord_hal.modbus.codec import Request
 from motord_hal.modbus.guard import Answer
 from motord_hal.modbus.link import Link
 from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES, CyclicExchange, DrivePlan, ReadRange
+from motord_hal.realtime.drive_state import left_alone
 from motord_hal.realtime.exchange import Exchange
 
 PROBE_FIRST_S = 0.1
@@ -36,12 +37,11 @@ class Drive(AsyncioDrive[DrivePlan]):
             plan,
             exchange,
             say,
+            spec,
             setup=configure_steps(plan.profile, spec.watchdog_s),
             watchdog_s=watchdog_time_s(plan.profile, spec.watchdog_s),
-            rest_velocity_rad_s=spec.rest_velocity_rad_s,
         )
         self.probe_at_s = 0.0
-        self._setpoint_timeout_s = spec.setpoint_timeout_s
         self._link = link
         self._kept = kept_steps(self._setup)
         self._backoff = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S)
@@ -85,7 +85,7 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._usual_s = max(2.0 * answer.round_trip_s, 0.9 * self._usual_s)
         self._stamp_ns = answer.stamp_ns
         asked_s = answer.stamp_ns * 1e-9 - 0.5 * answer.round_trip_s
-        self._left_alone |= asked_s - self._asked_s > self._watchdog_s
+        self._left_alone |= left_alone(self._asked_s, asked_s, self._watchdog_s)
         self._asked_s = asked_s
         return answer
 
@@ -122,7 +122,7 @@ class Drive(AsyncioDrive[DrivePlan]):
 
     async def _exchange_cyclic(self, wanted: Wanted) -> None:
         raw = self.plan.setpoints(wanted)
-        motion = any(raw.values())
+        motion = self.plan.wants_motion(wanted)
         self.sent_motion |= motion
         # made before a pause of the process, motion is not sent after it
         good_for_s = min(self._watchdog_s, self._setpoint_timeout_s + self.plan.slowest_cycle_s())
@@ -314,7 +314,7 @@ class Drive(AsyncioDrive[DrivePlan]):
     @property
     def has_stopped_itself(self) -> bool:
         """As AsyncioDrive.has_stopped_itself."""
-        return self._left_alone or now_s() - self._asked_s > self._watchdog_s
+        return self._left_alone or left_alone(self._asked_s, now_s(), self._watchdog_s)
 
     def _disarmed(self) -> None:
         super()._disarmed()

@@ -237,6 +237,8 @@ class PwmLine(LineTask):
         for name, words in self._faults.items():
             if words:
                 raise DriveFault(f"{name} reports {', '.join(words)}")
+        if self._thread.report().stopping:
+            raise HalError(f"{self.spec.name} is still stopping: it cannot be armed")
         armed = False
         try:
             report = await self._obeyed(BridgeMode.ARMED)

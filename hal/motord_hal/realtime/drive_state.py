@@ -5,6 +5,7 @@ csrc/base/drive_state.c; lines in C and lines in asyncio call them."""
 from __future__ import annotations
 
 import enum
+import math
 from typing import Any
 
 from _motord_rt import ffi, lib
@@ -41,6 +42,13 @@ class Stop(enum.IntEnum):
     POWER_OFF = lib.STOP_POWER_OFF
 
 
+def left_alone(last_s: float, now_s: float, watchdog_s: float) -> bool:
+    """It last got something at `last_s`, and its watchdog has bitten since. Infinity: it has
+    none."""
+    watchdog_ns = round(watchdog_s * 1e9) if math.isfinite(watchdog_s) else 0
+    return bool(lib.drive_left_alone(round(last_s * 1e9), round(now_s * 1e9), watchdog_ns))
+
+
 class DriveRules:
     """The state of one drive of a line in asyncio, judged by the rules in C. Each method that
     returns a Stop leaves it to the caller to send that."""
@@ -68,18 +76,31 @@ class DriveRules:
         """A quick stop was begun, and its power has not been taken since."""
         return bool(self._state.stopping)
 
-    def forget(self) -> None:
-        """Nothing is known of it any more."""
-        self._state.stopping = False
-        self._state.still_enabled = 0
+    @property
+    def sent_motion(self) -> bool:
+        """It was sent set-points that are not zero, and has not been sent zero since, as far as
+        its wire shows."""
+        return bool(self._state.sent_motion)
 
-    def request(self, mode: Mode, enabled_count: int = 0) -> None:
-        """As drive_obey in C: what cannot be is not done. `enabled_count` is of the set-points when
-        its arming began; that they are fresh is what `guard` looks at in each cycle."""
+    @sent_motion.setter
+    def sent_motion(self, value: bool) -> None:
+        self._state.sent_motion = value
+
+    def request(self, mode: Mode, *, fresh: bool = False, enabled_count: int = 0) -> None:
+        """As drive_obey in C: what cannot be is not done. For ARMED: whether the set-points are
+        `fresh`, and their `enabled_count` when its arming began."""
         self._request.count += 1
         self._request.mode = mode
-        self._view.fresh, self._view.enabled_count = True, enabled_count
+        self._view.fresh, self._view.enabled_count = fresh, enabled_count
         lib.drive_obey(self._state, self._request, self._view)
+
+    def may_move(self, *, fresh: bool, enabled: bool) -> bool:
+        """Whether set-points that are not zero may go to it."""
+        return bool(lib.drive_may_move(self._state, fresh, enabled))
+
+    def has_to_rest(self, *, wants_motion: bool) -> bool:
+        """Zero goes out at once, and does not wait for its cycle."""
+        return bool(lib.drive_has_to_rest(self._state, wants_motion))
 
     def unresponsive(self) -> None:
         lib.drive_unresponsive(self._state)
