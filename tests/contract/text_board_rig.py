@@ -29,9 +29,10 @@ class Reader:
         self._thread.start()
 
     def _read(self):
-        tail = b""
-        while b"!" not in tail:
-            *lines, tail = (tail + os.read(self.master, 4096)).split(b"\n")
+        came = tail = b""
+        while b"!" not in came:  # which a line may follow at once
+            came = os.read(self.master, 4096)
+            *lines, tail = (tail + came).split(b"\n")
             self.lines += lines
 
     def say(self, text):
