@@ -7,7 +7,7 @@ import time
 import pytest
 from tests.peers.zenoh_rig import REQUEST, STORE, ask, attached, peer
 from tests.peers.zenoh_router import endpoint, free_port, started
-from tests.sim.daemon_stage import running, wait_until
+from tests.sim.daemon_stage import RETRIED, running, wait_until
 
 TRIGGER = (
     "std_srvs::srv::dds_::Trigger_/"
@@ -80,7 +80,7 @@ def robot(tmp_path_factory):
     folder = tmp_path_factory.mktemp("zenoh")
     with (
         started(port) as router,
-        running(folder, *settings) as stage,
+        running(folder, *settings, *RETRIED) as stage,
         contextlib.ExitStack() as later,
     ):
         assert router.stdout.readline() == b"ready\n"

@@ -38,12 +38,13 @@ UNHURRIED = (
     "input.socket.kind=socket", "input.socket.lease_s=1.0", "safety.command_timeout_s=1.0",
 )  # fmt: skip
 """A command that a busy machine delays is no fault."""
-SURE = (
-    *UNHURRIED,
-    *(f"joint.{name}.{setting}" for name in ("left", "right")
-      for setting in ("tries=10", "reply_timeout_s=0.2")),
-)  # fmt: skip
-"""And of two joints called left and right, a reply that it delays is none either."""
+RETRIED = tuple(
+    f"joint.{name}.{setting}"
+    for name in ("left", "right")
+    for setting in ("tries=10", "reply_timeout_s=0.2")
+)
+"""Nor is a reply that it delays, of two joints called left and right."""
+SURE = (*UNHURRIED, *RETRIED)
 POLL_S = 0.03
 
 

@@ -10,7 +10,7 @@ import sys
 
 import pytest
 from command_source import INPUTS, Source, free_udp_port, wheels_turn
-from daemon_stage import ROBOT, ROOT, running, wait_until
+from daemon_stage import RETRIED, ROBOT, ROOT, running, wait_until
 
 from motord.api.commands import RELEASE, datagram
 from motord.client import ClientError, Refused
@@ -23,7 +23,7 @@ def stage(tmp_path_factory):
     robot = folder / "robot.toml"
     text = ROBOT.read_text(encoding="utf-8").split("[input.")[0]
     robot.write_text(text + INPUTS.format(port=free_udp_port()), encoding="utf-8")
-    with running(folder, robot=robot) as running_stage:
+    with running(folder, *RETRIED, robot=robot) as running_stage:
         running_stage.wait_for("idle")
         yield running_stage
 
