@@ -12,7 +12,7 @@
  * along x, along y, about z. `u` in a name stands for the axis's own unit: m on the first two, rad on the angular one.
  */
 
-enum { JOINTS_MAX = 8, LINES_MAX = 4, COMMAND_SOCKETS = 19, FIELD_NAME_BYTES = 64 };
+enum { LINES_MAX = 4, COMMAND_SOCKETS = 19, FIELD_NAME_BYTES = 64 };
 
 /* ------------------------------------------------------------------------------------------------ reasons
  * Why the set-point is not what was asked for. Bits of robot_state.reasons; true for this tick only. */
@@ -43,6 +43,9 @@ enum {
     REASON_TURN_IMPOSSIBLE = 1 << 23,    /* this base cannot turn on the spot: the angular part of the command is left out */
     REASON_POSITION_UNKNOWN = 1 << 24,   /* where a joint is is not known: see robot_state.steering.unknown */
     REASON_DERATED = 1 << 25,            /* [joint] derating: see robot_state.derating */
+    REASON_JOINT_VELOCITY = 1 << 26,     /* the next three of joints without a base: velocity_max_rad_s of one */
+    REASON_JOINT_ACCELERATION = 1 << 27, /* its acceleration, deceleration or jerk */
+    REASON_JOINT_POSITION = 1 << 28,     /* position_min_rad or position_max_rad: it goes to that end */
 };
 /* It is to rest, whatever was asked for. */
 enum { REASONS_TO_STAND = 0x11F0000 };
@@ -119,10 +122,12 @@ typedef struct {
     plausible_config plausible;
     position_config position;
     derating_config derating;
+    axis_limits own; /* of a joint without a base that takes velocities: u = rad; its velocity is not read here */
 } joint_config;
 
 typedef struct {
-    uint32_t joint_count; /* 2..JOINTS_MAX; their rows say how the base moves: forward and about, or sideways too */
+    uint32_t
+        joint_count; /* 2..JOINTS_MAX, or 1 without a base; their rows say how the base moves: forward and about, or sideways too */
     base_limits limits;
     double command_timeout_s;   /* > 0 */
     double feedback_timeout_s;  /* > 0 */
@@ -140,7 +145,7 @@ typedef struct {
     double twist_variance_floor_rad2_s2; /* > 0 */
     gyro_config gyro;
     uint32_t module_count; /* 0: a base without steering, whose joints' rows count; else 1..JOINTS_MAX */
-    uint32_t reserved;
+    uint32_t independent;  /* 1: no base: each joint moves for itself, also a single one; rows and modules do not count */
     wheel_module
         module[JOINTS_MAX]; /* each joint is named once: as a traction joint, or as a steering joint that takes positions */
     joint_config joint[JOINTS_MAX];
@@ -192,7 +197,8 @@ typedef struct {
     core_control control;
     joint_feedback feedback[JOINTS_MAX];
     imu_sample imu;
-    uint32_t suspended; /* 1: the computer was suspended since the tick before */
+    joint_command joints; /* in place of the twist where there is no base; `command` has its stamps */
+    uint32_t suspended;   /* 1: the computer was suspended since the tick before */
     uint32_t reserved;
 } core_input;
 
@@ -452,6 +458,7 @@ typedef struct {
     speed_loop_gains gains[JOINTS_MAX]; /* in force */
     plausible_state plausible[JOINTS_MAX];
     steer_state steer;
+    joints_state joints;
     derating_state derating[JOINTS_MAX];
     robot_state snapshot;       /* of the last tick */
     uint32_t stale[JOINTS_MAX]; /* 1: the joint has sent no feedback for feedback_timeout_s */
@@ -470,7 +477,8 @@ typedef struct {
     uint32_t slewed;       /* 1: a joint has a duty slew */
     uint32_t axes;         /* that the base moves by: AXES, or without the lateral one, which is the last */
     uint32_t steered;      /* 1: a base with modules */
-    uint32_t extras;       /* not 0: it has modules, a gyro or speed loops */
+    uint32_t positions;    /* 1: a joint takes positions */
+    uint32_t extras;       /* not 0: it has positions, a gyro or speed loops */
     uint32_t loops;        /* bit n: joint n has a speed loop, and with its gains one that does something */
     uint32_t derates;      /* 1: a joint may derate the base */
     uint32_t gains_idle;   /* the gains_count with which no loop has anything to do; another one while loops run */

@@ -7,8 +7,9 @@
 /* ------------------------------------------------------------------------------------------------ commands
  * What may command is decided in the loop's thread, for every source alike: a command is a datagram under a lease. Python
  * grants leases and ends them; which of them is in command, and whether it may move anything, is decided here. */
-enum { LEASES_MAX = 16, TOKEN_BYTES = 16, COMMAND_VERSION = 2, COMMAND_VERSION_PLANE = 1, COMMAND_MAGIC = 0x434D544D };
-enum { COMMAND_BYTES = 72, COMMAND_BYTES_PLANE = 64, JOINT_COMMAND_BYTES = 112 };
+enum { LEASES_MAX = 16, TOKEN_BYTES = 16, COMMAND_MAGIC = 0x434D544D };
+enum { COMMAND_VERSION = 2, COMMAND_VERSION_PLANE = 1, COMMAND_VERSION_POSITIONS = 3 };
+enum { COMMAND_BYTES = 72, COMMAND_BYTES_PLANE = 64, JOINT_COMMAND_BYTES = 112, JOINT_POSITION_BYTES = 184 };
 
 typedef enum { COMMAND_TWIST = 1, COMMAND_RELEASE = 2, COMMAND_JOINTS = 3 } command_kind;
 
@@ -40,6 +41,15 @@ typedef struct {
     double velocity_rad_s[JOINTS_MAX]; /* in the order of the robot file; those beyond joint_count do not count */
 } joint_datagram;
 
+/* COMMAND_JOINTS in COMMAND_VERSION_POSITIONS: the same, and angles of joints that take positions. A robot with a base has none
+ * to command; one without takes these for each joint by what it takes. */
+typedef struct {
+    joint_datagram head;
+    double position_rad[JOINTS_MAX];
+    uint32_t velocities; /* bit n: velocity_rad_s[n] counts; else joint n comes to rest */
+    uint32_t positions;  /* bit n: position_rad[n] counts; else joint n goes on to the position that this lease gave it */
+} joint_position_datagram;
+
 typedef struct {
     uint8_t token[TOKEN_BYTES];
     uint32_t number;           /* grows with each lease of the daemon, from 1; 0: no lease */
@@ -61,7 +71,7 @@ typedef enum {
     REFUSED_AGE = 3,      /* from the future, or older than its lifetime */
     REFUSED_LIFETIME = 4,
     REFUSED_NOT_FINITE = 5,   /* and the lease commands zero */
-    REFUSED_JOINTS = 6,       /* another number of them, or nothing that the base can do: it commands zero, too */
+    REFUSED_JOINTS = 6,       /* another number of them, or nothing that these joints can do: it commands zero, too */
     REFUSED_RATE = 7,         /* more often than the lease allows; the one before goes on */
     REFUSED_OUT_OF_RANGE = 8, /* more than ten times the limit: it commands zero, too */
     REFUSAL_KINDS = 9
@@ -84,6 +94,9 @@ typedef struct {
     double linear_m_s;   /* as asked for */
     double angular_rad_s;
     double lateral_m_s;
+    joint_command joints;
+    uint32_t wants_motion; /* something else than zero was asked for */
+    uint32_t reserved;
 } lease_state;
 
 typedef struct {
@@ -116,6 +129,8 @@ int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_n
 /* The computer was suspended: no command from before lives on. */
 void arbiter_resume(arbiter *a, int64_t resumed_ns);
 void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *out);
+/* After it, of a robot without a base: what that lease commands its joints to do. */
+void arbiter_joints(const arbiter *a, joint_command *out);
 
 /* The twist of wheel speeds, twist_u_s[AXES]. False: there is none, for the wheels turn against each other. A speed that is
  * not finite makes a twist that is not. */

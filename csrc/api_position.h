@@ -4,6 +4,8 @@
  * enums, comments and prototypes, no preprocessor line.
  */
 
+enum { JOINTS_MAX = 8 };
+
 /* How the angle of a joint is known. */
 typedef enum { REFERENCE_ABSOLUTE = 0, REFERENCE_HOMED = 1, REFERENCE_ESTIMATED = 2 } position_reference;
 /* ABSOLUTE  its counter always is
@@ -35,6 +37,22 @@ typedef struct {
     double position_rad;
     double velocity_rad_s; /* of the last step */
 } position_profile;
+
+/* What is requested of joints without a base. */
+typedef struct {
+    double value_u[JOINTS_MAX]; /* an angle in rad of a joint that takes positions, rad/s of another one */
+    uint32_t named;             /* bit n: value_u[n] counts; else joint n comes to rest, or goes on to its target */
+    uint32_t reserved;
+} joint_command;
+
+/* Of joints without a base. */
+typedef struct {
+    double target_rad[JOINTS_MAX];     /* of those that take positions; NaN: none */
+    double velocity_rad_s[JOINTS_MAX]; /* of the others, in the last step */
+    double acceleration_rad_s2[JOINTS_MAX];
+    uint32_t owner; /* the lease that gave the targets */
+    uint32_t reserved;
+} joints_state;
 
 /* One step towards a goal, within velocity and acceleration, so that it ends at rest there and does not pass it. A goal that
  * comes nearer than it can brake is passed, and returned to. A goal that is not finite: it brakes. dt_s > 0. */

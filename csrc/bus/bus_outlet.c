@@ -55,7 +55,7 @@ static int send_numbered(outlet *o, void *datagram, size_t bytes)
 
 int outlet_send(outlet *o, void *datagram, size_t bytes, int64_t seen)
 {
-    if (bytes != COMMAND_BYTES && bytes != JOINT_COMMAND_BYTES) {
+    if (bytes != COMMAND_BYTES && bytes != JOINT_COMMAND_BYTES && bytes != JOINT_POSITION_BYTES) {
         return -EINVAL;
     }
     (void)pthread_mutex_lock(&o->lock);

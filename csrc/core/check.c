@@ -92,6 +92,13 @@ static const rule JOINT_RULES[] = {
     RULE(joint_config, plausible.apart_s, 0.0, MOST),
 };
 
+/* Of a joint without a base that takes velocities. */
+static const rule OWN_RULES[] = {
+    RULE(joint_config, own.acceleration_u_s2, LEAST, MOST),
+    RULE(joint_config, own.deceleration_u_s2, LEAST, MOST),
+    RULE(joint_config, own.jerk_u_s3, LEAST, INFINITY),
+};
+
 /* Of a joint that takes positions. */
 static const rule POSITION_RULES[] = {
     RULE(joint_config, position.position_min_rad, -MOST, 0.0),
@@ -208,6 +215,9 @@ static const char *bad_modules(const core_config *config, char *name)
         steered += config->module[i].steering != 0;
     }
     for (uint32_t j = 0; j < config->joint_count; j++) {
+        if (config->independent == 1) {
+            continue;
+        }
         if (config->module_count > 0 ? !(named >> j & 1U) : config->joint[j].position.used != 0) {
             snprintf(name, FIELD_NAME_BYTES, "joint[%u]: no module", j);
             return name;
@@ -218,7 +228,10 @@ static const char *bad_modules(const core_config *config, char *name)
 
 static const char *bad_base_field(const core_config *config)
 {
-    if (config->joint_count < 2 || config->joint_count > JOINTS_MAX) {
+    if (config->independent > 1 || (config->independent == 1 && config->module_count != 0)) {
+        return "independent";
+    }
+    if (config->joint_count < (config->independent ? 1 : 2) || config->joint_count > JOINTS_MAX) {
         return "joint_count";
     }
     if ((uint32_t)config->on_timeout > STOP_COAST) {
@@ -234,7 +247,7 @@ static const char *bad_base_field(const core_config *config)
     if (bad != NULL || config->gyro.used == 0) {
         return bad;
     }
-    return config->gyro.used == 1 ? first_bad(config, GYRO_RULES, COUNT(GYRO_RULES)) : "gyro.used";
+    return config->gyro.used == 1 && !config->independent ? first_bad(config, GYRO_RULES, COUNT(GYRO_RULES)) : "gyro.used";
 }
 
 const char *base_limits_check(const base_limits *limits, char *name)
@@ -260,6 +273,9 @@ const char *core_config_check(const core_config *config, char *name)
     }
     for (uint32_t j = 0; j < config->joint_count; j++) {
         bad = bad_joint_field(&config->joint[j]);
+        if (bad == NULL && config->independent && !config->joint[j].position.used) {
+            bad = first_bad(&config->joint[j], OWN_RULES, COUNT(OWN_RULES));
+        }
         if (bad != NULL) {
             snprintf(name, FIELD_NAME_BYTES, "joint[%u].%s", j, bad);
             return name;
@@ -268,6 +284,9 @@ const char *core_config_check(const core_config *config, char *name)
     bad = bad_modules(config, name);
     if (bad != NULL) {
         return bad == name ? name : (snprintf(name, FIELD_NAME_BYTES, "%s", bad), name);
+    }
+    if (config->independent) {
+        return NULL;
     }
     twist_inverse all;
     kinematics_invert(config, (1U << config->joint_count) - 1U, &all);

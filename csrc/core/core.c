@@ -5,6 +5,7 @@
  * The order is core_step()'s at the foot of the page. Set-points are built from zero in each tick.
  */
 #include "goal.h"
+#include "independent.h"
 #include "loops.h"
 #include "snapshot.h"
 #include "steer.h"
@@ -36,6 +37,9 @@ static void zero_at_once(core_state *state, tick *t)
     }
     state->wheels = (core_wheels){0};
     memset(state->axis, 0, sizeof state->axis);
+    if (state->config.independent) {
+        independent_halt(&state->joints, &state->steer, &state->config);
+    }
     t->moving = false;
 }
 
@@ -157,11 +161,56 @@ __attribute__((noinline)) static void drive_steered(core_state *state, tick *t)
     t->moving |= steer_setpoints(steer, &state->config, state->wheels.joint, state->odometry.angle_rad);
 }
 
+/* Each by its own limits, those that take positions as steering joints do. */
+static void ramp_independent(core_state *state, tick *t)
+{
+    const core_config *config = &state->config;
+    double velocity_rad_s[JOINTS_MAX];
+    core_wheels *wheels = &state->wheels;
+    joints_input input = {
+        .command = t->go && state->goal.command_reasons == 0 ? &t->input->joints : NULL,
+        .owner = t->input->control.owner,
+        .factor = state->snapshot.derating.since_ns != 0 ? state->snapshot.derating.factor : 1.0,
+        .dt_s = t->dt_s < DT_MAX_S ? t->dt_s : DT_MAX_S,
+        .urgent = state->holding != 0,
+    };
+    wheels->moving = wheels->reasons = 0;
+    t->reasons |= independent_step(&state->joints, &state->steer, config, &input, velocity_rad_s);
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        if (!config->joint[j].position.used) {
+            t->checksum += wheels->joint[j].duty + velocity_rad_s[j];
+            wheels->reasons |= set_wheel(state, j, velocity_rad_s[j], input.dt_s);
+            wheels->moving |= velocity_rad_s[j] != 0.0;
+        }
+    }
+    t->reasons |= wheels->reasons;
+    t->moving = wheels->moving != 0;
+}
+
+__attribute__((noinline)) static void drive_independent(core_state *state, tick *t)
+{
+    if (!(state->armed | state->holding)) {
+        zero_at_once(state, t);
+        steer_released(&state->steer, &state->config, state->odometry.angle_rad);
+        return;
+    }
+    if (may_ramp(state, t)) {
+        ramp_independent(state, t);
+    } else {
+        zero_at_once(state, t);
+    }
+    t->moving |= steer_setpoints(&state->steer, &state->config, state->wheels.joint, state->odometry.angle_rad);
+}
+
 /* goal → limit → kinematics → PWM */
 static void drive(core_state *state, tick *t)
 {
-    if (state->steered) {
-        drive_steered(state, t);
+    if (state->steered | state->config.independent) {
+        if (state->steered) {
+            drive_steered(state, t);
+        } else {
+            drive_independent(state, t);
+        }
         return;
     }
     if (!may_ramp(state, t)) {
@@ -276,7 +325,12 @@ static void measure(core_state *state, tick *t)
         return;
     }
     odometry_step(&state->odometry, &state->config, t->input->feedback, state->stale, state->wheels.joint);
-    if (state->odometry.blind) {
+    if (state->config.independent) {
+        for (uint32_t j = 0; j < state->config.joint_count; j++) {
+            modules_take_angle(&state->odometry, &state->config, j);
+        }
+        state->odometry.degraded = t->any_stale; /* no motion of a base is missing */
+    } else if (state->odometry.blind) {
         odometry_drift(&state->odometry, &state->config, state->wheels.joint, t->dt_s);
     }
     if (!odometry_finite(&state->odometry, state->config.joint_count)) {
@@ -350,7 +404,7 @@ static void write_setpoints(const core_state *state, const tick *t, setpoints *o
 /* What only some bases have: joints that take positions, a gyro, duties of speed loops. */
 __attribute__((noinline)) static void write_extras(core_state *state, const tick *t, setpoints *out)
 {
-    if (state->steered) {
+    if (state->positions) {
         out->positioned = steer_positions(&state->steer, &state->config, out->enabled != 0, out->position_rad);
         write_steering(state);
     }
@@ -369,11 +423,12 @@ static void note_extras(core_state *state)
         const joint_config *joint = &state->config.joint[j];
         state->slewed |= joint->pwm.slew_per_s < INFINITY;
         state->derates |= derating_used(&joint->derating);
+        state->positions |= joint->position.used;
         state->gains[j] = joint->speed_loop.gains;
         state->loops |= (uint32_t)loop_is_on(state, j) << j;
     }
     state->gains_idle = state->loops != 0 ? ~0U : 0;
-    state->extras = state->steered | state->config.gyro.used | state->loops;
+    state->extras = state->positions | state->config.gyro.used | state->loops;
 }
 
 int core_init(core_state *state, const core_config *config)
@@ -393,6 +448,9 @@ int core_init(core_state *state, const core_config *config)
     note_extras(state);
     if (state->steered) {
         steer_init(&state->steer, config);
+    }
+    if (config->independent) {
+        independent_halt(&state->joints, &state->steer, config);
     }
     state->goal.zero = 1;
     state->silent = 1;

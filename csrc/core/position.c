@@ -7,6 +7,8 @@
 
 #include <math.h>
 
+static const double ROUNDING = 1e-9; /* of a step: no limit was in the way */
+
 /* The largest speed that can still be let go, by `step` each step, before `gap` is used up; gap is what is left, over dt.
  * Falling from v, n steps cover n v - step n (n - 1) / 2, and the fewest that reach zero are the smallest n with
  * gap <= step n (n + 1) / 2. */
@@ -33,8 +35,9 @@ void position_step(position_profile *profile, const position_config *config, dou
     double next_rad_s = before_rad_s + change_rad_s;
     double moved_rad = next_rad_s * dt_s;
     /* rounded, a last step could pass the goal; the next one lets go of what is left of the speed */
-    bool arrives = change_rad_s == wanted_rad_s - before_rad_s && fabs(moved_rad) >= fabs(left_rad) && left_rad != 0.0 &&
-                   wanted_rad_s != 0.0;
+    bool there = fabs(moved_rad) >= fabs(left_rad) || (goal_rad - (from_rad + moved_rad)) * left_rad <= 0.0;
+    bool free = fabs(change_rad_s - (wanted_rad_s - before_rad_s)) <= ROUNDING * step_rad_s;
+    bool arrives = free && there && left_rad != 0.0 && wanted_rad_s != 0.0;
     profile->position_rad = arrives ? goal_rad : from_rad + moved_rad;
     profile->velocity_rad_s = next_rad_s;
 }

@@ -335,6 +335,17 @@ uint32_t steer_pace(const limit_state *from, limit_state *axis, const double *go
 }
 
 /* ------------------------------------------------------------------------------------------------ after it */
+bool steer_sure(steer_state *steer, const core_config *config, uint32_t j, double dt_s)
+{
+    const position_config *own = &config->joint[j].position;
+    if (!steer->enabled && own->reference == REFERENCE_ESTIMATED) {
+        steer->unsure_s[j] = (own->position_max_rad - own->position_min_rad) / own->velocity_rad_s;
+    }
+    bool sure = steer->unsure_s[j] <= 0.0;
+    steer->unsure_s[j] = fmax(steer->unsure_s[j] - dt_s, 0.0);
+    return sure;
+}
+
 void steer_joints(steer_state *steer, const core_config *config, const double *twist_u_s, const double *goal_u_s, double dt_s)
 {
     const double *aim_u_s = moves(twist_u_s) ? twist_u_s : goal_u_s;
@@ -349,11 +360,7 @@ void steer_joints(steer_state *steer, const core_config *config, const double *t
         position_profile *profile = &steer->profile[j];
         floor_speed v = speed_under(module, aim_u_s);
         double goal_rad = NAN; /* hold */
-        if (!steer->enabled && own->reference == REFERENCE_ESTIMATED) {
-            steer->unsure_s[j] = (own->position_max_rad - own->position_min_rad) / own->velocity_rad_s;
-        }
-        bool sure = steer->unsure_s[j] <= 0.0;
-        steer->unsure_s[j] = fmax(steer->unsure_s[j] - dt_s, 0.0);
+        bool sure = steer_sure(steer, config, j, dt_s);
         if (sure && size_of(v) > stands_m_s) {
             (void)aim_of(config, module, v, profile->position_rad, &goal_rad);
         }

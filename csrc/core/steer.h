@@ -26,6 +26,9 @@ uint32_t steer_pace(const limit_state *from, limit_state *axis, const double *go
 /* After it: one step of each steering joint towards where the twist, or at rest the goal, rolls its wheel to; with neither it
  * holds. dt_s 0: no step. */
 void steer_joints(steer_state *steer, const core_config *config, const double *twist_u_s, const double *goal_u_s, double dt_s);
+/* Whether joint j is where its profile is. One that measures nothing may be anywhere when it gets its power, and gets the time
+ * of its longest move. Once a tick. */
+bool steer_sure(steer_state *steer, const core_config *config, uint32_t j, double dt_s);
 /* They have no power: they are where they are. */
 void steer_released(steer_state *steer, const core_config *config, const double *angle_rad);
 /* rad/s of what rolls, by the angles that the wheels really have. */

@@ -7,6 +7,7 @@
 #define MOTORD_WATCH_H
 
 #include "fresh.h"
+#include "independent.h"
 #include "snapshot.h"
 #include "steer.h"
 
@@ -44,6 +45,14 @@ static inline void take_command(core_goal *goal, const twist_command *command)
     goal->known = 0;
 }
 
+/* The same where there is no base; looked at in each tick, for what a joint shall do may change without its number. */
+static inline void take_joints(core_state *state, const joint_command *command)
+{
+    bool finite = joint_command_finite(command, &state->config);
+    state->goal.zero = finite && joint_command_zero(command, &state->config);
+    state->goal.command_reasons = finite ? 0 : REASON_COMMAND_NOT_FINITE;
+}
+
 static inline void read_command(core_state *state, tick *t)
 {
     const twist_command *command = &t->input->command;
@@ -53,6 +62,9 @@ static inline void read_command(core_state *state, tick *t)
     if (command->linear_m_s != goal->command_u_s[AXIS_LINEAR] || command->angular_rad_s != goal->command_u_s[AXIS_ANGULAR] ||
         command->lateral_m_s != goal->command_u_s[AXIS_LATERAL]) {
         take_command(goal, command);
+    }
+    if (state->config.independent) {
+        take_joints(state, &t->input->joints);
     }
     t->command_age_s = age_s(now_ns, command->stamp_ns);
     t->command_fresh = now_ns <= command->expires_ns && fresh_within(now_ns, command->stamp_ns, state->command_window_ns);
@@ -109,7 +121,7 @@ static inline void read_feedback(core_state *state, tick *t)
     if (!received) {
         judge_feedback(state, t);
     }
-    if (state->steered) {
+    if (state->positions) {
         state->steer.unknown = steer_unknown(&state->config, t->input->feedback, state->stale, state->odometry.angle_rad);
     }
     t->is_new = is_new != 0 || !received;

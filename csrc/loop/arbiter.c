@@ -11,8 +11,16 @@
 
 _Static_assert(sizeof(command_datagram) == COMMAND_BYTES, "docs/commands.md promises this layout");
 _Static_assert(sizeof(joint_datagram) == JOINT_COMMAND_BYTES, "docs/commands.md promises this layout");
+_Static_assert(sizeof(joint_position_datagram) == JOINT_POSITION_BYTES, "docs/commands.md promises this layout");
 _Static_assert(offsetof(command_datagram, lateral_m_s) == COMMAND_BYTES_PLANE, "version 1 ends before it");
 _Static_assert(offsetof(joint_datagram, velocity_rad_s) == offsetof(command_datagram, linear_m_s), "one head for both");
+
+/* What a datagram requests: of a base a twist, of joints without one what each shall do. */
+typedef struct {
+    command_datagram twist;
+    joint_command joints;
+    bool possible; /* it can be done, if it is finite */
+} request;
 
 static const int64_t NS_PER_MS = 1000000;
 enum { BURST = 4, SMOOTH = 8 }; /* commands that may come early; of the interval between them the newest counts 1/SMOOTH */
@@ -38,11 +46,6 @@ void arbiter_resume(arbiter *a, int64_t resumed_ns)
 static bool alive(const lease_state *lease, int64_t now_ns)
 {
     return lease->number != 0 && lease->sequence != 0 && now_ns < lease->expires_ns;
-}
-
-static bool wants_motion(const lease_state *lease)
-{
-    return lease->linear_m_s != 0.0 || lease->angular_rad_s != 0.0 || lease->lateral_m_s != 0.0;
 }
 
 void arbiter_grant(arbiter *a, const lease_permissions *permissions)
@@ -136,11 +139,52 @@ static double larger(double a, double b)
     return a > b ? a : b;
 }
 
-/* Of the robot file's limit and the one in force the greater counts: a source that slows the robot down by a limit stops none. */
-static bool in_range(const arbiter *a, const command_datagram *command)
+static bool takes_position(const arbiter *a, uint32_t j)
 {
+    return a->base->joint[j].position.used != 0;
+}
+
+/* A position is a request for motion wherever the joint is. */
+static bool wants_motion(const arbiter *a, const request *wanted)
+{
+    bool motion = wanted->twist.linear_m_s != 0.0 || wanted->twist.angular_rad_s != 0.0 || wanted->twist.lateral_m_s != 0.0;
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        motion |= (wanted->joints.named >> j & 1U) && (takes_position(a, j) || wanted->joints.value_u[j] != 0.0);
+    }
+    return motion;
+}
+
+static bool is_finite(const request *wanted)
+{
+    bool finite =
+        isfinite(wanted->twist.linear_m_s) && isfinite(wanted->twist.angular_rad_s) && isfinite(wanted->twist.lateral_m_s);
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        finite &= isfinite(wanted->joints.value_u[j]) != 0;
+    }
+    return finite;
+}
+
+static bool joints_in_range(const arbiter *a, const joint_command *joints)
+{
+    bool within = true;
+    for (uint32_t j = 0; j < a->base->joint_count; j++) {
+        const joint_config *joint = &a->base->joint[j];
+        double low = takes_position(a, j) ? joint->position.position_min_rad : joint->velocity_min_rad_s;
+        double high = takes_position(a, j) ? joint->position.position_max_rad : joint->velocity_max_rad_s;
+        within &= fabs(joints->value_u[j]) <= OUT_OF_RANGE * larger(-low, high);
+    }
+    return within;
+}
+
+/* Of the robot file's limit and the one in force the greater counts: a source that slows the robot down by a limit stops none. */
+static bool in_range(const arbiter *a, const request *wanted)
+{
+    const command_datagram *command = &wanted->twist;
     if (a->base == NULL) {
         return true;
+    }
+    if (a->base->independent) {
+        return joints_in_range(a, &wanted->joints);
     }
     const base_limits *file = &a->base->limits, *now = a->limits != NULL ? a->limits : file;
     double linear_m_s = larger(file->linear.velocity_u_s, now->linear.velocity_u_s);
@@ -151,9 +195,19 @@ static bool in_range(const arbiter *a, const command_datagram *command)
            fabs(command->angular_rad_s) <= OUT_OF_RANGE * angular_rad_s && sideways;
 }
 
-/* `possible`: the base can do it, if it is finite. */
-static int take(arbiter *a, uint32_t place, const command_datagram *command, bool possible, int64_t now_ns, bool may_move)
+static void count_impossible(arbiter *a, const command_datagram *command)
 {
+    if (a->base == NULL || a->base->independent) {
+        return;
+    }
+    bool on_spot = command->linear_m_s == 0.0 && command->lateral_m_s == 0.0 && command->angular_rad_s != 0.0;
+    a->report.sideways += command->lateral_m_s != 0.0 && !kinematics_strafes(a->base);
+    a->report.on_spot += on_spot && !kinematics_spins(a->base);
+}
+
+static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_ns, bool may_move)
+{
+    const command_datagram *command = &wanted->twist;
     const lease_permission *grant = &a->permissions.lease[place];
     lease_state *lease = &a->report.lease[place];
     int64_t life_ns = lifetime_ns(grant, command);
@@ -167,9 +221,9 @@ static int take(arbiter *a, uint32_t place, const command_datagram *command, boo
     if (!fresh_stamp(now_ns, stamp_since(command->stamp_ns, a->resumed_ns), life_ns - 1)) {
         return refuse(a, REFUSED_AGE);
     }
-    bool finite = isfinite(command->linear_m_s) && isfinite(command->angular_rad_s) && isfinite(command->lateral_m_s);
-    bool good = finite && possible && in_range(a, command);
-    bool motion = good && (command->linear_m_s != 0.0 || command->angular_rad_s != 0.0 || command->lateral_m_s != 0.0);
+    bool finite = is_finite(wanted);
+    bool good = finite && wanted->possible && in_range(a, wanted);
+    bool motion = good && wants_motion(a, wanted);
     if (motion && too_often(grant, lease, now_ns)) {
         return refuse(a, REFUSED_RATE);
     }
@@ -184,29 +238,33 @@ static int take(arbiter *a, uint32_t place, const command_datagram *command, boo
     lease->linear_m_s = good ? command->linear_m_s : 0.0;
     lease->angular_rad_s = good ? command->angular_rad_s : 0.0;
     lease->lateral_m_s = good ? command->lateral_m_s : 0.0;
-    lease->held = wants_motion(lease) && (!may_move || barred);
+    lease->joints = good ? wanted->joints : (joint_command){0};
+    lease->wants_motion = motion;
+    lease->held = motion && (!may_move || barred);
     if (!good) {
         lease->held = barred; /* that was no zero */
-        return refuse(a, !finite ? REFUSED_NOT_FINITE : !possible ? REFUSED_JOINTS : REFUSED_OUT_OF_RANGE);
+        return refuse(a, !finite ? REFUSED_NOT_FINITE : !wanted->possible ? REFUSED_JOINTS : REFUSED_OUT_OF_RANGE);
     }
     a->report.accepted++;
-    if (a->base != NULL) {
-        bool on_spot = command->linear_m_s == 0.0 && command->lateral_m_s == 0.0 && command->angular_rad_s != 0.0;
-        a->report.sideways += command->lateral_m_s != 0.0 && !kinematics_strafes(a->base);
-        a->report.on_spot += on_spot && !kinematics_spins(a->base);
-    }
+    count_impossible(a, command);
     return 0;
 }
 
 /* The datagram in the form of a twist. */
 static bool read_form(const void *datagram, size_t bytes, command_datagram *command)
 {
-    if (bytes != COMMAND_BYTES && bytes != COMMAND_BYTES_PLANE && bytes != JOINT_COMMAND_BYTES) {
+    if (bytes != COMMAND_BYTES && bytes != COMMAND_BYTES_PLANE && bytes != JOINT_COMMAND_BYTES && bytes != JOINT_POSITION_BYTES) {
         return false;
     }
     *command = (command_datagram){0};
     memcpy(command, datagram, bytes < sizeof *command ? bytes : sizeof *command);
-    if (command->magic != COMMAND_MAGIC || (command->version != COMMAND_VERSION && command->version != COMMAND_VERSION_PLANE)) {
+    if (command->magic != COMMAND_MAGIC) {
+        return false;
+    }
+    if (bytes == JOINT_POSITION_BYTES || command->version == COMMAND_VERSION_POSITIONS) {
+        return bytes == JOINT_POSITION_BYTES && command->version == COMMAND_VERSION_POSITIONS && command->kind == COMMAND_JOINTS;
+    }
+    if ((command->version != COMMAND_VERSION && command->version != COMMAND_VERSION_PLANE)) {
         return false;
     }
     if (bytes == JOINT_COMMAND_BYTES) {
@@ -218,37 +276,85 @@ static bool read_form(const void *datagram, size_t bytes, command_datagram *comm
     return command->kind == COMMAND_TWIST || command->kind == COMMAND_RELEASE;
 }
 
-/* False: nothing that this base can do. */
-static bool read_joints(const arbiter *a, const void *datagram, command_datagram *command)
+/* In the newest form. Older ones give a velocity to each joint: one that takes positions has none but zero. */
+static void read_joint_datagram(const arbiter *a, const void *datagram, size_t bytes, joint_position_datagram *found)
 {
-    joint_datagram joints;
-    memcpy(&joints, datagram, sizeof joints);
+    *found = (joint_position_datagram){0};
+    memcpy(found, datagram, bytes);
+    if (bytes == JOINT_POSITION_BYTES || a->base == NULL || found->head.joint_count > JOINTS_MAX) {
+        return;
+    }
+    for (uint32_t j = 0; j < found->head.joint_count; j++) {
+        bool counts = !takes_position(a, j) || found->head.velocity_rad_s[j] != 0.0;
+        found->velocities |= (uint32_t)counts << j;
+    }
+}
+
+/* False: one of them is no joint here, or takes the other kind of set-point. */
+static bool read_independent(const arbiter *a, const joint_position_datagram *from, joint_command *joints)
+{
+    bool possible = ((from->velocities | from->positions) >> a->base->joint_count) == 0;
+    for (uint32_t j = 0; j < a->base->joint_count; j++) {
+        uint32_t bit = 1U << j;
+        possible &= !((takes_position(a, j) ? from->velocities : from->positions) & bit);
+        if ((from->velocities | from->positions) & bit) {
+            joints->value_u[j] = takes_position(a, j) ? from->position_rad[j] : from->head.velocity_rad_s[j];
+            joints->named |= bit;
+        }
+    }
+    return possible;
+}
+
+/* False: nothing that this base can do. */
+static bool read_wheels(const arbiter *a, joint_position_datagram *from, command_datagram *command)
+{
     double twist_u_s[AXES] = {0.0};
-    bool possible =
-        a->base != NULL && joints.joint_count == a->base->joint_count && joints_twist(a->base, joints.velocity_rad_s, twist_u_s);
+    bool foreign = from->positions != 0 || (from->velocities >> a->base->joint_count) != 0;
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        from->head.velocity_rad_s[j] = from->velocities >> j & 1U ? from->head.velocity_rad_s[j] : 0.0;
+    }
+    bool possible = !foreign && joints_twist(a->base, from->head.velocity_rad_s, twist_u_s);
     command->linear_m_s = twist_u_s[AXIS_LINEAR];
     command->angular_rad_s = twist_u_s[AXIS_ANGULAR];
     command->lateral_m_s = twist_u_s[AXIS_LATERAL];
     return possible;
 }
 
+static void read_joints(const arbiter *a, const void *datagram, size_t bytes, request *wanted)
+{
+    joint_position_datagram from;
+    read_joint_datagram(a, datagram, bytes, &from);
+    wanted->twist.linear_m_s = wanted->twist.angular_rad_s = wanted->twist.lateral_m_s = 0.0;
+    if (a->base == NULL || from.head.joint_count != a->base->joint_count) {
+        wanted->possible = false;
+    } else if (a->base->independent) {
+        wanted->possible = read_independent(a, &from, &wanted->joints);
+    } else {
+        wanted->possible = read_wheels(a, &from, &wanted->twist);
+    }
+}
+
 int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_ns, bool may_move)
 {
-    command_datagram command;
-    if (!read_form(datagram, bytes, &command)) {
+    request wanted = {.possible = true};
+    if (!read_form(datagram, bytes, &wanted.twist)) {
         return refuse(a, REFUSED_FORM);
     }
-    uint32_t place = find(a, command.token);
+    uint32_t place = find(a, wanted.twist.token);
     if (place == LEASES_MAX) {
         return refuse(a, REFUSED_TOKEN);
     }
-    if (command.kind == COMMAND_RELEASE) {
+    if (wanted.twist.kind == COMMAND_RELEASE) {
         a->report.lease[place].expires_ns = 0;
         a->report.accepted++;
         return 0;
     }
-    bool possible = command.kind != COMMAND_JOINTS || read_joints(a, datagram, &command);
-    return take(a, place, &command, possible, now_ns, may_move);
+    if (wanted.twist.kind == COMMAND_JOINTS) {
+        read_joints(a, datagram, bytes, &wanted);
+    } else if (a->base != NULL && a->base->independent) {
+        wanted.possible = !wants_motion(a, &wanted); /* without a base no twist but zero can be done */
+    }
+    return take(a, place, &wanted, now_ns, may_move);
 }
 
 static const lease_state *commander(arbiter *a, int64_t now_ns, bool may_move)
@@ -260,7 +366,7 @@ static const lease_state *commander(arbiter *a, int64_t now_ns, bool may_move)
         if (lease->fresh == 0) {
             continue;
         }
-        lease->held |= !may_move && wants_motion(lease);
+        lease->held |= !may_move && lease->wants_motion != 0;
         bool better =
             best == NULL || lease->priority > best->priority || (lease->priority == best->priority && lease->since < best->since);
         best = better ? lease : best;
@@ -285,5 +391,16 @@ void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *o
         out->linear_m_s = lease->linear_m_s;
         out->angular_rad_s = lease->angular_rad_s;
         out->lateral_m_s = lease->lateral_m_s;
+    }
+}
+
+void arbiter_joints(const arbiter *a, joint_command *out)
+{
+    *out = (joint_command){0};
+    for (uint32_t i = 0; i < LEASES_MAX; i++) {
+        const lease_state *lease = &a->report.lease[i];
+        if (a->report.commander != 0 && lease->number == a->report.commander && lease->held == 0) {
+            *out = lease->joints;
+        }
     }
 }

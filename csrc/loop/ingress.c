@@ -27,7 +27,7 @@ static uint32_t take_from(int fd, arbiter *a, bool may_move)
 {
     uint32_t taken = 0;
     while (taken < DATAGRAMS_A_SOCKET) {
-        uint8_t datagram[JOINT_COMMAND_BYTES + 1]; /* one more shows what is too long */
+        uint8_t datagram[JOINT_POSITION_BYTES + 1]; /* one more shows what is too long */
         ssize_t bytes = recv(fd, datagram, sizeof datagram, MSG_DONTWAIT);
         if (bytes < 0) {
             break;

@@ -73,6 +73,7 @@ void loop_rehearse(loop_work *work, core_state *scratch)
         input.command.linear_m_s = i > 4 ? 0.1 : 0.0;
         input.command.angular_rad_s = i > 4 ? 0.1 : 0.0;
         input.command.lateral_m_s = i > 4 && kinematics_strafes(config) ? 0.1 : 0.0;
+        input.joints = (joint_command){.named = i > 4 ? (1U << config->joint_count) - 1U : 0};
         for (uint32_t joint = 0; joint < config->joint_count; joint++) {
             input.feedback[joint] = (joint_feedback){.stamp_ns = input.now_ns,
                                                      .count = i,
@@ -131,6 +132,9 @@ static void take_commands(loop_work *work, int64_t now_ns)
     bool could_move = work->arbiter.report.may_move != 0;
     uint32_t taken = ingress_take(&work->ingress, &work->arbiter, may_move(work));
     arbiter_command(&work->arbiter, now_ns, may_move(work), &work->input.command);
+    if (work->core.config.independent) {
+        arbiter_joints(&work->arbiter, &work->input.joints);
+    }
     const command_report *report = &work->arbiter.report;
     work->input.control.owner = report->commander;
     if (granted || taken > 0 || report->commander != before || (report->may_move != 0) != could_move) {

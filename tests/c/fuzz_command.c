@@ -34,7 +34,8 @@ static size_t shaped(uint8_t *bytes, size_t size)
     memcpy(&head, bytes, sizeof head);
     uint8_t how = bytes[8];
     head.magic = how & 1 ? COMMAND_MAGIC : head.magic;
-    head.version = how & 1 ? COMMAND_VERSION : head.version;
+    bool positions = (how & 128) != 0;
+    head.version = how & 1 ? (positions ? COMMAND_VERSION_POSITIONS : COMMAND_VERSION) : head.version;
     head.kind = how & 2 ? (uint16_t)(1 + how % 3) : head.kind;
     head.stamp_ns = how & 4 ? NOW_NS : head.stamp_ns;
     head.lifetime_ms = how & 8 ? 0 : head.lifetime_ms;
@@ -43,7 +44,8 @@ static size_t shaped(uint8_t *bytes, size_t size)
         memset(head.token, 'a', TOKEN_BYTES);
     }
     memcpy(bytes, &head, sizeof head);
-    return how & 64 ? (head.kind == COMMAND_JOINTS ? (size_t)JOINT_COMMAND_BYTES : (size_t)COMMAND_BYTES) : size;
+    size_t of_joints = positions ? (size_t)JOINT_POSITION_BYTES : (size_t)JOINT_COMMAND_BYTES;
+    return how & 64 ? (head.kind == COMMAND_JOINTS ? of_joints : (size_t)COMMAND_BYTES) : size;
 }
 
 static void once(const uint8_t *data, size_t size)

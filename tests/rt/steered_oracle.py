@@ -134,13 +134,12 @@ def rolling(kind: str, twist: Sequence[float], angles_rad: Sequence[float]) -> l
     return rims
 
 
-class SteeredRig(Rig):
-    """Wheels roll as they are set, and steering joints turn to their set-points at once, or at
-    `servo_rad_s`."""
+class PositionRig(Rig):
+    """Wheels roll as they are set, and joints that take positions turn to their set-points at once,
+    or at `servo_rad_s`."""
 
-    def __init__(self, kind: str, **changes: Any) -> None:
-        super().__init__(config_of(kind, **changes))
-        self.kind = kind
+    def __init__(self, config: dict[str, Any]) -> None:
+        super().__init__(config)
         self.servo_rad_s = math.inf
         self.stuck: set[int] = set()
         self.steering = [
@@ -160,6 +159,12 @@ class SteeredRig(Rig):
             zero = self.config.joint[j].position.zero_count
             feedback.count = (round(at_rad / COUNT_RAD) + zero) % (1 << 64)
             feedback.velocity_rad_s = (at_rad - before[j]) / TICK_S
+
+
+class SteeredRig(PositionRig):
+    def __init__(self, kind: str, **changes: Any) -> None:
+        super().__init__(config_of(kind, **changes))
+        self.kind = kind
 
     @property
     def twist(self) -> np.ndarray:

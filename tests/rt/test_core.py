@@ -36,7 +36,8 @@ def test_a_joint_that_was_never_received_measures_nothing():
 def test_the_reasons_to_stand_are_all_that_are_no_limits():
     names = [name for name in dir(lib) if name.startswith("REASON_")]
     limits = 0xFFFF | lib.REASON_STEERING | lib.REASON_CURVATURE | lib.REASON_TURN_IMPOSSIBLE
-    limits |= lib.REASON_DERATED
+    limits |= lib.REASON_DERATED | lib.REASON_JOINT_VELOCITY | lib.REASON_JOINT_ACCELERATION
+    limits |= lib.REASON_JOINT_POSITION
     standing = [getattr(lib, name) for name in names if not getattr(lib, name) & limits]
     assert sum(standing) == lib.REASONS_TO_STAND
 

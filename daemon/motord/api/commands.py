@@ -5,18 +5,22 @@ from __future__ import annotations
 
 import enum
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 MAGIC = 0x434D544D
 VERSION = 2
+POSITIONS_VERSION = 3
+"""Of the layout that has positions."""
 TOKEN_BYTES = 16
 TWIST = 1
 RELEASE = 2
 JOINTS = 3
 JOINTS_MAX = 8
+_PLACES = range(JOINTS_MAX)
 _LAYOUT = struct.Struct("<IHH16sQqIIddd")
 _JOINTS_LAYOUT = struct.Struct(f"<IHH16sQqII{JOINTS_MAX}d")
+_POSITIONS_LAYOUT = struct.Struct(f"<IHH16sQqII{2 * JOINTS_MAX}dII")
 
 
 class Refusal(enum.IntEnum):
@@ -65,14 +69,15 @@ class LeaseState:
     linear_m_s: float
     angular_rad_s: float
     lateral_m_s: float = 0.0
+    wants_motion: bool = False
+    """Something else than zero was asked for."""
+    joint_values_u: Mapping[int, float] = field(default_factory=dict)
+    """Of a robot without a base, by place: rad of a joint that takes positions, rad/s of another
+    one."""
 
     def fresh(self, now_ns: int) -> bool:
         """A command of it is alive."""
         return self.sequence != 0 and now_ns < self.expires_ns
-
-    @property
-    def wants_motion(self) -> bool:
-        return any((self.linear_m_s, self.angular_rad_s, self.lateral_m_s))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,3 +124,21 @@ def joint_datagram(
     padded = (*velocity_rad_s, *([0.0] * (JOINTS_MAX - len(velocity_rad_s))))
     head = (MAGIC, VERSION, JOINTS, token, sequence, stamp_ns, lifetime_ms, len(velocity_rad_s))
     return _JOINTS_LAYOUT.pack(*head, *padded)
+
+
+def position_datagram(
+    token: bytes,
+    sequence: int,
+    stamp_ns: int,
+    joint_count: int,
+    velocity_rad_s: Mapping[int, float],
+    position_rad: Mapping[int, float],
+    *,
+    lifetime_ms: int = 0,
+) -> bytes:
+    """One command of joints without a base, by their place in the robot file. A joint that is left
+    out comes to rest or, where it takes positions, goes on to the one that this lease gave it."""
+    head = (MAGIC, POSITIONS_VERSION, JOINTS, token, sequence, stamp_ns, lifetime_ms, joint_count)
+    values = [kind.get(j, 0.0) for kind in (velocity_rad_s, position_rad) for j in _PLACES]
+    masks = (sum(1 << j for j in kind) for kind in (velocity_rad_s, position_rad))
+    return _POSITIONS_LAYOUT.pack(*head, *values, *masks)

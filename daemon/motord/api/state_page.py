@@ -56,6 +56,9 @@ REASONS = {
     23: "turn_impossible",
     24: "position_unknown",
     25: "derated",
+    26: "joint_velocity",
+    27: "joint_acceleration",
+    28: "joint_position",
 }
 """By bit: REASON_* of csrc/api.h."""
 FAULTS = {

@@ -472,6 +472,10 @@ def _lease_state(raw: Any) -> LeaseState:
         linear_m_s=raw.linear_m_s,
         angular_rad_s=raw.angular_rad_s,
         lateral_m_s=raw.lateral_m_s,
+        wants_motion=raw.wants_motion != 0,
+        joint_values_u={
+            j: raw.joints.value_u[j] for j in range(lib.JOINTS_MAX) if raw.joints.named >> j & 1
+        },
     )
 
 

@@ -121,6 +121,8 @@ class JointConfig(TypedDict):
     plausible: NotRequired[PlausibleConfig]
     position: NotRequired[PositionConfig]
     derating: NotRequired[DeratingConfig]
+    own: NotRequired[AxisLimits]
+    """Of a joint without a base that takes velocities."""
 
 
 class GyroConfig(TypedDict, total=False):
@@ -165,6 +167,8 @@ class CoreConfig(TypedDict):
     module_count: NotRequired[int]
     """Without it the joints' rows count."""
     module: NotRequired[list[WheelModule]]
+    independent: NotRequired[int]
+    """1: there is no base, and each joint moves for itself."""
     joint: list[JointConfig]
 
 

@@ -1,0 +1,119 @@
+/* SPDX-License-Identifier: Apache-2.0
+ *
+ * independent.c: joints without a base, each by its own limits: a pan-tilt head, a lift, a conveyor.
+ *
+ * A joint that takes velocities follows the ramp of limit.c. One that takes positions goes to its target by position.c, within
+ * its range. A target belongs to the lease that gave it: it ends with that lease, and with every stop.
+ */
+#include "independent.h"
+#include "steer.h"
+
+#include <math.h>
+#include <string.h>
+
+static bool names(const joint_command *command, uint32_t j)
+{
+    return command->named >> j & 1U;
+}
+
+bool joint_command_finite(const joint_command *command, const core_config *config)
+{
+    bool finite = true;
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        finite &= !names(command, j) || isfinite(command->value_u[j]);
+    }
+    return finite;
+}
+
+bool joint_command_zero(const joint_command *command, const core_config *config)
+{
+    bool zero = true;
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        zero &= !names(command, j) || (config->joint[j].position.used == 0 && command->value_u[j] == 0.0);
+    }
+    return zero;
+}
+
+static void forget_targets(joints_state *joints)
+{
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        joints->target_rad[j] = NAN;
+    }
+}
+
+void independent_halt(joints_state *joints, steer_state *steer, const core_config *config)
+{
+    forget_targets(joints);
+    memset(joints->velocity_rad_s, 0, sizeof joints->velocity_rad_s);
+    memset(joints->acceleration_rad_s2, 0, sizeof joints->acceleration_rad_s2);
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        steer->profile[j].velocity_rad_s = 0.0;
+    }
+}
+
+static double within(double value, double low, double high)
+{
+    return fmin(fmax(value, low), high);
+}
+
+static uint32_t step_velocity(joints_state *joints, const joint_config *joint, const joints_input *input, uint32_t j)
+{
+    double wanted_rad_s = input->command != NULL && names(input->command, j) ? input->command->value_u[j] : 0.0;
+    double file_rad_s = within(wanted_rad_s, joint->velocity_min_rad_s, joint->velocity_max_rad_s);
+    double goal_rad_s[AXES] = {
+        within(file_rad_s, input->factor * joint->velocity_min_rad_s, input->factor * joint->velocity_max_rad_s)};
+    limit_state axis[AXES] = {{joints->velocity_rad_s[j], joints->acceleration_rad_s2[j]}};
+    base_limits limits = {.linear = joint->own};
+    uint32_t reasons = file_rad_s != wanted_rad_s ? (uint32_t)REASON_JOINT_VELOCITY : 0;
+    reasons |= goal_rad_s[0] != file_rad_s ? (uint32_t)REASON_DERATED : 0;
+    if (ramp_step(axis, 1, &limits, NULL, goal_rad_s, input->dt_s, input->urgent) != 0) {
+        reasons |= REASON_JOINT_ACCELERATION;
+    }
+    joints->velocity_rad_s[j] = axis[0].velocity_u_s;
+    joints->acceleration_rad_s2[j] = axis[0].acceleration_u_s2;
+    return reasons;
+}
+
+static uint32_t step_position(joints_state *joints, steer_state *steer, const core_config *config, const joints_input *input,
+                              uint32_t j)
+{
+    position_config own = config->joint[j].position;
+    uint32_t reasons = 0;
+    if (input->command != NULL && names(input->command, j)) {
+        joints->target_rad[j] = input->command->value_u[j];
+    }
+    double target_rad = joints->target_rad[j];
+    double goal_rad = isnan(target_rad) ? target_rad : within(target_rad, own.position_min_rad, own.position_max_rad);
+    if (target_rad != goal_rad && !isnan(target_rad)) {
+        reasons |= REASON_JOINT_POSITION;
+    }
+    if (input->factor < 1.0 && goal_rad != steer->profile[j].position_rad && !isnan(goal_rad)) {
+        own.velocity_rad_s *= input->factor;
+        reasons |= REASON_DERATED;
+    }
+    bool sure = steer_sure(steer, config, j, input->dt_s);
+    if (input->dt_s > 0.0) {
+        position_step(&steer->profile[j], &own, sure ? goal_rad : (double)NAN, input->dt_s);
+    }
+    return reasons;
+}
+
+uint32_t independent_step(joints_state *joints, steer_state *steer, const core_config *config, const joints_input *input,
+                          double *velocity_rad_s)
+{
+    uint32_t reasons = 0;
+    if (input->command == NULL || input->owner != joints->owner) {
+        forget_targets(joints);
+    }
+    joints->owner = input->owner;
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        if (config->joint[j].position.used) {
+            reasons |= step_position(joints, steer, config, input, j);
+        } else {
+            reasons |= step_velocity(joints, &config->joint[j], input, j);
+        }
+        velocity_rad_s[j] = joints->velocity_rad_s[j];
+    }
+    steer->enabled = 1;
+    return reasons;
+}

@@ -1,0 +1,30 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * independent.h: what the tick needs of joints without a base. */
+#ifndef MOTORD_INDEPENDENT_H
+#define MOTORD_INDEPENDENT_H
+
+#include "core.h"
+
+#pragma GCC visibility push(hidden)
+
+/* What is new in a step, beside the configuration. */
+typedef struct {
+    const joint_command *command; /* NULL: all come to rest */
+    uint32_t owner;               /* the lease in command */
+    double factor;                /* 0..1, of each joint's speed limit */
+    double dt_s;
+    bool urgent; /* leave out the jerk limits */
+} joints_input;
+
+/* One step of each joint, within its own limits; velocity_rad_s: of those that take velocities. Returns the reasons. */
+uint32_t independent_step(joints_state *joints, steer_state *steer, const core_config *config, const joints_input *input,
+                          double *velocity_rad_s);
+/* All stand in this step, and have no target any more. */
+void independent_halt(joints_state *joints, steer_state *steer, const core_config *config);
+/* Whether it requests no motion: no position, and no speed but zero. A value that is not finite is no such request. */
+bool joint_command_zero(const joint_command *command, const core_config *config);
+bool joint_command_finite(const joint_command *command, const core_config *config);
+
+#pragma GCC visibility pop
+
+#endif
