@@ -126,8 +126,7 @@ typedef struct {
 } joint_config;
 
 typedef struct {
-    uint32_t
-        joint_count; /* 2..JOINTS_MAX, or 1 without a base; their rows say how the base moves: forward and about, or sideways too */
+    uint32_t joint_count; /* 2..JOINTS_MAX, or 1 without a base; their rows say how it moves: forward, about, sideways */
     base_limits limits;
     double command_timeout_s;   /* > 0 */
     double feedback_timeout_s;  /* > 0 */

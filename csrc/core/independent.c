@@ -92,8 +92,14 @@ static uint32_t step_position(joints_state *joints, steer_state *steer, const co
         reasons |= REASON_DERATED;
     }
     bool sure = steer_sure(steer, config, j, input->dt_s);
+    position_profile *profile = &steer->profile[j];
+    double from_rad = profile->position_rad;
     if (input->dt_s > 0.0) {
-        position_step(&steer->profile[j], &own, sure ? goal_rad : (double)NAN, input->dt_s);
+        position_step(profile, &own, sure ? goal_rad : (double)NAN, input->dt_s);
+    }
+    if (from_rad >= own.position_min_rad && from_rad <= own.position_max_rad) {
+        /* braking from full speed, it ends at the edge or, by rounding, beyond it */
+        profile->position_rad = within(profile->position_rad, own.position_min_rad, own.position_max_rad);
     }
     return reasons;
 }

@@ -219,7 +219,7 @@ def test_a_target_ends_with_the_lease_that_gave_it():
     assert rig.goals() == [held, 0.1]
 
 
-def test_a_position_beyond_the_range_becomes_its_end_and_the_reason_says_so():
+def test_a_position_beyond_the_range_becomes_its_end_and_a_reason():
     rig = Joints()
     rig.arm()
     rig.ask(tilt=5.0, belt=20.0)
