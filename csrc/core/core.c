@@ -29,9 +29,18 @@ static double setpoint_sum(const core_state *state)
     return sum;
 }
 
+static double axis_sum(const core_state *state)
+{
+    double sum = 0.0;
+    for (uint32_t i = 0; i < state->axes; i++) {
+        sum += state->axis[i].velocity_u_s + state->axis[i].acceleration_u_s2;
+    }
+    return sum;
+}
+
 static void zero_at_once(core_state *state, tick *t)
 {
-    t->checksum += setpoint_sum(state);
+    t->checksum += setpoint_sum(state) + axis_sum(state);
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
         state->snapshot.joint[j].setpoint_rad_s = state->snapshot.joint[j].duty = 0.0;
     }
@@ -80,7 +89,7 @@ static void set_wheels(core_state *state, tick *t, double dt_s)
     double checksum = t->checksum;
     wheels->moving = 0;
     for (int i = 0; i < AXES; i++) {
-        twist_u_s[i] = wheels->twist_u_s[i] = state->axis[i].velocity_u_s;
+        twist_u_s[i] = state->axis[i].velocity_u_s;
         wheels->moving |= twist_u_s[i] != 0.0;
     }
     for (uint32_t j = 0; j < count; j++) {
@@ -103,14 +112,6 @@ static bool settled(const core_state *state, const double *goal_u_s)
     return true;
 }
 
-static bool same_twist(const core_state *state)
-{
-    const double *before_u_s = state->wheels.twist_u_s;
-    return state->axis[AXIS_LINEAR].velocity_u_s == before_u_s[AXIS_LINEAR] &&
-           state->axis[AXIS_ANGULAR].velocity_u_s == before_u_s[AXIS_ANGULAR] &&
-           state->axis[AXIS_LATERAL].velocity_u_s == before_u_s[AXIS_LATERAL];
-}
-
 /* goal → limit → modules → PWM, by the angles that the wheels have. */
 static void ramp_steered(core_state *state, tick *t, double *goal_u_s, double dt_s)
 {
@@ -123,6 +124,7 @@ static void ramp_steered(core_state *state, tick *t, double *goal_u_s, double dt
     if (!settled(state, goal_u_s)) {
         const core_config *slewed = state->slewed ? config : NULL;
         limit_state from[AXES];
+        t->checksum += axis_sum(state);
         memcpy(from, state->axis, sizeof from);
         t->reasons |= ramp_step(state->axis, state->axes, &state->limits, slewed, goal_u_s, dt_s, state->holding != 0);
         t->reasons |= steer_pace(from, state->axis, goal_u_s, rate_max_s, dt_s);
@@ -217,15 +219,17 @@ static void drive(core_state *state, tick *t)
         zero_at_once(state, t);
         return;
     }
-    const core_wheels *wheels = &state->wheels;
+    core_wheels *wheels = &state->wheels;
     double dt_s = t->dt_s < DT_MAX_S ? t->dt_s : DT_MAX_S;
     double goal_u_s[AXES];
     choose_goal(state, t, goal_u_s);
     if (!settled(state, goal_u_s)) {
         const core_config *slewed = state->slewed ? &state->config : NULL;
+        t->checksum += axis_sum(state);
         t->reasons |= ramp_step(state->axis, state->axes, &state->limits, slewed, goal_u_s, dt_s, state->holding != 0);
+        wheels->known = 0;
     }
-    if (!same_twist(state) || !wheels->known) {
+    if (!wheels->known) {
         set_wheels(state, t, dt_s);
     }
     t->reasons |= wheels->reasons;

@@ -101,23 +101,22 @@ static inline bool drive_disabled(const core_state *state, const joint_feedback 
 static inline void read_feedback(core_state *state, tick *t)
 {
     int64_t now_ns = t->input->now_ns;
-    int64_t oldest_ns = INT64_MAX, newest_ns = 0;
     uint32_t faults = 0, enabled = ~0U;
-    uint64_t is_new = state->silent;
+    uint64_t is_new = state->silent, oldest_ns = 0; /* an age; that of a stamp from the future is the greatest of all */
     const joint_feedback *feedback = t->input->feedback;
     const joint_odometry *used = state->odometry.joint;
     joint_state *shown = state->snapshot.joint, *end = shown + state->config.joint_count;
     for (; shown != end; shown++, feedback++, used++) {
-        int64_t stamp_ns = feedback->stamp_ns;
-        shown->feedback_age_s = (double)(int64_t)((uint64_t)now_ns - (uint64_t)stamp_ns) * 1e-9;
-        is_new |= (uint64_t)stamp_ns ^ (uint64_t)used->stamp_ns;
-        oldest_ns = stamp_ns < oldest_ns ? stamp_ns : oldest_ns;
-        newest_ns = stamp_ns > newest_ns ? stamp_ns : newest_ns;
+        uint64_t stamp_ns = (uint64_t)feedback->stamp_ns, age_ns = (uint64_t)now_ns - stamp_ns;
+        shown->feedback_age_s = (double)(int64_t)age_ns * 1e-9;
+        is_new |= stamp_ns ^ (uint64_t)used->stamp_ns;
+        oldest_ns = age_ns > oldest_ns ? age_ns : oldest_ns;
         faults |= feedback->drive_faults;
         enabled &= feedback->enabled; /* 0 when one of them is; then the closer look */
     }
     /* all of it fresh, as in the tick before: no joint needs a closer look */
-    bool received = state->silent == 0 && now_ns >= newest_ns && fresh_within(now_ns, oldest_ns, state->feedback_window_ns);
+    int64_t first_ns = (int64_t)((uint64_t)now_ns - oldest_ns);
+    bool received = state->silent == 0 && now_ns >= first_ns && fresh_within(now_ns, first_ns, state->feedback_window_ns);
     if (!received) {
         judge_feedback(state, t);
     }
@@ -137,9 +136,6 @@ static inline void look(core_state *state, const core_input *input, double dt_s,
     t->dt_s = dt_s > 0.0 && dt_s <= DBL_MAX ? dt_s : 0.0;
     t->saturation = 1.0;
     t->checksum = 0.0;
-    for (uint32_t i = 0; i < state->axes; i++) {
-        t->checksum += state->axis[i].velocity_u_s + state->axis[i].acceleration_u_s2;
-    }
     t->heartbeat_fresh = fresh_within(input->now_ns, input->control.heartbeat_ns, state->heartbeat_window_ns);
     read_command(state, t);
     read_feedback(state, t);
@@ -281,7 +277,7 @@ static inline bool calm(const core_state *state, const tick *t)
                          (control->odometry_reset_count ^ state->odometry_reset_seen);
     attention |= (uint32_t)t->any_stale | (uint32_t)t->drive_fault | (uint32_t)t->drive_disabled | state->steer.unknown;
     uint32_t ready = state->armed & state->commanded & (uint32_t)t->heartbeat_fresh & (uint32_t)t->command_fresh;
-    return attention == 0 && ready != 0 && control->armed != 0 && t->dt_s != 0.0;
+    return attention == 0 && ready != 0 && control->armed != 0 && t->dt_s > 0.0;
 }
 
 /* Reads the input and decides whether the base may move: control, faults, arming. */
