@@ -33,6 +33,7 @@ typedef struct {
     bool enabled;           /* they say so */
     bool left_alone;        /* it got nothing for longer than its watchdog waits */
     bool shut_down;         /* the line ends */
+    bool position_unknown;  /* it is to be sent a first target, and may not: position_place.h */
     uint64_t enabled_count; /* how often the set-points have become enabled */
 } drive_view;
 

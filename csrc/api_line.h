@@ -94,6 +94,7 @@ typedef struct {
     double raw_offset; /* of a POSITION of 0; of other kinds 0 */
     double raw_min;    /* <= 0 or, for a magnitude, whatever the drive takes as least: 0; of a POSITION any */
     double raw_max;
+    double raw_per_s; /* of a POSITION: its target moves no faster: > 0; of other kinds 0 */
 } line_setpoint;
 
 typedef enum {
@@ -117,6 +118,7 @@ typedef struct {
     double raw_offset; /* of a POSITION of 0; of other kinds 0 */
     double raw_min;    /* <= 0; of a POSITION any */
     double raw_max;    /* >= 0; of a POSITION not below raw_min */
+    double raw_per_s;  /* of a POSITION: its target moves no faster: > 0; of other kinds 0 */
 } setpoint_scale;
 
 /* Of buses and boards: what a number that was read says. */
@@ -243,7 +245,9 @@ enum {
     DRIVE_FAULT_LOST_SETUP = 1 << 3,      /* a KEPT field differs: OFF */
     DRIVE_FAULT_DISABLED_ITSELF = 1 << 4, /* armed, but it says that it is not enabled: OFF */
     DRIVE_FAULT_UNRESPONSIVE = 1 << 5,
-    DRIVE_FAULT_STILL_ENABLED = 1 << 6 /* not armed, but it reports that it is: gets a disarm, held at zero */
+    DRIVE_FAULT_STILL_ENABLED = 1 << 6, /* not armed, but it reports that it is: gets a disarm, held at zero */
+    DRIVE_FAULT_POSITION_UNKNOWN = 1
+        << 7 /* it takes positions, and where it is is not known, or not its first target: power off */
 };
 
 /* Python's request for a drive, obeyed once for each new count: what the line has taken back stays so until the next. */

@@ -87,7 +87,8 @@ static uint32_t fault_reason(bool fresh, bool left_alone, bool enabled, bool was
     return !enabled && was_enabled ? DRIVE_FAULT_NOT_ENABLED : 0;
 }
 
-/* Old set-points, or a drive that was left alone and may have stopped by itself: quick stop. Not enabled any more: no power. */
+/* Old set-points, or a drive that was left alone and may have stopped by itself: quick stop. Not enabled any
+ * more, or no place to begin from: no power. */
 drive_stop drive_guard(drive_state *drive, const drive_view *view)
 {
     if (drive->mode != DRIVE_ARMED) {
@@ -95,7 +96,10 @@ drive_stop drive_guard(drive_state *drive, const drive_view *view)
     }
     bool was_enabled = drive->was_enabled || drive->enabled_count != view->enabled_count;
     uint32_t why = fault_reason(view->fresh, view->left_alone, view->enabled, was_enabled);
-    if (why == DRIVE_FAULT_NOT_ENABLED) {
+    if (why == 0 && view->position_unknown) {
+        why = DRIVE_FAULT_POSITION_UNKNOWN;
+    }
+    if (why == DRIVE_FAULT_NOT_ENABLED || why == DRIVE_FAULT_POSITION_UNKNOWN) {
         drive_take_back(drive, why, DRIVE_READY);
         return drive_power_off(drive);
     }
@@ -146,6 +150,10 @@ static drive_request obey(drive_state *drive, uint32_t mode, bool stops, const d
         return REQUEST_SET_UP;
     }
     if (mode == DRIVE_ARMED && drive->mode == DRIVE_READY && view->fresh && !view->shut_down && !stops) {
+        if (view->position_unknown) {
+            drive->fault_reasons |= DRIVE_FAULT_POSITION_UNKNOWN;
+            return REQUEST_SEEN;
+        }
         arm(drive, view);
         return REQUEST_ARM;
     }

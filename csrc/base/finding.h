@@ -23,12 +23,13 @@ static inline void need(finding *f, bool good, const char *field)
 }
 
 /* Rest is 0; a place to go to may be any. */
-static inline void check_span(finding *f, uint32_t kind, double offset, double raw_min, double raw_max)
+static inline void check_span(finding *f, uint32_t kind, double offset, double raw_min, double raw_max, double raw_per_s)
 {
     bool anywhere = kind == SETPOINT_POSITION;
     need(f, anywhere ? isfinite(offset) : offset == 0.0, "setpoint.raw_offset");
     need(f, raw_min <= (anywhere ? raw_max : 0.0), "setpoint.raw_min");
     need(f, raw_max >= (anywhere ? raw_min : 0.0), "setpoint.raw_max");
+    need(f, anywhere ? raw_per_s > 0.0 && isfinite(raw_per_s) : raw_per_s == 0.0, "setpoint.raw_per_s");
 }
 
 static inline void check_scale(finding *f, const setpoint_scale *scale, uint32_t last_kind, double least, double most)
@@ -36,7 +37,7 @@ static inline void check_scale(finding *f, const setpoint_scale *scale, uint32_t
     need(f, scale->joint < JOINTS_MAX, "setpoint.joint");
     need(f, scale->kind <= last_kind, "setpoint.kind");
     need(f, isfinite(scale->raw_per_si) && scale->raw_per_si != 0.0, "setpoint.raw_per_si");
-    check_span(f, scale->kind, scale->raw_offset, scale->raw_min, scale->raw_max);
+    check_span(f, scale->kind, scale->raw_offset, scale->raw_min, scale->raw_max, scale->raw_per_s);
     need(f, scale->raw_min >= least, "setpoint.raw_min");
     need(f, scale->raw_max <= most, "setpoint.raw_max");
 }

@@ -36,13 +36,7 @@ static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t
     return isfinite(value) ? value : 0.0;
 }
 
-/* Whether anything may be sent of a set-point. Zero of the other kinds is rest; zero of a position is a place to go to. */
-static inline bool may_send(const setpoints *from, bool may_move, uint32_t joint, uint32_t kind)
-{
-    return kind != SETPOINT_POSITION || (may_move && !isnan(setpoint_of(from, joint, kind)));
-}
-
-/* Beyond its ends a number would go out as another one. NaN: the smallest, which may_send() keeps from being sent. */
+/* Beyond its ends a number would go out as another one. NaN: the smallest. */
 static inline double within_span(double raw, double raw_min, double raw_max)
 {
     return fmin(fmax(raw, raw_min), raw_max);

@@ -21,6 +21,7 @@ typedef struct {
     uint32_t dead;
     uint32_t mute;
     uint32_t turning;                       /* bit n: its wheel says that it turns */
+    int16_t place;                          /* what it reads as well; 0: 9 */
     int64_t quick_stop_ns[LINE_DRIVES_MAX]; /* when it first heard one; 0: never */
     int64_t power_off_ns[LINE_DRIVES_MAX];
     bool old, not_enabled; /* the core's set-points */
@@ -137,6 +138,9 @@ static inline void answer_on_the_wire(const uint8_t *request)
         return;
     }
     uint8_t read_reply[7] = {request[0], READ, 2, 0, (w.turning >> number & 1) != 0 ? 200 : 9};
+    if (w.place != 0) {
+        rtu_write(read_reply + 3, FORM_I16, w.place);
+    }
     rtu_seal(read_reply, 7, SEAL_CRC16);
     uint32_t length = request[1] == READ ? 7 : 8;
     memcpy(w.bytes + w.count, request[1] == READ ? read_reply : request, length);

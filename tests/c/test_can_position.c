@@ -14,9 +14,13 @@ static void begin(void)
     begin_with(1);
     can_output *output = &table_of(0)->output[0];
     output->packet.bytes = 6;
-    output->setpoint[0] = (can_setpoint){
-        .place = {.start_bit = 16, .length = 32, .form = CAN_FLOAT},
-        .scale = {.kind = SETPOINT_POSITION, .raw_per_si = 0.5, .raw_offset = 2.0, .raw_min = -10.0, .raw_max = 10.0}};
+    output->setpoint[0] = (can_setpoint){.place = {.start_bit = 16, .length = 32, .form = CAN_FLOAT},
+                                         .scale = {.kind = SETPOINT_POSITION,
+                                                   .raw_per_si = 0.5,
+                                                   .raw_offset = 2.0,
+                                                   .raw_min = -10.0,
+                                                   .raw_max = 10.0,
+                                                   .raw_per_s = 1e6}};
     restart();
     w.enabled = 2; /* `step` leaves the set-points to us */
     positioned = 0;
@@ -89,7 +93,7 @@ static void a_drive_without_power_gets_the_place_where_it_is(void)
     say_motion(0, NAN, 0.0F);
     put();
     step();
-    CHECK(isnan(m->joint[0].position_number));
+    CHECK(isnan(m->joint[0].place.measured));
     forget_sent();
     w.powered = true; /* it should not be */
     run(2.25F, 10 * MS);
@@ -148,6 +152,76 @@ static void one_that_does_not_answer_gets_its_stops_and_no_place(void)
     }
 }
 
+/* 2 rad/s are a turn a second: 0.1 in the time that a place counts. */
+static void begin_at_limited_speed(void)
+{
+    begin();
+    table_of(0)->output[0].setpoint[0].scale.raw_per_s = 1.0;
+    restart();
+}
+
+static void the_first_target_is_the_place_where_it_is_and_later_ones_move_from_there(void)
+{
+    begin_at_limited_speed();
+    make_armed();
+    wanted_rad = 0.6, positioned = 1; /* 2.3 */
+    forget_sent();
+    run(2.25F, 2 * MS);
+    while (count_sent(SPEED) == 0) {
+        run(2.25F, 2 * MS);
+    }
+    CHECK(target_in(newest_of(0)) == 2.25F);
+    wanted_rad = 2.0; /* 3.0 */
+    float last = 2.25F;
+    int64_t began_ns = w.now_ns;
+    while (last < 3.0F && w.now_ns < began_ns + 2000 * MS) {
+        run(2.25F, 10 * MS);
+        float now = target_in(newest_of(0));
+        CHECK(now >= last && now - last <= 0.0201F);
+        last = now;
+    }
+    CHECK(last == 3.0F && w.now_ns >= began_ns + 690 * MS);
+}
+
+static void a_first_target_far_from_its_place_takes_the_power(void)
+{
+    static const double WANTED_RAD[] = {0.69, 0.31, 0.71, 0.29, 16.0, -24.0};
+    for (uint32_t i = 0; i < 6; i++) {
+        begin_at_limited_speed();
+        make_armed();
+        forget_sent();
+        wanted_rad = WANTED_RAD[i], positioned = 1;
+        run(2.25F, 10 * MS);
+        CHECK((state_of(0)->state.mode == DRIVE_ARMED) == (i < 2));
+        CHECK(((state_of(0)->state.fault_reasons & DRIVE_FAULT_POSITION_UNKNOWN) != 0) == (i >= 2));
+        for (uint32_t n = 0; n < w.sent_count && i >= 2; n++) {
+            CHECK(w.sent[n].id != SPEED || (w.sent[n].data[0] == DISABLE && target_in(&w.sent[n]) == 2.25F));
+        }
+    }
+}
+
+/* Beyond its range, old, no number: neither ARMED nor the frames that would give it its power. */
+static void one_whose_place_is_missing_gets_no_power(void)
+{
+    for (uint32_t why = 0; why < 4; why++) {
+        begin_at_limited_speed();
+        run(2.25F, 20 * MS);
+        ask_for(DRIVE_READY);
+        run(why == 1 ? 10.5F : 2.25F, 20 * MS);
+        w.machine.joint[0].place.measured_ns -= why == 2 ? 300 * MS : 0;
+        w.machine.joint[0].place.measured = why == 3 ? (double)NAN : w.machine.joint[0].place.measured;
+        can_order order = {.expires_ns = w.now_ns + 500 * MS, .guarded = 1, .stops = state_of(0)->stops};
+        order.write = table_of(0)->disarm[0];
+        order.write.packet.data[0] = 0x0F;
+        CHECK(can_machine_order(&w.machine, &order));
+        uint32_t dropped = state_of(0)->orders_dropped;
+        ask_for(DRIVE_ARMED);
+        CHECK((state_of(0)->state.mode == DRIVE_ARMED) == (why == 0));
+        CHECK(((state_of(0)->state.fault_reasons & DRIVE_FAULT_POSITION_UNKNOWN) != 0) == (why != 0));
+        CHECK(state_of(0)->orders_dropped == dropped + (why != 0));
+    }
+}
+
 static void whether_it_has_a_reference_is_reported_beside_its_power(void)
 {
     begin();
@@ -171,5 +245,8 @@ int main(void)
     what_is_held_back_for_too_long_is_a_drive_left_alone();
     one_that_does_not_answer_gets_its_stops_and_no_place();
     whether_it_has_a_reference_is_reported_beside_its_power();
+    the_first_target_is_the_place_where_it_is_and_later_ones_move_from_there();
+    a_first_target_far_from_its_place_takes_the_power();
+    one_whose_place_is_missing_gets_no_power();
     return checks_report("can position");
 }

@@ -222,6 +222,13 @@ static void set_points(void)
     scale->joint = JOINTS_MAX;
     CHECK(refused("drive[1].setpoint.joint"));
     scale->joint = 0;
+    scale->kind = SETPOINT_POSITION;
+    CHECK(refused("drive[1].setpoint.raw_per_s"));
+    scale->raw_per_s = 1.0;
+    CHECK(is_good());
+    scale->kind = SETPOINT_TORQUE;
+    CHECK(refused("drive[1].setpoint.raw_per_s"));
+    scale->raw_per_s = 0.0;
     scale->kind = SETPOINT_POSITION + 1;
     CHECK(refused("drive[1].setpoint.kind"));
     scale->kind = 0;

@@ -99,6 +99,22 @@ static void a_request_that_was_overtaken_counts_as_a_stop(void)
 }
 
 /* ------------------------------------------------------------------------------------------------- guarding */
+static void one_without_a_place_to_begin_from_gets_no_power(void)
+{
+    drive_state drive = {.mode = DRIVE_READY};
+    drive_view view = good_view();
+    view.position_unknown = true;
+    mode_request request = {.count = 1, .mode = DRIVE_ARMED};
+    CHECK(drive_obey(&drive, &request, &view).request == REQUEST_SEEN && drive.mode == DRIVE_READY);
+    CHECK(drive.fault_reasons == DRIVE_FAULT_POSITION_UNKNOWN && drive_guard(&drive, &view) == STOP_NOTHING);
+    drive = (drive_state){.mode = DRIVE_ARMED, .enabled = 1};
+    CHECK(drive_guard(&drive, &view) == STOP_POWER_OFF && drive.mode == DRIVE_READY && !drive.stopping);
+    CHECK(drive.fault_reasons == DRIVE_FAULT_POSITION_UNKNOWN && drive.enabled == 2);
+    view.fresh = false; /* it may be moving */
+    drive = (drive_state){.mode = DRIVE_ARMED};
+    CHECK(drive_guard(&drive, &view) == STOP_QUICK && drive.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
+}
+
 /* The first of them that is true decides. */
 static void an_armed_drive_is_taken_back_for_each_reason_in_its_order(void)
 {
@@ -225,6 +241,7 @@ int main(void)
     an_armed_drive_is_taken_back_for_each_reason_in_its_order();
     a_drive_is_left_alone_when_it_got_nothing_for_longer_than_its_watchdog_waits();
     only_an_armed_drive_moves_by_fresh_set_points_that_are_enabled();
+    one_without_a_place_to_begin_from_gets_no_power();
     the_power_goes_off_at_rest_or_in_time_but_not_before_the_stop_has_arrived();
     its_own_word_takes_its_power_where_nobody_has_armed_it();
     a_stop_that_has_arrived_brings_back_what_was_unresponsive();

@@ -1,10 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Positions on a serial line: 0 is a place like any other, so what must not move is sent nothing. */
 #include <math.h>
+#include <stdlib.h>
 
 #include "line_wire.h"
 
 static const double FAR = 1e300;
+enum { HERE = 1500 };
 static line_machine *const m = &w.machine;
 static line_setpoint *const setpoint = &w.table.drive[0].cyclic[0].setpoint[0];
 static uint32_t targets, reads;
@@ -20,7 +22,14 @@ static void begin(void)
                                 .raw_per_si = -1000.0,
                                 .raw_offset = 2000.0,
                                 .raw_min = 100.0,
-                                .raw_max = 4000.0};
+                                .raw_max = 4000.0,
+                                .raw_per_s = 1e6};
+    line_exchange *reads_it = &w.table.drive[0].cyclic[1];
+    reads_it->field[1] = reads_it->field[0];
+    reads_it->field[1].kind = FIELD_COUNT;
+    reads_it->field[0].si_per_raw = 1e-6; /* it rests */
+    reads_it->field_count = 2;
+    w.place = HERE;
     CHECK(line_machine_init(m, &w.table, 0, w.now_ns) == 0);
     targets = reads = 0;
 }
@@ -168,15 +177,127 @@ static void whether_its_counter_has_a_reference_is_reported(void)
 {
     for (uint32_t mask = 0; mask < 2; mask++) {
         begin();
-        w.table.drive[0].cyclic[1].field_count = 2;
-        w.table.drive[0].cyclic[1].field[1] = (line_field){
+        w.table.drive[0].cyclic[1].field_count = 3;
+        w.table.drive[0].cyclic[1].field[2] = (line_field){
             .kind = FIELD_REFERENCED, .byte = 3, .form = FORM_U16, .equals_mask = 8 << mask, .equals = 8, .si_per_raw = 1.0};
         CHECK(line_machine_init(m, &w.table, 0, w.now_ns) == 0);
         CHECK(m->joint[0].feedback.referenced == 2);
         request(0, DRIVE_READY);
-        go_to(NAN, 0, 100 * MS); /* it reads 9 */
+        w.place = 9;
+        go_to(NAN, 0, 100 * MS);
         CHECK(m->joint[0].feedback.referenced == (mask == 0));
     }
+}
+
+/* ------------------------------------------------------------------------------------------ where it begins */
+/* It is at 1500: a target of 0.5 rad. 2 rad/s are 2000 counts/s, 200 in the time that a place counts. */
+static void begin_at_limited_speed(void)
+{
+    begin();
+    setpoint->raw_per_s = 2000.0;
+    CHECK(line_machine_init(m, &w.table, 0, w.now_ns) == 0);
+}
+
+static void the_first_target_is_the_place_where_it_is_and_later_ones_move_from_there(void)
+{
+    begin_at_limited_speed();
+    arm_it();
+    w.place = 1490; /* it gives way a little */
+    go_to(NAN, 0, 50 * MS);
+    CHECK(targets == 0);
+    while (targets == 0) {
+        want(0.45, 1);
+        look();
+    }
+    CHECK(newest_target == 1490);
+    int64_t last_ns = w.now_ns;
+    int16_t last_target = newest_target;
+    while (newest_target != 1000 && w.now_ns < last_ns + 1000 * MS) {
+        uint32_t before = targets;
+        want(1.0, 1);
+        look();
+        if (targets != before) {
+            CHECK(abs(newest_target - last_target) <= (int)((double)(w.now_ns - last_ns) * 2e-6) + 1);
+            last_ns = w.now_ns;
+            last_target = newest_target;
+        }
+    }
+    CHECK(newest_target == 1000);
+}
+
+static void a_first_target_far_from_its_place_takes_the_power(void)
+{
+    static const struct {
+        int16_t place;
+        bool goes;
+    } cases[] = {{1700, true}, {1301, true}, {1701, false}, {1299, false}, {3900, false}};
+    for (uint32_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        begin_at_limited_speed();
+        w.place = cases[i].place;
+        arm_it();
+        go_to(0.5, 1, 100 * MS);
+        bool armed = m->drive[0].state.mode == DRIVE_ARMED;
+        CHECK(armed == cases[i].goes && (targets > 0) == cases[i].goes && (w.power_offs[0] > 0) != cases[i].goes);
+        CHECK(((m->drive[0].state.fault_reasons & DRIVE_FAULT_POSITION_UNKNOWN) != 0) != cases[i].goes);
+    }
+}
+
+static void what_is_beyond_its_range_old_or_unknown_is_not_armed(void)
+{
+    for (uint32_t why = 0; why < 4; why++) {
+        begin_at_limited_speed();
+        w.place = why == 0 ? 99 : why == 1 ? 4001 : HERE;
+        request(0, DRIVE_READY);
+        go_to(NAN, 0, 50 * MS);
+        if (why == 2) {
+            m->joint[0].place.measured_ns -= 300 * MS;
+        } else if (why == 3) {
+            m->joint[0].place.measured = NAN;
+        }
+        request(0, DRIVE_ARMED);
+        want(NAN, 0);
+        w.count = 0;
+        line_machine_step(m, w.now_ns, w.bytes, 0, &w.out);
+        CHECK(m->drive[0].state.mode == DRIVE_READY);
+        CHECK((m->drive[0].state.fault_reasons & DRIVE_FAULT_POSITION_UNKNOWN) != 0);
+        CHECK(targets == 0);
+    }
+}
+
+/* Armed, and before its first target its place is lost: no power. Its targets are signed, and so is its place. */
+static void a_place_that_is_lost_before_the_first_target_takes_the_power(void)
+{
+    begin_at_limited_speed();
+    setpoint->raw_min = -4000.0;
+    setpoint->raw_offset = -1000.0;
+    w.table.drive[0].cyclic[1].field[1].form = FORM_U16;
+    CHECK(line_machine_init(m, &w.table, 0, w.now_ns) == 0);
+    w.place = -1000;
+    arm_it();
+    CHECK(m->joint[0].place.measured == -1000.0 && m->joint[0].feedback.count == 64536);
+    w.place = -4001;
+    go_to(NAN, 0, 50 * MS);
+    CHECK(m->drive[0].state.mode == DRIVE_READY && w.power_offs[0] > 0 && targets == 0);
+}
+
+/* Armed anew it begins where it is now, wherever it was sent before. */
+static void each_arming_begins_where_it_is_then(void)
+{
+    begin_at_limited_speed();
+    arm_it();
+    go_to(0.5, 1, 100 * MS);
+    CHECK(newest_target == 1500);
+    request(0, DRIVE_STAND_DOWN);
+    go_to(NAN, 0, 100 * MS);
+    w.place = 3000; /* by hand */
+    go_to(NAN, 0, 100 * MS);
+    request(0, DRIVE_ARMED);
+    uint32_t before = targets;
+    while (targets == before && m->drive[0].state.mode != DRIVE_OFF) {
+        want(-1.1, 1);
+        look();
+    }
+    CHECK(newest_target == 3000);
 }
 
 static bool refused(const char *name)
@@ -209,6 +330,12 @@ static void tables_by_which_a_position_could_go_astray_are_refused(void)
     begin();
     setpoint->kind = SETPOINT_POSITION + 1;
     CHECK(refused("drive[0].setpoint.kind"));
+    static const double NO_SPEEDS[] = {0.0, -1.0, (double)INFINITY, (double)NAN};
+    for (uint32_t i = 0; i < 4; i++) {
+        begin();
+        setpoint->raw_per_s = NO_SPEEDS[i];
+        CHECK(refused("drive[0].setpoint.raw_per_s"));
+    }
     begin();
     setpoint->kind = SETPOINT_VELOCITY; /* rest would be at 2000 */
     CHECK(refused("drive[0].setpoint.raw_offset"));
@@ -245,6 +372,11 @@ int main(void)
     old_set_points_stop_it_without_a_position();
     one_that_does_not_answer_is_sent_its_stop_and_no_position();
     whether_its_counter_has_a_reference_is_reported();
+    the_first_target_is_the_place_where_it_is_and_later_ones_move_from_there();
+    a_first_target_far_from_its_place_takes_the_power();
+    what_is_beyond_its_range_old_or_unknown_is_not_armed();
+    a_place_that_is_lost_before_the_first_target_takes_the_power();
+    each_arming_begins_where_it_is_then();
     tables_by_which_a_position_could_go_astray_are_refused();
     return checks_report("line position");
 }

@@ -19,9 +19,13 @@ SERVOS = ["sts3215-position", "xl430-position", "xm430-position"]
 NEAR_COUNTS = 6
 
 
-def line_of(name, folder):
+FAST_RAD_S, LIMITED_RAD_S = 20.0, 4.0
+
+
+def line_of(name, folder, speed_rad_s=FAST_RAD_S):
     spec = spec_of(find_profile(name), folder)
-    joints = tuple(dataclasses.replace(joint, zero_count=MIDDLE) for joint in spec.joints)
+    own = {"zero_count": MIDDLE, "position_velocity_rad_s": speed_rad_s}
+    joints = tuple(dataclasses.replace(joint, **own) for joint in spec.joints)
     return dataclasses.replace(spec, joints=joints)
 
 
@@ -82,6 +86,21 @@ async def test_a_servo_whose_old_goal_is_far_away_stays_where_it_is_when_it_is_a
             cycles = rig.line.stats().cycles
             await rig.drive(lambda: rig.line.stats().cycles > cycles + 30, "it could have moved")
             assert angles_rad(control) == pytest.approx(before, abs=0.01)
+
+
+@pytest.mark.parametrize("name", SERVOS)
+async def test_a_servo_that_is_sent_far_from_its_place_at_once_gets_no_power_and_says_why(
+    name, tmp_path
+):
+    with simulated(find_profile(name), tmp_path) as control:
+        async with running(line_of(name, tmp_path, LIMITED_RAD_S)) as rig:
+            await rig.arm()
+            rig.loop.position_rad = {0: 1.5, 1: 0.0}  # as a wrong zero of a counter would make it
+            rig.loop.enabled = True
+            await until(lambda: rig.line.drive_states["left"] is DriveState.READY, "no power")
+            await until(lambda: any("check zero_count" in one.text for one in rig.events))
+            await until(lambda: control.truth().at_rest, "they rest")
+            assert max(map(abs, angles_rad(control))) < 0.02
 
 
 @pytest.mark.parametrize("name", SERVOS)

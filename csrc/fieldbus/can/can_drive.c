@@ -72,6 +72,7 @@ static void send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
         bool went = can_send(m, &packet);
         all &= went;
         if (went) {
+            can_note_positions(m, number, o);
             memcpy(drive->last_sent[o], packet.data, packet.bytes);
         }
         if (moves && went && m->motion_since_ns == 0) {
@@ -227,12 +228,16 @@ static drive_view view_of(const can_machine *m, uint32_t number, int64_t now_ns)
                         .enabled = m->newest.enabled == 1,
                         .left_alone = drive_left_alone(m->drive[number].last_sent_ns, now_ns, watchdog_ns),
                         .shut_down = m->control.shut_down != 0,
+                        .position_unknown = can_place_is_missing(m, number),
                         .enabled_count = m->enabled_count};
 }
 
 void can_guard(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
+    if (drive->state.mode != DRIVE_ARMED) {
+        can_begin_positions(m, number);
+    }
     drive_view view = view_of(m, number, now_ns);
     can_begin_stop(m, number, drive_guard(&drive->state, &view));
     look_for(m, number, now_ns);

@@ -181,7 +181,8 @@ static void send_orders(can_machine *m, int64_t now_ns)
         const can_order *order = &m->order[done];
         bool stopped = order->guarded != 0 && order->stops != m->drive[order->drive].stops;
         bool late = order->expires_ns <= now_ns || m->end.stage != END_NOT;
-        if (stopped || late) {
+        bool astray = order->guarded != 0 && can_place_is_missing(m, order->drive); /* it would go elsewhere with its power */
+        if (stopped || late || astray) {
             m->drive[order->drive].orders_dropped++;
         } else if (can_write_out(m, order->drive, &order->write)) {
             m->drive[order->drive].orders_sent++;
@@ -289,6 +290,7 @@ static void send_early(can_machine *m, int64_t now_ns)
 void can_machine_kick(can_machine *m, int64_t now_ns)
 {
     bool differs = false;
+    m->now_ns = now_ns;
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         differs |= m->drive[i].state.mode == DRIVE_ARMED && can_differs(m, i);
     }
@@ -298,6 +300,7 @@ void can_machine_kick(can_machine *m, int64_t now_ns)
 
 int64_t can_machine_step(can_machine *m, int64_t now_ns)
 {
+    m->now_ns = now_ns;
     look_at_queue(m, now_ns);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         can_obey_request(m, i, now_ns);

@@ -13,6 +13,7 @@
 #include "drive_state.h"
 #include "ending.h"
 #include "pace.h"
+#include "position_place.h"
 #include "rt.h"
 
 static const int64_t CAN_MS = 1000000, CAN_PROBE_FIRST_NS = 100 * CAN_MS;
@@ -60,8 +61,8 @@ typedef struct {
     int64_t count_ns; /* stamps of the newest of each kind; 0: none */
     int64_t velocity_ns;
     int64_t newest_ns;
-    bool no_number;         /* its position is not finite: no feedback */
-    double position_number; /* as it stands in the drive's frame; NaN: not known */
+    bool no_number;       /* its position is not finite: no feedback */
+    position_place place; /* in the numbers of the drive's frames */
     uint32_t fault_word;
 } can_joint_state;
 
@@ -83,6 +84,7 @@ typedef struct {
     can_control control;
     can_order order[CAN_WAITING_MAX];
     uint32_t order_count;
+    int64_t now_ns;          /* of this step */
     uint32_t feedback_mask;  /* joints whose feedback is new since it was taken */
     bool receives_own;       /* the bus says when a set-point frame of ours has left */
     bool clogged;            /* it has taken nothing in a whole cycle, nor since */
@@ -131,6 +133,12 @@ bool can_build(const can_machine *m, uint32_t drive, uint32_t output, can_packet
 /* What is written to the frame beside the set-points goes out with the newest place, never with another one. */
 void can_hold_positions(can_machine *m, uint32_t drive, uint32_t output);
 bool can_wants_motion(const can_machine *m, uint32_t drive);
+/* The frame has left: its targets are where the next ones begin. */
+void can_note_positions(can_machine *m, uint32_t drive, uint32_t output);
+/* It is to begin at the place where it is, and that is missing. */
+bool can_place_is_missing(const can_machine *m, uint32_t drive);
+/* It is not armed: its first target is still to be sent. */
+void can_begin_positions(can_machine *m, uint32_t drive);
 void can_read(can_machine *m, uint32_t drive, const can_input *input, const uint8_t *data, int64_t stamp_ns);
 void can_publish(can_machine *m, uint32_t drive);
 /* Nothing is known of it: a new epoch's beginning. */

@@ -52,24 +52,63 @@ static double number_of(const can_place *place, int64_t raw)
 }
 
 /* ------------------------------------------------------------------------------------------------ set-points */
+static bool has_joint(const can_machine *m, uint32_t drive, uint32_t joint)
+{
+    return (m->drive[drive].joints >> joint & 1) != 0;
+}
+
 /* can_guard has taken ARMED back before, in this very step, where the set-points are old. */
 static bool may_move(const can_machine *m, uint32_t drive)
 {
     return drive_may_move(&m->drive[drive].state, true, m->newest.enabled == 1) && !m->motion_stays;
 }
 
+static position_range range_of(const can_machine *m, const can_setpoint *setpoint)
+{
+    const setpoint_scale *scale = &setpoint->scale;
+    return (position_range){.least = scale->raw_min,
+                            .most = scale->raw_max,
+                            .per_s = scale->raw_per_s,
+                            .window_ns = place_window_ns(m->table.setpoint_timeout_ns, m->table.period_ns)};
+}
+
 /* Where it is, for a drive that is there and without power: it goes nowhere, and misses no set-point. NaN: nothing is sent. */
 static double position_kept(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
     const drive_state *state = &m->drive[drive].state;
-    double number = m->joint[setpoint->scale.joint].position_number;
+    const position_place *place = &m->joint[setpoint->scale.joint].place;
+    const position_range range = range_of(m, setpoint);
     bool rests = state->mode == DRIVE_READY && state->enabled != 1;
-    return rests && number >= setpoint->scale.raw_min && number <= setpoint->scale.raw_max ? number : (double)NAN;
+    return rests && place_is_known(place, &range, m->now_ns) ? place->measured : (double)NAN;
 }
 
-static bool goes(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
+static bool takes_position(const can_setpoint *setpoint)
 {
-    return may_send(&m->newest, may_move(m, drive), setpoint->scale.joint, setpoint->scale.kind);
+    return setpoint->scale.kind == SETPOINT_POSITION;
+}
+
+/* The target that is wanted, as its frame would carry it; NaN: none is. */
+static double target_wanted(const can_machine *m, const can_setpoint *setpoint)
+{
+    double wanted_rad = setpoint_of(&m->newest, setpoint->scale.joint, SETPOINT_POSITION);
+    return wanted_rad * setpoint->scale.raw_per_si + setpoint->scale.raw_offset;
+}
+
+/* The target that goes out; NaN: none does. */
+static double target_of(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
+{
+    const position_range range = range_of(m, setpoint);
+    double wanted = may_move(m, drive) ? target_wanted(m, setpoint) : (double)NAN;
+    return place_next(&m->joint[setpoint->scale.joint].place, &range, wanted, m->now_ns);
+}
+
+static double number_to_send(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
+{
+    if (!takes_position(setpoint)) {
+        return scaled(&m->newest, may_move(m, drive), &setpoint->scale);
+    }
+    double target = target_of(m, drive, setpoint);
+    return isnan(target) ? position_kept(m, drive, setpoint) : target;
 }
 
 bool can_sends(const can_machine *m, uint32_t drive, uint32_t output)
@@ -77,15 +116,14 @@ bool can_sends(const can_machine *m, uint32_t drive, uint32_t output)
     const can_output *from = &m->table.drive[drive].output[output];
     bool sends = true;
     for (uint32_t i = 0; i < from->setpoint_count; i++) {
-        sends &= goes(m, drive, &from->setpoint[i]) || !isnan(position_kept(m, drive, &from->setpoint[i]));
+        sends &= !isnan(number_to_send(m, drive, &from->setpoint[i]));
     }
     return sends;
 }
 
 static int64_t raw_of(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
-    double raw =
-        goes(m, drive, setpoint) ? scaled(&m->newest, may_move(m, drive), &setpoint->scale) : position_kept(m, drive, setpoint);
+    double raw = number_to_send(m, drive, setpoint);
     if (setpoint->place.form != CAN_FLOAT) {
         return (int64_t)nearbyint(raw);
     }
@@ -98,7 +136,7 @@ static int64_t raw_of(const can_machine *m, uint32_t drive, const can_setpoint *
 /* A place that is not where it is at rest moves it, whatever its number. */
 static bool moves(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
-    return setpoint->scale.kind == SETPOINT_POSITION ? goes(m, drive, setpoint) : raw_of(m, drive, setpoint) != 0;
+    return takes_position(setpoint) ? !isnan(target_of(m, drive, setpoint)) : raw_of(m, drive, setpoint) != 0;
 }
 
 bool can_build(const can_machine *m, uint32_t drive, uint32_t output, can_packet *out)
@@ -120,9 +158,46 @@ void can_hold_positions(can_machine *m, uint32_t drive, uint32_t output)
     const can_output *from = &m->table.drive[drive].output[output];
     for (uint32_t i = 0; i < from->setpoint_count; i++) {
         const can_setpoint *setpoint = &from->setpoint[i];
-        bool known = goes(m, drive, setpoint) || !isnan(position_kept(m, drive, setpoint));
-        if (setpoint->scale.kind == SETPOINT_POSITION && known) {
+        if (takes_position(setpoint) && !isnan(number_to_send(m, drive, setpoint))) {
             can_put(m->drive[drive].held[output], &setpoint->place, raw_of(m, drive, setpoint));
+        }
+    }
+}
+
+void can_note_positions(can_machine *m, uint32_t drive, uint32_t output)
+{
+    const can_output *from = &m->table.drive[drive].output[output];
+    for (uint32_t i = 0; i < from->setpoint_count; i++) {
+        double target = takes_position(&from->setpoint[i]) ? target_of(m, drive, &from->setpoint[i]) : (double)NAN;
+        if (!isnan(target)) {
+            position_place *place = &m->joint[from->setpoint[i].scale.joint].place;
+            place->sent = target;
+            place->sent_ns = m->now_ns;
+        }
+    }
+}
+
+bool can_place_is_missing(const can_machine *m, uint32_t drive)
+{
+    const can_drive *table = &m->table.drive[drive];
+    bool missing = false;
+    for (uint32_t o = 0; o < table->output_count; o++) {
+        for (uint32_t i = 0; i < table->output[o].setpoint_count; i++) {
+            const can_setpoint *setpoint = &table->output[o].setpoint[i];
+            const position_range range = range_of(m, setpoint);
+            double wanted = may_move(m, drive) ? target_wanted(m, setpoint) : (double)NAN;
+            missing |=
+                takes_position(setpoint) && place_is_missing(&m->joint[setpoint->scale.joint].place, &range, wanted, m->now_ns);
+        }
+    }
+    return missing;
+}
+
+void can_begin_positions(can_machine *m, uint32_t drive)
+{
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        if (has_joint(m, drive, j)) {
+            m->joint[j].place.sent = NAN;
         }
     }
 }
@@ -145,7 +220,8 @@ static void read_count(can_joint_state *joint, const can_field *field, double nu
 {
     double count = number * field->meaning.si_per_raw + field->si_at_zero;
     joint->no_number = !(fabs(count) < COUNT_MAX);
-    joint->position_number = joint->no_number ? (double)NAN : number;
+    joint->place.measured = joint->no_number ? (double)NAN : number;
+    joint->place.measured_ns = stamp_ns;
     if (!joint->no_number) {
         joint->feedback.count = (uint64_t)(int64_t)nearbyint(count) & count_mask(field->meaning.counter_bits);
         joint->count_ns = stamp_ns;
@@ -193,11 +269,6 @@ void can_read(can_machine *m, uint32_t drive, const can_input *input, const uint
     }
 }
 
-static bool has_joint(const can_machine *m, uint32_t drive, uint32_t joint)
-{
-    return (m->drive[drive].joints >> joint & 1) != 0;
-}
-
 void can_publish(can_machine *m, uint32_t drive)
 {
     const can_drive_state *state = &m->drive[drive];
@@ -223,8 +294,8 @@ void can_forget(can_machine *m, uint32_t drive)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         if (has_joint(m, drive, j)) {
-            m->joint[j] =
-                (can_joint_state){.fault_word = m->joint[j].fault_word, .feedback = feedback_unknown(), .position_number = NAN};
+            m->joint[j] = (can_joint_state){
+                .fault_word = m->joint[j].fault_word, .feedback = feedback_unknown(), .place = {.measured = NAN, .sent = NAN}};
         }
     }
     memset(m->drive[drive].sample_ns, 0, sizeof m->drive[drive].sample_ns);

@@ -14,6 +14,7 @@ static void note_joints(line_machine *m, uint32_t number, const line_exchange *t
 {
     for (uint32_t i = 0; i < turn->setpoint_count; i++) {
         note_joint(m, number, turn->setpoint[i].joint);
+        m->joint[turn->setpoint[i].joint].place_form = turn->setpoint[i].form & 1;
     }
     for (uint32_t i = 0; i < turn->field_count; i++) {
         const line_field *field = &turn->field[i];

@@ -62,12 +62,16 @@ static drive_view view_of(const line_machine *m, uint32_t number, int64_t now_ns
                         .enabled = m->newest.enabled == 1,
                         .left_alone = !busy && drive_left_alone(drive->answered_ns, now_ns, watchdog_ns),
                         .shut_down = m->control.shut_down != 0,
+                        .position_unknown = line_place_is_missing(m, number),
                         .enabled_count = m->enabled_count};
 }
 
 void line_guard(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
+    if (drive->state.mode != DRIVE_ARMED) {
+        line_begin_positions(m, number);
+    }
     drive_view view = view_of(m, number, now_ns);
     line_begin_stop(m, number, drive_guard(&drive->state, &view), now_ns);
     if (drive_has_to_rest(&drive->state, line_wants_motion(m, number)) && drive->due_ns > now_ns) {

@@ -450,6 +450,7 @@ void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, ui
     m->answered = false;
     m->notify = false;
     m->round_trip_ns = 0;
+    m->now_ns = now_ns;
     receive(m, now_ns, bytes, count);
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         line_obey_request(m, i, now_ns);
@@ -467,6 +468,7 @@ void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, ui
 
 void line_machine_kick(line_machine *m, int64_t now_ns)
 {
+    m->now_ns = now_ns;
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         line_drive_state *drive = &m->drive[i];
         if (drive->state.mode == DRIVE_ARMED && drive->due_ns > now_ns) {

@@ -19,6 +19,7 @@
 
 #include "drive_state.h"
 #include "ending.h"
+#include "position_place.h"
 #include "rtu.h"
 
 static const int64_t LINE_MS = 1000000;
@@ -134,11 +135,13 @@ typedef struct {
 
 typedef struct {
     joint_feedback feedback;
+    position_place place;
     int64_t count_ns; /* stamps of the newest of each kind */
     int64_t velocity_ns;
     int64_t newest_ns;
-    uint32_t counts;   /* 1: a COUNT field is there */
-    uint32_t measures; /* 1: a VELOCITY field is there */
+    uint32_t counts;     /* 1: a COUNT field is there */
+    uint32_t measures;   /* 1: a VELOCITY field is there */
+    uint32_t place_form; /* 1: its targets have a sign, so its place is read with one */
     uint32_t fault_word;
 } line_joint_state;
 
@@ -148,6 +151,7 @@ typedef struct line_machine {
     line_joint_state joint[JOINTS_MAX];
     setpoints newest;       /* the core's */
     uint64_t enabled_count; /* how often they have become enabled */
+    int64_t now_ns;         /* of this step */
     line_control control;
     line_request request[LINE_REQUESTS_MAX]; /* those that wait; the urgent ones first */
     uint32_t request_count;
@@ -239,6 +243,10 @@ uint32_t line_direction_wanted(const line_machine *m, uint32_t drive, uint32_t d
 /* What may go to the drive now: the joint's set-point, or 0 unless armed, fresh and enabled. */
 double line_wanted(const line_machine *m, uint32_t drive, uint32_t joint, uint32_t kind);
 bool line_wants_motion(const line_machine *m, uint32_t drive);
+/* A joint of it is to begin at the place where it is, and that is missing. */
+bool line_place_is_missing(const line_machine *m, uint32_t drive);
+/* It is not armed: its first targets are still to be sent. */
+void line_begin_positions(line_machine *m, uint32_t drive);
 /* Whether what it got last differs from what it would get now. */
 bool line_differs(line_machine *m, uint32_t drive);
 /* Its values are not known any more. */

@@ -68,7 +68,7 @@ static void check_range(finding *f, const line_setpoint *setpoint)
     double span = ldexp(1.0, (int)(8 * rtu_form_bytes(setpoint->form)));
     double least = form_has_sign ? -span / 2.0 : 0.0, most = form_has_sign ? span / 2.0 - 1.0 : span - 1.0;
     least += setpoint->form == FORM_M16_LE ? 1.0 : 0.0;
-    check_span(f, setpoint->kind, setpoint->raw_offset, setpoint->raw_min, setpoint->raw_max);
+    check_span(f, setpoint->kind, setpoint->raw_offset, setpoint->raw_min, setpoint->raw_max, setpoint->raw_per_s);
     need(f, setpoint->raw_min >= least, "setpoint.raw_min");
     need(f, setpoint->raw_max <= most, "setpoint.raw_max");
 }

@@ -19,14 +19,71 @@ static bool may_move(const line_machine *m, uint32_t drive)
     return drive_may_move(&m->drive[drive].state, true, m->newest.enabled == 1);
 }
 
+static bool takes_position(const line_setpoint *setpoint)
+{
+    return setpoint->kind == SETPOINT_POSITION;
+}
+
+static position_range range_of(const line_machine *m, uint32_t drive, const line_setpoint *setpoint)
+{
+    int64_t period_ns = m->table.drive[drive].period_ns;
+    return (position_range){.least = setpoint->raw_min,
+                            .most = setpoint->raw_max,
+                            .per_s = setpoint->raw_per_s,
+                            .window_ns = place_window_ns(m->table.setpoint_timeout_ns, period_ns)};
+}
+
+/* The target that is wanted, as its request would carry it; NaN: none is, or none may. */
+static double target_wanted(const line_machine *m, uint32_t drive, const line_setpoint *setpoint)
+{
+    double wanted_rad = may_move(m, drive) ? setpoint_of(&m->newest, setpoint->joint, SETPOINT_POSITION) : (double)NAN;
+    return wanted_rad * setpoint->raw_per_si + setpoint->raw_offset;
+}
+
+/* The target that goes out; NaN: none does. */
+static double target_of(const line_machine *m, uint32_t drive, const line_setpoint *setpoint)
+{
+    const position_range range = range_of(m, drive, setpoint);
+    return place_next(&m->joint[setpoint->joint].place, &range, target_wanted(m, drive, setpoint), m->now_ns);
+}
+
 bool line_sends(const line_machine *m, uint32_t drive, uint32_t turn)
 {
     const line_exchange *from = &m->table.drive[drive].cyclic[turn];
     bool sends = true;
     for (uint32_t i = 0; i < from->setpoint_count; i++) {
-        sends &= may_send(&m->newest, may_move(m, drive), from->setpoint[i].joint, from->setpoint[i].kind);
+        sends &= !takes_position(&from->setpoint[i]) || !isnan(target_of(m, drive, &from->setpoint[i]));
     }
     return sends;
+}
+
+bool line_place_is_missing(const line_machine *m, uint32_t drive)
+{
+    const line_drive *table = &m->table.drive[drive];
+    bool missing = false;
+    for (uint32_t e = 0; e < table->cyclic_count; e++) {
+        for (uint32_t i = 0; i < table->cyclic[e].setpoint_count; i++) {
+            const line_setpoint *setpoint = &table->cyclic[e].setpoint[i];
+            const position_range range = range_of(m, drive, setpoint);
+            missing |= takes_position(setpoint) &&
+                       place_is_missing(&m->joint[setpoint->joint].place, &range, target_wanted(m, drive, setpoint), m->now_ns);
+        }
+    }
+    return missing;
+}
+
+static bool has_joint(const line_machine *m, uint32_t drive, uint32_t joint)
+{
+    return (m->drive[drive].joints >> joint & 1) != 0;
+}
+
+void line_begin_positions(line_machine *m, uint32_t drive)
+{
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        if (has_joint(m, drive, j)) {
+            m->joint[j].place.sent = NAN;
+        }
+    }
 }
 
 double line_wanted(const line_machine *m, uint32_t drive, uint32_t joint, uint32_t kind)
@@ -41,7 +98,10 @@ double line_wanted(const line_machine *m, uint32_t drive, uint32_t joint, uint32
 
 static int64_t raw_of(const line_machine *m, uint32_t drive, const line_setpoint *setpoint)
 {
-    double raw = line_wanted(m, drive, setpoint->joint, setpoint->kind) * setpoint->raw_per_si + setpoint->raw_offset;
+    if (takes_position(setpoint)) {
+        return (int64_t)nearbyint(target_of(m, drive, setpoint));
+    }
+    double raw = line_wanted(m, drive, setpoint->joint, setpoint->kind) * setpoint->raw_per_si;
     if (setpoint->magnitude != 0) {
         raw = fabs(raw);
     }
@@ -55,6 +115,16 @@ static bool is_idle(const line_machine *m, uint32_t drive)
     return state->state.mode == DRIVE_READY && !state->state.stopping && state->state.stop == STOP_NOTHING;
 }
 
+/* What is sent is where the next target begins. */
+static void note_position(line_machine *m, uint32_t drive, const line_setpoint *setpoint)
+{
+    if (takes_position(setpoint)) {
+        position_place *place = &m->joint[setpoint->joint].place;
+        place->sent = target_of(m, drive, setpoint);
+        place->sent_ns = m->now_ns;
+    }
+}
+
 bool line_fill(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out)
 {
     const line_exchange *from = &m->table.drive[drive].cyclic[turn];
@@ -63,9 +133,10 @@ bool line_fill(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out)
     for (uint32_t i = 0; i < from->setpoint_count; i++) {
         const line_setpoint *setpoint = &from->setpoint[i];
         int64_t raw = raw_of(m, drive, setpoint);
+        note_position(m, drive, setpoint);
         rtu_write(out->request + setpoint->byte, setpoint->form, raw);
         m->drive[drive].last_sent[turn][i] = raw;
-        motion |= raw != 0 || setpoint->kind == SETPOINT_POSITION;
+        motion |= raw != 0 || takes_position(setpoint);
     }
     return motion;
 }
@@ -101,8 +172,8 @@ bool line_wants_motion(const line_machine *m, uint32_t drive)
     for (uint32_t e = 0; e < table->cyclic_count; e++) {
         for (uint32_t i = 0; i < table->cyclic[e].setpoint_count; i++) {
             const line_setpoint *setpoint = &table->cyclic[e].setpoint[i];
-            bool goes = setpoint->kind == SETPOINT_POSITION ? line_sends(m, drive, e)
-                                                            : line_wanted(m, drive, setpoint->joint, setpoint->kind) != 0.0;
+            bool goes = takes_position(setpoint) ? line_sends(m, drive, e)
+                                                 : line_wanted(m, drive, setpoint->joint, setpoint->kind) != 0.0;
             if (goes) {
                 return true;
             }
@@ -150,7 +221,8 @@ static void read_field(line_machine *m, uint32_t number, const line_field *field
     switch (field->kind) {
     case FIELD_COUNT:
         joint->feedback.count = (uint64_t)raw;
-        joint->count_ns = stamp_ns;
+        joint->place.measured = (double)rtu_read(reply + field->byte, field->form | joint->place_form);
+        joint->place.measured_ns = joint->count_ns = stamp_ns;
         break;
     case FIELD_FAULT: read_fault(m, field, (uint32_t)raw); break;
     case FIELD_ENABLED: drive->state.enabled = equal ? 1 : 0; break;
@@ -171,17 +243,13 @@ void line_read(line_machine *m, uint32_t drive, const line_exchange *turn, const
     }
 }
 
-static bool has_joint(const line_machine *m, uint32_t drive, uint32_t joint)
-{
-    return (m->drive[drive].joints >> joint & 1) != 0;
-}
-
 void line_forget(line_machine *m, uint32_t drive)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         if (has_joint(m, drive, j)) {
             line_joint_state *joint = &m->joint[j];
             joint->feedback = feedback_unknown();
+            joint->place = (position_place){.measured = NAN, .sent = NAN};
             joint->feedback.epoch = m->drive[drive].state.epoch;
             joint->count_ns = joint->velocity_ns = joint->newest_ns = 0;
         }

@@ -9,7 +9,13 @@ from motord.config.sections.bases import side_of
 from motord.config.sections.imu import LineImu
 from motord.config.sections.line import AnyLine, AsciiLine, CanLine, PwmLine, SerialLine
 from motord.config.sections.model import Joint, Robot
-from motord.config.sections.wheels import Profiles, counts_per_turn, rad_per_count
+from motord.config.sections.wheels import (
+    Profiles,
+    counts_per_turn,
+    rad_per_count,
+    takes_position,
+    velocity_range_rad_s,
+)
 from motord_hal.drives.profile import DriveProfile, Gap
 from motord_hal.fieldbus.ports import (
     BoardEncoder,
@@ -143,6 +149,11 @@ def _encoder(
     )
 
 
+def _position_velocity_rad_s(joint: Joint, profile: DriveProfile) -> float:
+    """As the core limits the motion of its set-point; of a joint that takes none 0."""
+    return velocity_range_rad_s(joint, profile)[1] if takes_position(joint, profile) else 0.0
+
+
 def _joint_spec(
     profiles: Profiles, index: int, name: str, joint: Joint, line: AnyLine
 ) -> JointSpec:
@@ -155,6 +166,7 @@ def _joint_spec(
         gear_ratio=joint.gear_ratio,
         counts_per_turn=counts_per_turn(joint, profiles[joint.drive]) if joint.steers else 0,
         zero_count=joint.zero_count,
+        position_velocity_rad_s=_position_velocity_rad_s(joint, profiles[joint.drive]),
         inverted=joint.inverted,
         cycle_hz=joint.cycle_hz,
         pins=joint.pins,

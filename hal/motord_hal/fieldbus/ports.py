@@ -80,6 +80,8 @@ class JointSpec:
     """Of the motor, of a joint that takes positions; 0: as its profile has them."""
     zero_count: int = 0
     """The counter where the angle of such a joint is 0."""
+    position_velocity_rad_s: float = 0.0
+    """Its target moves no faster, > 0; of other joints 0."""
     pins: Mapping[str, str] = field(default_factory=dict)
     """Pin of the bridge → where it is: "pwmN", or a GPIO line's name or number; with "!" before it
     it is active low. "fault" is an input."""

@@ -85,6 +85,7 @@ class LineSetpoint:
     raw_offset: float = 0.0
     raw_min: float
     raw_max: float
+    raw_per_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

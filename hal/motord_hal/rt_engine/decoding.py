@@ -55,6 +55,13 @@ def raw_per_rad(joint: JointSpec, profile: DriveProfile) -> float:
     return sign * counts / (2.0 * math.pi) * per_count
 
 
+def raw_per_s(joint: JointSpec, profile: DriveProfile) -> float:
+    """How fast the target of a joint that takes positions may move; of others 0."""
+    if profile.channels[joint.channel].position_setpoint is None:
+        return 0.0
+    return abs(raw_per_rad(joint, profile)) * joint.position_velocity_rad_s
+
+
 def _unit_per_count(joint: JointSpec, profile: DriveProfile, register: Register) -> float:
     """A register in turns has the count that the profile makes of them."""
     counts = joint.counts_per_turn or profile.counts_per_turn
@@ -75,6 +82,7 @@ def setpoint_scale(
         "raw_offset": raw_offset(joint, joint.profile),
         "raw_min": limits[0],
         "raw_max": limits[1],
+        "raw_per_s": raw_per_s(joint, joint.profile),
     }
 
 

@@ -286,6 +286,8 @@ def _check_position(profile: DriveProfile, key: str, channel: Channel, problems:
         problems.add(key, "position_setpoint needs position: it begins where the motor is")
     elif target and position and (target.unit, target.scale) != (position.unit, position.scale):
         problems.add(key, "position_setpoint and position differ in unit or scale")
+    if position is not None and position.mask is not None:
+        problems.add(key, "position_setpoint: its position is a whole register, without mask")
     if profile.absolute == (profile.homed is not None):
         problems.add(key, "position_setpoint needs either absolute = true, or [homed]")
     if profile.read_write_function is not None:

@@ -44,6 +44,8 @@ _WARNINGS = MappingProxyType(
     {
         FaultReason.LOST_SETUP: "has lost its set-up: set up again, disarmed",
         FaultReason.DISABLED_ITSELF: "is not enabled any more: set up again, disarmed",
+        FaultReason.POSITION_UNKNOWN: "gets no power: where it is is not known, not fresh, out of "
+        "its range, or not where its first target is: check zero_count",
         FaultReason.STILL_ENABLED: "stays enabled though it is disarmed: it is held at zero speed",
     }
 )
@@ -283,7 +285,11 @@ class RtDrive(abc.ABC):
         self._check_arming(began, Mode.READY)
         await self._obeyed(self._thread.request_mode(self._index, Mode.ARMED))
         if self.mode is not Mode.ARMED:
-            raise HalError(f"{self}: not armed: it was stopped, or the set-points are old")
+            reasons = FaultReason(0) if self._report is None else self._report.fault_reasons
+            why = "it was stopped, or the set-points are old"
+            if FaultReason.POSITION_UNKNOWN in reasons:
+                why = "where it is is not known, not fresh, or out of its range"
+            raise HalError(f"{self}: not armed: {why}")
         self._check_arming(began, Mode.ARMED)
 
     async def write_register(self, register: str, steps: Sequence[Step]) -> float:

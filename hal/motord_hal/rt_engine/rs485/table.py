@@ -33,6 +33,7 @@ from motord_hal.rt_engine.decoding import (
     harmless,
     raw_offset,
     raw_per_rad,
+    raw_per_s,
     setpoint_kind,
     sources_of,
 )
@@ -162,6 +163,7 @@ def _setpoints(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineS
             raw_offset=raw_offset(joint, frames.profile),
             raw_min=low,
             raw_max=high,
+            raw_per_s=raw_per_s(joint, frames.profile),
         )
 
 
