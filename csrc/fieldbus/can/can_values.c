@@ -52,11 +52,6 @@ static double number_of(const can_place *place, int64_t raw)
 }
 
 /* ------------------------------------------------------------------------------------------------ set-points */
-static bool has_joint(const can_machine *m, uint32_t drive, uint32_t joint)
-{
-    return (m->drive[drive].joints >> joint & 1) != 0;
-}
-
 /* can_guard has taken ARMED back before, in this very step, where the set-points are old. */
 static bool may_move(const can_machine *m, uint32_t drive)
 {
@@ -195,9 +190,12 @@ bool can_place_is_missing(const can_machine *m, uint32_t drive)
 
 void can_begin_positions(can_machine *m, uint32_t drive)
 {
-    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        if (has_joint(m, drive, j)) {
-            m->joint[j].place.sent = NAN;
+    const can_drive *table = &m->table.drive[drive];
+    for (uint32_t o = 0; o < table->output_count; o++) {
+        for (uint32_t i = 0; i < table->output[o].setpoint_count; i++) {
+            if (takes_position(&table->output[o].setpoint[i])) {
+                m->joint[table->output[o].setpoint[i].scale.joint].place.sent = NAN;
+            }
         }
     }
 }
@@ -267,6 +265,11 @@ void can_read(can_machine *m, uint32_t drive, const can_input *input, const uint
     for (uint32_t i = 0; i < input->field_count; i++) {
         read_field(m, drive, &input->field[i], data, stamp_ns);
     }
+}
+
+static bool has_joint(const can_machine *m, uint32_t drive, uint32_t joint)
+{
+    return (m->drive[drive].joints >> joint & 1) != 0;
 }
 
 void can_publish(can_machine *m, uint32_t drive)

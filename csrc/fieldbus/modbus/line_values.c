@@ -72,16 +72,14 @@ bool line_place_is_missing(const line_machine *m, uint32_t drive)
     return missing;
 }
 
-static bool has_joint(const line_machine *m, uint32_t drive, uint32_t joint)
-{
-    return (m->drive[drive].joints >> joint & 1) != 0;
-}
-
 void line_begin_positions(line_machine *m, uint32_t drive)
 {
-    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        if (has_joint(m, drive, j)) {
-            m->joint[j].place.sent = NAN;
+    const line_drive *table = &m->table.drive[drive];
+    for (uint32_t e = 0; e < table->cyclic_count; e++) {
+        for (uint32_t i = 0; i < table->cyclic[e].setpoint_count; i++) {
+            if (takes_position(&table->cyclic[e].setpoint[i])) {
+                m->joint[table->cyclic[e].setpoint[i].joint].place.sent = NAN;
+            }
         }
     }
 }
@@ -241,6 +239,11 @@ void line_read(line_machine *m, uint32_t drive, const line_exchange *turn, const
     for (uint32_t i = 0; i < turn->field_count; i++) {
         read_field(m, drive, &turn->field[i], reply, stamp_ns);
     }
+}
+
+static bool has_joint(const line_machine *m, uint32_t drive, uint32_t joint)
+{
+    return (m->drive[drive].joints >> joint & 1) != 0;
 }
 
 void line_forget(line_machine *m, uint32_t drive)
