@@ -437,6 +437,7 @@ typedef struct {
     double curvature_min_per_m;           /* what the ranges of all steering joints allow: -INFINITY..0 */
     double curvature_max_per_m;           /* 0..INFINITY */
     double misaligned_rad;
+    position_following following[JOINTS_MAX];
     uint32_t turns_on_spot;
     uint32_t enabled; /* in the last tick */
     uint32_t unknown; /* bit n: where joint n is is not known */

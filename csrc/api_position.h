@@ -21,6 +21,8 @@ typedef struct {
     double position_max_rad;    /* >= 0, greater than the least */
     double velocity_rad_s;      /* > 0, of the profile */
     double acceleration_rad_s2; /* > 0, in both directions */
+    double following_rad;       /* >= 0: so far it may be from its set-point, beside what it lags while it moves */
+    double following_s;         /* >= 0: a fault where it is farther for so long; 0: no check */
 } position_config;
 
 /* Where a wheel meets the floor, and which joints move it. A steered wheel rolls to angle_rad + the angle of its steering
@@ -53,6 +55,17 @@ typedef struct {
     uint32_t owner; /* the lease that gave the targets */
     uint32_t reserved;
 } joints_state;
+
+/* Since when a joint has been far from its set-point. */
+typedef struct {
+    int64_t since_ns; /* 0: it is not */
+    double nearest_rad;
+} position_following;
+
+/* Whether it follows, apart_rad from its set-point that moves at velocity_rad_s. One that comes nearer is only slow. NaN: not
+ * known, which is another fault. */
+bool position_follows(position_following *following, const position_config *config, double apart_rad, double velocity_rad_s,
+                      int64_t now_ns);
 
 /* One step towards a goal, within velocity and acceleration, so that it ends at rest there and does not pass it. A goal that
  * comes nearer than it can brake is passed, and returned to. A goal that is not finite: it brakes. dt_s > 0. */

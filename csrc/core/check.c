@@ -101,10 +101,9 @@ static const rule OWN_RULES[] = {
 
 /* Of a joint that takes positions. */
 static const rule POSITION_RULES[] = {
-    RULE(joint_config, position.position_min_rad, -MOST, 0.0),
-    RULE(joint_config, position.position_max_rad, 0.0, MOST),
-    RULE(joint_config, position.velocity_rad_s, LEAST, MOST),
-    RULE(joint_config, position.acceleration_rad_s2, LEAST, MOST),
+    RULE(joint_config, position.position_min_rad, -MOST, 0.0), RULE(joint_config, position.position_max_rad, 0.0, MOST),
+    RULE(joint_config, position.velocity_rad_s, LEAST, MOST),  RULE(joint_config, position.acceleration_rad_s2, LEAST, MOST),
+    RULE(joint_config, position.following_rad, 0.0, MOST),     RULE(joint_config, position.following_s, 0.0, MOST),
 };
 
 static const rule MODULE_RULES[] = {

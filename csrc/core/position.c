@@ -41,3 +41,21 @@ void position_step(position_profile *profile, const position_config *config, dou
     profile->position_rad = arrives ? goal_rad : from_rad + moved_rad;
     profile->velocity_rad_s = next_rad_s;
 }
+
+/* A position loop lags behind a target that moves: its speed over the loop's gain, which is 4 / s and more. */
+static const double LAG_S = 0.25;
+static const double NEARER_PART = 0.1; /* of following_rad: by so much it comes nearer, or it does not */
+
+bool position_follows(position_following *following, const position_config *config, double apart_rad, double velocity_rad_s,
+                      int64_t now_ns)
+{
+    double allowed_rad = config->following_rad + LAG_S * fabs(velocity_rad_s);
+    if (!(config->following_s > 0.0) || !(apart_rad > allowed_rad)) {
+        following->since_ns = 0;
+        return true;
+    }
+    if (following->since_ns == 0 || apart_rad < following->nearest_rad - NEARER_PART * config->following_rad) {
+        *following = (position_following){.since_ns = now_ns, .nearest_rad = apart_rad};
+    }
+    return (double)(now_ns - following->since_ns) * 1e-9 < config->following_s;
+}

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from motord.config.sections.bases import wheel_modules, wheel_row
 from motord.config.sections.derating import PAIRS, Derating
+from motord.config.sections.feedback import FeedbackChecks
 from motord.config.sections.imu import Imu
 from motord.config.sections.limits import Limits
 from motord.config.sections.model import Joint, Robot
@@ -114,7 +115,7 @@ def _modules(robot: Robot) -> list[WheelModule]:
     ]
 
 
-def _position(joint: Joint, profile: DriveProfile) -> PositionConfig:
+def _position(joint: Joint, profile: DriveProfile, checks: FeedbackChecks) -> PositionConfig:
     """All zero for a joint that takes none. What its counter shows at its zero is the joint's own
     frame: gear and mounting are in rad_per_count."""
     if not takes_position(joint, profile):
@@ -128,6 +129,8 @@ def _position(joint: Joint, profile: DriveProfile) -> PositionConfig:
         "position_max_rad": joint.position_max_rad or 0.0,
         "velocity_rad_s": velocity_range_rad_s(joint, profile)[1],
         "acceleration_rad_s2": joint.acceleration_max_rad_s2,
+        "following_rad": checks.position_following_rad,
+        "following_s": checks.position_following_s,
     }
 
 
@@ -185,7 +188,7 @@ def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
         "speed_loop": _speed_loop(joint, profile, reversible=backward_rad_s < 0),
         "plausible": {} if joint.steers else _plausible(robot, name, profile),
         "derating": _derating(joint.derating or Derating()),
-        "position": _position(joint, profile),
+        "position": _position(joint, profile, robot.safety.feedback),
     }
 
 

@@ -20,8 +20,16 @@ _CHECK = {
 }
 
 
-def doubt_text(doubt: DoubtSnapshot, joint: str, now_ns: int) -> str:
+def doubt_text(
+    doubt: DoubtSnapshot, joint: str, now_ns: int, *, takes_position: bool = False
+) -> str:
     """Which wheel, what was measured, since when, and what to check."""
+    if takes_position and doubt.fault == "following_error":
+        return (
+            f"{joint} has been far from its set-point for {(now_ns - doubt.since_ns) / 1e9:.1f} s"
+            " and comes no nearer: check that it is free, its drive's current and speed limits, and"
+            " zero_count, counts_per_turn and gear_ratio of the joint"
+        )
     reported = ""
     if math.isfinite(doubt.reported_rad_s) and doubt.fault == "implausible_feedback":
         reported = f", {doubt.reported_rad_s:.2f} rad/s reported by its drive"

@@ -23,7 +23,7 @@ from motord.base.log import about
 from motord.base.sdnotify import Notifier
 from motord.config import Limits, Robot
 from motord.config.sections.speed_loop import SpeedLoop
-from motord.config.sections.wheels import gains_of
+from motord.config.sections.wheels import gains_of, takes_position
 from motord.control.assembly import base_limits, speed_loop_gains
 from motord.control.battery import BatteryLevel, BatteryWatch
 from motord.control.doubt import doubt_text
@@ -428,8 +428,9 @@ class Operation:
             "suspended": "the computer was suspended; look at the robot, then motord reset",
         }
         if snapshot.doubt is not None:
-            joint = list(self.robot.joint)[snapshot.doubt.joint]
-            text = doubt_text(snapshot.doubt, joint, snapshot.stamp_ns)
+            name, joint = list(self.robot.joint.items())[snapshot.doubt.joint]
+            positioned = takes_position(joint, self.robot.profiles[joint.drive])
+            text = doubt_text(snapshot.doubt, name, snapshot.stamp_ns, takes_position=positioned)
             details[snapshot.doubt.fault] = text
         return [
             f"{fault}: {details[fault]}" if details.get(fault) else fault

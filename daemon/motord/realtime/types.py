@@ -105,6 +105,8 @@ class PositionConfig(TypedDict, total=False):
     position_max_rad: float
     velocity_rad_s: float
     acceleration_rad_s2: float
+    following_rad: float
+    following_s: float
 
 
 class JointConfig(TypedDict):

@@ -34,6 +34,22 @@ class FeedbackChecks(Section):
     following_part: float = number(
         "how much slower than its set-point a wheel may be", 0.01, 10, "1", 0.4
     )
+    position_following_s: float = number(
+        "a joint that takes positions and is farther than position_following_rad from its "
+        "set-point for so long, and comes no nearer, is a fault; 0: no check",
+        0,
+        60,
+        "s",
+        1.0,
+    )
+    position_following_rad: float = number(
+        "how far from its set-point a joint that takes positions may be, beside the way that its "
+        "set-point makes in 0.25 s",
+        0.001,
+        10,
+        "rad",
+        0.15,
+    )
     runaway_s: float = number(
         "a wheel that is faster by runaway_part for so long and comes no nearer to its set-point "
         "is a fault; 0: no check",

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A steered base in simulation one of whose steering servos is blocked."""
+
+import contextlib
+
+from daemon_stage import ROOT, running, wait_until
+
+from motord.client import Refused
+
+ROBOT = ROOT / "config/robots/swerve4-servos.toml"
+STEERING_UNIT = 2
+
+
+def test_a_blocked_steering_servo_is_a_following_error_that_names_it_and_takes_the_power(tmp_path):
+    with running(tmp_path, robot=ROBOT) as stage:
+        stage.sim.inject(f"blocked:unit={STEERING_UNIT}")
+
+        def attempt():
+            with contextlib.suppress(Refused):
+                if stage.state() != "fault":
+                    stage.robot.arm()
+                stage.robot.drive(0.0, 0.6)
+            return "following_error" in stage.robot.status()["faults"]
+
+        wait_until(attempt, stage.said())
+        why = " ".join(stage.robot.status()["why"])
+        assert "following_error: front_left_steering has been far from its set-point" in why
+        wait_until(
+            lambda: not any(joint.enabled for joint in stage.sim.truth().joints.values()),
+            "the drives have no power",
+        )
