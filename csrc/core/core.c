@@ -4,6 +4,7 @@
  *
  * The order is core_step()'s at the foot of the page. Set-points are built from zero in each tick.
  */
+#include "following.h"
 #include "goal.h"
 #include "independent.h"
 #include "loops.h"
@@ -258,12 +259,6 @@ static void take_gyro(core_state *state, const tick *t)
     gyro_take(&state->odometry.gyro, config, &t->input->imu, t->input->now_ns, wheels_rest);
 }
 
-/* All of them, or none. */
-static uint32_t joints_with_power(const core_state *state)
-{
-    return state->armed | state->holding ? state->config.joint_count : 0;
-}
-
 /* Does a wheel follow its set-point? */
 static void doubt(core_state *state, tick *t)
 {
@@ -295,40 +290,6 @@ static void doubt(core_state *state, tick *t)
     }
     if (t->moving) {
         zero_at_once(state, t);
-    }
-}
-
-/* Is a joint that takes positions where its set-point is? */
-__attribute__((noinline)) static void doubt_positions(core_state *state, tick *t)
-{
-    steer_state *steer = &state->steer;
-    int64_t now_ns = t->input->now_ns;
-    for (uint32_t j = 0; j < state->config.joint_count; j++) {
-        const position_config *own = &state->config.joint[j].position;
-        const position_profile *profile = &steer->profile[j];
-        position_following *following = &steer->following[j];
-        if (!own->used || own->reference == REFERENCE_ESTIMATED || state->stale[j]) {
-            continue;
-        }
-        if (joints_with_power(state) == 0) {
-            following->since_ns = 0;
-            continue;
-        }
-        double apart_rad = fabs(profile->position_rad - state->odometry.angle_rad[j]);
-        int64_t since_ns = following->since_ns;
-        if (position_follows(following, own, apart_rad, profile->velocity_rad_s, now_ns)) {
-            continue;
-        }
-        if (state->snapshot.doubt.fault == 0) {
-            state->snapshot.doubt = (feedback_doubt){.since_ns = since_ns,
-                                                     .setpoint_rad_s = profile->velocity_rad_s,
-                                                     .measured_rad_s = state->odometry.joint[j].velocity_rad_s,
-                                                     .reported_rad_s = NAN,
-                                                     .fault = FAULT_FOLLOWING_ERROR,
-                                                     .joint = j};
-        }
-        watch_latch(state, FAULT_FOLLOWING_ERROR);
-        t->calm = false;
     }
 }
 

@@ -43,8 +43,8 @@ class FeedbackChecks(Section):
         1.0,
     )
     position_following_rad: float = number(
-        "how far from its set-point a joint that takes positions may be, beside the way that its "
-        "set-point makes in 0.25 s",
+        "how far from its set-point a joint that takes positions may be, beside what its set-point "
+        "moves in 0.25 s",
         0.001,
         10,
         "rad",
