@@ -95,6 +95,9 @@ void odometry_init(odometry_state *state, const core_config *config)
     }
     for (uint32_t j = 0; j < config->joint_count; j++) {
         state->joint[j].constant = constants_of(&config->joint[j], config->feedback_timeout_s);
+        if (config->joint[j].position.used && config->joint[j].position.reference == REFERENCE_ESTIMATED) {
+            state->angle_rad[j] = 0.0; /* as its profile begins */
+        }
     }
     pose_to_origin(state, config);
     kinematics_invert(config, (1U << config->joint_count) - 1U, &state->used);

@@ -112,6 +112,25 @@ static void take_rates(spread_state *spread, const errors *of, double scrub_rad2
     spread->lateral_angular_m_rad_s = of->lateral_angular * per_s;
 }
 
+/* A wheel whose angle is estimated may point beside it by so much, and does so for about a metre. */
+static const double ESTIMATED_RAD = 0.03;
+static const double ESTIMATED_FOR_M = 1.0;
+
+/* It turns the base by distance times angle over its lever; summed over such metres as a random walk. */
+static double estimated_rad2(const core_config *config, double distance_m)
+{
+    double worst_rad2 = 0.0;
+    for (uint32_t i = 0; i < config->module_count; i++) {
+        const wheel_module *module = &config->module[i];
+        double lever2_m2 = module->x_m * module->x_m + module->y_m * module->y_m;
+        if (module->steering != 0 && lever2_m2 > 0.0 &&
+            config->joint[module->steering - 1].position.reference == REFERENCE_ESTIMATED) {
+            worst_rad2 = larger(worst_rad2, ESTIMATED_RAD * ESTIMATED_RAD * ESTIMATED_FOR_M * distance_m / lever2_m2);
+        }
+    }
+    return worst_rad2;
+}
+
 void spread_look(odometry_state *state, const core_config *config, int64_t now_ns)
 {
     spread_state *spread = &state->spread;
@@ -128,6 +147,10 @@ void spread_look(odometry_state *state, const core_config *config, int64_t now_n
     }
     errors found = errors_of(spread, config, used, elapsed_s);
     double scrub_rad2 = config->turn_variance_rad2_per_rad * fabs(moved_u[AXIS_ANGULAR]);
+    if (config->module_count > 0) {
+        scrub_rad2 += estimated_rad2(
+            config, sqrt(moved_u[AXIS_LINEAR] * moved_u[AXIS_LINEAR] + moved_u[AXIS_LATERAL] * moved_u[AXIS_LATERAL]));
+    }
     if (spread->by_gyro) {
         found.angular2 = spread->gyro_rad2;
         found.linear_angular = found.lateral_angular = scrub_rad2 = 0.0;

@@ -267,6 +267,25 @@ def test_a_joint_that_is_only_slow_follows(kind):
         assert rig.shown.faults == 0
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_angle_that_is_estimated_makes_the_heading_less_certain_than_one_that_is_measured(kind):
+    variances = []
+    for reference in (lib.REFERENCE_ABSOLUTE, lib.REFERENCE_ESTIMATED):
+        joints = [
+            joint | {"position": joint["position"] | {"reference": reference}}
+            if "position" in joint
+            else joint
+            for joint in oracle.parts_of(kind)[1]
+        ]
+        rig = SteeredRig(kind, joint=joints)
+        rig.arm()
+        rig.drive(0.5)
+        rig.ticks(6.0)
+        assert rig.shown.distance_m > 1.0
+        variances.append(rig.shown.pose_covariance[5] / rig.shown.distance_m)
+    assert variances[1] > 2.0 * variances[0]
+
+
 def test_a_swerve_module_turns_by_less_than_a_quarter_and_rolls_backward_instead():
     rig = SteeredRig("swerve4")
     rig.arm()
