@@ -255,6 +255,25 @@ class Client:
         )
         return result
 
+    def joints(
+        self,
+        position_rad: Mapping[str, float] | None = None,
+        velocity_rad_s: Mapping[str, float] | None = None,
+        *,
+        owner: str | None = None,
+        priority: int | None = None,
+        lease_s: float | None = None,
+    ) -> dict[str, Any]:
+        """Request positions and speeds of joints without a base, by their names. A joint that is
+        left out comes to rest or, where it takes positions, goes on to the one that this owner has
+        requested, as long as commands come. Returns the source in command."""
+        wanted = {"position_rad": position_rad, "velocity_rad_s": velocity_rad_s}
+        given = {key: dict(value) for key, value in wanted.items() if value is not None}
+        lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
+        rest = {key: value for key, value in lease.items() if value is not None}
+        result: dict[str, Any] = self.call("joints", **given, **rest)
+        return result
+
     def move(
         self,
         distance_m: float,

@@ -20,6 +20,8 @@ ESTIMATED = {
     "waveshare-ugv": Source.SPEEDS,
 }
 """The robots without position counters; the others are judged."""
+JOINTS = {"pan-tilt": {"pan": "position", "tilt": "position"}}
+"""The robots without a base, and what each joint takes."""
 SENTENCES = {
     Source.COUNTERS: "every wheel has a position counter",
     Source.SPEEDS: "an estimate, not judged by a limit: a wheel without a position counter",
@@ -69,6 +71,10 @@ def test_a_shipped_robot_drives_the_course_and_reports_what_its_odometry_is_wort
     result = json.loads(run.stdout)
     assert result["ok"] is True
     assert result["safety"]["faults"] == []
+    if name in JOINTS:
+        assert {joint: one["takes"] for joint, one in result["joints"].items()} == JOINTS[name]
+        assert all(one["travel_rad"] > 0.5 for one in result["joints"].values())
+        return
     assert result["odometry"]["distance_m"] > 0.5
     if name.startswith("asyncio-"):
         assert set(result["engine"].values()) == {"asyncio"}

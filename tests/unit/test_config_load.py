@@ -113,7 +113,6 @@ def test_a_wrong_value_is_reported_with_its_line_and_what_is_right(problems_of, 
 @pytest.mark.parametrize(
     ("right", "wrong", "row"),
     [
-        ('"differential"', '"joints"', "base.kind: {} is not in this version of motord"),
         ('"modbus-rtu"', '"canopen"', "line.rs485.kind: {} is not in this version of motord"),
         ('"stdout"', '"zenoh"', "publish.console.kind: {} is not in this version of motord"),
         ('"stdout"', '"stdio"', "publish.console.kind: {} is unknown"),

@@ -30,6 +30,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "arm": ("motord.cli.talk:arm", "Power the drives; the robot may move."),
     "disarm": ("motord.cli.talk:disarm", "Come to rest and power the drives off."),
     "drive": ("motord.cli.talk:drive", "Drive at a speed and a turn rate."),
+    "joints": ("motord.cli.joints:joints", "Move joints of a robot without a base."),
     "move": ("motord.cli.move:move", "Drive a distance in metres."),
     "turn": ("motord.cli.move:turn", "Turn by an angle in radians."),
     "teleop": ("motord.cli.teleop:teleop", "Drive with the keyboard or a gamepad."),

@@ -68,6 +68,7 @@ def _print(
         click.echo(str(warning.as_warning()))
     if robot:
         joints = ", ".join(robot.joint)
-        click.echo(f"{robot_file}: ok: {robot.robot.name}, {robot.base.kind} base, joints {joints}")
+        base = "no base" if robot.base.kind == "joints" else f"{robot.base.kind} base"
+        click.echo(f"{robot_file}: ok: {robot.robot.name}, {base}, joints {joints}")
         for row in understood_rows(robot):
             click.echo(row)

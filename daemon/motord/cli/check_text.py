@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from motord.cli.status_text import commanders_text
 from motord.config import Robot
-from motord.config.understood import Understood, Watchdog, Wheel, Wire, understood
+from motord.config.understood import FreeJoint, Understood, Watchdog, Wheel, Wire, understood
 
 KM_H = 3.6
 _WIDTH = 14
@@ -17,10 +17,14 @@ _WIDTH = 14
 def understood_rows(robot: Robot) -> Iterator[str]:
     """The lines: a subject, and what follows from the file."""
     found = understood(robot)
-    rows: list[tuple[str, str]] = [
+    base: list[tuple[str, str]] = [
         ("top speed", _speed(found)),
         *_grouped("wheel", ((wheel.joint, _wheel(wheel)) for wheel in found.wheels)),
         ("stops", _stops(found, robot)),
+    ]
+    rows: list[tuple[str, str]] = [
+        *_grouped("joint", ((joint.joint, _joint(joint)) for joint in found.joints)),
+        *(() if found.joints else base),
         *((f"line {wire.line}", _wire(wire)) for wire in found.wires),
         ("may command", commanders_text(robot.commanders())),
         *(("kill -9", _watchdog(watchdog)) for watchdog in found.watchdogs),
@@ -51,6 +55,16 @@ def _wheel(wheel: Wheel) -> str:
     if wheel.travel_per_count_mm is None:
         return f"{text}, no counter"
     return f"{text}, {wheel.travel_per_count_mm:.3g} mm per count"
+
+
+def _joint(joint: FreeJoint) -> str:
+    where = f"{joint.velocity_min_rad_s:.3g} to {joint.velocity_max_rad_s:.3g} rad/s"
+    if joint.position_min_rad is not None and joint.position_max_rad is not None:
+        where = (
+            f"{joint.position_min_rad:.3g} to {joint.position_max_rad:.3g} rad, at "
+            f"{joint.velocity_max_rad_s:.3g} rad/s"
+        )
+    return f"{joint.takes}, {where}, at rest from full speed in {joint.stop_time_s:.2f} s"
 
 
 def _stops(found: Understood, robot: Robot) -> str:

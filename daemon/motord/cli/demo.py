@@ -7,6 +7,7 @@ import signal
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -22,6 +23,7 @@ from motord.client import ClientError
 from motord.tools.course import DISTANCE_ERROR_MAX_PERCENT, HEADING_ERROR_MAX_RAD, draw
 from motord.tools.demo import DemoError, Result, Stage, run_demo, show_dashboard
 from motord.tools.demo_words import error_words, held_up_words, overrun_words
+from motord.tools.joint_demo import ERROR_MAX_RAD, JointResult, run_joint_demo
 from motord_hal.base.paths import config_dir
 from motord_hal.sim.control import ControlError
 
@@ -85,7 +87,8 @@ def demo(
                 path, loaded, port, lambda stage: stay_with_dashboard(stage, port, as_json)
             )
             return
-        result = run_demo(path, loaded, seconds, progress, stay_up if stay else None)
+        run = run_joint_demo if loaded.base.kind == "joints" else run_demo
+        result = run(path, loaded, seconds, progress, stay_up if stay else None)
     except (DemoError, ControlError, ClientError) as error:
         progress("")
         raise Failure(str(error)) from error
@@ -146,10 +149,34 @@ def wait_for_end(stage: Stage) -> None:
         return
 
 
-def show(result: Result) -> None:
+def show(result: Result | JointResult) -> None:
     """For a person: the path, then what was measured and what it means."""
     report = result.to_json()
-    odometry, loop = report["odometry"], report["loop"]
+    if isinstance(result, Result):
+        show_odometry(result, report["odometry"], report)
+    else:
+        show_joints(result, report)
+    show_machine(result, report)
+    if isinstance(result, Result):
+        busy = (result.drives_held_up_s, result.program_held_up_s, result.daemon_waited_part)
+        row("", held_up_words(*busy))
+    click.echo("ok" if report["ok"] else "NOT ok")
+
+
+def show_joints(result: JointResult, report: dict[str, Any]) -> None:
+    click.echo(f"{result.robot}: {len(result.joints)} joints in {report['seconds']:.1f} s")
+    for name, score in result.joints.items():
+        what = "from its positions" if score.takes == "position" else "of its travel"
+        row(
+            name,
+            f"{score.travel_rad:.2f} rad, {score.error_rad:.4f} rad off {what} by the truth "
+            f"(at most {ERROR_MAX_RAD} rad)",
+        )
+        if score.source != "counters":
+            row("", "nothing measures its angle: motord reports an estimate from its set-points")
+
+
+def show_odometry(result: Result, odometry: dict[str, Any], report: dict[str, Any]) -> None:
     click.echo(draw(result.path))
     click.echo()
     click.echo(f"{report['robot']}: {odometry['distance_m']:.2f} m in {report['seconds']:.1f} s")
@@ -163,6 +190,11 @@ def show(result: Result) -> None:
     row("", report["worth"])
     if result.chip_imu:
         row("", "nothing stands for the gyro on I2C here: the heading is that of the wheels")
+
+
+def show_machine(result: Result | JointResult, report: dict[str, Any]) -> None:
+    """Loop, lines and safety."""
+    loop = report["loop"]
     late = loop["lateness_us"]
     row(
         "loop",
@@ -193,9 +225,6 @@ def show(result: Result) -> None:
     if safety["faults"]:
         for text in result.status["why"]:
             row("", text)
-    busy = (result.drives_held_up_s, result.program_held_up_s, result.daemon_waited_part)
-    row("", held_up_words(*busy))
-    click.echo("ok" if report["ok"] else "NOT ok")
 
 
 def row(name: str, text: str) -> None:

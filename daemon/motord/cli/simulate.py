@@ -30,6 +30,7 @@ from motord.cli.common import (
 from motord.config import Joint, Robot
 from motord.config.sections.bases import (
     CarBase,
+    JointsBase,
     SteeredBase,
     WheelRow,
     side_of,
@@ -254,7 +255,7 @@ def rig_spec(robot: Robot, faults: tuple[str, ...], seed: int) -> RigSpec:
     profiles = robot.profiles
     return RigSpec(
         robot=robot.robot.name,
-        track_m=robot.base.effective_track_m,
+        track_m=robot.base.effective_track_m or 1.0,  # without a base nothing rolls on it
         lines=line_specs(robot, profiles),
         wheels={name: _wheel(robot, name, joint) for name, joint in robot.joint.items()},
         modules=tuple(_modules(robot)),
@@ -282,7 +283,7 @@ def _wheel(robot: Robot, name: str, joint: Joint) -> WheelSpec:
         side=side_of(robot.base, joint),
         wheel_radius_m=robot.wheel_radius_m(name),
         row=_row(robot, joint),
-        rolls=not joint.steers,
+        rolls=not (joint.steers or isinstance(robot.base, JointsBase)),
         full_duty_rad_s=joint.full_duty_rad_s or FULL_DUTY_RAD_S,
         counts_per_turn=joint.counts_per_turn or 0,
     )

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 from motord.config.rules.can import bus_load
 from motord.config.rules.wire import budget
-from motord.config.sections.bases import wheel_row
+from motord.config.sections.bases import JointsBase, wheel_row
 from motord.config.sections.limits import LATERAL_KEYS
 from motord.config.sections.model import Robot
 from motord.config.sections.section import Section
-from motord.config.sections.wheels import rad_per_count, velocity_range_rad_s
+from motord.config.sections.wheels import rad_per_count, takes_position, velocity_range_rad_s
 from motord.config.wiring import line_specs
 
 RPM_PER_RAD_S = 60.0 / math.tau
@@ -30,6 +30,23 @@ class Wheel:
     wheel_radius_m: float
     travel_per_count_mm: float | None
     """On the ground. None: nothing counts."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FreeJoint:
+    """A joint without a base."""
+
+    joint: str
+    takes: str
+    """`position` or `velocity`."""
+    position_min_rad: float | None
+    """None: it takes velocities."""
+    position_max_rad: float | None
+    velocity_min_rad_s: float
+    velocity_max_rad_s: float
+    acceleration_rad_s2: float
+    stop_time_s: float
+    """From full speed, by a stop."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +83,8 @@ class Understood:
     lost_distance_m: float
     """From top speed, when the commands end: with the time until that is noticed."""
     wheels: tuple[Wheel, ...]
+    joints: tuple[FreeJoint, ...]
+    """Without a base; the lengths and speeds above are 0 then."""
     wires: tuple[Wire, ...]
     watchdogs: tuple[Watchdog, ...]
     defaults: dict[str, dict[str, float | str | bool | None]]
@@ -74,17 +93,21 @@ class Understood:
 
 def understood(robot: Robot) -> Understood:
     """The numbers; of a robot file without problems."""
-    profiles = robot.profiles
+    profiles, free = robot.profiles, isinstance(robot.base, JointsBase)
     ranges = {
         name: velocity_range_rad_s(joint, profiles[joint.drive])
         for name, joint in robot.joint.items()
     }
     radii = {name: robot.wheel_radius_m(name) for name in robot.joint}
     rows = {name: wheel_row(robot.base, joint) for name, joint in robot.joint.items()}
-    wheels_m_s = min(
-        ranges[name][1 if row.x > 0.0 else 0] * radii[name] / row.x
-        for name, row in rows.items()
-        if row.x
+    driven = [name for name, row in rows.items() if row.x]
+    wheels_m_s = (
+        min(
+            (ranges[name][1 if rows[name].x > 0.0 else 0] * radii[name] / rows[name].x)
+            for name in driven
+        )
+        if driven
+        else 0.0
     )
     spot_rad_s = min(
         [
@@ -104,16 +127,36 @@ def understood(robot: Robot) -> Understood:
         stop_time_s=stop_s,
         stop_distance_m=stop_m,
         lost_distance_m=stop_m + top_m_s * robot.safety.command_timeout_s,
-        wheels=tuple(
+        wheels=()
+        if free
+        else tuple(
             _wheel(robot, name, top_m_s) for name, joint in robot.joint.items() if not joint.steers
         ),
+        joints=tuple(_free_joint(robot, name) for name in robot.joint) if free else (),
         wires=tuple(_wires(robot)),
         watchdogs=tuple(_watchdogs(robot)),
         defaults={
             name: found
-            for name in ("limits", "safety", "loop")
+            for name in (("safety", "loop") if free else ("limits", "safety", "loop"))
             if (found := _defaults(getattr(robot, name), robot.base.strafes))
         },
+    )
+
+
+def _free_joint(robot: Robot, name: str) -> FreeJoint:
+    joint, profile = robot.joint[name], robot.profiles[robot.joint[name].drive]
+    low_rad_s, high_rad_s = velocity_range_rad_s(joint, profile)
+    takes = takes_position(joint, profile)
+    falls = joint.deceleration_max_rad_s2 or joint.acceleration_max_rad_s2
+    return FreeJoint(
+        joint=name,
+        takes="position" if takes else "velocity",
+        position_min_rad=joint.position_min_rad if takes else None,
+        position_max_rad=joint.position_max_rad if takes else None,
+        velocity_min_rad_s=low_rad_s,
+        velocity_max_rad_s=high_rad_s,
+        acceleration_rad_s2=joint.acceleration_max_rad_s2,
+        stop_time_s=high_rad_s / falls,
     )
 
 

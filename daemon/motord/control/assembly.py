@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from motord.config.sections.bases import wheel_modules, wheel_row
+from motord.config.sections.bases import JointsBase, wheel_modules, wheel_row
 from motord.config.sections.derating import PAIRS, Derating
 from motord.config.sections.feedback import FeedbackChecks
 from motord.config.sections.imu import Imu
@@ -97,6 +97,7 @@ def core_config(robot: Robot, profiles: Profiles) -> rt.CoreConfig:
         "gyro": _gyro(robot.imu),
         "module_count": len(modules),
         "module": modules,
+        "independent": int(isinstance(robot.base, JointsBase)),
         "joint": [_joint(robot, name, profiles) for name in robot.joint],
     }
 
@@ -178,7 +179,8 @@ def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
     row = wheel_row(robot.base, joint)
     return {
         "row": {"x": row.x, "y": row.y, "lever_m": row.lever_m},
-        "wheel_radius_m": robot.wheel_radius_m(name),
+        # of a joint without a base the core asks for one, and uses it for nothing
+        "wheel_radius_m": robot.wheel_radius_m(name) or 1.0,
         "velocity_min_rad_s": backward_rad_s,
         "velocity_max_rad_s": forward_rad_s,
         "rad_per_count": rad_per_count(joint, profile),
@@ -186,9 +188,21 @@ def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
         "line": list(robot.line).index(joint.line),
         "pwm": _pwm(joint, profile, forward_rad_s, reversible=backward_rad_s < 0),
         "speed_loop": _speed_loop(joint, profile, reversible=backward_rad_s < 0),
-        "plausible": {} if joint.steers else _plausible(robot, name, profile),
+        "plausible": {} if takes_position(joint, profile) else _plausible(robot, name, profile),
         "derating": _derating(joint.derating or Derating()),
         "position": _position(joint, profile, robot.safety.feedback),
+        "own": _own(joint, forward_rad_s),
+    }
+
+
+def _own(joint: Joint, velocity_rad_s: float) -> rt.AxisLimits:
+    """Of a joint without a base that takes velocities; the core reads it of no other one."""
+    given = joint.deceleration_max_rad_s2
+    return {
+        "velocity_u_s": velocity_rad_s,
+        "acceleration_u_s2": joint.acceleration_max_rad_s2,
+        "deceleration_u_s2": joint.acceleration_max_rad_s2 if given is None else given,
+        "jerk_u_s3": joint.jerk_max_rad_s3,
     }
 
 

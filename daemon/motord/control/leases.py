@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import math
 import secrets
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from motord.api.commands import (
@@ -21,6 +22,7 @@ from motord.api.commands import (
     LeaseState,
     Refusal,
     datagram,
+    position_datagram,
 )
 from motord.realtime.loop import LEASE_NUMBERS, LEASES_MAX, Loop
 from motord_hal.base.clock import within
@@ -59,11 +61,10 @@ class Lease:
     lateral_m_s: float
     held: bool
     """Its command counts as zero until zero was asked for."""
-
-    @property
-    def wants_motion(self) -> bool:
-        """Something else than zero was asked for, held or not."""
-        return any((self.linear_m_s, self.angular_rad_s, self.lateral_m_s))
+    wants_motion: bool
+    """Something else than zero was asked for, held or not."""
+    joint_values_u: Mapping[int, float]
+    """By place, as LeaseState."""
 
 
 @dataclass(slots=True)
@@ -214,29 +215,60 @@ class Leases:
         words = f"a command of {linear_m_s:g} m/s, {angular_rad_s:g} rad/s{sideways}"
         if not all(map(math.isfinite, twist)):
             raise ValueError(f"{words} is not finite")
-        async with self._judging:  # one at a time: a refusal has no name on it
-            grant = self.grant(connection, owner, priority, lease_s)
-            granted = self._granted[connection, owner, False]
-            granted.sequence += 1
-            before = self._loop.commands()
-            command = datagram(
-                grant.token,
-                granted.sequence,
-                now_ns(),
-                linear_m_s,
-                angular_rad_s,
-                lateral_m_s=lateral_m_s,
-            )
-            try:
-                self._loop.send(command)
-                state = await self._judged(grant.number, granted.sequence, before)
-            except (BlockingIOError, TimeoutError):
-                raise NoLease("the loop takes no commands: it stands still") from None
-        if any(twist) and not state.wants_motion:
+        lease = await self._submit(
+            (connection, owner, priority, lease_s),
+            lambda token, sequence: datagram(
+                token, sequence, now_ns(), linear_m_s, angular_rad_s, lateral_m_s=lateral_m_s
+            ),
+        )
+        if any(twist) and not lease.wants_motion:
             raise NoLease(
                 f"{words} is more than ten times "
                 "the limit, so it counts as zero: is the unit right? (motord params list)"
             )
+        return lease
+
+    async def submit_joints(
+        self,
+        *,
+        connection: int,
+        owner: str,
+        priority: int,
+        lease_s: float,
+        joint_count: int,
+        velocity_rad_s: Mapping[int, float],
+        position_rad: Mapping[int, float],
+    ) -> Lease:
+        """As `submit`, of joints without a base, by their places."""
+        if not all(map(math.isfinite, (*velocity_rad_s.values(), *position_rad.values()))):
+            raise ValueError("a command of joints is not finite")
+        lease = await self._submit(
+            (connection, owner, priority, lease_s),
+            lambda token, sequence: position_datagram(
+                token, sequence, now_ns(), joint_count, velocity_rad_s, position_rad
+            ),
+        )
+        if (position_rad or any(velocity_rad_s.values())) and not lease.wants_motion:
+            raise NoLease(
+                "a speed or a position is more than ten times its limit, so the command counts as "
+                "zero: is the unit right? (rad, rad/s)"
+            )
+        return lease
+
+    async def _submit(
+        self, source: tuple[int, str, int, float], made: Callable[[bytes, int], bytes]
+    ) -> Lease:
+        """`source`: connection, owner, priority and lease_s."""
+        async with self._judging:  # one at a time: a refusal has no name on it
+            grant = self.grant(*source)
+            granted = self._granted[source[0], source[1], False]
+            granted.sequence += 1
+            before = self._loop.commands()
+            try:
+                self._loop.send(made(grant.token, granted.sequence))
+                state = await self._judged(grant.number, granted.sequence, before)
+            except (BlockingIOError, TimeoutError):
+                raise NoLease("the loop takes no commands: it stands still") from None
         return _lease(granted, state)
 
     async def _judged(self, number: int, sequence: int, before: CommandReport) -> LeaseState:
@@ -287,4 +319,6 @@ def _lease(granted: _Granted, state: LeaseState) -> Lease:
         angular_rad_s=state.angular_rad_s,
         lateral_m_s=state.lateral_m_s,
         held=state.held,
+        wants_motion=state.wants_motion,
+        joint_values_u=state.joint_values_u,
     )

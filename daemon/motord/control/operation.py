@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from motord.config.sections.wheels import gains_of, takes_position
 from motord.control.assembly import base_limits, speed_loop_gains
 from motord.control.battery import BatteryLevel, BatteryWatch
 from motord.control.doubt import doubt_text
+from motord.control.joint_names import JointNames
 from motord.control.leases import Lease, Leases, NoLease
 from motord.control.machine import Event, Facts, Refusal, State, step
 from motord.control.waiting import Waiting
@@ -87,6 +88,7 @@ class Operation:
         self.state = State.OFF
         self.snapshot: Snapshot = loop.read_state()
         self.leases = Leases(loop)
+        self.joint_names = JointNames(robot)
         self.limits: Limits = robot.limits
         profiles = robot.profiles
         self.speed_loops: dict[str, SpeedLoop] = {
@@ -264,8 +266,11 @@ class Operation:
     ) -> Lease:
         """Hand a command to the loop. Raises Refused where it will move nothing, ValueError for its
         numbers."""
-        try:
-            lease = await self.leases.submit(
+        if self.joint_names.without_base:
+            raise Refused("this robot has no base that drives: command its joints (motord joints)")
+        return await self.obeyed(
+            owner,
+            self.leases.submit(
                 owner=owner,
                 connection=connection,
                 priority=priority,
@@ -273,7 +278,13 @@ class Operation:
                 linear_m_s=linear_m_s,
                 angular_rad_s=angular_rad_s,
                 lateral_m_s=lateral_m_s,
-            )
+            ),
+        )
+
+    async def obeyed(self, owner: str, submitting: Awaitable[Lease]) -> Lease:
+        """The lease that a command was handed to the loop under. Raises as `drive`."""
+        try:
+            lease = await submitting
         except NoLease as error:
             raise Refused(str(error)) from error
         if self.state not in _MAY_MOVE and lease.wants_motion:

@@ -7,19 +7,19 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from motord.api.commands import VERSION
+from motord.api.commands import POSITIONS_VERSION
 from motord.base.recent_log import RecentLog
 from motord.bus.publish.samples import Samples
 from motord.config import SocketInput
 from motord.control.health import Health
-from motord.control.leases import LEASE_MAX_S, LEASE_MIN_S
+from motord.control.leases import LEASE_MAX_S, LEASE_MIN_S, Lease
 from motord.control.machine import State
 from motord.control.operation import WHY_CHARS_MAX, Operation
 from motord.daemon import drive_parameters, gain_parameters, parameters, procedures, report
 from motord.daemon.bus_supervisor import BusSupervisor
 from motord.daemon.tracing import Tracing
 from motord.local_socket.command_sockets import CommandSockets
-from motord.local_socket.params import Params, names, number, text
+from motord.local_socket.params import Params, names, number, text, values
 from motord.local_socket.server import INVALID_PARAMS, Caller, Method, Refused, RpcError
 
 
@@ -41,6 +41,12 @@ class DriveParams(LeaseParams):
     linear_m_s: float = number()
     angular_rad_s: float = number()
     lateral_m_s: float = number(default=0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointsParams(LeaseParams):
+    velocity_rad_s: Mapping[str, float] | None = values()
+    position_rad: Mapping[str, float] | None = values()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,6 +98,9 @@ def methods(
         "params.set": Method(lambda _, wanted: _set(operation, wanted), None),
         "trace": Method(lambda _, params: tracing.read(params.line, params.after), TraceParams),
         "drive": Method(lambda caller, params: _drive(operation, caller, params), DriveParams),
+        "joints": Method(
+            lambda caller, params: _drive_joints(operation, caller, params), JointsParams
+        ),
         "lease": Method(
             lambda caller, params: _lease(operation, command_sockets, caller, params), LeaseParams
         ),
@@ -134,16 +143,42 @@ def _input(operation: Operation) -> SocketInput:
 
 
 async def _drive(operation: Operation, caller: Caller, params: DriveParams) -> dict[str, Any]:
+    twist = params.linear_m_s, params.angular_rad_s, params.lateral_m_s
+    lease = await operation.drive(caller.connection, *_source(operation, params), *twist)
+    return _in_command(operation, lease)
+
+
+async def _drive_joints(
+    operation: Operation, caller: Caller, params: JointsParams
+) -> dict[str, Any]:
+    owner, priority, lease_s = _source(operation, params)
+    velocities, positions = operation.joint_names.places(
+        params.velocity_rad_s or {}, params.position_rad or {}
+    )
+    submitting = operation.leases.submit_joints(
+        owner=owner,
+        connection=caller.connection,
+        priority=priority,
+        lease_s=lease_s,
+        joint_count=len(operation.robot.joint),
+        velocity_rad_s=velocities,
+        position_rad=positions,
+    )
+    lease = await operation.obeyed(owner, submitting)
+    return _in_command(operation, lease)
+
+
+def _source(operation: Operation, params: LeaseParams) -> tuple[str, int, float]:
+    """Owner, priority and lease_s."""
     section = _input(operation)
-    lease = await operation.drive(
-        caller.connection,
+    return (
         params.owner,
         section.priority if params.priority is None else params.priority,
         section.lease_s if params.lease_s is None else params.lease_s,
-        params.linear_m_s,
-        params.angular_rad_s,
-        params.lateral_m_s,
     )
+
+
+def _in_command(operation: Operation, lease: Lease) -> dict[str, Any]:
     commander = operation.leases.commander()
     return {
         "owner": commander.owner if commander else None,
@@ -181,7 +216,7 @@ def _lease(
         "rate_max_hz": rate_max_hz,
         "socket": str(command_sockets.paths[number]),
         "udp_port": command_sockets.udp_port,
-        "version": VERSION,
+        "version": POSITIONS_VERSION,
     }
 
 

@@ -10,7 +10,8 @@ from typing import Any
 from motord.api.commands import CommandReport
 from motord.api.snapshot import Snapshot
 from motord.bus.publish.samples import Samples
-from motord.config.sections.bases import side_of, wheel_row
+from motord.config.sections.bases import JointsBase, side_of, wheel_row
+from motord.config.sections.wheels import takes_position
 from motord.control.health import Health
 from motord.control.leases import Lease
 from motord.control.operation import Operation
@@ -84,6 +85,12 @@ def description(operation: Operation) -> dict[str, Any]:
         "wheel_radii_m": {name: robot.wheel_radius_m(name) for name in robot.joint},
         "wheel_rows": {name: wheel_row(robot.base, joint) for name, joint in robot.joint.items()},
         "strafes": robot.base.strafes,
+        "drives": not isinstance(robot.base, JointsBase),
+        "takes_position": [
+            name
+            for name, joint in robot.joint.items()
+            if takes_position(joint, robot.profiles[joint.drive])
+        ],
         "feedback_timeout_s": robot.safety.feedback_timeout_s,
         "inputs": robot.commanders(),
     }
@@ -219,12 +226,20 @@ def _leases(operation: Operation) -> list[dict[str, Any]]:
             "linear_m_s": lease.linear_m_s,
             "angular_rad_s": lease.angular_rad_s,
             "lateral_m_s": lease.lateral_m_s,
+            "joints": _named(operation, lease),
             "rate_hz": lease.rate_hz,
             "held": lease.held,
             "why": _why(lease, living),
         }
         for lease in living
     ]
+
+
+def _named(operation: Operation, lease: Lease) -> dict[str, float]:
+    """What it requests of joints without a base: rad of one that takes positions, rad/s of another
+    one."""
+    names = list(operation.robot.joint)
+    return {names[place]: value for place, value in lease.joint_values_u.items()}
 
 
 def _why(lease: Lease, living: Sequence[Lease]) -> str:

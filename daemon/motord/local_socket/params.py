@@ -76,6 +76,18 @@ def names() -> Any:
     return _taking(check, ())
 
 
+def values() -> Any:
+    """Finite numbers by name; None by default."""
+    one = number().metadata["check"]
+
+    def check(value: Any) -> dict[str, float]:
+        if not isinstance(value, dict):
+            raise ValueError("must be an object of numbers")
+        return {name: one(item) for name, item in value.items()}
+
+    return _taking(check, None)
+
+
 def checked(kind: type[Params], raw: Mapping[str, Any]) -> Params:
     """The parameters. Raises ValueError with all that is wrong, in one line."""
     fields = {field.name: field for field in dataclasses.fields(kind)}

@@ -8,9 +8,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from motord.config.finding import Finding
+from motord.config.rules.joints import JOINT_RULES
 from motord.config.rules.steering import STEERING_RULES
 from motord.config.sections.bases import (
     PLACES,
+    JointsBase,
     MecanumBase,
     OmniBase,
     SkidBase,
@@ -36,6 +38,7 @@ _OF_KIND: dict[str, tuple[str, ...]] = {
     "ackermann": ("place",),
     "tricycle": ("place",),
     "swerve": ("place", "x_m", "y_m"),
+    "joints": (),
 }
 _CAR_PLACES = f"place is missing: one of front, rear, {', '.join(PLACES)}"
 
@@ -46,6 +49,8 @@ def _placed(joint: Joint, kind: str) -> bool:
         return all(given) if any(given) else joint.angle_rad is not None
     if kind == "swerve" and any(given):
         return all(given)
+    if kind == "joints":
+        return True
     return getattr(joint, _OF_KIND[kind][0]) is not None
 
 
@@ -57,6 +62,7 @@ def _places(robot: Robot) -> Iterator[Finding]:
             if getattr(joint, key) is not None and key not in _OF_KIND[kind]:
                 wanted = " or ".join(_OF_KIND[kind][:2])
                 text = f"a {kind} base does not have it: its wheels have {wanted}"
+                text = text if wanted else "a joint without a base has no place on one"
                 yield Finding((("joint", name, key),), text)
         if joint.angle_rad is not None and joint.x_m is not None:
             text = "the wheel's place is given twice: by angle_rad, and by x_m and y_m"
@@ -131,6 +137,8 @@ def _slip_factor(robot: Robot) -> Iterator[Finding]:
 def _geometry(robot: Robot) -> Iterator[Finding]:
     """A base of another size than it is drives at another speed than its set-point."""
     base = robot.base
+    if isinstance(base, JointsBase):
+        return
     radii: list[tuple[Path, float]] = [(("base", "wheel_radius_m"), base.wheel_radius_m)]
     radii += [
         (("joint", name, "wheel_radius_m"), joint.wheel_radius_m)
@@ -179,6 +187,7 @@ BASE_RULES: tuple[_BaseRule, ...] = tuple(
             _slip_factor,
             _geometry,
             *STEERING_RULES,
+            *JOINT_RULES,
         ),
     )
 )

@@ -11,10 +11,11 @@ from collections.abc import Callable, Iterator
 from motord.config.finding import Finding
 from motord.config.rules.battery import battery_readings
 from motord.config.rules.derating import derating
+from motord.config.rules.joints import JOINT_DRIVE_RULES
 from motord.config.rules.speed_loop import speed_loops
 from motord.config.rules.steering import STEERING_DRIVE_RULES
 from motord.config.rules.wire import budget, cycle_limit_hz, helps
-from motord.config.sections.bases import OmniBase, SteeredBase, side_of, wheel_row
+from motord.config.sections.bases import JointsBase, OmniBase, SteeredBase, side_of, wheel_row
 from motord.config.sections.line import CanLine, PwmLine, SerialLine
 from motord.config.sections.model import Joint, Robot
 from motord.config.sections.wheels import (
@@ -25,6 +26,7 @@ from motord.config.sections.wheels import (
     drive_velocity_max_rad_s,
     rad_per_count,
     takes_duty,
+    takes_position,
     takes_torque,
     velocity_range_rad_s,
 )
@@ -79,7 +81,7 @@ def _mounting(robot: Robot, _: Profiles) -> Iterator[Finding]:
     """Motors that face each other turn in opposite directions; motors on one side turn in the
     same."""
     for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
-        if isinstance(robot.base, OmniBase | SteeredBase):
+        if isinstance(robot.base, OmniBase | SteeredBase | JointsBase):
             return
         sides = side_of(robot.base, first), side_of(robot.base, second)
         placed = "place" if robot.base.strafes else "side"
@@ -133,7 +135,8 @@ def _duty(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         takes = "a torque" if takes_torque(joint, profiles[joint.drive]) else "a velocity"
         for key in keys:
             if key in joint.model_fields_set:
-                what = "a position" if joint.steers else takes
+                places = takes_position(joint, profiles[joint.drive])
+                what = "a position" if places else takes
                 text = f'is not used: drive "{joint.drive}" takes {what}'
                 yield Finding((("joint", name, key), drive), text, warning=True)
 
@@ -153,8 +156,8 @@ def _counter(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     for name, joint in robot.joint.items():
         profile = profiles[joint.drive]
         path, drive = ("joint", name, "counts_per_turn"), ("joint", name, "drive")
-        if joint.steers:
-            continue  # rules/steering.py
+        if takes_position(joint, profile):
+            continue  # rules/steering.py, rules/joints.py
         if counts_per_turn(joint, profile) and not counter_bits(joint, profile):
             yield Finding((path, drive), f'drive "{joint.drive}" has no position counter')
         elif not counts_per_turn(joint, profile) and joint.drive not in reported:
@@ -169,7 +172,8 @@ def _resolution(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     """Where a count is much travel or nearly none, the counts or the gear are usually wrong."""
     for name, joint in robot.joint.items():
         profile = profiles[joint.drive]
-        if not counts_per_turn(joint, profile) or joint.steers:
+        no_wheel = joint.steers or isinstance(robot.base, JointsBase)
+        if not counts_per_turn(joint, profile) or no_wheel:
             continue
         travel_mm = abs(rad_per_count(joint, profile)) * robot.wheel_radius_m(name) * 1e3
         if TRAVEL_PER_COUNT_USUAL_MM[0] <= travel_mm <= TRAVEL_PER_COUNT_USUAL_MM[1]:
@@ -205,6 +209,8 @@ def _edges(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 def _reach(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     """Limits that the wheels cannot serve are no error: the core scales the twist down."""
+    if isinstance(robot.base, JointsBase):
+        return
     joints = robot.joint.items()
     ranges = {name: velocity_range_rad_s(joint, profiles[joint.drive]) for name, joint in joints}
     radius = {name: robot.wheel_radius_m(name) for name in robot.joint}
@@ -375,6 +381,7 @@ _RULES: tuple[Rule, ...] = (
     _watchdogs,
     battery_readings,
     *STEERING_DRIVE_RULES,
+    *JOINT_DRIVE_RULES,
 )
 
 

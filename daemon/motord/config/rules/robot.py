@@ -9,6 +9,7 @@ from motord.config.finding import Finding
 from motord.config.rules.base import BASE_RULES
 from motord.config.rules.battery import battery_alone
 from motord.config.rules.imu import imu_axes, imu_line, imu_rates
+from motord.config.sections.bases import JointsBase
 from motord.config.sections.limits import REST_MAX_S
 from motord.config.sections.model import Robot
 from motord_hal.base.nearest import nearest
@@ -23,9 +24,10 @@ REST_RATIO_MAX = 1.5
 
 def _joint_count(robot: Robot) -> Iterator[Finding]:
     count = len(robot.joint)
-    if not JOINTS_MIN <= count <= JOINTS_MAX:
-        text = f"{count} joints are too {'few' if count < JOINTS_MIN else 'many'}"
-        yield Finding((("joint",),), f"{text} ({JOINTS_MIN} to {JOINTS_MAX})")
+    least = 1 if isinstance(robot.base, JointsBase) else JOINTS_MIN
+    if not least <= count <= JOINTS_MAX:
+        text = f"{count} joints are too {'few' if count < least else 'many'}"
+        yield Finding((("joint",),), f"{text} ({least} to {JOINTS_MAX})")
 
 
 def _known_lines(robot: Robot) -> Iterator[Finding]:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from motord.config.finding import Finding
 from motord.config.sections.bases import (
     CarBase,
+    JointsBase,
     SteeredBase,
     SwerveBase,
     WheelModule,
@@ -34,7 +35,7 @@ def _keys(robot: Robot) -> Iterator[Finding]:
     """A joint that steers has a range, and another one has not."""
     for name, joint in robot.joint.items():
         if not joint.steers:
-            for key in _KEYS:
+            for key in () if isinstance(robot.base, JointsBase) else _KEYS:
                 if key in joint.model_fields_set:
                     text = "only a joint that steers has it (steers = true)"
                     yield Finding((("joint", name, key),), text)
@@ -151,19 +152,26 @@ def _range(robot: Robot) -> Iterator[Finding]:
 def _engine(robot: Robot) -> Iterator[Finding]:
     """Positions are carried by the engine in C alone, which sends none but those of the core."""
     for name, joint in robot.joint.items():
-        line = robot.line.get(joint.line)
-        if line is None or not joint.steers:
-            continue
-        where = (("line", joint.line, "engine"), ("joint", name, "line"))
-        if line.engine == "asyncio":
-            yield Finding(where, f'joint {name} steers: its line needs engine = "rt"')
-        elif isinstance(line, CanLine) and line.interface != "socketcan":
-            text = f'joint {name} steers: its line needs interface = "socketcan", for the rt engine'
-            yield Finding((("line", joint.line, "interface"), *where), text)
+        if joint.steers:
+            yield from engine_for_positions(robot, name, f"joint {name} steers")
+
+
+def engine_for_positions(robot: Robot, name: str, what: str) -> Iterator[Finding]:
+    """Why the line of a joint that takes positions cannot carry them."""
+    joint = robot.joint[name]
+    line = robot.line.get(joint.line)
+    where = (("line", joint.line, "engine"), ("joint", name, "line"))
+    if line is not None and line.engine == "asyncio":
+        yield Finding(where, f'{what}: its line needs engine = "rt"')
+    elif isinstance(line, CanLine) and line.interface != "socketcan":
+        text = f'{what}: its line needs interface = "socketcan", for the rt engine'
+        yield Finding((("line", joint.line, "interface"), *where), text)
 
 
 def _drives(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     """What steers takes positions that mean the same each time; what rolls takes none."""
+    if isinstance(robot.base, JointsBase):
+        return
     for name, joint in robot.joint.items():
         profile, drive = profiles[joint.drive], f'drive "{joint.drive}"'
         where: tuple[Path, ...] = (("joint", name, "drive"), ("joint", name, "steers"))

@@ -181,7 +181,34 @@ class SwerveBase(SteeredBase):
         return True
 
 
-AnyBase = DifferentialBase | SkidBase | MecanumBase | OmniBase | CarBase | SwerveBase
+class JointsBase(Section):
+    """No base: each joint moves for itself, in velocity or position, as its drive takes it: a
+    pan-tilt head, a lift, a conveyor."""
+
+    kind: Literal["joints"]
+
+    @property
+    def wheel_radius_m(self) -> float:
+        """No joint rolls on anything: 0."""
+        return 0.0
+
+    @property
+    def track_m(self) -> float:
+        """There is none: 0."""
+        return 0.0
+
+    @property
+    def effective_track_m(self) -> float:
+        """There is none: 0."""
+        return 0.0
+
+    @property
+    def strafes(self) -> bool:
+        """It does not move at all."""
+        return False
+
+
+AnyBase = DifferentialBase | SkidBase | MecanumBase | OmniBase | CarBase | SwerveBase | JointsBase
 
 
 def _corner(base: SteeredBase, joint: Joint) -> tuple[float, float]:
@@ -215,7 +242,10 @@ def wheel_modules(base: AnyBase, joints: Mapping[str, Joint]) -> list[WheelModul
 
 
 def wheel_place(base: AnyBase, joint: Joint) -> WheelPlace:
-    """Wheels of two sides are beside the middle: where along the base makes no difference."""
+    """Wheels of two sides are beside the middle: where along the base makes no difference. Without
+    a base a joint has no place."""
+    if isinstance(base, JointsBase):
+        return WheelPlace(0.0, 0.0, 0.0)
     if isinstance(base, SteeredBase):
         if joint.x_m is not None and joint.y_m is not None:
             return WheelPlace(joint.x_m, joint.y_m, 0.0)
@@ -239,6 +269,8 @@ def wheel_row(base: AnyBase, joint: Joint) -> WheelRow:
     Ghaeminezhad, Kinematic Model of a Four Mecanum Wheeled Mobile Robot, 2015, equation 20. Omni:
     the speed of the floor along the rolling direction. Of a wheel that is steered: the most that
     each axis does, for the core has its equations by its angle."""
+    if isinstance(base, JointsBase):
+        return WheelRow(0.0, 0.0, 0.0)
     place = wheel_place(base, joint)
     if isinstance(base, SteeredBase):
         if joint.steers:

@@ -161,24 +161,46 @@ class Joint(Section):
     """Of a base with steered wheels: the joint turns the wheel at its place about the vertical; its
     drive takes positions."""
     position_min_rad: float | None = number(
-        "of a joint that steers: the farthest to the right, from straight ahead",
+        "of a joint that steers: the farthest to the right, from straight ahead; without a base: "
+        "the least angle",
         -1000,
         0,
         "rad",
         None,
     )
     position_max_rad: float | None = number(
-        "of a joint that steers: the farthest to the left, from straight ahead",
+        "of a joint that steers: the farthest to the left, from straight ahead; without a base: "
+        "the greatest angle",
         0,
         1000,
         "rad",
         None,
     )
     acceleration_max_rad_s2: float = number(
-        "of a joint that steers: how fast its speed changes at most", 0.1, 10000, "rad/s²", 20.0
+        "of a joint that steers, or without a base: how fast its speed changes at most",
+        0.1,
+        10000,
+        "rad/s²",
+        20.0,
+    )
+    deceleration_max_rad_s2: float | None = number(
+        "of a joint without a base that takes velocities: how fast its speed falls at most; as the "
+        "acceleration where it is not given",
+        0.1,
+        10000,
+        "rad/s²",
+        None,
+    )
+    jerk_max_rad_s3: float = number(
+        "of a joint without a base that takes velocities: its jerk; inf: no limit",
+        0.1,
+        None,
+        "rad/s³",
+        math.inf,
     )
     zero_count: int = number(
-        "of a joint that steers: what its counter shows when the wheel points straight ahead",
+        "of a joint that steers, or without a base: what its counter shows where its angle is 0, a "
+        "wheel pointing straight ahead",
         -(1 << 63),
         (1 << 63) - 1,
         "1",

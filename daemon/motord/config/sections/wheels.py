@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from motord.config.sections.bases import wheel_row
+from motord.config.sections.bases import JointsBase, wheel_row
 from motord.config.sections.model import Joint, Robot
 from motord.config.sections.speed_loop import DUTY_GAINS, TORQUE_GAINS, CoreGain
 from motord_hal.drives.profile import DriveProfile, Register
@@ -124,6 +124,8 @@ def rad_per_count(joint: Joint, profile: DriveProfile) -> float:
 
 def working_speed_rad_s(robot: Robot, name: str, profile: DriveProfile) -> float:
     """The fastest that the limits request of a wheel, at most its own."""
+    if isinstance(robot.base, JointsBase):
+        return velocity_range_rad_s(robot.joint[name], profile)[1]
     limits = robot.limits
     row = wheel_row(robot.base, robot.joint[name])
     asked_m_s = abs(row.x) * limits.linear_m_s + abs(row.lever_m) * limits.angular_rad_s

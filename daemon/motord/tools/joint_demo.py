@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The demonstration of a robot without a base: each joint goes to both ends and back, or turns in
+both directions, and what it did is compared with the simulator's truth."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from motord.client import Refused
+from motord.config import Robot
+from motord.config.sections.wheels import counter_bits, takes_position, velocity_range_rad_s
+from motord.tools.demo import (
+    COMMAND_PERIOD_S,
+    REST_DEADLINE_S,
+    START_DEADLINE_S,
+    DemoError,
+    Progress,
+    Ride,
+    Stage,
+    refused,
+    staged,
+)
+
+PART = 0.8
+"""Of its range or speed."""
+ERROR_MAX_RAD = 0.03
+"""Between where a joint was to go and where it truly is, of one that measures its position; between
+the travel that was measured and the true one, of one that turns."""
+ARRIVES_WITHIN_S = 30.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointScore:
+    """What one joint did."""
+
+    takes: str
+    """`position` or `velocity`."""
+    source: str
+    """`counters`, or `set-points` where nothing measures it: its angle is an estimate then."""
+    travel_rad: float
+    """True, summed over the legs."""
+    error_rad: float
+    """The worst of all legs, by the truth."""
+
+    @property
+    def ok(self) -> bool:
+        return self.error_rad <= ERROR_MAX_RAD and self.travel_rad > ERROR_MAX_RAD
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointResult:
+    """What was measured in this run, and nothing else."""
+
+    robot: str
+    seconds: float
+    joints: dict[str, JointScore]
+    status: dict[str, Any]
+    clean_exit: bool
+
+    @property
+    def ok(self) -> bool:
+        idle = self.status["state"] == "idle" and not self.status["faults"]
+        return idle and self.clean_exit and all(score.ok for score in self.joints.values())
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys of `motord demo --json`; in place of odometry what each joint did."""
+        lines = self.status["lines"]
+        return {
+            "robot": self.robot,
+            "ok": self.ok,
+            "seconds": round(self.seconds, 3),
+            "engine": {name: line["engine"] for name, line in lines.items()},
+            "joints": {
+                name: {
+                    "takes": score.takes,
+                    "source": score.source,
+                    "travel_rad": round(score.travel_rad, 4),
+                    "error_rad": round(score.error_rad, 5),
+                }
+                for name, score in self.joints.items()
+            },
+            "loop": self.status["loop"],
+            "lines": lines,
+            "safety": {
+                "final_state": self.status["state"],
+                "faults": self.status["faults"],
+                "stops": self.status["stops"],
+            },
+            "clean_exit": self.clean_exit,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class _Leg:
+    position_rad: dict[str, float]
+    velocity_rad_s: dict[str, float]
+
+
+def legs_of(robot: Robot) -> list[_Leg]:
+    """To one end, to the other one, and back; or forward, backward where it can, and to rest."""
+    legs = [_Leg({}, {}) for _ in range(3)]
+    for name, joint in robot.joint.items():
+        profile = robot.profiles[joint.drive]
+        positions = takes_position(joint, profile)
+        if positions:
+            ends = joint.position_max_rad or 0.0, joint.position_min_rad or 0.0
+        else:
+            ends = velocity_range_rad_s(joint, profile)[::-1]
+        for leg, end in zip(legs, (*ends, 0.0), strict=True):
+            (leg.position_rad if positions else leg.velocity_rad_s)[name] = PART * end
+    return legs
+
+
+def run_joint_demo(
+    robot_file: Path,
+    robot: Robot,
+    seconds: float,
+    progress: Progress,
+    stay: Callable[[Stage], None] | None = None,
+) -> JointResult:
+    """Move each joint and measure, for that long at least; `stay` as in run_demo. Raises
+    DemoError."""
+    with staged(robot_file, robot.overrides) as stage:
+        progress("starting the drives")
+        stage.wait("drives ready", lambda status: status["state"] == "idle", START_DEADLINE_S)
+        stage.robot.arm()
+        ride = Ride(daemon_waited_before_s=stage.daemon_waited_s())
+        try:
+            scores = _drive(stage, robot, seconds, progress)
+        except Refused as refusal:
+            raise DemoError(refused(stage, ride, refusal)) from refusal
+        with contextlib.suppress(Refused):
+            stage.robot.stop()
+        stage.wait("rest after the course", lambda status: status["at_rest"], REST_DEADLINE_S)
+        driven_s = time.monotonic() - ride.began_s
+        stage.robot.disarm()
+        status = stage.robot.status()
+        if stay is not None:
+            stay(stage)
+        return JointResult(
+            robot=robot.robot.name,
+            seconds=driven_s,
+            joints=scores,
+            status=status,
+            clean_exit=stage.stop_daemon(),
+        )
+
+
+def _drive(stage: Stage, robot: Robot, seconds: float, progress: Progress) -> dict[str, JointScore]:
+    profiles = robot.profiles
+    legs = legs_of(robot)
+    error = dict.fromkeys(robot.joint, 0.0)
+    travel = dict.fromkeys(robot.joint, 0.0)
+    true_rad, shown_rad = _positions(stage)
+    for number, leg in enumerate(legs, 1):
+        progress(f"leg {number} of {len(legs)}")
+        _follow(stage, leg, seconds / len(legs))
+        now_rad, now_shown_rad = _positions(stage)
+        for name in robot.joint:
+            travel[name] += abs(now_rad[name] - true_rad[name])
+            goal_rad = leg.position_rad.get(name)
+            if goal_rad is not None:
+                off_rad = abs(now_rad[name] - goal_rad)
+            else:
+                moved_rad = now_rad[name] - true_rad[name]
+                off_rad = abs(now_shown_rad[name] - shown_rad[name] - moved_rad)
+            error[name] = max(error[name], off_rad)
+        true_rad, shown_rad = now_rad, now_shown_rad
+    return {
+        name: JointScore(
+            takes="position" if name in legs[0].position_rad else "velocity",
+            source="counters" if counter_bits(joint, profiles[joint.drive]) else "set-points",
+            travel_rad=travel[name],
+            error_rad=error[name],
+        )
+        for name, joint in robot.joint.items()
+    }
+
+
+def _follow(stage: Stage, leg: _Leg, seconds: float) -> None:
+    """So long, and until all rests: positions are reached then, and joints that turn have come to
+    rest again."""
+    start_s = time.monotonic()
+    while True:
+        stage.check()
+        elapsed_s = time.monotonic() - start_s
+        turning = leg.velocity_rad_s if elapsed_s < seconds else {}
+        stage.robot.joints(leg.position_rad, turning, owner="demo")
+        if elapsed_s >= seconds and _arrived(stage, leg):
+            return
+        if elapsed_s > seconds + ARRIVES_WITHIN_S:
+            raise DemoError(f"a joint did not come to rest in its place\n{stage.tail()}")
+        time.sleep(COMMAND_PERIOD_S)
+
+
+def _arrived(stage: Stage, leg: _Leg) -> bool:
+    truth, shown = stage.sim.truth(), stage.robot.status()["joints"]
+    off_rad = [abs(shown[name]["position_rad"] - goal) for name, goal in leg.position_rad.items()]
+    return truth.at_rest and all(off <= ERROR_MAX_RAD for off in off_rad)
+
+
+def _positions(stage: Stage) -> tuple[dict[str, float], dict[str, float]]:
+    """True and shown, of joints that rest."""
+    truth, shown = stage.sim.truth().joints, stage.robot.status()["joints"]
+    return (
+        {name: joint.position_rad for name, joint in truth.items()},
+        {name: joint["position_rad"] or 0.0 for name, joint in shown.items()},
+    )
