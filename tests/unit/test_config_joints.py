@@ -70,8 +70,8 @@ def test_a_single_joint_is_a_robot(loaded):
 
 
 REFUSED = {
-    "velocity_max_rad_s = 2.0": ("", "joint.pan: velocity_max_rad_s is missing"),
-    "position_min_rad = -1.5 ": ("# ", "joint.pan: position_min_rad is missing"),
+    "velocity_max_rad_s = 2.0": ("", "velocity_max_rad_s is missing: how fast"),
+    "position_min_rad = -1.5 ": ("# ", "position_min_rad is missing: how far"),
     "unit = 1\n": ('unit = 1\nside = "left"\n', "joint.pan.side: a joint without a base"),
     "unit = 1 \n": ("", ""),
     'kind = "joints"': (

@@ -179,7 +179,7 @@ def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
     row = wheel_row(robot.base, joint)
     return {
         "row": {"x": row.x, "y": row.y, "lever_m": row.lever_m},
-        # of a joint without a base the core asks for one, and uses it for nothing
+        # the core needs one of every joint; without a base nothing depends on it
         "wheel_radius_m": robot.wheel_radius_m(name) or 1.0,
         "velocity_min_rad_s": backward_rad_s,
         "velocity_max_rad_s": forward_rad_s,

@@ -66,6 +66,13 @@ class Lease:
     joint_values_u: Mapping[int, float]
     """By place, as LeaseState."""
 
+    @property
+    def why_held(self) -> str:
+        return (
+            f"{self.owner} went on requesting motion while the robot could not move: "
+            "send zero once, or nothing for lease_s, then go on"
+        )
+
 
 @dataclass(slots=True)
 class _Granted:

@@ -266,10 +266,7 @@ class Operation:
     ) -> Lease:
         """Hand a command to the loop. Raises Refused where it will move nothing, ValueError for its
         numbers."""
-        if self.joint_names.without_base:
-            raise Refused("this robot has no base that drives: command its joints (motord joints)")
         return await self.obeyed(
-            owner,
             self.leases.submit(
                 owner=owner,
                 connection=connection,
@@ -281,7 +278,7 @@ class Operation:
             ),
         )
 
-    async def obeyed(self, owner: str, submitting: Awaitable[Lease]) -> Lease:
+    async def obeyed(self, submitting: Awaitable[Lease]) -> Lease:
         """The lease that a command was handed to the loop under. Raises as `drive`."""
         try:
             lease = await submitting
@@ -293,10 +290,7 @@ class Operation:
                 how = "motord reset, then motord arm"
             raise Refused(f"the state is {self.state}, so the robot does not move: {how}")
         if lease.held:
-            raise Refused(
-                f"{owner} went on requesting motion while the robot could not move: "
-                "send zero once, or nothing for lease_s, then go on"
-            )
+            raise Refused(lease.why_held)
         return lease
 
     def lease(

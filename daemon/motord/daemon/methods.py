@@ -143,6 +143,8 @@ def _input(operation: Operation) -> SocketInput:
 
 
 async def _drive(operation: Operation, caller: Caller, params: DriveParams) -> dict[str, Any]:
+    if operation.joint_names.without_base:
+        raise Refused("this robot has no base that drives: command its joints (motord joints)")
     twist = params.linear_m_s, params.angular_rad_s, params.lateral_m_s
     lease = await operation.drive(caller.connection, *_source(operation, params), *twist)
     return _in_command(operation, lease)
@@ -164,7 +166,7 @@ async def _drive_joints(
         velocity_rad_s=velocities,
         position_rad=positions,
     )
-    lease = await operation.obeyed(owner, submitting)
+    lease = await operation.obeyed(submitting)
     return _in_command(operation, lease)
 
 

@@ -15,6 +15,8 @@ from motord.config.toml_lines import Path
 
 _RANGE = ("position_min_rad", "position_max_rad")
 _OF_POSITION = (*_RANGE, "zero_count")
+_OF_WHEELS = ("ascii", "hoverboard")
+"""Kinds of lines on which speeds are those of a base or its rims."""
 _OF_VELOCITY = ("deceleration_max_rad_s2", "jerk_max_rad_s3")
 
 
@@ -35,6 +37,10 @@ def _keys(robot: Robot) -> Iterator[Finding]:
     if robot.imu is not None:
         yield Finding((("imu",),), "there is no base whose heading a gyro could measure")
     for name, joint in robot.joint.items():
+        line = robot.line.get(joint.line)
+        if line is not None and line.kind in _OF_WHEELS:
+            text = f"a line of kind {line.kind} carries the wheels of a base"
+            yield Finding((("line", joint.line, "kind"), ("joint", name, "line")), text)
         if joint.wheel_radius_m is not None:
             text = "a joint without a base has no wheel"
             yield Finding((("joint", name, "wheel_radius_m"),), text)
