@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot without a base on simulated bus servos: its joints go where they are commanded, and
+nowhere else."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from daemon_stage import DEADLINE_S, ROOT, UNHURRIED, armed, rests, running, wait_until
+
+from motord.client import Refused
+
+SETTINGS = (
+    *UNHURRIED,
+    *(f"joint.{name}.{setting}" for name in ("pan", "tilt")
+      for setting in ("tries=10", "reply_timeout_s=0.2")),
+)  # fmt: skip
+NEAR_RAD = 0.03
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    robot = ROOT / "config/robots/pan-tilt.toml"
+    with running(tmp_path_factory.mktemp("joints"), *SETTINGS, robot=robot) as stage:
+        stage.wait_for("idle")
+        yield stage
+
+
+@pytest.fixture(name="armed")
+def _armed(stage):
+    with armed(stage):
+        yield stage
+
+
+def true_rad(stage, name):
+    return stage.sim.truth().joints[name].position_rad
+
+
+def command(stage, *words):
+    return subprocess.run(
+        [sys.executable, "-m", "motord", "joints", *words, "--json", "--socket", str(stage.socket)],
+        capture_output=True, text=True, timeout=DEADLINE_S, cwd=ROOT,
+    )  # fmt: skip
+
+
+def test_motord_joints_ends_where_it_was_sent(armed):
+    for goal_rad in (0.4, -0.3):
+        done = command(armed, f"pan={goal_rad}", f"tilt={goal_rad / 2}")
+        assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout)["arrived"] is True
+        assert true_rad(armed, "pan") == pytest.approx(goal_rad, abs=NEAR_RAD)
+        assert true_rad(armed, "tilt") == pytest.approx(goal_rad / 2, abs=NEAR_RAD)
+
+
+def test_a_joint_whose_commands_end_rests_before_its_target(armed):
+    start_rad = true_rad(armed, "pan")
+    goal_rad = -1.4 if start_rad > 0.0 else 1.4
+    armed.robot.joints({"pan": goal_rad}, lease_s=0.1)
+    wait_until(lambda: armed.robot.status()["leases"] == [], "the lease to lapse")
+    rests(armed)
+    wait_until(lambda: armed.robot.status()["at_rest"], "rest")
+    held_rad = true_rad(armed, "pan")
+    assert abs(held_rad - goal_rad) > NEAR_RAD
+    armed.robot.joints({}, lease_s=0.5)
+    assert armed.robot.status()["leases"][0]["joints"] == {}
+    wait_until(lambda: armed.robot.status()["leases"] == [], "the lease to lapse")
+    assert true_rad(armed, "pan") == pytest.approx(held_rad, abs=0.005)
+
+
+def test_a_stop_leaves_no_target_behind(armed):
+    start_rad = true_rad(armed, "pan")
+    goal_rad = -1.4 if start_rad > 0.0 else 1.4
+    armed.robot.joints({"pan": goal_rad}, lease_s=0.5)
+    armed.robot.stop()
+    wait_until(lambda: armed.robot.status()["at_rest"], "rest")
+    rests(armed)
+    assert abs(true_rad(armed, "pan") - goal_rad) > NEAR_RAD
+
+
+@pytest.mark.parametrize(
+    ("call", "why"),
+    [
+        (lambda robot: robot.joints({"roll": 0.1}), "there is no joint 'roll'"),
+        (lambda robot: robot.joints({}, {"pan": 0.1}), "takes positions"),
+        (lambda robot: robot.joints({"pan": 90.0}), "is the unit right"),
+        (lambda robot: robot.drive(0.1, 0.0), "no base that drives"),
+    ],
+)
+def test_what_these_joints_cannot_do_is_refused_with_the_reason(armed, call, why):
+    before_rad = true_rad(armed, "pan")
+    with pytest.raises(Refused, match=why):
+        call(armed.robot)
+    assert true_rad(armed, "pan") == pytest.approx(before_rad, abs=0.005)
+
+
+def test_before_arming_a_position_is_refused_and_moves_nothing(stage):
+    stage.wait_for("idle")
+    before_rad = true_rad(stage, "tilt")
+    with pytest.raises(Refused, match="motord arm"):
+        stage.robot.joints({"tilt": 0.5})
+    assert true_rad(stage, "tilt") == before_rad
+
+
+def test_status_names_joints_and_their_angles(armed):
+    assert command(armed, "tilt=0.3").returncode == 0
+    armed.robot.joints({"tilt": 0.3})
+    status = armed.robot.status()
+    assert status["joints"]["tilt"]["position_rad"] == pytest.approx(0.3, abs=NEAR_RAD)
+    (lease,) = (one for one in status["leases"] if one["owner"] == "socket")
+    assert lease["joints"] == {"tilt": 0.3}
+    description = armed.robot.call("robot")
+    assert (description["drives"], description["takes_position"]) == (False, ["pan", "tilt"])
