@@ -7,7 +7,7 @@ import time
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.unit.gate_rig import gate
+from tests.unit.gate_rig import DEMO, gate
 
 from motord.bus.commands.gate import FUTURE_S, OLD_S, NotTaken, short, tag
 
@@ -83,6 +83,47 @@ def test_joints_that_are_not_all_there_are_refused_with_the_reason(unstamped, me
 def test_joints_without_a_stamp_are_refused_where_one_is_asked_for(stamped):
     with pytest.raises(NotTaken, match="no stamp"):
         stamped.drive_joints({"name": ["left"], "velocity": [1.0]})
+
+
+@pytest.fixture(scope="module")
+def head(tmp_path_factory):
+    return gate(tmp_path_factory, robot=DEMO.with_name("pan-tilt.toml"), stamped=False)
+
+
+@given(message=JSON)
+def test_anything_that_is_json_is_a_command_of_free_joints_or_refused(head, message):
+    with pytest.raises(NotTaken):
+        head.drive_joints(message)
+
+
+def test_joints_without_a_base_have_a_position_each(head):
+    message = {"name": ["tilt", "pan"], "position": [0.2, -0.4], "velocity": []}
+    assert head._free_joints(message) == ({}, {1: 0.2, 0: -0.4}, 0.0)
+    both = {"name": ["pan"], "position": [0.5], "velocity": [9.0]}
+    assert head._free_joints(both) == ({}, {0: 0.5}, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("message", "why"),
+    [
+        ({"name": ["roll"], "position": [0.1]}, "not one of pan, tilt"),
+        ({"name": ["pan", "pan"], "position": [0.1, 0.2]}, "named once"),
+        ({"name": ["pan"], "velocity": [0.1]}, "joint pan takes a position"),
+        ({"name": ["pan", "tilt"], "position": [0.1]}, "not one each"),
+        ({"name": ["pan"], "position": ["0.1"]}, "no JointState"),
+        ({"position": [0.1]}, "no JointState"),
+    ],
+)
+def test_free_joints_that_are_not_all_there_are_refused_with_the_reason(head, message, why):
+    with pytest.raises(NotTaken, match=why):
+        head.drive_joints(message)
+
+
+def test_a_twist_for_a_robot_without_a_base_is_refused_unless_it_is_zero(head):
+    with pytest.raises(NotTaken, match="has no base"):
+        head.drive({"linear": {"x": 0.1}, "angular": {"z": 0.0}})
+    with pytest.raises(NotTaken, match="no lease"):
+        head.drive({"linear": {"x": 0.0}, "angular": {"z": 0.0}})
 
 
 @given(x=NUMBERS, z=NUMBERS, sec=NUMBERS, nanosec=NUMBERS)

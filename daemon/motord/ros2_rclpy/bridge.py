@@ -97,11 +97,18 @@ def _input(description: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 def _robot(description: Mapping[str, Any]) -> Robot:
     """As much of a robot file as the commands read."""
     base = SimpleNamespace(
-        track_m=description["track_m"], wheel_radius_m=description["wheel_radius_m"]
+        kind="" if description.get("drives", True) else "joints",
+        track_m=description["track_m"],
+        wheel_radius_m=description["wheel_radius_m"],
     )
+    positions = description.get("takes_position", ())
+    joints = {
+        name: SimpleNamespace(position_max_rad=0.0 if name in positions else None)
+        for name in description["joints"]
+    }
     made = SimpleNamespace(
         robot=SimpleNamespace(name=description["robot"]),
-        joint=tuple(description["joints"]),
+        joint=joints,
         base=base,
         safety=SimpleNamespace(feedback_timeout_s=description["feedback_timeout_s"]),
     )

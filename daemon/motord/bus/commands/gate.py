@@ -45,6 +45,7 @@ ABSURD = 10.0
 """Times the limit: OUT_OF_RANGE of csrc/loop/arbiter.c."""
 SAY_AGAIN_S = 10.0
 _SHORT = 40
+_EITHER = ("velocity", "position")
 
 _log = logging.getLogger(__name__)
 
@@ -65,7 +66,15 @@ class CommandGate:
         if (token_file := getattr(section, "token_file", None)) is not None:
             self._token = Token(runtime.beside_robot_file(token_file))
         self._stamped: bool = getattr(section, "stamped", False)
-        self._joints = {name: place for place, name in enumerate(runtime.robot.joint)}
+        robot = runtime.robot
+        self._joints = {name: place for place, name in enumerate(robot.joint)}
+        self._free = robot.base.kind == "joints"
+        """Joints without a base: what they take is in their range, which only positions have."""
+        self._positions = {
+            self._joints[name]
+            for name, joint in (robot.joint.items() if self._free else ())
+            if joint.position_max_rad is not None
+        }
         self._calls: Counter[str] = Counter()
         self._reported_s = -SAY_AGAIN_S
         self._voice = RateLimitedLog(_log)
@@ -93,6 +102,8 @@ class CommandGate:
         """Pass a Twist or a TwistStamped on. `waited_s`: in transit, as far as that is known; it is
         the age of one that says none itself. `sender`: as `act`. Raises NotTaken."""
         (linear_m_s, angular_rad_s, lateral_m_s), age_s = self._twist(message)
+        if self._free and (linear_m_s, angular_rad_s, lateral_m_s) != (0.0, 0.0, 0.0):
+            raise self._no("this robot has no base: command its joints by joint_commands")
         stamp_ns = self._stamp_ns(age_s, waited_s)
         if not self.source.drive(linear_m_s, angular_rad_s, stamp_ns, lateral_m_s=lateral_m_s):
             raise self._no(self.source.why_lost)
@@ -122,10 +133,15 @@ class CommandGate:
 
     def drive_joints(self, message: object, waited_s: float = 0.0) -> None:
         """Pass the velocities of a JointState on, as `drive`; wheels that it does not name are to
-        rest. Raises NotTaken."""
-        velocity_rad_s, age_s = self._wheels(message)
-        stamp_ns = self._stamp_ns(age_s, waited_s)
-        if not self.source.drive_joints(velocity_rad_s, stamp_ns):
+        rest. Of joints without a base: positions too, by what each takes. Raises NotTaken."""
+        if self._free:
+            velocities, positions, age_s = self._free_joints(message)
+            stamp_ns, count = self._stamp_ns(age_s, waited_s), len(self._joints)
+            sent = self.source.drive_free_joints(count, velocities, positions, stamp_ns)
+        else:
+            velocity_rad_s, age_s = self._wheels(message)
+            sent = self.source.drive_joints(velocity_rad_s, self._stamp_ns(age_s, waited_s))
+        if not sent:
             raise self._no(self.source.why_lost)
 
     def _stamp_ns(self, age_s: float, waited_s: float) -> int:
@@ -143,22 +159,47 @@ class CommandGate:
 
     def _wheels(self, message: object) -> tuple[list[float], float]:
         """rad/s in the order of the robot file, and the command's age in s."""
-        try:
-            if not isinstance(message, Mapping):
-                raise TypeError("a command is an object")
-            names, speeds = list(message["name"]), list(map(_number, message["velocity"]))
-            stamp_s = _stamp_s(message)
-            known = [self._joints.get(name, -1) for name in names]
-        except (KeyError, TypeError, OverflowError) as error:
-            raise self._no(f"it is no JointState: {error}") from None
-        if -1 in known:
-            raise self._no(f"it names a joint that is not one of {', '.join(self._joints)}")
+        known, (speeds,), stamp_s = self._named(message, "velocity")
         if len(speeds) != len(known) or len(set(known)) != len(known):
             raise self._no("each joint has one velocity")
         velocity_rad_s = [0.0] * len(self._joints)
         for place, speed in zip(known, speeds, strict=True):
             velocity_rad_s[place] = speed
         return velocity_rad_s, self._age_s(stamp_s)
+
+    def _free_joints(self, message: object) -> tuple[dict[int, float], dict[int, float], float]:
+        """Velocities and positions by place, each of the joints that take it, and the command's
+        age in s. The number for a joint in the other list does not count."""
+        known, lists, stamp_s = self._named(message, *_EITHER)
+        if len(set(known)) != len(known):
+            raise self._no("each joint is named once")
+        found: tuple[dict[int, float], dict[int, float]] = {}, {}
+        for at, place in enumerate(known):
+            kind = int(place in self._positions)
+            if len(lists[kind]) != len(known):
+                name = list(self._joints)[place]
+                raise self._no(f"joint {name} takes a {_EITHER[kind]}, and there is not one each")
+            found[kind][place] = lists[kind][at]
+        return *found, self._age_s(stamp_s)
+
+    def _named(
+        self, message: object, *keys: str
+    ) -> tuple[list[int], list[list[float]], float | None]:
+        """Of a JointState: the places of its joints, the numbers of these lists, and its stamp. A
+        list may be missing where there are several."""
+        try:
+            if not isinstance(message, Mapping):
+                raise TypeError("a command is an object")
+            names = list(message["name"])
+            raw = [message[key] if len(keys) == 1 else message.get(key, ()) for key in keys]
+            lists = [list(map(_number, values)) for values in raw]
+            stamp_s = _stamp_s(message)
+            known = [self._joints.get(name, -1) for name in names]
+        except (KeyError, TypeError, OverflowError) as error:
+            raise self._no(f"it is no JointState: {error}") from None
+        if -1 in known:
+            raise self._no(f"it names a joint that is not one of {', '.join(self._joints)}")
+        return known, lists, stamp_s
 
     def _twist(self, message: object) -> tuple[tuple[float, float, float], float]:
         """Linear m/s, rad/s and lateral m/s; and the command's age in s."""

@@ -15,12 +15,12 @@ import logging
 import os
 import socket
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from motord.api.commands import RELEASE, TWIST, datagram, joint_datagram
+from motord.api.commands import RELEASE, TWIST, datagram, joint_datagram, position_datagram
 from motord.api.deadline import within
 from motord.api.local_rpc import ClientError, answer_to, request_line, result_of
 from motord.api.stop_request import AGAIN_S, open_sender, try_send
@@ -253,6 +253,20 @@ class Source:
         """One command of all wheels, in the order of the robot file, as `drive`."""
         return self._send(
             lambda token, sequence: joint_datagram(token, sequence, stamp_ns, velocity_rad_s)
+        )
+
+    def drive_free_joints(
+        self,
+        joint_count: int,
+        velocity_rad_s: Mapping[int, float],
+        position_rad: Mapping[int, float],
+        stamp_ns: int,
+    ) -> bool:
+        """One command of joints without a base, by place, as `drive`."""
+        return self._send(
+            lambda token, sequence: position_datagram(
+                token, sequence, stamp_ns, joint_count, velocity_rad_s, position_rad
+            )
         )
 
     def release(self, *, seen: int = ALL_SEEN) -> bool:

@@ -4,7 +4,8 @@
 cmd_vel                           geometry_msgs/TwistStamped, or Twist (stamped = false)
 ~/arm, ~/disarm, ~/reset, ...     std_srvs/Trigger
 ~/set_armed                       std_srvs/SetBool: arm or disarm
-joint_commands                    sensor_msgs/JointState: velocities by the joints' names
+joint_commands                    sensor_msgs/JointState: velocities by the joints' names; of
+                                  joints without a base, positions too
 drive_distance, rotate, calibrate motord_msgs actions
 ~/stop, ~/estop                   std_srvs/Trigger; also topics (std_msgs/String: why), for
                                   those whose middleware our services do not reach
@@ -133,7 +134,9 @@ class Ros2Commands:
                 del command["header"]
             self._gate.drive_joints(command, waited_s)
             self._mover.driven()
-            self._contests["joint_commands"].received(sender, tuple(message.velocity))
+            self._contests["joint_commands"].received(
+                sender, (*message.velocity, *message.position)
+            )
 
     def _rivals(self) -> dict[str, Any]:
         """By topic, where senders command against each other."""
