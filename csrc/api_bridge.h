@@ -28,6 +28,7 @@ typedef struct {
     uint32_t index;      /* the core's joint */
     uint32_t rest_mode;  /* BRIDGE_COAST or BRIDGE_BRAKE: armed, at a duty of zero */
     double sign;         /* -1: the motor turns backward when the robot drives forward */
+    double full_rad;     /* 0: it takes duties. Else a servo that takes positions: its angle at a duty of 1 */
     uint64_t fault_mask; /* of the input request's lines: one that is active is a fault */
     encoder_config encoder;
 } bridge_joint;
@@ -84,7 +85,8 @@ typedef struct {
     int64_t last_ns;        /* of the step before */
     uint64_t enabled_count; /* how often the set-points have become enabled: its stepper writes it first */
     uint32_t phase;         /* of pins that pump */
-    uint32_t reserved;
+    uint32_t holds;         /* bit n: joint n, a servo, has its pulses */
+    double held_duty[8];    /* of a servo: the angle that it is sent to */
 } bridge_state;
 
 /* level[i] of output i, 0 to 1. Set-points that are old, not enabled or no numbers move nothing. */

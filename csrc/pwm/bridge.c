@@ -59,6 +59,34 @@ static uint32_t mode_of(const drive_state *drive, const bridge_joint *joint, boo
     return drive->stopping ? BRIDGE_BRAKE : BRIDGE_COAST;
 }
 
+/* A servo goes to the newest position and keeps its pulses, at the place that it was sent to last, until it has stopped. Before
+ * the first position, and without power, it gets none. */
+static void hold_positions(bridge_state *state, const bridge_config *config, const setpoints *newest, bool moving)
+{
+    bool powered = state->drive.mode == DRIVE_ARMED || state->drive.stopping;
+    state->holds = powered ? state->holds : 0;
+    for (uint32_t j = 0; j < config->joint_count; j++) {
+        const bridge_joint *joint = &config->joint[j];
+        if (joint->full_rad == 0.0 || !moving || joint->index >= newest->joint_count ||
+            !(newest->positioned >> joint->index & 1U)) {
+            continue;
+        }
+        double duty = newest->position_rad[joint->index] / joint->full_rad * joint->sign;
+        if (isfinite(duty)) {
+            state->held_duty[j] = duty > 1.0 ? 1.0 : duty < -1.0 ? -1.0 : duty;
+            state->holds |= 1U << j;
+        }
+    }
+}
+
+static uint32_t servo_mode(const bridge_state *state, uint32_t j)
+{
+    if (!(state->holds >> j & 1U)) {
+        return BRIDGE_COAST;
+    }
+    return state->held_duty[j] < 0.0 ? BRIDGE_REVERSE : BRIDGE_FORWARD;
+}
+
 void bridge_step(bridge_state *state, const bridge_config *config, const bridge_control *control, const setpoints *newest,
                  int64_t now_ns, double *level)
 {
@@ -71,11 +99,16 @@ void bridge_step(bridge_state *state, const bridge_config *config, const bridge_
     state->last_ns = now_ns;
     bool moving = drive_may_move(drive, view.fresh, view.enabled);
     state->phase ^= 1;
+    hold_positions(state, config, newest, moving);
     for (uint32_t i = 0; i < config->output_count; i++) {
         const bridge_pin *output = &config->output[i];
         const bridge_joint *joint = &config->joint[output->joint];
         double duty = moving ? duty_of(joint, newest) : 0.0;
         uint32_t mode = mode_of(drive, joint, moving, duty);
+        if (joint->full_rad != 0.0) {
+            mode = servo_mode(state, output->joint);
+            duty = state->held_duty[output->joint];
+        }
         double pumped = moving && state->phase != 0 ? 1.0 : 0.0;
         level[i] = output->pumps != 0 ? pumped : output->base[mode] + output->slope[mode] * fabs(duty);
     }
@@ -112,8 +145,8 @@ int bridge_config_check(const bridge_config *config)
                 config->stopping_ns >= 0 && config->priority >= 0 && config->priority <= 99;
     for (uint32_t i = 0; good && i < config->joint_count; i++) {
         const bridge_joint *joint = &config->joint[i];
-        good = joint->index < JOINTS_MAX && (joint->sign == 1.0 || joint->sign == -1.0) &&
-               (joint->rest_mode == BRIDGE_COAST || joint->rest_mode == BRIDGE_BRAKE) &&
+        good = joint->index < JOINTS_MAX && (joint->sign == 1.0 || joint->sign == -1.0) && joint->full_rad >= 0.0 &&
+               joint->full_rad <= 1000.0 && (joint->rest_mode == BRIDGE_COAST || joint->rest_mode == BRIDGE_BRAKE) &&
                encoder_config_check(&joint->encoder) == 0;
     }
     for (uint32_t i = 0; good && i < config->output_count; i++) {

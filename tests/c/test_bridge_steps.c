@@ -110,6 +110,73 @@ static void a_joint_that_the_set_points_do_not_have_rests(void)
     CHECK(is(b.level[0], 0.3 + 0.25 * 0.5) && b.level[1] == 0.1);
 }
 
+/* Pin 0: its level is 0.5 in the middle and 0.25 either way. */
+static bench servo(void)
+{
+    bench b = begun();
+    b.config.joint[0].full_rad = 0.8;
+    const double base[4] = {0.0, 0.5, 0.5, 0.5}, slope[4] = {0.0, 0.0, 0.25, -0.25};
+    for (int mode = 0; mode < 4; mode++) {
+        b.config.output[0].base[mode] = base[mode], b.config.output[0].slope[mode] = slope[mode];
+    }
+    b.newest.positioned = 1;
+    return b;
+}
+
+static void a_servo_gets_the_pulses_of_its_newest_position(void)
+{
+    bench b = servo();
+    b.newest.position_rad[0] = 0.4;
+    CHECK(bridge_config_check(&b.config) == 0 && steps_on(&b, 0)[0] == 0.0); /* no power, no pulses */
+    CHECK(is(asks(&b, PWM_ARMED)[0], 0.5 + 0.125));
+    const double at_rad[] = {0.0, -0.2, -0.8, -7.0, 0.8, 7.0}, levels[] = {0.5, 0.4375, 0.25, 0.25, 0.75, 0.75};
+    for (int i = 0; i < 6; i++) {
+        b.newest.position_rad[0] = at_rad[i];
+        CHECK(is(steps_on(&b, MS)[0], levels[i]));
+    }
+    b.config.joint[0].sign = -1.0;
+    CHECK(is(steps_on(&b, MS)[0], 0.25));
+}
+
+static void a_servo_without_a_position_holds_the_one_before(void)
+{
+    bench b = servo();
+    b.newest.positioned = 0;
+    CHECK(asks(&b, PWM_ARMED)[0] == 0.0); /* never had one: no pulses */
+    b.newest.positioned = 1, b.newest.position_rad[0] = -0.4;
+    CHECK(is(steps_on(&b, MS)[0], 0.375));
+    const double nonsense[] = {NAN, INFINITY, -INFINITY};
+    for (int i = 0; i < 3; i++) {
+        b.newest.position_rad[0] = nonsense[i];
+        CHECK(is(steps_on(&b, MS)[0], 0.375));
+    }
+    b.newest.position_rad[0] = 0.8, b.newest.positioned = 0;
+    CHECK(is(steps_on(&b, MS)[0], 0.375));
+    b.newest.positioned = 1, b.newest.joint_count = 0;
+    CHECK(is(steps_on(&b, MS)[0], 0.375));
+}
+
+static void a_servo_that_stops_keeps_its_place_and_then_gets_no_pulses(void)
+{
+    for (int how = 0; how < 3; how++) { /* a request, set-points that are old or not enabled any more */
+        bench b = servo();
+        b.newest.position_rad[0] = 0.4;
+        asks(&b, PWM_ARMED);
+        b.newest.position_rad[0] = -0.8;
+        b.newest.enabled = how != 2;
+        b.age_ns = how == 1 ? 200 * MS : 0;
+        double level = how == 0 ? asks(&b, PWM_STOP)[0] : steps_on(&b, 50 * MS)[0];
+        CHECK(how == 2 ? level == 0.0 || is(level, 0.625) : is(level, 0.625));
+        CHECK(!b.state.drive.stopping || is(steps_on(&b, 50 * MS)[0], 0.625));
+        CHECK(steps_on(&b, 400 * MS)[0] == 0.0 && steps_on(&b, MS)[0] == 0.0);
+        b.age_ns = 0, b.newest.enabled = 1, b.newest.positioned = 0;
+        CHECK(asks(&b, PWM_ARMED)[0] == 0.0); /* an old place is none */
+    }
+    bench b = servo();
+    asks(&b, PWM_ARMED);
+    CHECK(asks(&b, PWM_OFF)[0] == 0.0);
+}
+
 static void each_reason_stays_until_it_is_armed_again(void)
 {
     bench b = begun();
@@ -203,6 +270,8 @@ static void each_number_of_a_config_ends_where_it_says(void)
 {
     bridge_config config = two_motors();
     CHECK(bridge_config_check(&config) == 0);
+    REFUSED(joint[0].full_rad, -1.0);
+    REFUSED(joint[1].full_rad, (double)NAN);
     REFUSED(joint_count, 0);
     REFUSED(joint_count, JOINTS_MAX + 1);
     REFUSED(output_count, 0);
@@ -278,6 +347,9 @@ int main(void)
 {
     each_mode_has_its_level();
     a_joint_that_the_set_points_do_not_have_rests();
+    a_servo_gets_the_pulses_of_its_newest_position();
+    a_servo_without_a_position_holds_the_one_before();
+    a_servo_that_stops_keeps_its_place_and_then_gets_no_pulses();
     each_reason_stays_until_it_is_armed_again();
     one_that_brakes_goes_on_whatever_is_requested_but_no_power();
     one_that_was_enabled_and_is_no_more_has_no_power();

@@ -18,6 +18,7 @@ from motord.config import load_robot
 from motord.config.wiring import line_specs
 from motord.tools.simulator import start_simulator
 from motord_hal.fieldbus.ports import CounterEncoder, DriveState, JointSpec, LineSpec, PinsSpec
+from motord_hal.pwm.pins import servo_range_rad
 from motord_hal.sim.rig import Rig, RigSpec, WheelSpec
 from motord_hal.sim.runner import HELD_UP_S, PausingClock
 
@@ -26,7 +27,9 @@ ROBOT = ROOT / "config/robots/pi5-bts7960.toml"
 PERIOD_NS = 20_000_000
 FULL_RAD_S = 18.0
 PER_COUNT = math.tau / 1320
-BRIDGES = [name for name in NAMES if shipped_profile(name).bridge is not None]
+ON_PINS = [name for name in NAMES if shipped_profile(name).bridge is not None]
+SERVOS = [name for name in ON_PINS if shipped_profile(name).goes_to_positions]
+BRIDGES = [name for name in ON_PINS if name not in SERVOS]
 
 
 class Bench:
@@ -118,6 +121,25 @@ def test_a_bridge_that_brakes_stops_its_motor_and_one_that_coasts_lets_it_turn(t
             bench.go_on(0.5)
             assert (bench.wheel.velocity_rad_s > 0.5 * FULL_RAD_S) == turns_on
             assert bench.enabled() != turns_on
+
+
+@pytest.mark.parametrize("drive", SERVOS)
+def test_a_servo_goes_to_the_angle_of_its_pulses_and_without_pulses_has_no_power(tmp_path, drive):
+    with Bench(tmp_path, drive, gear_ratio=2.0) as bench:
+        full_rad = servo_range_rad(bench.line.joints[0])
+        for mode, part, goal_rad in (
+            ("forward", 1.0, full_rad), ("reverse", 0.5, -full_rad / 2), ("forward", 0.0, 0.0),
+        ):  # fmt: skip
+            bench.mode(mode, part)
+            bench.go_on(1.0)
+            assert bench.wheel.position_rad == pytest.approx(goal_rad, abs=0.01)
+            assert bench.enabled()
+        bench.mode("forward", 1.0)
+        bench.go_on(0.05)
+        bench.mode("coast")
+        bench.go_on(3.0)
+        assert bench.wheel.velocity_rad_s == 0.0
+        assert not bench.enabled()
 
 
 def test_nothing_turns_before_the_pins_report_so(tmp_path):

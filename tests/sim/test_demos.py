@@ -13,6 +13,7 @@ from motord.tools.demo_words import Source
 
 ROBOTS = sorted(path.stem for path in (ROOT / "config/robots").glob("*.toml"))
 ESTIMATED = {
+    "ackermann-servo-pwm": Source.SETPOINTS,
     "forward-only": Source.SPEEDS,
     "hoverboard-rover": Source.SPEEDS,
     "sabertooth": Source.SETPOINTS,

@@ -123,3 +123,9 @@ def test_names_become_places_and_foreign_ones_are_refused(loaded):
     wheels = JointNames(load_robot(ROBOTS / "demo.toml"))
     with pytest.raises(Refused, match="motord drive"):
         wheels.places({"left": 1.0}, {})
+
+
+def test_a_servo_beyond_the_range_of_its_pulses_is_refused(problems):
+    text = (ROBOTS / "ackermann-servo-pwm.toml").read_text("utf-8")
+    found = problems("position_max_rad = 0.5", "position_max_rad = 0.9", text)
+    assert "joint.steering.position_max_rad: the servo's pulses reach 0.785 rad" in found

@@ -22,7 +22,7 @@ from motord_hal.fieldbus.ports import (
     LineStats,
     Listener,
 )
-from motord_hal.pwm.pins import OpenPins, bridge_of, open_pins, places_of
+from motord_hal.pwm.pins import OpenPins, bridge_of, open_pins, places_of, servo_range_rad
 from motord_hal.realtime.drive_state import FaultReason
 from motord_hal.realtime.exchange import Exchange
 from motord_hal.realtime.pwm import (
@@ -150,6 +150,7 @@ class PwmLine(LineTask):
                 inverted=joint.inverted,
                 fault_mask=pins.fault_masks[place],
                 encoder=pins.encoders[place],
+                full_rad=servo_range_rad(joint),
             )
             for place, joint in enumerate(self.spec.joints)
         ]

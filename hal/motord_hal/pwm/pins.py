@@ -55,6 +55,16 @@ class Place:
     inverted: bool
 
 
+def servo_range_rad(joint: JointSpec) -> float:
+    """The joint's angle, to either side, that the longest and the shortest pulse are; 0: its drive
+    takes duties."""
+    channel = joint.profile.channels[joint.channel]
+    if channel.position_setpoint is None:
+        return 0.0
+    most_rad = joint.profile.registers[channel.position_setpoint].si_limits[1]
+    return most_rad / joint.gear_ratio
+
+
 def bridge_of(joint: JointSpec) -> Bridge:
     """Raises ProfileError."""
     if joint.profile.bridge is None:

@@ -76,6 +76,8 @@ class BridgeJoint:
     inverted: bool
     fault_mask: int
     encoder: EncoderConfig | None = None
+    full_rad: float = 0.0
+    """Of a servo: the joint's angle at the longest pulse. 0: it takes duties."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -193,6 +195,7 @@ def _config(config: BridgeConfig, exchange: Exchange) -> Any:
         place.rest_mode = lib.BRIDGE_BRAKE if joint.brakes_at_rest else lib.BRIDGE_COAST
         place.sign = -1.0 if joint.inverted else 1.0
         place.fault_mask = joint.fault_mask
+        place.full_rad = joint.full_rad
         if joint.encoder is not None:
             place.encoder = dataclasses.asdict(joint.encoder)
     for place, pin in zip(raw.output, config.pins, strict=False):

@@ -30,7 +30,7 @@ _UNSEALED = 0xA0
 # of bus servos: an instruction is written as a register (motord_hal.servo.packets)
 _INSTRUCTIONS = 0xFF00
 _SERVOS = ("feetech", "dynamixel")
-_GO_TO_POSITIONS = ("modbus-rtu", "can", *_SERVOS)
+_GO_TO_POSITIONS = ("modbus-rtu", "can", "pwm", *_SERVOS)
 _FRAMES = (
     "ddsm",
     "mcu-frame",

@@ -9,13 +9,13 @@ from motord.config.finding import Finding
 from motord.config.rules.pin_owners import pins_have_one_owner
 from motord.config.sections.encoder import BoardEncoder, GpioEncoder
 from motord.config.sections.line import PwmLine
-from motord.config.sections.model import Robot
+from motord.config.sections.model import Joint, Robot
 from motord.config.sections.wheels import Profiles
 from motord.config.toml_lines import Path
 from motord.config.wiring import line_specs
 from motord_hal.fieldbus.ports import EdgesEncoder, JointSpec, LineSpec
 from motord_hal.gpio.pinmux import why_no_pull
-from motord_hal.pwm.pins import Place, bridge_of, places_of
+from motord_hal.pwm.pins import Place, bridge_of, places_of, servo_range_rad
 
 
 def _pins(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
@@ -28,10 +28,10 @@ def _pins(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
                     text = f'is only for a line of kind "pwm": this one is "{kind}"'
                     yield Finding((at, ("line", spec.name, "kind")), text)
             elif joint.profile.bridge is not None:  # else the protocol does not fit: another rule
-                yield from _bridge(spec, number, joint)
+                yield from _bridge(robot, spec, number, joint)
 
 
-def _bridge(spec: LineSpec, number: int, joint: JointSpec) -> Iterator[Finding]:
+def _bridge(robot: Robot, spec: LineSpec, number: int, joint: JointSpec) -> Iterator[Finding]:
     at: Path = ("joint", joint.name, "pins")
     try:
         places = places_of(number, joint)
@@ -40,6 +40,7 @@ def _bridge(spec: LineSpec, number: int, joint: JointSpec) -> Iterator[Finding]:
         return
     yield from _chips(spec, places)
     yield from _carrier(spec, joint)
+    yield from _servo(joint, robot.joint[joint.name])
 
 
 def _chips(spec: LineSpec, places: list[Place]) -> Iterator[Finding]:
@@ -58,6 +59,16 @@ def _carrier(spec: LineSpec, joint: JointSpec) -> Iterator[Finding]:
         span = f"{bridge.pwm_min_hz:g} to {bridge.pwm_max_hz:g} Hz"
         text = f'{requested_hz:g} Hz is out of range for drive "{joint.profile.name}" ({span})'
         yield Finding((("line", spec.name, "pwm_hz"), ("joint", joint.name, "drive")), text)
+
+
+def _servo(spec: JointSpec, joint: Joint) -> Iterator[Finding]:
+    """Its pulses are of a certain range."""
+    most_rad = servo_range_rad(spec)
+    for key in ("position_min_rad", "position_max_rad") if most_rad else ():
+        if abs(getattr(joint, key) or 0.0) > most_rad * (1 + 1e-9):
+            text = f"the servo's pulses reach {most_rad:.3g} rad at this joint, to either side"
+            at: tuple[Path, ...] = (("joint", spec.name, key), ("joint", spec.name, "drive"))
+            yield Finding(at, text)
 
 
 def _encoders(robot: Robot, profiles: Profiles) -> Iterator[Finding]:

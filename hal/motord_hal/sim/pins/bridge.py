@@ -13,8 +13,11 @@ from motord_hal.drives.profile import Bridge, DriveProfile
 from motord_hal.sim.axis import Axis, Motor
 from motord_hal.sim.pins.folder import COUNTER_BITS
 from motord_hal.sim.plant import Encoder
+from motord_hal.sim.positioning import GAIN_PER_S, SPEED_RAD_S
 from motord_hal.sim.rs485.drive import SimulatedDrive
 
+SERVO_DEAD_BAND_RAD = 0.003
+"""Of a servo on pulses: about what 2 to 4 µs of the pulse are."""
 LEVEL_TOLERANCE = 1e-4
 """Of a period: channels take whole nanoseconds, and half of one is less than this up to
 200 kHz."""
@@ -66,8 +69,21 @@ class SimulatedBridge(SimulatedDrive):
         self._apply()
 
     def _follow_setpoint(self, motor: Motor) -> None:
+        if motor.channel.position_setpoint is not None:
+            motor.axis.wheel.turn(self._servo_rad_s(motor))
+            return
         # a shorted motor is one at a duty of zero: its own voltage brakes it
         motor.axis.wheel.push(self._duty * motor.axis.sign, motor.axis.full_duty_rad_s)
+
+    def _servo_rad_s(self, motor: Motor) -> float:
+        """Speed towards the angle that the pulses are."""
+        full_rad = self.profile.registers[motor.channel.setpoint].si_limits[1]
+        goal_rad = self._duty * full_rad / motor.axis.motor_per_wheel
+        off_rad = goal_rad - motor.axis.wheel.position_rad
+        if abs(off_rad) < SERVO_DEAD_BAND_RAD:
+            return 0.0
+        speed_rad_s = min(SPEED_RAD_S, GAIN_PER_S * abs(off_rad))
+        return math.copysign(speed_rad_s, off_rad)
 
     # ------------------------------------------------------------------------------ its encoder
     def count_edges(self, channel: int, rad_per_count: float) -> None:
