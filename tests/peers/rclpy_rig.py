@@ -42,9 +42,10 @@ def stamped(message, age_s=0.0):
     return message
 
 
-def twist(linear_m_s, angular_rad_s=0.0, age_s=0.0):
+def twist(linear_m_s, angular_rad_s=0.0, age_s=0.0, lateral_m_s=0.0):
     message = stamped(T.TwistStamped(), age_s)
     message.twist.linear.x, message.twist.angular.z = linear_m_s, angular_rad_s
+    message.twist.linear.y = lateral_m_s
     return message
 
 

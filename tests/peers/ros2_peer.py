@@ -8,6 +8,7 @@ library itself. It shares nothing with motord.
     ros2_peer.py DOMAIN bursts NAME V N          N TwistStamped at once for each line on stdin;
                                                  for `old`, one that is a minute old
     ros2_peer.py DOMAIN frame NAME CHARS         20 TwistStamped a second, with so long a frame
+    ros2_peer.py DOMAIN plane NAME VX VY [plain]   20 TwistStamped a second, or Twist
     ros2_peer.py DOMAIN twist NAME V W [AHEAD_S] 20 Twist a second, by a clock ahead of ours; a
                                                  line on standard input: sent 3 s ago from now on
     ros2_peer.py DOMAIN joints NAME JOINT=SPEED ... [AGE_S]   20 JointState a second
@@ -116,8 +117,18 @@ def _publish(participant, name, kind, make, qos=RELIABLE, node=""):
         time.sleep(0.05)
 
 
-def _twist(linear_m_s, angular_rad_s):
-    return Twist(Vector3(float(linear_m_s), 0.0, 0.0), Vector3(0.0, 0.0, float(angular_rad_s)))
+def _twist(linear_m_s, angular_rad_s, lateral_m_s=0.0):
+    linear = Vector3(float(linear_m_s), float(lateral_m_s), 0.0)
+    return Twist(linear, Vector3(0.0, 0.0, float(angular_rad_s)))
+
+
+def plane(participant, name, linear_m_s, lateral_m_s, plain=""):
+    def make():
+        command = _twist(linear_m_s, 0.0, lateral_m_s)
+        stamp = Time(*divmod(time.time_ns(), 1_000_000_000))
+        return command if plain else TwistStamped(Header(stamp, ""), command)
+
+    _publish(participant, name, Twist if plain else TwistStamped, make)
 
 
 def twist(participant, name, linear_m_s, angular_rad_s, ahead_s="0"):
@@ -296,8 +307,9 @@ def endpoints(participant):
 
 
 COMMANDS = {
-    "topic": topic, "drive": drive, "joints": joints, "twist": twist, "say": _say_text,
-    "bursts": bursts, "frame": frame, "call": call, "act": act, "endpoints": endpoints,
+    "topic": topic, "drive": drive, "plane": plane, "joints": joints, "twist": twist,
+    "say": _say_text, "bursts": bursts, "frame": frame, "call": call, "act": act,
+    "endpoints": endpoints,
 }  # fmt: skip
 
 

@@ -406,7 +406,7 @@ class MotorStatus(IdlStruct, typename="motord_msgs::msg::dds_::MotorStatus_"):
 ACTIONS = {
     "DriveDistance": _action(
         "DriveDistance",
-        ("distance_m speed_m_s tolerance_m timeout_s", [float64] * 4),
+        ("distance_m speed_m_s tolerance_m timeout_s direction_rad", [float64] * 5),
         ("distance_m turned_rad duration_s message", [float64, float64, float64, str]),
         ("distance_m remaining_m speed_m_s", [float64] * 3),
     ),

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A program as its users write it, on roslibpy: python ros_client.py URL. Prints what it saw."""
+"""A program as its users write it, on roslibpy: python ros_client.py URL. Prints what it saw. With
+VX VY behind the URL it commands these until it is killed."""
 
 import json
 import sys
@@ -26,9 +27,19 @@ def first(ros, topic, kind):
     return found[0]
 
 
+def plane(cmd_vel, linear_m_s, lateral_m_s):
+    linear = {"x": float(linear_m_s), "y": float(lateral_m_s), "z": 0.0}
+    while True:
+        cmd_vel.publish(roslibpy.Message({"linear": linear, "angular": {"z": 0.0}}))
+        time.sleep(0.05)
+
+
 def main():
     ros = roslibpy.Ros(sys.argv[1])
     ros.run(timeout=WITHIN_S)
+    cmd_vel = roslibpy.Topic(ros, "/cmd_vel", "geometry_msgs/Twist")
+    if sys.argv[2:]:
+        plane(cmd_vel, *sys.argv[2:])
 
     def trigger(name):
         service = roslibpy.Service(ros, name, "std_srvs/Trigger")
@@ -39,7 +50,6 @@ def main():
         "odom": first(ros, "/odom", "nav_msgs/Odometry"),
         "arm": trigger("/arm"),
     }
-    cmd_vel = roslibpy.Topic(ros, "/cmd_vel", "geometry_msgs/Twist")
     moving, ending = threading.Event(), threading.Event()
 
     def drive():

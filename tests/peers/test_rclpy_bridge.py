@@ -4,6 +4,7 @@
 import math
 import signal
 import time
+from functools import partial
 
 import pytest
 from tests.peers.rclpy_rig import T, Trigger, drive_until, stamped, trigger, twist
@@ -70,6 +71,20 @@ def test_commands_move_the_robot_under_the_inputs_own_lease(stage):
     (lease,) = stage.robot.status()["leases"]
     assert (lease["owner"], lease["priority"]) == ("ros", 60)
     stage.wait_for("armed", "fault")
+
+
+def test_a_speed_sideways_reaches_the_daemon_which_counts_that_the_base_cannot(stage):
+    armed(stage)
+    publisher = stage.operator.publisher("cmd_vel", T.TwistStamped, BEST_EFFORT)
+
+    def lateral_m_s():
+        return [one["lateral_m_s"] for one in stage.robot.status()["leases"]]
+
+    command = partial(twist, 0.2, lateral_m_s=0.1)
+    drive_until(stage, publisher, command, lambda: lateral_m_s() == [0.1], "the lateral speed")
+    drive_until(stage, publisher, command, lambda: stage.state() == "moving", "moving")
+    assert stage.robot.status()["commands"]["sideways"] > 0
+    assert stage.said().count("asks this base to move sideways") == 1
 
 
 def test_wheels_are_commanded_by_their_names(stage):

@@ -16,7 +16,9 @@ pytest.importorskip("cyclonedds", reason="needs cyclonedds")
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 NAMES = {"drive_distance": "DriveDistance", "rotate": "Rotate", "calibrate": "Calibrate"}
 ZERO = {
-    "drive_distance": {"speed_m_s": 0.0, "tolerance_m": 0.0, "timeout_s": 0.0},
+    "drive_distance": dict.fromkeys(
+        ("speed_m_s", "tolerance_m", "timeout_s", "direction_rad"), 0.0
+    ),
     "rotate": {"speed_rad_s": 0.0, "tolerance_rad": 0.0, "timeout_s": 0.0},
     "calibrate": {"true_distance_m": 0.0, "true_angle_rad": 0.0, "timeout_s": 0.0},
 }

@@ -20,6 +20,7 @@ UUID = "peer/msg/Uuid"
 TYPES = {
     "peer/msg/Goal": (
         "float64 distance_m\nfloat64 speed_m_s\nfloat64 tolerance_m\nfloat64 timeout_s\n"
+        "float64 direction_rad\n"
     ),
     "peer/msg/Result": (
         "float64 distance_m\nfloat64 turned_rad\nfloat64 duration_s\nstring message\n"
@@ -80,7 +81,11 @@ class Client:
 
     def send(self, distance_m):
         goal = STORE.types["peer/msg/Goal"](
-            distance_m=distance_m, speed_m_s=0.0, tolerance_m=0.0, timeout_s=0.0
+            distance_m=distance_m,
+            speed_m_s=0.0,
+            tolerance_m=0.0,
+            timeout_s=0.0,
+            direction_rad=0.0,
         )
         return self._asked(
             "send_goal", f"{ACTION}_SendGoal", ("Send", "Sent"), goal_id=self.goal_id, goal=goal

@@ -25,14 +25,14 @@ ODOM_KEY = f"5/r2/odom/nav_msgs::msg::dds_::Odometry_/{STORE.hash_rihs01('nav_ms
 LEASE_S = 1.0
 
 
-def command(linear_m_s, age_s=0.0):
+def command(linear_m_s, age_s=0.0, lateral_m_s=0.0):
     make = STORE.types
     sec, nanosec = divmod(time.time_ns() - round(age_s * 1e9), 1_000_000_000)
     stamp = make["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
     message = make[TWIST_STAMPED](
         header=make["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
         twist=make["geometry_msgs/msg/Twist"](
-            linear=make["geometry_msgs/msg/Vector3"](x=linear_m_s, y=0.0, z=0.0),
+            linear=make["geometry_msgs/msg/Vector3"](x=linear_m_s, y=lateral_m_s, z=0.0),
             angular=make["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0),
         ),
     )

@@ -41,6 +41,7 @@ DISTANCE_MAX_U = 1000.0
 TOLERANCE_U = {"linear": 0.01, "angular": 0.02}
 """Where a goal names none."""
 TIMEOUT_MAX_S = 3600.0
+CANNOT_STRAFE = "this base cannot move sideways: turn it, then move"
 _NS = 1e-9
 
 
@@ -150,6 +151,11 @@ class Plan:
     timeout_s: float
     bounds: Bounds
     direction_rad: float = 0.0
+
+    def along_m_s(self, snapshot: Snapshot) -> float:
+        """How fast the base moves in the direction of the goal."""
+        forward_m_s = snapshot.linear_m_s * math.cos(self.direction_rad)
+        return forward_m_s + snapshot.lateral_m_s * math.sin(self.direction_rad)
 
 
 def planned(goal: Goal, bounds: Bounds) -> Plan:

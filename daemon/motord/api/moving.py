@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 
 from motord.api.local_rpc import ClientError, Refused
 from motord.api.motion import (
+    CANNOT_STRAFE,
     STOPS_EVERY_S,
     End,
     Goal,
@@ -121,7 +122,7 @@ def procedure(
     """
     names = limit_names(goal)
     if goal.strafes and not (yield Call("robot")).get("strafes"):
-        raise MoveFailed("this base cannot move sideways: turn it, then move")
+        raise MoveFailed(CANNOT_STRAFE)
     plan = planned(goal, bounds_of(goal, (yield Call("params.get", {"names": names}))))
     begin_s = time.monotonic()
     before = yield Call("status")

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from motord.api.motion import (
+    CANNOT_STRAFE,
     STOPS_EVERY_S,
     Bounds,
     End,
@@ -68,6 +69,8 @@ class Mover:
         if self._gap.just_over():
             raise NotNow(STOOD_STILL)
         try:
+            if goal.strafes and not self._runtime.robot.base.strafes:
+                raise NotNow(CANNOT_STRAFE)
             plan = planned(goal, await self._bounds(goal))
         except (ValueError, ClientError) as error:
             raise NotNow(str(error)) from error

@@ -289,6 +289,7 @@ float64 distance_m
 float64 speed_m_s
 float64 tolerance_m
 float64 timeout_s
+float64 direction_rad
 === motord_msgs/action/DriveDistance_Result
 float64 distance_m
 float64 turned_rad

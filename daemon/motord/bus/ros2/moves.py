@@ -70,6 +70,7 @@ class Moves:
             velocity_u_s=goal.speed_m_s,
             tolerance_u=goal.tolerance_m,
             timeout_s=goal.timeout_s,
+            direction_rad=goal.direction_rad,
         )
         return self._work(await self._planned(asked), _distance_feedback, _distance_result)
 
@@ -170,7 +171,9 @@ def _ended(step: MotionStep) -> Status:
 
 def _distance_feedback(motion: Motion, newest: Snapshot) -> SimpleNamespace:
     return SimpleNamespace(
-        distance_m=motion.distance_u, remaining_m=motion.remaining_u, speed_m_s=newest.linear_m_s
+        distance_m=motion.distance_u,
+        remaining_m=motion.remaining_u,
+        speed_m_s=motion.plan.along_m_s(newest),
     )
 
 
