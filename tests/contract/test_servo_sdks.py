@@ -2,54 +2,24 @@
 """The makers' SDKs against motord: their masters drive the simulated servos, and motord's line
 drives servos whose packets they make."""
 
-import contextlib
 import dataclasses
 import math
-import time
 
 import dynamixel_sdk
 import pytest
 import scservo_sdk
-from loop_side import GENEROUS_S, running, until
+from loop_side import running, until
+from sdk_master import BAUDRATE, OK, opened, patiently, wait_until
 from sdk_servo import SYNC_READ, SYNC_WRITE, DynamixelSdk, FeetechSdk, SdkServos
 from sim_bench import simulated, spec_of
 
 from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState
 
-BAUDRATE = 1_000_000
 STEPS = 1000
 """Goal velocity of a Feetech servo, 4096 a turn and second."""
 UNITS = 100
 """Of a Dynamixel, 0.229 rpm each."""
-OK = 0
-
-
-def patiently(call):
-    """The SDKs wait for a reply no longer than some milliseconds, a busy machine may: once more."""
-    end_s = time.monotonic() + GENEROUS_S
-    while True:
-        result = call()
-        if result[-2] == OK or time.monotonic() > end_s:
-            assert result[-2] == OK
-            return result
-
-
-def wait_until(condition):
-    end_s = time.monotonic() + GENEROUS_S
-    while not condition():
-        assert time.monotonic() < end_s
-        time.sleep(0.005)
-
-
-@contextlib.contextmanager
-def opened(port, path):
-    port.setPortName(str(path))
-    assert port.setBaudRate(BAUDRATE)
-    try:
-        yield port
-    finally:
-        port.closePort()
 
 
 def truth_rad_s(control):

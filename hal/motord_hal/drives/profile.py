@@ -27,6 +27,9 @@ class RegisterType(enum.StrEnum):
     U8 = "u8"
     I8 = "i8"
     U16 = "u16"
+    U16_HIGH_FIRST = "u16-high-first"
+    """High byte first, of a bus servo whose series has it so (Feetech SCS); those of Modbus are
+    u16."""
     I16 = "i16"
     U32 = "u32"
     I32 = "i32"
@@ -47,6 +50,10 @@ class RegisterType(enum.StrEnum):
     @functools.cached_property
     def signed(self) -> bool:
         return self.value.startswith(("i", "f", "m"))
+
+    @functools.cached_property
+    def high_first(self) -> bool:
+        return self.value.endswith("high-first")
 
     @functools.cached_property
     def magnitude(self) -> bool:

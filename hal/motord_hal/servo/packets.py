@@ -3,9 +3,11 @@
 Dynamixel protocol 2.0.
 
 A packet is a head, the unit, a length, an instruction (of a status: what went wrong), parameters
-and a check sum; a servo's registers are bytes by address, low byte first. Sources: the makers' SDKs
-(`ftservo-python-sdk`, protocol_packet_handler.py; `dynamixel-sdk`, protocol2_packet_handler.py) and
-the ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0: instruction packet, status packet, packet process.
+and a check sum; a servo's registers are bytes by address, low byte first. Feetech's SCS series has
+the high byte first (profiles say so by the register's type) and no sync read. Sources: the makers'
+SDKs (`ftservo-python-sdk`, protocol_packet_handler.py; `dynamixel-sdk`,
+protocol2_packet_handler.py) and the ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0: instruction packet,
+status packet, packet process.
 """
 
 from __future__ import annotations
@@ -14,9 +16,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
-from typing import Protocol
+from typing import Literal, Protocol
 
-from motord_hal.drives.profile import Register
+from motord_hal.drives.profile import DriveProfile, Register
 
 BROADCAST_UNIT = 0xFE
 KINDS = ("feetech", "dynamixel")
@@ -246,12 +248,20 @@ def size_bytes(register: Register) -> int:
     return register.type.bits // 8
 
 
+def has_no_sync_read(profile: DriveProfile) -> bool:
+    """As Feetech's SCS series, which is known by its numbers with the high byte first
+    (`ftservo-python-sdk`, scscl.py: it reads servos one by one)."""
+    return any(register.type.high_first for register in profile.registers.values())
+
+
 def encode(register: Register, raw: int) -> bytes:
     """A raw value as it stands in a packet. Raises ValueError where it does not fit."""
     low, high = register.raw_range
     if not low <= raw <= high:
         raise ValueError(f"{register.name}: {raw} does not fit {register.type.value}")
     size = size_bytes(register)
+    if register.type.high_first:
+        return raw.to_bytes(size, "big")
     if register.type.magnitude:
         return (-raw | _SIGN if raw < 0 else raw).to_bytes(size, "little")
     return (raw & (1 << 8 * size) - 1).to_bytes(size, "little")
@@ -260,7 +270,8 @@ def encode(register: Register, raw: int) -> bytes:
 def decode(register: Register, data: bytes) -> int:
     """The raw value of these bytes, of which the first ones are the register's."""
     size = size_bytes(register)
-    value, bits = int.from_bytes(data[:size], "little"), 8 * size
+    order: Literal["big", "little"] = "big" if register.type.high_first else "little"
+    value, bits = int.from_bytes(data[:size], order), 8 * size
     if register.type.magnitude:
         value = -(value & ~_SIGN) if value & _SIGN else value
         return value if register.mask is None else value & register.mask

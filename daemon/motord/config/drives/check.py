@@ -132,8 +132,8 @@ def _check_register(profile: DriveProfile, register: Register, problems: Problem
         _check_sabertooth_place(key, register, problems)
     elif profile.protocol in _SERVOS:
         _check_servo_register(key, register, problems)
-    elif register.type.magnitude:
-        problems.add(f"{key}.type", "m16 is for bus servos")
+    elif register.type.magnitude or register.type.high_first:
+        problems.add(f"{key}.type", f"{register.type.value} is for bus servos")
     elif profile.protocol == "modbus-rtu" and register.type.bits < 16:
         problems.add(f"{key}.type", f"{register.type.value}: a Modbus register has 16 bits")
 

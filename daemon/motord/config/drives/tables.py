@@ -85,9 +85,12 @@ class HoldingRegister(Scaled):
     """[register.NAME]: one value of the drive."""
 
     address: int = number("Modbus address, or the place that the protocol gives it", 0, 65535, "1")
-    type: Literal["u8", "i8", "u16", "i16", "u32", "i32", "u32-low-first", "i32-low-first", "m16"]
+    type: Literal[
+        "u8", "i8", "u16", "i16", "u32", "i32", "u32-low-first", "i32-low-first", "m16",
+        "u16-high-first",
+    ]  # fmt: skip
     """Width and sign; two words come high word first unless the name says otherwise; m16 is a sign
-    bit and a magnitude."""
+    bit and a magnitude. A bus servo's bytes come low byte first, those of u16-high-first do not."""
     unit: Literal[Unit, "hz", "count/s"] = ""
     """Unit of the scaled value."""
     access: Access

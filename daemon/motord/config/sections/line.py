@@ -82,7 +82,7 @@ class DdsmLine(SerialLine):
 
 
 class FeetechLine(SerialLine):
-    """Feetech bus servos of the STS and SMS series on a half-duplex adapter."""
+    """Feetech bus servos of the STS, SMS and SCS series on a half-duplex adapter."""
 
     kind: Literal["feetech"]
 

@@ -17,6 +17,7 @@ from motord_hal.servo.packets import (
     Instruction,
     decode,
     encode,
+    has_no_sync_read,
     packets_of,
     size_bytes,
 )
@@ -111,8 +112,11 @@ class ServoFrames:
         exchanges = [self._cyclic, *self._extra[:1]]
         return sum(self._exchange_s(each) + self.profile.turnaround_s for each in exchanges)
 
-    def group(self) -> LineGroup:
-        """The cycle of all servos that are written and read at the same addresses as this one."""
+    def group(self) -> LineGroup | None:
+        """The cycle of all servos that are written and read at the same addresses as this one.
+        None: a servo of its series knows no sync read."""
+        if has_no_sync_read(self.profile):
+            return None
         setpoint, packets = self._setpoint(), self._packets
         return LineGroup(
             data_byte=packets.head_bytes + 1 + len(packets.number(0)),

@@ -17,6 +17,7 @@ from motord_hal.servo.packets import (
     Instruction,
     Packet,
     decode,
+    has_no_sync_read,
     packets_of,
     size_bytes,
 )
@@ -161,6 +162,8 @@ def answer_servos(
     replies = []
     for unit in order:
         servo = servos.get(unit)
+        if servo is not None and packet.code == Instruction.SYNC_READ:
+            servo = None if has_no_sync_read(servo.profile) else servo
         reply = None if servo is None else servo.execute_packet(packet, now_s)
         if servo is not None and reply is not None:
             replies.append((servo, reply))
