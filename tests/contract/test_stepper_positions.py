@@ -9,7 +9,10 @@ from loop_side import running, until
 from sim_bench import GEAR, simulated, spec_of, without_power
 
 from motord.config.drives.load import find_profile
+from motord_hal.base.errors import ProfileError
+from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import DriveState, EventKind
+from motord_hal.realtime.exchange import Exchange
 
 PROFILE = find_profile("cs2rs-position")
 COUNTS_PER_RAD = 10000 * GEAR / math.tau
@@ -80,6 +83,14 @@ async def test_old_set_points_stop_a_stepper_and_take_its_power(tmp_path):
             await until(lambda: control.truth().at_rest, "they rest")
             assert angles_rad(control)[0] < 29.0, "not where they were going to"
             await until(lambda: not any(powered(control)), "they have no power")
+
+
+@pytest.mark.parametrize("kind", ["modbus-rtu", "modbus-tcp", "rtu-over-tcp"])
+def test_no_line_in_asyncio_takes_positions(tmp_path, kind):
+    engine = "asyncio" if kind == "modbus-rtu" else "auto"
+    spec = dataclasses.replace(line_of(tmp_path), engine=engine, kind=kind)
+    with pytest.raises(ProfileError, match="left: positions are carried by the engine rt alone"):
+        open_line(spec, Exchange.private(), print)
 
 
 async def test_a_stepper_that_lost_its_power_has_no_reference_and_is_sent_nowhere(tmp_path):

@@ -234,3 +234,13 @@ def test_a_joint_that_steers_is_refused_on_the_engine_that_does_not_carry_positi
         tmp_path, CAR, *changes, can, ('interface = "socketcan"', 'interface = "slcan"')
     )
     assert 'joint steering steers: its line needs interface = "socketcan"' in found
+
+
+def test_a_joint_that_steers_is_refused_behind_a_gateway(tmp_path):
+    gateway = 'kind = "rtu-over-tcp"\nhost = "gateway"\n'
+    found = problems(
+        tmp_path, CAR,
+        ('kind = "feetech"\nport = "/dev/ttyACM0"\n', gateway),
+        ('drive = "sts3215-position"', 'drive = "cs2rs-position"'),
+    )  # fmt: skip
+    assert 'joint steering steers: its line needs kind = "modbus-rtu"' in found

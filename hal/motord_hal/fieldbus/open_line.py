@@ -8,7 +8,7 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import cast
 
-from motord_hal.base.errors import HalError
+from motord_hal.base.errors import HalError, ProfileError
 from motord_hal.fieldbus.ports import Line, LineSpec, Listener
 from motord_hal.realtime.exchange import Exchange
 
@@ -60,5 +60,9 @@ def open_line(spec: LineSpec, exchange: Exchange, listener: Listener) -> Line:
             raise HalError(f'{spec.name}: no engine "{engine}" for {spec.kind}: {engines[0]} only')
         kinds = ", ".join(dict.fromkeys(kind for kind, _ in KINDS))
         raise HalError(f'{spec.name}: no line kind "{spec.kind}"; known: {kinds}')
+    for joint in spec.joints:
+        if engine == "asyncio" and joint.profile.goes_to_positions:
+            text = f"{joint.name}: positions are carried by the engine rt alone, on a serial port"
+            raise ProfileError(f"{text} or SocketCAN of this machine")
     module, _, name = place.partition(":")
     return cast("Line", getattr(import_module(module), name)(spec, exchange, listener))

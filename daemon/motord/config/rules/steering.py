@@ -16,7 +16,7 @@ from motord.config.sections.bases import (
     WheelModule,
     wheel_modules,
 )
-from motord.config.sections.line import CanLine
+from motord.config.sections.line import CanLine, GatewayLine
 from motord.config.sections.model import Joint, Robot
 from motord.config.sections.wheels import Profiles, reference_of, takes_position
 from motord.config.toml_lines import Path
@@ -161,7 +161,10 @@ def engine_for_positions(robot: Robot, name: str, what: str) -> Iterator[Finding
     joint = robot.joint[name]
     line = robot.line.get(joint.line)
     where = (("line", joint.line, "engine"), ("joint", name, "line"))
-    if line is not None and line.engine == "asyncio":
+    if isinstance(line, GatewayLine):
+        text = f'{what}: its line needs kind = "modbus-rtu", for the rt engine'
+        yield Finding((("line", joint.line, "kind"), *where), text)
+    elif line is not None and line.engine == "asyncio":
         yield Finding(where, f'{what}: its line needs engine = "rt"')
     elif isinstance(line, CanLine) and line.interface != "socketcan":
         text = f'{what}: its line needs interface = "socketcan", for the rt engine'
