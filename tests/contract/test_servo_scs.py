@@ -3,7 +3,10 @@
 servos, and motord's line drives servos whose packets that SDK makes."""
 
 import dataclasses
+import json
 import math
+import subprocess
+import sys
 
 import pytest
 import scservo_sdk
@@ -11,6 +14,7 @@ from loop_side import running, until
 from sdk_master import opened, patiently, wait_until
 from sdk_servo import READ, SYNC_READ, SYNC_WRITE, WRITE, FeetechSdk, SdkServos
 from sim_bench import GEAR, simulated, spec_of
+from tests.sim.daemon_stage import DEADLINE_S, ROOT
 
 from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState
@@ -69,6 +73,18 @@ def test_the_makers_sdk_moves_simulated_servos(tmp_path):
         read = scservo_sdk.GroupSyncRead(servo, scservo_sdk.SCSCL_PRESENT_POSITION_L, 2)
         read.addParam(1)
         assert read.txRxPacket() != 0, "the series has no sync read"
+
+
+def test_a_scan_names_the_profile_of_the_series(tmp_path):
+    words = (str(tmp_path / "bus"), "--units", "1-2", "--baudrate", "1000000", "--json")
+    with simulated(PROFILE, tmp_path):
+        run = subprocess.run(
+            [sys.executable, "-m", "motord", "scan", *words],
+            capture_output=True, text=True, timeout=DEADLINE_S, cwd=ROOT,
+        )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    found = [(one["unit"], one["matches"][0]["profile"]) for one in json.loads(run.stdout)["found"]]
+    assert found == [(1, "scs0009-position"), (2, "scs0009-position")]
 
 
 async def test_the_line_moves_servos_that_the_makers_sdk_speaks_for(tmp_path):

@@ -17,6 +17,7 @@ from motord_hal.servo.packets import (
     Packet,
     PacketError,
     Packets,
+    decode,
     packets_of,
 )
 
@@ -71,7 +72,7 @@ def _profile(port: OpenPort, kind: str, unit: int) -> str:
             continue
         numbers = packets.number(register.address) + packets.number(2)
         data = _ask(port, packets, unit, Instruction.READ, numbers)
-        if data is not None and int.from_bytes(data, "little") == register.default:
+        if data and decode(register, data) == register.default:
             return name
     return ""
 
