@@ -216,6 +216,7 @@ static void one_that_brakes_goes_on_whatever_is_requested_but_no_power(void)
     CHECK(b.state.drive.mode == DRIVE_READY && b.state.drive.stopping && b.level[0] == 0.2 && b.level[1] == 0.2);
     asks(&b, PWM_STOP); /* its line ends */
     CHECK(b.state.drive.stopping && b.state.brake_until_ns == until_ns && b.level[0] == 0.2);
+    CHECK(b.state.drive.fault_reasons == 0);
     asks(&b, PWM_OFF);
     CHECK(!b.state.drive.stopping && b.level[0] == 0.1 && b.level[1] == 0.1);
     asks(&b, PWM_STOP);
