@@ -38,7 +38,7 @@ typedef struct {
     int32_t outputs_fd;  /* request of all GPIO outputs, -1: none */
     int32_t inputs_fd;   /* request of all GPIO inputs, -1: none */
     uint64_t low_inputs; /* bits of inputs that are active when they are low */
-    int32_t event_fd;    /* written when the report has news, -1: none */
+    int32_t event_fd;    /* written when the report has changed, -1: none */
     int32_t priority;    /* SCHED_FIFO; 0: SCHED_OTHER */
     uint64_t cpu_mask;   /* 0: all */
     int64_t period_ns;

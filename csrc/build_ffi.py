@@ -17,7 +17,7 @@ HERE = Path(__file__).resolve().parent
 SOURCES = sorted(path for path in HERE.rglob("*.c") if path.parent.name != "bus")
 FOLDERS = sorted({path.parent for path in HERE.rglob("*.h")})
 # Exact arithmetic on every machine: no fast-math (isnan(NAN) became 0), no fused multiply-add
-# (replay compares bit for bit between x86-64 and aarch64). Without errno and traps, which nobody
+# (replay compares bit for bit between x86-64 and aarch64). Without errno and traps, which no code
 # reads, the values stay the same.
 FLAGS = [
     "-std=c11",

@@ -116,8 +116,8 @@ drive_stop drive_check_power(drive_state *drive, uint32_t tries, bool settled)
     if (drive->enabled == 0) {
         drive->still_enabled = 0;
     }
-    bool armed_by_nobody = drive->mode == DRIVE_READY && drive->enabled == 1 && settled;
-    if (!armed_by_nobody || drive->stopping || drive->stop != STOP_NOTHING) {
+    bool enabled_unarmed = drive->mode == DRIVE_READY && drive->enabled == 1 && settled;
+    if (!enabled_unarmed || drive->stopping || drive->stop != STOP_NOTHING) {
         return STOP_NOTHING;
     }
     drive->still_enabled++;

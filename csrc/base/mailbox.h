@@ -21,10 +21,10 @@ typedef struct {
 } mailbox;
 
 /* Before either side uses it. The caller zeroes the slots. */
-void mailbox_init(mailbox *box);
+void mailbox_init(mailbox *m);
 /* The writer's side: wait-free. */
-void mailbox_put(mailbox *box, void *slots, const void *value, size_t value_bytes);
+void mailbox_put(mailbox *m, void *slots, const void *value, size_t value_bytes);
 /* The reader's side: copies the newest value; 1 when it was not taken before, else 0. */
-int mailbox_take(mailbox *box, const void *slots, void *value, size_t value_bytes);
+int mailbox_take(mailbox *m, const void *slots, void *value, size_t value_bytes);
 
 #endif

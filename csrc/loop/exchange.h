@@ -7,42 +7,42 @@
 #include "rt.h"
 
 typedef struct {
-    mailbox box;
+    mailbox mailbox;
     lease_permissions slot[MAILBOX_SLOTS];
-} permissions_box;
+} permissions_mailbox;
 
 typedef struct {
-    mailbox box;
+    mailbox mailbox;
     command_report slot[MAILBOX_SLOTS];
-} commands_box;
+} commands_mailbox;
 
 typedef struct {
-    mailbox box;
+    mailbox mailbox;
     core_control slot[MAILBOX_SLOTS];
-} control_box;
+} control_mailbox;
 
 typedef struct {
-    mailbox box;
+    mailbox mailbox;
     joint_feedback slot[MAILBOX_SLOTS];
-} feedback_box;
+} feedback_mailbox;
 
 typedef struct {
-    mailbox box;
+    mailbox mailbox;
     imu_sample slot[MAILBOX_SLOTS];
-} imu_box;
+} imu_mailbox;
 
 typedef struct {
-    mailbox box;
+    mailbox mailbox;
     setpoints slot[MAILBOX_SLOTS];
-} setpoints_box;
+} setpoints_mailbox;
 
 struct exchange {
-    permissions_box permissions;
-    commands_box commands;
-    control_box control;
-    feedback_box feedback[JOINTS_MAX];
-    imu_box imu;
-    setpoints_box setpoints[LINES_MAX];
+    permissions_mailbox permissions;
+    commands_mailbox commands;
+    control_mailbox control;
+    feedback_mailbox feedback[JOINTS_MAX];
+    imu_mailbox imu;
+    setpoints_mailbox setpoints[LINES_MAX];
     _Atomic int line_wake_fd[LINES_MAX];
     _Atomic uint64_t takes[LINES_MAX];
     _Atomic uint64_t enabled_count[LINES_MAX];

@@ -19,28 +19,28 @@ static const int64_t REPORT_EVERY_NS = 40 * 1000000;
 static const int32_t AT_GPIO = -1, AT_ENCODER = -2;
 
 typedef struct {
-    mailbox box;
+    mailbox mailbox;
     bridge_control slot[MAILBOX_SLOTS];
-} control_box_pwm;
+} pwm_control_mailbox;
 
 typedef struct {
-    mailbox box;
+    mailbox mailbox;
     bridge_report slot[MAILBOX_SLOTS];
-} report_box_pwm;
+} pwm_report_mailbox;
 
 typedef struct {
-    mailbox box;
+    mailbox mailbox;
     encoder_sample slot[MAILBOX_SLOTS];
-} sample_box;
+} sample_mailbox;
 
 typedef struct {
     bridge_config config;
     loop_grant grant;
     pthread_t thread;
     exchange *exchange;
-    control_box_pwm control;
-    report_box_pwm report;
-    sample_box reported[JOINTS_MAX];
+    pwm_control_mailbox control;
+    pwm_report_mailbox report;
+    sample_mailbox reported[JOINTS_MAX];
     bridge_control request;
     bridge_state state;
     setpoints newest;
@@ -225,7 +225,7 @@ static int read_encoders(pwm_thread *t, int64_t now_ns)
     uint64_t illegal = 0, lost = 0;
     for (uint32_t i = 0; i < t->config.joint_count; i++) {
         encoder_sample sample;
-        if (mailbox_take(&t->reported[i].box, t->reported[i].slot, &sample, sizeof sample) != 0) {
+        if (mailbox_take(&t->reported[i].mailbox, t->reported[i].slot, &sample, sizeof sample) != 0) {
             encoder_reported(&t->encoder[i], &t->config.joint[i].encoder, &sample);
         }
         int error = encoder_read(&t->encoder[i], &t->config.joint[i].encoder, now_ns);
@@ -280,7 +280,7 @@ static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns, u
     t->out.scheduler_errno = t->grant.scheduler_errno;
     if (notify || now_ns - t->reported_ns >= REPORT_EVERY_NS) {
         t->reported_ns = now_ns;
-        mailbox_put(&t->report.box, t->report.slot, &t->out, sizeof t->out);
+        mailbox_put(&t->report.mailbox, t->report.slot, &t->out, sizeof t->out);
     }
     const uint64_t one = 1;
     if (notify && t->config.event_fd >= 0 && write(t->config.event_fd, &one, sizeof one) < 0) {
@@ -298,7 +298,7 @@ static int cycle(pwm_thread *t, int64_t now_ns)
     t->state.enabled_count = exchange_enabled_count(t->exchange, t->number);
     (void)exchange_take_setpoints(t->exchange, t->number, &t->newest);
     t->newest.stamp_ns = stamp_since(t->newest.stamp_ns, clock_resumed_ns());
-    (void)mailbox_take(&t->control.box, t->control.slot, &t->request, sizeof t->request);
+    (void)mailbox_take(&t->control.mailbox, t->control.slot, &t->request, sizeof t->request);
     bridge_step(&t->state, &t->config, &t->request, &t->newest, now_ns, level);
     int wrote = error == 0 ? apply(t, level) : 0;
     error = error != 0 ? error : wrote;
@@ -351,17 +351,17 @@ int pwm_line_start(uint32_t line, const bridge_config *config)
     t->config = *config;
     t->number = line;
     t->exchange = config->exchange != NULL ? config->exchange : loop_exchange();
-    mailbox_init(&t->control.box);
-    mailbox_init(&t->report.box);
+    mailbox_init(&t->control.mailbox);
+    mailbox_init(&t->report.mailbox);
     for (uint32_t i = 0; i < JOINTS_MAX; i++) {
-        mailbox_init(&t->reported[i].box);
+        mailbox_init(&t->reported[i].mailbox);
     }
     t->out.running = 1;
     t->out.error_output = AT_GPIO;
     for (uint32_t i = 0; i < config->joint_count; i++) {
         encoder_init(&t->encoder[i], &config->joint[i].encoder);
     }
-    mailbox_put(&t->report.box, t->report.slot, &t->out, sizeof t->out);
+    mailbox_put(&t->report.mailbox, t->report.slot, &t->out, sizeof t->out);
     int error = loop_thread_create(&t->thread, &(loop_config){.priority = config->priority}, &t->grant, run, t);
     t->made = t->joinable = error == 0;
     return error;
@@ -381,7 +381,7 @@ int pwm_line_stop(uint32_t line)
 void pwm_line_put_control(uint32_t line, const bridge_control *control)
 {
     if (line < LINES_MAX && threads[line].made) {
-        mailbox_put(&threads[line].control.box, threads[line].control.slot, control, sizeof *control);
+        mailbox_put(&threads[line].control.mailbox, threads[line].control.slot, control, sizeof *control);
     }
 }
 
@@ -389,7 +389,7 @@ void pwm_line_put_sample(uint32_t line, uint32_t joint, const encoder_sample *sa
 {
     if (line < LINES_MAX && threads[line].made && joint < threads[line].config.joint_count &&
         threads[line].config.joint[joint].encoder.kind == ENCODER_REPORTED) {
-        mailbox_put(&threads[line].reported[joint].box, threads[line].reported[joint].slot, sample, sizeof *sample);
+        mailbox_put(&threads[line].reported[joint].mailbox, threads[line].reported[joint].slot, sample, sizeof *sample);
     }
 }
 
@@ -398,6 +398,6 @@ int pwm_line_read_report(uint32_t line, bridge_report *out)
     if (line >= LINES_MAX || !threads[line].made) {
         return -ESRCH;
     }
-    (void)mailbox_take(&threads[line].report.box, threads[line].report.slot, out, sizeof *out);
+    (void)mailbox_take(&threads[line].report.mailbox, threads[line].report.slot, out, sizeof *out);
     return 0;
 }

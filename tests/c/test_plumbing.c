@@ -13,39 +13,39 @@
 
 static void a_mailbox_gives_the_newest_value(void)
 {
-    mailbox box;
+    mailbox m;
     uint32_t slot[MAILBOX_SLOTS] = {0}, value = 7;
-    mailbox_init(&box);
-    CHECK(mailbox_take(&box, slot, &value, sizeof value) == 0 && value == 0);
+    mailbox_init(&m);
+    CHECK(mailbox_take(&m, slot, &value, sizeof value) == 0 && value == 0);
     for (uint32_t sent = 1; sent <= 100; sent++) {
-        mailbox_put(&box, slot, &sent, sizeof sent);
+        mailbox_put(&m, slot, &sent, sizeof sent);
         if (sent % 3 == 0) {
-            CHECK(mailbox_take(&box, slot, &value, sizeof value) == 1 && value == sent);
-            CHECK(mailbox_take(&box, slot, &value, sizeof value) == 0 && value == sent);
+            CHECK(mailbox_take(&m, slot, &value, sizeof value) == 1 && value == sent);
+            CHECK(mailbox_take(&m, slot, &value, sizeof value) == 0 && value == sent);
         }
     }
 }
 
 /* No slot is the writer's, the reader's and the newest value's at once. */
-static bool slots_are_apart(const mailbox *box)
+static bool slots_are_apart(const mailbox *m)
 {
-    return (1U << box->back | 1U << box->front | 1U << (box->middle & 3)) == 7;
+    return (1U << m->back | 1U << m->front | 1U << (m->middle & 3)) == 7;
 }
 
 /* Also in the moments between: what the reader holds is not written to, and what the writer fills is not read. */
 static void writer_reader_and_the_newest_value_never_share_a_slot(void)
 {
-    mailbox box = {.middle = UINT32_MAX, .back = UINT32_MAX, .front = UINT32_MAX}; /* whatever was there before */
+    mailbox m = {.middle = UINT32_MAX, .back = UINT32_MAX, .front = UINT32_MAX}; /* whatever was there before */
     uint32_t slot[MAILBOX_SLOTS] = {0}, value = 0;
-    mailbox_init(&box);
-    CHECK(mailbox_take(&box, slot, &value, sizeof value) == 0);
+    mailbox_init(&m);
+    CHECK(mailbox_take(&m, slot, &value, sizeof value) == 0);
     for (uint32_t turn = 0, pattern = 0xB5C3; turn < 64; turn++, pattern = pattern << 15 | pattern >> 1) {
         if ((pattern & 1) != 0) {
-            mailbox_put(&box, slot, &turn, sizeof turn);
+            mailbox_put(&m, slot, &turn, sizeof turn);
         } else {
-            (void)mailbox_take(&box, slot, &value, sizeof value);
+            (void)mailbox_take(&m, slot, &value, sizeof value);
         }
-        CHECK(slots_are_apart(&box));
+        CHECK(slots_are_apart(&m));
     }
 }
 
@@ -135,13 +135,13 @@ static void an_exchange_begins_empty_in_memory_that_was_used_before(void)
         CHECK(exchange_line_wake(&x, line) == -1);
         CHECK(exchange_take_setpoints(&x, line, &out) == 0 && memcmp(&out, &no_setpoints, sizeof out) == 0);
     }
-    CHECK(slots_are_apart(&x.permissions.box) && slots_are_apart(&x.commands.box) && slots_are_apart(&x.control.box));
-    CHECK(slots_are_apart(&x.imu.box));
+    CHECK(slots_are_apart(&x.permissions.mailbox) && slots_are_apart(&x.commands.mailbox) && slots_are_apart(&x.control.mailbox));
+    CHECK(slots_are_apart(&x.imu.mailbox));
     for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
-        CHECK(slots_are_apart(&x.feedback[joint].box));
+        CHECK(slots_are_apart(&x.feedback[joint].mailbox));
     }
     for (uint32_t line = 0; line < LINES_MAX; line++) {
-        CHECK(slots_are_apart(&x.setpoints[line].box));
+        CHECK(slots_are_apart(&x.setpoints[line].mailbox));
     }
     sample.stamp_ns = 9;
     exchange_put_imu(&x, &sample);

@@ -108,8 +108,8 @@ def test_a_service_is_not_available_to_a_client_that_could_not_read_its_answer(p
     client = ("ask", f"{NAMESPACE}/motord/arm", "panel")
     with peer(*client, program=(str(program),), decode=counts) as asking:
         asking.find(lambda met: met == {"readers": 1, "writers": 2}, "both sides of the service")
-        said = f"answers: /panel (Fast DDS) asks {NAMESPACE}/motord/arm: run"
-        wait_until(lambda: said in stage.said(), "a word on its middleware")
+        line = f"answers: /panel (Fast DDS) calls {NAMESPACE}/motord/arm: run"
+        wait_until(lambda: line in stage.said(), "a word on its middleware")
         assert called("disarm")["success"]  # another middleware does not mind
     assert stage.said().count("/panel (Fast DDS)") == 1
     assert "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp" in stage.said()

@@ -54,10 +54,10 @@ class Arbiter:
             "lifetime_ns": lifetime_ns,
             "barred_until_ns": barred_until_ns,
         }  # fmt: skip
-        self.tell()
+        self._put_permissions()
         return self.granted[key]
 
-    def tell(self):
+    def _put_permissions(self):
         grants = list(self.granted.values())
         lib.arbiter_grant(self.c, ffi.new("lease_permissions *", {"lease": grants}))
 
@@ -121,7 +121,7 @@ class Arbiter:
         return next((lease.owner for lease in self.leases(now_ns) if lease.wants_motion), None)
 
     def hold(self):
-        """One tick in which nobody may move."""
+        """One tick in which no source may move."""
         self.command(self.now_ns, may_move=False)
 
     def release(self, connection, owner):
@@ -135,7 +135,7 @@ class Arbiter:
                 del self.granted[connection, lease.owner]
                 if lease.held and self.now_ns < lease.expires_ns:
                     self.bar(lease.owner, lease.expires_ns)
-        self.tell()
+        self._put_permissions()
 
     def bar(self, owner, until_ns):
         self.gone[owner] = max(until_ns, self.gone.get(owner, 0))

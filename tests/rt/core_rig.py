@@ -178,7 +178,7 @@ class Rig:
 
 
 def assert_rest(rig: Rig, *, enabled: int | None = None) -> None:
-    """Every place of the set-points is zero, and told to be."""
+    """Every place of the set-points is zero, and was written."""
     assert [rig.shown.joint[j].setpoint_rad_s for j in range(8)] == [0.0] * 8
     assert [rig.shown.joint[j].duty for j in range(8)] == [0.0] * 8
     assert (rig.shown.setpoint_linear_m_s, rig.shown.setpoint_angular_rad_s) == (0.0, 0.0)

@@ -8,7 +8,7 @@ import resource
 import sys
 from pathlib import Path
 
-from small_base import LIMITS, arm, core_config, hear_wheels, settings, until
+from small_base import LIMITS, arm, core_config, report_wheels, settings, until
 
 from motord.realtime import loop as rt
 from motord_hal.realtime.exchange import now_ns
@@ -28,8 +28,8 @@ def refused() -> None:
         code = error.errno
     with loop:
         until(lambda: loop.status().ticks > 600)
-        said = dataclasses.asdict(loop.status())
-    print(json.dumps(said | {"before_the_first_start": code}))
+        answer = dataclasses.asdict(loop.status())
+    print(json.dumps(answer | {"before_the_first_start": code}))
 
 
 def forget_code(of: str) -> None:
@@ -57,7 +57,7 @@ def drive() -> None:
         lease = arm(loop)
         lease.send(0.5, 0.5)
         for count in range(50):
-            hear_wheels(count)
+            report_wheels(count)
             loop.beat()
             seen = loop.status().ticks
             until(lambda seen=seen: loop.status().ticks > seen)
@@ -66,8 +66,8 @@ def drive() -> None:
         until(lambda: "estop" in loop.read_state().faults)
         seen = loop.status().ticks + 600  # it counts them in every 256th tick
         until(lambda: loop.status().ticks > seen)
-        said = {"page_faults": loop.status().page_faults, "distance_m": state.distance_m}
-    print(json.dumps(said))
+        answer = {"page_faults": loop.status().page_faults, "distance_m": state.distance_m}
+    print(json.dumps(answer))
 
 
 def run(rate_hz: str) -> None:
@@ -76,8 +76,8 @@ def run(rate_hz: str) -> None:
     with rt.Loop(core_config(), settings(rate_hz=float(rate_hz))) as loop:
         for wait in (True, False):
             status = loop.status()
-            said = {"ticks": status.ticks, "overruns": status.overruns}
-            print(json.dumps(said | {"start_ns": start_ns, "now_ns": now_ns()}), flush=True)
+            answer = {"ticks": status.ticks, "overruns": status.overruns}
+            print(json.dumps(answer | {"start_ns": start_ns, "now_ns": now_ns()}), flush=True)
             if wait:
                 sys.stdin.readline()
                 seen = loop.status().ticks + 3

@@ -38,7 +38,7 @@ class Base:
         return self.state
 
     def step(self, *counts: int, skip: tuple[int, ...] = ()) -> Any:
-        """Time goes on; each joint that is not skipped counts on by its number and is heard."""
+        """Time goes on; each joint that is not skipped counts on by its number and reports."""
         self.now_ns += self.step_ns
         for j, count in enumerate(counts):
             if j not in skip:

@@ -82,7 +82,7 @@ def until(condition: Callable[[], object]) -> None:
         time.sleep(0.002)
 
 
-def hear_wheels(count: int = 0, velocity_rad_s: float = 0.0) -> None:
+def report_wheels(count: int = 0, velocity_rad_s: float = 0.0) -> None:
     """Both drives say that they are there and enabled."""
     exchange = Exchange.of_loop()
     for index in (0, 1):
@@ -103,7 +103,7 @@ def lease_of(loop: rt.Loop) -> rt.LoopLease:
 
 
 def arm(loop: rt.Loop) -> rt.LoopLease:
-    hear_wheels()
+    report_wheels()
     lease = lease_of(loop)
     lease.send(0.0, 0.0)
     loop.put_control(rt.Control(limits=LIMITS))

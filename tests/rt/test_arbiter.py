@@ -131,7 +131,7 @@ def test_after_a_stop_silence_for_a_lease_lifts_the_hold():
     assert submit(arbiter, 300).twist == (0.5, 0.1)
 
 
-def test_who_asks_for_motion_before_arming_is_held_after_it():
+def test_a_source_that_requests_motion_before_arming_is_held_after_it():
     arbiter = Arbiter()
     submit(arbiter, 0, may_move=False)
     assert submit(arbiter, 100, may_move=True).twist == (0.0, 0.0)
@@ -329,13 +329,13 @@ class Sources(RuleBasedStateMachine):
         self.arbiter = Arbiter()
         self.now_ns = START_NS
         self.stopped = set()
-        """Sources that have asked for motion without a break since the last stop."""
+        """Sources that have requested motion without a break since the last stop."""
         self.left = {}
         """Owners of those whose connection ended, and when their lease would have."""
         self.sent = {}
-        """The same for each lease that there is: the last that it was told."""
+        """The same for each lease that there is: the last command of it."""
         self.barred = set()
-        """Those that have sent nothing since they were told."""
+        """Those that have sent nothing since they were barred."""
 
     @rule(**KEYS, priority=st.integers(0, 3), lease_ms=st.integers(20, 5000),
           linear_m_s=st.sampled_from([0.0, -0.0, 0.5, 1e300]))  # fmt: skip

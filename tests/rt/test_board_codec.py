@@ -177,10 +177,10 @@ FEEDBACK = "E {left_count} {right_count}, {left_rad_s}\tend\n"
 
 def c_read(text, line):
     raw = ffi.new("board_text *", board_text.read(text, {}))
-    said = ffi.new("uint8_t[]", lib.BOARD_PAYLOAD_MAX)
-    if not lib.board_text_read(raw, line, len(line), said):
+    payload = ffi.new("uint8_t[]", lib.BOARD_PAYLOAD_MAX)
+    if not lib.board_text_read(raw, line, len(line), payload):
         return None
-    words = bytes(ffi.buffer(said))
+    words = bytes(ffi.buffer(payload))
     return {
         name: int.from_bytes(words[6 * n : 6 * n + 6], "little", signed=True)
         for n, name in enumerate(text.fields)

@@ -12,7 +12,7 @@ MAY_MOVE = True
 
 
 class Source:
-    """One lease on an arbiter of its own: at most 100 Hz, unless said otherwise."""
+    """One lease on an arbiter of its own: at most 100 Hz, unless stated otherwise."""
 
     def __init__(self, interval_least_ns=10 * MS):
         self.c = ffi.new("arbiter *")

@@ -359,7 +359,7 @@ def test_covariance_grows_while_a_moving_base_is_not_received():
     rig.ticks(2.0)
     at_rest = list(rig.shown.pose_covariance)
     rig.ticks(1.0)
-    assert list(rig.shown.pose_covariance) == at_rest, "a base that is told to rest does not drift"
+    assert list(rig.shown.pose_covariance) == at_rest, "a base at rest does not drift"
 
 
 def test_a_changed_odometry_reset_count_sets_the_pose_to_the_origin():
@@ -387,11 +387,11 @@ def test_odometry_follows_what_the_wheels_did():
 
 @pytest.mark.parametrize("name", ["current_a", "voltage_v", "temperature_c"])
 @pytest.mark.parametrize(
-    ("said", "shown"), [(1.5, 1.5), (math.nan, None), (math.inf, None), (-math.inf, None)]
+    ("reported", "shown"), [(1.5, 1.5), (math.nan, None), (math.inf, None), (-math.inf, None)]
 )
-def test_measures_pass_through_and_what_no_sensor_measures_is_nan(name, said, shown):
+def test_measures_pass_through_and_what_no_sensor_measures_is_nan(name, reported, shown):
     rig = Rig()
-    setattr(rig.feedback[0], name, said)
+    setattr(rig.feedback[0], name, reported)
     rig.tick()
     value = getattr(rig.shown.joint[0], name)
     assert math.isnan(value) if shown is None else value == shown

@@ -18,7 +18,7 @@ GRAY = [(0, 0), (1, 0), (1, 1), (0, 1)]
 
 
 class Edges:
-    """A wheel that makes edges, and the decoder that hears them; `position` is the truth."""
+    """A wheel that makes edges, and the decoder that receives them; `position` is the truth."""
 
     def __init__(self, position: int = 0) -> None:
         self.position = position

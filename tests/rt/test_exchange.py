@@ -107,7 +107,7 @@ def test_what_a_drive_does_not_report_is_nan():
     assert got.enabled is None
 
 
-def test_each_joint_and_each_line_has_a_box_of_its_own():
+def test_each_joint_and_each_line_has_a_mailbox_of_its_own():
     exchange, other = Exchange.private(), Exchange.private()
     for index in range(JOINTS_MAX):
         put(exchange, index, 100 + index)

@@ -54,8 +54,8 @@ class GyroRig(Rig):
             self.say(self.sign * rate + self.bias_rad_s + self.random.gauss(0.0, self.noise_rad_s))
 
     def say(self, rate_rad_s: float, **changes: Any) -> None:
-        said = {"stamp_ns": self.input.now_ns, "angular_rad_s": [0.0, 0.0, rate_rad_s]}
-        self.input.imu = ffi.new("imu_sample *", said | changes)[0]
+        sample = {"stamp_ns": self.input.now_ns, "angular_rad_s": [0.0, 0.0, rate_rad_s]}
+        self.input.imu = ffi.new("imu_sample *", sample | changes)[0]
 
     @property
     def imu(self) -> Any:
@@ -168,7 +168,7 @@ def test_the_heading_does_not_jump_when_the_gyro_goes_and_comes_and_the_wheels_s
 
 
 def test_a_gyro_that_comes_back_does_not_bring_the_way_that_it_missed():
-    """The wheels were heard meanwhile: their turn is in the heading already."""
+    """The wheels reported meanwhile: their turn is in the heading already."""
     rig = GyroRig(noise_rad_s=0.0)
     rig.know_zero()
     rig.moving(0.0, 0.5)
@@ -304,11 +304,11 @@ NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
 @given(
     st.lists(st.tuples(NUMBERS, st.integers(-(2**63), 2**63 - 1), st.integers(0, 1)), max_size=40)
 )
-def test_whatever_the_sensor_reports_the_pose_stays_finite_and_its_covariance_positive(said):
+def test_whatever_the_sensor_reports_the_pose_stays_finite_and_its_covariance_positive(reports):
     rig = GyroRig()
     rig.moving(0.4, 0.4)
     rig.received = False
-    for rate_rad_s, stamp_ns, saturated in said:
+    for rate_rad_s, stamp_ns, saturated in reports:
         for stamp in (stamp_ns, rig.input.now_ns):
             rig.say(rate_rad_s, stamp_ns=stamp, saturated=saturated)
             shown = rig.tick()

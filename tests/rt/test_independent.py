@@ -181,7 +181,7 @@ def test_every_stop_ends_at_rest_and_leaves_no_target_behind(
     assert [rig.shown.joint[j].setpoint_rad_s for j in range(3)] == [0.0] * 3
     assert rig.belt() == 0.0
     held = rig.goals()
-    if end is not ask_nonsense:  # the lease goes on, and nothing else asks for motion
+    if end is not ask_nonsense:  # the lease goes on, and nothing else requests motion
         rig.ask()
     rig.hold.clear()
     rig.input.control.stop = rig.input.control.estop = rig.input.suspended = 0
@@ -278,7 +278,7 @@ def test_a_twist_moves_no_joint():
     assert rig.goals() == [0.0, 0.0]
 
 
-def test_arming_needs_a_command_that_asks_for_nothing():
+def test_arming_needs_a_command_of_zero():
     rig = Joints()
     rig.ask(pan=0.0)
     rig.tick()

@@ -10,7 +10,7 @@ from arbiter_rig import Arbiter
 from core_rig import core_config, joint_config
 from hypothesis import given
 from hypothesis import strategies as st
-from small_base import arm, hear_wheels, settings, until
+from small_base import arm, report_wheels, settings, until
 from small_base import core_config as small_config
 
 from motord.api.commands import Refusal, datagram, joint_datagram
@@ -190,7 +190,7 @@ def test_the_loop_turns_the_wheels_as_asked_and_within_their_limits():
         send(loop, lease, 2.0, 4.0)
 
         def turning(left_rad_s, right_rad_s):
-            hear_wheels()
+            report_wheels()
             joints = loop.read_state().joints
             speeds = [joint.setpoint_rad_s for joint in joints]
             return speeds == pytest.approx([left_rad_s, right_rad_s], abs=1e-9)

@@ -24,12 +24,12 @@ async def drive(leases, connection, linear_m_s, owner="teleop", lease_s=LEASE_MA
 
 
 async def stop_and_go(loop, leases):
-    """A stop that is over; somebody else may move."""
+    """A stop that is over; another source may move."""
     loop.put_control(rt.Control(armed=True, stop=True, limits=LIMITS))
     until(lambda: leases.commander().held)
     loop.put_control(rt.Control(armed=True, limits=LIMITS))
     until(lambda: "stop_requested" not in loop.read_state().reasons)
-    assert not (await drive(leases, 9, 0.1, owner="somebody else")).held
+    assert not (await drive(leases, 9, 0.1, owner="another")).held
 
 
 async def test_a_held_source_stays_so_on_its_next_connection(loop):

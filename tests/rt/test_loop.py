@@ -9,7 +9,16 @@ import subprocess
 
 import pytest
 from _motord_rt import ffi, lib
-from small_base import LIMITS, PATIENCE_S, arm, core_config, hear_wheels, lease_of, settings, until
+from small_base import (
+    LIMITS,
+    PATIENCE_S,
+    arm,
+    core_config,
+    lease_of,
+    report_wheels,
+    settings,
+    until,
+)
 
 from motord.api.commands import Refusal
 from motord.realtime import loop as rt
@@ -116,7 +125,7 @@ def test_a_loop_that_starts_again_does_not_arm_by_the_control_of_its_last_run():
         loop.stop()
     loop.start()
     try:
-        hear_wheels()
+        report_wheels()
         lease_of(loop).send(0.0, 0.0)
         loop.beat()
         until(lambda: not set(loop.read_state().reasons) & {"command_stale"})
@@ -217,7 +226,7 @@ def test_denormal_numbers_are_nothing_to_the_thread():
     with rt.Loop(config, settings()) as loop:
 
         def received(velocity_rad_s: float) -> bool:
-            hear_wheels(velocity_rad_s=velocity_rad_s)
+            report_wheels(velocity_rad_s=velocity_rad_s)
             return loop.read_state().linear_m_s != 0
 
         until(lambda: received(1e-3))  # so that the feedback goes into the measured speed
@@ -257,7 +266,7 @@ def test_the_event_is_written_when_something_changes_and_not_else():
         seen = loop.status().ticks + 50
         until(lambda: loop.status().ticks > seen)
         assert loop.drain() == 0
-        hear_wheels()
+        report_wheels()
         lease_of(loop).send(0.0, 0.0)
         assert readable(loop)
         assert "command_stale" not in loop.read_state().reasons

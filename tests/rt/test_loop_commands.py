@@ -7,7 +7,7 @@ import threading
 
 import pytest
 from _motord_rt import lib
-from small_base import LIMITS, arm, core_config, hear_wheels, lease_of, settings, until
+from small_base import LIMITS, arm, core_config, lease_of, report_wheels, settings, until
 
 from motord.api.commands import Refusal
 from motord.realtime import loop as rt
@@ -84,7 +84,7 @@ def test_a_stop_wakes_the_lines(loop, line):
     lease = arm(loop)
     lease.send(0.5, 0.0)
     until(lambda: loop.read_state().setpoint_linear_m_s == 0.5)
-    hear_wheels(velocity_rad_s=5.0)
+    report_wheels(velocity_rad_s=5.0)
     line.settle()
     loop.put_control(rt.Control(armed=True, estop=True, limits=LIMITS))
     until(lambda: loop.read_state().faults == ("estop",))

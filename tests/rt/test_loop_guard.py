@@ -7,7 +7,7 @@ import fcntl
 import os
 
 import pytest
-from small_base import LIMITS, arm, core_config, hear_wheels, settings, until
+from small_base import LIMITS, arm, core_config, report_wheels, settings, until
 
 from motord.realtime import loop as rt
 from motord_hal.realtime.exchange import Exchange
@@ -69,7 +69,7 @@ def test_an_input_that_cannot_be_read_is_an_emergency_stop_from_the_first_tick_o
 
 def test_no_reset_clears_it_while_the_input_reports_stop(pipe):
     with looped(estop=1, estop_fd=pipe[0]) as loop:
-        hear_wheels()
+        report_wheels()
         loop.put_control(rt.Control(reset_count=1, limits=LIMITS))
         later(loop)
         assert loop.read_state().faults == ("estop",)
@@ -103,7 +103,7 @@ def test_the_watchdog_moves_with_the_heartbeat_and_stops_without_it(pipe):
 def test_a_line_that_hangs_with_enabled_drives_stops_the_watchdog(pipe):
     with looped(watchdog=1, watchdog_fd=pipe[1], line_timeout_ns=[300 * MS, 0, 0, 0]) as loop:
         line = Exchange.of_loop()
-        until(lambda: loop.status().watchdog_edges > 50)  # nothing is enabled: nobody is missed
+        until(lambda: loop.status().watchdog_edges > 50)  # nothing is enabled: no line is missed
         arm(loop)
         assert stands_still(loop)
         line.take_setpoints(0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the loop asks of the kernel: granted, refused; and what it does when stopped or killed."""
+"""What the kernel grants the loop or refuses; and what the loop does when stopped or killed."""
 
 import contextlib
 import errno
@@ -35,7 +35,7 @@ def environment() -> dict[str, str]:
 
 
 def without_privileges(arguments: list[str]) -> list[str]:
-    """The command line that runs them as somebody who may not lock memory or take a priority."""
+    """The command line that runs them as a user who may not lock memory or take a priority."""
     status = Path("/proc/self/status").read_text()
     effective = int(status.partition("CapEff:")[2].split()[0], 16)
     if not effective >> CAP_SYS_NICE & 1 and not effective >> CAP_IPC_LOCK & 1:
@@ -114,7 +114,7 @@ def test_the_cpu_is_kept_awake_while_the_loop_runs_and_no_longer():
 
 
 def test_without_privileges_it_runs_and_reports_what_was_refused_and_what_to_do():
-    answer = subprocess.run(
+    done = subprocess.run(
         without_privileges(command("refused")),
         capture_output=True,
         env=environment(),
@@ -122,30 +122,30 @@ def test_without_privileges_it_runs_and_reports_what_was_refused_and_what_to_do(
         timeout=100,
         check=True,
     )
-    said = json.loads(answer.stdout)
-    assert (said["policy"], said["priority"]) == ("SCHED_OTHER", 0)
-    assert "RLIMIT_RTPRIO is 0: LimitRTPRIO=80" in said["refusals"]["scheduler"]
-    assert "RLIMIT_MEMLOCK 64 KiB" in said["refusals"]["memory_lock"]
-    assert "LimitMEMLOCK=infinity" in said["refusals"]["memory_lock"]
-    assert said["ticks"] > 0
-    assert said["page_faults"] == 0
-    assert said["before_the_first_start"] == errno.EPROTO
+    answer = json.loads(done.stdout)
+    assert (answer["policy"], answer["priority"]) == ("SCHED_OTHER", 0)
+    assert "RLIMIT_RTPRIO is 0: LimitRTPRIO=80" in answer["refusals"]["scheduler"]
+    assert "RLIMIT_MEMLOCK 64 KiB" in answer["refusals"]["memory_lock"]
+    assert "LimitMEMLOCK=infinity" in answer["refusals"]["memory_lock"]
+    assert answer["ticks"] > 0
+    assert answer["page_faults"] == 0
+    assert answer["before_the_first_start"] == errno.EPROTO
 
 
 def test_the_first_drive_of_a_process_costs_no_page_fault_even_where_memory_is_not_locked():
-    answer = subprocess.run(
+    done = subprocess.run(
         command("drive"), capture_output=True, env=environment(), text=True, timeout=100, check=True
     )
-    said = json.loads(answer.stdout)
-    assert said["distance_m"] > 0
-    assert said["page_faults"] == 0
+    answer = json.loads(done.stdout)
+    assert answer["distance_m"] > 0
+    assert answer["page_faults"] == 0
 
 
 def test_a_priority_refused_to_who_may_have_it_is_the_groups_budget(monkeypatch):
     monkeypatch.setattr(resource, "getrlimit", lambda _: (99, 99))
-    said = grants.sentences(grants.Refused(scheduler=errno.EPERM), priority=80, cpu=())
-    assert list(said) == ["scheduler"]
-    assert "RT_GROUP_SCHED" in said["scheduler"]
+    answer = grants.sentences(grants.Refused(scheduler=errno.EPERM), priority=80, cpu=())
+    assert list(answer) == ["scheduler"]
+    assert "RT_GROUP_SCHED" in answer["scheduler"]
 
 
 def test_every_refusal_has_a_sentence():
@@ -155,10 +155,10 @@ def test_every_refusal_has_a_sentence():
         memory_lock=errno.ENOMEM,
         dma_latency=errno.EACCES,
     )
-    said = grants.sentences(refused, priority=80, cpu=(2, 3))
-    assert set(said) == {"scheduler", "affinity", "memory_lock", "dma_latency"}
-    assert "CPU 2, 3 (EINVAL)" in said["affinity"]
-    assert "EACCES" in said["dma_latency"]
+    answer = grants.sentences(refused, priority=80, cpu=(2, 3))
+    assert set(answer) == {"scheduler", "affinity", "memory_lock", "dma_latency"}
+    assert "CPU 2, 3 (EINVAL)" in answer["affinity"]
+    assert "EACCES" in answer["dma_latency"]
     assert grants.sentences(grants.Refused(), priority=80, cpu=()) == {}
 
 

@@ -9,7 +9,7 @@ import socket
 import struct
 
 import pytest
-from small_base import LIMITS, arm, core_config, hear_wheels, settings, until
+from small_base import LIMITS, arm, core_config, report_wheels, settings, until
 
 from motord.api.stop_request import MAGIC, VERSION, datagram
 from motord.realtime import loop as rt
@@ -100,7 +100,7 @@ def test_a_disarm_comes_to_rest_first_and_arms_never_again_by_itself(loop, wire)
     wire[0].send(datagram("disarm"))
     until(lambda: not loop.read_state().armed)
     assert rests(loop)
-    hear_wheels()
+    report_wheels()
     for armed in (True, False, True):
         loop.put_control(control(armed=armed))
         assert not later(loop).armed
@@ -147,7 +147,7 @@ def test_descriptors_that_come_along_are_not_taken(loop, wire):
 
 
 def test_no_request_arms_or_moves_a_robot_that_stands(loop, wire):
-    hear_wheels()
+    report_wheels()
     for method in ("stop", "disarm", "stop"):
         wire[0].send(datagram(method))
     until(lambda: loop.stop_requests().stop == 2)

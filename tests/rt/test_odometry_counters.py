@@ -22,7 +22,7 @@ def narrow(counter_bits: int, rad_per_count: float, top_rad_s: float) -> Base:
 
 
 def turn_for(base: Base, seconds: float, speed_rad_s: float, velocity_rad_s: float) -> float:
-    """Both wheels turn so long unheard, and are heard then; how far each turned."""
+    """Both wheels turn for so long without a report, and then report; how far each turned."""
     counts = round(speed_rad_s * seconds / base.config.joint[LEFT].rad_per_count)
     base.now_ns += round(seconds * 1e9) - STEP_NS
     for j in (LEFT, RIGHT):
@@ -98,11 +98,11 @@ def test_a_counter_that_is_renewed_more_slowly_than_it_is_read_loses_no_distance
     turned = shown = 0
     for step in range(1, 401):
         turned += per_step
-        news = turned - shown if step % renewed_every == 0 else 0
-        shown += news
+        renewed = turned - shown if step % renewed_every == 0 else 0
+        shown += renewed
         for j in (LEFT, RIGHT):
             base.feedback[j].velocity_rad_s = speed_rad_s if measured else math.nan
-        base.step(news, news)
+        base.step(renewed, renewed)
         assert base.state.degraded == 0
         assert not abs(base.state.joint[LEFT].velocity_rad_s) > 1.51 * 15.0
     assert base.state.joint[LEFT].jumps == 0

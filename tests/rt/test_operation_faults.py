@@ -4,7 +4,7 @@
 from dataclasses import replace
 
 import pytest
-from small_base import core_config, hear_wheels, settings, until
+from small_base import core_config, report_wheels, settings, until
 
 from motord.base.sdnotify import Notifier
 from motord.config import load_robot
@@ -25,7 +25,7 @@ def operation():
     robot = load_robot(config_dir() / "robots" / "demo.toml")
     with rt.Loop(core_config(), settings()) as loop:
         operation = Operation(robot, loop, Notifier({}))
-        hear_wheels()
+        report_wheels()
         until(lambda: operation.look() or not operation.facts().stale_joints)
         for event in (Event.START, Event.READY, Event.ARM):
             operation.take(event)

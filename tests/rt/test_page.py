@@ -169,12 +169,12 @@ def test_the_c_reader_of_the_docs_prints_the_same_numbers(reader, page_file):
         lib.page_write(made.pointer, state)
     os.pwrite(page_file.fd, made.bytes[:], 0)
     words = run_reader(reader, page_file).stdout.split()
-    said = dict(zip(words[::2], words[1::2], strict=True))
-    assert (said["tick"], said["armed"], said["faults"]) == ("7", "1", "5")
-    assert float(said["x_m"]) == state.x_m
-    assert float(said["y_m"]) == state.y_m
-    assert float(said["heading_rad"]) == state.heading_rad
-    assert float(said["age_s"]) >= 0
+    printed = dict(zip(words[::2], words[1::2], strict=True))
+    assert (printed["tick"], printed["armed"], printed["faults"]) == ("7", "1", "5")
+    assert float(printed["x_m"]) == state.x_m
+    assert float(printed["y_m"]) == state.y_m
+    assert float(printed["heading_rad"]) == state.heading_rad
+    assert float(printed["age_s"]) >= 0
 
 
 def test_the_c_reader_refuses_what_is_not_a_page(reader, page_file):

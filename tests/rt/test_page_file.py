@@ -29,7 +29,7 @@ sys.stdin.read()
 
 @pytest.fixture(autouse=True)
 def shared(tmp_path, monkeypatch):
-    """As /dev/shm: every user may make files, nobody may remove those of others."""
+    """As /dev/shm: every user may make files, and no user may remove those of others."""
     monkeypatch.setattr(page_file, "SHARED", tmp_path)
     open_to_others(tmp_path)
     tmp_path.chmod(0o1777)

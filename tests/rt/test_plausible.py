@@ -31,8 +31,8 @@ LEFT = 0
 
 
 class Wheels(Rig):
-    """Wheels that follow after a time, heard every 10 ms. `truth` changes how one turns, `told`
-    what is heard of it: counter angle and reported velocity."""
+    """Wheels that follow after a time, and report every 10 ms. `truth` changes how one turns,
+    `sent` what it reports: counter angle and reported velocity."""
 
     def __init__(self, *, checks=None, slope_rad_s2=80.0, reports=True, bits=32, **changes):
         joints = [

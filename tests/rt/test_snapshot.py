@@ -186,10 +186,10 @@ def test_a_flag_is_true_alone(flag):
     assert [name for name in FLAGS if getattr(made, name)] == [flag]
 
 
-@pytest.mark.parametrize(("said", "meant"), [(0, False), (1, True), (2, None)])
-def test_a_drive_that_cannot_report_whether_it_is_enabled_is_not_called_enabled(said, meant):
+@pytest.mark.parametrize(("reported", "meant"), [(0, False), (1, True), (2, None)])
+def test_a_drive_that_cannot_report_whether_it_is_enabled_is_not_called_enabled(reported, meant):
     raw = raw_state()
-    raw.joint[1].enabled = said
+    raw.joint[1].enabled = reported
     assert rt._snapshot(raw).joints[1].enabled is meant
 
 

@@ -25,7 +25,7 @@ def test_a_client_is_named_once_with_all_that_it_asks(caplog):
     made.add(gid(1), ARM, 0.0)
     made.add(gid(2), STOP, 0.0)
     made.say(0.0)
-    assert f"/panel (Fast DDS) asks {ARM}, {STOP}: run" in caplog.text
+    assert f"/panel (Fast DDS) calls {ARM}, {STOP}: run" in caplog.text
     made.add(gid(1), ARM, AGAIN_S)
     made.say(AGAIN_S + 1.0)
     assert len(caplog.records) == 1
@@ -46,7 +46,7 @@ def test_a_client_without_a_node_is_reported_by_its_endpoint(caplog):
     made = Unanswered({}.get)
     made.add(gid(1), ARM, 0.0)
     made.say(NAMED_WITHIN_S)
-    assert f"endpoint {gid(1).hex()} (Fast DDS) asks {ARM}" in caplog.text
+    assert f"endpoint {gid(1).hex()} (Fast DDS) calls {ARM}" in caplog.text
 
 
 def test_many_clients_are_few_lines_and_nothing_is_lost_between_them(caplog):

@@ -124,7 +124,7 @@ class CommandGate:
         ):
             return
         self._voice.say(
-            f"input.{self._name}: {sender or 'somebody'} requests {linear_m_s:g} m/s,"
+            f"input.{self._name}: {sender or 'an unknown sender'} requests {linear_m_s:g} m/s,"
             f" {angular_rad_s:g} rad/s, {lateral_m_s:g} m/s sideways: no number, or more than"
             f" {ABSURD:g} times the limit in"
             " the robot file, so it counts as"

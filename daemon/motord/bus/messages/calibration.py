@@ -46,7 +46,7 @@ def measure(
 ) -> Measure:
     """Raises ValueError, in words."""
     if not 0.0 <= timeout_s <= TIMEOUT_MAX_S:
-        raise ValueError(f"a time-out of {timeout_s:g} s is none (at most {TIMEOUT_MAX_S:g})")
+        raise ValueError(f"a time-out of {timeout_s:g} s: it is from 0 to {TIMEOUT_MAX_S:g} s")
     timeout_s = timeout_s or TIMEOUT_S
     if quantity == "wheel_radius":
         if not DISTANCE_MIN_M <= true_distance_m <= DISTANCE_MAX_M:

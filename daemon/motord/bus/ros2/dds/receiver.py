@@ -69,7 +69,8 @@ class Receiver:
 
     @contextmanager
     def open(self) -> Iterator[int]:
-        """Its thread runs; yields what can be read from when there is news. Raises OSError."""
+        """Its thread runs; yields what becomes readable when a command has come. Raises
+        OSError."""
         self._number = self._checked(self._lib.receiver_claim(), "no receiver is left")
         self._event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         try:

@@ -77,7 +77,7 @@ class Unanswered:
         self._reported.add((client, service))
 
     def _report(self, found: dict[str, list[str]]) -> None:
-        clients = "; ".join(f"{client} asks {_few(names)}" for client, names in found.items())
+        clients = "; ".join(f"{client} calls {_few(names)}" for client, names in found.items())
         more = f" ({self._more} more)" if self._more else ""
         self._more = 0
         _log.warning(
