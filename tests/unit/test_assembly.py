@@ -132,8 +132,8 @@ def test_a_duty_holds_no_speed_so_only_much_of_it_is_judged_unless_the_file_want
     assert checks["following_s"] == 0
     assert checks["setpoint_min_rad_s"] == pytest.approx(0.4 * 18.0)
     assert checks["beyond_rad_s"] > 14.0
-    said = ["following_s=2", "setpoint_min_part=0.2", "runaway_part=0.5"]
-    _, _, config = assembled("pi4-encoders", *(f"safety.feedback.{one}" for one in said))
+    keys = ["following_s=2", "setpoint_min_part=0.2", "runaway_part=0.5"]
+    _, _, config = assembled("pi4-encoders", *(f"safety.feedback.{one}" for one in keys))
     checks = config["joint"][0]["plausible"]
     assert checks["following_s"] == 2
     assert checks["setpoint_min_rad_s"] < 4.0

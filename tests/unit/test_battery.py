@@ -30,8 +30,8 @@ def measured(watch, voltage_v, at_s, **more):
 
 def test_each_change_of_level_is_reported_once_with_the_voltage():
     watch = BatteryWatch(section(), 0)
-    said = [measured(watch, v, at_s) for at_s, v in enumerate((24.0, 24.0, 21.9, 21.8, 19.9))]
-    assert said == [
+    levels = [measured(watch, v, at_s) for at_s, v in enumerate((24.0, 24.0, 21.9, 21.8, 19.9))]
+    assert levels == [
         "the battery is normal: 24.00 V (was unknown)",
         None,
         "the battery is warning: 21.90 V (was normal)",
@@ -85,11 +85,11 @@ def test_what_registers_report_of_the_pack_is_taken_with_the_sign_of_a_discharge
 def test_without_a_measure_the_battery_is_unknown_which_is_reported_once(nothing):
     watch = BatteryWatch(section(silent_s=5.0), 0)
     measured(watch, 24.0, 1)
-    said = []
+    levels = []
     for at_s in (2, 5.9, 6, 7, 100):
         none = nothing is None
-        said.append(watch.take(None, at_s * S) if none else measured(watch, nothing, at_s))
-    assert said == [
+        levels.append(watch.take(None, at_s * S) if none else measured(watch, nothing, at_s))
+    assert levels == [
         None,
         None,
         "the battery is unknown: nothing was measured for 5.0 s",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wheel radius and track from a way that somebody has measured."""
+"""Wheel radius and track from a distance that a person has measured."""
 
 import math
 

@@ -23,9 +23,9 @@ def test_a_robot_file_that_cannot_be_used_is_reported_as_motord_check_reports_it
 
 
 def test_without_a_daemon_it_reports_which_robot_does_not_run():
-    done = bus(str(DEMO), "--set", "robot.name=nobody-runs-me")
+    done = bus(str(DEMO), "--set", "robot.name=not-running")
     assert done.returncode == 1
-    assert "no robot nobody-runs-me runs here" in done.stderr
+    assert "no robot not-running runs here" in done.stderr
 
 
 def test_it_has_help_with_an_example():

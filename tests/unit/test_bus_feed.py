@@ -109,18 +109,18 @@ def test_the_commander_is_who_holds_the_lease_of_the_snapshot():
 
 
 def test_why_a_fault_is_latched_is_sent_as_long_as_it_is():
-    said = {"why": ["input.ros2: by /teleop"]}
-    faulty = view(1, said, faults=("estop",))
+    reasons = {"why": ["input.ros2: by /teleop"]}
+    faulty = view(1, reasons, faults=("estop",))
     assert message("motor_status", faulty, BODY, 0).why == ("input.ros2: by /teleop",)
-    assert message("motor_status", view(1, said), BODY, 0).why == ()
+    assert message("motor_status", view(1, reasons), BODY, 0).why == ()
     assert view(1, faults=("estop",)).why() == ()
 
 
 @given(value=st.floats() | st.text() | st.integers() | st.booleans())
 def test_json_has_no_nan_and_comes_back(value):
-    said = decode(encode({"a": [value, (value,)]}))
+    decoded = decode(encode({"a": [value, (value,)]}))
     odd = isinstance(value, float) and not math.isfinite(value)
-    assert said == {"a": [None, [None]]} if odd else {"a": [value, [value]]}
+    assert decoded == {"a": [None, [None]]} if odd else {"a": [value, [value]]}
 
 
 def test_a_message_has_the_fields_of_its_type_and_nothing_else():
@@ -259,9 +259,9 @@ async def test_nothing_at_the_socket_is_reported(tmp_path):
 
 async def test_a_daemon_that_does_not_answer_is_not_waited_for(tmp_path, monkeypatch):
     monkeypatch.setattr(link, "CALL_WITHIN_S", 0.05)
-    with socket.socket(socket.AF_UNIX) as deaf:
-        deaf.bind(str(tmp_path / "sock"))
-        deaf.listen()
+    with socket.socket(socket.AF_UNIX) as silent:
+        silent.bind(str(tmp_path / "sock"))
+        silent.listen()
         with pytest.raises(ClientError, match="no answer within"):
             await call(tmp_path / "sock", "arm")
 

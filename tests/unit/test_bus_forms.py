@@ -29,7 +29,7 @@ def outcome(encode, one, offset_ns):
 def test_it_reports_what_the_message_reports_byte_for_byte(name):
     """Several views one after the other: what is kept from one may not show in the next."""
     topic, rng = TOPICS[name], random.Random(name)
-    said = 0
+    compared = 0
     for _ in range(ROUNDS):
         count = rng.choice((0, 1, 2, 2, 4, 5))
         body = any_body(rng, count)
@@ -42,9 +42,9 @@ def test_it_reports_what_the_message_reports_byte_for_byte(name):
         for offset_ns in OFFSETS_NS:
             one = any_view(rng, count)
             expected = outcome(field_by_field, one, offset_ns)
-            said += isinstance(expected, bytes)
+            compared += isinstance(expected, bytes)
             assert outcome(compiled, one, offset_ns) == expected
-    assert said > ROUNDS
+    assert compared > ROUNDS
 
 
 LEASES = {

@@ -44,7 +44,7 @@ async def over(gap):
             await asyncio.sleep(0.01)
 
 
-async def test_whatever_asks_first_after_it_is_sent():
+async def test_what_is_requested_first_after_it_is_sent():
     gap = Gap(LONGEST_S)
     async with watched(gap):
         assert not gap.just_over()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An adapter that fails: run again, counted, said once, and nobody else's trouble."""
+"""An adapter that fails: run again, counted, reported once, and no other one fails."""
 
 import asyncio
 from pathlib import Path

@@ -28,7 +28,7 @@ def _with_and_without_msgspec(request, monkeypatch):
 def test_it_reports_what_the_message_reports(name):
     """Several views one after the other: what is kept from one may not show in the next."""
     topic, rng = TOPICS[name], random.Random(name)
-    said = 0
+    compared = 0
     for _ in range(ROUNDS):
         count = rng.choice((0, 1, 2, 2, 4, 5))
         body = any_body(rng, count)
@@ -40,9 +40,9 @@ def test_it_reports_what_the_message_reports(name):
             if message is None:
                 assert raw is None
                 continue
-            said += 1
+            compared += 1
             assert json.loads(raw) == json.loads(json.dumps(json_form.plain(message)))
-    assert said > ROUNDS
+    assert compared > ROUNDS
 
 
 @pytest.mark.usefixtures("_with_and_without_msgspec")

@@ -103,12 +103,12 @@ async def test_a_file_does_not_grow_for_ever_and_the_oldest_go_first(tmp_path):
         await stage.until(stage.files)
         first, *_ = stage.files()
         (tmp_path / "demo-00000000T000000-000000000-all.mcap").write_bytes(bytes(1_000_000))
-        (tmp_path / "somebody's.mcap").write_bytes(bytes(1_000_000))
+        (tmp_path / "another.mcap").write_bytes(bytes(1_000_000))
         await stage.until(lambda: len(stage.files()) >= 3)
         await stage.until(
             lambda: not (tmp_path / "demo-00000000T000000-000000000-all.mcap").exists()
         )
-    assert (tmp_path / "somebody's.mcap").exists()
+    assert (tmp_path / "another.mcap").exists()
     assert first.exists()
     assert read(first)
 

@@ -167,8 +167,8 @@ def test_motor_status_reports_who_commands_and_one_value_a_joint():
     found = message("motor_status", snapshot(owner=3), {"leases": [boss]})
     assert (found.commander, found.commander_priority) == ("autopilot", 50)
     assert found.commander_why == "in command: the only one"
-    nobody = message("motor_status", snapshot())
-    assert (nobody.commander, nobody.commander_priority, nobody.state) == ("", 0, "moving")
+    free = message("motor_status", snapshot())
+    assert (free.commander, free.commander_priority, free.state) == ("", 0, "moving")
     assert len(found.name) == len(found.duty) == len(found.stale) == 2
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A motion over a given way: what it asks for, and when and why it ends."""
+"""A motion over a given distance: what it requests, and when and why it ends."""
 
 import dataclasses
 import math
@@ -17,8 +17,8 @@ BOUNDS = Bounds(velocity_u_s=0.5, acceleration_u_s2=0.5, deceleration_u_s2=0.8, 
 
 
 def state(at_ms, **changes):
-    said = {"armed": True, "owner": LEASE, "at_rest": False}
-    return view(at_ms, **(said | changes)).snapshot
+    fields = {"armed": True, "owner": LEASE, "at_rest": False}
+    return view(at_ms, **(fields | changes)).snapshot
 
 
 class Base:
@@ -28,14 +28,14 @@ class Base:
         self.axis, self.bounds = axis, bounds
         self.speed_u_s, self.distance_u, self.at_ms = 0.0, 0.0, 0
         self.fastest_u_s = 0.0
-        self._wishes = deque([0.0] * late_steps, late_steps + 1)
+        self._requested = deque([0.0] * late_steps, late_steps + 1)
         self.stops = 0
 
     def follow(self, step):
         assert (step.linear_m_s, step.angular_rad_s)[self.axis == "linear"] == 0.0
-        self._wishes.append(step.linear_m_s + step.angular_rad_s)
-        away_u_s = self._wishes[0] - self.speed_u_s
-        faster = abs(self._wishes[0]) > abs(self.speed_u_s)
+        self._requested.append(step.linear_m_s + step.angular_rad_s)
+        away_u_s = self._requested[0] - self.speed_u_s
+        faster = abs(self._requested[0]) > abs(self.speed_u_s)
         rate = self.bounds.acceleration_u_s2 if faster else self.bounds.deceleration_u_s2
         step_u_s = rate * STEP_MS / 1000.0
         self.speed_u_s += max(-step_u_s, min(step_u_s, away_u_s))
@@ -47,7 +47,7 @@ class Base:
         pose = {"x_m": self.distance_u}
         if self.axis == "angular":
             pose = {"heading_rad": math.remainder(self.distance_u, math.tau)}
-        resting = self.speed_u_s == 0.0 and not any(self._wishes)
+        resting = self.speed_u_s == 0.0 and not any(self._requested)
         return state(self.at_ms, **({"at_rest": resting} | pose | changes))
 
 
@@ -246,7 +246,7 @@ def test_a_base_that_slips_by_a_little_goes_the_rest_of_the_way(slip_u):
 
 
 def rested_beside_its_goal():
-    """By the wheels, or by a stop that nobody saw."""
+    """By the wheels, or by a stop that was not seen."""
     base, motion = begun(Goal(axis="linear", distance_u=1.0))
     while motion.remaining_u > 0.004:
         base.follow(looked(base, motion))

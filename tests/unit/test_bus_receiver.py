@@ -99,13 +99,13 @@ EDGES_S = (0.0, 0.3, OLD_S, 2 * OLD_S, -FUTURE_S, math.nextafter(-FUTURE_S, -1.0
 
 
 @given(st.floats() | st.sampled_from([0.0, *(WALL_S - edge for edge in EDGES_S)]))
-def test_the_age_of_a_stamp_is_the_desks(stamped, said_s):
+def test_the_age_of_a_stamp_is_that_of_the_command_gate(stamped, stamp_s):
     out = ffi.new("double *")
-    code = lib.stamp_age(said_s, WALL_S, out)
+    code = lib.stamp_age(stamp_s, WALL_S, out)
     with patch("motord.bus.commands.gate.time.time", return_value=WALL_S):
         why, gates_s = "", 0.0
         try:
-            gates_s = stamped._age_s(said_s)
+            gates_s = stamped._age_s(stamp_s)
         except NotTaken as refused:
             why = str(refused)
     assert SAID.get(code, "") == why

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second process as the daemon hears it, whatever it says: a real child, in error or on purpose
-a bad one."""
+"""The second process as the daemon receives it, whatever it writes: a real child, in error or
+on purpose a bad one."""
 
 import asyncio
 import contextlib
@@ -20,13 +20,13 @@ BEAT = b'{"inputs":{"pad":1}}\n'
 
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch):
-    """Who floods does not hear that it is to end."""
+    """A child that floods does not read that it is to end."""
     monkeypatch.setattr(bus_supervisor, "END_WITHIN_S", 0.1)
 
 
 @contextlib.asynccontextmanager
 async def child(code):
-    """What that program says is heard until the end of the block."""
+    """What that program writes is read until the end of the block."""
     supervisor = BusSupervisor(load_robot(DEMO), Path("no.sock"))
     supervisor._command = [sys.executable, "-c", f"import os\n{code}"]
     async with asyncio.TaskGroup() as tasks:
@@ -42,7 +42,7 @@ async def until(condition):
 
 
 @pytest.mark.parametrize(
-    "said",
+    "written",
     [
         b"5",
         b"null",
@@ -56,19 +56,19 @@ async def until(condition):
         b"",
     ],
 )
-async def test_what_are_no_figures_is_passed_over(said, caplog):
-    lines = said + b"\n" + BEAT
+async def test_what_are_no_figures_is_passed_over(written, caplog):
+    lines = written + b"\n" + BEAT
     async with child(f"os.write(1, {lines!r}); os.read(0, 1)") as supervisor:
         await until(lambda: "inputs" in supervisor.report())
         assert supervisor.report()["inputs"] == {"pad": 1}
-    async with child(f"os.write(1, {said!r} + b'\\n'); os.read(0, 1)") as supervisor:
+    async with child(f"os.write(1, {written!r} + b'\\n'); os.read(0, 1)") as supervisor:
         await until(lambda: "no figures" in caplog.text)
         assert set(supervisor.report()) == {"pid", "restarts"}
 
 
 async def test_its_word_on_itself_is_the_daemons():
-    said = b'{"pid":1,"restarts":-5}\n' + BEAT.replace(b"{", b'{"pid":1,"restarts":-5,', 1)
-    async with child(f"os.write(1, {said!r}); os.read(0, 1)") as supervisor:
+    written = b'{"pid":1,"restarts":-5}\n' + BEAT.replace(b"{", b'{"pid":1,"restarts":-5,', 1)
+    async with child(f"os.write(1, {written!r}); os.read(0, 1)") as supervisor:
         await until(lambda: "inputs" in supervisor.report())
         report = supervisor.report()
         assert report["restarts"] == 0
@@ -87,8 +87,8 @@ async def test_a_flood_is_reported_once_and_the_daemon_does_all_else_meanwhile(l
 
 
 async def test_a_beat_of_many_figures_is_received_whole():
-    said = f"b'{{\"inputs\":\"' + b'x' * {BEAT_BYTES_MAX // 2} + b'\"}}\\n'"
-    async with child(f"os.write(1, {said}); os.read(0, 1)") as supervisor:
+    written = f"b'{{\"inputs\":\"' + b'x' * {BEAT_BYTES_MAX // 2} + b'\"}}\\n'"
+    async with child(f"os.write(1, {written}); os.read(0, 1)") as supervisor:
         await until(lambda: "inputs" in supervisor.report())
         assert len(supervisor.report()["inputs"]) == BEAT_BYTES_MAX // 2
 

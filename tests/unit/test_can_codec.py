@@ -170,4 +170,4 @@ def test_a_warning_is_reported_again_when_it_goes_on_for_long():
     assert len(warnings.new(["no_ack", "error_passive", "protocol"], 100.0)) == 2
     assert warnings.new(["no_ack"], 100.0 + WARN_EVERY_S / 2) == []
     assert len(warnings.new(["no_ack", "no_ack"], 100.0 + WARN_EVERY_S)) == 1
-    assert warnings.new(["bus_off"], 500.0) == []  # the line is lost, which is said anyway
+    assert warnings.new(["bus_off"], 500.0) == []  # the line is lost, which is reported anyway

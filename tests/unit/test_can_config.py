@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CAN drives in profiles and robot files: every mistake is said, and a bus that is too full."""
+"""CAN drives in profiles and robot files: every mistake is reported, and a bus that is too full."""
 
 import math
 from dataclasses import replace
@@ -36,7 +36,7 @@ def problems(tmp_path, right, wrong, count=1, drive="odrive-0.5"):
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "said"),
+    ("right", "wrong", "message"),
     [
         ('frame = "heartbeat"', 'frame = "hartbeat"', 'did you mean "heartbeat"?'),
         ("start_bit = 32", "start_bit = 64", "reaches beyond the 8 bytes"),
@@ -59,12 +59,12 @@ def problems(tmp_path, right, wrong, count=1, drive="odrive-0.5"):
         ),
     ],
 )
-def test_a_mistake_in_a_profile_is_reported(tmp_path, right, wrong, said):
-    assert said in problems(tmp_path, right, wrong)
+def test_a_mistake_in_a_profile_is_reported(tmp_path, right, wrong, message):
+    assert message in problems(tmp_path, right, wrong)
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "said"),
+    ("right", "wrong", "message"),
     [
         ('\nvelocity = "velocity"', "", "torque_setpoint needs velocity"),
         ("minimum = -1.5\n", "", '"target_torque" needs minimum and maximum'),
@@ -76,8 +76,8 @@ def test_a_mistake_in_a_profile_is_reported(tmp_path, right, wrong, said):
         ),
     ],
 )
-def test_a_torque_needs_what_its_speed_loop_is_closed_over(tmp_path, right, wrong, said):
-    assert said in problems(tmp_path, right, wrong, drive="cia402-torque")
+def test_a_torque_needs_what_its_speed_loop_is_closed_over(tmp_path, right, wrong, message):
+    assert message in problems(tmp_path, right, wrong, drive="cia402-torque")
 
 
 def test_a_torque_is_divided_by_the_gear_that_multiplies_it():
@@ -131,9 +131,9 @@ def test_a_watchdog_that_motord_sets_or_that_is_on_no_can_bus_is_not_reported():
 
 
 def test_an_adapter_whose_driver_may_wait_for_ever_is_refused_with_the_way_that_works():
-    said = wrong("line.can0.interface=gs_usb", "line.can0.channel=0")
-    assert "line.can0.interface" in said
-    assert 'interface = "socketcan", channel = "can0"' in said
+    message = wrong("line.can0.interface=gs_usb", "line.can0.channel=0")
+    assert "line.can0.interface" in message
+    assert 'interface = "socketcan", channel = "can0"' in message
 
 
 def test_an_adapter_that_carries_no_can_fd_is_refused_where_it_is_asked_for():
@@ -160,9 +160,9 @@ def test_the_bus_load_is_that_of_the_frames():
 
 
 def test_a_bus_that_is_too_full_is_an_error_with_what_would_help():
-    said = wrong("line.can0.bitrate=50000")
-    assert "load the bus with 1" in said
-    assert "or bitrate = 125000" in said
+    message = wrong("line.can0.bitrate=50000")
+    assert "load the bus with 1" in message
+    assert "or bitrate = 125000" in message
 
 
 def test_a_bus_that_is_nearly_full_deserves_a_look():
@@ -220,15 +220,15 @@ def test_a_cycle_that_a_synchronous_drive_cannot_be_sent_is_reported_with_its_li
     load_robot(CIA402, csv)
     with pytest.raises(ConfigError) as error:
         load_robot(CIA402, (*csv, "line.can0.cycle_hz=30"))
-    said = "cycle_hz: cia402-csv: interpolation_time cannot hold the line's cycle, 33.33 ms"
-    assert said in "\n".join(map(str, error.value.problems))
+    message = "cycle_hz: cia402-csv: interpolation_time cannot hold the line's cycle, 33.33 ms"
+    assert message in "\n".join(map(str, error.value.problems))
 
 
 CSV = (config_dir() / "drives" / "cia402-csv.toml").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "said"),
+    ("right", "wrong", "message"),
     [
         ('sync = "sync"', 'sync = "rpdo_1"', '"rpdo_1" must be sent by motord, with addressed'),
         ('sync = "sync"', 'sync = "synk"', 'did you mean "sync"?'),
@@ -239,20 +239,20 @@ CSV = (config_dir() / "drives" / "cia402-csv.toml").read_text(encoding="utf-8")
         ('"status_object"\nso', '"mode_shown"\nso', "mode_shown has another type, scale or unit"),
     ],
 )
-def test_a_mistake_about_sync_or_an_object_is_reported(tmp_path, right, wrong, said):
+def test_a_mistake_about_sync_or_an_object_is_reported(tmp_path, right, wrong, message):
     assert right in CSV
     path = tmp_path / "cia402-csv.toml"
     path.write_text(CSV.replace(right, wrong, 1), encoding="utf-8")
     with pytest.raises(ProfileError) as error:
         load_profile(path)
-    assert said in str(error.value)
+    assert message in str(error.value)
 
 
 MOTEUS = (config_dir() / "drives" / "moteus.toml").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "said"),
+    ("right", "wrong", "message"),
     [
         ('answers = "command"', 'answers = "reply"', '"reply" is no frame that motord sends'),
         ('ask = "query"', 'ask = "queri"', 'did you mean "query"?'),
@@ -263,13 +263,13 @@ MOTEUS = (config_dir() / "drives" / "moteus.toml").read_text(encoding="utf-8")
         ("node_shift = 8", "node_shift = 24", "with node 127 it is beyond 0x1fffffff"),
     ],
 )
-def test_a_mistake_about_frames_that_answer_is_reported(tmp_path, right, wrong, said):
+def test_a_mistake_about_frames_that_answer_is_reported(tmp_path, right, wrong, message):
     assert right in MOTEUS
     path = tmp_path / "moteus.toml"
     path.write_text(MOTEUS.replace(right, wrong, 1), encoding="utf-8")
     with pytest.raises(ProfileError) as error:
         load_profile(path)
-    assert said in str(error.value)
+    assert message in str(error.value)
 
 
 def test_a_reply_is_known_by_every_byte_that_is_not_a_signal():

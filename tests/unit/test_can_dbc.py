@@ -20,7 +20,7 @@ DBC = (FOLDER / "dbc-example.dbc").read_text(encoding="cp1252")
 
 
 def written(folder, right="", wrong="", dbc_right="", dbc_wrong=""):
-    """The example with a part of it said otherwise."""
+    """The example with a part of it written otherwise."""
     assert right in PROFILE
     assert dbc_right in DBC
     path = folder / "dbc-example.toml"
@@ -73,7 +73,7 @@ def test_scales_offsets_and_units_come_from_the_file():
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "said"),
+    ("right", "wrong", "message"),
     [
         ('file = "dbc-example.dbc"', 'file = "none.dbc"', "none.dbc: cannot be read"),
         ('drive = "DRIVE"', 'drive = "DRIV"', 'did you mean "DRIVE"?'),
@@ -95,12 +95,12 @@ def test_scales_offsets_and_units_come_from_the_file():
         ('frame = "power"', 'frame = "pover"', '"pover" is no frame'),
     ],
 )
-def test_a_mapping_that_does_not_fit_the_file_is_reported(tmp_path, right, wrong, said):
-    assert said in problems(tmp_path, right, wrong)
+def test_a_mapping_that_does_not_fit_the_file_is_reported(tmp_path, right, wrong, message):
+    assert message in problems(tmp_path, right, wrong)
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "where", "said"),
+    ("right", "wrong", "where", "message"),
     [
         ("BO_ 641 DRV_Power: 5", "BO_ 641 DRV_Power 5", "BO_ 641", "Invalid syntax"),
         (" SG_ Motor_Current", " SG_ Motor_Current M", "BO_ 641", "is multiplexed"),
@@ -111,15 +111,15 @@ def test_a_mapping_that_does_not_fit_the_file_is_reported(tmp_path, right, wrong
         ("5 DRIVE\n SG_ Supply : 7|16@0+", "16 DRIVE\n SG_ Supply : 71|40@0+", "SG_ Su", "40 bits"),
     ],
 )
-def test_a_file_that_is_wrong_is_named_with_its_line(tmp_path, right, wrong, where, said):
+def test_a_file_that_is_wrong_is_named_with_its_line(tmp_path, right, wrong, where, message):
     found = problems(tmp_path, "", "", right, wrong)
     wanted = line_of(DBC, where)
-    assert said in found
+    assert message in found
     assert f"dbc-example.dbc:{wanted}: " in found
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "said"),
+    ("right", "wrong", "message"),
     [
         ('"degC"', '"K"', 'signal.temperature.unit: is missing: "K"'),
         ("(0.1,0) [-3000|3000]", "(0.1,5) [-3000|3000]", "its offset and default must be 0"),
@@ -129,8 +129,8 @@ def test_a_file_that_is_wrong_is_named_with_its_line(tmp_path, right, wrong, whe
         ('32|32@1- (1,0) [0|0] "counts"', '32|32@1- (1,3) [0|0] "counts"', "position.offset"),
     ],
 )
-def test_what_the_file_has_is_judged_as_if_the_profile_had_it(tmp_path, right, wrong, said):
-    assert said in problems(tmp_path, "", "", right, wrong)
+def test_what_the_file_has_is_judged_as_if_the_profile_had_it(tmp_path, right, wrong, message):
+    assert message in problems(tmp_path, "", "", right, wrong)
 
 
 def test_a_message_that_is_not_mapped_may_be_what_it_likes(tmp_path):

@@ -42,7 +42,7 @@ def sheet():
     for place, kind in MAPPED.items():
         entries[place] = (kind, "rw", MODES if place[0] == 0x6502 else 0, 1)
     records = {index for index, sub in entries if sub}
-    text = "[DeviceInfo]\nVendorName=nobody\n\n"
+    text = "[DeviceInfo]\nVendorName=none\n\n"
     for index in sorted(records):
         text += f"[{index:04X}]\nParameterName=r{index:04X}\nObjectType=0x9\nSubNumber=9\n\n"
         entries.setdefault((index, 0), ("u8", "rw", 0, 0))
@@ -91,7 +91,7 @@ def test_types_and_start_values_need_not_be_reported_twice(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "said"),
+    ("right", "wrong", "message"),
     [
         ("index = 0x605A", "index = 0x605B", "605Bh:00h is not in drive.eds"),
         ('sub = 5\ntype = "u16"', 'sub = 5\ntype = "u32"', '"u32" is not "u16"'),
@@ -103,23 +103,23 @@ def test_types_and_start_values_need_not_be_reported_twice(tmp_path):
          'index = 0x6079\nsub = 0\ntype = "u32"', "cannot be written (ro)"),
     ],
 )  # fmt: skip
-def test_what_the_drive_does_not_have_is_reported(tmp_path, right, wrong, said):
+def test_what_the_drive_does_not_have_is_reported(tmp_path, right, wrong, message):
     found = problems(tmp_path, right, wrong)
-    assert said in found
+    assert message in found
     assert re.search(r"cia402-csv\.toml:\d+: ", found)
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "said"),
+    ("right", "wrong", "message"),
     [
         ("[DeviceInfo]\n", "", "drive.eds:1: eds: File contains no section headers"),
         (part("605A"), part("605A") * 2, "drive.eds:"),
-        ("VendorName=nobody", "VendorName=nobody\nnothing", "drive.eds:3: eds: "),
+        ("VendorName=none", "VendorName=none\nnothing", "drive.eds:3: eds: "),
         ("DataType=0x0003", "DataType=three", "drive.eds: eds: "),
     ],
 )
-def test_a_sheet_that_cannot_be_read_is_named(tmp_path, right, wrong, said):
-    assert said in problems(tmp_path, "", "", right, wrong)
+def test_a_sheet_that_cannot_be_read_is_named(tmp_path, right, wrong, message):
+    assert message in problems(tmp_path, "", "", right, wrong)
 
 
 def test_a_sheet_that_is_not_there_is_named(tmp_path):

@@ -102,7 +102,7 @@ async def test_can_fd_is_refused_where_the_interface_does_not_carry_it(net):
 async def test_bus_off_that_may_not_be_restarted_is_no_open_bus(net, monkeypatch):
     monkeypatch.setattr(interface, "can_state", lambda channel: BUS_OFF)
     errors = Counter()
-    for refused in (1, 2):  # each time: it stays so until somebody restarts it
+    for refused in (1, 2):  # each time: it stays so until a person restarts it
         with pytest.raises(PortError, match=r"bus-off.*not restarted.*type can restart"):
             await ready(errors)
         assert errors == {"restart_refused": refused}

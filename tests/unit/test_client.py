@@ -160,8 +160,8 @@ def test_an_answer_without_end_is_cut_off(tmp_path, monkeypatch):
 
 
 def test_a_missing_daemon_is_sent_with_its_path(tmp_path):
-    with pytest.raises(ClientError, match="nobody"):
-        Client(tmp_path / "nobody.sock")
+    with pytest.raises(ClientError, match="absent"):
+        Client(tmp_path / "absent.sock")
 
 
 def test_the_only_robot_is_found(path):

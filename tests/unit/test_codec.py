@@ -112,13 +112,13 @@ def test_a_flipped_bit_is_never_an_answer(request_, data):
 @given(REQUESTS, REQUESTS, st.data())
 def test_the_answer_to_another_request_is_no_answer_where_the_wire_can_report(one, other, data):
     frame, _ = reply_of(other, data)
-    tells_apart = (
+    distinct = (
         one.unit != other.unit
         or one.function != other.function
         or reply_bytes(one) != reply_bytes(other)
         or (one.function in (6, 16) and build_reply(one) != build_reply(other))
     )
-    if tells_apart:
+    if distinct:
         with pytest.raises(FrameError):
             parse_reply(one, frame)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the drives of a line need of its wire, and what is said when it is too much."""
+"""What the drives of a line need of its wire, and what is reported when it is too much."""
 
 import re
 from dataclasses import replace
@@ -77,13 +77,13 @@ def test_a_rate_that_was_asked_for_and_cannot_be_is_an_error_with_what_would_hel
     with pytest.raises(ConfigError) as caught:
         load_robot(ROBOTS / "skid4.toml", ["line.rs485.cycle_hz=100"])
     (row,) = caught.value.problems
-    said = re.fullmatch(
+    figures = re.fullmatch(
         r"line rs485: 2 drives at 100 Hz need (\d+) % of the wire; most it carries is ([\d.]+) Hz "
         r"\(function 23 where the drives have it: [\d.]+ Hz; gap = \"3.5char\": [\d.]+ Hz; "
         r"baudrate = 921600: [\d.]+ Hz\)",
         row.text,
     )
-    assert (row.key, float(said[1]) * float(said[2])) == (
+    assert (row.key, float(figures[1]) * float(figures[2])) == (
         "line.rs485.cycle_hz",
         pytest.approx(100 * 100, rel=0.01),
     )

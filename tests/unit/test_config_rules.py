@@ -393,7 +393,7 @@ BATTERY = '[battery]\nsource = "drives"\nlow_v = 22.0\ncritical_v = 20.0\n\n[lin
 
 
 @pytest.mark.parametrize(
-    ("edits", "said"),
+    ("edits", "message"),
     [
         (
             [("[line.rs485]", BATTERY.replace("20.0", "22.0"))],
@@ -410,12 +410,12 @@ BATTERY = '[battery]\nsource = "drives"\nlow_v = 22.0\ncritical_v = 20.0\n\n[lin
     ],
     ids=["thresholds", "joint", "nothing to be critical"],
 )
-def test_a_battery_that_does_not_fit_is_named(tmp_path, edits, said):
-    assert said in errors(edited(tmp_path, "demo", *edits))
+def test_a_battery_that_does_not_fit_is_named(tmp_path, edits, message):
+    assert message in errors(edited(tmp_path, "demo", *edits))
 
 
 @pytest.mark.parametrize(
-    ("reading", "said"),
+    ("reading", "message"),
     [
         ('current_from = "lefft.current_1"', 'battery.current_from: there is no joint "lefft"'),
         ('current_from = "left"', "battery.current_from: "),
@@ -437,12 +437,12 @@ def test_a_battery_that_does_not_fit_is_named(tmp_path, edits, said):
         ),
     ],
 )
-def test_a_reading_of_the_battery_that_no_drive_has_is_named(tmp_path, reading, said):
+def test_a_reading_of_the_battery_that_no_drive_has_is_named(tmp_path, reading, message):
     section = BATTERY.replace("low_v", f"{reading}\nlow_v")
     if "bus" in reading.split():
         section = section.replace('"drives"', '"ina226"')
     found = errors(edited(tmp_path, "demo", ("[line.rs485]", section)))
-    assert any(row.startswith(said) for row in found), found
+    assert any(row.startswith(message) for row in found), found
 
 
 def test_a_battery_that_fits_is_taken(tmp_path):
@@ -479,8 +479,8 @@ def test_the_level_that_stops_follows_from_the_wiring(tmp_path, contact, switche
     more = f'contact = "{contact}"\nswitches_to = "{switches_to}"\n'
     path = with_pins(tmp_path, ESTOP.rstrip("\n") + f"\n{more}\n")
     assert load_robot(path).safety.estop.stop_is_high is stop_is_high
-    said = any("a broken wire" in row for row in warnings(path))
-    assert said is (contact == "normally-open")
+    message = any("a broken wire" in row for row in warnings(path))
+    assert message is (contact == "normally-open")
 
 
 def test_one_line_cannot_be_both_pins_of_safety(tmp_path):

@@ -68,8 +68,8 @@ def test_an_editor_finds_a_mistake_in_a_profile(right, wrong, found):
     text = (CONFIG / "drives/dbc-example.toml").read_text(encoding="utf-8").replace(right, wrong, 1)
     validator = jsonschema.Draft202012Validator(drive_schema())
     errors = validator.iter_errors(tomllib.loads(text))
-    said = [best_match([error]).message for error in errors]
-    assert any(found in message for message in said), said
+    messages = [best_match([error]).message for error in errors]
+    assert any(found in message for message in messages), messages
 
 
 def test_every_key_of_a_profile_has_a_description():

@@ -150,10 +150,10 @@ def shown(capsys, **what):
 def test_an_estimate_that_is_far_off_is_ok_and_called_one(capsys):
     off = score(Pose(2.0, 3.0, 0.9, 9.0), HERE)
     assert not off.ok
-    said = shown(capsys, source=Source.SPEEDS, found=off)
-    assert "an estimate, not judged" in said
-    assert "at most" not in said
-    assert said.endswith("\nok\n")
+    printed = shown(capsys, source=Source.SPEEDS, found=off)
+    assert "an estimate, not judged" in printed
+    assert "at most" not in printed
+    assert printed.endswith("\nok\n")
     assert shown(capsys, found=off).endswith("\nNOT ok\n")
 
 
@@ -163,10 +163,10 @@ def test_an_estimate_of_a_robot_that_goes_elsewhere_is_not_ok(capsys):
 
 
 def test_skipped_ticks_and_lost_replies_are_explained(capsys):
-    said = shown(capsys)
-    assert "normal without SCHED_FIFO" in said
-    assert "no_reply: no reply in time" in said
-    assert "so few are normal here" in said
+    printed = shown(capsys)
+    assert "normal without SCHED_FIFO" in printed
+    assert "no_reply: no reply in time" in printed
+    assert "so few are normal here" in printed
 
 
 @pytest.mark.parametrize(
@@ -184,9 +184,9 @@ def test_how_many_ticks_were_skipped_decides_what_to_do(overruns, words):
     [({}, ""), ({"no_reply": 1}, "so few are normal"), ({"refused": 90}, "more than usual")],
 )
 def test_how_many_errors_a_line_had_decides_what_to_do(errors, words):
-    said = " ".join(error_words({"errors": errors, "exchanges": 900}))
-    assert words in said
-    assert bool(said) == bool(words)
+    printed = " ".join(error_words({"errors": errors, "exchanges": 900}))
+    assert words in printed
+    assert bool(printed) == bool(words)
 
 
 def test_a_machine_that_was_too_busy_is_reported_to_be(capsys):
@@ -200,12 +200,12 @@ def test_a_fault_at_the_end_is_shown_with_its_reason(capsys):
 
 def test_a_person_sees_what_was_measured_and_refused(capsys):
     show(result())
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for words in ("10.00 m in 8.0 s", "SCHED_OTHER", "SCHED_FIFO was refused", "345 max",
                   "7 of 9000", "700 exchanges on the asyncio engine", "errors: 2 no_reply",
                   "ends idle, faults: none"):  # fmt: skip
-        assert words in said
-    assert said.endswith("\nok\n")
+        assert words in printed
+    assert printed.endswith("\nok\n")
 
 
 @pytest.mark.parametrize("change", [{"state": "fault"}, {"faults": ["drive"]}])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[joint.NAME.encoder] in a robot file: what it may say, and what core and line are told."""
+"""[joint.NAME.encoder] in a robot file: what it may contain, and what core and line get."""
 
 import math
 from pathlib import Path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Heartbeats: who stands still, and what is said about it, and how often."""
+"""Heartbeats: which part stands still, and what is reported of it, and how often."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -39,10 +39,10 @@ def test_one_that_fails_is_enough():
 
 def test_a_stop_is_reported_once_and_its_end_once():
     health = Health()
-    said = [judge(health, at_s, 5).messages for at_s in range(8)]
-    said += [judge(health, 8 + at_s, 6 + at_s).messages for at_s in range(4)]
-    assert [len(messages) for messages in said].count(1) == 2
-    words = [message for messages in said for message in messages]
+    reports = [judge(health, at_s, 5).messages for at_s in range(8)]
+    reports += [judge(health, 8 + at_s, 6 + at_s).messages for at_s in range(4)]
+    assert [len(messages) for messages in reports].count(1) == 2
+    words = [message for messages in reports for message in messages]
     assert words == [
         "heart 0 has not moved for 2.0 s (at count 5)",
         "heart 0 moves again after 8.0 s (1 stops so far)",

@@ -73,7 +73,7 @@ async def test_what_is_no_request_is_ended_and_fills_no_log(port, caplog, junk):
     assert caplog.text == ""
 
 
-async def test_who_asks_nothing_is_ended_in_time(monkeypatch, port):
+async def test_a_connection_without_a_request_is_ended_in_time(monkeypatch, port):
     monkeypatch.setattr(http_server, "ANSWER_WITHIN_S", 0.1)
     reader, writer = await connection(port)
     with contextlib.suppress(ConnectionError):

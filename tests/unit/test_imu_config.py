@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[imu] in a robot file: what it may say, and what core and line are told."""
+"""[imu] in a robot file: what it may contain, and what core and line get."""
 
 from pathlib import Path
 
@@ -105,10 +105,10 @@ def text_robot(feedback, up="z"):
 
 
 def test_a_line_of_text_has_to_report_the_rate_about_z(load):
-    said = rows(load, *text_robot(""))
-    assert any("the template of the feedback has no {gyro_z_rad_s}" in row for row in said)
-    said = rows(load, *text_robot(" {gyro_z_rad_s}", up="y"))
-    assert any("a line of text has the rate about z alone" in row for row in said)
+    found = rows(load, *text_robot(""))
+    assert any("the template of the feedback has no {gyro_z_rad_s}" in row for row in found)
+    found = rows(load, *text_robot(" {gyro_z_rad_s}", up="y"))
+    assert any("a line of text has the rate about z alone" in row for row in found)
     assert load(*text_robot(" {gyro_z_rad_s}", up="-z")).imu.up == "-z"
 
 
@@ -137,10 +137,10 @@ def test_a_simulated_gyro_reports_the_plants_turn_with_its_offset_in_the_sensors
     before_rad = plant.yaw_rad
     plant.reset_truth()
     plant.step(1.0)
-    said = gyro.measure()
+    sample = gyro.measure()
     turned_rad_s = plant.yaw_rad - before_rad
     assert turned_rad_s == pytest.approx(4.0, rel=0.05)
-    assert -said.angular_rad_s[0] == pytest.approx(turned_rad_s + gyro.bias_rad_s[2], abs=1e-3)
-    assert said.acceleration_m_s2[0] == pytest.approx(-9.8, abs=0.2)
+    assert -sample.angular_rad_s[0] == pytest.approx(turned_rad_s + gyro.bias_rad_s[2], abs=1e-3)
+    assert sample.acceleration_m_s2[0] == pytest.approx(-9.8, abs=0.2)
     assert SimulatedGyro(plant, Mounting(), 5).bias_rad_s == gyro.bias_rad_s
     assert SimulatedGyro(plant, Mounting(), 6).bias_rad_s != gyro.bias_rad_s

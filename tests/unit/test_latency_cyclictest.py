@@ -86,7 +86,7 @@ def test_it_runs_as_the_loop_does():
     assert {"-p80", "-a1,3", "-i250", "-D3"} <= set(line)
 
 
-def test_priority_zero_asks_for_the_ordinary_scheduler():
+def test_priority_zero_requests_the_ordinary_scheduler():
     line = command(rate_hz=1000.0, seconds=1.0, priority=0, cpu=())
     assert "--policy=other" in line
     assert not [word for word in line if word.startswith(("-p", "-a"))]

@@ -18,8 +18,8 @@ info = os.fstat(2)
 stream = f"{info.st_dev}:{info.st_ino}" if sys.argv[2] == "same" else "1:1"
 log.set_up({"JOURNAL_STREAM": stream}, Path(sys.argv[1]))
 event = "drive_unresponsive"
-said_of = log.about(line="rs485", joints=("left", "right"), event=event, faults=("dead",))
-logging.getLogger("x").warning(sys.argv[3], extra=said_of)
+about_line = log.about(line="rs485", joints=("left", "right"), event=event, faults=("dead",))
+logging.getLogger("x").warning(sys.argv[3], extra=about_line)
 """
 
 
@@ -31,14 +31,14 @@ def journal(tmp_path):
         yield listener
 
 
-def said(journal, text, stream="same"):
+def logged(journal, text, stream="same"):
     """stderr of a process that logs one warning."""
     command = [sys.executable, "-c", PROGRAM, journal.getsockname(), stream, text]
     return subprocess.run(command, stderr=subprocess.PIPE, check=True, timeout=30).stderr.decode()
 
 
 def test_the_journal_is_sent_what_a_warning_is_about(journal):
-    assert said(journal, "the drive is unresponsive") == ""
+    assert logged(journal, "the drive is unresponsive") == ""
     assert journal.recv(9999).decode().splitlines() == [
         "MESSAGE=the drive is unresponsive",
         "PRIORITY=4",
@@ -52,13 +52,13 @@ def test_the_journal_is_sent_what_a_warning_is_about(journal):
 
 
 def test_words_of_several_lines_stay_one_entry(journal):
-    said(journal, "one\ntwo=2")
+    logged(journal, "one\ntwo=2")
     head = b"MESSAGE\n" + struct.pack("<Q", 9) + b"one\ntwo=2\nPRIORITY=4\n"
     assert journal.recv(9999).startswith(head)
 
 
 def test_a_stderr_that_is_not_the_journals_gets_plain_lines_with_the_time(journal):
-    assert said(journal, "the drive is unresponsive", "other").endswith(
+    assert logged(journal, "the drive is unresponsive", "other").endswith(
         "WARNING the drive is unresponsive\n"
     )
 
@@ -66,7 +66,7 @@ def test_a_stderr_that_is_not_the_journals_gets_plain_lines_with_the_time(journa
 def test_a_journal_that_is_away_stops_nothing(journal):
     path = journal.getsockname()
     os.unlink(path)
-    assert said(journal, "nobody hears this") == ""
+    assert logged(journal, "this is not read") == ""
 
 
 TWO_LINES = """
@@ -85,7 +85,7 @@ logger.warning("received")
 
 
 def test_a_full_stderr_loses_lines_and_not_the_log(tmp_path):
-    """A pipe that does not block and that nobody has read: what finds no room is counted."""
+    """A pipe that does not block and that no process has read: what finds no room is counted."""
     reading, writing = os.pipe2(os.O_NONBLOCK)
     with contextlib.suppress(BlockingIOError):
         while True:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A new drive profile from answers, as docs/drives/your-own-drive.md tells it."""
+"""A new drive profile from answers, as docs/drives/your-own-drive.md describes it."""
 
 import re
 import shlex
@@ -49,7 +49,7 @@ def test_an_existing_file_is_never_written_over(run):
 
 
 @pytest.mark.parametrize(
-    ("answers", "said"),
+    ("answers", "message"),
     [
         ("speed_adress = 1", "speed_adress"),
         ("baudrate = true", "must be int"),
@@ -58,9 +58,9 @@ def test_an_existing_file_is_never_written_over(run):
         ("title = ", "answers.toml"),
     ],
 )
-def test_bad_answers_are_named_and_leave_no_file(run, answers, said):
+def test_bad_answers_are_named_and_leave_no_file(run, answers, message):
     Path("answers.toml").write_text(answers, encoding="utf-8")
     result = run("new", "mine.toml", "--answers", "answers.toml")
     assert result.exit_code != 0
-    assert said in result.output
+    assert message in result.output
     assert not Path("mine.toml").exists()

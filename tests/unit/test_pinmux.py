@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The step that gives a pin what a robot file asks of it, by board; and who has it now."""
+"""The step that gives a pin what a robot file requires of it, by board; and who has it now."""
 
 import pytest
 
@@ -60,8 +60,8 @@ def test_a_machine_without_a_device_tree_is_sent_what_must_be(tmp_path):
 
 
 def test_a_pin_that_the_robot_file_uses_otherwise_is_not_proposed(tmp_path):
-    said = pwm_step("fe20c000.pwm", [0, 1], ["GPIO12"], tree(tmp_path, PI4))
-    assert "pwm-2chan,pin=18,func=2,pin2=13,func2=4" in said
+    step = pwm_step("fe20c000.pwm", [0, 1], ["GPIO12"], tree(tmp_path, PI4))
+    assert "pwm-2chan,pin=18,func=2,pin2=13,func2=4" in step
 
 
 @pytest.mark.parametrize(
@@ -118,9 +118,9 @@ def test_a_channel_that_has_no_pin_is_reported_with_the_step(tmp_path):
         "pin 13 (gpio13): (MUX UNCLAIMED) (GPIO UNCLAIMED)",
         "pin 18 (gpio18): 1f000a0000.i2s (GPIO UNCLAIMED) function i2s0 group gpio18",
     )
-    said = not_muxed("1f00098000.pwm", [0, 1], machine, debug)
-    assert said.startswith("the kernel has given no pin to pwm1 of 1f00098000.pwm. For pwm0 on ")
-    assert "pwm-2chan,pin=12,func=4,pin2=13,func2=4" in said
+    step = not_muxed("1f00098000.pwm", [0, 1], machine, debug)
+    assert step.startswith("the kernel has given no pin to pwm1 of 1f00098000.pwm. For pwm0 on ")
+    assert "pwm-2chan,pin=12,func=4,pin2=13,func2=4" in step
     assert "no pin to pwm2 of" in not_muxed("1f00098000.pwm", [0, 2], machine, debug)
 
 

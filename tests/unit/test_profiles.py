@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drive profiles: the shipped ones are good, and every mistake in one is said with its line."""
+"""Drive profiles: the shipped ones are good, and every mistake in one is reported with its line."""
 
 import math
 from pathlib import Path
@@ -50,7 +50,7 @@ CS2RS = (config_dir() / "drives" / "cs2rs.toml").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("pause = 0\n", "", "must lie side by side"),
         ("write_function = 16", "write_function = 6", "needs write_function = 16"),
@@ -59,10 +59,10 @@ CS2RS = (config_dir() / "drives" / "cs2rs.toml").read_text(encoding="utf-8")
         ("pause = 0\n", 'pause = "no"\n', "setpoint_with.pause"),
     ],
 )
-def test_what_goes_with_a_set_point_must_fit_into_its_request(tmp_path, old, new, said):
+def test_what_goes_with_a_set_point_must_fit_into_its_request(tmp_path, old, new, message):
     assert CS2RS.count(old) >= 1
     before, behind = CS2RS.rsplit(old, 1)
-    assert said in "\n".join(problems(tmp_path, before + new + behind, "cs2rs"))
+    assert message in "\n".join(problems(tmp_path, before + new + behind, "cs2rs"))
 
 
 def test_a_misspelt_name_gets_a_suggestion():
@@ -81,7 +81,7 @@ def test_a_folder_of_the_user_s_outranks_the_shipped_one(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "line", "said"),
+    ("old", "new", "line", "message"),
     [
         ("schema = 1", "schema = 2", "schema = 2", "schema: 2 is unknown (1)"),
         ('name = "zlac8015d"', 'name = "zlac"', 'name = "zlac"', "must be the file's name"),
@@ -184,13 +184,13 @@ def test_a_folder_of_the_user_s_outranks_the_shipped_one(tmp_path):
         ),
     ],
 )
-def test_a_mistake_is_reported_with_its_line(tmp_path, old, new, line, said):
+def test_a_mistake_is_reported_with_its_line(tmp_path, old, new, line, message):
     assert old in ZLAC
     text = ZLAC.replace(old, new, 1)
     fragment, _, further = line.partition("+")
     number = line_of(text, fragment) + int(further or 0)
     rows = problems(tmp_path, text)
-    assert any(f"zlac8015d.toml:{number}: " in row and said in row for row in rows), rows
+    assert any(f"zlac8015d.toml:{number}: " in row and message in row for row in rows), rows
 
 
 def test_all_mistakes_are_reported_at_once(tmp_path):
@@ -220,11 +220,11 @@ def test_a_magnitude_with_a_sign_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [("schema = ", ":1: syntax:"), ("", "name: is missing"), ("x = 1\ny = [", ":2: syntax:")],
 )
-def test_a_file_that_is_no_profile_is_reported_to_be_none(tmp_path, text, said):
-    assert any(said in row for row in problems(tmp_path, text))
+def test_a_file_that_is_no_profile_is_reported_to_be_none(tmp_path, text, message):
+    assert any(message in row for row in problems(tmp_path, text))
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
@@ -304,7 +304,7 @@ def test_low_first_swaps_words_and_nothing_else():
 
 # ------------------------------------------------------------------------------ what goes together
 @pytest.mark.parametrize(
-    ("name", "old", "new", "said"),
+    ("name", "old", "new", "message"),
     [
         ("zlac8015d", "unit = 1\n", 'unit = 1\ngap = "3.5char"\ngap_s = 0.001\n', "exclude"),
         (
@@ -321,11 +321,11 @@ def test_low_first_swaps_words_and_nothing_else():
         ("vfd-el", "pole_pairs = 2", "pole_pairs = 0", "needs motor.pole_pairs"),
     ],
 )
-def test_parts_that_do_not_go_together_are_reported(tmp_path, name, old, new, said):
+def test_parts_that_do_not_go_together_are_reported(tmp_path, name, old, new, message):
     text = (config_dir() / "drives" / f"{name}.toml").read_text(encoding="utf-8")
     assert old in text
     rows = problems(tmp_path, text.replace(old, new, 1), name)
-    assert any(said in row for row in rows), rows
+    assert any(message in row for row in rows), rows
 
 
 def test_fifty_hertz_are_a_field_of_1500_rpm_with_two_pole_pairs():

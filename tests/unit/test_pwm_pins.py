@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pins of motor bridges: what a robot file may name, how chips are found, what is said."""
+"""Pins of motor bridges: what a robot file may name, how chips are found, what is reported."""
 
 import asyncio
 import errno

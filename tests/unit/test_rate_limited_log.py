@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A log that nobody on the network can fill."""
+"""A log that no sender on the network can fill."""
 
 import logging
 

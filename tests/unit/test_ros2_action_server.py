@@ -53,8 +53,8 @@ class Bench:
         if goal.distance_m == 0.0:
             raise Refused("a way of 0 is none")
 
-        async def work(tell, cancel):
-            tell(SimpleNamespace(distance_m=0.0, remaining_m=1.0, speed_m_s=0.0))
+        async def work(report, cancel):
+            report(SimpleNamespace(distance_m=0.0, remaining_m=1.0, speed_m_s=0.0))
             waits = [asyncio.ensure_future(event.wait()) for event in (self.go, cancel)]
             await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
             for wait in waits:
@@ -181,9 +181,9 @@ async def test_each_reason_of_a_refusal_is_reported_but_not_each_time(caplog):
         await bench.send(number(3))
         bench.go.set()
         await bench.result(number(2))
-    said = [record.getMessage() for record in caplog.records]
-    assert sum("a way of 0" in text for text in said) == 1
-    assert sum("is running" in text for text in said) == 1
+    messages = [record.getMessage() for record in caplog.records]
+    assert sum("a way of 0" in text for text in messages) == 1
+    assert sum("is running" in text for text in messages) == 1
 
 
 @pytest.mark.parametrize("status", [Status.SUCCEEDED, Status.CANCELED, Status.ABORTED])

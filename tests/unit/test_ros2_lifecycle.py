@@ -134,7 +134,7 @@ async def test_a_held_node_reports_what_the_machine_does_as_soon_as_it_is_not_id
     assert await node.label() == "errorprocessing"
     node.become(State.IDLE)
     assert await node.label() == "unconfigured"
-    node.become(State.MOVING)  # armed by somebody else
+    node.become(State.MOVING)  # armed by another program
     assert await node.label() == "active"
     node.become(State.IDLE)
     assert await node.label() == "inactive"

@@ -123,14 +123,14 @@ def test_commands_from_a_network_have_to_be_meant():
 
 
 def test_every_user_of_the_machine_may_command_over_dds_and_that_is_reported():
-    def said(*settings):
+    def refused(*settings):
         found = robot("publish.ros2.kind=ros2", *settings).warnings
         return [row.key for row in found if "every user of this machine" in row.text]
 
     beyond = [f"{table}.ros2.discovery=subnet" for table in ("publish", "input")]
-    assert said() == []
-    assert said("input.ros2.kind=ros2") == ["input.ros2.kind"]
-    assert said("input.ros2.kind=ros2", "input.ros2.trust_network=true", *beyond) == []
+    assert refused() == []
+    assert refused("input.ros2.kind=ros2") == ["input.ros2.kind"]
+    assert refused("input.ros2.kind=ros2", "input.ros2.trust_network=true", *beyond) == []
 
 
 def test_a_domain_is_reached_in_one_way():
@@ -163,7 +163,7 @@ class Daemon:
     async def call(self, method, **params):
         self.asked.append((method, params))
         if not self._answers:
-            raise ClientError("nobody is there")
+            raise ClientError("no daemon is there")
         about = {"unit": "m/s", "minimum": 0.001, "description": "speed"}
         return {
             "limits.linear_m_s": {**about, "value": 0.5, "maximum": 50},
@@ -172,7 +172,7 @@ class Daemon:
         }
 
 
-said = []
+published = []
 """Events of parameters."""
 
 
@@ -186,7 +186,7 @@ def asked(service, daemon, **request):
         SimpleNamespace(
             serve=lambda name, kind, answer, depth: served.update({name: answer}),
             full=lambda name: f"/r2/motord/{name[2:]}",
-            publisher=lambda name, kind, quality: SimpleNamespace(publish=said.append),
+            publisher=lambda name, kind, quality: SimpleNamespace(publish=published.append),
         )
     )
     return asyncio.run(served[f"~/{service}"](SimpleNamespace(**request)))
@@ -213,7 +213,7 @@ def test_no_limit_is_infinity():
     (result,) = asked("set_parameters", daemon, parameters=[change]).results
     assert result.successful
     assert daemon.asked[-1] == ("params.set", {"limits.linear_m_s3": None})
-    assert said[-1].changed_parameters == [change]
+    assert published[-1].changed_parameters == [change]
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("-inf")])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is told of frames that never move."""
+"""What is published of frames that never move."""
 
 import math
 from pathlib import Path

@@ -13,7 +13,7 @@ from motord.bus.ros2.type_description import SERVICE, serve_types
 
 
 class Served:
-    """A node that has these types, and what it was told to serve."""
+    """A node that has these types, and what it serves."""
 
     def __init__(self, *types):
         self.types = set(types)

@@ -20,7 +20,7 @@ def test_a_middleware_is_known_by_its_makers_number():
     assert not answered(gid(1))
 
 
-def test_a_client_is_named_once_with_all_that_it_asks(caplog):
+def test_a_client_is_named_once_with_all_that_it_calls(caplog):
     made = Unanswered({gid(1): "/panel", gid(2): "/panel"}.get)
     made.add(gid(1), ARM, 0.0)
     made.add(gid(2), STOP, 0.0)

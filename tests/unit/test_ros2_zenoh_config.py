@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node on Zenoh in the robot file: commands only where it is said that the router is trusted, and
+"""A node on Zenoh in the robot file: commands only where the router is declared to be trusted, and
 over a network only with TLS."""
 
 import pytest

@@ -94,16 +94,16 @@ class Peer:
     def ask(self, method, number=1, **params):
         self.send({"jsonrpc": "2.0", "id": number, "method": method, "params": params})
 
-    async def hear(self):
+    async def receive(self):
         return json.loads(await self.reader.readline())
 
     async def call(self, method, **params):
         self.ask(method, **params)
-        return await self.hear()
+        return await self.receive()
 
     async def error(self, raw):
         self.send(raw)
-        return (await self.hear())["error"]["code"]
+        return (await self.receive())["error"]["code"]
 
     def close(self):
         self.writer.close()
@@ -128,7 +128,7 @@ async def test_a_call_is_answered_with_its_id(path):
         peer = await Peer.at(path)
         for number in (7, "seven", 0, -1):
             peer.ask("add", number, a=1.5, b=2)
-            assert await peer.hear() == {"jsonrpc": "2.0", "id": number, "result": 3.5}
+            assert await peer.receive() == {"jsonrpc": "2.0", "id": number, "result": 3.5}
         peer.close()
 
 
@@ -211,9 +211,9 @@ async def test_a_call_that_waits_does_not_hold_up_the_next(path):
         peer = await Peer.at(path)
         peer.ask("wait", 1)
         peer.ask("add", 2, a=1)
-        assert (await peer.hear())["id"] == 2
+        assert (await peer.receive())["id"] == 2
         host.gate.set()
-        assert await peer.hear() == {"jsonrpc": "2.0", "id": 1, "result": "waited"}
+        assert await peer.receive() == {"jsonrpc": "2.0", "id": 1, "result": "waited"}
         peer.close()
 
 
@@ -222,10 +222,10 @@ async def test_calls_under_way_are_bounded(path):
         peer = await Peer.at(path)
         for number in range(rpc.CALLS_MAX + 1):
             peer.ask("wait", number)
-        answer = await peer.hear()
+        answer = await peer.receive()
         assert (answer["id"], answer["error"]["code"]) == (rpc.CALLS_MAX, -32000)
         host.gate.set()
-        received = [(await peer.hear())["id"] for _ in range(rpc.CALLS_MAX)]
+        received = [(await peer.receive())["id"] for _ in range(rpc.CALLS_MAX)]
         assert sorted(received) == list(range(rpc.CALLS_MAX))
         peer.close()
 
@@ -246,7 +246,7 @@ async def test_a_line_without_end_costs_the_connection_and_no_memory(path):
     async with hosted(path) as host:
         peer = await Peer.at(path)
         peer.send(b"x" * (rpc.LINE_BYTES_MAX + 1))
-        assert (await peer.hear())["error"]["code"] == -32600
+        assert (await peer.receive())["error"]["code"] == -32600
         await until(lambda: len(host.closed) > 0)
         peer.close()
 
@@ -254,14 +254,14 @@ async def test_a_line_without_end_costs_the_connection_and_no_memory(path):
 async def test_who_does_not_read_is_dropped_and_the_others_are_served(path):
     async with hosted(path) as host:
         other = await Peer.at(path)
-        with socket.socket(socket.AF_UNIX) as deaf:
-            deaf.settimeout(0)
-            deaf.connect(str(path))
+        with socket.socket(socket.AF_UNIX) as unread:
+            unread.settimeout(0)
+            unread.connect(str(path))
             request = b'{"jsonrpc":"2.0","id":1,"method":"big"}\n'
             loop = asyncio.get_running_loop()
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):
                 for _ in range(200):
-                    await loop.sock_sendall(deaf, request)
+                    await loop.sock_sendall(unread, request)
                     assert (await other.call("add", a=1))["result"] == 1
             await until(lambda: len(host.closed) > 0)
         other.close()
@@ -376,7 +376,7 @@ with socket.socket(socket.AF_UNIX) as peer:
 """
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="becoming somebody else takes root")
+@pytest.mark.skipif(os.geteuid() != 0, reason="becoming another user takes root")
 @pytest.mark.parametrize(("groups", "may_command"), [([], False), ([4321], True)])
 async def test_a_stranger_may_look_and_a_member_of_the_sockets_group_may_command(
     public_folder, groups, may_command

@@ -122,21 +122,21 @@ def test_what_comes_in_is_what_the_plan_reads(name, data):
         values |= span.decode(tuple(words))
         fields += [(field, get(field, reply)) for field in exchange.field]
     for joint in plan.joints:
-        said = plan.reading(joint, values, {})
+        expected = plan.reading(joint, values, {})
         mine = {f.kind: (raw, raw * f.si_per_raw) for f, raw in fields if f.joint == joint.index}
         channel = plan.channel(joint)
         for kind, want in (
-            (FieldKind.VELOCITY, said.velocity_rad_s),
-            (FieldKind.CURRENT, said.current_a),
-            (FieldKind.VOLTAGE, said.voltage_v),
-            (FieldKind.TEMPERATURE, said.temperature_c),
+            (FieldKind.VELOCITY, expected.velocity_rad_s),
+            (FieldKind.CURRENT, expected.current_a),
+            (FieldKind.VOLTAGE, expected.voltage_v),
+            (FieldKind.TEMPERATURE, expected.temperature_c),
         ):
             if not math.isnan(want):
                 assert mine[kind][1] == pytest.approx(want)
         if channel.position:
-            assert mine[FieldKind.COUNT][0] == said.count
+            assert mine[FieldKind.COUNT][0] == expected.count
         if channel.fault:
-            assert mine[FieldKind.FAULT][0] == said.fault_word
+            assert mine[FieldKind.FAULT][0] == expected.fault_word
 
 
 def _reading(plan, drive):

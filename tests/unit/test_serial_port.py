@@ -181,7 +181,7 @@ def test_a_port_without_counters_or_low_latency_is_no_error(pty_path):
 
 
 @pytest.mark.parametrize(
-    ("after", "now", "said"),
+    ("after", "now", "message"),
     [
         (Counters(9, 0, 0, 12), Traffic(), "12 parity errors: parity"),
         (Counters(9, 1, 0, 0), Traffic(), "1 framing error: baud rate"),
@@ -193,10 +193,10 @@ def test_a_port_without_counters_or_low_latency_is_no_error(pty_path):
         (None, Traffic(frames=9), ""),
     ],
 )
-def test_a_hint_reports_what_was_counted(after, now, said):
+def test_a_hint_reports_what_was_counted(after, now, message):
     hint = unresponsive_hint(Counters(0, 0, 0, 0), after, Traffic(), now)
-    assert hint.startswith(said)
-    assert bool(hint) == bool(said)
+    assert hint.startswith(message)
+    assert bool(hint) == bool(message)
 
 
 def test_nothing_counted_hints_at_nothing():

@@ -122,7 +122,7 @@ def asyncio_line():
     return open_line(spec, CoreExchange.of_loop(), lambda _: None)
 
 
-async def test_a_trace_goes_off_when_no_program_asks_any_more(monkeypatch, asyncio_line):
+async def test_a_trace_goes_off_when_no_program_reads_it_any_more(monkeypatch, asyncio_line):
     monkeypatch.setattr(tracing, "KEPT_ON_S", 0.01)
     traces = tracing.Tracing([asyncio_line])
     traces.read("rs485", None)

@@ -47,15 +47,15 @@ def test_a_can_interface_is_no_device_and_an_adapter_is_one():
 
 def test_pins_encoders_and_a_sensor_are_allowed_and_sysfs_can_be_written():
     assert devices("pi4-encoders") == ["char-gpiochip", "char-i2c"]
-    said = CliRunner().invoke(unit, [str(ROBOTS / "pi4-encoders.toml")]).stdout.splitlines()
-    assert said[:3] == ["[Service]", "DeviceAllow=", "DeviceAllow=/dev/cpu_dma_latency rw"]
-    assert said[-1] == "ReadWritePaths=/sys/devices"
+    lines = CliRunner().invoke(unit, [str(ROBOTS / "pi4-encoders.toml")]).stdout.splitlines()
+    assert lines[:3] == ["[Service]", "DeviceAllow=", "DeviceAllow=/dev/cpu_dma_latency rw"]
+    assert lines[-1] == "ReadWritePaths=/sys/devices"
 
 
 def test_a_robot_without_pins_keeps_sysfs_read_only():
-    said = CliRunner().invoke(unit, [str(ROBOTS / "demo.toml")]).stdout
-    assert "ReadWritePaths" not in said
-    assert "char-gpiochip" not in said
+    printed = CliRunner().invoke(unit, [str(ROBOTS / "demo.toml")]).stdout
+    assert "ReadWritePaths" not in printed
+    assert "char-gpiochip" not in printed
 
 
 def test_the_pin_that_turns_a_transceiver_and_those_of_safety_need_their_chip():

@@ -94,7 +94,7 @@ except RuntimeError as error:
     assert b"has failed" in program(lines)
 
 
-def test_who_never_asks_leaves_no_child_behind():
+def test_a_process_that_never_validates_leaves_no_child_behind():
     lines = """
 validation.elsewhere()
 validation._reader.stdin.close()

@@ -76,7 +76,7 @@ def test_with_swapped_motors_the_wheel_that_turns_both_times_is_the_commanded_jo
 
 
 def test_a_joint_without_a_place_among_the_wheels_has_no_turn():
-    """`spin` refuses it before it asks anything."""
+    """`spin` refuses it before its first question."""
     described = {
         "joints": ["left", "right", "steering"], "strafes": False,
         "wheel_rows": {"left": (1.0, 0.0, -0.2), "right": (1.0, 0.0, 0.2)},
