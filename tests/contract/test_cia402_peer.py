@@ -37,7 +37,7 @@ class Drive:
     """The other project's node in a process of its own, and its way to the bus."""
 
     def __init__(self, bus):
-        self.said = {}
+        self.reported = {}
         self._bus, self._ended = bus, threading.Event()
         self._process = subprocess.Popen(
             ["node", str(PROGRAM), str(NODE), str(MODULES)],
@@ -67,12 +67,12 @@ class Drive:
 
     def _from_node(self):
         for line in self._process.stdout:
-            said = json.loads(line)
-            if "id" not in said:
-                self.said = said
+            message = json.loads(line)
+            if "id" not in message:
+                self.reported = message
                 continue
-            data = bytes.fromhex(said["data"])
-            frame = can.Message(arbitration_id=said["id"], data=data, is_extended_id=False)
+            data = bytes.fromhex(message["data"])
+            frame = can.Message(arbitration_id=message["id"], data=data, is_extended_id=False)
             with contextlib.suppress(BlockingIOError):
                 self._bus.send(frame)
 
@@ -120,26 +120,26 @@ def feedback(rig):
 
 async def test_it_is_set_up_by_sdo_started_by_nmt_and_not_armed(rig, drive):
     await rig.ready()
-    said = drive.said
-    assert (said["nmt"], said["mode"], said["option"]) == (OPERATIONAL, 3, 2)
-    assert said["mapped"] == [2, 3, 2]
-    assert said["pdos"][str(0x1600)][:2] == [0x60400010, 0x60FF0020]
-    assert said["pdos"][str(0x1A00)][:3] == [0x60410010, 0x606C0020, 0x603F0010]
-    assert said["pdos"][str(0x1A01)][:2] == [0x60640020, 0x60770010]
-    assert said["pdos"][str(0x1400)] == [0x200 + NODE, 254, 0, 0, 500]
-    assert OPERATION not in said["statuses"]
-    assert said["wanted"] == 0
+    reported = drive.reported
+    assert (reported["nmt"], reported["mode"], reported["option"]) == (OPERATIONAL, 3, 2)
+    assert reported["mapped"] == [2, 3, 2]
+    assert reported["pdos"][str(0x1600)][:2] == [0x60400010, 0x60FF0020]
+    assert reported["pdos"][str(0x1A00)][:3] == [0x60410010, 0x606C0020, 0x603F0010]
+    assert reported["pdos"][str(0x1A01)][:2] == [0x60640020, 0x60770010]
+    assert reported["pdos"][str(0x1400)] == [0x200 + NODE, 254, 0, 0, 500]
+    assert OPERATION not in reported["statuses"]
+    assert reported["wanted"] == 0
 
 
 async def test_it_is_armed_edge_by_edge_and_turns_both_ways(rig, drive):
     await rig.arm()
-    assert drive.said["statuses"][-4:] == [0x40, 0x21, 0x23, OPERATION]
+    assert drive.reported["statuses"][-4:] == [0x40, 0x21, 0x23, OPERATION]
     drive.tell(set=[0x6064, -1234])
     await until(lambda: feedback(rig).count == (1 << 32) - 1234)
     rig.loop.enabled = True
     for rpm in (90, -60):
         rig.loop.velocity_rad_s = {0: rpm * RPM}
-        await until(lambda rpm=rpm: drive.said["velocity"] == rpm, "it turns as told")
+        await until(lambda rpm=rpm: drive.reported["velocity"] == rpm, "it turns as commanded")
         wanted = pytest.approx(rpm * RPM)
         await until(lambda wanted=wanted: feedback(rig).velocity_rad_s == wanted, "and says so")
     assert feedback(rig).enabled is True
@@ -148,12 +148,12 @@ async def test_it_is_armed_edge_by_edge_and_turns_both_ways(rig, drive):
 async def test_old_set_points_are_a_quick_stop_and_then_no_power(rig, drive):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
-    await until(lambda: drive.said["velocity"] == 60)
+    await until(lambda: drive.reported["velocity"] == 60)
     rig.loop.running = False
     await until(lambda: rig.states() == {DriveState.READY}, "it is told to stop")
-    await until(lambda: drive.said["statuses"][-1] not in (OPERATION, QUICK_STOP), "no power")
-    assert QUICK_STOP in drive.said["statuses"]
-    assert drive.said["velocity"] == 0
+    await until(lambda: drive.reported["statuses"][-1] not in (OPERATION, QUICK_STOP), "no power")
+    assert QUICK_STOP in drive.reported["statuses"]
+    assert drive.reported["velocity"] == 0
 
 
 async def test_a_fault_is_reported_and_reset_by_an_edge(rig, drive):
@@ -165,21 +165,21 @@ async def test_a_fault_is_reported_and_reset_by_an_edge(rig, drive):
     with pytest.raises(DriveFault, match="under-voltage"):
         await rig.line.arm()
     await rig.line.clear_faults()
-    assert drive.said["status"] != FAULT
+    assert drive.reported["status"] != FAULT
     await rig.arm()
 
 
 async def test_a_heartbeat_that_ends_stops_it_and_it_comes_back_disarmed(rig, drive):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
-    await until(lambda: drive.said["velocity"] == 60)
+    await until(lambda: drive.reported["velocity"] == 60)
     drive.tell(set=[HEARTBEAT_TIME, 0])
     await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is missed")
-    await until(lambda: QUICK_STOP in drive.said["statuses"], "it hears, and is told to stop")
+    await until(lambda: QUICK_STOP in drive.reported["statuses"], "it receives, and is sent a stop")
     await rig.ready()
     assert EventKind.DRIVE_BACK in rig.kinds()
-    assert drive.said["status"] != OPERATION
-    assert drive.said["velocity"] == 0
+    assert drive.reported["status"] != OPERATION
+    assert drive.reported["velocity"] == 0
 
 
 async def test_objects_are_read_by_name(rig):

@@ -57,7 +57,7 @@ def run(seed: int, runs: int) -> Iterator[tuple[str, bytes]]:
             except ClientError as error:
                 problem = f"a good request is not answered: {error}"
             if problem:
-                yield f"{problem}\n{stage.said()[-2000:]}", b"".join(sent)
+                yield f"{problem}\n{stage.logged()[-2000:]}", b"".join(sent)
                 if stage.daemon.poll() is not None:
                     return
 
@@ -74,7 +74,7 @@ def _judge(stage: Stage) -> str:
     truth = stage.sim.truth()
     if truth.moved_max_m_s > 0.0 or any(joint.enabled for joint in truth.joints.values()):
         return "a wheel has moved, or a drive is enabled"
-    if "Traceback" in stage.said():
+    if "Traceback" in stage.logged():
         return "the daemon's log has a traceback"
     return ""
 

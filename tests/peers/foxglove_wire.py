@@ -20,7 +20,7 @@ class Wire:
         self._numbers = iter(range(1, 1 << 30))
         self.services, self.channels = {}, {}
 
-    async def said(self, op, fits=lambda message: True):
+    async def received(self, op, fits=lambda message: True):
         """The next that fits; what is advertised on the way is kept."""
         while True:
             raw = await self._socket.recv()
@@ -39,7 +39,7 @@ class Wire:
     async def advertised(self, count):
         """By topic, when there are so many."""
         while len(self.channels) < count:
-            await self.said("advertise")
+            await self.received("advertise")
         return self.channels
 
     async def send(self, op, **more):
@@ -48,13 +48,13 @@ class Wire:
     async def call(self, service, **request):
         """What the service answers."""
         while f"/{service}" not in self.services:
-            await self.said("advertiseServices")
+            await self.received("advertiseServices")
         number = next(self._numbers)
         head = struct.pack(
             "<BIII", SERVICE_CALL, self.services[f"/{service}"]["id"], number, len("json")
         )
         await self._socket.send(head + b"json" + json.dumps(request).encode())
-        raw = await self.said(
+        raw = await self.received(
             SERVICE_ANSWER, lambda raw: struct.unpack_from("<I", raw, 5)[0] == number
         )
         length = struct.unpack_from("<I", raw, 9)[0]
@@ -74,7 +74,7 @@ class Wire:
         """The answer to getParameters or setParameters: values by name."""
         number = f"p{next(self._numbers)}"
         await self.send(op, id=number, **more)
-        answer = await self.said("parameterValues", lambda said: said.get("id") == number)
+        answer = await self.received("parameterValues", lambda said: said.get("id") == number)
         return {one["name"]: one["value"] for one in answer["parameters"]}
 
 

@@ -55,4 +55,4 @@ def drive_until(stage, publisher, message, condition, what):
         time.sleep(0.01)
         return condition()
 
-    return wait_until(attempt, f"{what}\n{stage.bridge.said()}")
+    return wait_until(attempt, f"{what}\n{stage.bridge.logged()}")

@@ -63,7 +63,7 @@ def ros(folder):
 
 
 class Bridge:
-    """A process, and what it has said."""
+    """A process, and what it has logged."""
 
     def __init__(
         self, log, *words, ros_args=(), environ=None, program=MODULE, python=sys.executable
@@ -79,7 +79,7 @@ class Bridge:
             env={**os.environ, "PYTHONPATH": os.pathsep.join(path), **(environ or {})},
         )  # fmt: skip
 
-    def said(self):
+    def logged(self):
         return self.log.read_text(encoding="utf-8")
 
     def wait(self):

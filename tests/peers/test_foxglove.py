@@ -45,7 +45,7 @@ async def test_what_foxglove_subscribes_to_comes_and_is_what_the_daemon_reports(
         assert (odom["encoding"], odom["schemaEncoding"]) == ("cdr", "ros2msg")
         assert odom["schemaName"] == "nav_msgs/msg/Odometry"
         await client.send("subscribe", subscriptions=[{"id": 5, "channelId": odom["id"]}])
-        raw = await client.said(MESSAGE_DATA)
+        raw = await client.received(MESSAGE_DATA)
     number, log_ns = struct.unpack_from("<IQ", raw, 1)
     message = typestore.deserialize_cdr(raw[13:], "nav_msgs/msg/Odometry")
     assert (number, message.child_frame_id) == (5, "base_link")
@@ -55,7 +55,7 @@ async def test_what_foxglove_subscribes_to_comes_and_is_what_the_daemon_reports(
 
 async def test_nothing_can_be_commanded(stage, port):
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:
-        info = await client.said("serverInfo")
+        info = await client.received("serverInfo")
     assert not {"clientPublish", "services", "parameters"} & set(info["capabilities"])
 
 
@@ -94,7 +94,7 @@ async def test_a_client_that_stops_reading_costs_the_others_nothing(stage, port)
             ]
             await one.send("subscribe", subscriptions=channels_wanted)
         for _ in range(200):
-            await client.said(MESSAGE_DATA)
+            await client.received(MESSAGE_DATA)
     assert stage.robot.status()["loop"]["ticks"] > ticks
 
 
@@ -104,7 +104,7 @@ async def test_whatever_begins_to_read_is_sent_what_the_robot_looks_like(stage, 
             channels = await client.advertised(len(OFFERED) + 1)
             channel = {"id": 9, "channelId": channels["/robot_description"]["id"]}
             await client.send("subscribe", subscriptions=[channel])
-            raw = await client.said(MESSAGE_DATA)
+            raw = await client.received(MESSAGE_DATA)
         typestore = get_typestore(Stores.ROS2_JAZZY)
         text = typestore.deserialize_cdr(raw[13:], "std_msgs/msg/String")
         joints = ET.fromstring(text.data).findall("joint[@type='continuous']")

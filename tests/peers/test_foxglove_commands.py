@@ -72,7 +72,7 @@ async def complaint(client, about, ask):
         await ask()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(1.0):
-                said = await client.said("status", lambda said: said["id"] == about)
+                said = await client.received("status", lambda said: said["id"] == about)
                 return said["message"]
 
 
@@ -142,7 +142,7 @@ async def test_a_complaint_is_taken_back_when_its_cause_is_gone(stage, port):
         channel = await client.advertise("/cmd_vel")
         await complaint(client, "cmd_vel", lambda: client.publish(channel, TWIST))
         await client.publish(channel, zero)
-        said = await client.said("removeStatus")
+        said = await client.received("removeStatus")
         assert said["statusIds"] == ["cmd_vel"]
 
 
@@ -153,7 +153,7 @@ async def test_a_channel_that_was_given_up_commands_no_longer(stage, port):
         channel = await client.advertise("/cmd_vel")
         await client.send("unadvertise", channelIds=[channel])
         await client.publish(channel, TWIST)
-        await client.said("status", lambda said: "nknown channel" in said["message"])
+        await client.received("status", lambda said: "nknown channel" in said["message"])
     assert stage.robot.status()["commands"]["accepted"] == accepted
 
 
@@ -203,9 +203,9 @@ async def test_limits_are_read_changed_and_sent_to_who_subscribed(stage, port):
         change = [{"name": LIMIT, "value": value}]
         assert await client.parameters("setParameters", parameters=change) == {LIMIT: value}
         assert stage.robot.call("params.get", names=[LIMIT]) == {LIMIT: value}
-        await watcher.said("parameterValues", of(value))
+        await watcher.received("parameterValues", of(value))
         stage.robot.call("params.set", **{LIMIT: all_[LIMIT]})  # by another way
-        await watcher.said("parameterValues", of(all_[LIMIT]))
+        await watcher.received("parameterValues", of(all_[LIMIT]))
 
 
 async def test_no_limit_is_reported_as_in_the_robot_file(stage, port):

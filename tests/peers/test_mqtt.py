@@ -247,7 +247,9 @@ def test_a_retained_command_is_not_obeyed(stage, peer):
     pid = stage.robot.status()["bus"]["pid"]
     os.kill(pid, signal.SIGKILL)
     try:
-        wait_until(lambda: "retained message is not obeyed" in stage.said(), "the retained message")
+        wait_until(
+            lambda: "retained message is not obeyed" in stage.logged(), "the retained message"
+        )
         assert stage.state() == "armed"
     finally:
         peer.pub("site/r2/cmd_vel", "", "-r")
@@ -319,12 +321,12 @@ def test_a_broker_that_hangs_stops_the_robot_and_is_found_again(stage, peer):
             stage.wait_for("moving")
             peer.process.send_signal(signal.SIGSTOP)
             stage.wait_for("armed")
-            wait_until(lambda: "publish.fleet: 127.0.0.1" in stage.said(), "a line in the log")
+            wait_until(lambda: "publish.fleet: 127.0.0.1" in stage.logged(), "a line in the log")
         wait_until(lambda: time.monotonic() - driving.last_s > LEASE_S, "the lease's end")
         before = accepted(stage)
     finally:
         peer.process.send_signal(signal.SIGCONT)
-    wait_until(lambda: "publish.fleet: connected again" in stage.said(), "the connection")
+    wait_until(lambda: "publish.fleet: connected again" in stage.logged(), "the connection")
     assert json.loads(peer.get("site/r2/odom"))
     assert (stage.robot.status()["bus"]["pid"], accepted(stage)) == (pid, before)
     assert stage.state() != "moving"
@@ -374,4 +376,4 @@ def test_by_tls_with_a_password_and_never_to_a_broker_of_another_authority(tmp_p
                  f"publish.bad.ca_file={tmp_path}/other/ca.pem")  # fmt: skip
         with running(tmp_path, *both, *files, simulated=False) as stage:
             assert json.loads(peer.get("good/r2/diagnostics"))["status"]
-            wait_until(lambda: "certificate verify failed" in stage.said(), stage.said())
+            wait_until(lambda: "certificate verify failed" in stage.logged(), stage.logged())

@@ -263,7 +263,7 @@ def both_command(bus):
 
 
 def at_rest_and_free(stage):
-    wait_until(lambda: at_rest(stage), f"rest: its lease has lapsed\n{stage.said()}")
+    wait_until(lambda: at_rest(stage), f"rest: its lease has lapsed\n{stage.logged()}")
     wait_until(lambda: not stage.robot.status()["leases"], "nobody in command")
 
 

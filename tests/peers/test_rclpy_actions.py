@@ -169,6 +169,6 @@ def test_a_robot_that_is_not_armed_takes_no_goal(stage):
     def refused():
         """On a busy machine another reason may come first: old odometry."""
         assert not Goal(stage, "drive_distance", distance_m=0.5).accepted
-        return "not armed" in stage.bridge.said()
+        return "not armed" in stage.bridge.logged()
 
     wait_until(refused, "the reason in the log")

@@ -260,7 +260,7 @@ def test_a_bridge_that_ends_loses_its_lease_and_the_robot_rests(stage, tmp_path,
 
         drive_until(stage, publisher, onward, lambda: stage.state() == "moving", "moving")
         other.process.send_signal(number)
-        assert other.wait() == (0 if number == signal.SIGTERM else -signal.SIGKILL), other.said()
+        assert other.wait() == (0 if number == signal.SIGTERM else -signal.SIGKILL), other.logged()
     wait_until(lambda: not stage.robot.status()["leases"], "nobody in command")
     stage.wait_for("armed", "fault")
     wait_until(lambda: stage.sim.truth().at_rest, "rest")

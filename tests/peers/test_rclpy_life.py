@@ -79,7 +79,7 @@ def test_after_a_restart_nothing_moves_before_it_is_armed_again(tmp_path):
 def test_a_daemon_with_another_robot_file_is_not_commanded(tmp_path):
     with bridged(tmp_path) as stage, restarted(stage, "base.track_m=0.5", number=signal.SIGTERM):
         assert stage.bridge.wait() == 1
-        assert "start it anew" in stage.bridge.said()
+        assert "start it anew" in stage.bridge.logged()
         assert not stage.robot.status()["leases"]
 
 
@@ -89,12 +89,12 @@ def test_it_waits_for_a_daemon_and_reports_so_once(tmp_path):
         bridge(tmp_path, "--socket", tmp_path / "daemon.sock") as waiting,
         operator() as person,
     ):
-        wait_until(lambda: "waiting for a daemon" in waiting.said(), "a word")
+        wait_until(lambda: "waiting for a daemon" in waiting.logged(), "a word")
         with running(tmp_path, *SETTINGS) as stage:
             stage.bridge, stage.operator = waiting, person
             stage.wait_for("idle")
             assert trigger(stage, "stop")[1]
-            assert waiting.said().count("waiting for a daemon") == 1
+            assert waiting.logged().count("waiting for a daemon") == 1
 
 
 def test_what_it_is_started_with(tmp_path):
@@ -107,10 +107,10 @@ def test_what_it_is_started_with(tmp_path):
         words = ("--socket", stage.socket)
         with bridge(tmp_path, *words, "--input", "nobody") as other:
             assert other.wait() == 1
-            assert 'no [input.nobody] with kind = "ros2-rclpy"' in other.said()
+            assert 'no [input.nobody] with kind = "ros2-rclpy"' in other.logged()
         with bridge(tmp_path, *words, ros_args=("-p", "speed:=1")) as other:
             assert other.wait() == 2
-            assert "no parameter speed; there are: robot" in other.said()
+            assert "no parameter speed; there are: robot" in other.logged()
         without = {} if REAL else {"ROS_STANDIN_WITHOUT": "motord_msgs"}
         shipped = ROOT / "daemon/ros2/config/bridge.yaml"
         files = ("--params-file", shipped, "--params-file", file)
@@ -118,10 +118,10 @@ def test_what_it_is_started_with(tmp_path):
         with bridge(tmp_path, *words, ros_args=ros_args, environ=without) as other:
             wait_until(
                 lambda: stage.robot.params_get("limits.linear_m_s")["limits.linear_m_s"] == 0.3,
-                f"the limit of the file\n{other.said()}",
+                f"the limit of the file\n{other.logged()}",
             )
             if not REAL:
-                wait_until(lambda: "no motord_msgs in this ROS 2" in other.said(), "a word")
+                wait_until(lambda: "no motord_msgs in this ROS 2" in other.logged(), "a word")
 
 
 @pytest.mark.parametrize(

@@ -48,19 +48,19 @@ def goal(name, **values):
     """A client with its goal; `accepted` is known."""
     asked = json.dumps(ZERO[name] | values)
     with peer("act", f"{NAMESPACE}/{name}", NAMES[name], asked) as client:
-        client.accepted = client.find(lambda said: "accepted" in said, "an answer")["accepted"]
+        client.accepted = client.find(lambda one: "accepted" in one, "an answer")["accepted"]
         try:
             yield client
         except AssertionError:
             if client.accepted:  # it does not stand in the way of the next test
                 client.say("cancel")
-                client.find(lambda said: "canceling" in said, "an answer")
+                client.find(lambda message: "canceling" in message, "an answer")
             raise
 
 
 def result(client):
-    said = client.find(lambda said: "status" in said, "a result")
-    return said["status"], said["result"]
+    message = client.find(lambda message: "status" in message, "a result")
+    return message["status"], message["result"]
 
 
 def under_way(stage):
@@ -82,13 +82,13 @@ def test_a_distance_is_driven_and_sent_on_the_way(armed):
     way_m = math.hypot(after.x_m - before.x_m, after.y_m - before.y_m)
     assert way_m == pytest.approx(0.5, abs=0.05)
     assert after.at_rest
-    received = [said["feedback"] for said in client.received if "feedback" in said]
+    received = [message["feedback"] for message in client.received if "feedback" in message]
     assert len(received) > 3
     assert received[0]["distance_m"] < received[-1]["distance_m"]
-    assert max(said["speed_m_s"] for said in received) > 0.05
+    assert max(message["speed_m_s"] for message in received) > 0.05
     assert all(
-        said["remaining_m"] == pytest.approx(0.5 - said["distance_m"], abs=1e-9)
-        for said in received
+        message["remaining_m"] == pytest.approx(0.5 - message["distance_m"], abs=1e-9)
+        for message in received
     )
 
 
@@ -112,7 +112,7 @@ def test_a_robot_that_is_not_armed_takes_no_goal(stage):
         assert not client.accepted
     assert stage.state() == "idle"
     assert stage.sim.truth().x_m == before.x_m
-    assert "not armed" in stage.said()
+    assert "not armed" in stage.logged()
 
 
 @pytest.mark.parametrize("distance_m", [0.0, math.nan, math.inf, 1e9])
@@ -126,7 +126,7 @@ def test_cancelled_the_robot_comes_to_rest(armed):
     with goal("drive_distance", distance_m=20.0) as client:
         under_way(armed)
         client.say("cancel")
-        assert client.find(lambda said: "canceling" in said, "an answer")["canceling"] == 1
+        assert client.find(lambda message: "canceling" in message, "an answer")["canceling"] == 1
         status, sent = result(client)
         assert (status, sent["message"]) == (CANCELED, "canceled")
         assert 0.0 < sent["distance_m"] < 20.0
@@ -189,7 +189,7 @@ def test_a_source_of_higher_priority_ends_the_goal(armed):
             armed.robot.call(
                 "drive", linear_m_s=0.0, angular_rad_s=0.0, priority=900, owner="person"
             )
-            return any("status" in said for said in client.received)
+            return any("status" in message for message in client.received)
 
         wait_until(taken_over, "a result")
         status, sent = result(client)
@@ -225,7 +225,7 @@ def test_without_the_bus_process_the_robot_comes_to_rest(armed, number):
 def test_a_measured_way_gives_the_wheels_radius_and_moves_nothing_by_itself(armed):
     with goal("calibrate", quantity="wheel_radius", true_distance_m=0.55) as watching:
         assert watching.accepted
-        watching.find(lambda said: "feedback" in said, "feedback")
+        watching.find(lambda message: "feedback" in message, "feedback")
         assert armed.sim.truth().at_rest
         with goal("drive_distance", distance_m=0.5) as client:
             assert result(client)[0] == SUCCEEDED
@@ -245,5 +245,5 @@ def test_who_comes_late_is_sent_how_the_goals_ended(armed):
         assert result(client)[0] == SUCCEEDED
     topic = ("topic", f"rt{NAMESPACE}/rotate/_action/status", "GoalStatusArray", "late")
     with peer(*topic) as ear:
-        sent = ear.find(lambda said: said["status_list"], "the states")
+        sent = ear.find(lambda message: message["status_list"], "the states")
     assert sent["status_list"][-1]["status"] == SUCCEEDED

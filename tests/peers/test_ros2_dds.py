@@ -123,7 +123,7 @@ def test_a_service_with_a_switch_arms_and_disarms(stage):
 def test_a_topic_stops_as_the_service_does(stage, how):
     with peer("say", f"rt{NAMESPACE}/motord/estop", "a person is too close", *how):
         stage.wait_for("estop")
-    assert "estop: a writer is not served" not in stage.said()
+    assert "estop: a writer is not served" not in stage.logged()
     assert called("reset")["success"]
     stage.wait_for("idle")
 
@@ -138,7 +138,7 @@ def test_who_stopped_the_robot_and_why_is_sent_by_name(stage):
         wait_until(found, "the reason")
         with peer("topic", f"rt{NAMESPACE}/motor_status", "MotorStatus") as ear:
             ear.find(lambda sent: any(why.startswith(reason) for why in sent["why"]), "the reason")
-    assert f"emergency stop: {reason}" in stage.said()
+    assert f"emergency stop: {reason}" in stage.logged()
     assert called("reset")["success"]
     stage.wait_for("idle")
     assert called("estop")["success"]
@@ -176,7 +176,7 @@ def test_two_that_command_against_each_other_are_named_with_their_rates(armed):
             ),
             "the rivals",
         )
-    assert "command against each other" in armed.said()
+    assert "command against each other" in armed.logged()
     wait_until(lambda: not inputs(armed)["ros2"]["rivals"], "the end of the contest")
 
 
@@ -301,9 +301,7 @@ def test_who_listens_is_sent_of_transitions(stage):
     with peer("topic", f"rt{NAMESPACE}/motord/transition_event", "TransitionEvent") as ear:
 
         def sent(label):
-            return next(
-                (said for said in ear.received if said["transition"]["label"] == label), None
-            )
+            return next((row for row in ear.received if row["transition"]["label"] == label), None)
 
         def armed_again():
             called("disarm")
@@ -381,7 +379,7 @@ def test_what_is_absurd_moves_nothing_is_counted_and_has_a_name(armed, speed_m_s
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", speed_m_s, 0.0, 0, "broken"):
         wait_until(lambda: count() > before + 10, "refusals")
         # The graph may name him later than his first command comes.
-        wait_until(lambda: "input.ros2: /broken requests " in armed.said(), "his name")
+        wait_until(lambda: "input.ros2: /broken requests " in armed.logged(), "his name")
     assert armed.sim.truth().x_m == x_m
 
 
@@ -404,24 +402,24 @@ def test_commands_of_no_known_time_are_refused_at_once(armed, age_s):
 
 
 def test_a_reader_that_asks_for_more_than_is_offered_is_named(stage):
-    said = f"rt{NAMESPACE}/odom: a reader is not served: it does not go with the durability"
+    row = f"rt{NAMESPACE}/odom: a reader is not served: it does not go with the durability"
     with peer("topic", f"rt{NAMESPACE}/odom", "Odometry", "late"):
-        wait_until(lambda: said in stage.said(), "a word on durability")
+        wait_until(lambda: row in stage.logged(), "a word on durability")
 
 
 def test_a_writer_of_another_type_is_named_with_what_to_write(stage):
-    said = (
+    row = (
         f"rt{NAMESPACE}/cmd_vel: a writer of geometry_msgs/msg/Twist is not received:"
         " motord wants geometry_msgs/msg/TwistStamped (stamped = false takes Twist)"
     )
     with peer("twist", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
-        wait_until(lambda: said in stage.said(), "a word on its type")
+        wait_until(lambda: row in stage.logged(), "a word on its type")
 
 
 def test_a_reader_of_another_type_is_named(stage):
     with peer("topic", f"rt{NAMESPACE}/odom", "JointState"):
-        said = f"rt{NAMESPACE}/odom: a reader of sensor_msgs/msg/JointState receives nothing"
-        wait_until(lambda: said in stage.said(), "a word on its type")
+        row = f"rt{NAMESPACE}/odom: a reader of sensor_msgs/msg/JointState receives nothing"
+        wait_until(lambda: row in stage.logged(), "a word on its type")
 
 
 def test_a_reader_that_hangs_costs_the_others_nothing(stage):

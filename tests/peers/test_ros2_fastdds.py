@@ -75,8 +75,8 @@ def test_fast_dds_reads_odometry_and_drives_the_robot(fast, stage):
 
 def test_a_writer_of_another_type_is_named(fast, stage):
     with fast("joints", f"rt{NAMESPACE}/cmd_vel", 1.0, 2.0):
-        said = f"rt{NAMESPACE}/cmd_vel: a writer of sensor_msgs/msg/JointState is not received"
-        wait_until(lambda: said in stage.said(), "a word on its type")
+        row = f"rt{NAMESPACE}/cmd_vel: a writer of sensor_msgs/msg/JointState is not received"
+        wait_until(lambda: row in stage.logged(), "a word on its type")
 
 
 def test_a_topic_stops_the_robot_and_who_asked_is_named(fast, stage):
@@ -109,9 +109,9 @@ def test_a_service_is_not_available_to_a_client_that_could_not_read_its_answer(p
     with peer(*client, program=(str(program),), decode=counts) as asking:
         asking.find(lambda met: met == {"readers": 1, "writers": 2}, "both sides of the service")
         line = f"answers: /panel (Fast DDS) calls {NAMESPACE}/motord/arm: run"
-        wait_until(lambda: line in stage.said(), "a word on its middleware")
+        wait_until(lambda: line in stage.logged(), "a word on its middleware")
         assert called("disarm")["success"]  # another middleware does not mind
-    assert stage.said().count("/panel (Fast DDS)") == 1
-    assert "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp" in stage.said()
-    assert "deserialization" not in stage.said()  # a line of the library's for each request
+    assert stage.logged().count("/panel (Fast DDS)") == 1
+    assert "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp" in stage.logged()
+    assert "deserialization" not in stage.logged()  # a line of the library's for each request
     assert stage.state() == "idle"

@@ -103,7 +103,7 @@ def test_what_pip_installed_serves_a_robot(by_pip, tmp_path):
         def arms():
             return person.call("motord/arm", Trigger).success
 
-        wait_until(arms, f"armed\n{made.said()}")
+        wait_until(arms, f"armed\n{made.logged()}")
         assert stage.state() == "armed"
 
 

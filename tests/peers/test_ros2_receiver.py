@@ -50,7 +50,7 @@ def ours(stage):
 
 def test_a_thread_of_its_own_waits_for_commands(stage):
     assert "motord-cmd_vel" in threads_of(bus(stage))
-    assert "goes through Python" not in stage.said()
+    assert "goes through Python" not in stage.logged()
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def pass_through(stage, writer):
     may not be known to the reader yet, and a lease may still be missing. Old commands are sent
     until one is refused, so those that come late are not counted with the bursts. The reader keeps
     8 samples, so they must not pile up before a burst."""
-    writer.find(lambda said: said == "heard", "a reader")
+    writer.find(lambda word: word == "heard", "a reader")
     before, next_s = judged(stage)[1], 0.0
 
     def arrived():

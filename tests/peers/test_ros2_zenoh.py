@@ -25,7 +25,7 @@ TWIST_KEY = (
     "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"
 )
 STRING_KEY = (
-    "3/r2/said/std_msgs::msg::dds_::String_/"
+    "3/r2/text/std_msgs::msg::dds_::String_/"
     "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 )
 STOP_KEY = (
@@ -50,7 +50,7 @@ class Robot:
     def __init__(self, port, quality=None, distribution="jazzy"):
         where = Router(endpoint=endpoint(port))
         self.node = ZenohNode("base", "/r2", 3, where, distribution)
-        self.said = self.node.publisher("said", STRING, quality)
+        self.text = self.node.publisher("text", STRING, quality)
         self.received = []
         self.stops = 0
         self.node.subscribe("cmd_vel", TWIST, lambda message, *_: self.received.append(message))
@@ -80,7 +80,7 @@ async def test_humble_receives_and_calls_by_keys_without_hashes():
                 await until(lambda: len(tokens.alive) == 4)
                 endpoints = [token for what in ("MP", "MS", "SS") for token in tokens.of(what)]
                 assert all(f"/{unhashed}/" in token for token in endpoints)
-                robot.said.publish(SimpleNamespace(data="here"))
+                robot.text.publish(SimpleNamespace(data="here"))
                 await until(lambda: received)
                 stop = f"{STOP_KEY.rpartition('/')[0]}/{unhashed}"
                 replies = await asyncio.to_thread(
@@ -101,7 +101,7 @@ async def test_other_nodes_see_the_node_its_topics_and_its_service():
                 (node,) = tokens.of("NN")
                 assert node.endswith("/0/0/NN/%/%r2/base")
                 (publisher,) = tokens.of("MP")
-                assert publisher.endswith(f"/%r2%said/{STRING_KEY.split('/', 3)[3]}/::,10:,:,:,,")
+                assert publisher.endswith(f"/%r2%text/{STRING_KEY.split('/', 3)[3]}/::,10:,:,:,,")
                 (server,) = tokens.of("SS")
                 assert f"/%r2%stop/{STOP_KEY.split('/', 3)[3]}/" in server
                 assert len({token.split("/")[2] for token in tokens.alive}) == 1
@@ -121,7 +121,7 @@ async def test_a_message_arrives_as_another_decoder_reads_it_with_its_publishers
                 await until(lambda: tokens.of("MP"))
 
                 def sent():
-                    robot.said.publish(SimpleNamespace(data="Grüße"))
+                    robot.text.publish(SimpleNamespace(data="Grüße"))
                     return samples
 
                 await until(sent)
@@ -197,12 +197,12 @@ async def test_a_service_answers_with_the_questions_number_and_gid():
                 )
                 answer = STORE.deserialize_cdr(reply.ok.payload.to_bytes(), "peer/msg/Answer")
                 assert (answer.success, answer.message) == (True, "stopped 1 times")
-                said = Attachment.decode(reply.ok.attachment.to_bytes())
-                assert (said.sequence, said.gid) == (77, GID)
+                text = Attachment.decode(reply.ok.attachment.to_bytes())
+                assert (text.sequence, text.gid) == (77, GID)
 
 
 @pytest.mark.parametrize(
-    ("key", "said"),
+    ("key", "text"),
     [
         ("3/**", {"payload": REQUEST, "attachment": attached()}),
         ("**", {}),
@@ -212,7 +212,7 @@ async def test_a_service_answers_with_the_questions_number_and_gid():
         (STOP_KEY, {"payload": b"\x00\x01\x00\x00", "attachment": attached()}),
     ],
 )
-async def test_what_is_no_request_calls_nothing_and_is_refused(key, said):
+async def test_what_is_no_request_calls_nothing_and_is_refused(key, text):
     port = free_port()
     async with router(port):
         robot = Robot(port)
@@ -221,7 +221,7 @@ async def test_what_is_no_request_calls_nothing_and_is_refused(key, said):
             async with running(robot.node):
                 await until(lambda: tokens.of("SS"))
                 everybody = zenoh.QueryTarget.ALL
-                replies = await asyncio.to_thread(ask, session, key, everybody, **said)
+                replies = await asyncio.to_thread(ask, session, key, everybody, **text)
                 assert len(replies) == 1
                 assert replies[0].err is not None
                 assert robot.stops == 0
@@ -231,7 +231,7 @@ async def test_who_comes_late_is_sent_what_is_latched():
     port = free_port()
     async with router(port):
         robot = Robot(port, Quality(depth=1, latched=True))
-        robot.said.publish(SimpleNamespace(data="before there was a session"))
+        robot.text.publish(SimpleNamespace(data="before there was a session"))
         with peer(port) as session:
             tokens = Tokens(session)
             async with running(robot.node):
@@ -279,17 +279,17 @@ async def test_a_router_that_hangs_costs_samples_and_not_the_connection():
                 await until(lambda: tokens.of("MP"))
 
                 def sent():
-                    robot.said.publish(SimpleNamespace(data="x"))
+                    robot.text.publish(SimpleNamespace(data="x"))
                     return received
 
                 await until(sent)
                 process.send_signal(signal.SIGSTOP)
                 for _ in range(SENT_IN_VAIN):  # more than the sockets hold
-                    robot.said.publish(SimpleNamespace(data="x" * LONG_BYTES))
+                    robot.text.publish(SimpleNamespace(data="x" * LONG_BYTES))
                 process.send_signal(signal.SIGCONT)
 
                 def last():
-                    robot.said.publish(SimpleNamespace(data="last"))
+                    robot.text.publish(SimpleNamespace(data="last"))
                     return any(b"last" in sample.payload.to_bytes() for sample in list(received))
 
                 await until(last)

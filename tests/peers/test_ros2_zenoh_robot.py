@@ -134,8 +134,8 @@ def test_the_life_cycle_is_inactive_while_disarmed_and_active_while_armed(robot)
 
 def test_a_publisher_of_another_type_is_named_with_what_to_write(robot):
     stage, driver = robot
-    said = f"geometry_msgs::msg::dds_::Twist_/RIHS01_{'0' * 64}/::,10:,:,:,,"
-    token = f"@ros2_lv/5/{driver.session.zid()}/0/9/MP/%/%r2/teleop/%r2%cmd_vel/{said}"
+    quality = f"geometry_msgs::msg::dds_::Twist_/RIHS01_{'0' * 64}/::,10:,:,:,,"
+    token = f"@ros2_lv/5/{driver.session.zid()}/0/9/MP/%/%r2/teleop/%r2%cmd_vel/{quality}"
     with driver.session.liveliness().declare_token(token):
         wait_until(
             lambda: (
@@ -143,7 +143,7 @@ def test_a_publisher_of_another_type_is_named_with_what_to_write(robot):
                     "/r2/cmd_vel: a writer of geometry_msgs/msg/Twist is not received: motord wants"
                     " geometry_msgs/msg/TwistStamped (stamped = false takes Twist)"
                 )
-                in stage.said()
+                in stage.logged()
             ),
             "a word on its type",
         )

@@ -69,9 +69,9 @@ class Stage:
         return self.robot.status()["state"]
 
     def wait_for(self, *states):
-        return wait_until(lambda: self.state() in states, f"state {states}\n{self.said()}")
+        return wait_until(lambda: self.state() in states, f"state {states}\n{self.logged()}")
 
-    def said(self):
+    def logged(self):
         return self.log.read_text(encoding="utf-8")
 
     def client(self):
@@ -113,7 +113,7 @@ def obeying(stage, command):
                 stage.robot.arm()
         return state == "moving"
 
-    wait_until(attempt, f"moving\n{stage.said()}")
+    wait_until(attempt, f"moving\n{stage.logged()}")
 
 
 def becomes_idle(stage):

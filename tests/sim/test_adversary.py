@@ -287,7 +287,7 @@ def test_an_error_that_nothing_expected_ends_the_daemon_at_rest_and_without_powe
         assert stage.daemon.wait(DEADLINE_S) != 0
         wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
         assert not powered(stage)
-        assert "nobody expected this" in stage.said()
+        assert "nobody expected this" in stage.logged()
 
 
 def test_a_signal_in_the_middle_of_arming_ends_it_without_power(tmp_path):

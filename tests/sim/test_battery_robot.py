@@ -46,7 +46,7 @@ def test_a_good_battery_is_reported_and_published_and_unknown_when_its_drives_ar
         stage.sim.pull()
         wait_until(lambda: level(stage) == "unknown", "unknown")
         assert stage.robot.status()["battery"]["voltage_v"] is None
-        wait_until(lambda: "the battery is unknown" in stage.said(), "the log's word")
+        wait_until(lambda: "the battery is unknown" in stage.logged(), "the log's word")
         stage.sim.plug()
         wait_until(lambda: level(stage) == "normal", "normal again")
 
@@ -77,7 +77,7 @@ def test_a_critical_battery_is_reported_and_lets_the_robot_drive_unless_the_file
 ):
     with running(tmp_path, *EMPTY) as stage:
         wait_until(lambda: level(stage) == "critical", "critical")
-        wait_until(lambda: "the battery is critical" in stage.said(), "the log's word")
+        wait_until(lambda: "the battery is critical" in stage.logged(), "the log's word")
         stage.wait_for("idle")
         set_off(stage)
 
@@ -111,8 +111,8 @@ def test_a_robot_that_drives_comes_to_rest_when_its_battery_gets_critical(tmp_pa
 def test_a_sensor_that_is_not_there_is_reported_once_and_the_battery_is_unknown(tmp_path):
     missing = ("battery.source=ina226", f"battery.bus={tmp_path / 'i2c'}", *FULL[1:])
     with running(tmp_path, *missing, STOPS) as stage:
-        wait_until(lambda: "the battery is unknown" in stage.said(), "the log's word")
-        assert stage.said().count("there is no such bus") == 1
+        wait_until(lambda: "the battery is unknown" in stage.logged(), "the log's word")
+        assert stage.logged().count("there is no such bus") == 1
         assert level(stage) == "unknown"
         stage.wait_for("idle")
         stage.robot.arm()

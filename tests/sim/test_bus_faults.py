@@ -47,7 +47,7 @@ def leasing(stage, but=None):
         lease = now.get("inputs", {}).get("planted", {}).get("lease")
         return now["pid"] not in (None, but) and lease and now["pid"]
 
-    return wait_until(found, f"motord-bus\n{stage.said()}", BACK_WITHIN_S)
+    return wait_until(found, f"motord-bus\n{stage.logged()}", BACK_WITHIN_S)
 
 
 def exchanges(stage):
@@ -71,7 +71,7 @@ def test_its_lease_lapses_the_robot_rests_and_all_else_goes_on(stage, planted, f
     accepted = stage.robot.status()["commands"]["accepted"]
     assert leasing(stage, but=pid) != pid
     after = stage.robot.status()
-    assert FAULTS[fault] in stage.said()
+    assert FAULTS[fault] in stage.logged()
     assert after["at_rest"], "it does not move again by itself"
     assert after["commands"]["accepted"] == accepted
     assert after["bus"]["restarts"] == 1

@@ -69,7 +69,7 @@ def living(stage, but=None):
     """The second process's number, when it is there and says so."""
     return wait_until(
         lambda: (now := bus(stage)) and now["pid"] not in (None, but) and "inputs" in now and now,
-        f"motord-bus\n{stage.said()}",
+        f"motord-bus\n{stage.logged()}",
     )["pid"]
 
 
@@ -122,7 +122,7 @@ def test_it_is_started_again_and_the_loop_goes_on(stage, port, number):
     assert stage.state() == "idle"
     assert ticks(stage) > counted
     assert stage.robot.status()["loop"]["page_faults"] - faults < FORK_FAULTS / 2
-    assert number.name in stage.said(), stage.said()
+    assert number.name in stage.logged(), stage.logged()
     full(port)
 
 
@@ -178,8 +178,8 @@ TROUBLES = {"spin": "trouble begins", "chatter": "trouble begins", "flood": "no 
 """By their words in the log."""
 
 
-@pytest.mark.parametrize(("what", "said"), TROUBLES.items(), ids=TROUBLES)
-def test_a_robot_drives_whatever_trouble_is_in_it(tmp_path, what, said):
+@pytest.mark.parametrize(("what", "message"), TROUBLES.items(), ids=TROUBLES)
+def test_a_robot_drives_whatever_trouble_is_in_it(tmp_path, what, message):
     environ = offered(tmp_path, "motord.publishers", "troubled", TROUBLED, "Adapter")
     when = tmp_path / "now"
     settings = ("publish.troubled.kind=other", "publish.troubled.adapter=troubled",
@@ -191,13 +191,13 @@ def test_a_robot_drives_whatever_trouble_is_in_it(tmp_path, what, said):
         living(stage)
         before = stage.robot.status()
         when.touch()
-        wait_until(lambda: said in stage.said(), said)
+        wait_until(lambda: message in stage.logged(), message)
         set_off(stage)
         wait_until(lambda: ticks(stage) >= before["loop"]["ticks"] + TICKS, "the loop goes on")
         now = stage.robot.status()
-        assert "heartbeat_lost" not in now["faults"], stage.said()
+        assert "heartbeat_lost" not in now["faults"], stage.logged()
         assert now["stalls"] == before["stalls"]
-        assert stage.said().count("motord-bus says") < SAID_MAX
+        assert stage.logged().count("motord-bus says") < SAID_MAX
 
 
 FAILING = """
@@ -226,8 +226,8 @@ def test_an_adapter_that_fails_takes_no_other_with_it(tmp_path):
         full(port)
         assert bus(stage)["restarts"] == 0
         assert bus(stage)["pid"] == pid
-        assert stage.said().count("publish.failing failed") == 1
-        assert "no camera for the 1th time" in stage.said()
+        assert stage.logged().count("publish.failing failed") == 1
+        assert "no camera for the 1th time" in stage.logged()
 
 
 def test_it_ends_with_its_daemon(tmp_path):

@@ -220,7 +220,7 @@ def test_a_drive_fault_on_the_way_is_latched_named_and_cleared_by_reset(stage):
     assert stage.robot.status()["faults"]
     wait_until(
         lambda: any("left" in reason for reason in stage.robot.status()["why"]),
-        "the drive is named, also when it was seen to be off before it said why",
+        "the drive is named, also when it was seen to be off before it reported why",
     )
     with pytest.raises(Refused, match="motord reset"):
         stage.robot.arm()
@@ -445,10 +445,10 @@ def test_two_of_the_same_name_are_refused(stage, tmp_path):
 
 
 def test_time_passes_without_a_word_in_the_log(stage):
-    before = stage.said()
+    before = stage.logged()
     ticks = stage.robot.status()["loop"]["ticks"]
     wait_until(lambda: stage.robot.status()["loop"]["ticks"] > ticks + 500, "ticks")
-    assert stage.said() == before
+    assert stage.logged() == before
 
 
 def motord_at(stage, *arguments):

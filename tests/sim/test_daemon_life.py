@@ -71,8 +71,8 @@ def test_it_ends_at_rest_and_without_power(tmp_path, number):
         assert truth.at_rest
         assert not any(joint.enabled for joint in truth.joints.values())
         assert not stage.socket.exists()
-        said = stage.said()
-        assert said.index("comes to rest") < said.index("off (shutdown") < said.index("ended")
+        log = stage.logged()
+        assert log.index("comes to rest") < log.index("off (shutdown") < log.index("ended")
 
 
 def test_a_second_signal_does_not_wait_for_the_ramp_but_takes_the_power_off(tmp_path):
@@ -80,7 +80,7 @@ def test_a_second_signal_does_not_wait_for_the_ramp_but_takes_the_power_off(tmp_
     with running(tmp_path, *slow) as stage:
         moving(stage)
         stage.daemon.send_signal(signal.SIGTERM)
-        wait_until(lambda: "comes to rest" in stage.said(), "the first signal")
+        wait_until(lambda: "comes to rest" in stage.logged(), "the first signal")
         stage.robot.close()
         assert stage.end() == 0
         joints = stage.sim.truth().joints.values()
@@ -94,13 +94,13 @@ def test_a_base_that_coasts_when_the_command_ends_is_disarmed_by_it(tmp_path):
         stage.wait_for("idle")
         wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
         assert not any(joint.enabled for joint in stage.sim.truth().joints.values())
-        assert stage.said().count("disarmed by itself") == 1
+        assert stage.logged().count("disarmed by itself") == 1
         assert stage.robot.status()["faults"] == []
 
 
 def test_without_a_port_it_waits_reports_so_once_and_ends_well(tmp_path):
     with running(tmp_path, simulated=False) as stage:
-        wait_until(lambda: "nothing" in stage.said(), "the port is missed")
+        wait_until(lambda: "nothing" in stage.logged(), "the port is missed")
         with pytest.raises(Refused, match="not ready"):
             stage.robot.arm()
         found = stage.robot.status()
@@ -108,7 +108,7 @@ def test_without_a_port_it_waits_reports_so_once_and_ends_well(tmp_path):
         assert found["lines"]["rs485"]["state"] == "closed"
         assert stage.end() == 0
         assert (
-            len([line for line in stage.said().splitlines() if "there is no such port" in line])
+            len([line for line in stage.logged().splitlines() if "there is no such port" in line])
             == 1
         )
 

@@ -51,7 +51,7 @@ def hurt(stage, defect):
         status = stage.robot.status()
         if not BUSY.issuperset(status["faults"]):
             return status
-    raise AssertionError(stage.said())
+    raise AssertionError(stage.logged())
 
 
 def drive_until(stage, condition):
@@ -62,7 +62,7 @@ def drive_until(stage, condition):
             stage.robot.drive(SPEED_M_S, 0.0)
         return condition()
 
-    wait_until(attempt, stage.said())
+    wait_until(attempt, stage.logged())
 
 
 def test_after_a_repair_and_a_reset_the_robot_drives_again(tmp_path):

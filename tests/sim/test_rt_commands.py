@@ -41,7 +41,7 @@ def arm(stage):
 @pytest.fixture
 def armed(stage):
     wait_until(lambda: not stage.robot.status()["leases"], "no lease of the test before")
-    wait_until(lambda: arm(stage), f"armed\n{stage.said()}")
+    wait_until(lambda: arm(stage), f"armed\n{stage.logged()}")
     yield stage
     stage.robot.stop()
     stage.robot.disarm()

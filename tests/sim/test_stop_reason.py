@@ -22,7 +22,7 @@ def test_an_emergency_stop_has_the_reason_that_was_given_and_later_ones_beside_i
         assert stage.robot.status()["why"] == [
             *found, f"a second person (process {os.getpid()}, {NAME})"
         ]  # fmt: skip
-        assert f"emergency stop: {found[0]}" in stage.said()
+        assert f"emergency stop: {found[0]}" in stage.logged()
 
 
 def test_a_stop_request_names_its_sender_until_the_call_gives_the_reason(tmp_path):

@@ -55,12 +55,12 @@ def is_off(stage):
 
 def at_rest_by(stage, method):
     """Sent by the command while the wheels turn by a lease that goes on; it says the state."""
-    said = motord(stage, method)
-    assert said.returncode == 0, said.stderr + stage.said()
+    done = motord(stage, method)
+    assert done.returncode == 0, done.stderr + stage.logged()
     wait_until(lambda: rests(stage), f"rest after {method}")
     if method == "disarm":
         wait_until(lambda: is_off(stage), "the power is off")
-    return said.stdout.strip()
+    return done.stdout.strip()
 
 
 @contextlib.contextmanager
@@ -110,8 +110,8 @@ def test_a_daemon_whose_asyncio_stands_still_is_stopped_by_the_loop(tmp_path, me
         set_off(stage)
         stage.daemon.send_signal(signal.SIGUSR1)
         try:
-            said = motord(stage, method)
-            assert said.stdout.split() == [state], said.stderr
+            done = motord(stage, method)
+            assert done.stdout.split() == [state], done.stderr
             wait_until(lambda: rests(stage), "rest")
             assert method == "stop" or wait_until(lambda: is_off(stage), "the power is off")
         finally:
@@ -121,6 +121,6 @@ def test_a_daemon_whose_asyncio_stands_still_is_stopped_by_the_loop(tmp_path, me
 def test_who_cannot_reach_it_is_sent_what_to_do_instead(tmp_path):
     with running(tmp_path, simulated=False) as stage:
         pass
-    said = motord(stage, "estop")
-    assert said.returncode == 1
-    assert "motord stop-all" in said.stderr
+    done = motord(stage, "estop")
+    assert done.returncode == 1
+    assert "motord stop-all" in done.stderr

@@ -56,7 +56,7 @@ def test_the_watchdog_is_not_fed_for_a_thread_that_stands_still(tmp_path, which)
         set_off(stage)
         wait_until(lambda: fed(supervisor), "the watchdog is fed")
         with stands_still(stage.daemon.pid, thread):
-            wait_until(lambda: f"{heart} has not moved" in stage.said(), "it is missed")
+            wait_until(lambda: f"{heart} has not moved" in stage.logged(), "it is missed")
             stage.wait_for("fault")
             wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
             notifications(supervisor)  # what was on its way

@@ -129,7 +129,7 @@ def test_a_device_of_the_kernel_drives_and_lets_go(tmp_path):
                     "input.pad.estop_button=BTN_EAST")  # fmt: skip
         with running(tmp_path, *settings) as stage:
             stage.wait_for("idle")
-            wait_until(lambda: f"input.pad: {name}" in stage.said(), stage.said(), DEADLINE_S)
+            wait_until(lambda: f"input.pad: {name}" in stage.logged(), stage.logged(), DEADLINE_S)
             stage.robot.arm()
             pad.write(EV_ABS, Y, -100)
             pad.write(EV_KEY, BUTTON, 1)

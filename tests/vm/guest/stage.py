@@ -23,9 +23,9 @@ class Stage:
         return self.robot.status()["state"]
 
     def wait_for(self, *states):
-        wait_until(lambda: self.state() in states, f"state {states}", self.said)
+        wait_until(lambda: self.state() in states, f"state {states}", self.logged)
 
-    def said(self):
+    def logged(self):
         return self.log.read_text(encoding="utf-8")
 
     def drive_on(self, speed_m_s=0.5):
@@ -44,7 +44,7 @@ class Stage:
             joints = self.sim.truth().joints.values()
             return all(abs(joint.velocity_rad_s) > 2.0 for joint in joints)
 
-        granted(turning, "the wheels turn", self.said)
+        granted(turning, "the wheels turn", self.logged)
 
     def rests_without_power(self):
         truth = self.sim.truth()

@@ -35,16 +35,16 @@ def test_an_opened_contact_ends_the_pulses_of_every_motor_and_then_their_power(c
             opened_s = time.monotonic()
             sim.rig.drive(CONTACT, 1)
             while not sim.truth().at_rest:
-                assert time.monotonic() < opened_s + 60.0, unit.said()
+                assert time.monotonic() < opened_s + 60.0, unit.logged()
             pulses_s = time.monotonic() - opened_s
-            wait_until(unit.rests_without_power, "the enables", unit.said)
+            wait_until(unit.rests_without_power, "the enables", unit.logged)
             power_s = time.monotonic() - opened_s
             unit.wait_for("estop")
             with pytest.raises(Refused):
                 unit.robot.reset()
             assert unit.rests_without_power()
             sim.rig.drive(CONTACT, 0)
-            granted(unit.robot.reset, "a reset", unit.said)
+            granted(unit.robot.reset, "a reset", unit.logged)
             unit.wait_for("idle")
             unit.drive_on(0.4)
     with capsys.disabled():

@@ -20,16 +20,16 @@ def test_wheels_of_a_killed_daemon_come_to_rest_and_it_comes_back_disarmed(kind,
         prepared(name, f"WatchdogSec=90\n{output('motord', 'unit', str(robot))}"),
         started(name, sim) as unit,
     ):
-        sent_before, pid = unit.said().count("stopped and without power"), unit.main_pid()
+        sent_before, pid = unit.logged().count("stopped and without power"), unit.main_pid()
         unit.drive_on(0.4)
         killed_s = time.monotonic()
         os.kill(pid, signal.SIGKILL)
         assert not sim.truth().at_rest
-        wait_until(lambda: sim.truth().at_rest, "the wheels rest", unit.said)
+        wait_until(lambda: sim.truth().at_rest, "the wheels rest", unit.logged)
         rest_s = time.monotonic() - killed_s
         unit.again(pid).wait_for("idle")
         back_s = time.monotonic() - killed_s
         assert unit.rests_without_power()
-        assert unit.said().count("stopped and without power") == sent_before + 1
+        assert unit.logged().count("stopped and without power") == sent_before + 1
     with capsys.disabled():
         print(f"\n{kind}: kill -9: at rest after {rest_s:.1f} s, idle after {back_s:.1f} s")

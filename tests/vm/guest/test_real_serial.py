@@ -31,9 +31,9 @@ def test_a_robot_on_a_uart_drives_and_comes_to_rest(tmp_path, simulator):
         daemon(tmp_path, robot_file(tmp_path, UART), sim) as stage,
     ):
         stage.drive_on()
-        granted(stage.robot.stop, "a stop", stage.said)
+        granted(stage.robot.stop, "a stop", stage.logged)
         wait_until(lambda: sim.truth().at_rest, "the wheels rest")
-        granted(stage.robot.disarm, "disarmed", stage.said)
+        granted(stage.robot.disarm, "disarmed", stage.logged)
         assert stage.rests_without_power()
         assert stage.robot.status()["lines"]["rs485"]["engine"] == "rt"
 
@@ -113,6 +113,6 @@ def test_a_gpio_line_turns_the_transceiver_while_the_line_talks(tmp_path, simula
             stage.drive_on()
             wait_until(lambda: level_of("DE") == talking, "it talks")
             wait_until(lambda: level_of("DE") != talking, "it listens")
-            granted(stage.robot.disarm, "disarmed", stage.said)
+            granted(stage.robot.disarm, "disarmed", stage.logged)
             stage.process.kill()  # the kernel gives the line back: it falls to its pull
             wait_until(lambda: level_of("DE") == 0, "nobody drives the pair")

@@ -34,7 +34,7 @@ def unit(drives):
     start costs an emulated machine ten seconds."""
     drives.clear_faults_script()
     with reached(NAME, drives) as unit:
-        granted(unit.is_idle, "it is idle", unit.said)
+        granted(unit.is_idle, "it is idle", unit.logged)
         yield unit
 
 
@@ -47,7 +47,7 @@ def test_it_runs_on_time_as_a_user_without_rights(unit):
     loop = unit.robot.status()["loop"]
     assert loop["policy"] == "SCHED_FIFO"
     assert int(found["VmLck"].split()[0]) > 0
-    assert "refused" not in unit.said()
+    assert "refused" not in unit.logged()
     unit.drive_on()
 
 
@@ -67,7 +67,7 @@ def test_members_of_its_group_command_it_and_nothing_else(unit):
     try:
         arm = ("runuser", "-u", "driver", "--", "motord", "arm")
         # an emulated drive may take longer than the daemon waits
-        wait_until(lambda: status_of(*arm) == 0, "armed by a member", unit.said)
+        wait_until(lambda: status_of(*arm) == 0, "armed by a member", unit.logged)
         output("runuser", "-u", "visitor", "--", "sh", "-c", "! motord disarm")
         assert unit.state() != "idle"  # a drive of a busy machine may have been late: a fault
     finally:
@@ -102,9 +102,9 @@ def test_the_journal_knows_the_line_the_joints_and_the_faults(unit):
     )
     assert entries[0]["MOTORD_LINE"] == "rs485"
     assert "left" in entries[0]["MOTORD_JOINT"]
-    wait_until(lambda: "over-current" in latched(), "the fault by its name", unit.said)
+    wait_until(lambda: "over-current" in latched(), "the fault by its name", unit.logged)
     unit.sim.clear_faults_script()
-    granted(unit.robot.reset, "a reset", unit.said)
+    granted(unit.robot.reset, "a reset", unit.logged)
 
 
 def test_an_upgrade_brings_the_robot_to_rest_first_and_starts_it_again_disarmed(unit):
@@ -113,7 +113,7 @@ def test_an_upgrade_brings_the_robot_to_rest_first_and_starts_it_again_disarmed(
     output("dpkg", "-i", "/project/motord.deb")
     unit.again(pid).wait_for("idle")
     assert unit.rests_without_power()
-    assert "comes to rest" in unit.said()
+    assert "comes to rest" in unit.logged()
 
 
 def test_stopping_the_unit_brings_the_robot_to_rest(unit):

@@ -23,7 +23,7 @@ class Unit(Stage):
         self.name = name
         self.unit = f"motord@{name}.service"
 
-    def said(self):
+    def logged(self):
         return "\n".join(entry["MESSAGE"] for entry in journal(self.unit))
 
     def main_pid(self):
@@ -42,7 +42,7 @@ class Unit(Stage):
         """Waits for the next process of the unit, and is connected to it."""
         self.robot.close()
         self.robot = wait_until(
-            lambda: connected(self.name, old_pid), "it is started again", self.said
+            lambda: connected(self.name, old_pid), "it is started again", self.logged
         )
         return self
 
