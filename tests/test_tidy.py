@@ -368,7 +368,15 @@ def comments_in(path: Path) -> Iterator[tuple[int, str]]:
             yield from enumerate(found[0].splitlines(), first)
 
 
-@pytest.mark.parametrize("paths", [PRODUCT, CSRC], ids=["Python", "C"])
+# Folders of tests that keep the terms of the glossary, too: names, comments, docstrings.
+TESTED = [
+    path
+    for path in PYTHON
+    if path.relative_to(ROOT).parts[:2] in (("tests", "rt"), ("tests", "unit"))
+]
+
+
+@pytest.mark.parametrize("paths", [PRODUCT, CSRC, TESTED], ids=["Python", "C", "tests"])
 def test_comments_are_in_the_terms_of_the_glossary(paths):
     rows = [
         f"{where(path, number)}: {found[0]}"
@@ -418,12 +426,13 @@ def test_names_of_tests_are_in_the_terms_of_the_glossary():
     report(rows, "write who does what to what, in the terms of docs/glossary.md")
 
 
-@pytest.mark.parametrize("paths", [PRODUCT, CSRC], ids=["Python", "C"])
+@pytest.mark.parametrize("paths", [PRODUCT, CSRC, TESTED], ids=["Python", "C", "tests"])
 def test_names_are_terms_of_the_glossary(paths):
     rows = [
         f"{path.relative_to(ROOT)}: {name}"
         for path in paths
         for name in sorted(names_in(path))
+        if not name.startswith("test_")  # a sentence: test_names_of_tests_...
         if any(PRIVATE_WORD.fullmatch(word) for word in WORDS_OF_A_NAME.findall(name))
     ]
     report(rows, "docs/glossary.md has a term for it")

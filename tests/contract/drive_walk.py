@@ -38,7 +38,7 @@ MEASURING = 2
 
 
 def rows_of(kind):
-    """What stands between the parentheses of each row."""
+    """The words in each row's parentheses."""
     for found in re.findall(rf"^{kind}\((.*)\)$", TABLE.read_text(encoding="utf-8"), re.MULTILINE):
         yield [word.strip() for word in found.split('"')[0].split(",") if word.strip()]
 

@@ -25,7 +25,7 @@ def test_the_table_has_every_event_from_every_mode():
 
 @pytest.mark.parametrize("event", CELLS)
 @pytest.mark.parametrize("make", [ModbusMedium, CanMedium])
-async def test_every_event_leads_from_every_mode_to_where_the_table_says(
+async def test_every_event_leads_from_every_mode_to_where_the_table_leads(
     tmp_path, monkeypatch, make, event
 ):
     ends = DriveRules.end_stopping  # by its wheels alone: the time of the stop never passes

@@ -98,7 +98,7 @@ def report_wheels(count: int = 0, velocity_rad_s: float = 0.0) -> None:
 
 
 def lease_of(loop: rt.Loop) -> rt.LoopLease:
-    """The only one who commands; what he says lasts."""
+    """The only source that commands; its commands last."""
     return loop.open_lease(lifetime_s=FOREVER_S)
 
 

@@ -238,7 +238,7 @@ def test_a_lifetime_of_its_own_is_shorter_than_the_leases():
     assert commander(arbiter, 30) is None
 
 
-def test_a_command_that_was_under_way_for_long_lives_no_longer_for_it():
+def test_a_command_that_was_in_transit_for_long_lives_no_longer_for_it():
     arbiter = Arbiter()
     submit(arbiter, 0)
     assert raw(arbiter, 200, stamp_ns=START_NS + 10 * MS) is None

@@ -219,7 +219,7 @@ def test_power_goes_off_two_seconds_after_zero_also_when_a_wheel_is_not_seen_to_
 
 
 @pytest.mark.parametrize("action", ["STOP_RAMP", "STOP_BRAKE", "STOP_HOLD", "STOP_COAST"])
-def test_the_estop_replaces_an_action_under_way(action):
+def test_the_estop_replaces_an_action_that_goes_on(action):
     rig = Rig(core_config(on_fault=lib.STOP_RAMP, on_estop=getattr(lib, action)))
     rig.moving(0.5)
     external_fault(rig)

@@ -35,7 +35,7 @@ class GyroRig(Rig):
         self.extra_rad_s = 0.0
         """A turn that the wheels do not see."""
         self.slip_left = 0.0
-        """Part of the left wheels' way that is none on the ground."""
+        """Part of the left wheels' turn that moves nothing on the ground."""
         self.still = False
         """The base does not turn, whatever the wheels do."""
         self.sign = 1.0
@@ -167,7 +167,7 @@ def test_the_heading_does_not_jump_when_the_gyro_goes_and_comes_and_the_wheels_s
     assert rig.heading_error_rad() < 0.01
 
 
-def test_a_gyro_that_comes_back_does_not_bring_the_way_that_it_missed():
+def test_a_gyro_that_comes_back_does_not_bring_the_angle_that_it_missed():
     """The wheels reported meanwhile: their turn is in the heading already."""
     rig = GyroRig(noise_rad_s=0.0)
     rig.know_zero()
@@ -217,7 +217,7 @@ def test_a_sample_from_the_future_or_the_past_is_refused_and_blocks_none_that_fo
     assert abs(rig.shown.heading_rad) < 1e-3
 
 
-def test_one_rate_off_the_scale_breaks_the_gyros_way_and_the_next_ones_mend_it():
+def test_one_rate_off_the_scale_breaks_the_gyros_angle_and_the_next_ones_mend_it():
     rig = GyroRig(noise_rad_s=0.0)
     rig.know_zero()
     rig.moving(0.2, 0.5)
@@ -230,7 +230,7 @@ def test_one_rate_off_the_scale_breaks_the_gyros_way_and_the_next_ones_mend_it()
     assert rig.heading_error_rad() < 0.01
 
 
-def test_a_sensor_that_was_set_up_again_keeps_its_zero_but_not_its_way():
+def test_a_sensor_that_was_set_up_again_keeps_its_zero_but_not_its_angle():
     rig = GyroRig(noise_rad_s=0.0)
     rig.know_zero()
     rig.moving(0.2, 0.5)

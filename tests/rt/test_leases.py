@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The daemon's leases over the real loop: who was held when he left is held where he goes on."""
+"""The daemon's leases over the real loop: a source that was held when it left stays held."""
 
 import pytest
 from small_base import FOREVER_S, LIMITS, arm, core_config, settings, until

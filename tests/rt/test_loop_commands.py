@@ -22,7 +22,7 @@ def loop():
 
 
 class Line:
-    """Somebody whom the loop wakes, as it does the thread of a serial line."""
+    """A thread that the loop wakes, as it does that of a serial line."""
 
     def __init__(self, loop):
         self.loop = loop

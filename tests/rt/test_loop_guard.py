@@ -46,7 +46,7 @@ def later(loop, ticks=20):
 
 
 def stands_still(loop):
-    """Low, and no more edges. A tick that is under way may still make one."""
+    """Low, and no more edges. A tick that has begun may still make one."""
     until(lambda: not loop.status().watchdog)
     before = loop.status().watchdog_edges
     later(loop)

@@ -81,7 +81,7 @@ def test_the_reason_of_an_emergency_stop_takes_the_place_of_the_cores_bare_word(
 
 
 class LineWithAPanel:
-    """Somebody presses the emergency stop while its drives are cleared."""
+    """A person presses the emergency stop while its drives are cleared."""
 
     state, drive_states, drive_faults = LineState.READY, {}, {}
 

@@ -200,7 +200,7 @@ def test_a_wheel_that_turns_the_wrong_way_and_does_not_stop_has_no_power_sooner(
 
 
 def test_rest_that_a_frozen_counter_reports_is_not_believed():
-    """Told to brake, the wheel still turns; its counter says that it stands."""
+    """Commanded to brake, the wheel still turns; its counter reports that it stands."""
     rig = Wheels(reports=False, on_fault=lib.STOP_BRAKE, slope_rad_s2=10.0)
     rig.moving()
     frozen_counter(rig)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The twist on its way to a goal: limits of the body and of every wheel, in every tick."""
+"""The twist between here and a goal: limits of the body and of every wheel, in every tick."""
 
 import math
 from itertools import pairwise
@@ -111,8 +111,8 @@ class Judge:
 
     def _line(self, after: tuple[float, float], goal: tuple[float, float]) -> None:
         done = [after[i] - self.before[i] for i in range(2)]
-        way = [goal[i] - self.before[i] for i in range(2)]
-        assert abs(done[0] * way[1] - done[1] * way[0]) <= 4.0 * ROUNDING_U_S
+        left = [goal[i] - self.before[i] for i in range(2)]
+        assert abs(done[0] * left[1] - done[1] * left[0]) <= 4.0 * ROUNDING_U_S
 
     def _wheels(self, after: tuple[float, float]) -> None:
         rig = self.rig
@@ -219,11 +219,11 @@ def test_a_goal_is_reached_from_wherever_the_base_is(linear, angular, low, high,
     judge.rig.drive(*goal)
     judge.tick()
     limits = judge.limits
-    ways = [abs(g - v) for g, v in zip(aim_of(judge.rig), judge.before, strict=True)]
-    pairs = list(zip(ways, limits, strict=True))
+    left = [abs(g - v) for g, v in zip(aim_of(judge.rig), judge.before, strict=True)]
+    pairs = list(zip(left, limits, strict=True))
     gains = [min(a.acceleration_u_s2, a.deceleration_u_s2) for a in limits]
-    slowest_s = max(way / gain for way, gain in zip(ways, gains, strict=True))
-    jerk_s2 = max(way / a.jerk_u_s3 for way, a in pairs)
+    slowest_s = max(away / gain for away, gain in zip(left, gains, strict=True))
+    jerk_s2 = max(away / a.jerk_u_s3 for away, a in pairs)
     judge.run(slowest_s + 4.0 * math.sqrt(jerk_s2) + 0.01)
     assert judge.before == aim_of(judge.rig)
 

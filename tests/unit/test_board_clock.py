@@ -27,7 +27,7 @@ def test_a_stamp_is_never_later_than_the_frame_came(start_us, steps):
 
 
 @given(late_ms=st.integers(1, 60), frames=st.integers(1, 60))
-def test_when_the_delay_falls_no_way_is_squeezed_into_a_shorter_time(late_ms, frames):
+def test_when_the_delay_falls_no_distance_is_squeezed_into_a_shorter_time(late_ms, frames):
     clock = BoardClock()
     newest = None
     for n in range(SAMPLES_KEPT + frames):

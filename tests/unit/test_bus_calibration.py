@@ -36,9 +36,9 @@ def pushed(calibration, moves, rest_s=REST_S):
     return found
 
 
-def straight(way_m, turn_rad=0.0, steps=100):
+def straight(distance_m, turn_rad=0.0, steps=100):
     return [
-        {"x_m": way_m * part / steps, "heading_rad": turn_rad * part / steps}
+        {"x_m": distance_m * part / steps, "heading_rad": turn_rad * part / steps}
         for part in range(1, steps + 1)
     ]
 
@@ -56,7 +56,7 @@ def test_wheels_that_count_too_little_are_larger_than_thought():
     assert found.factor == pytest.approx(2.0 / 1.9)
 
 
-def test_a_way_backwards_counts_like_one_forwards():
+def test_a_distance_backwards_counts_like_one_forwards():
     found = pushed(begun("wheel_radius", 2.0), straight(-2.1))
     assert found.factor == pytest.approx(2.0 / 2.1)
 
@@ -72,22 +72,22 @@ def test_it_ends_only_when_the_robot_has_rested():
     assert pushed(begun("wheel_radius", 2.0), straight(1.9), rest_s=REST_S - 0.1) is None
 
 
-def test_a_pause_on_the_first_half_of_the_way_is_not_the_end():
+def test_a_pause_on_the_first_half_of_the_distance_is_not_the_end():
     assert pushed(begun("wheel_radius", 2.0), straight(0.9), rest_s=10.0) is None
 
 
-def test_a_way_that_was_no_straight_line_gives_nothing():
+def test_a_path_that_was_no_straight_line_gives_nothing():
     found = pushed(begun("wheel_radius", 2.0), straight(1.9, turn_rad=0.3))
     assert (found.end, found.factor) == (End.ABORTED, 0.0)
     assert "turned" in found.why
 
 
-def test_another_way_than_was_reported_gives_nothing():
+def test_another_distance_than_was_reported_gives_nothing():
     found = pushed(begun("wheel_radius", 2.0), straight(3.0))
     assert (found.end, found.factor) == (End.ABORTED, 0.0)
 
 
-def test_without_a_way_it_ends_at_its_time_out():
+def test_without_a_distance_it_ends_at_its_time_out():
     found = pushed(begun("wheel_radius", 2.0, timeout_s=5.0), straight(0.5), rest_s=10.0)
     assert found.end is End.ABORTED
     assert "within 5 s" in found.why

@@ -215,7 +215,7 @@ def test_only_the_token_fits(tmp_path_factory, shown):
 
 @contextlib.asynccontextmanager
 async def answering(path, answer, *, stay=False):
-    """Somebody at the daemon's socket who answers everything with that; what was asked."""
+    """A server at the daemon's socket that answers everything with that; the requests."""
 
     asked = []
 

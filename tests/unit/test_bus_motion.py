@@ -167,7 +167,7 @@ def test_a_state_page_that_stands_still_ends_it():
     assert motion.step(newest, just_ns + 1_000_000).end is End.ABORTED
 
 
-def test_a_way_that_was_not_looked_at_for_long_is_not_known_any_more():
+def test_a_distance_that_was_not_looked_at_for_long_is_not_known_any_more():
     base, motion = moving()
     base.at_ms += 901
     step = looked(base, motion)
@@ -235,7 +235,7 @@ def test_a_base_that_slides_past_the_goal_did_not_succeed():
 
 
 @pytest.mark.parametrize("slip_u", [0.05, -0.05, 0.09])
-def test_a_base_that_slips_by_a_little_goes_the_rest_of_the_way(slip_u):
+def test_a_base_that_slips_by_a_little_goes_the_rest_of_the_distance(slip_u):
     base, motion = begun(Goal(axis="linear", distance_u=-1.0))
     while motion.remaining_u > 0.004:
         base.follow(looked(base, motion))
@@ -263,7 +263,7 @@ def test_a_stop_that_was_over_before_it_was_seen_is_not_driven_on_after():
     assert base.distance_u == pytest.approx(1.05, abs=0.01)
 
 
-def test_a_stop_that_is_only_counted_ends_a_motion_under_way():
+def test_a_stop_that_is_only_counted_ends_a_motion_that_goes_on():
     base, motion = moving()
     base.stops = 1
     assert looked(base, motion) == MotionStep(end=End.ABORTED, why="a stop was requested")

@@ -91,7 +91,7 @@ def test_what_is_anything_is_no_twist_and_is_read_no_further_than_it_is_long(raw
     assert parsed(raw) is None or understood(raw) is not None or raw[:2] == b"\0\0"
 
 
-SAID = {1 + lib.TWIST_STAMP_ZERO: ZERO_STAMP, 1 + lib.TWIST_STAMP_AHEAD: AHEAD}
+WHY = {1 + lib.TWIST_STAMP_ZERO: ZERO_STAMP, 1 + lib.TWIST_STAMP_AHEAD: AHEAD}
 
 
 WALL_S = 1.8e9
@@ -108,7 +108,7 @@ def test_the_age_of_a_stamp_is_that_of_the_command_gate(stamped, stamp_s):
             gates_s = stamped._age_s(stamp_s)
         except NotTaken as refused:
             why = str(refused)
-    assert SAID.get(code, "") == why
+    assert WHY.get(code, "") == why
     assert code != 0 or out[0] == gates_s
 
 

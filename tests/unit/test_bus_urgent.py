@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A stop by who waits for no answer is asked of the daemon until it answers."""
+"""A stop whose caller waits for no answer is requested of the daemon until it answers."""
 
 import asyncio
 import contextlib
@@ -63,21 +63,21 @@ async def test_a_refusal_is_an_answer_and_what_is_asked_for_after_it_is_done(cap
     assert "refused: not now" in caplog.text
 
 
-async def test_what_is_asked_for_while_a_call_is_under_way_is_done_once_more():
-    under_way, go_on, calls = asyncio.Event(), asyncio.Event(), []
+async def test_what_is_requested_while_a_call_goes_on_is_done_once_more():
+    called, go_on, calls = asyncio.Event(), asyncio.Event(), []
 
     async def call(method, **_):
         calls.append(method)
-        under_way.set()
+        called.set()
         await go_on.wait()
 
     urgent = Urgent("pad", "estop", call)
     async with working(urgent):
         urgent.ask("once")
-        await under_way.wait()
-        under_way.clear()
+        await called.wait()
+        called.clear()
         for _ in range(5):
             urgent.ask("again")
         go_on.set()
-        await under_way.wait()
+        await called.wait()
     assert calls == ["estop"] * 2

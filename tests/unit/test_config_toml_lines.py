@@ -24,7 +24,7 @@ DOCUMENTS = st.dictionaries(KEYS, VALUES, max_size=5)
 
 
 class Writer:
-    """Writes data as TOML in one of its many ways; `choose` picks the way."""
+    """Writes data as TOML in one of its many forms; `choose` picks the form."""
 
     def __init__(self, choose):
         self.choose = choose
@@ -35,10 +35,10 @@ class Writer:
 
     def key(self, name):
         bare = name.isascii() and name.replace("-", "").replace("_", "").isalnum()
-        ways = [json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007f")]
-        ways += [name] if bare else []
-        ways += [f"'{name}'"] if "'" not in name else []
-        return self.choose(ways)
+        forms = [json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007f")]
+        forms += [name] if bare else []
+        forms += [f"'{name}'"] if "'" not in name else []
+        return self.choose(forms)
 
     def dotted(self, path):
         return self.choose([".", " . "]).join(self.key(name) for name in path)
@@ -46,12 +46,12 @@ class Writer:
     def scalar(self, value):
         if value is None:
             return str(self.text.count("\n") + 1)
-        ways = [json.dumps(value, ensure_ascii=False)]
+        forms = [json.dumps(value, ensure_ascii=False)]
         basic = value.replace("\\", "\\\\").replace('"""', '""\\"')
-        ways.append(f'"""\n{basic}"""')
+        forms.append(f'"""\n{basic}"""')
         if "'''" not in value:
-            ways.append(f"'''\n{value}'''")
-        return self.choose(ways)
+            forms.append(f"'''\n{value}'''")
+        return self.choose(forms)
 
     def value(self, value):
         if isinstance(value, dict):
@@ -77,10 +77,10 @@ class Writer:
         later = []
         for name, value in table.items():
             tables = isinstance(value, list) and value and all(isinstance(x, dict) for x in value)
-            way = self.choose(["inline", "dotted", "header"])
-            if not prefix and way == "header" and (isinstance(value, dict) or tables):
+            form = self.choose(["inline", "dotted", "header"])
+            if not prefix and form == "header" and (isinstance(value, dict) or tables):
                 later.append((name, value))
-            elif way == "dotted" and isinstance(value, dict) and value:
+            elif form == "dotted" and isinstance(value, dict) and value:
                 self.pairs(value, (*prefix, name))
             else:
                 self.write(f"{self.dotted((*prefix, name))} = ")
@@ -108,7 +108,7 @@ def leaves(value, path=()):
 
 @given(DOCUMENTS, st.data())
 def test_every_path_that_tomllib_finds_has_a_line_and_no_other(document, data):
-    writer = Writer(lambda ways: data.draw(st.sampled_from(ways)))
+    writer = Writer(lambda forms: data.draw(st.sampled_from(forms)))
     writer.table(document)
     found = dict(leaves(tomllib.loads(writer.text)))
     assert set(lines_of(writer.text)) == set(found), writer.text
@@ -116,7 +116,7 @@ def test_every_path_that_tomllib_finds_has_a_line_and_no_other(document, data):
 
 @given(DOCUMENTS, st.data())
 def test_the_line_is_the_one_on_which_the_value_begins(document, data):
-    writer = Writer(lambda ways: data.draw(st.sampled_from(ways)))
+    writer = Writer(lambda forms: data.draw(st.sampled_from(forms)))
     writer.table(document)
     lines = lines_of(writer.text)
     for path, value in leaves(tomllib.loads(writer.text)):

@@ -75,7 +75,7 @@ def test_a_heading_is_the_same_after_whole_turns(heading_rad, turns):
 
 
 @given(st.lists(st.tuples(SOMEWHERE, SOMEWHERE), min_size=1, max_size=50))
-def test_every_way_fits_the_picture(path):
+def test_every_path_fits_the_picture(path):
     rows = draw(path, columns=40, rows=10).split("\n")
     assert len(rows) <= 10
     assert max(map(len, rows)) <= 40

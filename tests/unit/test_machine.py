@@ -60,13 +60,13 @@ def test_only_reset_and_shutdown_lead_out_of_a_latched_state(state):
 
 def test_only_arm_leads_from_rest_without_power_to_power():
     dead = [state for state in State if not state.live]
-    ways = {
+    paths = {
         (state, event)
         for state in dead
         for event in Event
         if isinstance(target := TABLE[state, event], State) and target.live
     }
-    assert ways == {(State.IDLE, Event.ARM)}
+    assert paths == {(State.IDLE, Event.ARM)}
 
 
 @given(events=st.lists(st.tuples(st.sampled_from(Event), facts), max_size=40))

@@ -5,22 +5,22 @@ import logging
 
 import pytest
 
-from motord.base import rate_limited_log as sparing
+from motord.base import rate_limited_log as limited
 
 
 def test_a_thousand_of_one_matter_are_one_line(caplog):
-    voice = sparing.RateLimitedLog(logging.getLogger("test"))
+    voice = limited.RateLimitedLog(logging.getLogger("test"))
     for _ in range(1000):
         voice.say("not understood")
     assert caplog.messages == ["not understood"]
 
 
 def test_how_many_were_not_reported_is_reported(caplog, monkeypatch):
-    voice = sparing.RateLimitedLog(logging.getLogger("test"))
+    voice = limited.RateLimitedLog(logging.getLogger("test"))
     for _ in range(4):
         voice.say("not understood")
-    now_s = sparing.time.monotonic()
-    monkeypatch.setattr(sparing.time, "monotonic", lambda: now_s + sparing.AGAIN_S)
+    now_s = limited.time.monotonic()
+    monkeypatch.setattr(limited.time, "monotonic", lambda: now_s + limited.AGAIN_S)
     voice.say("not understood")
     assert caplog.messages == ["not understood", "not understood (3 more)"]
 
@@ -29,10 +29,10 @@ def test_how_many_were_not_reported_is_reported(caplog, monkeypatch):
 def library():
     """The log of a library that says each message that it drops, as aiomqtt does."""
     log = logging.getLogger("test.library")
-    spared = sparing.RateLimitedFilter(log, "input.fleet")
-    log.addFilter(spared)
+    kept = limited.RateLimitedFilter(log, "input.fleet")
+    log.addFilter(kept)
     yield log
-    log.removeFilter(spared)
+    log.removeFilter(kept)
 
 
 def test_a_library_that_reports_each_of_a_thousand_fills_no_log(caplog, library):

@@ -111,7 +111,7 @@ async def test_a_goal_is_accepted_executed_and_has_a_result():
     assert bytes(feedback.goal_id.uuid) == number(1)
 
 
-async def test_who_takes_turns_refuses_while_another_is_under_way():
+async def test_who_takes_turns_refuses_while_another_goes_on():
     turn = Turn()
     one, other = Bench(turn=turn), Bench("rotate", turn)
     async with running(one, other):

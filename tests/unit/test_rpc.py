@@ -217,7 +217,7 @@ async def test_a_call_that_waits_does_not_hold_up_the_next(path):
         peer.close()
 
 
-async def test_calls_under_way_are_bounded(path):
+async def test_open_calls_are_bounded(path):
     async with hosted(path) as host:
         peer = await Peer.at(path)
         for number in range(rpc.CALLS_MAX + 1):

@@ -151,9 +151,11 @@ def _reading(plan, drive):
 @pytest.mark.parametrize("name", MODBUS)
 def test_an_answer_is_known_by_its_head_or_its_echo_and_its_length(name):
     _, drive = table_of(shipped_profile(name))
-    ways = [frame for way in drive.direction for frame in (way.rest, way.forward, way.reverse)]
+    directions = [
+        frame for one in drive.direction for frame in (one.rest, one.forward, one.reverse)
+    ]
     frames = [exchange.frame for exchange in (*drive.cyclic, *drive.extra)]
-    for frame in (*frames, *ways, *drive.quick_stop, *drive.disarm):
+    for frame in (*frames, *directions, *drive.quick_stop, *drive.disarm):
         request = parse_request(frame.request)
         assert frame.reply_bytes == reply_bytes(request)
         assert frame.has_exceptions
