@@ -138,6 +138,7 @@ static void a_board_that_another_program_left_running_is_braked_before_it_loses_
     w.peer.enabled = 1;
     board_take_over(m, w.now_ns);
     CHECK(m->state.mode == DRIVE_READY && m->state.stopping && m->state.stop == STOP_QUICK && m->received_ns == w.now_ns);
+    CHECK(m->state.fault_reasons == 0);
     go_on(500 * MS);
     CHECK(w.peer.braking == 1 && w.peer.enabled == 0 && m->state.mode == DRIVE_READY && w.moving_count == 0);
     w.stuck = false;

@@ -3,6 +3,7 @@
 #include <math.h>
 
 #include "can_wire.h"
+#include "joint_values.h"
 
 static const can_machine *const m = &w.machine;
 static double wanted_rad;
@@ -238,8 +239,139 @@ static void whether_it_has_a_reference_is_reported_beside_its_power(void)
     CHECK(m->joint[0].feedback.referenced == 1 && state_of(0)->state.enabled == 1);
 }
 
+static void make_stopping(float at_turns)
+{
+    forget_sent();
+    w.now_ns += 6 * MS;
+    say_all(at_turns);
+    w.machine.newest.stamp_ns = w.now_ns - 10000 * MS;
+    step();
+    CHECK(state_of(0)->state.mode == DRIVE_READY && (state_of(0)->state.fault_reasons & DRIVE_FAULT_SETPOINTS_OLD) != 0);
+}
+
+static const can_packet *quick_stop_sent(void)
+{
+    for (uint32_t i = 0; i < w.sent_count; i++) {
+        if (w.sent[i].id == SPEED && w.sent[i].data[0] == QUICK_STOP) {
+            return &w.sent[i];
+        }
+    }
+    CHECK(false);
+    return NULL;
+}
+
+/* A frame that stops it has a target, too: where it is; and where it was sent last while that cannot be said. */
+static void a_stop_keeps_the_place_in_its_frame(void)
+{
+    static const float AT[] = {3.0F, 11.0F}, KEPT[] = {3.0F, 2.25F};
+    for (uint32_t i = 0; i < 2; i++) {
+        begin();
+        make_armed();
+        wanted_rad = 0.5, positioned = 1;
+        run(2.25F, 50 * MS);
+        make_stopping(AT[i]);
+        CHECK(target_in(quick_stop_sent()) == KEPT[i]);
+    }
+}
+
+/* The second target of a frame stands in turns of 16 bits. */
+static void each_target_of_a_frame_is_kept_and_no_other(void)
+{
+    static const can_setpoint SECOND = {
+        .place = {.start_bit = 48, .length = 16, .form = CAN_SIGNED},
+        .scale = {.kind = SETPOINT_POSITION, .raw_per_si = 0.5, .raw_offset = 2.0, .raw_min = -10.0, .raw_max = 10.0}};
+    for (uint32_t count = 1; count <= 2; count++) {
+        begin();
+        can_output *output = &table_of(0)->output[0];
+        output->packet.bytes = 8;
+        output->setpoint[1] = SECOND;
+        output->setpoint_count = count;
+        restart();
+        make_armed();
+        wanted_rad = 0.5, positioned = 1;
+        run(2.25F, 50 * MS);
+        make_stopping(5.0F);
+        CHECK(target_in(quick_stop_sent()) == 5.0F);
+        CHECK(can_get(state_of(0)->held[0], &SECOND.place) == (count == 2 ? 5 : 0));
+    }
+}
+
+static void a_frame_is_sent_only_when_each_of_its_targets_is_known(void)
+{
+    begin();
+    run(2.25F, 20 * MS);
+    ask_for(DRIVE_READY);
+    run(2.25F, 20 * MS);
+    can_machine *machine = &w.machine;
+    can_setpoint *setpoint = machine->table.drive[0].output[0].setpoint;
+    CHECK(can_sends(m, 0, 0));
+    setpoint[1] = setpoint[0];
+    setpoint[1].scale.raw_max = 1.0; /* where it is lies beyond */
+    CHECK(can_sends(m, 0, 0));
+    machine->table.drive[0].output[0].setpoint_count = 2;
+    CHECK(!can_sends(m, 0, 0));
+    machine->table.drive[0].output[0].setpoint_count = 1;
+    setpoint[0].scale.raw_max = 2.25;
+    CHECK(can_sends(m, 0, 0));
+    setpoint[0].scale.raw_max = 2.0;
+    CHECK(!can_sends(m, 0, 0));
+    setpoint[0].scale.raw_min = 2.25, setpoint[0].scale.raw_max = 10.0;
+    CHECK(can_sends(m, 0, 0));
+    setpoint[0].scale.raw_min = 2.5;
+    CHECK(!can_sends(m, 0, 0));
+}
+
+/* The place where it is goes to a drive that rests without power, and to no other. */
+static void only_one_that_is_ready_and_not_enabled_keeps_its_place(void)
+{
+    static const uint32_t MODES[] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_UNRESPONSIVE, DRIVE_BACK};
+    begin();
+    run(2.25F, 20 * MS);
+    ask_for(DRIVE_READY);
+    run(2.25F, 20 * MS);
+    positioned = 0;
+    put();
+    for (uint32_t i = 0; i < 5 * 3; i++) {
+        drive_state *state = &w.machine.drive[0].state;
+        state->mode = MODES[i / 3], state->enabled = i % 3;
+        CHECK(can_sends(m, 0, 0) == (MODES[i / 3] == DRIVE_READY && i % 3 != 1));
+    }
+}
+
+static void a_place_of_minus_zero_goes_out_as_zero(void)
+{
+    static const uint8_t ZEROS[4];
+    begin();
+    run(-0.0F, 20 * MS);
+    ask_for(DRIVE_READY);
+    forget_sent();
+    run(-0.0F, 50 * MS);
+    CHECK(memcmp(newest_of(0)->data + 2, ZEROS, sizeof ZEROS) == 0);
+}
+
+static void a_joint_that_the_set_points_do_not_have_gets_no_place(void)
+{
+    setpoints from = {.enabled = 1, .joint_count = 2, .positioned = UINT32_MAX, .position_rad = {1.0, 2.0, 3.0}};
+    double position_rad = 7.0;
+    CHECK(setpoint_position(&from, 1, &position_rad) && position_rad == 2.0);
+    CHECK(!setpoint_position(&from, 2, &position_rad) && position_rad == 2.0);
+    from.joint_count = JOINTS_MAX + 1;
+    CHECK(setpoint_position(&from, JOINTS_MAX - 1, &position_rad));
+    CHECK(!setpoint_position(&from, JOINTS_MAX, &position_rad));
+    from.positioned = 1;
+    CHECK(!setpoint_position(&from, 1, &position_rad) && setpoint_position(&from, 0, &position_rad));
+    from.enabled = 0;
+    CHECK(!setpoint_position(&from, 0, &position_rad));
+}
+
 int main(void)
 {
+    a_stop_keeps_the_place_in_its_frame();
+    each_target_of_a_frame_is_kept_and_no_other();
+    a_frame_is_sent_only_when_each_of_its_targets_is_known();
+    only_one_that_is_ready_and_not_enabled_keeps_its_place();
+    a_place_of_minus_zero_goes_out_as_zero();
+    a_joint_that_the_set_points_do_not_have_gets_no_place();
     a_drive_without_power_gets_the_place_where_it_is();
     an_armed_drive_gets_its_places_and_nothing_where_there_is_none();
     what_is_held_back_for_too_long_is_a_drive_left_alone();

@@ -219,7 +219,9 @@ static void drives_that_another_program_left_running_stop_before_they_lose_their
     go_on(500 * MS);
     for (uint32_t i = 0; i < 2; i++) {
         CHECK(state_of(i)->state.mode == DRIVE_READY && state_of(i)->state.stopping && state_of(i)->may_turn);
+        CHECK(state_of(i)->state.fault_reasons == 0);
     }
+    CHECK(!state_of(2)->may_turn && !state_of(2)->state.stopping); /* the table has none */
     for (uint32_t i = 0; i < w.sent_count; i++) {
         CHECK(w.sent[i].data[0] == QUICK_STOP && w.sent[i].data[2] == 0 && w.sent[i].data[3] == 0); /* and zero speed */
     }

@@ -254,6 +254,29 @@ static void a_group_has_room_for_its_set_points_and_fits_on_the_wire(void)
     }
 }
 
+/* In a group, one exchange asks all of them: the last one waits for those before it. */
+static void a_servo_whose_reply_is_awaited_is_not_left_alone(void)
+{
+    static const uint32_t WORK[] = {WORK_NONE, WORK_GROUP};
+    for (uint32_t i = 0; i < 3 * 8 * 2; i++) {
+        uint32_t number = i % 3, waiting = i / 3 % 8, work = WORK[i / 24];
+        servos_begin(3, ECHO_NONE);
+        servos_arm();
+        servos_go_on(1.0, 50 * SERVO_MS);
+        line_machine *machine = &s.machine;
+        machine->work = work;
+        machine->worker = LINE_DRIVES_MAX;
+        machine->group.waiting = waiting;
+        machine->table.drive[number].watchdog_ns = 100 * SERVO_MS;
+        machine->drive[number].answered_ns = s.now_ns - 100 * SERVO_MS - 1;
+        machine->newest.stamp_ns = s.now_ns;
+        line_guard(machine, number, s.now_ns);
+        bool awaited = work == WORK_GROUP && (waiting >> number & 1) != 0;
+        CHECK((m->drive[number].state.mode == DRIVE_ARMED) == awaited);
+        CHECK(m->drive[number].state.fault_reasons == (awaited ? 0 : DRIVE_FAULT_LEFT_ALONE));
+    }
+}
+
 int main(void)
 {
     a_group_has_room_for_its_set_points_and_fits_on_the_wire();
@@ -268,5 +291,6 @@ int main(void)
     old_set_points_stop_all_and_zero_goes_on_until_they_rest();
     at_the_end_all_come_to_rest_and_lose_their_torque();
     a_group_that_cannot_be_is_refused();
+    a_servo_whose_reply_is_awaited_is_not_left_alone();
     return checks_report("line group");
 }

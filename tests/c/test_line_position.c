@@ -362,8 +362,23 @@ static void tables_by_which_a_position_could_go_astray_are_refused(void)
     CHECK(line_table_check(&w.table, (char[FIELD_NAME_BYTES]){0}) == NULL);
 }
 
+static void a_request_is_sent_only_when_each_of_its_places_is_known(void)
+{
+    begin();
+    line_exchange *turn = &m->table.drive[0].cyclic[0];
+    m->drive[0].state.mode = DRIVE_ARMED;
+    want(0.5, 1);
+    CHECK(line_sends(m, 0, 0));
+    turn->setpoint[1] = turn->setpoint[0];
+    turn->setpoint[1].joint = 1; /* the core has no place for it */
+    CHECK(line_sends(m, 0, 0));
+    turn->setpoint_count = 2;
+    CHECK(!line_sends(m, 0, 0));
+}
+
 int main(void)
 {
+    a_request_is_sent_only_when_each_of_its_places_is_known();
     a_position_is_scaled_from_its_zero_and_held_within_its_range();
     what_is_not_armed_is_sent_no_position();
     a_position_that_is_not_known_is_not_sent_and_the_drive_goes_on_being_read();

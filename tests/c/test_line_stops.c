@@ -186,6 +186,8 @@ static void drives_that_another_program_left_running_stop_before_they_lose_their
 {
     begin_with(2, 0);
     line_take_over(&w.machine, w.now_ns);
+    CHECK(w.machine.drive[0].state.fault_reasons == 0 && w.machine.drive[1].state.fault_reasons == 0);
+    CHECK(!w.machine.drive[2].may_turn && !w.machine.drive[2].state.stopping); /* the table has none */
     w.turning = 1;
     int64_t began_ns = w.now_ns;
     while (w.now_ns < began_ns + 500 * MS) {
