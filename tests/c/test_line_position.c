@@ -376,8 +376,40 @@ static void a_request_is_sent_only_when_each_of_its_places_is_known(void)
     CHECK(!line_sends(m, 0, 0));
 }
 
+static bool is_good(void)
+{
+    char name[FIELD_NAME_BYTES];
+    return line_table_check(&w.table, name) == NULL;
+}
+
+static void a_position_is_looked_for_in_every_place_of_every_exchange(void)
+{
+    begin();
+    line_drive *drive = &w.table.drive[0];
+    const line_exchange writes = drive->cyclic[0], reads_back = drive->cyclic[1];
+    drive->cyclic[0] = reads_back, drive->cyclic[1] = writes;
+    drive->probe = 1, drive->extra_count = 0;
+    CHECK(drive->cyclic_count == 2 && is_good());
+    drive->cyclic[2] = writes; /* which the table does not have */
+    drive->cyclic[2].field_count = 1;
+    CHECK(is_good());
+    drive->cyclic[1].field_count = 1, drive->cyclic[1].field[0] = reads_back.field[0];
+    CHECK(refused("drive[0].field_count"));
+    drive->cyclic[1].setpoint[1] = drive->cyclic[1].setpoint[0];
+    drive->cyclic[1].setpoint[0].kind = SETPOINT_VELOCITY, drive->cyclic[1].setpoint[0].raw_offset = 0.0;
+    drive->cyclic[1].setpoint[0].raw_min = -100.0;
+    CHECK(is_good());
+    drive->cyclic[1].setpoint_count = 2;
+    CHECK(refused("drive[0].field_count"));
+    begin();
+    drive->probe = 0, drive->extra_count = 1;
+    drive->extra[0] = reads_back;
+    CHECK(is_good());
+}
+
 int main(void)
 {
+    a_position_is_looked_for_in_every_place_of_every_exchange();
     a_request_is_sent_only_when_each_of_its_places_is_known();
     a_position_is_scaled_from_its_zero_and_held_within_its_range();
     what_is_not_armed_is_sent_no_position();

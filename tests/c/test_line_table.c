@@ -174,6 +174,9 @@ static void a_reply_that_names_no_request_is_known_by_its_check_sum_or_whole(voi
     CHECK(refused(match));
     read_frame->echo_bytes = 0, read_frame->request_bytes = 3, read_frame->reply_seal = SEAL_CRC8;
     CHECK(refused(match));
+    t = good;
+    write_frame->request_seal = write_frame->reply_seal = SEAL_XMODEM; /* only a servo's reply has the seal of its request */
+    CHECK(refused("drive[0].reply_seal"));
 }
 
 static void a_set_point_lies_in_its_request(void)
@@ -187,6 +190,14 @@ static void a_set_point_lies_in_its_request(void)
     GOOD(setpoint->byte, 0);
     BAD(setpoint->byte, 5, "drive[0].setpoint.byte"); /* its last byte would be in the check sum */
     BAD(setpoint->byte, UINT32_MAX, "drive[0].setpoint.byte");
+    t = good;
+    setpoint->form = FORM_I32_LE, setpoint->byte = 2;
+    CHECK(is_good());
+    t = good;
+    setpoint->form = FORM_M16_LE, setpoint->raw_min = -32767.0;
+    CHECK(is_good());
+    setpoint->raw_min = -32767.5; /* -32768 has no magnitude of 15 bits */
+    CHECK(refused("drive[0].setpoint.raw_min"));
     t = good;
     setpoint->form = FORM_I32_LOW_FIRST, setpoint->byte = 2;
     CHECK(is_good());
@@ -364,6 +375,15 @@ static void a_servo_s_packet_has_room_for_its_head(void)
         CHECK(line_frame_is_good(&packet));
         packet.reply_bytes = KINDS[i].reply_min - 1;
         CHECK(!line_frame_is_good(&packet));
+        packet.reply_bytes = KINDS[i].reply_min;
+        packet.match_bytes = 4; /* of a stuffed one no less than its head and its servo is known */
+        CHECK(line_frame_is_good(&packet) == (KINDS[i].seal == SEAL_SUM));
+        packet.match_bytes = 5, packet.echo_bytes = 1;
+        CHECK(!line_frame_is_good(&packet));
+        packet.echo_bytes = 0, packet.exact = 1;
+        CHECK(!line_frame_is_good(&packet));
+        packet = (line_frame){.request_seal = KINDS[i].seal, .request_bytes = 20, .reply_seal = KINDS[i].seal};
+        CHECK(line_frame_is_good(&packet)); /* it is not answered */
     }
 }
 
