@@ -391,6 +391,7 @@ static void a_hoverboard_follows_when_armed_and_its_speeds_are_read(void)
     const joint_feedback *left = &w.machine.joint[0].feedback, *right = &w.machine.joint[1].feedback;
     CHECK(fabs(left->velocity_rad_s - 1.047) < 1e-9 && fabs(right->velocity_rad_s - 1.047) < 1e-9);
     CHECK(fabs(left->voltage_v - 36.5) < 1e-9 && left->stamp_ns > w.now_ns - 20 * MS);
+    CHECK(w.machine.received == 15 && w.machine.feedback_bytes == HOVERBOARD_VALUE_BYTES);
     arm_hoverboard(1);
     CHECK(sends(0, 10));
 }
