@@ -214,7 +214,7 @@ static inline void arm(void)
 }
 
 /* What Python would hear of by now; it has heard it then. */
-static inline bool received_news(void)
+static inline bool received_changes(void)
 {
     bool notify = w.machine.notify;
     w.machine.notify = false;

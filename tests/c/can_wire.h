@@ -19,7 +19,7 @@ typedef struct {
     can_machine machine;
     int64_t now_ns, wake_ns;
     double velocity_rad_s; /* what the core wants of all joints */
-    double said_rad_s;     /* what the drives say */
+    double reported_rad_s; /* what the drives say */
     uint32_t enabled;      /* the core's; 2: no set-points come any more */
     bool powered, silent, full;
     uint32_t not_taken; /* an identifier that the bus does not take; 0: none */
@@ -112,13 +112,13 @@ static inline uint32_t say(uint32_t id, const void *data, uint32_t bytes)
     return can_machine_receive(&w.machine, &packet, w.now_ns, w.now_ns);
 }
 
-static inline void say_motion(uint32_t drive, float position, float velocity)
+static inline void report_motion(uint32_t drive, float position, float velocity)
 {
     float both[2] = {position, velocity};
     (void)say(MOTION + drive, both, sizeof both);
 }
 
-static inline void say_state(uint32_t drive, uint8_t state)
+static inline void report_state(uint32_t drive, uint8_t state)
 {
     (void)say(STATE + drive, &state, 1);
 }
@@ -142,8 +142,8 @@ static inline void go_on(int64_t for_ns)
     int64_t end_ns = w.now_ns + for_ns, speak_ns = w.now_ns;
     while (w.now_ns < end_ns) {
         for (uint32_t i = 0; !w.silent && w.now_ns >= speak_ns && i < w.table.drive_count; i++) {
-            say_state(i, w.powered ? 8 : 1);
-            say_motion(i, 1.0F, (float)w.said_rad_s);
+            report_state(i, w.powered ? 8 : 1);
+            report_motion(i, 1.0F, (float)w.reported_rad_s);
         }
         speak_ns = w.now_ns >= speak_ns ? w.now_ns + 10 * MS : speak_ns;
         step();

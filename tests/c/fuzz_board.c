@@ -45,7 +45,7 @@ static bool judge(void *sink, const uint8_t *bytes, uint32_t count)
 }
 
 /* A frame that is whole, with a payload that may say anything. */
-static void say_something(void)
+static void report_something(void)
 {
     uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0};
     uint32_t size = next_byte() % 4 == 0 ? next_byte() % BOARD_PAYLOAD_MAX : 36;
@@ -61,7 +61,7 @@ static void say_something(void)
 }
 
 /* A frame of a hoverboard, as often as not with a good sum, or a part of one. */
-static void say_packet(void)
+static void report_packet(void)
 {
     uint8_t frame[HOVERBOARD_FEEDBACK_BYTES] = {0xCD, 0xAB};
     for (uint32_t i = 2; i < 16; i++) {
@@ -76,7 +76,7 @@ static void say_packet(void)
     CHECK(w.machine.packet.count < HOVERBOARD_FEEDBACK_BYTES);
 }
 
-static void say_bytes(void)
+static void report_bytes(void)
 {
     static const char *const words[] = {
         "v ", "1",  ".", "e", "-",      "\n", ";",       "999999999999999999999", "v 1.5\n", "+", "{\"T\":1,\"v\":2}\n", "{", "}",
@@ -134,11 +134,11 @@ static void look(void)
 static void say(uint8_t choice)
 {
     if (w.table.dialect == BOARD_FRAMES && choice % 4 != 0) {
-        say_something();
+        report_something();
     } else if (w.table.dialect == BOARD_HOVERBOARD && choice % 4 != 0) {
-        say_packet();
+        report_packet();
     } else {
-        say_bytes();
+        report_bytes();
     }
     mode_before = w.machine.state.mode;
 }

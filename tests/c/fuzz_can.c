@@ -148,7 +148,7 @@ static void hear(const can_packet *packet, int64_t stamp_ns)
     CHECK(who == CAN_FOR_NOBODY || who == CAN_DRIVES_MAX || listening);
 }
 
-static void hear_motion(uint32_t drive, uint8_t choice)
+static void receive_motion(uint32_t drive, uint8_t choice)
 {
     const float said[] = {SAID_RAD_S + (float)drive, 0.0F, NAN, INFINITY, GREAT_RAD_S, -INFINITY, 0.0F, 0.0F};
     float both[2] = {said[choice >> 3 & 7], said[choice & 7]};
@@ -157,7 +157,7 @@ static void hear_motion(uint32_t drive, uint8_t choice)
     hear(&packet, w.now_ns - (choice >> 6) * MS);
 }
 
-static void hear_state(uint32_t drive, uint8_t choice)
+static void receive_state(uint32_t drive, uint8_t choice)
 {
     can_packet packet = packet_of(STATE + drive, 1);
     packet.data[0] = choice % 4 == 0 ? 8 : 1;
@@ -165,7 +165,7 @@ static void hear_state(uint32_t drive, uint8_t choice)
 }
 
 /* What no drive of the table says, or not so. */
-static void hear_noise(uint8_t choice)
+static void receive_noise(uint8_t choice)
 {
     static const uint32_t ids[] = {
         STRANGER, CAN_ID_ERROR | 0x40, CAN_ID_REMOTE | MOTION, CAN_ID_EXTENDED | MOTION, MOTION, STATE + 1, ANSWER, ANSWER + 2};
@@ -180,14 +180,14 @@ static void drives_side(uint8_t choice)
 {
     for (uint32_t i = 0; i < DRIVES; i++) {
         if ((choice >> i & 1) != 0) {
-            hear_motion(i, (choice & 0x80) != 0 ? next_byte() : 0);
+            receive_motion(i, (choice & 0x80) != 0 ? next_byte() : 0);
         }
         if ((choice >> (3 + i) & 1) != 0) {
-            hear_state(i, next_byte());
+            receive_state(i, next_byte());
         }
     }
     if ((choice & 0x40) != 0) {
-        hear_noise(next_byte());
+        receive_noise(next_byte());
     }
 }
 
@@ -230,8 +230,8 @@ static void look(void)
 static void request_all(uint32_t mode)
 {
     for (uint32_t i = 0; i < DRIVES; i++) {
-        hear_motion(i, 0);
-        hear_state(i, w.machine.drive[i].state.mode == DRIVE_ARMED ? 0 : 1);
+        receive_motion(i, 0);
+        receive_state(i, w.machine.drive[i].state.mode == DRIVE_ARMED ? 0 : 1);
         w.machine.control.drive[i].count++;
         w.machine.control.drive[i].mode = mode;
     }

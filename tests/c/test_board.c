@@ -82,9 +82,9 @@ static void each_write_of_a_job_goes_out_with_a_frame_of_its_own(void)
     w.full = false;
     go_on(11 * MS);
     CHECK(!w.machine.has_order && last_sent(CONTROL, 1, 0) == CONTROL_CLEAR);
-    CHECK(received_news() && board_machine_order(&w.machine, &one));
+    CHECK(received_changes() && board_machine_order(&w.machine, &one));
     go_on(11 * MS);
-    CHECK(last_sent(CONTROL, 1, 0) == 0 && received_news());
+    CHECK(last_sent(CONTROL, 1, 0) == 0 && received_changes());
 }
 
 static void a_guarded_write_is_dropped_when_the_board_was_stopped_meanwhile(void)
@@ -190,7 +190,7 @@ static void a_wheel_that_does_not_come_to_rest_loses_its_power_after_a_second(vo
     CHECK(w.peer.braking == 0 && w.peer.enabled == 0);
 }
 
-static void rest_is_only_what_was_said_after_the_stop_was_received(void)
+static void rest_is_only_what_was_reported_after_the_stop_was_received(void)
 {
     begin();
     arm();
@@ -244,9 +244,9 @@ static void one_that_is_requested_off_is_off_at_once(void)
 {
     begin();
     arm_and_turn();
-    (void)received_news();
+    (void)received_changes();
     request(DRIVE_OFF);
-    CHECK(w.machine.state.mode == DRIVE_OFF && w.peer.enabled == 0 && received_news());
+    CHECK(w.machine.state.mode == DRIVE_OFF && w.peer.enabled == 0 && received_changes());
 }
 
 static void armed_again_it_waits_again_for_the_core(void)
@@ -264,9 +264,9 @@ static void armed_again_it_waits_again_for_the_core(void)
     w.enabled = 1;
     go_on(30 * MS);
     w.enabled = 0;
-    (void)received_news();
+    (void)received_changes();
     go_on(30 * MS);
-    CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0 && received_news());
+    CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0 && received_changes());
 }
 
 static void standing_down_takes_the_power_with_the_next_frame(void)
@@ -315,7 +315,7 @@ static void a_stop_that_the_port_did_not_take_is_sent_as_soon_as_it_does(void)
     CHECK(w.peer.enabled == 0 && w.machine.state.stop == STOP_NOTHING);
 }
 
-static void a_board_that_hears_nothing_stops_by_itself_and_is_set_up_again(void)
+static void a_board_that_receives_nothing_stops_by_itself_and_is_set_up_again(void)
 {
     begin();
     arm_and_turn();
@@ -341,7 +341,7 @@ static void a_restarted_board_has_lost_its_set_up(void)
     CHECK(w.machine.state.epoch == 2);
 }
 
-static void a_board_that_is_enabled_though_nobody_armed_it_is_sent_off(void)
+static void a_board_that_is_enabled_though_it_was_not_armed_is_sent_off(void)
 {
     begin();
     set_up();
@@ -368,7 +368,7 @@ static void a_mute_board_is_unresponsive_braked_and_comes_back_disarmed(void)
     w.mute = true;
     go_on(180 * MS);
     CHECK(w.machine.state.mode == DRIVE_UNRESPONSIVE && w.peer.braking == 1 && w.peer.enabled == 0);
-    CHECK(w.machine.feedback_bytes == 0 && received_news());
+    CHECK(w.machine.feedback_bytes == 0 && received_changes());
     go_on(1200 * MS);
     CHECK(w.peer.braking == 1);
     uint32_t before = w.sent_count;
@@ -383,7 +383,7 @@ static void a_mute_board_is_unresponsive_braked_and_comes_back_disarmed(void)
     w.mute = false;
     go_on(30 * MS);
     CHECK(w.machine.state.mode == DRIVE_BACK && last_sent(CONTROL, 1, 0) == CONTROL_OFF && w.machine.unresponsive == 1 &&
-          received_news());
+          received_changes());
     set_up();
 }
 
@@ -439,7 +439,7 @@ int main(void)
     old_set_points_brake_and_take_the_power_at_rest();
     a_wheel_rests_below_the_speed_of_the_table();
     a_wheel_that_does_not_come_to_rest_loses_its_power_after_a_second();
-    rest_is_only_what_was_said_after_the_stop_was_received();
+    rest_is_only_what_was_reported_after_the_stop_was_received();
     a_core_that_takes_enabled_back_takes_the_power_at_once();
     a_stop_may_be_many_writes();
     one_that_is_requested_off_is_off_at_once();
@@ -447,9 +447,9 @@ int main(void)
     standing_down_takes_the_power_with_the_next_frame();
     a_port_that_takes_nothing_is_a_board_left_alone();
     a_stop_that_the_port_did_not_take_is_sent_as_soon_as_it_does();
-    a_board_that_hears_nothing_stops_by_itself_and_is_set_up_again();
+    a_board_that_receives_nothing_stops_by_itself_and_is_set_up_again();
     a_restarted_board_has_lost_its_set_up();
-    a_board_that_is_enabled_though_nobody_armed_it_is_sent_off();
+    a_board_that_is_enabled_though_it_was_not_armed_is_sent_off();
     a_mute_board_is_unresponsive_braked_and_comes_back_disarmed();
     arming_needs_fresh_set_points_and_no_stop_under_way();
     frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two();

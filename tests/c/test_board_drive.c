@@ -94,7 +94,7 @@ static void its_word_counts_when_it_had_received_what_stays_in_its_payload(void)
     }
 }
 
-static void power_that_nobody_asked_for_is_taken_from_the_moment_on_in_which_nobody_arms_it(void)
+static void power_that_was_not_requested_is_taken_as_soon_as_no_arming_goes_on(void)
 {
     for (int early = 0; early < 2; early++) {
         begin_ready();
@@ -153,7 +153,7 @@ int main(void)
     a_board_is_left_alone_after_its_watchdog_and_not_before();
     it_is_at_rest_by_a_word_of_after_its_stop();
     its_word_counts_when_it_had_received_what_stays_in_its_payload();
-    power_that_nobody_asked_for_is_taken_from_the_moment_on_in_which_nobody_arms_it();
+    power_that_was_not_requested_is_taken_as_soon_as_no_arming_goes_on();
     arming_begins_its_watchdog_anew();
     an_order_counts_when_it_has_gone_out();
     return checks_report("board drive");

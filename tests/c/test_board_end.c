@@ -27,13 +27,13 @@ static void the_end_waits_for_the_wheels_and_for_its_last_frame(void)
     step();
     go_on(340 * MS);
     CHECK(w.peer.braking == 1 && w.machine.end.stage == END_RESTING);
-    (void)received_news();
+    (void)received_changes();
     go_on(20 * MS);
     CHECK(w.peer.braking == 0 && w.machine.end.stage >= END_POWER_OFF);
     while (w.machine.end.stage != END_SILENT) {
         go_on(MS);
     }
-    CHECK(w.now_ns <= asked_ns + 480 * MS && w.now_ns >= w.machine.last_sent_ns + w.table.period_ns && received_news());
+    CHECK(w.now_ns <= asked_ns + 480 * MS && w.now_ns >= w.machine.last_sent_ns + w.table.period_ns && received_changes());
     board_report report;
     board_machine_report(&w.machine, &report);
     CHECK(report.shut_down == 1 && report.mode == DRIVE_READY && report.sent == w.machine.sent);

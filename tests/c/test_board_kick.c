@@ -59,7 +59,7 @@ static void set_points_that_change_all_the_time_double_the_frames_at_most(void)
     CHECK(w.sent_count - before >= 140 && w.sent_count - before <= 2 * 100 + EARLY_AT_ONCE + 1);
 }
 
-static void a_stop_goes_out_at_once_however_much_was_said_before(void)
+static void a_stop_goes_out_at_once_however_much_was_received_before(void)
 {
     begin();
     arm_and_turn();
@@ -87,7 +87,7 @@ static void a_stop_goes_out_at_once_however_much_was_said_before(void)
     CHECK(w.sent_count == before + 1);
 }
 
-static void a_kick_tells_a_board_that_is_not_armed_nothing(void)
+static void a_kick_sends_a_board_that_is_not_armed_nothing(void)
 {
     begin();
     set_up();
@@ -100,7 +100,7 @@ int main(void)
 {
     a_new_set_point_goes_out_at_once_but_not_before_the_gap();
     set_points_that_change_all_the_time_double_the_frames_at_most();
-    a_stop_goes_out_at_once_however_much_was_said_before();
-    a_kick_tells_a_board_that_is_not_armed_nothing();
+    a_stop_goes_out_at_once_however_much_was_received_before();
+    a_kick_sends_a_board_that_is_not_armed_nothing();
     return checks_report("board_kick");
 }

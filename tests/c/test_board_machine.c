@@ -9,7 +9,7 @@ enum { SAID_BYTES = 36, HELD_UNIT_US = 100 };
 static histogram trips;
 
 /* Feedback of the board, made at `time_us`: which frame it received last, and how many 0.1 ms ago. */
-static void hear_that(uint16_t sequence, uint16_t ago, uint32_t time_us)
+static void receive_that(uint16_t sequence, uint16_t ago, uint32_t time_us)
 {
     uint8_t payload[SAID_BYTES] = {0}, frame[BOARD_WIRE_MAX];
     payload[10] = 1; /* what follows is a fault word */
@@ -23,7 +23,7 @@ static void hear_that(uint16_t sequence, uint16_t ago, uint32_t time_us)
 
 static int64_t knows_after(uint16_t sequence, uint16_t ago)
 {
-    hear_that(sequence, ago, (uint32_t)(w.now_ns / 1000));
+    receive_that(sequence, ago, (uint32_t)(w.now_ns / 1000));
     return w.machine.knows_ns;
 }
 
@@ -130,11 +130,11 @@ static void a_word_is_of_the_board_s_time(void)
     static const uint32_t TIMES_US[] = {0, 0x00FFFF00, 0x01020304, 0xFFFFFF00};
     for (uint32_t i = 0; i < 4; i++) {
         begin_again();
-        hear_that(0, 0, TIMES_US[i]);
+        receive_that(0, 0, TIMES_US[i]);
         int64_t first_ns = w.machine.stamp_ns;
         CHECK(first_ns == w.now_ns);
         w.now_ns += 25 * MS;
-        hear_that(0, 0, TIMES_US[i] + 20000);
+        receive_that(0, 0, TIMES_US[i] + 20000);
         CHECK(w.machine.stamp_ns == first_ns + 20 * MS);
     }
 }

@@ -91,7 +91,7 @@ static void the_longest_frame_is_read_and_one_with_a_byte_more_is_not(void)
     CHECK(received_of(BOARD_PAYLOAD_MAX, "") == 1);
 }
 
-static void what_was_said_before_a_write_was_received_is_not_believed(void)
+static void what_was_reported_before_a_write_was_received_is_not_believed(void)
 {
     begin();
     arm();
@@ -189,7 +189,7 @@ static void half_a_line_is_not_read_and_one_without_end_is_thrown_away(void)
     CHECK(w.machine.state.mode == DRIVE_UNRESPONSIVE);
 }
 
-static void hear_padded(uint32_t line_bytes)
+static void receive_padded(uint32_t line_bytes)
 {
     char line[BOARD_LINE_MAX + 8];
     memset(line, '0', sizeof line);
@@ -202,11 +202,11 @@ static void the_longest_line_is_read_and_one_with_a_byte_more_is_not(void)
 {
     begin_with(text_table(true));
     hear("\n");
-    hear_padded(BOARD_LINE_MAX);
+    receive_padded(BOARD_LINE_MAX);
     CHECK(w.machine.received == 1 && w.machine.joint[0].feedback.velocity_rad_s == 7.0);
-    hear_padded(BOARD_LINE_MAX + 1);
+    receive_padded(BOARD_LINE_MAX + 1);
     CHECK(w.machine.received == 1 && w.machine.bad_frames == 0);
-    hear_padded(BOARD_LINE_MAX);
+    receive_padded(BOARD_LINE_MAX);
     CHECK(w.machine.received == 2);
 }
 
@@ -250,7 +250,7 @@ static board_imu mounted(void)
 
 static int64_t sensor_flags = 1;
 
-static bool say_with_sensor(uint32_t size)
+static bool report_with_sensor(uint32_t size)
 {
     uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {16, MOTORS};
     const int64_t raw[] = {1000000, -2000000, INT32_MIN, 9807, -1000, INT16_MIN, sensor_flags};
@@ -271,19 +271,19 @@ static void a_sensor_speaks_in_the_base_s_axes(void)
     board_table table = frames_table();
     table.imu = mounted();
     begin_with(table);
-    CHECK(say_with_sensor(56) && w.machine.imu_is_new);
+    CHECK(report_with_sensor(56) && w.machine.imu_is_new);
     const imu_sample *imu = &w.machine.imu;
     CHECK(isnan(imu->angular_rad_s[0]) && is_near(imu->angular_rad_s[1], 1.0) && is_near(imu->angular_rad_s[2], 2.0));
     CHECK(isnan(imu->acceleration_m_s2[0]) && is_near(imu->acceleration_m_s2[1], 9.807));
     CHECK(is_near(imu->acceleration_m_s2[2], 1.0) && imu->saturated == 1 && imu->epoch == 3);
     CHECK(imu->stamp_ns == w.machine.stamp_ns);
     sensor_flags = 0;
-    CHECK(say_with_sensor(56) && imu->saturated == 0);
+    CHECK(report_with_sensor(56) && imu->saturated == 0);
     sensor_flags = 1;
-    CHECK(!say_with_sensor(55) && w.machine.bad_frames == 1); /* it says that it has one, and ends before */
+    CHECK(!report_with_sensor(55) && w.machine.bad_frames == 1); /* it says that it has one, and ends before */
     table.imu.used = 0;
     begin_with(table);
-    CHECK(say_with_sensor(56) && !w.machine.imu_is_new);
+    CHECK(report_with_sensor(56) && !w.machine.imu_is_new);
     table.imu.axis[1] = 3;
     char name[FIELD_NAME_BYTES];
     CHECK(board_table_check(&table, name) != NULL);
@@ -310,7 +310,7 @@ int main(void)
     the_stream_may_come_in_any_pieces();
     noise_is_counted_and_changes_nothing();
     the_longest_frame_is_read_and_one_with_a_byte_more_is_not();
-    what_was_said_before_a_write_was_received_is_not_believed();
+    what_was_reported_before_a_write_was_received_is_not_believed();
     text_without_feedback_lives_on_its_port();
     half_a_line_is_not_read_and_one_without_end_is_thrown_away();
     the_longest_line_is_read_and_one_with_a_byte_more_is_not();

@@ -190,7 +190,7 @@ static void while_python_stands_still_nothing_is_handed_on(void)
     (void)close(pair[1]);
 }
 
-static void a_full_socket_is_said(void)
+static void a_full_socket_is_reported(void)
 {
     outlet o;
     int pair[2], error = 0, sent = 0;
@@ -217,6 +217,6 @@ int main(void)
     a_lease_numbers_all_that_goes_out_under_it();
     who_has_not_seen_the_newest_command_does_not_override_it();
     while_python_stands_still_nothing_is_handed_on();
-    a_full_socket_is_said();
+    a_full_socket_is_reported();
     return checks_report("bus_twist");
 }

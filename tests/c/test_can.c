@@ -61,19 +61,19 @@ static void feedback_is_counts_and_si_with_the_kernel_s_stamp(void)
 {
     begin_with(1);
     arm(0);
-    say_motion(0, 1.0F, 0.0F);
+    report_motion(0, 1.0F, 0.0F);
     w.now_ns += MS;
-    say_motion(0, -0.25F, 3.0F); /* so soon after the other it tells nothing new */
+    report_motion(0, -0.25F, 3.0F); /* so soon after the other it tells nothing new */
     CHECK(w.machine.joint[0].feedback.count == 1000);
     w.now_ns += 6 * MS;
-    say_motion(0, -0.25F, 3.0F);
+    report_motion(0, -0.25F, 3.0F);
     const joint_feedback *feedback = &w.machine.joint[0].feedback;
     CHECK(feedback->count == (1ULL << 32) - 250 && feedback->velocity_rad_s == 3.0);
     CHECK(feedback->stamp_ns == w.now_ns && feedback->epoch == 1 && isnan(feedback->current_a));
     CHECK((w.machine.feedback_mask & 1) == 1);
     w.machine.feedback_mask = 0;
     w.now_ns += 10 * MS;
-    say_motion(0, NAN, 1.0F);
+    report_motion(0, NAN, 1.0F);
     CHECK(w.machine.feedback_mask == 0);
 }
 
@@ -98,8 +98,8 @@ static void frames_that_come_make_none_go_out(void)
     go_on(50 * MS);
     forget_sent();
     for (uint32_t i = 0; i < 1000; i++) {
-        say_state(0, 8);
-        say_motion(0, 1.0F, 1.0F);
+        report_state(0, 8);
+        report_motion(0, 1.0F, 1.0F);
         w.now_ns += MS / 100;
         step();
     }
@@ -193,7 +193,7 @@ static void old_set_points_are_a_quick_stop_and_then_power_off_at_rest(void)
 {
     begin_with(1);
     arm(0);
-    w.said_rad_s = 1.0;
+    w.reported_rad_s = 1.0;
     go_on(50 * MS);
     forget_sent();
     int64_t last_ns = w.now_ns;
@@ -202,7 +202,7 @@ static void old_set_points_are_a_quick_stop_and_then_power_off_at_rest(void)
     int64_t stopped_ns = last_sent_ns(0, QUICK_STOP);
     CHECK(stopped_ns > last_ns && stopped_ns <= last_ns + 110 * MS && last_sent_ns(0, DISABLE) == 0);
     CHECK(speed_in(newest_of(0)) == 0 && w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
-    w.said_rad_s = 0.0;
+    w.reported_rad_s = 0.0;
     go_on(30 * MS);
     CHECK(last_sent_ns(0, DISABLE) > stopped_ns);
     w.enabled = 1;
@@ -215,7 +215,7 @@ static void a_wheel_that_turns_on_loses_its_power_after_a_second(void)
 {
     begin_with(1);
     arm(0);
-    w.said_rad_s = 1.0;
+    w.reported_rad_s = 1.0;
     go_on(50 * MS);
     int64_t last_ns = w.now_ns;
     w.enabled = 2;
@@ -269,8 +269,8 @@ static void a_pause_longer_than_the_watchdog_stops_the_drive(void)
     arm(0);
     go_on(50 * MS);
     w.now_ns += 600 * MS; /* nothing was told: it has stopped by itself, if it can */
-    say_state(0, 8);
-    say_motion(0, 1.0F, 1.0F);
+    report_state(0, 8);
+    report_motion(0, 1.0F, 1.0F);
     step();
     CHECK(w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_LEFT_ALONE && w.machine.drive[0].state.mode == DRIVE_READY);
 }
@@ -296,7 +296,7 @@ static void a_drive_that_stays_enabled_is_sent_off_once_a_cycle(void)
     CHECK((w.machine.drive[0].state.fault_reasons & DRIVE_FAULT_STILL_ENABLED) != 0);
     forget_sent();
     for (uint32_t i = 0; i < 1000; i++) {
-        say_state(0, 8);
+        report_state(0, 8);
         w.now_ns += MS / 100;
         step();
     }
@@ -319,7 +319,7 @@ static void shutting_down_stops_and_then_takes_the_power_within_half_a_second(vo
 {
     begin_with(2);
     arm(0);
-    w.said_rad_s = 1.0;
+    w.reported_rad_s = 1.0;
     go_on(50 * MS);
     forget_sent();
     int64_t asked_ns = w.now_ns;
@@ -368,7 +368,7 @@ static void one_frame_that_is_missing_makes_a_drive_unresponsive(void)
     arm(0);
     w.silent = true;
     for (uint32_t i = 0; i < 60; i++) {
-        say_motion(0, 1.0F, 1.0F);
+        report_motion(0, 1.0F, 1.0F);
         go_on(10 * MS);
     }
     CHECK(w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE && w.machine.drive[0].missing == 1);
@@ -398,7 +398,7 @@ static void only_who_is_listened_to_is_handed_on(void)
     CHECK(w.machine.bad_frames == 2);
 }
 
-static void bytes_that_may_be_anything_do_not_tell_frames_apart(void)
+static void bytes_that_may_be_anything_do_not_distinguish_frames(void)
 {
     begin_with(1);
     can_match *match = &w.table.drive[0].match[2];
@@ -458,7 +458,7 @@ int main(void)
     what_is_held_goes_out_with_the_set_points();
     an_order_of_a_job_that_was_stopped_is_not_sent();
     one_sync_ends_each_cycle_after_the_set_points_of_all();
-    bytes_that_may_be_anything_do_not_tell_frames_apart();
+    bytes_that_may_be_anything_do_not_distinguish_frames();
     a_full_bus_loses_set_points_and_the_next_are_newer();
     an_order_waits_while_the_bus_is_full_and_not_for_ever();
     old_set_points_are_a_quick_stop_and_then_power_off_at_rest();

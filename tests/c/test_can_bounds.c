@@ -52,13 +52,13 @@ static void a_wheel_that_turns_on_has_exactly_a_second_to_come_to_rest(void)
 {
     begin_with(1);
     arm_by_hand();
-    say_motion(0, 1.0F, 1.0F);
+    report_motion(0, 1.0F, 1.0F);
     int64_t stopped_ns = w.now_ns;
     step_with_stamp(0);
     CHECK(state_of(0)->state.stopping);
     for (w.now_ns += 100 * MS; w.now_ns < stopped_ns + 1000 * MS; w.now_ns += 100 * MS) {
-        say_state(0, 8);
-        say_motion(0, 1.0F, 1.0F);
+        report_state(0, 8);
+        report_motion(0, 1.0F, 1.0F);
         step();
     }
     w.now_ns = stopped_ns + 1000 * MS - 1;
@@ -69,7 +69,7 @@ static void a_wheel_that_turns_on_has_exactly_a_second_to_come_to_rest(void)
     CHECK(!state_of(0)->state.stopping && last_sent_ns(0, DISABLE) == stopped_ns + 1000 * MS);
 }
 
-static void a_quick_stop_that_is_sent_tells_zero_in_the_same_moment(void)
+static void a_quick_stop_that_is_sent_sends_zero_in_the_same_moment(void)
 {
     begin_with(1);
     w.table.period_ns = 1000 * MS;
@@ -82,7 +82,7 @@ static void a_quick_stop_that_is_sent_tells_zero_in_the_same_moment(void)
     step();
     CHECK(state_of(0)->state.sent_motion);
     w.enabled = 2;
-    say_motion(0, 1.0F, 1.0F);
+    report_motion(0, 1.0F, 1.0F);
     forget_sent();
     step_with_stamp(0);
     CHECK(count_sent(CONTROL) == 1 && count_sent(SPEED) == 1 && speed_in(newest_of(0)) == 0);
@@ -108,10 +108,10 @@ static void what_it_says_of_its_power_counts_from_the_end_of_its_arming_on(void)
     go_on(20 * MS);
     request(0, DRIVE_READY);
     w.machine.control.drive[0].arming_until_ns = w.now_ns + 1;
-    say_state(0, 8);
+    report_state(0, 8);
     CHECK(state_of(0)->state.still_enabled == 0);
     w.now_ns++;
-    say_state(0, 8);
+    report_state(0, 8);
     CHECK(state_of(0)->state.still_enabled == 1);
     begin_with(1);
     table_of(0)->reports_enabled = 0;
@@ -138,8 +138,8 @@ static void silence_may_last_as_long_as_it_may_and_no_longer(void)
     arm_by_hand();
     w.machine.newest.stamp_ns = w.now_ns + 200 * MS; /* only the silence is looked at */
     w.machine.table.setpoint_timeout_ns = 1000 * MS;
-    say_state(0, 8);
-    say_motion(0, 1.0F, 0.0F);
+    report_state(0, 8);
+    report_motion(0, 1.0F, 0.0F);
     int64_t received_ns = w.now_ns;
     w.now_ns = received_ns + 200 * MS;
     step();
@@ -158,8 +158,8 @@ static void a_drive_is_missing_before_its_first_word_and_when_any_time_is_over(v
     restart();
     step();
     CHECK(state_of(0)->missing == 1);
-    say_state(0, 1);
-    say_motion(0, 1.0F, 0.0F);
+    report_state(0, 1);
+    report_motion(0, 1.0F, 0.0F);
     w.now_ns++;
     step();
     CHECK(state_of(0)->missing == 0);
@@ -176,7 +176,7 @@ static void an_answer_to_a_hello_is_good_for_five_seconds(void)
     restart();
     step();
     CHECK(state_of(0)->missing == 1);
-    say_state(0, 1);
+    report_state(0, 1);
     w.now_ns += 5000 * MS - 1;
     step();
     CHECK(state_of(0)->missing == 0);
@@ -193,12 +193,12 @@ static void an_old_answer_to_a_hello_counts_no_more_when_the_drive_is_unresponsi
     arm(0);
     w.silent = true;
     while (state_of(0)->state.mode == DRIVE_ARMED) {
-        say_state(0, 8);
+        report_state(0, 8);
         go_on(10 * MS); /* its motion is heard no more */
     }
     go_on(10 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->missing == 1);
-    say_state(0, 8);
+    report_state(0, 8);
     go_on(20 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_BACK);
 }
@@ -207,7 +207,7 @@ static void a_drive_that_falls_silent_while_it_stops_begins_anew_with_quick_stop
 {
     begin_with(1);
     arm(0);
-    w.said_rad_s = 1.0;
+    w.reported_rad_s = 1.0;
     go_on(3000 * MS); /* all that it was told before is long ago */
     w.enabled = 2;
     go_on(110 * MS);
@@ -329,7 +329,7 @@ static void a_power_off_that_was_due_is_forgotten_with_a_new_set_up(void)
     begin_with(1);
     go_on(20 * MS);
     request(0, DRIVE_READY);
-    say_state(0, 8);
+    report_state(0, 8);
     CHECK(state_of(0)->state.off_due);
     request(0, DRIVE_OFF);
     request(0, DRIVE_READY);
@@ -371,8 +371,8 @@ static void what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns(void)
         request(0, DRIVE_READY);
         for (uint32_t i = 0; i < 10; i++) {
             w.now_ns = w.machine.cycle.due_ns;
-            say_state(0, 1);
-            say_motion(0, 1.0F, 0.0F);
+            report_state(0, 1);
+            report_motion(0, 1.0F, 0.0F);
             step();
         }
         uint32_t turn = 0;
@@ -400,9 +400,9 @@ static void a_count_of_two_to_the_power_of_62_is_no_position(void)
     table_of(0)->input[1].field[0].meaning.si_per_raw = 1.0;
     table_of(0)->input[1].field[0].meaning.counter_bits = 64;
     restart();
-    say_motion(0, 4611686018427387904.0F, 0.0F);
+    report_motion(0, 4611686018427387904.0F, 0.0F);
     CHECK(w.machine.joint[0].no_number && w.machine.joint[0].feedback.count == 0);
-    say_motion(0, 4611685743549480960.0F, 0.0F);
+    report_motion(0, 4611685743549480960.0F, 0.0F);
     CHECK(!w.machine.joint[0].no_number && w.machine.joint[0].feedback.count == UINT64_C(4611685743549480960));
 }
 
@@ -414,10 +414,10 @@ static void what_it_says_of_its_power_is_no_sample_of_a_joint(void)
     drive->input[1].field[0] = (can_field){.place = {.length = 8}, .meaning = {.kind = FIELD_TEMPERATURE, .si_per_raw = 1.0}};
     restart();
     request(0, DRIVE_READY);
-    say_motion(0, 1.0F, 0.0F);
+    report_motion(0, 1.0F, 0.0F);
     int64_t sampled_ns = w.now_ns;
     w.now_ns += 7 * MS;
-    say_state(0, 8);
+    report_state(0, 8);
     CHECK(w.machine.feedback_mask == 1 && w.machine.joint[0].feedback.stamp_ns == sampled_ns);
     CHECK(w.machine.joint[0].feedback.enabled == 1);
 }
@@ -426,7 +426,7 @@ static void all_joints_of_a_drive_are_forgotten_with_it(void)
 {
     begin_with(3);
     go_on(20 * MS);
-    say_motion(2, 1.0F, 3.0F);
+    report_motion(2, 1.0F, 3.0F);
     CHECK(w.machine.joint[2].feedback.velocity_rad_s == 3.0);
     request(2, DRIVE_READY);
     CHECK(isnan(w.machine.joint[2].feedback.velocity_rad_s) && w.machine.joint[2].feedback.count == 0);
@@ -449,8 +449,8 @@ static void motion_that_only_the_second_frame_wants_waits_for_its_cycle(void)
     forget_sent();
     for (uint32_t i = 0; i < 100; i++) {
         w.now_ns += MS / 10;
-        say_state(0, 8);
-        say_motion(0, 1.0F, 0.0F);
+        report_state(0, 8);
+        report_motion(0, 1.0F, 0.0F);
         step();
     }
     CHECK(count_sent(SPEED) <= 2 && count_sent(OFF_WORD) <= 2); /* 10 ms are one cycle, or two */
@@ -461,7 +461,7 @@ int main(void)
     set_points_are_good_until_their_timeout_and_ten_milliseconds_ahead();
     set_points_without_a_stamp_are_none_however_young_the_clock_is();
     a_wheel_that_turns_on_has_exactly_a_second_to_come_to_rest();
-    a_quick_stop_that_is_sent_tells_zero_in_the_same_moment();
+    a_quick_stop_that_is_sent_sends_zero_in_the_same_moment();
     reasons_add_up_until_it_is_set_up_again();
     what_it_says_of_its_power_counts_from_the_end_of_its_arming_on();
     silence_may_last_as_long_as_it_may_and_no_longer();

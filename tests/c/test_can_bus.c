@@ -7,7 +7,7 @@
 enum { SYNC = 0x80, OFF_WORD = 0x700 };
 
 /* ----------------------------------------------------------------------------------------- whose frame is it */
-static void a_frame_of_a_foreign_identifier_is_nobody_s_though_its_bytes_would_fit(void)
+static void a_frame_of_a_foreign_identifier_is_of_no_drive_though_its_bytes_would_fit(void)
 {
     begin_with(2);
     w.machine.control.listen = 3;
@@ -56,17 +56,17 @@ static void the_first_frames_count_however_young_the_clock_is(void)
     begin_with(1);
     w.now_ns = 1;
     restart();
-    say_motion(0, 1.0F, 0.0F);
+    report_motion(0, 1.0F, 0.0F);
     CHECK(state_of(0)->sample_ns[1] == 1);
     w.now_ns = 2;
-    say_motion(0, 2.0F, 0.0F); /* so soon it tells nothing new */
+    report_motion(0, 2.0F, 0.0F); /* so soon it tells nothing new */
     CHECK(state_of(0)->sample_ns[1] == 1 && w.machine.joint[0].feedback.count == 1000);
     w.now_ns = 1 + 5 * MS;
-    say_motion(0, 3.0F, 0.0F);
+    report_motion(0, 3.0F, 0.0F);
     CHECK(state_of(0)->sample_ns[1] == w.now_ns && w.machine.joint[0].feedback.count == 3000);
 }
 
-static void the_core_hears_of_a_drive_that_is_set_up_and_by_its_fast_frames_alone(void)
+static void the_core_gets_feedback_of_a_drive_that_is_set_up_and_by_its_fast_frames_alone(void)
 {
     begin_with(2);
     go_on(50 * MS);
@@ -101,15 +101,15 @@ static void only_a_frame_that_says_it_has_power_is_counted_against_a_drive(void)
     go_on(20 * MS);
     request(0, DRIVE_READY);
     w.silent = true;
-    say_motion(0, 1.0F, 0.0F);
-    say_state(0, 8);
+    report_motion(0, 1.0F, 0.0F);
+    report_state(0, 8);
     CHECK(state_of(0)->state.still_enabled == 1);
     for (uint32_t i = 0; i < 10; i++) {
         w.now_ns += 6 * MS;
-        say_motion(0, 1.0F, 0.0F);
+        report_motion(0, 1.0F, 0.0F);
     }
     CHECK(state_of(0)->state.still_enabled == 1 && state_of(0)->state.fault_reasons == 0);
-    say_state(0, 8);
+    report_state(0, 8);
     CHECK(state_of(0)->state.still_enabled == 2);
 }
 
@@ -386,11 +386,11 @@ static void the_first_drive_of_a_slow_bus_is_looked_at_often_while_it_moves_or_s
     w.machine.cycle.due_ns = w.now_ns + 500 * MS;
     step();
     CHECK(w.wake_ns == w.now_ns + 5 * MS);
-    w.said_rad_s = 1.0;
-    say_motion(0, 1.0F, 1.0F);
+    w.reported_rad_s = 1.0;
+    report_motion(0, 1.0F, 1.0F);
     w.enabled = 2;
     w.now_ns += 101 * MS; /* old set-points: it comes to rest, and was told no motion yet */
-    say_state(0, 8);
+    report_state(0, 8);
     step();
     CHECK(state_of(0)->state.stopping && !state_of(0)->state.sent_motion && w.wake_ns == w.now_ns + 5 * MS);
 }
@@ -403,7 +403,7 @@ static void the_cycles_go_on_while_the_end_waits_for_rest_and_end_with_the_power
     table_of(0)->disarm[0] = (can_write){.packet = packet_of(OFF_WORD, 1)};
     restart();
     arm(0);
-    w.said_rad_s = 1.0;
+    w.reported_rad_s = 1.0;
     go_on(50 * MS);
     int64_t asked_ns = w.now_ns;
     w.machine.control.shut_down = 1;
@@ -422,7 +422,7 @@ static void the_cycles_go_on_while_the_end_waits_for_rest_and_end_with_the_power
     CHECK(w.machine.end.stage == END_SILENT && w.machine.notify);
 }
 
-static void the_end_tells_each_drive_once_that_its_power_is_off_and_is_over_with_the_last(void)
+static void the_end_sends_each_drive_its_power_off_once_and_is_over_with_the_last(void)
 {
     begin_with(2);
     for (uint32_t i = 0; i < 2; i++) {
@@ -430,7 +430,7 @@ static void the_end_tells_each_drive_once_that_its_power_is_off_and_is_over_with
     }
     restart();
     arm(0);
-    w.said_rad_s = 1.0;
+    w.reported_rad_s = 1.0;
     go_on(50 * MS);
     w.machine.control.shut_down = 1;
     w.full = true; /* not even the quick stop is taken */
@@ -443,7 +443,7 @@ static void the_end_tells_each_drive_once_that_its_power_is_off_and_is_over_with
     CHECK(!state_of(0)->state.stopping && !state_of(1)->state.stopping);
 }
 
-static void the_report_tells_fault_words_and_stops_that_wait(void)
+static void the_report_has_fault_words_and_stops_that_wait(void)
 {
     begin_with(2);
     table_of(1)->input[0].field_count = 2;
@@ -451,7 +451,7 @@ static void the_report_tells_fault_words_and_stops_that_wait(void)
         (can_field){.place = {.length = 8}, .meaning = {.joint = JOINTS_MAX - 1, .kind = FIELD_FAULT, .si_per_raw = 1.0}};
     restart();
     arm(0);
-    say_state(1, 5);
+    report_state(1, 5);
     w.machine.joint[0].fault_word = 3;
     w.full = true;
     request(0, DRIVE_OFF);
@@ -463,10 +463,10 @@ static void the_report_tells_fault_words_and_stops_that_wait(void)
 
 int main(void)
 {
-    a_frame_of_a_foreign_identifier_is_nobody_s_though_its_bytes_would_fit();
+    a_frame_of_a_foreign_identifier_is_of_no_drive_though_its_bytes_would_fit();
     identifiers_may_stand_in_any_order_and_frames_of_one_are_sent_apart_by_their_bytes();
     the_first_frames_count_however_young_the_clock_is();
-    the_core_hears_of_a_drive_that_is_set_up_and_by_its_fast_frames_alone();
+    the_core_gets_feedback_of_a_drive_that_is_set_up_and_by_its_fast_frames_alone();
     only_a_frame_that_says_it_has_power_is_counted_against_a_drive();
     a_bad_table_is_refused_and_every_drive_begins_unknown();
     one_that_may_turn_after_a_reopening_is_sent_so_less_and_less_often();
@@ -481,7 +481,7 @@ int main(void)
     one_order_that_waits_is_looked_at_often_and_the_ninth_is_refused();
     the_first_drive_of_a_slow_bus_is_looked_at_often_while_it_moves_or_stops();
     the_cycles_go_on_while_the_end_waits_for_rest_and_end_with_the_power();
-    the_end_tells_each_drive_once_that_its_power_is_off_and_is_over_with_the_last();
-    the_report_tells_fault_words_and_stops_that_wait();
+    the_end_sends_each_drive_its_power_off_once_and_is_over_with_the_last();
+    the_report_has_fault_words_and_stops_that_wait();
     return checks_report("can bus");
 }

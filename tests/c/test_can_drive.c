@@ -4,7 +4,7 @@
 
 enum { SECOND = 0x700 };
 
-static bool took_news(void)
+static bool took_changes(void)
 {
     bool notify = w.machine.notify;
     w.machine.notify = false;
@@ -116,7 +116,7 @@ static void zero_is_sent_again_until_the_bus_has_taken_it_for_all_wheels(void)
     CHECK(!state_of(0)->state.sent_motion && count_sent(SECOND) >= 1);
 }
 
-static void motion_that_half_of_the_frames_said_has_to_be_taken_back(void)
+static void motion_that_half_of_the_frames_carried_has_to_be_taken_back(void)
 {
     begin_with_two_frames();
     w.not_taken = SECOND;
@@ -131,23 +131,23 @@ static void motion_that_half_of_the_frames_said_has_to_be_taken_back(void)
 }
 
 /* ------------------------------------------------------------------------------------------------- its power */
-static void one_that_has_power_without_being_armed_is_sent_off_and_it_is_said_once(void)
+static void one_that_has_power_without_being_armed_is_sent_off_and_that_is_reported_once(void)
 {
     begin_with(1);
     go_on(20 * MS);
     request(0, DRIVE_READY);
     forget_sent();
-    (void)took_news();
-    say_state(0, 8);
-    say_state(0, 8);
-    say_state(0, 1); /* the count begins anew */
-    say_state(0, 8);
-    say_state(0, 8);
-    CHECK(state_of(0)->state.fault_reasons == 0 && !took_news());
-    say_state(0, 8);
-    CHECK(state_of(0)->state.fault_reasons == DRIVE_FAULT_STILL_ENABLED && took_news());
-    say_state(0, 8);
-    CHECK(!took_news() && count_sent(SPEED) == 0); /* frames that come send nothing */
+    (void)took_changes();
+    report_state(0, 8);
+    report_state(0, 8);
+    report_state(0, 1); /* the count begins anew */
+    report_state(0, 8);
+    report_state(0, 8);
+    CHECK(state_of(0)->state.fault_reasons == 0 && !took_changes());
+    report_state(0, 8);
+    CHECK(state_of(0)->state.fault_reasons == DRIVE_FAULT_STILL_ENABLED && took_changes());
+    report_state(0, 8);
+    CHECK(!took_changes() && count_sent(SPEED) == 0); /* frames that come send nothing */
     uint32_t stops = state_of(0)->stops;
     w.now_ns = w.machine.cycle.due_ns;
     step();
@@ -156,7 +156,7 @@ static void one_that_has_power_without_being_armed_is_sent_off_and_it_is_said_on
 }
 
 /* One that may be told nothing at rest, not even zero, and cannot say whether it has power. */
-static void begin_with_one_that_cannot_say(void)
+static void begin_with_one_that_cannot_report(void)
 {
     begin_with(1);
     can_drive *drive = table_of(0);
@@ -168,9 +168,9 @@ static void begin_with_one_that_cannot_say(void)
     request(0, DRIVE_READY);
 }
 
-static void one_that_cannot_say_is_sent_off_now_and_then_but_not_while_it_is_armed(void)
+static void one_that_cannot_report_it_is_sent_off_now_and_then_but_not_while_it_is_armed(void)
 {
-    begin_with_one_that_cannot_say();
+    begin_with_one_that_cannot_report();
     forget_sent();
     go_on(320 * MS);
     CHECK(count_sent(CONTROL) >= 3 && count_sent(CONTROL) <= 4 && count_sent(SPEED) == 0);
@@ -183,14 +183,14 @@ static void one_that_cannot_say_is_sent_off_now_and_then_but_not_while_it_is_arm
     forget_sent();
     go_on(200 * MS);
     CHECK(count_sent(CONTROL) == 0 && count_sent(SPEED) >= 19);
-    w.said_rad_s = 1.0;
+    w.reported_rad_s = 1.0;
     go_on(20 * MS);
     w.enabled = 2;
     go_on(105 * MS);
     forget_sent();
     go_on(300 * MS); /* it comes to rest: its power stays until then */
     CHECK(state_of(0)->state.stopping && count_sent(CONTROL) == 0 && count_sent(SPEED) >= 29);
-    w.said_rad_s = 0.0;
+    w.reported_rad_s = 0.0;
     w.machine.control.drive[0].arming_until_ns = INT64_MAX;
     go_on(100 * MS);
     CHECK(!state_of(0)->state.stopping && count_sent(CONTROL) == 1); /* told once */
@@ -198,7 +198,7 @@ static void one_that_cannot_say_is_sent_off_now_and_then_but_not_while_it_is_arm
 
 static void time_without_set_points_before_arming_is_not_being_left_alone(void)
 {
-    begin_with_one_that_cannot_say();
+    begin_with_one_that_cannot_report();
     go_on(2000 * MS);
     request(0, DRIVE_ARMED);
     go_on(50 * MS);
@@ -226,7 +226,7 @@ static void a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken(void)
 
 static void after_its_power_off_one_that_is_sent_nothing_at_rest_is_sent_nothing(void)
 {
-    begin_with_one_that_cannot_say();
+    begin_with_one_that_cannot_report();
     request(0, DRIVE_ARMED);
     go_on(30 * MS);
     CHECK(state_of(0)->state.sent_motion);
@@ -238,9 +238,9 @@ static void after_its_power_off_one_that_is_sent_nothing_at_rest_is_sent_nothing
     CHECK(count_sent(SPEED) == speeds);
 }
 
-static void switching_off_takes_the_power_of_one_that_has_it_and_tells_others_nothing(void)
+static void switching_off_takes_the_power_of_one_that_has_it_and_sends_others_nothing(void)
 {
-    begin_with_one_that_cannot_say();
+    begin_with_one_that_cannot_report();
     forget_sent();
     request(0, DRIVE_OFF);
     CHECK(w.sent_count == 0);
@@ -253,7 +253,7 @@ static void switching_off_takes_the_power_of_one_that_has_it_and_tells_others_no
     CHECK(w.sent_count == 1 && w.sent[0].id == CONTROL);
     request(0, DRIVE_READY);
     request(0, DRIVE_ARMED);
-    w.said_rad_s = 1.0;
+    w.reported_rad_s = 1.0;
     go_on(20 * MS);
     w.enabled = 2; /* a quick stop that waits for rest */
     go_on(120 * MS);
@@ -264,7 +264,7 @@ static void switching_off_takes_the_power_of_one_that_has_it_and_tells_others_no
 }
 
 /* --------------------------------------------------------------------------------------- what is known of it */
-static void what_it_said_before_a_change_is_not_what_it_says_now(void)
+static void what_it_reported_before_a_change_is_not_what_it_reports_now(void)
 {
     begin_with(1);
     go_on(20 * MS);
@@ -287,7 +287,7 @@ static void what_it_said_before_a_change_is_not_what_it_says_now(void)
     w.full = true;
     step();
     CHECK(state_of(0)->state.enabled == 2 && state_of(0)->state.mode == DRIVE_READY);
-    say_state(0, 8);
+    report_state(0, 8);
     CHECK(state_of(0)->state.enabled == 1);
     w.full = false;
     step();
@@ -302,9 +302,9 @@ static void after_its_set_up_all_has_to_be_received_anew_before_the_core_is_sent
     w.machine.feedback_mask = 0;
     request(0, DRIVE_READY);
     w.now_ns += 6 * MS;
-    say_motion(0, 1.0F, 0.0F);
+    report_motion(0, 1.0F, 0.0F);
     CHECK(w.machine.feedback_mask == 0);
-    say_state(0, 1);
+    report_state(0, 1);
     CHECK(w.machine.feedback_mask == 1 && w.machine.joint[0].feedback.epoch == 2);
 }
 
@@ -330,43 +330,43 @@ static void armed_again_it_may_wait_for_the_core_to_enable_it(void)
 }
 
 /* ------------------------------------------------------------------------------------- what asyncio is told of */
-static void asyncio_hears_of_each_change(void)
+static void asyncio_gets_each_change(void)
 {
     begin_with(1);
     go_on(20 * MS);
-    (void)took_news();
+    (void)took_changes();
     request(0, DRIVE_READY);
-    CHECK(took_news());
+    CHECK(took_changes());
     go_on(20 * MS);
-    CHECK(!took_news());
+    CHECK(!took_changes());
     request(0, DRIVE_ARMED);
     w.powered = true;
-    CHECK(took_news());
+    CHECK(took_changes());
     go_on(30 * MS);
-    CHECK(!took_news());
+    CHECK(!took_changes());
     w.enabled = 0;
     step();
-    CHECK(took_news());
+    CHECK(took_changes());
     w.enabled = 1;
     go_on(50 * MS);
-    (void)took_news();
+    (void)took_changes();
     w.silent = true;
     w.powered = false;
     while (state_of(0)->state.mode != DRIVE_UNRESPONSIVE) {
         go_on(MS);
     }
-    CHECK(took_news());
+    CHECK(took_changes());
     go_on(30 * MS);
-    CHECK(!took_news());
+    CHECK(!took_changes());
     w.full = true;
     w.silent = false;
     go_on(20 * MS);
-    CHECK(state_of(0)->state.back && took_news()); /* it has to be told off first */
+    CHECK(state_of(0)->state.back && took_changes()); /* it has to be told off first */
     go_on(20 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && !took_news());
+    CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && !took_changes());
     w.full = false;
     go_on(2 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_BACK && !state_of(0)->state.back && took_news());
+    CHECK(state_of(0)->state.mode == DRIVE_BACK && !state_of(0)->state.back && took_changes());
 }
 
 static void each_of_its_frames_may_differ_from_what_it_was_sent_and_no_other(void)
@@ -385,7 +385,7 @@ static void each_of_its_frames_may_differ_from_what_it_was_sent_and_no_other(voi
     }
 }
 
-static void news_of_one_is_not_lost_where_another_has_none(void)
+static void a_change_of_one_is_not_lost_where_another_has_none(void)
 {
     begin_with(1);
     w.machine.notify = true;
@@ -401,18 +401,18 @@ int main(void)
     what_was_held_is_forgotten_with_the_drive();
     a_drive_moves_while_one_of_its_frames_says_so();
     zero_is_sent_again_until_the_bus_has_taken_it_for_all_wheels();
-    motion_that_half_of_the_frames_said_has_to_be_taken_back();
-    one_that_has_power_without_being_armed_is_sent_off_and_it_is_said_once();
-    one_that_cannot_say_is_sent_off_now_and_then_but_not_while_it_is_armed();
+    motion_that_half_of_the_frames_carried_has_to_be_taken_back();
+    one_that_has_power_without_being_armed_is_sent_off_and_that_is_reported_once();
+    one_that_cannot_report_it_is_sent_off_now_and_then_but_not_while_it_is_armed();
     time_without_set_points_before_arming_is_not_being_left_alone();
     a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken();
     after_its_power_off_one_that_is_sent_nothing_at_rest_is_sent_nothing();
-    switching_off_takes_the_power_of_one_that_has_it_and_tells_others_nothing();
-    what_it_said_before_a_change_is_not_what_it_says_now();
+    switching_off_takes_the_power_of_one_that_has_it_and_sends_others_nothing();
+    what_it_reported_before_a_change_is_not_what_it_reports_now();
     after_its_set_up_all_has_to_be_received_anew_before_the_core_is_sent();
     armed_again_it_may_wait_for_the_core_to_enable_it();
-    asyncio_hears_of_each_change();
+    asyncio_gets_each_change();
     each_of_its_frames_may_differ_from_what_it_was_sent_and_no_other();
-    news_of_one_is_not_lost_where_another_has_none();
+    a_change_of_one_is_not_lost_where_another_has_none();
     return checks_report("can drive");
 }

@@ -90,15 +90,15 @@ static void set_points_that_change_all_the_time_double_the_frames_at_most(void)
     forget_sent();
     for (int32_t i = 0; i < 500; i++) {
         kick(1.0 + 0.01 * i);
-        say_motion(0, 1.0F, 1.0F);
-        say_state(0, 8);
+        report_motion(0, 1.0F, 1.0F);
+        report_state(0, 8);
         step();
         w.now_ns += MS;
     }
     CHECK(count_sent(SPEED) >= 80 && count_sent(SPEED) <= 2 * 50 + EARLY_AT_ONCE + 1);
 }
 
-static void a_stop_goes_out_at_once_however_much_was_said_before(void)
+static void a_stop_goes_out_at_once_however_much_was_received_before(void)
 {
     begin_with(1);
     arm(0);
@@ -139,7 +139,7 @@ static void motion_that_has_not_left_the_queue_is_not_followed_by_early_motion(v
     CHECK(w.sent_count == 1 && speed_in(newest_of(0)) == 300);
 }
 
-static void a_kick_tells_a_drive_that_is_not_armed_nothing(void)
+static void a_kick_sends_a_drive_that_is_not_armed_nothing(void)
 {
     begin_with(1);
     request(0, DRIVE_READY);
@@ -201,9 +201,9 @@ int main(void)
     one_new_set_point_is_enough_for_all_and_all_do_it_at_once();
     a_kick_when_the_cycle_is_due_is_the_cycle_s();
     set_points_that_change_all_the_time_double_the_frames_at_most();
-    a_stop_goes_out_at_once_however_much_was_said_before();
+    a_stop_goes_out_at_once_however_much_was_received_before();
     motion_that_has_not_left_the_queue_is_not_followed_by_early_motion();
-    a_kick_tells_a_drive_that_is_not_armed_nothing();
+    a_kick_sends_a_drive_that_is_not_armed_nothing();
     a_kick_is_for_the_drives_of_the_table();
     four_frames_may_go_out_at_once_and_then_one_a_cycle();
     return checks_report("can_kick");

@@ -60,18 +60,18 @@ static void the_end_waits_until_the_last_of_them_is_at_rest(void)
     begin_with(3);
     arm(2);
     for (uint32_t i = 0; i < 3; i++) {
-        say_motion(i, 1.0F, 0.0F);
+        report_motion(i, 1.0F, 0.0F);
     }
     w.silent = true; /* what is said from now on is said by hand */
     go_on(30 * MS);
-    say_motion(2, 1.0F, 5.0F);
+    report_motion(2, 1.0F, 5.0F);
     forget_sent();
     w.machine.control.shut_down = 1;
     step();
     CHECK(last_sent_ns(2, QUICK_STOP) > 0);
     go_on(100 * MS);
     CHECK(w.machine.end.stage == END_RESTING && last_sent_ns(2, DISABLE) == 0);
-    say_motion(2, 1.0F, 0.0F);
+    report_motion(2, 1.0F, 0.0F);
     w.machine.notify = false;
     go_on(12 * MS);
     CHECK(w.machine.end.stage == END_SILENT && w.machine.notify);
@@ -87,12 +87,12 @@ static void asyncio_is_sent_of_errors_and_of_drives_that_it_listens_to(void)
     w.machine.notify = false;
     CHECK(say(CAN_ID_ERROR | 0x40, error, 8) == CAN_DRIVES_MAX && w.machine.notify);
     w.machine.notify = false;
-    say_state(1, 1);
+    report_state(1, 1);
     CHECK(!w.machine.notify);
     w.machine.control.listen = 2;
-    say_state(0, 1);
+    report_state(0, 1);
     CHECK(!w.machine.notify);
-    say_state(1, 1);
+    report_state(1, 1);
     CHECK(w.machine.notify);
 }
 

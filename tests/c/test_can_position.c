@@ -34,10 +34,10 @@ static float target_in(const can_packet *packet)
     return target;
 }
 
-static void say_all(float turns)
+static void report_all(float turns)
 {
-    say_state(0, w.powered ? 8 : 1);
-    say_motion(0, turns, 0.0F);
+    report_state(0, w.powered ? 8 : 1);
+    report_motion(0, turns, 0.0F);
 }
 
 static void put(void)
@@ -51,7 +51,7 @@ static void run(float at_turns, int64_t for_ns)
 {
     for (int64_t end_ns = w.now_ns + for_ns; w.now_ns < end_ns; w.now_ns += 2 * MS) {
         put();
-        say_all(at_turns);
+        report_all(at_turns);
         step();
     }
 }
@@ -91,7 +91,7 @@ static void a_drive_without_power_gets_the_place_where_it_is(void)
     run(11.0F, 50 * MS);
     CHECK(count_sent(SPEED) == 0);
     w.now_ns += 6 * MS;
-    say_motion(0, NAN, 0.0F);
+    report_motion(0, NAN, 0.0F);
     put();
     step();
     CHECK(isnan(m->joint[0].place.measured));
@@ -235,7 +235,7 @@ static void whether_it_has_a_reference_is_reported_beside_its_power(void)
     run(1.0F, 10 * MS);
     CHECK(m->joint[0].feedback.referenced == 0 && state_of(0)->state.enabled == 0);
     w.powered = true;
-    say_state(0, 8);
+    report_state(0, 8);
     CHECK(m->joint[0].feedback.referenced == 1 && state_of(0)->state.enabled == 1);
 }
 
@@ -243,7 +243,7 @@ static void make_stopping(float at_turns)
 {
     forget_sent();
     w.now_ns += 6 * MS;
-    say_all(at_turns);
+    report_all(at_turns);
     w.machine.newest.stamp_ns = w.now_ns - 10000 * MS;
     step();
     CHECK(state_of(0)->state.mode == DRIVE_READY && (state_of(0)->state.fault_reasons & DRIVE_FAULT_SETPOINTS_OLD) != 0);

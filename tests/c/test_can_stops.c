@@ -12,7 +12,7 @@ static void drive_off_on_a_full_bus(void)
     w.full = true;
 }
 
-static void standing_down_tells_zero_at_once_to_a_drive_that_is_sent_nothing_at_rest(void)
+static void standing_down_sends_zero_at_once_to_a_drive_that_is_sent_nothing_at_rest(void)
 {
     begin_with(1);
     w.table.drive[0].idle_setpoints = 0;
@@ -72,7 +72,7 @@ static void an_unresponsive_drive_is_sent_to_stop_in_each_cycle_until_the_bus_ta
     CHECK(last_sent_ns(0, QUICK_STOP) >= taken_ns && speed_in(newest_of(0)) == 0);
 }
 
-static void one_that_falls_silent_after_a_set_up_it_did_not_hear_is_sent_to_stop(void)
+static void one_that_falls_silent_after_a_set_up_it_did_not_receive_is_sent_to_stop(void)
 {
     drive_off_on_a_full_bus();
     request(0, DRIVE_OFF);
@@ -85,7 +85,7 @@ static void one_that_falls_silent_after_a_set_up_it_did_not_hear_is_sent_to_stop
     CHECK(last_sent_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
 }
 
-static void one_that_was_armed_is_sent_to_stop_over_a_reopening_though_nobody_hears_it(void)
+static void one_that_was_armed_is_sent_to_stop_over_a_reopening_though_it_does_not_answer(void)
 {
     begin_with(2);
     arm(0);
@@ -195,7 +195,7 @@ static void what_leaves_in_its_cycle_goes_on(void)
 }
 
 /* A USB adapter takes longer than a cycle of 1 ms to say so. */
-static void what_is_said_to_have_left_some_milliseconds_late_goes_on(void)
+static void what_is_reported_to_have_left_some_milliseconds_late_goes_on(void)
 {
     turning(1);
     w.machine.table.period_ns = MS;
@@ -214,7 +214,7 @@ static void drives_that_another_program_left_running_stop_before_they_lose_their
 {
     begin_with(2);
     w.powered = true;
-    w.said_rad_s = 1.0;
+    w.reported_rad_s = 1.0;
     can_take_over(&w.machine, w.now_ns);
     go_on(500 * MS);
     for (uint32_t i = 0; i < 2; i++) {
@@ -226,7 +226,7 @@ static void drives_that_another_program_left_running_stop_before_they_lose_their
         CHECK(w.sent[i].data[0] == QUICK_STOP && w.sent[i].data[2] == 0 && w.sent[i].data[3] == 0); /* and zero speed */
     }
     CHECK(count_sent(SPEED) > 2 && count_sent(SPEED + 1) > 2);
-    w.said_rad_s = 0.0;
+    w.reported_rad_s = 0.0;
     forget_sent();
     go_on(30 * MS);
     CHECK(w.sent_count > 0 && w.sent[w.sent_count - 1].data[0] == DISABLE);
@@ -255,13 +255,13 @@ int main(void)
     a_bus_that_takes_some_frames_of_a_cycle_is_given_motion();
     no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_behind_them();
     what_leaves_in_its_cycle_goes_on();
-    what_is_said_to_have_left_some_milliseconds_late_goes_on();
-    one_that_was_armed_is_sent_to_stop_over_a_reopening_though_nobody_hears_it();
-    standing_down_tells_zero_at_once_to_a_drive_that_is_sent_nothing_at_rest();
+    what_is_reported_to_have_left_some_milliseconds_late_goes_on();
+    one_that_was_armed_is_sent_to_stop_over_a_reopening_though_it_does_not_answer();
+    standing_down_sends_zero_at_once_to_a_drive_that_is_sent_nothing_at_rest();
     switching_off_one_that_has_not_received_its_zero_takes_its_power();
     a_stop_that_waits_outlives_a_new_set_up();
     a_stop_that_was_overtaken_unseen_is_still_carried_out();
     an_unresponsive_drive_is_sent_to_stop_in_each_cycle_until_the_bus_takes_it();
-    one_that_falls_silent_after_a_set_up_it_did_not_hear_is_sent_to_stop();
+    one_that_falls_silent_after_a_set_up_it_did_not_receive_is_sent_to_stop();
     return checks_report("can stops");
 }

@@ -171,7 +171,7 @@ static void a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_unresponsive
 {
     begin_with(1);
     arm_and_go();
-    w.said_rad_s = 1.0;
+    w.reported_rad_s = 1.0;
     w.full = w.silent = true;
     forget_sent();
     w.machine.control.shut_down = 1;

@@ -42,13 +42,13 @@ static void begin_with_two_wheels(void)
     restart();
 }
 
-static void say_second(int16_t count, int16_t speed)
+static void report_second(int16_t count, int16_t speed)
 {
     const int16_t both[4] = {count, speed};
     (void)say(SECOND, both, sizeof both);
 }
 
-static void say_health(uint32_t word)
+static void report_health(uint32_t word)
 {
     const uint32_t words[2] = {word};
     (void)say(HEALTH, words, sizeof words);
@@ -95,12 +95,12 @@ static void a_drive_is_at_rest_when_both_of_its_wheels_are(void)
 {
     begin_with_two_wheels();
     arm(0);
-    say_second(0, 11);
+    report_second(0, 11);
     go_on(30 * MS);
     w.enabled = 2;
     go_on(150 * MS);
     CHECK(last_sent_ns(0, QUICK_STOP) > 0 && state_of(0)->state.stopping && last_sent_ns(0, DISABLE) == 0);
-    say_second(0, 1); /* 0 rad/s */
+    report_second(0, 1); /* 0 rad/s */
     step();
     CHECK(!state_of(0)->state.stopping);
     step();
@@ -133,9 +133,9 @@ static void numbers_without_their_top_bit_are_positive(void)
 static void what_raw_zero_says_is_added(void)
 {
     begin_with_two_wheels();
-    say_second(10, 3);
+    report_second(10, 3);
     CHECK(feedback_of(1)->count == 15 && feedback_of(1)->velocity_rad_s == 2.0);
-    say_second(-7, 0);
+    report_second(-7, 0);
     CHECK(feedback_of(1)->count == 0xFFFE && feedback_of(1)->velocity_rad_s == -1.0);
     const int8_t powers[8] = {-3, 24, 40};
     (void)say(POWERS, powers, sizeof powers);
@@ -151,68 +151,68 @@ static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_new
     restart();
     request(0, DRIVE_READY);
     int64_t count_ns = w.now_ns;
-    say_motion(0, 1.0F, 0.0F);
+    report_motion(0, 1.0F, 0.0F);
     w.now_ns += MS;
     int64_t speed_ns = w.now_ns;
-    say_second(0, 0);
+    report_second(0, 0);
     w.now_ns += MS;
-    say_health(0);
+    report_health(0);
     const uint8_t powers[8] = {0};
     (void)say(POWERS, powers, sizeof powers);
-    say_state(0, 8); /* the last of the fast ones: now both wheels are known */
+    report_state(0, 8); /* the last of the fast ones: now both wheels are known */
     CHECK(w.machine.feedback_mask == 3 && state_of(0)->cycles == 1);
     CHECK(feedback_of(0)->stamp_ns == count_ns && feedback_of(1)->stamp_ns == speed_ns);
     CHECK(feedback_of(0)->enabled == 1 && feedback_of(1)->enabled == 1);
     table_of(0)->input[2].field[1].meaning.kind = FIELD_VOLTAGE; /* wheel 1: no speed either */
     restart();
     request(0, DRIVE_READY);
-    say_motion(0, 1.0F, 0.0F);
-    say_second(0, 0);
+    report_motion(0, 1.0F, 0.0F);
+    report_second(0, 0);
     w.now_ns += MS;
     (void)say(POWERS, powers, sizeof powers);
     int64_t powers_ns = w.now_ns;
     w.now_ns += MS;
-    say_state(0, 8);
+    report_state(0, 8);
     CHECK(feedback_of(1)->stamp_ns == powers_ns); /* whether it has power says nothing of the wheel */
 }
 
 static void what_comes_right_after_the_set_up_is_taken_and_power_is_not_known_before(void)
 {
     begin_with_two_wheels();
-    say_state(0, 8);
-    say_motion(0, 1.0F, 0.0F);
-    say_second(0, 1);
+    report_state(0, 8);
+    report_motion(0, 1.0F, 0.0F);
+    report_second(0, 1);
     request(0, DRIVE_READY);
     CHECK(state_of(0)->state.enabled == 2);
     w.machine.feedback_mask = 0;
     w.now_ns += MS; /* sooner than the spacing of wheel 0's frames */
-    say_motion(0, 2.0F, 0.0F);
-    say_second(0, 1);
+    report_motion(0, 2.0F, 0.0F);
+    report_second(0, 1);
     CHECK(w.machine.feedback_mask == 0);
-    say_state(0, 1);
+    report_state(0, 1);
     CHECK(w.machine.feedback_mask == 3 && feedback_of(0)->count == 2000);
 }
 
-static void a_fault_word_is_news_once_and_stops_unless_it_is_a_warning(void)
+static void a_fault_word_is_a_change_once_and_stops_unless_it_is_a_warning(void)
 {
     begin_with_two_wheels();
     w.machine.notify = false;
-    say_health(0);
+    report_health(0);
     CHECK(!w.machine.notify && state_of(0)->faults == 0);
-    say_health(HARMLESS);
+    report_health(HARMLESS);
     CHECK(w.machine.notify && feedback_of(1)->drive_faults == 0 && w.machine.joint[1].fault_word == HARMLESS);
     CHECK(state_of(0)->faults == 0);
     w.machine.notify = false;
-    say_health(HARMLESS | 1);
+    report_health(HARMLESS | 1);
     CHECK(w.machine.notify && feedback_of(1)->drive_faults == 1 && feedback_of(0)->drive_faults == 0);
     CHECK(state_of(0)->faults == 1 && state_of(0)->last_fault == (HARMLESS | 1) && state_of(0)->last_fault_joint == 1);
     w.machine.notify = false;
-    say_health(HARMLESS | 1);
+    report_health(HARMLESS | 1);
     CHECK(!w.machine.notify && state_of(0)->faults == 1);
     w.machine.notify = true; /* of something else */
-    say_health(HARMLESS | 1);
+    report_health(HARMLESS | 1);
     CHECK(w.machine.notify);
-    say_health(0);
+    report_health(0);
     CHECK(feedback_of(1)->drive_faults == 0 && state_of(0)->faults == 1 && state_of(0)->last_fault == (HARMLESS | 1));
     can_report report = {0};
     can_machine_report(&w.machine, &report);
@@ -231,7 +231,7 @@ static void a_fault_that_is_a_number_stops_unless_it_is_listed(void)
     restart();
     const uint32_t words[] = {7, 9, 11, 5, 0}, stop[] = {0, 0, 11, 5, 0};
     for (uint32_t i = 0; i < 5; i++) {
-        say_health(words[i]);
+        report_health(words[i]);
         CHECK(feedback_of(1)->drive_faults == stop[i]);
     }
 }
@@ -315,7 +315,7 @@ int main(void)
     what_raw_zero_says_is_added();
     feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_newest_word();
     what_comes_right_after_the_set_up_is_taken_and_power_is_not_known_before();
-    a_fault_word_is_news_once_and_stops_unless_it_is_a_warning();
+    a_fault_word_is_a_change_once_and_stops_unless_it_is_a_warning();
     a_fault_that_is_a_number_stops_unless_it_is_listed();
     a_joint_that_the_core_says_nothing_of_stands_still();
     each_kind_of_set_point_is_sent_to_whom_it_is_for();

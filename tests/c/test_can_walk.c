@@ -8,7 +8,7 @@ static uint64_t motion;
 static void begin_bus(void)
 {
     begin_with(1);
-    w.said_rad_s = 1.0;
+    w.reported_rad_s = 1.0;
     motion = 0;
     go_on(20 * MS);
 }

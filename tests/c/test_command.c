@@ -67,7 +67,7 @@ static void the_highest_commands_and_among_equals_the_first(void)
     CHECK(speed_m_s(&a, START_NS + LIFE_NS, true) == 0.0 && a.report.commander == 0);
 }
 
-static void who_asks_through_a_stop_is_held_until_he_asks_for_zero(void)
+static void a_source_that_requests_motion_through_a_stop_is_held_until_it_requests_zero(void)
 {
     static arbiter a;
     two_sources(&a);
@@ -190,7 +190,7 @@ static joint_datagram joints_of(uint64_t sequence, double left_rad_s, double rig
     return joints;
 }
 
-static int say_joints(arbiter *a, joint_datagram joints)
+static int report_joints(arbiter *a, joint_datagram joints)
 {
     return arbiter_submit(a, &joints, sizeof joints, START_NS, true);
 }
@@ -232,24 +232,24 @@ static void wheels_are_a_twist_or_they_are_refused(void)
     twist_command out;
     arbiter_init(&a, &base, NULL);
     arbiter_grant(&a, &permissions);
-    CHECK(say_joints(&a, joints_of(1, 1.0, 2.0, 1.0)) == 0);
+    CHECK(report_joints(&a, joints_of(1, 1.0, 2.0, 1.0)) == 0);
     arbiter_command(&a, START_NS, true, &out);
     CHECK(fabs(out.linear_m_s - 0.15) < 1e-12 && fabs(out.angular_rad_s - 0.2) < 1e-12);
-    CHECK(say_joints(&a, joints_of(2, 1.0, 2.0, 2.0)) == 1 + REFUSED_JOINTS);
+    CHECK(report_joints(&a, joints_of(2, 1.0, 2.0, 2.0)) == 1 + REFUSED_JOINTS);
     CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 'a');
-    CHECK(say_joints(&a, joints_of(3, 1.0, NAN, 1.0)) == 1 + REFUSED_NOT_FINITE);
-    CHECK(say_joints(&a, joints_of(4, -1e300, 2e300, 1e300)) == 1 + REFUSED_OUT_OF_RANGE);
+    CHECK(report_joints(&a, joints_of(3, 1.0, NAN, 1.0)) == 1 + REFUSED_NOT_FINITE);
+    CHECK(report_joints(&a, joints_of(4, -1e300, 2e300, 1e300)) == 1 + REFUSED_OUT_OF_RANGE);
     CHECK(speed_m_s(&a, START_NS, true) == 0.0);
     joint_datagram few = joints_of(5, 1.0, 2.0, 1.0);
     few.joint_count = 2;
     few.velocity_rad_s[0] = NAN;
-    CHECK(say_joints(&a, few) == 1 + REFUSED_JOINTS);
+    CHECK(report_joints(&a, few) == 1 + REFUSED_JOINTS);
     few.kind = COMMAND_TWIST;
-    CHECK(say_joints(&a, few) == 1 + REFUSED_FORM);
+    CHECK(report_joints(&a, few) == 1 + REFUSED_FORM);
     few.version = 3;
-    CHECK(say_joints(&a, few) == 1 + REFUSED_FORM);
+    CHECK(report_joints(&a, few) == 1 + REFUSED_FORM);
     a.base = NULL;
-    CHECK(say_joints(&a, joints_of(6, 1.0, 2.0, 1.0)) == 1 + REFUSED_JOINTS);
+    CHECK(report_joints(&a, joints_of(6, 1.0, 2.0, 1.0)) == 1 + REFUSED_JOINTS);
 }
 
 /* Wheels left, right, left, right, of 0.1 m but for the last one's 0.2 m. */
@@ -356,7 +356,7 @@ int main(void)
     a_turn_on_the_spot_counts_where_the_steering_cannot();
     a_command_of_either_version_is_obeyed();
     the_highest_commands_and_among_equals_the_first();
-    who_asks_through_a_stop_is_held_until_he_asks_for_zero();
+    a_source_that_requests_motion_through_a_stop_is_held_until_it_requests_zero();
     a_lease_that_is_not_granted_any_more_is_over();
     motion_that_is_commanded_too_often_is_refused_and_a_stop_never();
     each_refusal_is_counted_by_its_kind();

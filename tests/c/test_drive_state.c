@@ -171,7 +171,7 @@ static void the_power_goes_off_at_rest_or_in_time_but_not_before_the_stop_has_ar
     }
 }
 
-static void its_own_word_takes_its_power_where_nobody_has_armed_it(void)
+static void its_own_report_takes_its_power_where_it_was_not_armed(void)
 {
     for (int m = 0; m < MODES; m++) {
         for (uint32_t bits = 0; bits < 24; bits++) {
@@ -243,7 +243,7 @@ int main(void)
     only_an_armed_drive_moves_by_fresh_set_points_that_are_enabled();
     one_without_a_place_to_begin_from_gets_no_power();
     the_power_goes_off_at_rest_or_in_time_but_not_before_the_stop_has_arrived();
-    its_own_word_takes_its_power_where_nobody_has_armed_it();
+    its_own_report_takes_its_power_where_it_was_not_armed();
     a_stop_that_has_arrived_brings_back_what_was_unresponsive();
     in_every_mode_a_drive_that_does_not_answer_keeps_nothing_but_its_reasons();
     reasons_gather();

@@ -35,7 +35,7 @@ static void a_contact_that_was_open_between_two_ticks_stops(void)
     CHECK(estop_judge(&config, &(estop_reading){.known = true, .high = true, .opened = true}) == ESTOP_ACTIVE);
 }
 
-static void a_level_that_nobody_knows_stops_whatever_else_is_said(void)
+static void a_level_that_is_not_known_stops_whatever_else_is_given(void)
 {
     guard_config config = open_is_high();
     CHECK(estop_judge(&config, &(estop_reading){.known = false, .high = false}) == ESTOP_LOST);
@@ -230,7 +230,7 @@ int main(void)
 {
     an_open_contact_stops_and_a_closed_one_does_not();
     a_contact_that_was_open_between_two_ticks_stops();
-    a_level_that_nobody_knows_stops_whatever_else_is_said();
+    a_level_that_is_not_known_stops_whatever_else_is_given();
     an_input_that_was_lost_stays_lost();
     without_pins_nothing_stops_and_nothing_is_written();
     a_pin_that_cannot_be_written_is_sent_with_its_reason();

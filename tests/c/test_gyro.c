@@ -217,7 +217,7 @@ static exact new_exact(void)
     return e;
 }
 
-static void say_at(exact *e, int64_t stamp_ns, double rate_rad_s, bool wheels_rest)
+static void report_at(exact *e, int64_t stamp_ns, double rate_rad_s, bool wheels_rest)
 {
     imu_sample sample = {.stamp_ns = stamp_ns, .angular_rad_s = {0.0, 0.0, rate_rad_s}};
     gyro_take(&e->state, &e->config, &sample, stamp_ns, wheels_rest);
@@ -227,12 +227,12 @@ static void say_at(exact *e, int64_t stamp_ns, double rate_rad_s, bool wheels_re
 static void rest(exact *e, int samples, double middle_rad_s, double apart_rad_s)
 {
     const int64_t settled_ns = START_NS + 500000000;
-    say_at(e, START_NS, middle_rad_s, true);
-    say_at(e, settled_ns - 1, 9.0, true); /* the chassis swings to the last */
+    report_at(e, START_NS, middle_rad_s, true);
+    report_at(e, settled_ns - 1, 9.0, true); /* the chassis swings to the last */
     for (int i = 0; i < samples - 1; i++) {
-        say_at(e, settled_ns + i * 50000000, middle_rad_s + (i % 2 == 0 ? apart_rad_s : -apart_rad_s), true);
+        report_at(e, settled_ns + i * 50000000, middle_rad_s + (i % 2 == 0 ? apart_rad_s : -apart_rad_s), true);
     }
-    say_at(e, settled_ns + 999999999, middle_rad_s + apart_rad_s, true);
+    report_at(e, settled_ns + 999999999, middle_rad_s + apart_rad_s, true);
 }
 
 static const int64_t RESTED_NS = 2500000000; /* START_NS + 1.5 s */
@@ -242,11 +242,11 @@ static void the_zero_takes_twenty_samples_and_a_second_after_half_a_second(void)
     exact e = new_exact();
     rest(&e, 19, 0.1, 0.0);
     CHECK(e.state.window_samples == 19 && e.state.bias_stamp_ns == 0);
-    say_at(&e, RESTED_NS, 0.1, true);
+    report_at(&e, RESTED_NS, 0.1, true);
     CHECK(e.state.bias_stamp_ns == RESTED_NS && fabs(e.state.bias_rad_s - 0.1) < 1e-15);
     e = new_exact();
     rest(&e, 18, 0.1, 0.0);
-    say_at(&e, RESTED_NS, 0.1, true);
+    report_at(&e, RESTED_NS, 0.1, true);
     CHECK(e.state.window_samples == 19 && e.state.bias_stamp_ns == 0);
 }
 
@@ -254,7 +254,7 @@ static void the_noise_is_the_samples_variance_and_may_be_as_great_as_is_allowed(
 {
     exact e = new_exact();
     rest(&e, 19, 0.0, 0.001);
-    say_at(&e, RESTED_NS, -0.001, true);
+    report_at(&e, RESTED_NS, -0.001, true);
     double variance_rad2_s2 = e.state.rate_variance_rad2_s2;
     CHECK(fabs(variance_rad2_s2 / (20e-6 / 19.0) - 1.0) < 1e-3 && fabs(e.state.bias_rad_s) < 1e-15);
     CHECK(fabs(e.state.rate_rad_s - (-0.001 - e.state.bias_rad_s)) < 1e-15);
@@ -263,7 +263,7 @@ static void the_noise_is_the_samples_variance_and_may_be_as_great_as_is_allowed(
         e = new_exact();
         e.config.still_variance_rad2_s2 = limits_rad2_s2[i];
         rest(&e, 19, 0.0, 0.001);
-        say_at(&e, RESTED_NS, -0.001, true);
+        report_at(&e, RESTED_NS, -0.001, true);
         CHECK((e.state.bias_stamp_ns != 0) == (i == 0));
     }
 }
@@ -274,7 +274,7 @@ static void a_zero_may_be_as_far_off_as_is_allowed_and_the_rate_follows_it(void)
     for (int i = 0; i < 3; i++) {
         exact e = new_exact();
         rest(&e, 19, means_rad_s[i], 0.0);
-        say_at(&e, RESTED_NS, means_rad_s[i], true);
+        report_at(&e, RESTED_NS, means_rad_s[i], true);
         CHECK((e.state.bias_stamp_ns != 0) == (i < 2));
         CHECK(e.state.rate_rad_s == (i < 2 ? 0.0 : means_rad_s[i]));
     }
@@ -286,7 +286,7 @@ static exact at_rest(double noise_rad_s)
     exact e = new_exact();
     e.config.still_variance_rad2_s2 = 1.0;
     rest(&e, 19, 0.0, noise_rad_s);
-    say_at(&e, RESTED_NS, -noise_rad_s, true);
+    report_at(&e, RESTED_NS, -noise_rad_s, true);
     CHECK(e.state.bias_stamp_ns == RESTED_NS && fabs(e.state.bias_rad_s) < 1e-15);
     return e;
 }
@@ -297,7 +297,7 @@ static void a_mean_that_is_more_than_a_fiftieth_off_is_a_slow_turn(void)
     for (int i = 0; i < 5; i++) {
         exact e = at_rest(0.0);
         for (int n = 1; n <= 20; n++) {
-            say_at(&e, RESTED_NS + n * 50000000, means_rad_s[i], true);
+            report_at(&e, RESTED_NS + n * 50000000, means_rad_s[i], true);
         }
         CHECK((e.state.bias_stamp_ns != RESTED_NS) == (i < 3));
     }
@@ -305,7 +305,7 @@ static void a_mean_that_is_more_than_a_fiftieth_off_is_a_slow_turn(void)
 
 static bool stands_at(exact e, double rate_rad_s)
 {
-    say_at(&e, RESTED_NS + 1, rate_rad_s, true);
+    report_at(&e, RESTED_NS + 1, rate_rad_s, true);
     return e.state.still == 1;
 }
 
@@ -323,10 +323,10 @@ static void it_stands_within_a_hundredth_or_five_deviations_of_its_noise(void)
 static void rates_and_stamps_are_taken_to_the_end_of_their_range(void)
 {
     exact e = new_exact();
-    say_at(&e, START_NS, 100.0, false);
-    say_at(&e, START_NS + 1, -100.0, false);
+    report_at(&e, START_NS, 100.0, false);
+    report_at(&e, START_NS + 1, -100.0, false);
     CHECK(e.state.refused == 0);
-    say_at(&e, START_NS + 2, nextafter(100.0, 101.0), false);
+    report_at(&e, START_NS + 2, nextafter(100.0, 101.0), false);
     CHECK(e.state.refused == 1);
     imu_sample sample = {.stamp_ns = START_NS + 3 + 10000000, .angular_rad_s = {0.0, 0.0, 0.1}};
     gyro_take(&e.state, &e.config, &sample, START_NS + 3, false);
@@ -343,14 +343,14 @@ static void a_gap_as_long_as_the_timeout_is_still_none(void)
 {
     double turn_rad, variance_rad2;
     exact e = at_rest(0.0);
-    say_at(&e, RESTED_NS + 1, 0.2, false);
+    report_at(&e, RESTED_NS + 1, 0.2, false);
     CHECK(!gyro_turn(&e.state, &e.config, RESTED_NS + 1, &turn_rad, &variance_rad2));
-    say_at(&e, RESTED_NS + 1 + 500000000, 0.2, false);
+    report_at(&e, RESTED_NS + 1 + 500000000, 0.2, false);
     CHECK(e.state.epoch == 0);
     CHECK(gyro_status(&e.state, &e.config, e.state.stamp_ns + 500000000) == GYRO_USED);
     CHECK(gyro_status(&e.state, &e.config, e.state.stamp_ns + 500000001) == GYRO_STALE);
     double yaw_rad = e.state.yaw_rad;
-    say_at(&e, e.state.stamp_ns + 500000001, 0.2, false);
+    report_at(&e, e.state.stamp_ns + 500000001, 0.2, false);
     CHECK(e.state.epoch == 1 && e.state.yaw_rad == yaw_rad); /* what was not heard is not integrated */
 }
 
@@ -365,10 +365,10 @@ static void a_broken_integral_is_stale_at_once_and_its_rest_begins_anew(void)
     CHECK(!gyro_turn(&e.state, &e.config, RESTED_NS + 1, &turn_rad, &variance_rad2));
     double yaw_rad = e.state.yaw_rad;
     for (int i = 0; i < 30; i++) {
-        say_at(&e, RESTED_NS + 2 + i * 50000000, 0.005, true); /* until 1.45 s later */
+        report_at(&e, RESTED_NS + 2 + i * 50000000, 0.005, true); /* until 1.45 s later */
     }
     CHECK(e.state.bias_stamp_ns == RESTED_NS && fabs(e.state.yaw_rad - yaw_rad) < 0.01);
-    say_at(&e, RESTED_NS + 2 + 1500000000, 0.005, true);
+    report_at(&e, RESTED_NS + 2 + 1500000000, 0.005, true);
     CHECK(e.state.bias_stamp_ns == RESTED_NS + 2 + 1500000000);
 }
 
@@ -376,7 +376,7 @@ static void a_moment_that_it_did_not_know_begins_a_new_turn(void)
 {
     double turn_rad, variance_rad2;
     exact e = at_rest(0.0);
-    say_at(&e, RESTED_NS + 1, 0.2, false);
+    report_at(&e, RESTED_NS + 1, 0.2, false);
     int64_t received_ns = e.state.stamp_ns;
     CHECK(!gyro_turn(&e.state, &e.config, received_ns, &turn_rad, &variance_rad2));
     CHECK(gyro_turn(&e.state, &e.config, received_ns, &turn_rad, &variance_rad2));
@@ -390,8 +390,8 @@ static void a_base_that_stands_has_not_turned_for_certain(void)
     double turn_rad, variance_rad2 = -1.0;
     exact e = at_rest(0.001);
     CHECK(!gyro_turn(&e.state, &e.config, RESTED_NS, &turn_rad, &variance_rad2));
-    say_at(&e, RESTED_NS + 50000000, 0.001, true);
-    say_at(&e, RESTED_NS + 100000000, 0.001, true);
+    report_at(&e, RESTED_NS + 50000000, 0.001, true);
+    report_at(&e, RESTED_NS + 100000000, 0.001, true);
     CHECK(gyro_turn(&e.state, &e.config, RESTED_NS + 100000000, &turn_rad, &variance_rad2));
     CHECK(e.state.still == 1 && turn_rad == 0.0 && variance_rad2 == 0.0);
 }
@@ -402,7 +402,7 @@ static void the_variance_of_a_turn_is_of_its_noise_its_scale_and_the_age_of_its_
     exact e = at_rest(0.001);
     e.config.turn_variance_rad2_per_rad = 3e-7;
     for (int64_t at_ns = RESTED_NS + 100000000; at_ns <= RESTED_NS + 10000000000; at_ns += 100000000) {
-        say_at(&e, at_ns, 0.5, false);
+        report_at(&e, at_ns, 0.5, false);
     }
     CHECK(!gyro_turn(&e.state, &e.config, RESTED_NS + 9800000000, &turn_rad, &variance_rad2));
     CHECK(gyro_turn(&e.state, &e.config, RESTED_NS + 9900000000, &turn_rad, &variance_rad2));

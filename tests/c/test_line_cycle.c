@@ -169,7 +169,7 @@ static void ends(void)
     CHECK(drive->stage == STAGE_IDLE && w.machine.current == LINE_DRIVES_MAX);
 }
 
-static void the_end_of_a_cycle_judges_what_the_drive_said(void)
+static void the_end_of_a_cycle_judges_what_the_drive_reported(void)
 {
     begin_directions(0.0);
     drive->lost_setup = true;
@@ -222,7 +222,7 @@ static void one_that_is_enabled_without_being_armed_is_switched_off(void)
     CHECK(drive->state.still_enabled == 0);
 }
 
-static void the_core_hears_of_a_cycle_with_the_last_of_what_it_reads(void)
+static void the_core_gets_feedback_of_a_cycle_with_the_last_of_what_it_reads(void)
 {
     begin_directions(0.0);
     drive->direction_sent[0] = DIRECTION_REST;
@@ -268,9 +268,9 @@ int main(void)
     one_that_is_stopping_is_sent_no_way();
     a_range_is_read_in_its_turn_and_the_one_with_the_power_first();
     cycles_follow_each_other_by_their_period_and_late_ones_are_not_caught_up();
-    the_end_of_a_cycle_judges_what_the_drive_said();
+    the_end_of_a_cycle_judges_what_the_drive_reported();
     one_that_is_enabled_without_being_armed_is_switched_off();
-    the_core_hears_of_a_cycle_with_the_last_of_what_it_reads();
+    the_core_gets_feedback_of_a_cycle_with_the_last_of_what_it_reads();
     what_is_sent_says_nothing_to_the_core_while_something_is_still_to_be_read();
     return checks_report("line cycle");
 }

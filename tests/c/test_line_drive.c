@@ -300,7 +300,7 @@ static void after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_fir
     CHECK(line_next_stop(&w.machine, 0, &frame) && drive->stop_place == 0 && frame.request[3] == CONTROL);
 }
 
-static void news_of_one_is_not_lost_where_another_has_none(void)
+static void a_change_of_one_is_not_lost_where_another_has_none(void)
 {
     line_frame frame;
     line_drive_state *drive = begin_drive();
@@ -328,6 +328,6 @@ int main(void)
     it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew();
     switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it();
     frames_of_a_stop_are_sent_until_each_is_done();
-    news_of_one_is_not_lost_where_another_has_none();
+    a_change_of_one_is_not_lost_where_another_has_none();
     return checks_report("line drive");
 }

@@ -97,7 +97,7 @@ static void the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_
     }
 }
 
-static void news_is_not_lost_while_the_end_has_none(void)
+static void a_change_is_not_lost_while_the_end_has_none(void)
 {
     begin_with(2, 0);
     w.machine.notify = true;
@@ -130,7 +130,7 @@ int main(void)
     the_power_goes_off_when_every_stop_and_every_broadcast_is_done();
     what_does_not_come_to_rest_loses_its_power_all_the_same_and_the_end_comes();
     the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_but_not_for_ever();
-    news_is_not_lost_while_the_end_has_none();
+    a_change_is_not_lost_while_the_end_has_none();
     eight_drives_are_all_there_are();
     return checks_report("line end");
 }

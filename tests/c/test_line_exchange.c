@@ -50,7 +50,7 @@ static uint32_t reply_of(const line_frame *frame, uint8_t *reply)
 }
 
 /* So much after the request's last byte. */
-static void hear_after(int64_t after_ns, const uint8_t *bytes, uint32_t count)
+static void receive_after(int64_t after_ns, const uint8_t *bytes, uint32_t count)
 {
     w.now_ns = m->end_ns + after_ns;
     look(bytes, count);
@@ -60,7 +60,7 @@ static void answer(void)
 {
     uint8_t reply[8];
     uint32_t bytes = reply_of(&m->transaction.frame, reply);
-    hear_after(DEVICE_NS + bytes * CHARACTER_NS, reply, bytes);
+    receive_after(DEVICE_NS + bytes * CHARACTER_NS, reply, bytes);
 }
 
 static void fail(void)
@@ -154,7 +154,7 @@ static void a_wait_is_as_short_as_is_usual_while_another_drive_has_to_be_stopped
 }
 
 /* What comes behind the drives is not looked at, and not changed. */
-static void an_answer_to_a_request_to_nobody_is_an_answer(void)
+static void an_answer_to_a_broadcast_is_an_answer(void)
 {
     static line_joint_state before[JOINTS_MAX];
     begin_with(LINE_DRIVES_MAX, 0);
@@ -165,7 +165,7 @@ static void an_answer_to_a_request_to_nobody_is_an_answer(void)
     CHECK(m->answered && m->answer.kind == ANSWER_OK && memcmp(before, m->joint, sizeof before) == 0);
 }
 
-static void a_request_to_nobody_is_waited_for_as_long_as_it_says(void)
+static void a_broadcast_is_waited_for_as_long_as_it_says(void)
 {
     begin_with(LINE_DRIVES_MAX, 0);
     send_request(LINE_DRIVES_MAX, read_frame(9));
@@ -186,7 +186,7 @@ static void an_answer_is_handed_on_with_its_time_and_nothing_beside_it(void)
     send_request(0, read_frame(1));
     uint32_t count = reply_of(&m->transaction.frame, bytes + 2);
     int64_t sent_ns = w.now_ns;
-    hear_after(3 * MS, bytes, count + 2);
+    receive_after(3 * MS, bytes, count + 2);
     CHECK(m->answered && m->answer.id == 77 && m->answer.kind == ANSWER_OK && m->answer.sent_ns == sent_ns);
     CHECK(m->answer.done_ns == w.now_ns && m->answer.stamp_ns == sent_ns + (w.now_ns - sent_ns) / 2);
     CHECK(m->answer.reply_bytes == 7 && memcmp(m->answer.reply, bytes + 2, 7) == 0 && m->answer.echoed == 0);
@@ -204,7 +204,7 @@ static void a_refusal_is_handed_on_with_its_number(void)
     rtu_seal(refusal, 5, SEAL_CRC16);
     begin_with(1, 0);
     send_request(0, read_frame(1));
-    hear_after(2 * MS, refusal, 5);
+    receive_after(2 * MS, refusal, 5);
     CHECK(m->answered && m->answer.kind == ANSWER_REFUSED && m->answer.exception == 4 && m->answer.reply_bytes == 0);
     CHECK(m->answers == 1 && m->noise_bytes == 0 && m->round_trip_ns == 0);
 }
@@ -213,7 +213,7 @@ static void what_is_no_answer_is_counted_once(void)
 {
     begin_with(1, 0);
     send_request(0, read_frame(1));
-    hear_after(MS, (const uint8_t[]){7, 8, 9}, 3);
+    receive_after(MS, (const uint8_t[]){7, 8, 9}, 3);
     CHECK(!m->answered && m->noise_bytes == 0);
     fail();
     CHECK(m->answered && m->answer.kind == ANSWER_BAD_REPLY && m->noise_bytes == 3 && m->answers == 0);
@@ -229,7 +229,7 @@ static void an_answer_of_one_byte_is_an_answer(void)
     begin_with(1, 0);
     m->echo = ECHO_NONE;
     send_request(0, frame);
-    hear_after(MS, (const uint8_t[]){0xFF}, 1);
+    receive_after(MS, (const uint8_t[]){0xFF}, 1);
     CHECK(m->answered && m->answer.kind == ANSWER_OK && m->answers == 1 && m->round_trip_ns > 0);
     send_request(0, frame);
     fail();
@@ -261,7 +261,7 @@ static void a_broadcast_is_over_in_silence(void)
 }
 
 /* -------------------------------------------------------------------------------------------------- the echo */
-static void the_first_read_finds_out_whether_the_adapter_hears_itself(void)
+static void the_first_read_finds_out_whether_the_adapter_receives_itself(void)
 {
     uint8_t bytes[16];
     for (uint32_t echoes = 0; echoes < 2; echoes++) {
@@ -273,18 +273,18 @@ static void the_first_read_finds_out_whether_the_adapter_hears_itself(void)
         memcpy(bytes, m->transaction.frame.request, 8);
         uint32_t from = echoes != 0 ? 0 : 8, count = 8 + reply_of(&m->transaction.frame, bytes + 8);
         m->notify = false;
-        hear_after(2 * MS, bytes + from, count - from);
+        receive_after(2 * MS, bytes + from, count - from);
         CHECK(m->echo == (echoes != 0 ? (uint32_t)ECHO_FIRST : (uint32_t)ECHO_NONE) && m->notify);
         CHECK(m->answer.kind == ANSWER_OK && m->answer.echoed == echoes && m->noise_bytes == 0);
         CHECK(memcmp(m->answer.reply, bytes + 8, 7) == 0);
         send_request(0, read_frame(1));
-        hear_after(2 * MS, bytes + from, count - from);
+        receive_after(2 * MS, bytes + from, count - from);
         CHECK(!m->notify && m->answer.kind == ANSWER_OK);
     }
 }
 
 /* It may have lost its echo: a frame that comes back is no answer then. */
-static void when_nobody_is_understood_the_echo_is_not_known_any_more(void)
+static void when_no_reply_is_understood_the_echo_is_not_known_any_more(void)
 {
     for (uint32_t first = 2; first <= 3; first++) {
         for (uint32_t second = 2; second <= 3; second++) {
@@ -302,7 +302,7 @@ static void when_nobody_is_understood_the_echo_is_not_known_any_more(void)
 }
 
 /* A drive that is asked whether it is back: its echo is none. */
-static void an_unresponsive_drive_is_not_back_because_the_adapter_hears_itself(void)
+static void an_unresponsive_drive_is_not_back_because_the_adapter_receives_itself(void)
 {
     for (uint32_t reads = 0; reads < 4; reads++) { /* by what it can be read: an exchange, one extra, two, nothing */
         begin_with(1, ECHO_UNKNOWN);
@@ -315,7 +315,7 @@ static void an_unresponsive_drive_is_not_back_because_the_adapter_hears_itself(v
         CHECK(m->work == WORK_PROBE && m->transaction.frame.echo_bytes == 6);
         uint8_t echo[8];
         memcpy(echo, m->transaction.frame.request, 8);
-        hear_after(MS, echo, 8);
+        receive_after(MS, echo, 8);
         CHECK((m->drive[0].state.mode == DRIVE_UNRESPONSIVE && m->work == WORK_PROBE) == (reads < 3));
     }
 }
@@ -326,27 +326,27 @@ static void noise_without_end_ends_the_wait(void)
     memset(noise, 0x55, RECEIVED_BYTES_MAX);
     begin_with(1, 0);
     send_request(0, read_frame(1));
-    hear_after(MS, noise, RECEIVED_BYTES_MAX - 3);
+    receive_after(MS, noise, RECEIVED_BYTES_MAX - 3);
     CHECK(m->work == WORK_REQUEST);
-    hear_after(MS, noise, 2);
+    receive_after(MS, noise, 2);
     CHECK(m->work == WORK_REQUEST && !m->answered);
-    hear_after(MS, noise, 1);
+    receive_after(MS, noise, 1);
     CHECK(m->answered && m->answer.kind == ANSWER_BAD_REPLY && m->noise_bytes == RECEIVED_BYTES_MAX);
     begin_with(1, 0);
     send_request(0, read_frame(1));
     (void)reply_of(&m->transaction.frame, noise + RECEIVED_BYTES_MAX - 7);
-    hear_after(MS, noise, RECEIVED_BYTES_MAX); /* its answer just fits */
+    receive_after(MS, noise, RECEIVED_BYTES_MAX); /* its answer just fits */
     CHECK(m->answered && m->answer.kind == ANSWER_OK && m->noise_bytes == RECEIVED_BYTES_MAX - 7);
 }
 
-static void what_comes_while_nobody_shall_answer_is_noise_but_for_an_echo(void)
+static void what_comes_while_no_drive_shall_answer_is_noise_but_for_an_echo(void)
 {
     for (uint32_t echo = ECHO_NONE; echo <= ECHO_UNKNOWN; echo++) {
         line_frame frame = frame_of(0, WRITE, CONTROL, QUICK_STOP);
         frame.reply_bytes = frame.echo_bytes = 0, frame.reply_seal = SEAL_NONE;
         begin_with(1, echo);
         send_request(0, frame);
-        hear_after(MS, frame.request, 8);
+        receive_after(MS, frame.request, 8);
         CHECK(m->work == WORK_REQUEST && m->noise_bytes == (echo == ECHO_NONE ? 8 : 0));
         w.now_ns = m->until_ns - 1;
         look(NULL, 0);
@@ -374,18 +374,18 @@ int main(void)
     a_request_takes_the_time_of_its_bytes_and_is_waited_for();
     each_kind_of_request_is_waited_for_as_long_as_its_drive_may_take();
     a_wait_is_as_short_as_is_usual_while_another_drive_has_to_be_stopped();
-    a_request_to_nobody_is_waited_for_as_long_as_it_says();
-    an_answer_to_a_request_to_nobody_is_an_answer();
+    a_broadcast_is_waited_for_as_long_as_it_says();
+    an_answer_to_a_broadcast_is_an_answer();
     an_answer_is_handed_on_with_its_time_and_nothing_beside_it();
     a_refusal_is_handed_on_with_its_number();
     what_is_no_answer_is_counted_once();
     an_answer_of_one_byte_is_an_answer();
     a_broadcast_is_over_in_silence();
-    the_first_read_finds_out_whether_the_adapter_hears_itself();
-    when_nobody_is_understood_the_echo_is_not_known_any_more();
-    an_unresponsive_drive_is_not_back_because_the_adapter_hears_itself();
+    the_first_read_finds_out_whether_the_adapter_receives_itself();
+    when_no_reply_is_understood_the_echo_is_not_known_any_more();
+    an_unresponsive_drive_is_not_back_because_the_adapter_receives_itself();
     noise_without_end_ends_the_wait();
-    what_comes_while_nobody_shall_answer_is_noise_but_for_an_echo();
+    what_comes_while_no_drive_shall_answer_is_noise_but_for_an_echo();
     what_comes_unasked_keeps_the_line_busy();
     return checks_report("line exchange");
 }

@@ -7,7 +7,7 @@
 static const int64_t SERVO_MS = 1000000;
 static const line_machine *const m = &s.machine;
 
-static void one_request_carries_all_set_points_and_asks_all(void)
+static void one_request_carries_all_set_points_and_reads_all(void)
 {
     for (uint32_t echo = ECHO_NONE; echo <= ECHO_UNKNOWN; echo++) {
         servos_begin(3, echo);
@@ -281,7 +281,7 @@ int main(void)
 {
     a_group_has_room_for_its_set_points_and_fits_on_the_wire();
     each_reply_is_stamped_after_the_one_before();
-    one_request_carries_all_set_points_and_asks_all();
+    one_request_carries_all_set_points_and_reads_all();
     who_is_not_armed_gets_no_set_point();
     who_is_stood_down_gets_its_zero_at_once();
     who_does_not_answer_takes_no_other_answer_away();

@@ -2,7 +2,7 @@
  * test_line_outcomes: what comes of each answer of a drive, of each failure, and of the frames of a stop. */
 #include "line_cycle.h"
 
-static void a_reply_that_took_longer_than_usual_tells_no_value(void)
+static void a_reply_that_took_longer_than_usual_gives_no_value(void)
 {
     for (uint32_t late = 0; late < 3; late++) {
         begin_directions(0.0);
@@ -40,7 +40,7 @@ static void an_answer_after_its_watchdog_stops_an_armed_drive(void)
     }
 }
 
-static void what_is_not_answered_tells_no_turn_around(void)
+static void what_is_not_answered_shows_no_turn_around(void)
 {
     for (uint32_t bytes = 0; bytes < 2; bytes++) {
         begin_directions(0.0);
@@ -176,9 +176,9 @@ static void a_frame_of_a_stop_that_is_refused_so_often_counts_as_done(void)
 
 int main(void)
 {
-    a_reply_that_took_longer_than_usual_tells_no_value();
+    a_reply_that_took_longer_than_usual_gives_no_value();
     an_answer_after_its_watchdog_stops_an_armed_drive();
-    what_is_not_answered_tells_no_turn_around();
+    what_is_not_answered_shows_no_turn_around();
     an_unresponsive_drive_that_answers_is_sent_to_switch_off_first();
     each_failure_is_counted_by_its_kind();
     so_many_failures_as_it_has_tries_make_it_unresponsive();

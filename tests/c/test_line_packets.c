@@ -102,7 +102,7 @@ static void zero_regulates_only_who_is_armed_or_coming_to_rest(void)
     look_until_sent(DUTIES);
 }
 
-static void a_late_answer_is_nobody_s(void)
+static void a_late_answer_belongs_to_no_request(void)
 {
     begin_packets(2);
     request(0, DRIVE_READY);
@@ -129,7 +129,7 @@ static void a_late_answer_is_nobody_s(void)
     CHECK(sent_ns >= failed_ns + bound_ns);
 }
 
-static void a_packet_that_nothing_tells_from_another_is_refused(void)
+static void a_packet_that_nothing_distinguishes_from_another_is_refused(void)
 {
     char name[FIELD_NAME_BYTES];
     begin_packets(1);
@@ -177,7 +177,7 @@ int main(void)
 {
     a_range_that_the_register_cannot_hold_is_refused();
     zero_regulates_only_who_is_armed_or_coming_to_rest();
-    a_late_answer_is_nobody_s();
-    a_packet_that_nothing_tells_from_another_is_refused();
+    a_late_answer_belongs_to_no_request();
+    a_packet_that_nothing_distinguishes_from_another_is_refused();
     return checks_report("line packets");
 }

@@ -55,7 +55,7 @@ static void probes_of_one_that_may_turn_stop_it_in_each_round(void)
     }
 }
 
-static void the_exchange_that_asks_goes_before_the_extra_ranges(void)
+static void the_exchange_that_reads_goes_before_the_extra_ranges(void)
 {
     begin_with(1, 0);
     w.machine.table.drive[0].probe = 1;
@@ -127,7 +127,7 @@ int main(void)
 {
     one_that_becomes_unresponsive_forgets_what_it_was_sent();
     probes_of_one_that_may_turn_stop_it_in_each_round();
-    the_exchange_that_asks_goes_before_the_extra_ranges();
+    the_exchange_that_reads_goes_before_the_extra_ranges();
     the_first_unresponsive_drive_whose_time_has_come_is_asked();
     what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_for_ever();
     return checks_report("line probes");

@@ -10,7 +10,7 @@ static void look(void)
     line_machine_report(&w.machine, &report);
 }
 
-static void a_line_tells_what_it_counts(void)
+static void a_line_reports_what_it_counts(void)
 {
     begin_with(1, 0);
     w.machine.echo = 2;
@@ -75,7 +75,7 @@ static void a_stop_waits_until_it_has_arrived_and_also_where_it_is_refused(void)
 
 int main(void)
 {
-    a_line_tells_what_it_counts();
+    a_line_reports_what_it_counts();
     each_drive_is_sent_by_itself();
     a_stop_waits_until_it_has_arrived_and_also_where_it_is_refused();
     return checks_report("line report");

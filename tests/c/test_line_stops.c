@@ -117,7 +117,7 @@ static void a_missing_drive_does_not_keep_the_others_from_being_seen_at_rest(voi
     CHECK(w.power_off_ns[1] > asked_ns + 200 * MS && w.power_off_ns[1] < asked_ns + 300 * MS);
 }
 
-static void one_that_hears_but_is_not_received_is_sent_every_frame_at_the_end(void)
+static void one_that_receives_but_is_not_received_is_sent_every_frame_at_the_end(void)
 {
     begin_with(2, 0);
     arm(0);
@@ -407,7 +407,7 @@ int main(void)
     one_that_is_missing_until_the_end_is_reported_to_wait();
     of_two_missing_drives_the_one_that_comes_back_is_sent();
     a_missing_drive_does_not_keep_the_others_from_being_seen_at_rest();
-    one_that_hears_but_is_not_received_is_sent_every_frame_at_the_end();
+    one_that_receives_but_is_not_received_is_sent_every_frame_at_the_end();
     the_answer_to_an_older_stop_does_not_stand_for_a_newer_one();
     drives_that_another_program_left_running_stop_before_they_lose_their_power();
     of_those_one_that_does_not_answer_is_sent_its_stop_again_and_again();

@@ -56,7 +56,7 @@ static void what_may_wait_is_read_by_turns(void)
     CHECK(sent_address[0] == EXTRA && sent_address[1] == EXTRA + 1);
 }
 
-static void until_a_drive_has_said_whether_it_is_enabled_only_that_is_read(void)
+static void until_a_drive_has_reported_whether_it_is_enabled_only_that_is_read(void)
 {
     begin_with_extras(0);
     request(0, DRIVE_READY);
@@ -170,7 +170,7 @@ static void a_new_stop_has_all_of_its_tries(void)
 int main(void)
 {
     what_may_wait_is_read_by_turns();
-    until_a_drive_has_said_whether_it_is_enabled_only_that_is_read();
+    until_a_drive_has_reported_whether_it_is_enabled_only_that_is_read();
     a_deadline_doubles_with_each_reply_that_is_missing_up_to_the_drive_s_bound();
     after_a_missing_reply_the_drive_is_left_alone_for_its_whole_bound();
     a_frame_of_a_stop_that_is_refused_is_sent_as_often_as_the_drive_s_tries_and_the_next_one_then();

@@ -173,7 +173,7 @@ static void a_stop_that_was_under_way_is_over_when_a_drive_falls_silent(void)
 }
 
 /* Whatever it was in the middle of: its next cycle and its next round of probes begin at their beginning. */
-static void one_that_falls_silent_in_its_cycle_begins_anew_and_holds_nobody_else_up(void)
+static void one_that_falls_silent_in_its_cycle_begins_anew_and_holds_no_other_up(void)
 {
     begin_with(2, 0);
     line_drive_state *drive = &w.machine.drive[0];
@@ -217,7 +217,7 @@ int main(void)
     the_probe_may_be_the_first_of_the_cycle();
     one_that_answers_is_sent_off_and_is_back();
     a_stop_that_was_under_way_is_over_when_a_drive_falls_silent();
-    one_that_falls_silent_in_its_cycle_begins_anew_and_holds_nobody_else_up();
+    one_that_falls_silent_in_its_cycle_begins_anew_and_holds_no_other_up();
     the_first_round_is_as_long_as_what_stops_the_drive();
     return checks_report("line unresponsive");
 }

@@ -257,7 +257,7 @@ static void a_fault_word_stops_by_what_is_not_harmless_and_is_reported_when_it_c
     CHECK(joint->feedback.drive_faults == 6);
 }
 
-static void whether_it_is_enabled_and_kept_its_set_up_is_told_by_a_mask(void)
+static void whether_it_is_enabled_and_kept_its_set_up_is_shown_by_a_mask(void)
 {
     begin(0.0);
     add_field(0, FIELD_ENABLED, 0, FORM_U16);
@@ -357,7 +357,7 @@ int main(void)
     each_field_goes_where_its_meaning_says();
     a_velocity_without_sign_has_that_of_the_direction_sent_last();
     a_fault_word_stops_by_what_is_not_harmless_and_is_reported_when_it_changes();
-    whether_it_is_enabled_and_kept_its_set_up_is_told_by_a_mask();
+    whether_it_is_enabled_and_kept_its_set_up_is_shown_by_a_mask();
     feedback_has_the_stamp_of_what_the_core_integrates();
     what_is_forgotten_is_not_known_of_any_of_its_joints();
     it_is_at_rest_when_each_of_its_joints_is_known_to_be();

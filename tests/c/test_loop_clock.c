@@ -59,7 +59,7 @@ static core_config base(void)
     return config;
 }
 
-static void hear_drives(void)
+static void receive_drives(void)
 {
     for (uint32_t joint = 0; joint < 2; joint++) {
         joint_feedback feedback = {.stamp_ns = now_ns, .velocity_rad_s = work.out.joint[joint].velocity_rad_s, .enabled = 2};
@@ -88,7 +88,7 @@ static int command(double linear_m_s)
 static void tick(int64_t after_ns)
 {
     now_ns += after_ns;
-    hear_drives();
+    receive_drives();
     beat(1);
     loop_tick(&work, now_ns, now_ns);
 }
@@ -103,7 +103,7 @@ static void drive(void)
     exchange_put_permissions(&work.exchange, &(lease_permissions){.lease = {{.number = 1, .lifetime_ns = 300 * MS}}});
     now_ns = clock_now_ns();
     beat(0);
-    hear_drives();
+    receive_drives();
     loop_tick(&work, now_ns, now_ns);
     CHECK(command(0.0) == 0);
     tick(MS);
@@ -197,7 +197,7 @@ static void what_was_stamped_before_a_suspend_is_not_fresh_after_it(void)
     CHECK(work.arbiter.report.commander == 0 && work.arbiter.report.lease[0].fresh == 0);
     CHECK(arbiter_submit(&work.arbiter, &on_its_direction, sizeof on_its_direction, now_ns, true) == 1 + REFUSED_AGE);
     now_ns = clock_now_ns();
-    hear_drives();
+    receive_drives();
     loop_tick(&work, now_ns, now_ns);
     CHECK(work.core.snapshot.joint[0].stale == 0 && work.core.snapshot.joint[1].stale == 0);
 }

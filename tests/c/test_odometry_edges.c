@@ -393,7 +393,7 @@ static void a_side_that_is_received_later_makes_no_turn(void)
 }
 
 /* The newest stamp was that of a wheel that is silent now: no time has passed since then, and no speed is measured. */
-static void samples_that_are_no_newer_than_the_last_arc_tell_no_speed(void)
+static void samples_that_are_no_newer_than_the_last_arc_show_no_speed(void)
 {
     for (int64_t short_ns = 0; short_ns < 2; short_ns++) {
         base b = begun(32);
@@ -414,7 +414,7 @@ static void samples_that_are_no_newer_than_the_last_arc_tell_no_speed(void)
 
 int main(void)
 {
-    samples_that_are_no_newer_than_the_last_arc_tell_no_speed();
+    samples_that_are_no_newer_than_the_last_arc_show_no_speed();
     a_side_that_only_begins_makes_no_turn();
     a_side_that_is_received_later_makes_no_turn();
     the_speed_of_a_turn_is_the_gyro_s();

@@ -328,7 +328,7 @@ static void a_journal_begins_empty_and_says_how_it_is_laid_out(void)
 }
 
 /* FNV-1a of 64 bits over words: docs/replay.md. */
-static void a_digest_is_the_same_for_whoever_computes_it(void)
+static void a_digest_is_the_same_whichever_program_computes_it(void)
 {
     robot_state snapshot;
     uint64_t words[sizeof snapshot / 8], digest = UINT64_C(14695981039346656037);
@@ -436,7 +436,7 @@ int main(void)
     a_page_begins_empty_in_memory_that_was_used_before(page);
     a_journal_holds_what_went_in_and_what_came_out();
     a_journal_begins_empty_and_says_how_it_is_laid_out();
-    a_digest_is_the_same_for_whoever_computes_it();
+    a_digest_is_the_same_whichever_program_computes_it();
     buckets_are_narrow_and_in_order();
     percentiles_are_never_sent_too_low();
     a_histogram_that_is_cleared_holds_nothing();

@@ -226,7 +226,7 @@ static void a_refusal_is_sent_with_its_code(void)
     CHECK(is(find(&frame, 0, plain, 5), RECEIVED_MORE, 0, 0));
 }
 
-static void an_adapter_that_hears_itself_brings_the_request_first(void)
+static void an_adapter_that_receives_itself_brings_the_request_first(void)
 {
     line_frame frame = reading();
     uint8_t bytes[ROOM];
@@ -308,7 +308,7 @@ static void no_answer_begins_within_the_echo(void)
     CHECK(false);
 }
 
-static void nothing_received_is_nothing_said(void)
+static void nothing_received_is_nothing_reported(void)
 {
     line_frame frame = reading();
     for (uint32_t echo = 0; echo <= 2; echo++) {
@@ -370,11 +370,11 @@ int main(void)
     what_is_not_the_answer_is_none();
     a_write_is_answered_by_its_own_first_bytes();
     a_refusal_is_sent_with_its_code();
-    an_adapter_that_hears_itself_brings_the_request_first();
+    an_adapter_that_receives_itself_brings_the_request_first();
     an_echo_of_a_write_is_no_answer();
     one_byte_may_be_all_that_an_answer_repeats();
     no_answer_begins_within_the_echo();
-    nothing_received_is_nothing_said();
+    nothing_received_is_nothing_reported();
     the_short_frames_of_others_have_a_seal_of_one_byte();
     an_answer_that_does_not_say_what_it_answers_is_all_that_comes();
     return checks_report("rtu");

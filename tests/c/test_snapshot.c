@@ -71,7 +71,7 @@ static void each_wheel_is_reported_by_itself(void)
     CHECK(shown->joint[2].drive_faults == 0x30 && shown->joint[3].drive_faults == 0 && shown->joint[3].current_a == 4.0);
 }
 
-static void of_a_wheel_that_was_never_heard_nothing_is_reported(void)
+static void of_a_wheel_without_feedback_nothing_is_reported(void)
 {
     core_config config = good_config();
     start(r, &config);
@@ -179,7 +179,7 @@ int main(void)
 {
     r = malloc(sizeof *r);
     each_wheel_is_reported_by_itself();
-    of_a_wheel_that_was_never_heard_nothing_is_reported();
+    of_a_wheel_without_feedback_nothing_is_reported();
     the_odometry_is_reported_whole();
     the_sensor_is_reported_less_its_bias();
     what_the_base_does_and_why_is_reported();
