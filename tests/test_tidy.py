@@ -369,11 +369,8 @@ def comments_in(path: Path) -> Iterator[tuple[int, str]]:
 
 
 # Folders of tests that keep the terms of the glossary, too: names, comments, docstrings.
-TESTED = [
-    path
-    for path in PYTHON
-    if path.relative_to(ROOT).parts[:2] in (("tests", "rt"), ("tests", "unit"))
-]
+KEPT = (("tests", "rt"), ("tests", "unit"), ("tests", "c"))
+TESTED = [path for path in PYTHON + C if path.relative_to(ROOT).parts[:2] in KEPT]
 
 
 @pytest.mark.parametrize("paths", [PRODUCT, CSRC, TESTED], ids=["Python", "C", "tests"])

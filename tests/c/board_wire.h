@@ -22,11 +22,11 @@ typedef struct {
     motord_measured measured[MOTORS];
     motord_health health;
     int64_t now_ns, wake_ns;
-    double velocity_rad_s;        /* what the core wants of all joints */
-    uint32_t enabled;             /* the core's; 2: no set-points come any more */
-    bool mute, deaf, full;        /* the board does not speak, hears nothing; the port takes nothing */
-    bool stuck;                   /* its wheels turn as they did, whatever they are told */
-    uint8_t sent[BOARD_WIRE_MAX]; /* the newest */
+    double velocity_rad_s;             /* what the core wants of all joints */
+    uint32_t enabled;                  /* the core's; 2: no set-points come any more */
+    bool mute, receives_nothing, full; /* the board does not send or receive; the port takes nothing */
+    bool stuck;                        /* its wheels turn as they did, whatever they are sent */
+    uint8_t sent[BOARD_WIRE_MAX];      /* the newest */
     uint32_t sent_bytes, sent_count;
     uint32_t moving_count; /* frames with a set-point that is not zero */
 } board_wire;
@@ -59,7 +59,7 @@ static inline bool take_bytes(void *sink, const uint8_t *bytes, uint32_t count)
     w.sent_count++;
     if (w.table.dialect == BOARD_FRAMES) {
         w.moving_count += last_sent(TARGET, 4, 1) != 0 || last_sent(TARGET + 6, 4, 1) != 0;
-        for (uint32_t i = 0; !w.deaf && i < count; i++) {
+        for (uint32_t i = 0; !w.receives_nothing && i < count; i++) {
             motord_board_byte(&w.peer, bytes[i], (uint32_t)(w.now_ns / 1000));
         }
     }
@@ -200,7 +200,7 @@ static inline void set_up(void)
     order(WATCHDOG, 2, WATCHDOG_MS, 0);
     request(DRIVE_READY);
     CHECK(w.machine.state.mode == DRIVE_READY && w.machine.state.fault_reasons == 0 && w.machine.state.enabled == 2);
-    CHECK(isnan(w.machine.joint[0].feedback.velocity_rad_s)); /* what was heard before was another life */
+    CHECK(isnan(w.machine.joint[0].feedback.velocity_rad_s)); /* what was received before was another life */
 }
 
 static inline void arm(void)
@@ -213,7 +213,7 @@ static inline void arm(void)
     CHECK(w.machine.state.mode == DRIVE_ARMED && w.machine.state.enabled == 2);
 }
 
-/* What Python would hear of by now; it has heard it then. */
+/* What Python would be notified of by now; it has been then. */
 static inline bool received_changes(void)
 {
     bool notify = w.machine.notify;

@@ -19,8 +19,8 @@ typedef struct {
     setpoints out;
     robot_state shown;
     double position_rad[JOINTS_MAX];
-    bool deaf; /* feedback is not refreshed */
-    bool mute; /* nor the command */
+    bool stale; /* feedback is not refreshed */
+    bool mute;  /* nor the command */
 } rig;
 
 static inline core_config good_config(void)
@@ -77,7 +77,7 @@ static inline const robot_state *tick(rig *r)
         r->input.command.stamp_ns = r->input.now_ns;
         r->input.command.expires_ns = r->input.now_ns + 1000000000;
     }
-    for (uint32_t j = 0; j < r->config.joint_count && !r->deaf; j++) {
+    for (uint32_t j = 0; j < r->config.joint_count && !r->stale; j++) {
         joint_feedback *feedback = &r->input.feedback[j];
         r->position_rad[j] += r->out.joint[j].velocity_rad_s * 1e-3;
         feedback->velocity_rad_s = r->out.joint[j].velocity_rad_s;

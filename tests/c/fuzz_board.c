@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * fuzz_board.c: a board's machine among bytes, requests and set-points that do what they like. Whatever comes: motion is
- * said only to a board that is armed and only while the core wants it, frames leave no faster than cycles and stops, and
+ * sent only to a board that is armed and only while the core wants it, frames leave no faster than cycles and stops, and
  * the end comes. In each dialect. */
 #include "board_wire.h"
 #include "tape.h"
@@ -130,7 +130,7 @@ static void look(void)
     CHECK(w.machine.feedback_bytes <= BOARD_PAYLOAD_MAX && w.machine.tail.count <= BOARD_LINE_MAX);
 }
 
-/* The mode that was there before the step, too, after whatever was said. */
+/* The mode that was there before the step, too, after whatever was sent. */
 static void say(uint8_t choice)
 {
     if (w.table.dialect == BOARD_FRAMES && choice % 4 != 0) {

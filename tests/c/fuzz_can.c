@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * fuzz_can.c: a bus's machine among drives, jobs, requests and set-points that do what they like, on a bus that takes what
- * it likes. Whatever comes: motion is said only to who is armed and only while the core wants it, a stop goes out at
+ * it likes. Whatever comes: motion is sent only to what is armed and only while the core wants it, a stop goes out at
  * once or with the first look at which the bus takes it, a job that was overtaken by a stop is not sent, and the end
  * comes. */
 #include "can_wire.h"
@@ -9,10 +9,10 @@
 #define FUZZ_NAME "fuzz_can"
 enum { FUZZ_MAX = 256, DRIVES = 3, SYNC = 0x80, SLOW = 0x600, STRANGER = 0x77 };
 
-static const float SAID_RAD_S = 10.0F, GREAT_RAD_S = 3e38F;
+static const float REPORTED_RAD_S = 10.0F, GREAT_RAD_S = 3e38F;
 
 static uint32_t modes[DRIVES];
-static int16_t last_sent[DRIVES]; /* the newest speed that each has been told */
+static int16_t last_sent[DRIVES]; /* the newest speed that each has been sent */
 static uint8_t taking;            /* the bus: 0 takes all, 1 nothing, else every so many */
 static uint32_t offered, refused;
 
@@ -62,7 +62,7 @@ static bool offer(void *sink, const can_packet *packet)
     return true;
 }
 
-/* Three kinds: one is told zero when it rests, one must not be and cannot say whether it has power, one has a watchdog,
+/* Three kinds: one is sent zero when it rests, one must not be and cannot report whether it has power, one has a watchdog,
  * two frames to a stop, and is unresponsive until it answers. */
 static void begin(void)
 {
@@ -141,7 +141,7 @@ static void asyncio_side(uint8_t choice)
     }
 }
 
-static void hear(const can_packet *packet, int64_t stamp_ns)
+static void receive(const can_packet *packet, int64_t stamp_ns)
 {
     uint32_t who = can_machine_receive(&w.machine, packet, stamp_ns, w.now_ns);
     bool listening = who < DRIVES && (w.machine.control.listen >> who & 1) != 0;
@@ -150,18 +150,18 @@ static void hear(const can_packet *packet, int64_t stamp_ns)
 
 static void receive_motion(uint32_t drive, uint8_t choice)
 {
-    const float said[] = {SAID_RAD_S + (float)drive, 0.0F, NAN, INFINITY, GREAT_RAD_S, -INFINITY, 0.0F, 0.0F};
-    float both[2] = {said[choice >> 3 & 7], said[choice & 7]};
+    const float reported[] = {REPORTED_RAD_S + (float)drive, 0.0F, NAN, INFINITY, GREAT_RAD_S, -INFINITY, 0.0F, 0.0F};
+    float both[2] = {reported[choice >> 3 & 7], reported[choice & 7]};
     can_packet packet = packet_of(MOTION + drive, 8);
     memcpy(packet.data, both, sizeof both);
-    hear(&packet, w.now_ns - (choice >> 6) * MS);
+    receive(&packet, w.now_ns - (choice >> 6) * MS);
 }
 
 static void receive_state(uint32_t drive, uint8_t choice)
 {
     can_packet packet = packet_of(STATE + drive, 1);
     packet.data[0] = choice % 4 == 0 ? 8 : 1;
-    hear(&packet, w.now_ns);
+    receive(&packet, w.now_ns);
 }
 
 /* What no drive of the table says, or not so. */
@@ -173,7 +173,7 @@ static void receive_noise(uint8_t choice)
     for (uint32_t i = 0; i < packet.bytes; i++) {
         packet.data[i] = next_byte();
     }
-    hear(&packet, w.now_ns);
+    receive(&packet, w.now_ns);
 }
 
 static void drives_side(uint8_t choice)
@@ -199,13 +199,13 @@ static void judge_modes(void)
         judge_mode(modes[i], now, &w.machine.control.drive[i]);
         modes[i] = now;
         double velocity = w.machine.joint[i].feedback.velocity_rad_s;
-        bool its_own = velocity == (double)(SAID_RAD_S + (float)i) || velocity == (double)GREAT_RAD_S || velocity == 0.0;
+        bool its_own = velocity == (double)(REPORTED_RAD_S + (float)i) || velocity == (double)GREAT_RAD_S || velocity == 0.0;
         CHECK(isnan(velocity) || its_own);
     }
     CHECK((w.machine.feedback_mask & ~7U) == 0);
 }
 
-/* Whoever has been told to move and may not any more has been told so, if the bus takes anything: an unresponsive one in its
+/* What has been sent motion and may not move any more has been sent zero, if the bus takes anything: an unresponsive one in its
  * next cycle, by the probe. */
 static void judge_stops(bool cycled)
 {

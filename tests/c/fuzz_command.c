@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_command.c: whatever comes as a datagram, the core is told numbers, of a lease that lives; and without the token
- * nobody commands. */
+ * fuzz_command.c: whatever comes as a datagram, the core gets numbers, of a lease that lives; and without the token
+ * no source commands. */
 #include "check.h"
 #include "rt.h"
 

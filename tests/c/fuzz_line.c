@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * fuzz_line.c: a line's machine among drives, requests and set-points that do what they like. Whatever comes: motion is
- * said only to who is armed and only while the core wants it, the silence is kept, no value is taken from another's
+ * sent only to what is armed and only while the core wants it, the silence is kept, no value is taken from another's
  * answer, and the end comes. */
 #include <math.h>
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_rtu.c: whatever is heard, an answer is one: it begins as it must, is whole, and its check sum is right by another
+ * fuzz_rtu.c: whatever is received, an answer is one: it begins as it must, is whole, and its check sum is right by another
  * arithmetic than the one that is tested; and a good answer behind any garbage is found. */
 #include "check.h"
 #include "rtu.h"

@@ -9,7 +9,7 @@ enum { DIRECTION = 0x40, EXTRA = 0x50, NO_FRAME = 0xffff };
 
 static line_drive_state *drive;
 
-/* One drive that is told magnitude and way, and has two ranges that are read in turn. */
+/* One drive that is sent magnitude and direction, and has two ranges that are read in turn. */
 static inline void begin_directions(double wanted_rad_s)
 {
     begin_with(2, 0);
@@ -42,7 +42,7 @@ static inline void want(double velocity_rad_s)
     w.machine.newest.joint[0].velocity_rad_s = velocity_rad_s;
 }
 
-/* The next frame of the cycle is under way; register and value, NO_FRAME: the cycle is over. */
+/* The next frame of the cycle is in transit; register and value, NO_FRAME: the cycle is over. */
 static inline uint32_t sends(void)
 {
     line_frame frame;

@@ -12,7 +12,7 @@ enum { WRITE = 6, READ = 3, SPEED = 0x10, STATUS = 0x20, CONTROL = 0x30, RELEASE
 
 static const int64_t MS = 1000000, DEVICE_NS = 500000, CHARACTER_NS = 86805, GAP_NS = 1750000;
 
-/* A wire with its drives; `dead` has a bit for each that neither hears nor answers, `mute` for each that hears. */
+/* A wire with its drives; `dead` has a bit for each that neither receives nor answers, `mute` for each that receives. */
 typedef struct {
     line_table table;
     line_machine machine;
@@ -22,15 +22,15 @@ typedef struct {
     uint32_t mute;
     uint32_t turning;                       /* bit n: its wheel says that it turns */
     int16_t place;                          /* what it reads as well; 0: 9 */
-    int64_t quick_stop_ns[LINE_DRIVES_MAX]; /* when it first heard one; 0: never */
+    int64_t quick_stop_ns[LINE_DRIVES_MAX]; /* when it first got one; 0: never */
     int64_t power_off_ns[LINE_DRIVES_MAX];
     bool old, not_enabled; /* the core's set-points */
     uint32_t motion_sent;  /* frames with a speed that is not zero */
     bool echoes;
     bool babbles;                         /* a device sends a byte a millisecond, unasked */
-    uint32_t power_offs[LINE_DRIVES_MAX]; /* frames of `disarm` heard by each */
+    uint32_t power_offs[LINE_DRIVES_MAX]; /* frames of `disarm` received by each */
     uint32_t released[LINE_DRIVES_MAX];   /* of them the last frame */
-    uint32_t sent_off[LINE_DRIVES_MAX];   /* sent to each, heard or not, as the next one */
+    uint32_t sent_off[LINE_DRIVES_MAX];   /* sent to each, received or not, as the next one */
     uint32_t quick_stop_sent[LINE_DRIVES_MAX];
     uint8_t refused; /* a register that cannot be written; 0: none */
     uint32_t refusals;

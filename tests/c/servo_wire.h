@@ -16,7 +16,7 @@ typedef struct {
     line_machine machine;
     line_output out;
     int64_t now_ns;
-    uint32_t silent;  /* bit n: hears, and does not answer */
+    uint32_t silent;  /* bit n: receives, and does not answer */
     uint32_t damaged; /* bit n: its reply has a wrong bit */
     bool echoes;
     int16_t goal[LINE_DRIVES_MAX];

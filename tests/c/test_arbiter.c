@@ -226,7 +226,7 @@ static void any_rate_but_zero_is_a_limit(void)
     CHECK(say(0, 6, 0.1) == 1 + REFUSED_RATE && say(1, 6, 0.1) == 0);
 }
 
-/* The owner was held when another lease of his ended. */
+/* The owner was held when another lease of the same owner ended. */
 static void begin_barred(int64_t until_ns)
 {
     begin();
@@ -253,7 +253,7 @@ static void a_bar_counts_once_and_only_a_later_one_is_a_new_one(void)
     int64_t until_ns = 5000 * MS + 2000 * MS;
     begin_barred(until_ns);
     CHECK(say(0, 1, 0.0) == 0 && obeyed().linear_m_s == 0.0);
-    b.now_ns += LIFE_NS; /* his command has lapsed */
+    b.now_ns += LIFE_NS; /* its command has lapsed */
     CHECK(say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.1);
     b.permissions.lease[0].barred_until_ns = until_ns + 1;
     arbiter_grant(&b.arbiter, &b.permissions);
@@ -261,7 +261,7 @@ static void a_bar_counts_once_and_only_a_later_one_is_a_new_one(void)
     CHECK(say(0, 3, 0.1) == 0 && obeyed().linear_m_s == 0.0);
 }
 
-/* After the computer was suspended: what was stamped before it counts as never said. */
+/* After the computer was suspended: what was stamped before it counts as never sent. */
 static void after_a_pause_of_the_computer_no_command_is_alive(void)
 {
     begin();

@@ -282,7 +282,7 @@ static void standing_down_takes_the_power_with_the_next_frame(void)
     w.now_ns = w.machine.cycle.due_ns;
     step();
     w.now_ns += MS;
-    request(DRIVE_STAND_DOWN); /* no cycle is due, and nothing is said to turn */
+    request(DRIVE_STAND_DOWN); /* no cycle is due, and no motion is sent */
     CHECK(w.peer.enabled == 0);
 }
 
@@ -319,10 +319,10 @@ static void a_board_that_receives_nothing_stops_by_itself_and_is_set_up_again(vo
 {
     begin();
     arm_and_turn();
-    w.deaf = true;
+    w.receives_nothing = true;
     go_on((WATCHDOG_MS + 60) * MS);
     CHECK(w.peer.enabled == 0 && w.peer.braking == 1);
-    w.deaf = false;
+    w.receives_nothing = false;
     w.moving_count = 0;
     go_on(60 * MS);
     CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.fault_reasons & DRIVE_FAULT_DISABLED_ITSELF) != 0);
@@ -374,7 +374,7 @@ static void a_mute_board_is_unresponsive_braked_and_comes_back_disarmed(void)
     uint32_t before = w.sent_count;
     w.moving_count = 0;
     go_on(200 * MS);
-    CHECK(w.sent_count >= before + 19 && w.moving_count == 0); /* told so in every cycle */
+    CHECK(w.sent_count >= before + 19 && w.moving_count == 0); /* sent so in every cycle */
     request(DRIVE_ARMED);
     request(DRIVE_READY);
     CHECK(w.machine.state.mode == DRIVE_UNRESPONSIVE);
@@ -387,7 +387,7 @@ static void a_mute_board_is_unresponsive_braked_and_comes_back_disarmed(void)
     set_up();
 }
 
-static void arming_needs_fresh_set_points_and_no_stop_under_way(void)
+static void arming_needs_fresh_set_points_and_no_stop_that_goes_on(void)
 {
     begin();
     set_up();
@@ -451,7 +451,7 @@ int main(void)
     a_restarted_board_has_lost_its_set_up();
     a_board_that_is_enabled_though_it_was_not_armed_is_sent_off();
     a_mute_board_is_unresponsive_braked_and_comes_back_disarmed();
-    arming_needs_fresh_set_points_and_no_stop_under_way();
+    arming_needs_fresh_set_points_and_no_stop_that_goes_on();
     frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two();
     return checks_report("board");
 }

@@ -70,7 +70,7 @@ static void it_is_at_rest_by_a_word_of_after_its_stop(void)
     }
 }
 
-/* `said` is what the board says of itself; it has heard what is in its payload by then. */
+/* `reported` is what the board reports of itself; it has received what is in its payload by then. */
 static void says(uint32_t status, int64_t watchdog_ms)
 {
     memset(m->feedback_payload, 0, sizeof m->feedback_payload);

@@ -4,18 +4,18 @@
 
 #include "board_wire.h"
 
-enum { SAID_BYTES = 36, HELD_UNIT_US = 100 };
+enum { REPORTED_BYTES = 36, HELD_UNIT_US = 100 };
 
 static histogram trips;
 
 /* Feedback of the board, made at `time_us`: which frame it received last, and how many 0.1 ms ago. */
 static void receive_that(uint16_t sequence, uint16_t ago, uint32_t time_us)
 {
-    uint8_t payload[SAID_BYTES] = {0}, frame[BOARD_WIRE_MAX];
+    uint8_t payload[REPORTED_BYTES] = {0}, frame[BOARD_WIRE_MAX];
     payload[10] = 1; /* what follows is a fault word */
     board_put(payload, &(board_place){.byte = 6, .bytes = 2}, sequence);
     board_put(payload, &(board_place){.byte = 8, .bytes = 2}, ago);
-    uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, time_us, payload, SAID_BYTES, frame);
+    uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, time_us, payload, REPORTED_BYTES, frame);
     uint64_t before = w.machine.received;
     board_machine_receive(&w.machine, frame, count, w.now_ns);
     CHECK(w.machine.received == before + 1);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a board's line tells of itself: every field from its own place, and no other. */
+ * What a board's line reports of itself: every field from its own place, and no other. */
 #include "board_wire.h"
 
 int main(void)

@@ -6,7 +6,7 @@
 #include "board_wire.h"
 #include "thread_sides.h"
 
-/* What docs/mcu/motord_mcu.ino does in its loop; how often it was told to turn. */
+/* What docs/mcu/motord_mcu.ino does in its loop; how often it was sent motion. */
 static void *sketch(void *arg)
 {
     unsigned long *turned = arg;

@@ -104,7 +104,7 @@ static void what_was_reported_before_a_write_was_received_is_not_believed(void)
     CHECK(w.machine.state.mode == DRIVE_ARMED);
     board_place ago = at(8, 2, 0);
     board_put(payload, &received, w.machine.sequence);
-    board_put(payload, &ago, 60000); /* heard six seconds ago: before it was sent, by an earlier program */
+    board_put(payload, &ago, 60000); /* received six seconds ago: before it was sent, by an earlier program */
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
     board_machine_receive(&w.machine, frame, count, w.now_ns);
     CHECK(w.machine.state.mode == DRIVE_ARMED);
@@ -169,7 +169,7 @@ static void text_without_feedback_lives_on_its_port(void)
     CHECK(w.machine.state.mode == DRIVE_BACK && newest_line_is("0,0\n"));
 }
 
-static void hear(const char *text)
+static void receive(const char *text)
 {
     board_machine_receive(&w.machine, (const uint8_t *)text, (uint32_t)strlen(text), w.now_ns);
 }
@@ -178,12 +178,12 @@ static void half_a_line_is_not_read_and_one_without_end_is_thrown_away(void)
 {
     begin_with(text_table(true));
     request(DRIVE_READY);
-    hear("v 9\nv 1.5\r\n"); /* the first may have begun anywhere */
+    receive("v 9\nv 1.5\r\n"); /* the first may have begun anywhere */
     CHECK(w.machine.joint[0].feedback.velocity_rad_s == 1.5 && w.machine.received == 1 && w.machine.bad_frames == 0);
     for (uint32_t i = 0; i < 100; i++) {
-        hear("v 123456");
+        receive("v 123456");
     }
-    hear("\nv 2;hello;v 1e999\n");
+    receive("\nv 2;hello;v 1e999\n");
     CHECK(w.machine.joint[0].feedback.velocity_rad_s == 2.0 && w.machine.received == 2 && w.machine.bad_frames == 2);
     go_on(200 * MS);
     CHECK(w.machine.state.mode == DRIVE_UNRESPONSIVE);
@@ -194,14 +194,14 @@ static void receive_padded(uint32_t line_bytes)
     char line[BOARD_LINE_MAX + 8];
     memset(line, '0', sizeof line);
     line[0] = 'v', line[1] = ' ', line[line_bytes - 1] = '7', line[line_bytes] = 0;
-    hear(line);
-    hear("\n");
+    receive(line);
+    receive("\n");
 }
 
 static void the_longest_line_is_read_and_one_with_a_byte_more_is_not(void)
 {
     begin_with(text_table(true));
-    hear("\n");
+    receive("\n");
     receive_padded(BOARD_LINE_MAX);
     CHECK(w.machine.received == 1 && w.machine.joint[0].feedback.velocity_rad_s == 7.0);
     receive_padded(BOARD_LINE_MAX + 1);
@@ -220,7 +220,7 @@ static void a_line_is_of_its_own_time_and_of_nothing_but_itself(void)
     begin_with(table);
     memset(w.machine.feedback_payload, 0xFF, sizeof w.machine.feedback_payload);
     w.now_ns += 3 * MS;
-    hear("\nv 1.5\n");
+    receive("\nv 1.5\n");
     CHECK(w.machine.stamp_ns == w.now_ns && w.machine.knows_ns == w.now_ns);
     CHECK(w.machine.joint[1].fault_word == 0 && w.machine.joint[0].feedback.velocity_rad_s == 1.5);
     board_report report;
@@ -296,7 +296,7 @@ static void a_text_has_its_rate_about_z(void)
     table.imu.axis[2] = 2;
     table.imu.rate_z = at(0, 6, 1); /* the number that is read, in units of 1e-6 rad/s: times 1000 here */
     begin_with(table);
-    hear("\nv 500\n");
+    receive("\nv 500\n");
     CHECK(w.machine.imu_is_new && is_near(w.machine.imu.angular_rad_s[2], -0.5) && isnan(w.machine.imu.angular_rad_s[1]));
     CHECK(w.machine.imu.saturated == 0);
     table.imu.rate_z.byte = 1;

@@ -273,7 +273,7 @@ static void pins_that_rest_after_a_failure_are_sent_to_rest(void)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC);
     bridge_config config = config_of(fd);
-    config.inputs_fd = 98; /* nobody's */
+    config.inputs_fd = 98; /* of no file */
     config.joint[0].fault_mask = 1;
     bridge_report report = {.running = 1};
     exchange_init(&shared_exchange);

@@ -62,7 +62,7 @@ static const double *steps_on(bench *b, int64_t after_ns)
     return b->level;
 }
 
-static const double *asks(bench *b, uint32_t request)
+static const double *requests(bench *b, uint32_t request)
 {
     b->control.mode = request;
     b->control.number++;
@@ -79,7 +79,7 @@ static void each_mode_has_its_level(void)
     bench b = begun();
     steps_on(&b, 0);
     CHECK(b.level[0] == 0.1 && b.level[1] == 0.1); /* no power */
-    asks(&b, PWM_ARMED);
+    requests(&b, PWM_ARMED);
     CHECK(is(b.level[0], 0.3 + 0.25 * 0.5) && is(b.level[1], 0.4 + 0.35 * 0.5));
     b.newest.joint[0].duty = 0.05, b.newest.joint[1].duty = -0.05;
     steps_on(&b, MS);
@@ -93,12 +93,12 @@ static void each_mode_has_its_level(void)
             CHECK(is(steps_on(&b, MS)[0], direction > 0 ? 0.3 + 0.25 : 0.4 + 0.35));
         }
     }
-    asks(&b, PWM_STOP);
+    requests(&b, PWM_STOP);
     CHECK(b.level[0] == 0.2 && b.level[1] == 0.2);
     CHECK(steps_on(&b, 300 * MS - 1)[1] == 0.2 && steps_on(&b, 1)[1] == 0.1 && !b.state.drive.stopping);
-    asks(&b, PWM_ARMED);
+    requests(&b, PWM_ARMED);
     CHECK(b.state.drive.mode == DRIVE_ARMED);
-    asks(&b, PWM_OFF);
+    requests(&b, PWM_OFF);
     CHECK(b.level[0] == 0.1 && b.level[1] == 0.1 && !b.state.drive.stopping);
 }
 
@@ -106,7 +106,7 @@ static void a_joint_that_the_set_points_do_not_have_rests(void)
 {
     bench b = begun();
     b.config.joint[1].index = 2;
-    asks(&b, PWM_ARMED);
+    requests(&b, PWM_ARMED);
     CHECK(is(b.level[0], 0.3 + 0.25 * 0.5) && b.level[1] == 0.1);
 }
 
@@ -180,20 +180,20 @@ static void a_servo_that_stops_keeps_its_place_and_then_gets_no_pulses(void)
 static void each_reason_stays_until_it_is_armed_again(void)
 {
     bench b = begun();
-    asks(&b, PWM_ARMED);
+    requests(&b, PWM_ARMED);
     steps_on(&b, 100 * MS); /* as long as set-points count */
     CHECK(b.state.drive.mode == DRIVE_ARMED && b.state.drive.fault_reasons == 0);
     steps_on(&b, 100 * MS + 1);
     CHECK(b.state.drive.fault_reasons == DRIVE_FAULT_LEFT_ALONE && b.level[0] == 0.2);
     b.age_ns = 100 * MS + 1;
-    asks(&b, PWM_ARMED);
+    requests(&b, PWM_ARMED);
     CHECK(b.state.drive.mode == DRIVE_READY &&
           b.state.drive.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_SETPOINTS_OLD));
     CHECK(b.state.drive.stopping && b.level[0] == 0.2);
     b.age_ns = 100 * MS;
-    asks(&b, PWM_OFF);
+    requests(&b, PWM_OFF);
     CHECK(!b.state.drive.stopping && b.level[0] == 0.1);
-    asks(&b, PWM_ARMED);
+    requests(&b, PWM_ARMED);
     CHECK(b.state.drive.mode == DRIVE_ARMED && b.state.drive.fault_reasons == 0);
     b.age_ns = 100 * MS + 1;
     steps_on(&b, MS);
@@ -201,27 +201,27 @@ static void each_reason_stays_until_it_is_armed_again(void)
           b.state.brake_until_ns == b.now_ns + 300 * MS);
     b.age_ns = 0;
     b.control.number++;
-    asks(&b, PWM_ARMED); /* a request was not seen: it may have been a stop */
+    requests(&b, PWM_ARMED); /* a request was not seen: it may have been a stop */
     CHECK(b.state.drive.mode == DRIVE_READY && !b.state.drive.stopping && b.level[0] == 0.1);
 }
 
 static void one_that_brakes_goes_on_whatever_is_requested_but_no_power(void)
 {
     bench b = begun();
-    asks(&b, PWM_ARMED);
-    asks(&b, PWM_STOP);
+    requests(&b, PWM_ARMED);
+    requests(&b, PWM_STOP);
     int64_t until_ns = b.now_ns + 300 * MS;
     CHECK(b.state.drive.stopping && b.state.brake_until_ns == until_ns);
-    asks(&b, PWM_ARMED);
+    requests(&b, PWM_ARMED);
     CHECK(b.state.drive.mode == DRIVE_READY && b.state.drive.stopping && b.level[0] == 0.2 && b.level[1] == 0.2);
-    asks(&b, PWM_STOP); /* its line ends */
+    requests(&b, PWM_STOP); /* its line ends */
     CHECK(b.state.drive.stopping && b.state.brake_until_ns == until_ns && b.level[0] == 0.2);
     CHECK(b.state.drive.fault_reasons == 0);
-    asks(&b, PWM_OFF);
+    requests(&b, PWM_OFF);
     CHECK(!b.state.drive.stopping && b.level[0] == 0.1 && b.level[1] == 0.1);
-    asks(&b, PWM_STOP);
+    requests(&b, PWM_STOP);
     CHECK(!b.state.drive.stopping && b.level[0] == 0.1); /* what has no power does not brake */
-    asks(&b, PWM_ARMED);
+    requests(&b, PWM_ARMED);
     CHECK(b.state.drive.mode == DRIVE_ARMED);
 }
 
@@ -231,14 +231,14 @@ static void one_that_was_enabled_and_is_no_more_has_no_power(void)
     bench b = begun();
     b.state.enabled_count = 5;
     b.newest.enabled = 0;
-    asks(&b, PWM_ARMED);
+    requests(&b, PWM_ARMED);
     CHECK(b.state.drive.mode == DRIVE_ARMED && b.level[0] == 0.2 && b.level[1] == 0.1);
     steps_on(&b, MS);
     CHECK(b.state.drive.mode == DRIVE_ARMED);
     b.state.enabled_count = 6;
     steps_on(&b, MS);
     CHECK(b.state.drive.fault_reasons == DRIVE_FAULT_NOT_ENABLED && b.level[0] == 0.1 && !b.state.drive.stopping);
-    asks(&b, PWM_ARMED);
+    requests(&b, PWM_ARMED);
     b.newest.enabled = 1;
     steps_on(&b, MS);
     CHECK(b.state.drive.mode == DRIVE_ARMED && is(b.level[0], 0.3 + 0.25 * 0.5));

@@ -63,7 +63,7 @@ static void feedback_is_counts_and_si_with_the_kernel_s_stamp(void)
     arm(0);
     report_motion(0, 1.0F, 0.0F);
     w.now_ns += MS;
-    report_motion(0, -0.25F, 3.0F); /* so soon after the other it tells nothing new */
+    report_motion(0, -0.25F, 3.0F); /* so soon after the other it adds nothing new */
     CHECK(w.machine.joint[0].feedback.count == 1000);
     w.now_ns += 6 * MS;
     report_motion(0, -0.25F, 3.0F);
@@ -268,7 +268,7 @@ static void a_pause_longer_than_the_watchdog_stops_the_drive(void)
     begin_with(1);
     arm(0);
     go_on(50 * MS);
-    w.now_ns += 600 * MS; /* nothing was told: it has stopped by itself, if it can */
+    w.now_ns += 600 * MS; /* nothing was sent: it has stopped by itself, if it can */
     report_state(0, 8);
     report_motion(0, 1.0F, 1.0F);
     step();

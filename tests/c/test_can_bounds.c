@@ -194,7 +194,7 @@ static void an_old_answer_to_a_hello_counts_no_more_when_the_drive_is_unresponsi
     w.silent = true;
     while (state_of(0)->state.mode == DRIVE_ARMED) {
         report_state(0, 8);
-        go_on(10 * MS); /* its motion is heard no more */
+        go_on(10 * MS); /* its motion comes no more */
     }
     go_on(10 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->missing == 1);
@@ -208,7 +208,7 @@ static void a_drive_that_falls_silent_while_it_stops_begins_anew_with_quick_stop
     begin_with(1);
     arm(0);
     w.reported_rad_s = 1.0;
-    go_on(3000 * MS); /* all that it was told before is long ago */
+    go_on(3000 * MS); /* all that it was sent before is long ago */
     w.enabled = 2;
     go_on(110 * MS);
     CHECK(state_of(0)->state.stopping);
@@ -230,7 +230,7 @@ static void quick_stops_end_after_a_second_of_silence_and_not_with_it(void)
     restart();
     arm(0);
     go_on(30 * MS);
-    w.not_taken = SPEED; /* so it is told anew in each cycle */
+    w.not_taken = SPEED; /* so it is sent anew in each cycle */
     become_unresponsive();
     int64_t unresponsive_ns = state_of(0)->unresponsive_since_ns;
     w.machine.cycle.due_ns = unresponsive_ns + 1000 * MS;

@@ -59,7 +59,7 @@ static void the_first_frames_count_however_young_the_clock_is(void)
     report_motion(0, 1.0F, 0.0F);
     CHECK(state_of(0)->sample_ns[1] == 1);
     w.now_ns = 2;
-    report_motion(0, 2.0F, 0.0F); /* so soon it tells nothing new */
+    report_motion(0, 2.0F, 0.0F); /* so soon it adds nothing new */
     CHECK(state_of(0)->sample_ns[1] == 1 && w.machine.joint[0].feedback.count == 1000);
     w.now_ns = 1 + 5 * MS;
     report_motion(0, 3.0F, 0.0F);
@@ -92,7 +92,7 @@ static void the_core_gets_feedback_of_a_drive_that_is_set_up_and_by_its_fast_fra
 static void only_a_frame_that_says_it_has_power_is_counted_against_a_drive(void)
 {
     begin_with(1);
-    const can_input state = table_of(0)->input[0]; /* the power is said in the second input now, not the first */
+    const can_input state = table_of(0)->input[0]; /* the power is reported in the second input now, not the first */
     table_of(0)->input[0] = table_of(0)->input[1];
     table_of(0)->input[1] = state;
     table_of(0)->match[0].input = 2;
@@ -332,7 +332,7 @@ static void each_cycle_whose_motion_stays_is_counted_as_not_taken(void)
     arm(0);
     go_on(11 * MS);
     uint64_t before = w.machine.tx_full;
-    go_on(100 * MS); /* nothing is heard to have left */
+    go_on(100 * MS); /* nothing is reported to have left */
     CHECK(w.machine.tx_full > before && w.machine.tx_full <= before + 10);
 }
 
@@ -389,7 +389,7 @@ static void the_first_drive_of_a_slow_bus_is_looked_at_often_while_it_moves_or_s
     w.reported_rad_s = 1.0;
     report_motion(0, 1.0F, 1.0F);
     w.enabled = 2;
-    w.now_ns += 101 * MS; /* old set-points: it comes to rest, and was told no motion yet */
+    w.now_ns += 101 * MS; /* old set-points: it comes to rest, and was sent no motion yet */
     report_state(0, 8);
     step();
     CHECK(state_of(0)->state.stopping && !state_of(0)->state.sent_motion && w.wake_ns == w.now_ns + 5 * MS);

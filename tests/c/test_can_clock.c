@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A bus's thread and the wall clock, whose stamps the kernel puts on frames: it may be set while they are on their way. */
+ * A bus's thread and the wall clock, whose stamps the kernel puts on frames: it may be set while they are in transit. */
 #include <linux/can.h>
 #include <sys/syscall.h>
 #include <time.h>

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a bus, moment by moment: what it is told and asked, what is forgotten when, and what asyncio hears of it. */
+ * One drive of a bus, moment by moment: what it is sent and asked, what is forgotten when, and what asyncio gets. */
 #include "can_wire.h"
 
 enum { SECOND = 0x700 };
@@ -20,7 +20,7 @@ static void hold(uint32_t byte, uint8_t value)
     step();
 }
 
-/* ------------------------------------------------------------------------------------------- what it is told */
+/* ------------------------------------------------------------------------------------------- what it is sent */
 static void one_that_is_sent_all_the_time_is_never_left_alone(void)
 {
     begin_with(1);
@@ -155,7 +155,7 @@ static void one_that_has_power_without_being_armed_is_sent_off_and_that_is_repor
     CHECK(state_of(0)->stops == stops + 1);
 }
 
-/* One that may be told nothing at rest, not even zero, and cannot say whether it has power. */
+/* One that may be sent nothing at rest, not even zero, and cannot report whether it has power. */
 static void begin_with_one_that_cannot_report(void)
 {
     begin_with(1);
@@ -193,7 +193,7 @@ static void one_that_cannot_report_it_is_sent_off_now_and_then_but_not_while_it_
     w.reported_rad_s = 0.0;
     w.machine.control.drive[0].arming_until_ns = INT64_MAX;
     go_on(100 * MS);
-    CHECK(!state_of(0)->state.stopping && count_sent(CONTROL) == 1); /* told once */
+    CHECK(!state_of(0)->state.stopping && count_sent(CONTROL) == 1); /* sent once */
 }
 
 static void time_without_set_points_before_arming_is_not_being_left_alone(void)
@@ -245,7 +245,7 @@ static void switching_off_takes_the_power_of_one_that_has_it_and_sends_others_no
     request(0, DRIVE_OFF);
     CHECK(w.sent_count == 0);
     request(0, DRIVE_READY);
-    w.velocity_rad_s = 0.0; /* armed, and told to stand still */
+    w.velocity_rad_s = 0.0; /* armed, and sent zero */
     request(0, DRIVE_ARMED);
     go_on(30 * MS);
     forget_sent();
@@ -329,7 +329,7 @@ static void armed_again_it_may_wait_for_the_core_to_enable_it(void)
     CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.fault_reasons == 0);
 }
 
-/* ------------------------------------------------------------------------------------- what asyncio is told of */
+/* ------------------------------------------------------------------------------------- what asyncio gets */
 static void asyncio_gets_each_change(void)
 {
     begin_with(1);
@@ -361,7 +361,7 @@ static void asyncio_gets_each_change(void)
     w.full = true;
     w.silent = false;
     go_on(20 * MS);
-    CHECK(state_of(0)->state.back && took_changes()); /* it has to be told off first */
+    CHECK(state_of(0)->state.back && took_changes()); /* it has to be sent off first */
     go_on(20 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && !took_changes());
     w.full = false;

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A bus between its cycles: how soon it looks again, jobs that wait, what asyncio is told, and an end with several drives. */
+ * A bus between its cycles: how soon it looks again, jobs that wait, what asyncio gets, and an end with several drives. */
 #include "can_wire.h"
 
 static void begin_with_a_slow_cycle(void)
@@ -62,7 +62,7 @@ static void the_end_waits_until_the_last_of_them_is_at_rest(void)
     for (uint32_t i = 0; i < 3; i++) {
         report_motion(i, 1.0F, 0.0F);
     }
-    w.silent = true; /* what is said from now on is said by hand */
+    w.silent = true; /* what is reported from now on is reported by hand */
     go_on(30 * MS);
     report_motion(2, 1.0F, 5.0F);
     forget_sent();

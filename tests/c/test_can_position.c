@@ -260,7 +260,7 @@ static const can_packet *quick_stop_sent(void)
     return NULL;
 }
 
-/* A frame that stops it has a target, too: where it is; and where it was sent last while that cannot be said. */
+/* A frame that stops it has a target, too: where it is; and where it was sent last while that is not known. */
 static void a_stop_keeps_the_place_in_its_frame(void)
 {
     static const float AT[] = {3.0F, 11.0F}, KEPT[] = {3.0F, 2.25F};

@@ -78,7 +78,7 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
     }
 }
 
-/* Four ways to have power: armed, stopping, told a motion, said to be enabled. Unseen requests may have been a stop. */
+/* It has power where it is armed, stopping, sent motion, or reported to be enabled. Unseen requests may have been a stop. */
 static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it(void)
 {
     static const uint32_t MODES[] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_STAND_DOWN};

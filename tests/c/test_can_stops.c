@@ -22,7 +22,7 @@ static void standing_down_sends_zero_at_once_to_a_drive_that_is_sent_nothing_at_
     forget_sent();
     request(0, DRIVE_STAND_DOWN);
     CHECK(w.sent_count == 1 && speed_in(newest_of(0)) == 0);
-    w.machine.control.drive[0].arming_until_ns = INT64_MAX; /* its power is Python's to take: nothing more is said */
+    w.machine.control.drive[0].arming_until_ns = INT64_MAX; /* its power is Python's to take: nothing more is sent */
     go_on(50 * MS);
     CHECK(count_sent(SPEED) == 1);
 }
@@ -104,7 +104,7 @@ static void one_that_was_armed_is_sent_to_stop_over_a_reopening_though_it_does_n
     go_on(100 * MS);
     forget_sent();
     go_on(2500 * MS);
-    CHECK(count_sent(SPEED) == 0); /* heard: its set-up is Python's */
+    CHECK(count_sent(SPEED) == 0); /* received: its set-up is Python's */
     request(0, DRIVE_READY);
     restart();
     forget_sent();
@@ -169,12 +169,12 @@ static void no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_beh
 {
     turning(2);
     can_machine_left(&w.machine);
-    w.machine.receives_own = true; /* and nothing more is heard to have left */
+    w.machine.receives_own = true; /* and nothing more is reported to have left */
     go_on(150 * MS);
     for (uint32_t i = 0; i < 2; i++) {
         CHECK(moving(i) >= 1 && moving(i) <= 2 && speed_in(newest_of(i)) == 0 && state_of(i)->state.mode == DRIVE_ARMED);
     }
-    CHECK(w.machine.tx_full >= 10); /* somebody can see it */
+    CHECK(w.machine.tx_full >= 10); /* another node can see it */
     can_machine_left(&w.machine);
     forget_sent();
     go_on(10 * MS);

@@ -7,7 +7,7 @@
 #include "can_wire.h"
 #include "thread_sides.h"
 
-/* The drive: says its state and motion, and reads what it is told. */
+/* The drive: reports its state and motion, and reads what it is sent. */
 static void *drive(void *arg)
 {
     unsigned long *received = arg;

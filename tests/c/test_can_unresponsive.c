@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a bus: what it is asked, when it counts as gone, and what is said to one that may be there all the same. */
+ * One drive of a bus: what it is asked, when it counts as gone, and what is sent to one that may be there all the same. */
 #include "can_wire.h"
 
 enum { ASK = 0x600, SLOW = 0x610, PROBE = 0x620 };
@@ -139,7 +139,7 @@ static void one_that_was_set_up_has_the_time_of_its_silence_for_its_first_word(v
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->missing == 2);
 }
 
-/* Heard all the time, but set up anew only where it answers what it was asked. */
+/* Received all the time, but set up anew only where it answers what it was asked. */
 static void one_with_a_hello_is_back_when_it_has_answered(void)
 {
     begin_with(1);

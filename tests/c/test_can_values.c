@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a drive of two wheels on a CAN bus is told in one frame, and what is made of what it says. */
+ * What a drive of two wheels on a CAN bus is sent in one frame, and what is made of what it reports. */
 #include "can_wire.h"
 
 enum { SECOND = 0x410, HEALTH = 0x510, POWERS = 0x520, HARMLESS = 4 };
@@ -73,7 +73,7 @@ static const joint_feedback *feedback_of(uint32_t joint)
     return &w.machine.joint[joint].feedback;
 }
 
-/* --------------------------------------------------------------------------------------------------- told */
+/* --------------------------------------------------------------------------------------------------- sent */
 static void both_wheels_are_sent_in_one_frame(void)
 {
     begin_with_two_wheels();
@@ -122,7 +122,7 @@ static void each_kind_of_set_point_is_sent_by_its_own_number(void)
     }
 }
 
-/* ---------------------------------------------------------------------------------------------------- said */
+/* ---------------------------------------------------------------------------------------------------- reported */
 static void numbers_without_their_top_bit_are_positive(void)
 {
     const uint8_t data[2] = {0x00, 0x40};

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Every line of the pure files (limit, saturate, kinematics, pwm, odometry, angle, check, core), for the sanitizers.
- * What they promise is tested in tests/rt; here each path is walked, with hostile numbers on the way. */
+ * What they promise is tested in tests/rt; here each path is walked, with hostile numbers among them. */
 #include "core_rig.h"
 
 #include <errno.h>
@@ -127,7 +127,7 @@ static void a_drive_with_turns_and_saturation_keeps_its_covariance(void)
     CHECK(r.shown.saturation < 1.0 && (r.shown.reasons & REASON_WHEEL_SATURATED));
     CHECK(fabs(r.shown.setpoint_angular_rad_s / r.shown.setpoint_linear_m_s - 1.5 / 0.8) < 1e-9);
     CHECK(r.shown.turned_rad > 1.0 && r.shown.pose_covariance[5] > 1e-6);
-    /* the turn could come faster than the speed goes: it waits, for the wheels are at their limit on the way */
+    /* the turn could come faster than the speed goes: it waits, for the wheels are at their limit meanwhile */
     r.input.command.linear_m_s = 0.88;
     r.input.command.angular_rad_s = 0.0;
     ticks(&r, 2000);
@@ -167,7 +167,7 @@ static void every_fault_ends_at_rest_under_every_action(void)
             case 0: r.input.control.estop = 1; break;
             case 1: r.input.control.fault = 1; break;
             case 2:
-                r.deaf = true;
+                r.stale = true;
                 ticks(&r, 260);
                 break;
             case 3: r.input.feedback[1].drive_faults = 1; break;
@@ -182,7 +182,7 @@ static void every_fault_ends_at_rest_under_every_action(void)
             CHECK(zero(&r) && r.out.enabled == (action == STOP_HOLD));
             r.input.control.reset_count++;
             CHECK(tick(&r)->faults != 0);
-            r.deaf = false;
+            r.stale = false;
             r.input.control.estop = r.input.control.fault = r.input.feedback[1].drive_faults = 0;
             r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.0;
             tick(&r);
@@ -235,7 +235,7 @@ static void odometry_copes_with_silence_jumps_and_missing_counters(void)
     start(&r, &config);
     go(&r, 0.5, 0.0);
     CHECK(r.shown.odometry_degraded == 1);
-    r.deaf = true;
+    r.stale = true;
     for (int i = 0; i < 4; i++) {
         r.input.feedback[i].velocity_rad_s = NAN;
     }
@@ -254,7 +254,7 @@ static void odometry_copes_with_silence_jumps_and_missing_counters(void)
     r.input.feedback[0].stamp_ns = r.input.now_ns;
     CHECK(tick(&r)->odometry_degraded == 1 && r.shown.joint[2].stale == 1);
     r.input.now_ns += 20000 * TICK_NS;
-    r.deaf = false;
+    r.stale = false;
     CHECK(ticks(&r, 3)->joint[0].jumps == 1);
 }
 
@@ -283,7 +283,7 @@ static void a_wheel_that_is_doubted_ends_the_run(void)
     }
 }
 
-/* Right is heard first; what left does alone meanwhile is no arc. */
+/* Right reports first; what left does alone meanwhile is no arc. */
 static void a_side_that_comes_late_makes_no_turn(void)
 {
     core_config config = good_config();
@@ -332,7 +332,7 @@ static void hostile_input_never_moves_an_unarmed_base(void)
     }
 }
 
-/* The gyro says that the base turns though its wheels do not: somebody carries it. */
+/* The gyro says that the base turns though its wheels do not: a person carries it. */
 static void a_gyro_turns_the_pose(void)
 {
     core_config config = good_config();

@@ -31,7 +31,7 @@ static void a_set_point_that_is_no_number_is_seen_at_once(void)
     }
 }
 
-/* The twist that it was told to go is worked out anew, too. */
+/* The twist that it was commanded is worked out anew, too. */
 static void after_lost_numbers_nothing_that_was_worked_out_before_is_used(void)
 {
     core_config config = good_config();
@@ -45,7 +45,7 @@ static void after_lost_numbers_nothing_that_was_worked_out_before_is_used(void)
     r.state.odometry.x_m = INFINITY;
     CHECK(tick(&r)->faults == FAULT_STATE && zero(&r) && r.shown.saturation == 1.0);
     CHECK(r.shown.odometry_epoch == 2 && r.shown.x_m == 0.0 && r.shown.armed == 0);
-    r.mute = true; /* the same command, when it is heard again */
+    r.mute = true; /* the same command, when it comes again */
     r.input.control.armed = 0;
     ticks(&r, 400);
     r.input.control.reset_count++;
@@ -71,7 +71,7 @@ static core_config watched(void)
     return config;
 }
 
-/* Wheel j stands, whatever it is told, for so long or until somebody minds; milliseconds. */
+/* Wheel j stands, whatever it is sent, for so long or until that is a fault; milliseconds. */
 static int stuck_ms(rig *r, int j, int most_ms)
 {
     int ms = 0;
@@ -108,7 +108,7 @@ static void the_time_of_a_doubt_begins_anew_with_the_power(void)
     }
 }
 
-/* Somebody pushes it: that is no fault of its drives. */
+/* A person pushes it: that is no fault of its drives. */
 static void a_base_without_power_may_be_pushed(void)
 {
     core_config config = watched();
@@ -122,7 +122,7 @@ static void a_base_without_power_may_be_pushed(void)
     }
 }
 
-/* The power goes off in the tick in which a wheel runs away, and all that is told of it says so. */
+/* The power goes off in the tick in which a wheel runs away, and all that is reported of it shows so. */
 static void a_runaway_ends_all_set_points_in_its_tick(void)
 {
     core_config config = watched();
@@ -162,7 +162,7 @@ static void samples_that_come_fast_are_looked_at_together(void)
     }
 }
 
-/* Its zero is what a gyro says of a base that stands: all wheels are heard, and none turns. */
+/* Its zero is what a gyro says of a base that stands: all wheels report, and none turns. */
 static void a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on(void)
 {
     core_config config = good_config();
@@ -183,8 +183,8 @@ static void a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on(void)
             if (how == 2) {
                 r.input.feedback[3].stamp_ns = 0;
             }
-            r.deaf = how == 2;
-            for (int j = 0; j < 3 && r.deaf; j++) {
+            r.stale = how == 2;
+            for (int j = 0; j < 3 && r.stale; j++) {
                 r.input.feedback[j].stamp_ns = r.input.now_ns + TICK_NS;
             }
             tick(&r);

@@ -47,7 +47,7 @@ static void the_power_goes_off_at_rest_or_when_the_set_points_have_been_zero_for
     rig r;
     start(&r, &config);
     go(&r, 0.3, 0.0);
-    r.deaf = true;
+    r.stale = true;
     r.input.control.fault = 1;
     CHECK(ticks(&r, 3)->enabled == 1);
     r.input.now_ns -= 10 * MS_NS;
@@ -142,7 +142,7 @@ static void at_rest_is_slower_than_the_configured_speed_with_set_points_of_zero(
         }
         CHECK(step(&r)->at_rest == 0);
     }
-    r.input.now_ns += 2 * TICK_NS; /* a wheel that is not heard any more says nothing */
+    r.input.now_ns += 2 * TICK_NS; /* a wheel that sends no feedback any more reports nothing */
     for (int j = 0; j < 3; j++) {
         r.input.feedback[j].stamp_ns = r.input.now_ns;
     }

@@ -45,7 +45,7 @@ static void a_ramp_that_has_arrived_leaves_no_acceleration(void)
     }
 }
 
-/* A ramp under way goes on in a tick that comes late, by no more than a tenth of a second of it. */
+/* A ramp goes on in a tick that comes late, by no more than a tenth of a second of it. */
 static void a_late_tick_of_a_stop_is_a_step_of_the_ramp(void)
 {
     static const double LATE_S[] = {0.1, 0.2, 1.0};
@@ -82,7 +82,7 @@ static void the_slew_of_any_one_duty_holds_the_base_back(void)
 }
 
 /* The twist has arrived, and a duty has not: it goes on by its slew. */
-static void a_duty_on_its_way_arrives_though_the_twist_stands(void)
+static void a_ramp_of_duties_arrives_though_the_twist_stands(void)
 {
     core_config config = good_config();
     for (int j = 0; j < 4; j++) {
@@ -120,7 +120,7 @@ static void set_points_say_when_and_for_how_many_they_were_made(void)
     }
 }
 
-/* What was in its memory before, and limits that nobody may use, do not matter. */
+/* What was in its memory before, and limits that may not be used, do not matter. */
 static void a_core_begins_with_its_own_limits_in_whatever_memory(void)
 {
     core_config config = good_config();
@@ -162,7 +162,7 @@ static void a_base_of_as_many_wheels_as_there_can_be(void)
     r.input.control.estop = 1;
     CHECK(tick(&r)->faults == (FAULT_STALL | FAULT_ESTOP) && zero(&r));
     r.input.feedback[JOINTS_MAX - 1].stamp_ns = 0;
-    r.deaf = true;
+    r.stale = true;
     CHECK(tick(&r)->joint[JOINTS_MAX - 1].stale == 1);
 }
 
@@ -187,7 +187,7 @@ static void each_wheel_with_a_speed_loop_gets_its_torque(void)
     }
 }
 
-static void a_wheel_runs_away_beyond_its_larger_limit_of_either_way(void)
+static void a_wheel_runs_away_beyond_its_larger_limit_of_either_direction(void)
 {
     for (int back = 0; back < 2; back++) {
         for (int sign = -1; sign <= 1; sign += 2) {
@@ -235,11 +235,11 @@ int main(void)
     a_ramp_that_has_arrived_leaves_no_acceleration();
     a_late_tick_of_a_stop_is_a_step_of_the_ramp();
     the_slew_of_any_one_duty_holds_the_base_back();
-    a_duty_on_its_way_arrives_though_the_twist_stands();
+    a_ramp_of_duties_arrives_though_the_twist_stands();
     set_points_say_when_and_for_how_many_they_were_made();
     a_core_begins_with_its_own_limits_in_whatever_memory();
     a_base_of_as_many_wheels_as_there_can_be();
     each_wheel_with_a_speed_loop_gets_its_torque();
-    a_wheel_runs_away_beyond_its_larger_limit_of_either_way();
+    a_wheel_runs_away_beyond_its_larger_limit_of_either_direction();
     return checks_report("test_core_wheels");
 }

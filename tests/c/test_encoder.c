@@ -111,7 +111,7 @@ static void backward_counts_down_from_wherever_it_turns_round(void)
     }
 }
 
-static void a_counter_goes_the_short_way_round(void)
+static void a_counter_goes_by_the_shorter_arc(void)
 {
     const encoder_config config = {.kind = ENCODER_COUNTER, .ceiling = 9, .rad_per_count = 1.0};
     const struct {
@@ -303,7 +303,7 @@ static void the_thread_of_bridges_feeds_back_what_its_encoders_count(void)
                   {.index = 2, .sign = 1.0}},
         .output = {{.fd = duty, .period_ns = 50000, .slope = {0.0, 0.0, 1.0, 1.0}}},
     };
-    joint_feedback said;
+    joint_feedback found;
     bridge_report report;
     exchange_init(&mailboxes);
     config.joint[0].encoder.rad_per_count = NAN;
@@ -311,14 +311,14 @@ static void the_thread_of_bridges_feeds_back_what_its_encoders_count(void)
     config.joint[0].encoder.rad_per_count = PER_COUNT;
     CHECK(pwm_line_start(0, &config) == 0);
     turn(&w, 9, MS);
-    CHECK(comes_true(0, 9, &said) && said.epoch == 3u << 16 && isfinite(said.velocity_rad_s));
-    CHECK(comes_true(1, 0, &said));
-    CHECK(comes_true(2, 0, &said) && isnan(said.velocity_rad_s));
+    CHECK(comes_true(0, 9, &found) && found.epoch == 3u << 16 && isfinite(found.velocity_rad_s));
+    CHECK(comes_true(1, 0, &found));
+    CHECK(comes_true(2, 0, &found) && isnan(found.velocity_rad_s));
     say(counter, "95\n");
-    CHECK(comes_true(1, (uint64_t)-5, &said));
+    CHECK(comes_true(1, (uint64_t)-5, &found));
     w.sequence += 4;
     turn(&w, 1, MS);
-    CHECK(comes_true(0, 10, &said) && said.epoch == (3u << 16) + 1);
+    CHECK(comes_true(0, 10, &found) && found.epoch == (3u << 16) + 1);
     CHECK(close(w.out) == 0); /* the chip is gone: the motors rest */
     const struct timespec moment = {.tv_nsec = 5 * MS};
     int tries = 0;
@@ -350,34 +350,34 @@ static void what_a_board_says_is_fed_back_with_its_own_time(void)
                   {.index = 1, .sign = 1.0}},
         .output = {{.fd = duty, .period_ns = 50000, .slope = {0.0, 0.0, 1.0, 1.0}}},
     };
-    joint_feedback said, other;
+    joint_feedback found, other;
     exchange_init(&mailboxes);
     encoder_sample sample = {.count = 70, .stamp_ns = START_NS, .origin = 1};
-    pwm_line_put_sample(0, 0, &sample); /* nobody is there */
+    pwm_line_put_sample(0, 0, &sample); /* no wheel is there */
     config.joint[0].encoder.ceiling = 0;
     CHECK(pwm_line_start(0, &config) == -EINVAL);
     config.joint[0].encoder.ceiling = UINT64_MAX;
     CHECK(pwm_line_start(0, &config) == 0);
     CHECK(comes_true(1, 0, &other)); /* it has fed back, of the other joint alone */
-    CHECK(exchange_take_feedback(&mailboxes, 0, &said) == 0 || said.stamp_ns == 0);
+    CHECK(exchange_take_feedback(&mailboxes, 0, &found) == 0 || found.stamp_ns == 0);
     pwm_line_put_sample(0, 0, &sample);
-    CHECK(comes_true(0, 0, &said) && said.stamp_ns == START_NS && said.epoch == 3u << 16);
+    CHECK(comes_true(0, 0, &found) && found.stamp_ns == START_NS && found.epoch == 3u << 16);
     sample = (encoder_sample){.count = 60, .stamp_ns = START_NS + 10 * MS, .origin = 1};
     pwm_line_put_sample(0, 0, &sample);
-    CHECK(comes_true(0, (uint64_t)-10, &said) && said.stamp_ns == START_NS + 10 * MS);
+    CHECK(comes_true(0, (uint64_t)-10, &found) && found.stamp_ns == START_NS + 10 * MS);
     sample = (encoder_sample){.count = 50, .stamp_ns = START_NS + 20 * MS, .origin = 1};
     pwm_line_put_sample(0, 0, &sample);
-    CHECK(comes_true(0, (uint64_t)-20, &said));
-    CHECK(fabs(said.velocity_rad_s - 0.5 * 10 / 0.01) < 1e-6);
+    CHECK(comes_true(0, (uint64_t)-20, &found));
+    CHECK(fabs(found.velocity_rad_s - 0.5 * 10 / 0.01) < 1e-6);
     sample = (encoder_sample){.count = 4000, .stamp_ns = START_NS + 30 * MS, .origin = 2};
     pwm_line_put_sample(0, 0, &sample); /* the board has begun anew: no way was made */
-    for (int tries = 0; tries < 4000 && said.epoch == 3u << 16; tries++) {
+    for (int tries = 0; tries < 4000 && found.epoch == 3u << 16; tries++) {
         (void)nanosleep(&(struct timespec){.tv_nsec = 5 * MS}, NULL);
-        (void)exchange_take_feedback(&mailboxes, 0, &said);
+        (void)exchange_take_feedback(&mailboxes, 0, &found);
     }
-    CHECK(said.count == (uint64_t)-20);
-    CHECK(said.epoch == (3u << 16) + 1 && said.stamp_ns == START_NS + 30 * MS);
-    pwm_line_put_sample(0, 1, &sample); /* that joint is not told of */
+    CHECK(found.count == (uint64_t)-20);
+    CHECK(found.epoch == (3u << 16) + 1 && found.stamp_ns == START_NS + 30 * MS);
+    pwm_line_put_sample(0, 1, &sample); /* that joint is not reported */
     CHECK(comes_true(1, 0, &other) && isnan(other.velocity_rad_s));
     CHECK(pwm_line_stop(0) == 0);
 }
@@ -386,7 +386,7 @@ int main(void)
 {
     events_of_the_kernel_are_counted();
     backward_counts_down_from_wherever_it_turns_round();
-    a_counter_goes_the_short_way_round();
+    a_counter_goes_by_the_shorter_arc();
     a_wheel_is_no_faster_than_one_count_in_the_time_of_its_silence();
     a_counter_is_read_from_its_file();
     a_file_that_holds_nothing_or_more_than_a_number_is_read_with_care();

@@ -98,7 +98,7 @@ static void is_broken_once(sensor *s)
     CHECK(turned(s, &turn_rad) && fabs(turn_rad - 0.5 * 0.05) < 1e-9);
 }
 
-static void a_part_of_the_way_that_is_not_known_is_no_turn(void)
+static void a_part_of_the_angle_that_is_not_known_is_no_turn(void)
 {
     sensor s = on_the_move();
     s.epoch++; /* another sensor, or the same after its start */
@@ -147,7 +147,7 @@ static void wheels_that_turn_begin_the_rest_anew(void)
     CHECK(s.state.bias_stamp_ns == 0);
     say(&s, 0.0, 60, true);
     CHECK(s.state.bias_stamp_ns != 0 && s.state.still == 1);
-    say(&s, 0.5, 1, true); /* the wheels rest, and somebody turns it */
+    say(&s, 0.5, 1, true); /* the wheels rest, and a person turns it */
     CHECK(s.state.still == 0);
 }
 
@@ -351,7 +351,7 @@ static void a_gap_as_long_as_the_timeout_is_still_none(void)
     CHECK(gyro_status(&e.state, &e.config, e.state.stamp_ns + 500000001) == GYRO_STALE);
     double yaw_rad = e.state.yaw_rad;
     report_at(&e, e.state.stamp_ns + 500000001, 0.2, false);
-    CHECK(e.state.epoch == 1 && e.state.yaw_rad == yaw_rad); /* what was not heard is not integrated */
+    CHECK(e.state.epoch == 1 && e.state.yaw_rad == yaw_rad); /* what was not received is not integrated */
 }
 
 static void a_broken_integral_is_stale_at_once_and_its_rest_begins_anew(void)
@@ -439,7 +439,7 @@ static void the_newest_sample_crosses_the_exchange(void)
 int main(void)
 {
     the_turn_is_the_rate_times_the_time();
-    a_part_of_the_way_that_is_not_known_is_no_turn();
+    a_part_of_the_angle_that_is_not_known_is_no_turn();
     the_zero_is_the_mean_of_a_second_that_begins_when_the_chassis_has_come_to_rest();
     wheels_that_turn_begin_the_rest_anew();
     no_zero_of_a_base_that_moves();

@@ -67,7 +67,7 @@ static void one_step_keeps_each_limit_and_says_which_one(void)
     }
 }
 
-static void an_acceleration_goes_on_along_its_way_and_counts_for_nothing_against_it(void)
+static void an_acceleration_goes_on_in_its_direction_and_counts_for_nothing_against_it(void)
 {
     static const struct {
         double acceleration, goal, expected;
@@ -277,7 +277,7 @@ static void what_is_no_number_rests_and_what_is_no_goal_is_zero(void)
 int main(void)
 {
     one_step_keeps_each_limit_and_says_which_one();
-    an_acceleration_goes_on_along_its_way_and_counts_for_nothing_against_it();
+    an_acceleration_goes_on_in_its_direction_and_counts_for_nothing_against_it();
     a_ramp_takes_the_shortest_time_and_is_soft_at_both_ends();
     a_change_of_sign_is_eased_and_loses_no_time();
     a_duty_slew_bounds_how_fast_a_wheel_grows_faster();

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A line before its first step: nothing is left of before, each drive knows its joints, and what may turn is told to stop. */
+ * A line before its first step: nothing is left of before, each drive knows its joints, and what may turn is sent a stop. */
 #include <errno.h>
 
 #include "line_wire.h"

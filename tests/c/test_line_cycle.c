@@ -15,7 +15,7 @@ static void goes(const uint32_t *frames, uint32_t count)
 }
 #define GOES(...) goes((const uint32_t[]){__VA_ARGS__}, sizeof((const uint32_t[]){__VA_ARGS__}) / sizeof(uint32_t))
 
-static void rest_is_sent_before_another_way_and_the_way_after_its_first_magnitude(void)
+static void rest_is_sent_before_another_direction_and_that_after_its_first_magnitude(void)
 {
     begin_directions(1.0);
     uint32_t rest = frame_to(DIRECTION, DIRECTION_REST), forward = frame_to(DIRECTION, DIRECTION_FORWARD),
@@ -39,7 +39,7 @@ static void rest_is_sent_before_another_way_and_the_way_after_its_first_magnitud
     CHECK(drive->direction_sent[0] == DIRECTION_FORWARD && drive->direction_last[0] == DIRECTION_FORWARD);
 }
 
-static void a_way_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known(void)
+static void a_direction_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known(void)
 {
     begin_directions(1.0);
     GOES(frame_to(DIRECTION, DIRECTION_REST), frame_to(SPEED, 100), frame_to(DIRECTION, DIRECTION_FORWARD), frame_to(STATUS, 1));
@@ -51,7 +51,7 @@ static void a_way_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known(v
     CHECK(sends() == frame_to(SPEED, 100));
     answers_with(0);
     CHECK(sends() == frame_to(DIRECTION, DIRECTION_REVERSE));
-    want(0.0); /* while it is on its way */
+    want(0.0); /* while it is in transit */
     answers_with(0);
     CHECK(drive->direction_sent[0] == DIRECTION_UNKNOWN && drive->direction_last[0] == DIRECTION_FORWARD);
 }
@@ -76,7 +76,7 @@ static void a_motion_in_any_exchange_is_a_motion(void)
     }
 }
 
-static void each_of_several_ways_is_sent(void)
+static void each_of_several_directions_is_sent(void)
 {
     begin_directions(1.0);
     line_drive *table = &w.machine.table.drive[0];
@@ -93,7 +93,7 @@ static void each_of_several_ways_is_sent(void)
 }
 
 /* Rest would take its brake off: it comes with the power-off. */
-static void one_that_is_stopping_is_sent_no_way(void)
+static void one_that_is_stopping_is_sent_no_direction(void)
 {
     begin_directions(1.0);
     drive->state.mode = DRIVE_READY;
@@ -193,7 +193,7 @@ static void the_end_of_a_cycle_judges_what_the_drive_reported(void)
     }
 }
 
-/* Power that nobody has asked for is taken in each cycle, and said once. */
+/* Power that was not requested is taken in each cycle, and reported once. */
 static void one_that_is_enabled_without_being_armed_is_switched_off(void)
 {
     for (uint32_t how = 0; how < 7; how++) {
@@ -241,7 +241,7 @@ static void the_core_gets_feedback_of_a_cycle_with_the_last_of_what_it_reads(voi
     CHECK(sends() == NO_FRAME);
 }
 
-/* Of two that are told and nothing that is read the first answer says all; else it is the last one that is read. */
+/* Of two that are written and nothing that is read the first answer says all; else it is the last one that is read. */
 static void what_is_sent_says_nothing_to_the_core_while_something_is_still_to_be_read(void)
 {
     for (uint32_t reads = 0; reads < 2; reads++) {
@@ -261,11 +261,11 @@ static void what_is_sent_says_nothing_to_the_core_while_something_is_still_to_be
 
 int main(void)
 {
-    rest_is_sent_before_another_way_and_the_way_after_its_first_magnitude();
-    a_way_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known();
+    rest_is_sent_before_another_direction_and_that_after_its_first_magnitude();
+    a_direction_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known();
     a_motion_in_any_exchange_is_a_motion();
-    each_of_several_ways_is_sent();
-    one_that_is_stopping_is_sent_no_way();
+    each_of_several_directions_is_sent();
+    one_that_is_stopping_is_sent_no_direction();
     a_range_is_read_in_its_turn_and_the_one_with_the_power_first();
     cycles_follow_each_other_by_their_period_and_late_ones_are_not_caught_up();
     the_end_of_a_cycle_judges_what_the_drive_reported();

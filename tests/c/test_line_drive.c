@@ -20,7 +20,7 @@ static line_drive_state *begin_armed(void)
     return drive;
 }
 
-static void a_stop_begins_with_its_first_frame_whatever_was_under_way(void)
+static void a_stop_begins_with_its_first_frame_whatever_was_in_transit(void)
 {
     line_drive_state *drive = begin_drive();
     for (uint32_t current = 0; current < 2; current++) {
@@ -88,7 +88,7 @@ static void an_armed_drive_is_stopped_when_set_points_grow_old(void)
     guarded(drive, DRIVE_FAULT_SETPOINTS_OLD, STOP_QUICK);
 }
 
-/* What is under way with it may be its answer; what is under way with another is not. */
+/* What is in transit to it may be its answer; what is in transit to another is not. */
 static void an_armed_drive_that_is_left_alone_longer_than_its_watchdog_is_stopped(void)
 {
     for (uint32_t how = 0; how < 5; how++) {
@@ -216,7 +216,7 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
     }
 }
 
-/* Three ways to have power: armed, stopping, told a motion. Unseen requests may have been a stop. */
+/* It has power where it is armed, stopping, or sent motion. Unseen requests may have been a stop. */
 static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it(void)
 {
     for (uint32_t has = 0; has < 4; has++) {
@@ -315,7 +315,7 @@ static void a_change_of_one_is_not_lost_where_another_has_none(void)
 int main(void)
 {
     after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_first();
-    a_stop_begins_with_its_first_frame_whatever_was_under_way();
+    a_stop_begins_with_its_first_frame_whatever_was_in_transit();
     reasons_gather();
     one_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_off();
     a_reply_takes_the_time_of_its_bytes();

@@ -74,7 +74,7 @@ static void what_does_not_come_to_rest_loses_its_power_all_the_same_and_the_end_
     CHECK(w.machine.end.stage == END_SILENT && w.machine.notify);
 }
 
-/* One that is not heard may hear: a silent neighbour does not take its time away. */
+/* One that is not received may receive: a silent neighbour does not take its time away. */
 static void the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_but_not_for_ever(void)
 {
     for (int last_sent = 0; last_sent < 2; last_sent++) {

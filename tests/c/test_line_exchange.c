@@ -110,7 +110,7 @@ static void each_kind_of_request_is_waited_for_as_long_as_its_drive_may_take(voi
     CHECK(bound_of(WORK_CYCLE, 0) == 7 * MS && bound_of(WORK_CYCLE, 1) == 6 * MS);
     CHECK(bound_of(WORK_STOP, 0) == 9 * MS + HOST_NS && bound_of(WORK_STOP, 1) == 5 * MS + HOST_NS);
     CHECK(bound_of(WORK_REQUEST, 0) == 3 * MS + HOST_NS);
-    CHECK(bound_of(WORK_BROADCAST, LINE_DRIVES_MAX) == 9 * MS); /* nobody answers: the slowest has to have heard it */
+    CHECK(bound_of(WORK_BROADCAST, LINE_DRIVES_MAX) == 9 * MS); /* no drive answers: the slowest has to have received it */
     CHECK(bound_of(WORK_BROADCAST, 2) == 9 * MS);
     m->table.drive[1].turnaround_ns = 11 * MS + HOST_NS;
     CHECK(bound_of(WORK_BROADCAST, LINE_DRIVES_MAX) == 11 * MS);
@@ -221,7 +221,7 @@ static void what_is_no_answer_is_counted_once(void)
     CHECK(m->ours_ns == w.now_ns + GAP_NS);
 }
 
-/* One byte is the whole answer of a controller that names nobody; after a failure nobody is asked until it has passed. */
+/* One byte is the whole answer of a controller that names no unit; after a failure no drive is asked until it has passed. */
 static void an_answer_of_one_byte_is_an_answer(void)
 {
     line_frame frame = read_frame(1);
@@ -253,7 +253,7 @@ static void a_broadcast_is_over_in_silence(void)
     send();
     m->drive[0].state.mode = DRIVE_OFF;
     CHECK(m->work == WORK_BROADCAST && m->broadcasts == 2 && m->transaction.frame.request[5] == QUICK_STOP);
-    fail(); /* nobody answers, and the next one goes out */
+    fail(); /* no drive answers, and the next one goes out */
     CHECK(w.out.send != NULL && m->work == WORK_BROADCAST && m->broadcasts == 1 && m->transaction.frame.request[5] == DISABLE);
     line_machine_sent(m, w.now_ns);
     fail();
@@ -301,7 +301,7 @@ static void when_no_reply_is_understood_the_echo_is_not_known_any_more(void)
     }
 }
 
-/* A drive that is asked whether it is back: its echo is none. */
+/* A drive that is asked whether it is back: its echo is no answer. */
 static void an_unresponsive_drive_is_not_back_because_the_adapter_receives_itself(void)
 {
     for (uint32_t reads = 0; reads < 4; reads++) { /* by what it can be read: an exchange, one extra, two, nothing */

@@ -85,7 +85,7 @@ static void who_does_not_answer_takes_no_other_answer_away(void)
     CHECK(m->drive[2].count.cycles - before > 100);
     CHECK(m->drive[1].state.mode == DRIVE_UNRESPONSIVE && m->drive[1].count.no_reply >= 3);
     CHECK(s.goal[0] == 200 && s.goal[2] == 220);
-    CHECK(s.goal[1] == 0); /* it hears though it does not answer: it gets its zero */
+    CHECK(s.goal[1] == 0); /* it receives though it does not answer: it gets its zero */
     s.silent = 0;
     servos_go_on(2.0, 3000 * SERVO_MS);
     CHECK(m->drive[1].state.mode == DRIVE_BACK && !s.torque[1] && s.goal[1] == 0);
@@ -110,7 +110,7 @@ static void a_damaged_reply_is_counted_as_such_and_its_servo_keeps_its_set_point
     CHECK(fabs(m->joint[0].feedback.velocity_rad_s - 3.0) < 1e-9);
 }
 
-/* A reply to the request before is a good reply of this servo: nothing but its time tells it from the one that is waited for. */
+/* A reply to the request before is a good reply of this servo: nothing but its time distinguishes it from the one that is waited for. */
 static void a_late_reply_is_not_taken_for_the_next_request_s(void)
 {
     servos_begin(2, ECHO_NONE);

@@ -230,7 +230,7 @@ static void a_late_drive_does_not_keep_its_neighbour_waiting(bool one_look)
     }
 }
 
-/* One that is told in one frame and read in another loses nothing but the reply. */
+/* One that is written in one frame and read in another loses nothing but the reply. */
 static void a_lost_reply_costs_a_drive_of_two_looks_no_pause(void)
 {
     begin_late(1, false, 5);
@@ -251,7 +251,7 @@ static void a_lost_reply_of_a_drive_of_one_look_costs_a_short_pause(void)
     CHECK(published > 200 && longest_pause_ns <= 400 * MS);
 }
 
-/* So late that nobody waits for it any more: it comes right after the next request, sooner than the drive can answer. */
+/* So late that no request waits for it any more: it comes right after the next request, sooner than the drive can answer. */
 static void a_reply_that_comes_sooner_than_the_drive_can_answer_is_not_its_answer(void)
 {
     begin_late(1, true, 7);
@@ -354,7 +354,7 @@ static void a_late_reply_to_one_read_is_not_the_answer_to_another(void)
     }
 }
 
-/* What a stop acknowledges late was told before something else: that it has been heard now is not known. */
+/* What a stop acknowledges late was sent before something else: that it has been received now is not known. */
 static void the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer_one(void)
 {
     begin_late(1, false, 1);

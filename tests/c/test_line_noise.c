@@ -88,7 +88,7 @@ static void an_urgent_request_goes_out_and_no_other(void)
     CHECK(w.machine.exchanges == before + 1 && w.machine.request_count == 1 && w.machine.request[0].id == 1);
 }
 
-/* Nothing can be asked: nobody is known to be there. One that may turn is told to stop again and again. */
+/* Nothing can be asked: no drive is known to be there. One that may turn is sent its stop again and again. */
 static void its_drives_become_unresponsive_and_are_sent_to_stop(void)
 {
     begin_turning(2);

@@ -20,7 +20,7 @@ static void a_reply_that_took_longer_than_usual_gives_no_value(void)
     }
 }
 
-/* Nobody was there to stop it while it stopped by itself: it is told so. */
+/* It stopped by itself while it was sent nothing: it is sent its stop. */
 static void an_answer_after_its_watchdog_stops_an_armed_drive(void)
 {
     for (uint32_t how = 0; how < 5; how++) {
@@ -117,7 +117,7 @@ static void so_many_failures_as_it_has_tries_make_it_unresponsive(void)
     }
 }
 
-/* The frame of the newest stop that was not heard is not told again at once at the end: each is to be told. */
+/* The frame of the newest stop that was not received is not sent again at once at the end: each is to be sent. */
 static void at_the_end_a_frame_that_fails_makes_room_for_the_next(void)
 {
     for (uint32_t how = 0; how < 3; how++) {

@@ -152,7 +152,7 @@ static void a_value_was_taken_in_the_middle_or_soon_after_the_request(void)
     CHECK(line_stamp(&w.machine, 0, w.machine.start_ns + 90 * MS) == w.machine.start_ns + 7 * MS);
 }
 
-/* It is there, and that is all that is known: what it said may be another's, and one of those that are owed has come. */
+/* It is there, and that is all that is known: what it sent may be another's, and one of those that are owed has come. */
 static void a_doubtful_reply_ends_the_cycle_and_holds_the_drive(void)
 {
     for (uint32_t current = 0; current < 2; current++) {
@@ -171,7 +171,7 @@ static void a_doubtful_reply_ends_the_cycle_and_holds_the_drive(void)
     CHECK(drive->owed_count == 1 && drive->owed[0].count == 1);
 }
 
-/* More than can be told apart: a silence sorts them out. */
+/* More than can be distinguished: a silence sorts them out. */
 static void one_owed_reply_too_many_holds_the_drive_until_all_have_had_their_time(void)
 {
     begin_asking();
@@ -190,7 +190,7 @@ static void one_owed_reply_too_many_holds_the_drive_until_all_have_had_their_tim
     CHECK(drive->owed_count == 1 && drive->owed[0].count == 1);
 }
 
-/* What is certain tells how short a turn-around may be; 0 is: not known. */
+/* What is certain shows how short a turn-around may be; 0 is: not known. */
 static void the_shortest_turn_around_is_that_of_a_certain_reply(void)
 {
     begin_asking();

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a line does for controllers whose answers name nobody, and whose zero regulates: packets of a RoboClaw. */
+ * What a line does for controllers whose answers name no unit, and whose zero regulates: packets of a RoboClaw. */
 #include "line_wire.h"
 
 enum { UNIT = 0x80, SPEEDS = 37, DUTIES = 34, STATE_OF = 90 };
@@ -45,7 +45,7 @@ static void begin_packets(uint32_t drives)
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
 }
 
-/* One look; what is sent is answered, or not. The wheels do as said. */
+/* One look; what is sent is answered, or not. The wheels do as commanded. */
 static void look(bool answers, int16_t speed)
 {
     uint32_t enabled = w.machine.newest.enabled;
@@ -116,7 +116,7 @@ static void a_late_answer_belongs_to_no_request(void)
         asked = sent[0];
     }
     int64_t failed_ns = w.now_ns, bound_ns = w.machine.bound_ns;
-    w.bytes[0] = 0xFF; /* when the time is over, and nobody else has been asked */
+    w.bytes[0] = 0xFF; /* when the time is over, and no other drive has been asked */
     line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out);
     CHECK(w.out.send == NULL && w.machine.work == WORK_NONE);
     line_machine_step(&w.machine, failed_ns + bound_ns / 2, w.bytes, 1, &w.out);

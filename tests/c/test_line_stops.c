@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Stops on a line where somebody is missing, on a wire of virtual time: who is told, when, and who is believed. */
+ * Stops on a line where a drive is missing, on a wire of virtual time: which drive is sent a stop, when, and which is believed. */
 #include "line_wire.h"
 
 static int64_t shut_down(void)
@@ -34,8 +34,8 @@ static void missing_drives_do_not_keep_the_power_of_the_others_on(void)
     CHECK(w.power_offs[2] >= 2 && w.power_offs[3] >= 2);
 }
 
-/* Whatever is under way when the end comes: a cycle's exchange that is its third failure, a probe, nothing. */
-static void a_missing_drive_is_sent_to_switch_off_at_the_end_whatever_was_under_way(void)
+/* Whatever is in transit when the end comes: a cycle's exchange that is its third failure, a probe, nothing. */
+static void a_missing_drive_is_sent_to_switch_off_at_the_end_whatever_was_in_transit(void)
 {
     for (uint32_t steps = 0; steps < 60; steps++) {
         begin_with(1, 0);
@@ -294,7 +294,7 @@ static void one_that_is_switched_off_before_it_has_received_its_zero_loses_its_p
     CHECK(w.sent_off[0] > 0);
 }
 
-/* The drive turns and has heard no stop yet; what is under way is of its cycle. */
+/* The drive turns and has received no stop yet; what is in transit is of its cycle. */
 static void begin_turning(void)
 {
     begin_with(1, 0);
@@ -347,7 +347,7 @@ static void one_that_comes_to_rest_still_loses_its_power_when_it_is_set_up_meanw
     arm(0);
     open_again(1);
     w.turning = 1;
-    request(0, DRIVE_READY); /* while the quick stop waits to be told */
+    request(0, DRIVE_READY); /* while the quick stop waits to be sent */
     int64_t opened_ns = w.now_ns;
     while (w.now_ns < opened_ns + 300 * MS) {
         go_on();
@@ -361,7 +361,7 @@ static void one_that_comes_to_rest_still_loses_its_power_when_it_is_set_up_meanw
     CHECK(w.power_offs[0] == 2);
 }
 
-/* Whatever is under way when the stop comes, an exchange with the missing drive among it. */
+/* Whatever is in transit when the stop comes, an exchange with the missing drive among it. */
 static void a_reply_that_may_take_long_does_not_keep_the_stops_of_the_others_back(void)
 {
     for (uint32_t steps = 0; steps < 40; steps++) {
@@ -402,7 +402,7 @@ int main(void)
     one_that_is_switched_off_before_it_has_received_its_zero_loses_its_power();
     drives_that_are_off_are_sent_one_gap_apart();
     missing_drives_do_not_keep_the_power_of_the_others_on();
-    a_missing_drive_is_sent_to_switch_off_at_the_end_whatever_was_under_way();
+    a_missing_drive_is_sent_to_switch_off_at_the_end_whatever_was_in_transit();
     one_that_is_missing_for_a_moment_is_sent_until_it_has_received_it();
     one_that_is_missing_until_the_end_is_reported_to_wait();
     of_two_missing_drives_the_one_that_comes_back_is_sent();

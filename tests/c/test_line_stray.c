@@ -76,7 +76,7 @@ static void one_of_several_alike_ends_the_wait_for_one(void)
     CHECK(owes(1, 3) && drive->owed[0].count == 1); /* the one before it cannot come any more */
     stray(1, 3);
     CHECK(drive->owed_count == 0 && drive->count.late == 2);
-    stray(1, 3); /* nobody waits for that */
+    stray(1, 3); /* no request waits for that */
     CHECK(drive->count.late == 2 && m->noise_bytes == 8 && m->stray_bytes == 8);
 }
 

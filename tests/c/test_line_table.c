@@ -145,7 +145,7 @@ static void a_reply_says_what_it_answers_and_has_a_check_sum(void)
     read_frame->reply_bytes = 1;
     CHECK(refused("drive[0].reply_seal"));
     read_frame->reply_bytes = 0, read_frame->match_bytes = 0, read_frame->reply_seal = SEAL_NONE;
-    CHECK(is_good()); /* nobody answers */
+    CHECK(is_good()); /* no drive answers */
     CHECK(line_frame_is_good(read_frame));
     read_frame->request_bytes = 0;
     CHECK(!line_frame_is_good(read_frame));

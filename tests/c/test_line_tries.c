@@ -146,7 +146,7 @@ static void a_frame_of_a_stop_that_is_refused_is_sent_as_often_as_the_drive_s_tr
     shut_down_until(3);
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.refusals == 6);
     begin_with(1, 0);
-    w.refused = CONTROL; /* the second one is heard: what follows is counted anew */
+    w.refused = CONTROL; /* the second one is received: what follows is counted anew */
     shut_down_until(3);
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.released[0] == 1 && w.refusals == 4);
 }

@@ -6,7 +6,7 @@ static const int64_t RESTING_NS = 50 * MS, MOVING_NS = 10 * MS;
 
 static line_machine *const m = &w.machine;
 
-/* Silence, and nobody's turn: each drive is ready, and due in so long. */
+/* Silence, and no drive's turn: each drive is ready, and due in so long. */
 static void begin_ready(uint32_t drives, int64_t due_in_ns)
 {
     begin_with(drives, 0);
@@ -38,7 +38,7 @@ static bool is_sent(uint32_t work, uint32_t drive)
     return w.out.send != NULL && m->work == work && m->worker == drive && w.out.wake_ns == w.now_ns;
 }
 
-/* As if the request under way had never been. */
+/* As if the request in transit had never been. */
 static void forget_request(void)
 {
     m->work = WORK_NONE;
@@ -104,7 +104,7 @@ static void a_request_goes_between_two_cycles_where_it_fits(void)
         CHECK(short_ns == 0 || w.out.wake_ns == w.now_ns + takes_ns - 1); /* the drive's turn: the slot's is later */
     }
     begin_ready(1, 0);
-    m->drive[0].state.mode = DRIVE_OFF; /* nobody has a turn */
+    m->drive[0].state.mode = DRIVE_OFF; /* no drive has a turn */
     put(7, LINE_DRIVES_MAX, 0);
     look();
     CHECK(is_sent(WORK_REQUEST, LINE_DRIVES_MAX));

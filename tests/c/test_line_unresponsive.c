@@ -157,7 +157,7 @@ static void one_that_answers_is_sent_off_and_is_back(void)
     }
 }
 
-static void a_stop_that_was_under_way_is_over_when_a_drive_falls_silent(void)
+static void a_stop_that_had_begun_is_over_when_a_drive_falls_silent(void)
 {
     begin_with(1, 0);
     arm(0);
@@ -201,7 +201,7 @@ static void the_first_round_is_as_long_as_what_stops_the_drive(void)
         line_drive *table = &w.machine.table.drive[0];
         table->cyclic[0].setpoint_count = writes > 0;
         table->cyclic[1].setpoint_count = 1;
-        table->cyclic_count = writes == 2 ? 2 : 1; /* what lies behind the last is none of its exchanges */
+        table->cyclic_count = writes == 2 ? 2 : 1; /* what lies behind the last is no exchange of it */
         w.machine.drive[0].may_turn = true;
         line_becomes_unresponsive(&w.machine, 0, w.now_ns);
         CHECK(w.machine.drive[0].probes_at_once == 1 + writes + 1);
@@ -216,7 +216,7 @@ int main(void)
     without_a_probe_it_is_asked_for_its_first_extra_range_and_without_that_sent_zero();
     the_probe_may_be_the_first_of_the_cycle();
     one_that_answers_is_sent_off_and_is_back();
-    a_stop_that_was_under_way_is_over_when_a_drive_falls_silent();
+    a_stop_that_had_begun_is_over_when_a_drive_falls_silent();
     one_that_falls_silent_in_its_cycle_begins_anew_and_holds_no_other_up();
     the_first_round_is_as_long_as_what_stops_the_drive();
     return checks_report("line unresponsive");

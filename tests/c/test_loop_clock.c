@@ -156,7 +156,7 @@ static void a_clock_that_runs_backwards_stops_the_base_at_once(void)
     CHECK(work.core.snapshot.faults == FAULT_TIME_STEP && work.out.joint[0].velocity_rad_s == 0.0);
 }
 
-/* Time goes on by the real clock, which tells when the computer woke up. */
+/* Time goes on by the real clock, which shows when the computer woke up. */
 static void wake_up(int64_t after_ns)
 {
     while (clock_now_ns() <= now_ns) { /* the ticks so far were of the test's own making */

@@ -330,7 +330,7 @@ static void what_a_counter_can_mean_decides_what_is_believed(void)
         {32, 1, 9000, 20.0, 85.1, 0.0, 1, 1}, /* 52.55 rad/s: no wheel is so fast */
         {32, 1, 9000, 20.0, 84.9, 0.5245, 1, 1},
         {32, 40, 200000, 20.0, 20.0, 20.0 * 0.25, 1, 1},      /* as long as feedback counts, no longer */
-        {16, 40, 30000, 14.0, 14.5, 30000 * COUNT_RAD, 0, 1}, /* too long ago to tell its turns by the velocity */
+        {16, 40, 30000, 14.0, 14.5, 30000 * COUNT_RAD, 0, 1}, /* too long ago to count its turns by the velocity */
         {15, 11, 19792, 34.0, 34.0, 19792 * COUNT_RAD, 0, 0},
         {15, 11, 19792, 14.0, 54.0, 34.0 * 0.11, 0, 1},  /* it has changed too much */
         {12, 1, 1300, NAN, NAN, 1300 * COUNT_RAD, 0, 0}, /* a turn less would be faster than any wheel */
@@ -360,7 +360,7 @@ static void an_origin_that_moved_is_no_travel(void)
     CHECK(near(received(&b, STEP_NS, 100, 6.0)->position_rad, 0.05 + 100 * COUNT_RAD) && b.state.degraded == 0);
 }
 
-/* Without a counter: what the drive measures, else what it was told, for as long as feedback counts. */
+/* Without a counter: what the drive measures, else what it was sent, for as long as feedback counts. */
 static void without_a_counter_the_velocity_or_the_set_point_is_integrated(void)
 {
     static const uint32_t stale[JOINTS_MAX] = {0};
@@ -414,7 +414,7 @@ static void a_wheel_that_was_silent_begins_anew_and_says_so(void)
         CHECK(state.degraded == stale[2] && state.blind == 0 && state.stamp_ns == step * STEP_NS);
         CHECK(near(state.distance_m, (step - 1) * 1000 * COUNT_RAD * 0.1) && fabs(state.heading_rad) < 1e-12);
     }
-    CHECK(near(state.joint[2].position_rad, 4000 * COUNT_RAD)); /* what it went unheard is not known */
+    CHECK(near(state.joint[2].position_rad, 4000 * COUNT_RAD)); /* how far it went without feedback is not known */
     stale[0] = stale[2] = 1;
     odometry_step(&state, &config, feedback, stale, wheels);
     CHECK(state.blind == 1 && state.degraded == 1);

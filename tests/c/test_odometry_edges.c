@@ -242,7 +242,7 @@ static void a_new_origin_that_is_near_is_no_travel_either(void)
     CHECK(b.state.joint[0].epoch == 1);
 }
 
-/* One side brings two samples before the other brings one: all that they were is told. */
+/* One side brings two samples before the other brings one: all that they were is reported. */
 static void an_estimate_among_several_samples_of_a_side_is_not_forgotten(void)
 {
     for (int seed = 0; seed < 2; seed++) {
@@ -375,7 +375,7 @@ static void a_side_that_only_begins_makes_no_turn(void)
     }
 }
 
-/* It was never heard before, whichever it is. */
+/* It has never reported before, whichever it is. */
 static void a_side_that_is_received_later_makes_no_turn(void)
 {
     for (uint32_t silent = 0; silent < 2; silent++) {

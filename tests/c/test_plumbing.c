@@ -108,7 +108,7 @@ static void each_value_has_a_box_of_its_own(void)
     CHECK(exchange_set_line_wake(&x, LINES_MAX, 7) == -EINVAL && exchange_line_wake(&x, LINES_MAX) == -1);
 }
 
-/* Whoever holds the memory before: nothing of it is a value, a wake-up or a count. */
+/* Whatever was in the memory before: nothing of it is a value, a wake-up or a count. */
 static void an_exchange_begins_empty_in_memory_that_was_used_before(void)
 {
     static exchange x;

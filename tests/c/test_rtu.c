@@ -221,7 +221,7 @@ static void a_refusal_is_sent_with_its_code(void)
             CHECK(is(find(&frame, 0, wrong, 6), RECEIVED_MORE, 0, 0));
         }
     }
-    uint8_t plain[5] = {1, 3, 2}; /* the function without its top bit is none */
+    uint8_t plain[5] = {1, 3, 2}; /* the function without its top bit is no exception */
     rtu_seal(plain, 5, SEAL_CRC16);
     CHECK(is(find(&frame, 0, plain, 5), RECEIVED_MORE, 0, 0));
 }
@@ -285,7 +285,7 @@ static void one_byte_may_be_all_that_an_answer_repeats(void)
     CHECK(is(find(&frame, 0, reply, 8), RECEIVED_MORE, 0, 0));
 }
 
-/* The request itself and one byte more can be a well sealed reply: with an echo it is none. */
+/* The request itself and one byte more can be a well sealed reply: with an echo it is no reply. */
 static void no_answer_begins_within_the_echo(void)
 {
     line_frame frame = reading();

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_snapshot: what a tick reports: every field from its own place, and NaN for what nobody measures. */
+ * test_snapshot: what a tick reports: every field from its own place, and NaN for what is not measured. */
 #include <stdlib.h>
 
 #include "core_rig.h"
@@ -75,7 +75,7 @@ static void of_a_wheel_without_feedback_nothing_is_reported(void)
 {
     core_config config = good_config();
     start(r, &config);
-    r->deaf = true;
+    r->stale = true;
     r->input.feedback[0].stamp_ns = 1;
     const robot_state *shown = tick(r);
     CHECK(shown->joint[0].current_a == 0.0 && shown->joint[0].enabled == 1);

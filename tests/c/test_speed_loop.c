@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Wheels that a torque turns, for the sanitizers: every line of speed_loop.c and of what core.c does with it, with hostile
- * numbers on the way. What they promise is tested in tests/rt/test_speed_loop.py. */
+ * numbers among them. What they promise is tested in tests/rt/test_speed_loop.py. */
 #include "check.h"
 #include "core.h"
 #include "torque_loop.h"
@@ -128,7 +128,7 @@ static void a_wheel_that_is_not_received_any_more_loses_its_integral_while_it_is
         b.input.now_ns += TICK_NS;
         b.input.control.heartbeat_ns = b.input.command.stamp_ns = b.input.now_ns;
         b.input.command.expires_ns = b.input.now_ns + 1000000000;
-        b.input.feedback[1].stamp_ns = b.input.now_ns; /* the other one is heard */
+        b.input.feedback[1].stamp_ns = b.input.now_ns; /* the other one reports */
         CHECK(b.state.speed_loop[0].integral_u > 0.0);
         core_step(&b.state, &b.input, 1e-3, &b.out, &b.shown);
     }

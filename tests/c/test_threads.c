@@ -185,7 +185,7 @@ static core_config base(void)
     return config;
 }
 
-/* The line's thread: takes set-points, answers as a drive that does what it is told. */
+/* The line's thread: takes set-points, answers as a drive that does what it is sent. */
 static void *is_the_line(void *unused)
 {
     (void)unused;

@@ -171,7 +171,7 @@ static void suspension_and_a_bad_time_step_are_sent_of_without_their_consequence
     CHECK(fabs(r.shown.setpoint_linear_m_s - 0.15) < 1e-12);
 }
 
-/* A drive that was off when it was last heard has not been switched off since. */
+/* A drive that was off when it last reported has not been switched off since. */
 static void a_drive_says_that_it_is_off_only_since_the_base_is_armed(void)
 {
     core_config config = good_config();

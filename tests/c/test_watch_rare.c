@@ -79,7 +79,7 @@ static void each_brake_holds_its_power_for_two_seconds(void)
     }
 }
 
-/* Nothing new was heard: the tick in which that has lasted too long says so itself. */
+/* Nothing new was received: the tick in which that has lasted too long says so itself. */
 static void feedback_that_grows_old_is_stale_in_the_tick_in_which_it_is(void)
 {
     core_config config = good_config();
@@ -99,7 +99,7 @@ static void the_pose_is_at_its_origin_in_the_tick_of_the_reset_and_the_base_goes
     start(&r, &config);
     go(&r, 0.4, 0.0);
     CHECK(r.shown.x_m > 0.1);
-    r.deaf = true;
+    r.stale = true;
     r.input.control.odometry_reset_count = 1;
     CHECK(tick(&r)->odometry_epoch == 1 && r.shown.x_m == 0.0);
     CHECK(r.shown.setpoint_linear_m_s == 0.4 && r.shown.reasons == 0 && r.shown.faults == 0);

@@ -28,7 +28,7 @@ static void a_wheel_beyond_its_limit_is_brought_to_it(void)
     CHECK(factor_of(0.5, -1.0, 0.25) == 0.5 && factor_of(-0.5, -0.25, 9.0) == 0.5 && factor_of(0.05, -9.0, 0.025) == 0.5);
     CHECK(factor_of(-1.0, 0.0, 2.0) == 0.0); /* it cannot reverse */
     uint32_t rounded_up = 0;
-    for (int i = 1; i < 20000; i++) { /* never beyond by a rounding, and no less than that asks for */
+    for (int i = 1; i < 20000; i++) { /* never beyond by a rounding, and no less than that requires */
         double want_rad_s = 0.3 + i * 1.37e-3, quotient = 0.3 / want_rad_s, factor = factor_of(want_rad_s, -1.0, 0.3);
         bool beyond = want_rad_s * quotient > 0.3;
         rounded_up += beyond;
