@@ -9,7 +9,7 @@ Without FILE: all pure files. With --again: of a file only what survived its las
 The tests are linked once against a library of csrc/. A mutant is a small shared object that is
 loaded before that library and takes the place of its functions. The first round runs without
 sanitizers; what survives it runs once more with them. A mutant whose optimized machine code equals
-that of the file is no mutant, and one that does not compile is none either.
+that of the file is no mutant, nor is one that does not compile.
 
 Ends with 1 where a mutant survives that mutants.toml does not list as the same program in other
 words, or where mutants.toml lists one that the tests kill.

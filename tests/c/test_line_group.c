@@ -110,7 +110,7 @@ static void a_damaged_reply_is_counted_as_such_and_its_servo_keeps_its_set_point
     CHECK(fabs(m->joint[0].feedback.velocity_rad_s - 3.0) < 1e-9);
 }
 
-/* A reply to the request before is a good reply of this servo: nothing but its time distinguishes it from the one that is waited for. */
+/* A reply to the request before is a good reply of this servo: only its time distinguishes it from the one that is due. */
 static void a_late_reply_is_not_taken_for_the_next_request_s(void)
 {
     servos_begin(2, ECHO_NONE);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Stops on a line where a drive is missing, on a wire of virtual time: which drive is sent a stop, when, and which is believed. */
+ * Stops on a line where a drive is missing, on a wire of virtual time: which is sent a stop, when, and which is believed. */
 #include "line_wire.h"
 
 static int64_t shut_down(void)
