@@ -277,8 +277,127 @@ static void a_servo_whose_reply_is_awaited_is_not_left_alone(void)
     }
 }
 
+static void a_group_waits_as_long_as_the_slowest_that_is_awaited(void)
+{
+    static const int64_t DEADLINES_NS[] = {300, 100, 200};
+    servos_begin(3, ECHO_NONE);
+    for (uint32_t i = 0; i < 4; i++) {
+        s.machine.drive[i].deadline_ns = i < 3 ? DEADLINES_NS[i] * SERVO_MS : 900 * SERVO_MS;
+    }
+    for (uint32_t waiting = 0; waiting < 16; waiting++) {
+        int64_t longest_ns = 0;
+        for (uint32_t i = 0; i < 3; i++) { /* the table has no fourth one */
+            int64_t wait_ns = line_deadline_ns(m, i);
+            CHECK(wait_ns > 0);
+            longest_ns = (waiting >> i & 1) != 0 && wait_ns > longest_ns ? wait_ns : longest_ns;
+        }
+        s.machine.group.waiting = waiting;
+        CHECK(line_group_wait_ns(m) == longest_ns);
+    }
+}
+
+static void begin_ready(uint32_t drives)
+{
+    servos_begin(drives, ECHO_NONE);
+    for (uint32_t i = 0; i < drives; i++) {
+        s.machine.drive[i].state.mode = DRIVE_READY;
+        s.machine.drive[i].state.enabled = 0;
+    }
+    s.machine.newest = (setpoints){.stamp_ns = s.now_ns, .enabled = 1, .joint_count = 8};
+    for (uint32_t i = 0; i < 8; i++) {
+        s.machine.newest.joint[i].velocity_rad_s = 1.0;
+    }
+}
+
+static void servos_take_turns_in_reporting_whether_they_have_power(void)
+{
+    line_frame out;
+    for (uint32_t round = 0; round < 3 * 8; round++) {
+        begin_ready(4);
+        line_machine *machine = &s.machine;
+        machine->table.drive_count = 3; /* the fourth is no member */
+        for (uint32_t i = 0; i < 3; i++) {
+            machine->drive[i].cycle_count = round % 8, machine->drive[i].state.enabled = round / 8;
+        }
+        CHECK(line_group_begin(machine, s.now_ns, &out));
+        for (uint32_t i = 0; i < 3; i++) {
+            CHECK(m->drive[i].extra_due == (round / 8 == 2 || (round % 8 + i) % 4 == 0));
+            CHECK(m->drive[i].stage == STAGE_IDLE && m->drive[i].cycle_start_ns == s.now_ns);
+        }
+        CHECK(m->current == LINE_DRIVES_MAX && m->drive[3].cycle_start_ns == 0 && m->group.waiting == 7);
+    }
+    begin_ready(2);
+    s.machine.drive[0].state.mode = s.machine.drive[1].state.mode = DRIVE_OFF;
+    CHECK(!line_group_begin(&s.machine, s.now_ns, &out) && out.request_bytes == 0);
+}
+
+static void only_a_servo_whose_time_has_come_is_asked(void)
+{
+    line_frame out;
+    for (int late = 0; late < 4; late++) {
+        begin_ready(2);
+        s.machine.drive[0].silent_until_ns = s.now_ns + (late == 1);
+        s.machine.drive[0].held_until_ns = s.now_ns + (late == 2);
+        s.machine.drive[0].state.mode = late == 3 ? DRIVE_UNRESPONSIVE : DRIVE_READY;
+        CHECK(line_group_begin(&s.machine, s.now_ns, &out) && m->group.waiting == (late == 0 ? 3 : 2));
+        CHECK(out.reply_bytes == (late == 0 ? 16 : 8));
+    }
+}
+
+static void what_was_sent_motion_counts_as_moving_until_it_was_sent_zero(void)
+{
+    line_frame out;
+    begin_ready(2);
+    line_machine *machine = &s.machine;
+    machine->drive[0].state.mode = machine->drive[1].state.mode = DRIVE_ARMED;
+    machine->newest.joint[1].velocity_rad_s = 0.0;
+    machine->drive[0].cycle_motion = machine->drive[1].cycle_motion = machine->drive[1].state.sent_motion = true;
+    CHECK(line_group_begin(machine, s.now_ns, &out));
+    CHECK(m->drive[0].cycle_motion && m->drive[0].state.sent_motion);
+    CHECK(!m->drive[1].cycle_motion && m->drive[1].state.sent_motion); /* its zero may be lost */
+    CHECK(out.request[4] == 0x83 && out.request[7] == 7 && out.request[10] == 8);
+}
+
+static void a_servo_whose_place_is_not_known_gets_none_and_one_that_does_not_answer_its_zero(void)
+{
+    line_frame out;
+    begin_ready(2);
+    line_machine *machine = &s.machine;
+    machine->drive[0].state.mode = DRIVE_ARMED;
+    machine->table.drive[0].cyclic[0].setpoint[0].kind = SETPOINT_POSITION;
+    CHECK(line_group_begin(machine, s.now_ns, &out) && out.request[4] == 0x82);
+    for (int may_turn = 0; may_turn < 2; may_turn++) {
+        begin_ready(2);
+        machine->drive[0].state.mode = DRIVE_UNRESPONSIVE, machine->drive[0].may_turn = may_turn == 1;
+        CHECK(line_group_begin(machine, s.now_ns, &out) && out.request[4] == (may_turn ? 0x83 : 0x82));
+        CHECK(!may_turn || (out.request[7] == 7 && out.request[8] == 0 && out.request[9] == 0));
+    }
+}
+
+static void the_first_replies_of_a_group_show_whether_the_adapter_receives_itself(void)
+{
+    for (uint32_t echoes = 0; echoes < 2; echoes++) {
+        servos_begin(2, echoes ? ECHO_FIRST : ECHO_NONE);
+        servos_arm();
+        servos_go_on(1.0, 50 * SERVO_MS);
+        do {
+            servos_step(1.0, 1);
+        } while (m->work != WORK_GROUP);
+        s.machine.echo = ECHO_UNKNOWN;
+        uint64_t answers = m->answers;
+        servos_step(1.0, 1);
+        CHECK(m->echo == (echoes ? ECHO_FIRST : ECHO_NONE) && m->answers == answers + 2 && s.out.notify);
+    }
+}
+
 int main(void)
 {
+    a_group_waits_as_long_as_the_slowest_that_is_awaited();
+    servos_take_turns_in_reporting_whether_they_have_power();
+    only_a_servo_whose_time_has_come_is_asked();
+    what_was_sent_motion_counts_as_moving_until_it_was_sent_zero();
+    a_servo_whose_place_is_not_known_gets_none_and_one_that_does_not_answer_its_zero();
+    the_first_replies_of_a_group_show_whether_the_adapter_receives_itself();
     a_group_has_room_for_its_set_points_and_fits_on_the_wire();
     each_reply_is_stamped_after_the_one_before();
     one_request_carries_all_set_points_and_reads_all();
