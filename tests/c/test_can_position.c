@@ -338,6 +338,17 @@ static void only_one_that_is_ready_and_not_enabled_keeps_its_place(void)
     }
 }
 
+static void a_place_beyond_the_joints_of_the_set_points_is_not_sent(void)
+{
+    begin();
+    make_armed();
+    wanted_rad = 0.5, positioned = 1;
+    put();
+    CHECK(can_sends(m, 0, 0));
+    w.machine.newest.joint_count = 0;
+    CHECK(!can_sends(m, 0, 0));
+}
+
 static void a_place_of_minus_zero_goes_out_as_zero(void)
 {
     static const uint8_t ZEROS[4];
@@ -370,6 +381,7 @@ int main(void)
     each_target_of_a_frame_is_kept_and_no_other();
     a_frame_is_sent_only_when_each_of_its_targets_is_known();
     only_one_that_is_ready_and_not_enabled_keeps_its_place();
+    a_place_beyond_the_joints_of_the_set_points_is_not_sent();
     a_place_of_minus_zero_goes_out_as_zero();
     a_joint_that_the_set_points_do_not_have_gets_no_place();
     a_drive_without_power_gets_the_place_where_it_is();
