@@ -316,6 +316,7 @@ static void servos_take_turns_in_reporting_whether_they_have_power(void)
         begin_ready(4);
         line_machine *machine = &s.machine;
         machine->table.drive_count = 3; /* the fourth is no member */
+        machine->drive[3].state.mode = DRIVE_ARMED;
         for (uint32_t i = 0; i < 3; i++) {
             machine->drive[i].cycle_count = round % 8, machine->drive[i].state.enabled = round / 8;
         }
@@ -325,10 +326,12 @@ static void servos_take_turns_in_reporting_whether_they_have_power(void)
             CHECK(m->drive[i].stage == STAGE_IDLE && m->drive[i].cycle_start_ns == s.now_ns);
         }
         CHECK(m->current == LINE_DRIVES_MAX && m->drive[3].cycle_start_ns == 0 && m->group.waiting == 7);
+        CHECK(!m->drive[3].state.sent_motion);
     }
     begin_ready(2);
     s.machine.drive[0].state.mode = s.machine.drive[1].state.mode = DRIVE_OFF;
-    CHECK(!line_group_begin(&s.machine, s.now_ns, &out) && out.request_bytes == 0);
+    s.machine.drive[0].cycle_motion = true;
+    CHECK(!line_group_begin(&s.machine, s.now_ns, &out) && out.request_bytes == 0 && !m->drive[0].cycle_motion);
 }
 
 static void only_a_servo_whose_time_has_come_is_asked(void)
@@ -390,8 +393,35 @@ static void the_first_replies_of_a_group_show_whether_the_adapter_receives_itsel
     }
 }
 
+/* Dynamixel protocol 2.0: unit and length stand behind a longer head. */
+static void a_group_of_stuffed_packets_has_its_units_and_its_length(void)
+{
+    static const uint8_t WRITE[] = {0xFF, 0xFF, 0xFD, 0, 0xFE, 7, 0, 0x83, GOAL, 0, 2, 0};
+    line_frame out;
+    begin_ready(2);
+    line_machine *machine = &s.machine;
+    line_group *group = &machine->table.group;
+    memcpy(group->write, WRITE, sizeof WRITE);
+    memcpy(group->read, WRITE, sizeof WRITE);
+    group->read[7] = 0x82;
+    group->write_bytes = group->read_bytes = sizeof WRITE, group->data_byte = 10;
+    for (uint32_t i = 0; i < 2; i++) {
+        const line_frame frame = {.request_seal = SEAL_STUFFED,
+                                  .request_bytes = 14,
+                                  .request = {0xFF, 0xFF, 0xFD, 0, (uint8_t)(21 + i), 7, 0, 3, GOAL, 0}};
+        machine->table.drive[i].cyclic[0].frame = machine->table.drive[i].cyclic[1].frame = frame;
+        machine->table.drive[i].cyclic[0].setpoint[0].byte = 10;
+        machine->drive[i].state.mode = DRIVE_ARMED;
+    }
+    CHECK(line_group_begin(machine, s.now_ns, &out) && out.request_bytes == 20 + 16);
+    CHECK(rtu_read(out.request + 5, FORM_U16_LE) == 7 + 6 && rtu_read(out.request + 20 + 5, FORM_U16_LE) == 7 + 2);
+    CHECK(out.request[12] == 21 && out.request[13] == 100 && out.request[14] == 0 && out.request[15] == 22);
+    CHECK(out.request[20 + 12] == 21 && out.request[20 + 13] == 22);
+}
+
 int main(void)
 {
+    a_group_of_stuffed_packets_has_its_units_and_its_length();
     a_group_waits_as_long_as_the_slowest_that_is_awaited();
     servos_take_turns_in_reporting_whether_they_have_power();
     only_a_servo_whose_time_has_come_is_asked();
