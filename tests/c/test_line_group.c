@@ -419,8 +419,54 @@ static void a_group_of_stuffed_packets_has_its_units_and_its_length(void)
     CHECK(out.request[20 + 12] == 21 && out.request[20 + 13] == 22);
 }
 
+static void group_goes_out(uint32_t drives, uint32_t echo)
+{
+    servos_begin(drives, echo);
+    servos_arm();
+    servos_go_on(1.0, 50 * SERVO_MS);
+    do {
+        servos_step(1.0, 1);
+    } while (m->work != WORK_GROUP);
+}
+
+static void replies_that_come_byte_by_byte_are_the_same_replies(void)
+{
+    for (uint32_t echo = ECHO_NONE; echo <= ECHO_FIRST; echo++) {
+        group_goes_out(3, echo);
+        uint8_t bytes[sizeof s.bytes];
+        uint32_t count = s.count;
+        uint64_t answers = m->answers;
+        int64_t ended_ns = m->end_ns, last_ns = 0;
+        memcpy(bytes, s.bytes, count);
+        s.count = 0;
+        for (uint32_t i = 0; i < count; i++) {
+            CHECK(m->work == WORK_GROUP && m->end_ns == ended_ns);
+            line_machine_step(&s.machine, ended_ns + (int64_t)(i + 1) * SERVO_CHARACTER_NS, bytes + i, 1, &s.out);
+        }
+        CHECK(m->answers == answers + 3 && m->group.waiting == 0 && m->noise_bytes == 0);
+        for (uint32_t i = 0; i < 3; i++) {
+            CHECK(m->drive[i].failures == 0 && m->joint[i].feedback.stamp_ns > last_ns);
+            last_ns = m->joint[i].feedback.stamp_ns;
+        }
+    }
+}
+
+/* An adapter that receives itself brings its own request first: anything else says that both have sent at once. */
+static void a_collision_ends_the_exchange_and_silence_does_not(void)
+{
+    static const uint8_t OTHER[] = {0x55};
+    group_goes_out(2, ECHO_FIRST);
+    s.count = 0;
+    line_machine_step(&s.machine, m->end_ns + 1, OTHER, 0, &s.out);
+    CHECK(m->work == WORK_GROUP && m->group.waiting == 3);
+    line_machine_step(&s.machine, m->end_ns + 2, OTHER, 1, &s.out);
+    CHECK(m->group.waiting == 0 && m->drive[0].failures == 1 && m->drive[1].failures == 1);
+}
+
 int main(void)
 {
+    replies_that_come_byte_by_byte_are_the_same_replies();
+    a_collision_ends_the_exchange_and_silence_does_not();
     a_group_of_stuffed_packets_has_its_units_and_its_length();
     a_group_waits_as_long_as_the_slowest_that_is_awaited();
     servos_take_turns_in_reporting_whether_they_have_power();
