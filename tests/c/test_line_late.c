@@ -394,8 +394,29 @@ static void a_value_that_was_never_read_has_no_stamp(void)
     }
 }
 
+static void a_stuffed_reply_is_read_without_what_stuffing_has_added(void)
+{
+    static const uint8_t VALUE[] = {0xFF, 0xFF, 0xFD, 1};
+    line_frame status = {.request_seal = SEAL_STUFFED,
+                         .request_bytes = 15,
+                         .request = {0xFF, 0xFF, 0xFD, 0, 7, 8, 0, 0x55, 0, 0xFF, 0xFF, 0xFD, 1}};
+    rtu_finish(&status);
+    CHECK(status.request_bytes == 16);
+    line_machine *machine = &w.machine;
+    begin_with(1, 0);
+    memcpy(machine->transaction.received + 3, status.request, status.request_bytes);
+    const received whole = {.kind = RECEIVED_ANSWER, .offset = 3, .bytes = status.request_bytes}, none = {.offset = 3};
+    machine->transaction.frame.reply_seal = SEAL_STUFFED;
+    CHECK(line_reply(machine, &whole) == machine->transaction.plain);
+    CHECK(memcmp(machine->transaction.plain + 9, VALUE, sizeof VALUE) == 0);
+    CHECK(line_reply(machine, &none) == machine->transaction.received + 3);
+    machine->transaction.frame.reply_seal = SEAL_CRC16;
+    CHECK(line_reply(machine, &whole) == machine->transaction.received + 3);
+}
+
 int main(void)
 {
+    a_stuffed_reply_is_read_without_what_stuffing_has_added();
     no_value_is_older_than_it_says(false);
     no_value_is_older_than_it_says(true);
     a_late_reply_is_sent_from_noise();
