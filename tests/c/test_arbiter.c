@@ -281,8 +281,25 @@ static void after_a_pause_of_the_computer_no_command_is_alive(void)
     CHECK(say(0, 3, 0.1) == 0); /* of the moment in which it went on */
 }
 
+static void motion_along_any_axis_holds_a_source_that_requests_it_before_arming(void)
+{
+    for (uint32_t axes = 0; axes < 8; axes++) {
+        begin();
+        b.may_move = false;
+        command_datagram command = command_of(0, 1, (axes & 1U) != 0 ? 0.1 : 0.0);
+        command.angular_rad_s = (axes & 2U) != 0 ? 0.1 : 0.0;
+        command.lateral_m_s = (axes & 4U) != 0 ? -0.1 : 0.0;
+        CHECK(submit(command) == 0);
+        b.may_move = true;
+        twist_command out = obeyed();
+        CHECK(lease_of(0)->held == (axes != 0));
+        CHECK(out.linear_m_s == 0.0 && out.angular_rad_s == 0.0 && out.lateral_m_s == 0.0);
+    }
+}
+
 int main(void)
 {
+    motion_along_any_axis_holds_a_source_that_requests_it_before_arming();
     each_byte_of_a_token_counts();
     a_datagram_of_another_program_or_version_is_refused();
     a_stamp_may_be_ten_milliseconds_ahead_and_there_has_to_be_one();
