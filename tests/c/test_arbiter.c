@@ -297,8 +297,25 @@ static void motion_along_any_axis_holds_a_source_that_requests_it_before_arming(
     }
 }
 
+static void a_lateral_speed_far_beyond_its_limit_is_refused(void)
+{
+    static const double SPEEDS_M_S[] = {5.0, 5.001, -5.0, -5.001, 0.0};
+    core_config swerve = {.module_count = 2, .module = {{.steering = 1}, {.steering = 1}}};
+    swerve.limits.lateral.velocity_u_s = 0.5;
+    for (uint32_t i = 0; i < 5; i++) {
+        begin();
+        arbiter_init(&b.arbiter, &swerve, NULL);
+        arbiter_grant(&b.arbiter, &b.permissions);
+        command_datagram command = command_of(0, 1, 0.0);
+        command.lateral_m_s = SPEEDS_M_S[i];
+        CHECK(submit(command) == (i % 2 == 1 ? 1 + REFUSED_OUT_OF_RANGE : 0));
+        CHECK(obeyed().lateral_m_s == (i % 2 == 1 ? 0.0 : SPEEDS_M_S[i]));
+    }
+}
+
 int main(void)
 {
+    a_lateral_speed_far_beyond_its_limit_is_refused();
     motion_along_any_axis_holds_a_source_that_requests_it_before_arming();
     each_byte_of_a_token_counts();
     a_datagram_of_another_program_or_version_is_refused();
