@@ -128,7 +128,7 @@ static void a_servo_gets_the_pulses_of_its_newest_position(void)
     bench b = servo();
     b.newest.position_rad[0] = 0.4;
     CHECK(bridge_config_check(&b.config) == 0 && steps_on(&b, 0)[0] == 0.0); /* no power, no pulses */
-    CHECK(is(asks(&b, PWM_ARMED)[0], 0.5 + 0.125));
+    CHECK(is(requests(&b, PWM_ARMED)[0], 0.5 + 0.125));
     const double at_rad[] = {0.0, -0.2, -0.8, -7.0, 0.8, 7.0}, levels[] = {0.5, 0.4375, 0.25, 0.25, 0.75, 0.75};
     for (int i = 0; i < 6; i++) {
         b.newest.position_rad[0] = at_rad[i];
@@ -142,7 +142,7 @@ static void a_servo_without_a_position_holds_the_one_before(void)
 {
     bench b = servo();
     b.newest.positioned = 0;
-    CHECK(asks(&b, PWM_ARMED)[0] == 0.0); /* never had one: no pulses */
+    CHECK(requests(&b, PWM_ARMED)[0] == 0.0); /* never had one: no pulses */
     b.newest.positioned = 1, b.newest.position_rad[0] = -0.4;
     CHECK(is(steps_on(&b, MS)[0], 0.375));
     const double nonsense[] = {NAN, INFINITY, -INFINITY};
@@ -161,20 +161,20 @@ static void a_servo_that_stops_keeps_its_place_and_then_gets_no_pulses(void)
     for (int how = 0; how < 3; how++) { /* a request, set-points that are old or not enabled any more */
         bench b = servo();
         b.newest.position_rad[0] = 0.4;
-        asks(&b, PWM_ARMED);
+        requests(&b, PWM_ARMED);
         b.newest.position_rad[0] = -0.8;
         b.newest.enabled = how != 2;
         b.age_ns = how == 1 ? 200 * MS : 0;
-        double level = how == 0 ? asks(&b, PWM_STOP)[0] : steps_on(&b, 50 * MS)[0];
+        double level = how == 0 ? requests(&b, PWM_STOP)[0] : steps_on(&b, 50 * MS)[0];
         CHECK(how == 2 ? level == 0.0 || is(level, 0.625) : is(level, 0.625));
         CHECK(!b.state.drive.stopping || is(steps_on(&b, 50 * MS)[0], 0.625));
         CHECK(steps_on(&b, 400 * MS)[0] == 0.0 && steps_on(&b, MS)[0] == 0.0);
         b.age_ns = 0, b.newest.enabled = 1, b.newest.positioned = 0;
-        CHECK(asks(&b, PWM_ARMED)[0] == 0.0); /* an old place is none */
+        CHECK(requests(&b, PWM_ARMED)[0] == 0.0); /* an old place does not count */
     }
     bench b = servo();
-    asks(&b, PWM_ARMED);
-    CHECK(asks(&b, PWM_OFF)[0] == 0.0);
+    requests(&b, PWM_ARMED);
+    CHECK(requests(&b, PWM_OFF)[0] == 0.0);
 }
 
 static void each_reason_stays_until_it_is_armed_again(void)

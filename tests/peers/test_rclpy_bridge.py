@@ -84,7 +84,7 @@ def test_a_speed_sideways_reaches_the_daemon_which_counts_that_the_base_cannot(s
     drive_until(stage, publisher, command, lambda: lateral_m_s() == [0.1], "the lateral speed")
     drive_until(stage, publisher, command, lambda: stage.state() == "moving", "moving")
     assert stage.robot.status()["commands"]["sideways"] > 0
-    assert stage.said().count("asks this base to move sideways") == 1
+    assert stage.logged().count("asks this base to move sideways") == 1
 
 
 def test_wheels_are_commanded_by_their_names(stage):

@@ -224,7 +224,7 @@ async def test_a_base_that_cannot_move_sideways_obeys_the_rest_and_counts_it(
     forward_m, left_m = shift(before, resting.sim.truth())
     assert abs(left_m) < 0.2 * forward_m
     assert resting.robot.status()["commands"]["sideways"] > counted
-    assert resting.said().count(CANNOT) == 1  # of all networks together
+    assert resting.logged().count(CANNOT) == 1  # of all networks together
 
 
 def asked(direction_rad, distance_m=0.3):
@@ -265,4 +265,4 @@ def test_the_action_refuses_a_direction_that_the_base_cannot_take(place, resting
         assert not client.find(lambda said: "accepted" in said, "an answer")["accepted"]
     assert resting.sim.truth().x_m == before.x_m
     words = "cannot move sideways: turn it" if direction_rad < math.inf else "a finite number"
-    wait_until(lambda: words in resting.said(), words)
+    wait_until(lambda: words in resting.logged(), words)

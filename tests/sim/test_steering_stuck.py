@@ -33,7 +33,7 @@ def test_a_blocked_steering_servo_is_a_following_error_that_names_it_and_takes_t
                 stage.robot.drive(0.0, 0.6)
             return False
 
-        wait_until(attempt, stage.said())
+        wait_until(attempt, stage.logged())
         why = " ".join(stage.robot.status()["why"])
         assert "following_error: front_left_steering has been far from its set-point" in why
         wait_until(
