@@ -277,9 +277,13 @@ static void a_stop_keeps_the_place_in_its_frame(void)
 /* The second target of a frame stands in turns of 16 bits. */
 static void each_target_of_a_frame_is_kept_and_no_other(void)
 {
-    static const can_setpoint SECOND = {
-        .place = {.start_bit = 48, .length = 16, .form = CAN_SIGNED},
-        .scale = {.kind = SETPOINT_POSITION, .raw_per_si = 0.5, .raw_offset = 2.0, .raw_min = -10.0, .raw_max = 10.0}};
+    static const can_setpoint SECOND = {.place = {.start_bit = 48, .length = 16, .form = CAN_SIGNED},
+                                        .scale = {.kind = SETPOINT_POSITION,
+                                                  .raw_per_si = 0.5,
+                                                  .raw_offset = 2.0,
+                                                  .raw_min = -10.0,
+                                                  .raw_max = 10.0,
+                                                  .raw_per_s = 1e6}};
     for (uint32_t count = 1; count <= 2; count++) {
         begin();
         can_output *output = &table_of(0)->output[0];

@@ -366,7 +366,7 @@ static void a_request_is_sent_only_when_each_of_its_places_is_known(void)
 {
     begin();
     line_exchange *turn = &m->table.drive[0].cyclic[0];
-    m->drive[0].state.mode = DRIVE_ARMED;
+    arm_it();
     want(0.5, 1);
     CHECK(line_sends(m, 0, 0));
     turn->setpoint[1] = turn->setpoint[0];
@@ -397,7 +397,7 @@ static void a_position_is_looked_for_in_every_place_of_every_exchange(void)
     CHECK(refused("drive[0].field_count"));
     drive->cyclic[1].setpoint[1] = drive->cyclic[1].setpoint[0];
     drive->cyclic[1].setpoint[0].kind = SETPOINT_VELOCITY, drive->cyclic[1].setpoint[0].raw_offset = 0.0;
-    drive->cyclic[1].setpoint[0].raw_min = -100.0;
+    drive->cyclic[1].setpoint[0].raw_min = -100.0, drive->cyclic[1].setpoint[0].raw_per_s = 0.0;
     CHECK(is_good());
     drive->cyclic[1].setpoint_count = 2;
     CHECK(refused("drive[0].field_count"));
