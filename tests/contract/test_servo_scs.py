@@ -48,7 +48,10 @@ class ScsServos(SdkServos):
 
 def line_of(folder):
     spec = spec_of(PROFILE, folder)
-    joints = tuple(dataclasses.replace(joint, zero_count=MIDDLE) for joint in spec.joints)
+    joints = tuple(
+        dataclasses.replace(joint, zero_count=MIDDLE, position_velocity_rad_s=20.0)
+        for joint in spec.joints
+    )
     return dataclasses.replace(spec, joints=joints)
 
 

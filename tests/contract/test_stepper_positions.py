@@ -20,7 +20,11 @@ NEAR_RAD = 0.02
 
 
 def line_of(folder):
-    return dataclasses.replace(spec_of(PROFILE, folder), engine="rt", cycle_hz=30.0)
+    spec = spec_of(PROFILE, folder)
+    joints = tuple(
+        dataclasses.replace(joint, position_velocity_rad_s=20.0) for joint in spec.joints
+    )
+    return dataclasses.replace(spec, joints=joints, engine="rt", cycle_hz=30.0)
 
 
 def angles_rad(control):
@@ -61,6 +65,8 @@ async def test_a_stepper_whose_old_target_is_far_away_stays_where_it_is_when_it_
     with simulated(PROFILE, tmp_path) as control:
         async with running(line_of(tmp_path)) as rig:
             await rig.arm()
+            rig.loop.position_rad = {0: 0.0, 1: 0.0}  # the first target is where they are
+            await some_cycles(rig)
             rig.loop.position_rad = {0: 30.0, 1: 30.0}
             await rig.drive(lambda: angles_rad(control)[0] > 1.0, "they are under way")
             await rig.line.disarm()
@@ -76,6 +82,8 @@ async def test_old_set_points_stop_a_stepper_and_take_its_power(tmp_path):
     with simulated(PROFILE, tmp_path) as control:
         async with running(line_of(tmp_path)) as rig:
             await rig.arm()
+            rig.loop.position_rad = {0: 0.0, 1: 0.0}  # the first target is where they are
+            await some_cycles(rig)
             rig.loop.position_rad = {0: 30.0, 1: 30.0}
             await rig.drive(lambda: angles_rad(control)[0] > 1.0, "they are under way")
             rig.loop.running = False
