@@ -26,19 +26,17 @@ class Ring {
     this.count += 1;
   }
 
-  /** Time and these series in order, for uPlot: what was not measured is null. */
+  /** Time and these series in order, for uPlot: what was not measured is null. Series without a null are typed
+   *  arrays: an array that may hold null boxes each of its numbers, thousands of them for each picture. */
   data(names, sinceS) {
     const have = Math.min(this.count, this.size);
     const first = this.count - have;
     let from = first;
     while (from < this.count && this.time[from % this.size] < sinceS) from += 1;
     const pick = (ring) => {
-      const out = new Array(this.count - from);
-      for (let at = from; at < this.count; at += 1) {
-        const value = ring[at % this.size];
-        out[at - from] = Number.isFinite(value) ? value : null;
-      }
-      return out;
+      const out = new Float64Array(this.count - from);
+      for (let at = from; at < this.count; at += 1) out[at - from] = ring[at % this.size];
+      return out.every(Number.isFinite) ? out : Array.from(out, (value) => (Number.isFinite(value) ? value : null));
     };
     return [pick(this.time), ...names.map((name) => pick(this.series[name]))];
   }
@@ -107,7 +105,7 @@ export class History {
       return place === undefined ? key : `${joints[place]}.${JOINT[key]}`;
     };
     const columns = this.fast.data(names, 0);
-    const rows = columns[0].map((_, row) => columns.map((column) => column[row] ?? "").join(","));
+    const rows = Array.from(columns[0], (_, row) => columns.map((column) => column[row] ?? "").join(","));
     return [["stamp_s", ...names.map(title)].join(","), ...rows].join("\n") + "\n";
   }
 }
