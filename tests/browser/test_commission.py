@@ -5,6 +5,7 @@ out; whatever ends a procedure ends it at rest and without power."""
 import math
 
 import pytest
+from tests.browser.axe import axe_violations
 from tests.browser.commissioning import (
     answers,
     asked_text,
@@ -260,6 +261,19 @@ def test_a_page_without_the_token_sees_that_a_procedure_runs_and_nothing_of_it(r
         assert other.locator(".halt").count() == 0
         page.locator(".halt").click()
         rests_without_power(robot.stage)
+
+
+def test_axe_finds_nothing_in_a_question_and_a_result(robot):
+    with robot.page() as page:
+        open_page(page, SPIN)
+        page.get_by_label("Wheels").select_option("left")
+        begin(page)
+        wait_until(lambda: GROUND in asked_text(page), "the question")
+        assert axe_violations(page) == []
+        answers(page, {GROUND: "Yes", TURNED: "Forward"})
+        assert page.locator(".picture rect").count() > 1
+        assert axe_violations(page) == []
+    rests_without_power(robot.stage)
 
 
 def test_a_question_waits_for_a_page_that_was_closed_and_another_one_goes_on(robot):

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The dashboard in a real browser, with a simulated robot behind it."""
 
-import json
 import os
 import re
 import signal
 from urllib.parse import urlsplit
 
 import pytest
-from tests.browser.dashboard import DEADLINE_MS, TOKEN, held, press_key, press_pad, state_of
+from tests.browser.axe import axe_violations
+from tests.browser.dashboard import TOKEN, held, press_key, press_pad, state_of
 from tests.browser.link_proxy import LinkProxy
 from tests.sim.daemon_stage import wait_until
 from tests.sim.journal_copy import flipped, rewritten
@@ -378,33 +378,15 @@ def test_the_log_shows_what_happened(robot, page):
     )
 
 
-AXE = os.environ.get("MOTORD_AXE", "build/node/node_modules/axe-core/axe.min.js")
-
-
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("width", [390, 1280])
 def test_axe_finds_nothing(robot, theme, width):
-    if not os.path.exists(AXE):
-        pytest.skip("no axe-core here: npm install --prefix build/node axe-core")
-    with open(AXE, encoding="utf-8") as file:
-        axe = file.read()
     with robot.page(viewport={"width": width, "height": 844}) as page:
         page.emulate_media(color_scheme=theme)
-        session = page.context.new_cdp_session(page)
         for tab in TABS:
             page.evaluate(f"location.hash = '{tab}'")
             page.wait_for_selector("main .card")
             if tab == "lines":
                 button(page, "Show live").click()
                 page.wait_for_selector(".exchanges tbody tr")
-            session.send("Runtime.evaluate", {"expression": axe})
-            found = session.send("Runtime.evaluate", {
-                "expression": "axe.run().then(found => JSON.stringify(found.violations))",
-                "awaitPromise": True, "returnByValue": True, "timeout": DEADLINE_MS,
-            })["result"]["value"]  # fmt: skip
-            violations = [
-                (row["id"], row["impact"], node["html"][:200], node["failureSummary"])
-                for row in json.loads(found)
-                for node in row["nodes"]
-            ]
-            assert not violations, tab
+            assert axe_violations(page) == [], tab

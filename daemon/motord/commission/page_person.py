@@ -35,7 +35,7 @@ class PagePerson:
         self._source, self._sink = source, sink
         self._changed = threading.Condition()
         self._stopped = ""
-        self._present_s = time.monotonic()
+        self._present_s = -math.inf
         self._asked = 0
         self._answer: dict[str, Any] | None = None
         self._progressed_s = -math.inf

@@ -109,7 +109,7 @@ const shown = (value) => (value === null ? "–" : Number(value.toPrecision(3)))
 /** The numbers of bars, for those who cannot see them, and to look closer. */
 function Numbers({ plot }) {
   return html`<div class="table" tabindex="0" role="region" aria-label=${`${plot.title}: ${TEXT.values}`}><table>
-    <thead><tr><th scope="col"></th>${plot.series.map(({ title }, place) => html`<th scope="col" class="num key c${(place % COLOURS) + 1}">${title}, ${plot.y.unit}</th>`)}</tr></thead>
+    <thead><tr><td></td>${plot.series.map(({ title }, place) => html`<th scope="col" class="num key c${(place % COLOURS) + 1}">${title}, ${plot.y.unit}</th>`)}</tr></thead>
     <tbody>${plot.bars.map((name, bar) => html`<tr><th scope="row">${bar + 1} ${name}</th>
       ${plot.series.map((series) => html`<td class="num">${shown(series.y[bar])}</td>`)}</tr>`)}</tbody>
   </table></div>`;
