@@ -34,3 +34,19 @@ def test_upper_rollers_of_mecanum_wheels_point_to_the_middle_in_an_x(rollers, si
     for wheel in description(robot)["wheels"]:
         towards = math.atan(wheel["y_m"] / wheel["x_m"])
         assert wheel["roller_rad"] == pytest.approx(sign * math.copysign(math.pi / 4, towards))
+
+
+@pytest.mark.parametrize(
+    ("file", "steered"),
+    [
+        ("ackermann-servo", {"drive": None, "steering": "steering"}),
+        ("swerve4-servos", {
+            f"{end}_{side}": f"{end}_{side}_steering"
+            for end in ("front", "rear") for side in ("left", "right")
+        }),
+        ("demo", {"left": None, "right": None}),
+    ],
+)  # fmt: skip
+def test_a_wheel_names_the_joint_that_steers_it(file, steered):
+    wheels = description(load_robot(ROBOTS / f"{file}.toml"))["wheels"]
+    assert {wheel["joint"]: wheel["steered_by"] for wheel in wheels} == steered

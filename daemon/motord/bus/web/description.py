@@ -34,13 +34,14 @@ def description(robot: Robot) -> dict[str, Any]:
 
 def _wheels(robot: Robot) -> Iterator[dict[str, Any]]:
     """In base_link. A steered base: its wheels straight ahead, each by the joint that drives it or
-    else the one that steers it. Others: by the robot description, the joints that turn without end.
+    else the one that steers it, which `steered_by` names too. Others: by the robot description, the joints that turn without end.
     """
     for module in wheel_modules(robot.base, robot.joint):
         name = (module.traction or module.steering)[0]
         yield {
             "joint": name, "x_m": module.x_m, "y_m": module.y_m, "heading_rad": 0.0,
             "roller_rad": None, "radius_m": robot.wheel_radius_m(name),
+            "steered_by": next(iter(module.steering), None),
         }  # fmt: skip
     if isinstance(robot.base, SteeredBase):
         return
@@ -52,7 +53,7 @@ def _wheels(robot: Robot) -> Iterator[dict[str, Any]]:
             yield {
                 "joint": name, "x_m": x_m, "y_m": y_m, "heading_rad": heading_rad,
                 "roller_rad": _roller_rad(robot, x_m, y_m),
-                "radius_m": robot.wheel_radius_m(name),
+                "radius_m": robot.wheel_radius_m(name), "steered_by": None,
             }  # fmt: skip
 
 

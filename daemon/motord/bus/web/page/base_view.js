@@ -48,6 +48,12 @@ function arrow(paint, fromX, fromY, toX, toY, width) {
   paint.fill();
 }
 
+/** Where a wheel points, in the base; NaN: nothing measures the angle of what steers it. */
+export function directionOf(wheel, hello, now) {
+  if (wheel.steered_by === null) return wheel.heading_rad;
+  return wheel.heading_rad + (now.joints[hello.joints.indexOf(wheel.steered_by)]?.position_rad ?? NaN);
+}
+
 class Painter {
   constructor(canvas) {
     this.canvas = canvas;
@@ -159,13 +165,17 @@ class Painter {
     const radius = wheel.radius_m * scale;
     paint.save();
     paint.translate(wheel.x_m * scale, -wheel.y_m * scale);
-    paint.rotate(-wheel.heading_rad);
-    paint.fillStyle = colour(joint.stale ? "error" : "wheel");
+    const direction = directionOf(wheel, hello, now);
+    const known = Number.isFinite(direction);
+    paint.rotate(known ? -direction : -wheel.heading_rad);
+    paint.fillStyle = paint.strokeStyle = colour(joint.stale ? "error" : "wheel");
+    paint.lineWidth = 2;
     paint.beginPath();
     paint.roundRect(-radius, -0.4 * radius, 2 * radius, 0.8 * radius, 0.25 * radius);
-    paint.fill();
+    if (known) paint.fill();
+    else paint.stroke();
     if (wheel.roller_rad !== null) this._rollers(radius, wheel.roller_rad - wheel.heading_rad);
-    const ahead = radius * AHEAD_S;
+    const ahead = wheel.joint === wheel.steered_by ? 0 : radius * AHEAD_S;  // that joint does not roll it
     paint.strokeStyle = paint.fillStyle = colour("setpoint");
     arrow(paint, 0, 0, joint.setpoint_rad_s * ahead, 0, 5);
     paint.strokeStyle = paint.fillStyle = colour("speed");
