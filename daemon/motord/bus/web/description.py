@@ -34,7 +34,8 @@ def description(robot: Robot) -> dict[str, Any]:
 
 def _wheels(robot: Robot) -> Iterator[dict[str, Any]]:
     """In base_link. A steered base: its wheels straight ahead, each by the joint that drives it or
-    else the one that steers it, which `steered_by` names too. Others: by the robot description, the joints that turn without end.
+    else the one that steers it, which `steered_by` names too. Others: by the robot description,
+    the joints that turn without end.
     """
     for module in wheel_modules(robot.base, robot.joint):
         name = (module.traction or module.steering)[0]
