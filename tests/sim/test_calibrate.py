@@ -39,6 +39,21 @@ def test_radii_and_track_are_recovered_and_written(tmp_path):
     assert len(list(tmp_path.glob("*.bak"))) == 1
 
 
+@pytest.mark.parametrize(
+    ("name", "rolling", "settings"),
+    [("ackermann-servo", ["drive"], ("joint.drive.drive_watchdog_s=2.0",)),
+     ("mecanum4", ["front_left", "front_right", "rear_left", "rear_right"], ())],
+)  # fmt: skip
+def test_the_radius_of_a_base_without_two_sides_is_found(tmp_path, name, rolling, settings):
+    file = copied(tmp_path, ROOT / f"config/robots/{name}.toml")
+    true_m = 1.03 * load_robot(file).base.wheel_radius_m
+    truth = [f"joint.{joint}.wheel_radius_m={true_m}" for joint in rolling]
+    with robot_of(tmp_path, file, *settings, truth=truth) as stage:
+        status, text = calibrated(stage, "straight", "--distance-m", "1.5")
+        assert status == 0, text
+    assert load_robot(file).base.wheel_radius_m == pytest.approx(true_m, rel=0.003)
+
+
 def test_a_dead_band_is_found_with_the_speed_at_full_duty(tmp_path):
     """The simulated motor stalls at 8 N·m and rubs with 0.48 N·m: it begins to turn at 6 %."""
     file = copied(tmp_path, FORWARD_ONLY, [("duty_dead_band = 0.06", "duty_dead_band = 0.02")])

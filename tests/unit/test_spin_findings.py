@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What first turns of the wheels mean."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 
 from motord.commission.spin import Turned, both_times
 from motord.commission.spin_findings import findings
+from motord.commission.spin_steered import recognized
 from motord.config import load_robot
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
@@ -150,3 +152,54 @@ def test_two_turns_count_what_was_counted_both_times():
     )  # fmt: skip
     assert found.counted_rad == {"left": 2.5, "right": 0.01}
     assert found.current_max_a == 4.0
+
+
+# -------------------------------------------------------------------------------- steered wheels
+LEFT, NONE, RIGHT = "left", "straight", "right"
+PATTERNS = {"front_left_steering": (LEFT, NONE, RIGHT), "front_right_steering": (LEFT, NONE, LEFT)}
+
+
+@pytest.fixture(scope="module")
+def swerve():
+    return load_robot(ROBOTS / "swerve4-servos.toml")
+
+
+def pointed(joint, seen, *, reported_rad=0.35, off_rad=0.0):
+    found = recognized(joint, PATTERNS[joint], seen)
+    return replace(
+        found, commanded_rad=0.35, counted_rad={joint: reported_rad},
+        off_straight_rad=dict.fromkeys(seen, off_rad),
+    )  # fmt: skip
+
+
+def test_steering_that_points_as_it_should_changes_nothing(swerve):
+    found = findings(swerve, [pointed(joint, PATTERNS) for joint in PATTERNS])
+    assert found.good
+    assert not found.changes
+
+
+def test_a_steered_wheel_that_stood_and_one_that_is_blocked_are_named(swerve):
+    stood = {"front_left_steering": (NONE, NONE, NONE)}
+    found = findings(swerve, [pointed("front_left_steering", stood, reported_rad=0.0)])
+    assert "did not turn" in found.texts[0]
+    blocked = pointed("front_left_steering", PATTERNS, reported_rad=0.1)
+    assert "it is blocked or too weak" in findings(swerve, [blocked]).texts[0]
+
+
+def test_a_pattern_of_no_joint_is_shown_and_changes_nothing(swerve):
+    found = findings(swerve, [pointed("front_left_steering", {"front_left_steering": (LEFT,) * 3})])
+    assert "pointed left, left, left instead of left, straight, right" in found.texts[0]
+    assert not found.changes
+
+
+def test_a_zero_follows_the_direction_that_the_file_will_have(swerve):
+    """It points to the left of straight ahead; a servo that is inverted counts the other way."""
+    name, off_counts = "front_left_steering", round(0.1 * 4096 / math.tau)
+    straight = findings(swerve, [pointed(name, PATTERNS, off_rad=0.1)])
+    assert straight.changes == {("joint", name, "zero_count"): 2048 - off_counts}
+    inverted = {name: (RIGHT, NONE, LEFT)}
+    turned = findings(swerve, [pointed(name, inverted, off_rad=0.1)])
+    assert turned.changes == {
+        ("joint", name, "inverted"): True,
+        ("joint", name, "zero_count"): 2048 + off_counts,
+    }

@@ -63,6 +63,10 @@ def spin(
     time with another one, and is the wheel that turns both times. What cannot be turned is refused
     before anything is asked.
 
+    Of a base with steered wheels all wheels move at once: they are pointed straight ahead and to
+    the sides, then they roll. You say where each one points, and what rolls; inverted, zero_count
+    and swapped drives are put right.
+
     \b
     Example: motord spin --all
              motord spin left --seconds 1
@@ -71,13 +75,14 @@ def spin(
         raise click.UsageError("name the joints, or give --all")
     from motord.cli.terminal import Terminal, failing
     from motord.commission.robot_file_edit import RobotFileEdit, write_asking
-    from motord.commission.spin import spin as procedure
     from motord.commission.spin_findings import findings
+    from motord.commission.spin_steered import procedure_for
 
     with failing(), Terminal(yes=yes) as person:
         described = client.call("robot")
         edit = RobotFileEdit(robot_file or Path(described["file"]))
         names = described["joints"] if all_joints else joints
+        procedure = procedure_for(described)
         turns = procedure(client, person, names, speed_rad_s, seconds)
         found = findings(edit.before, turns)
         for text in found.texts:

@@ -11,7 +11,7 @@ from motord.api.geometry_fit import Fit, Free, Measure, Pose
 from motord.commission.person import Failed
 from motord.commission.robot_file_edit import KeyPath
 from motord.config import Robot
-from motord.config.sections.bases import SkidBase, side_of
+from motord.config.sections.bases import JointsBase, SkidBase, TwoSidedBase, side_of
 
 _FREE_OF: Mapping[str, tuple[Free, ...]] = {
     "straight": ("scale", "ratio"),
@@ -27,12 +27,18 @@ _DIGITS = 6
 
 def free_of(robot: Robot, what: str) -> tuple[Free, ...]:
     """What runs of this kind determine. Raises Failed for a base that the fit does not describe."""
-    if robot.base.strafes:
-        raise Failed(
-            f"{robot.path}: base.kind: radii and track are fitted for bases with wheels on two "
-            f"sides, not for {robot.base.kind}: measure them with a tape; nothing was moved"
-        )
-    return _FREE_OF[what]
+    base = robot.base
+    if isinstance(base, TwoSidedBase):
+        return _FREE_OF[what]
+    if isinstance(base, JointsBase):
+        raise Failed(f'{robot.path}: base.kind: "joints" is no base that drives: nothing was moved')
+    if what == "straight":
+        return ("scale",)
+    raise Failed(
+        f"{robot.path}: base.kind: both radii and the track are fitted for bases with wheels on "
+        f"two sides, not for {base.kind}: measure its sizes with a tape, and its wheels' radius "
+        "with motord calibrate straight; nothing was moved"
+    )
 
 
 def require_same(robot: Robot, described: Mapping[str, Any]) -> None:
@@ -48,6 +54,8 @@ def require_same(robot: Robot, described: Mapping[str, Any]) -> None:
 
 def changes(robot: Robot, fit: Fit, free: Sequence[Free]) -> dict[KeyPath, Any]:
     """The keys that the fit gives."""
+    if not isinstance(robot.base, TwoSidedBase):
+        return _radius_changes(robot, fit.factors.left)
     found: dict[KeyPath, Any] = {}
     factors = {"left": fit.factors.left, "right": fit.factors.right}
     if "scale" in free or "ratio" in free:
@@ -68,14 +76,24 @@ def changes(robot: Robot, fit: Fit, free: Sequence[Free]) -> dict[KeyPath, Any]:
     return found
 
 
+def _radius_changes(robot: Robot, factor: float) -> dict[KeyPath, Any]:
+    """All wheels alike."""
+    found: dict[KeyPath, Any] = {
+        ("base", "wheel_radius_m"): round(robot.base.wheel_radius_m * factor, _DIGITS)
+    }
+    for name, joint in robot.joint.items():
+        if joint.wheel_radius_m is not None:
+            found["joint", name, "wheel_radius_m"] = round(joint.wheel_radius_m * factor, _DIGITS)
+    return found
+
+
 def words(robot: Robot, fit: Fit, measures: Sequence[Measure]) -> Iterator[str]:
     """Before and after, with what is left over of each measure."""
-    sides = {side_of(robot.base, joint): name for name, joint in robot.joint.items()}
-    for side in ("left", "right"):
-        before_m = robot.wheel_radius_m(sides[side])
-        factor, deviation = getattr(fit.factors, side), getattr(fit.deviations, side)
-        yield _row(f"wheel radius {side}", before_m, factor, deviation)
-    yield _row("track", robot.base.effective_track_m, fit.factors.track, fit.deviations.track)
+    if isinstance(robot.base, TwoSidedBase):
+        yield from _two_sided_rows(robot, fit)
+    else:
+        radius_m = robot.base.wheel_radius_m
+        yield _row("wheel radius", radius_m, fit.factors.left, fit.deviations.left)
     rows = zip(measures, fit.residuals_before, fit.residuals, strict=True)
     for measure, before, after in rows if len(measures) <= _ROWS_MAX else ():
         yield f"{measure.name}: off by {_pose(before)} before, {_pose(after)} after"
@@ -84,6 +102,15 @@ def words(robot: Robot, fit: Fit, measures: Sequence[Measure]) -> Iterator[str]:
 
 
 _ROWS_MAX = 12
+
+
+def _two_sided_rows(robot: Robot, fit: Fit) -> Iterator[str]:
+    sides = {side_of(robot.base, joint): name for name, joint in robot.joint.items()}
+    for side in ("left", "right"):
+        before_m = robot.wheel_radius_m(sides[side])
+        factor, deviation = getattr(fit.factors, side), getattr(fit.deviations, side)
+        yield _row(f"wheel radius {side}", before_m, factor, deviation)
+    yield _row("track", robot.base.effective_track_m, fit.factors.track, fit.deviations.track)
 
 
 def _row(name: str, before_m: float, factor: float, deviation: float) -> str:

@@ -28,8 +28,8 @@ from motord.commission.robot_file_edit import (
     RobotFileEdit,
     write_asking,
 )
-from motord.commission.spin import spin
 from motord.commission.spin_findings import findings
+from motord.commission.spin_steered import procedure_for
 
 if TYPE_CHECKING:
     from motord.commission.tune import Tuned
@@ -68,8 +68,10 @@ def _spin(
     joints: Sequence[str],
     options: Mapping[str, float],
 ) -> str:
-    names = joints or client.call("robot")["joints"]
-    turns = spin(client, person, names, options["wheel_rad_s"], options["seconds"])
+    described = client.call("robot")
+    names = joints or described["joints"]
+    procedure = procedure_for(described)
+    turns = procedure(client, person, names, options["wheel_rad_s"], options["seconds"])
     found = findings(edit.before, turns)
     person.picture(picture_of_turns(turns))
     for text in found.texts:

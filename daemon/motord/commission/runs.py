@@ -28,27 +28,48 @@ _MARK = "of the mark that you made at the start"
 
 @dataclass(slots=True)
 class Recorder:
-    """What each side's wheels roll, by the radii that the daemon runs by."""
+    """What each side's wheels roll, by the radii that the daemon runs by. Of a base without two
+    sides: how far the odometry has it ahead, twice."""
 
     robot: dict[str, Any]
     _left_m: list[float] = field(default_factory=list)
     _right_m: list[float] = field(default_factory=list)
+    _begin: Snapshot | None = None
 
     def add(self, snapshot: Snapshot) -> None:
         """The newest state. Raises Failed for a wheel without a counter."""
+        if two_sided(self.robot):
+            left_m, right_m = self._sides(snapshot)
+        else:
+            left_m = right_m = self._ahead(snapshot)
+        self._left_m.append(left_m)
+        self._right_m.append(right_m)
+
+    def path(self) -> tuple[Array, Array]:
+        """Left and right from 0 on."""
+        left, right = np.array(self._left_m), np.array(self._right_m)
+        return left - left[0], right - right[0]
+
+    def _sides(self, snapshot: Snapshot) -> tuple[float, float]:
         rolled: dict[str, list[float]] = {"left": [], "right": []}
         for name, joint in zip(self.robot["joints"], snapshot.joints, strict=True):
             if not math.isfinite(joint.position_rad):
                 raise Failed(f"{name}: has no position counter: its travel cannot be calibrated")
             radius_m = self.robot["wheel_radii_m"][name]
             rolled[self.robot["sides"][name]].append(joint.position_rad * radius_m)
-        for side, kept in (("left", self._left_m), ("right", self._right_m)):
-            kept.append(sum(rolled[side]) / len(rolled[side]))
+        left_m, right_m = (sum(one) / len(one) for one in (rolled["left"], rolled["right"]))
+        return left_m, right_m
 
-    def path(self) -> tuple[Array, Array]:
-        """Left and right from 0 on."""
-        left, right = np.array(self._left_m), np.array(self._right_m)
-        return left - left[0], right - right[0]
+    def _ahead(self, snapshot: Snapshot) -> float:
+        """Along where it looked at the beginning: in proportion to the wheels' radius."""
+        begin = self._begin = self._begin or snapshot
+        dx_m, dy_m = snapshot.x_m - begin.x_m, snapshot.y_m - begin.y_m
+        return dx_m * math.cos(begin.heading_rad) + dy_m * math.sin(begin.heading_rad)
+
+
+def two_sided(robot: Mapping[str, Any]) -> bool:
+    """Of the daemon's answer of `robot`: wheels on two sides, and no others."""
+    return not (robot["strafes"] or robot["modules"])
 
 
 class Runs:
@@ -75,7 +96,8 @@ class Runs:
                 f"How far is the robot now in front {_MARK}, along the line (behind: negative)?",
                 "m", -most_m, most_m,
             )  # fmt: skip
-            yield self._measure(name, recorder, Pose(x_m, self._sideways()))
+            y_m = self._sideways() if two_sided(self._robot) else math.nan
+            yield self._measure(name, recorder, Pose(x_m, y_m))
 
     def rotate(self) -> Iterator[Measure]:
         """Turns on the spot to the left, then to the right."""

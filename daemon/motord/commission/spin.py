@@ -2,7 +2,7 @@
 """The first turn of each wheel: which one turns, in which direction, and what its encoder counts.
 
 A wheel turns by a twist of the base in which as few others as possible turn (wheel_turns): no path
-to the motors but that of every other command.
+to the motors but that of every other command. Bases with steered wheels: spin_steered.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from motord.api.procedures import OPTIONS
@@ -63,6 +63,13 @@ class Turned:
     seen: str = ""
     """Joint that the person saw turn; empty: none."""
     direction: Direction = "not at all"
+    steers: bool = False
+    """The joint points its wheel; `forward` is then to the side that it should."""
+    off_straight_rad: Mapping[str, float] = field(default_factory=dict)
+    """Of a joint that steers: by wheel, how far to the left it pointed when it should have pointed
+    straight ahead."""
+    note: str = ""
+    """What contradicts itself, in words."""
 
 
 def wheels_of(robot: Mapping[str, Any]) -> dict[str, Wheel]:
@@ -79,23 +86,23 @@ def wheels_of(robot: Mapping[str, Any]) -> dict[str, Wheel]:
     }
 
 
+def known(wheels: dict[str, Wheel], names: Sequence[str]) -> dict[str, Wheel]:
+    """The wheels, if these names are among them. Raises Failed."""
+    if unknown := [name for name in names if name not in wheels]:
+        raise Failed(f'no joint "{unknown[0]}": known are {", ".join(wheels)}')
+    return wheels
+
+
 def turn_wheel(session: Session, wheel: Wheel, speed_rad_s: float, seconds: float) -> Turned:
     """Turn one wheel forward and watch all encoders. Raises Failed, Aborted."""
     radii_m, joints = session.robot["wheel_radii_m"], tuple(session.robot["joints"])
-    names = ("limits.linear_m_s", "limits.lateral_m_s", "limits.angular_rad_s")
-    strafes = session.robot["strafes"]
-    limits = session.client.params_get(*(n for n in names if strafes or "lateral" not in n))
     found = []
     for number, turn in enumerate(wheel.turns, 1):
         times = f", time {number} of {len(wheel.turns)}" if len(wheel.turns) > 1 else ""
         session.person.progress(f"{wheel.name} turns{times}")
         fastest = max(abs(rim) / radii_m[name] for name, rim in turn.rims.items())
-        rim_m_s = speed_rad_s / fastest
-        parts = dict(zip(names, (turn.linear, turn.lateral, turn.angular), strict=True))
-        for name, part in parts.items():
-            most = limits.get(name)
-            if most and part:
-                rim_m_s = min(rim_m_s, most / abs(part))
+        twist = (turn.linear, turn.lateral, turn.angular)
+        rim_m_s = rim_within_limits(session, twist, speed_rad_s / fastest)
         held = session.hold(
             turn.linear * rim_m_s, turn.angular * rim_m_s, seconds,
             lateral_m_s=turn.lateral * rim_m_s,
@@ -104,6 +111,18 @@ def turn_wheel(session: Session, wheel: Wheel, speed_rad_s: float, seconds: floa
         if held.faults:
             break
     return replace(both_times(found), together=together(wheel.turns[: len(found)]))
+
+
+def rim_within_limits(session: Session, twist: tuple[float, float, float], rim_m_s: float) -> float:
+    """So many times this twist (linear, lateral, angular) keeps the limits of the base."""
+    names = ("limits.linear_m_s", "limits.lateral_m_s", "limits.angular_rad_s")
+    strafes = session.robot["strafes"]
+    limits = session.client.params_get(*(n for n in names if strafes or "lateral" not in n))
+    for name, part in zip(names, twist, strict=True):
+        most = limits.get(name)
+        if most and part:
+            rim_m_s = min(rim_m_s, most / abs(part))
+    return rim_m_s
 
 
 def both_times(turns: Sequence[Turned]) -> Turned:
@@ -171,8 +190,9 @@ def ask_what_turned(
     return replace(turned, seen=seen, direction="forward" if answer == "forward" else "backward")
 
 
-def require_idle_ground(person: Person, speed_rad_s: float, seconds: float) -> None:
+def require_idle_ground(client: Client, person: Person, speed_rad_s: float, seconds: float) -> None:
     """Ask before anything turns. Raises Failed."""
+    require_idle(client)
     fastest_rad_s, longest_s = OPTIONS["wheel_rad_s"].high, OPTIONS["seconds"].high
     if not 0.0 < speed_rad_s <= fastest_rad_s or not 0.0 < seconds <= longest_s:
         raise Failed(f"a wheel is turned with at most {fastest_rad_s:g} rad/s for {longest_s:g} s")
@@ -190,13 +210,10 @@ def spin(
 ) -> list[Turned]:
     """Turn these wheels, one after the other; the robot is disarmed while the person answers.
     Raises Failed, Aborted, ClientError."""
-    wheels = wheels_of(client.call("robot"))
-    if unknown := [name for name in names if name not in wheels]:
-        raise Failed(f'no joint "{unknown[0]}": known are {", ".join(wheels)}')
+    wheels = known(wheels_of(client.call("robot")), names)
     if fixed := [name for name in names if not wheels[name].turns]:
         raise Failed(f"no motion of this base turns {fixed[0]}: nothing was turned")
-    require_idle(client)
-    require_idle_ground(person, speed_rad_s, seconds)
+    require_idle_ground(client, person, speed_rad_s, seconds)
     found = []
     for name in names:
         wheel = wheels[name]

@@ -11,12 +11,16 @@ from typing import Any
 from motord.commission.robot_file_edit import KeyPath
 from motord.commission.spin import DOUBTS, RATIO_MAX, RATIO_MIN, TURNED_RAD, Turned
 from motord.config import Robot
-from motord.config.sections.wheels import takes_duty, takes_torque
+from motord.config.sections.wheels import counts_per_turn, rad_per_count, takes_duty, takes_torque
 
 ADDRESS_KEYS = ("line", "drive", "unit", "channel", "pins", "encoder")
 """Where a joint's motor is; what is swapped when two wheels are."""
 CURRENT_A = 0.1
 """A motor that draws less has no power."""
+REACHED_RAD = 0.1
+"""A joint that steers and is off by more has not reached its goal."""
+STRAIGHT_RAD = math.radians(1.0)
+"""As exact as a person sees where a wheel points."""
 
 
 @dataclass(slots=True)
@@ -36,9 +40,58 @@ def findings(robot: Robot, turns: Sequence[Turned]) -> Findings:
     """What is wrong, and what the robot file should have instead."""
     found = Findings()
     for turned in turns:
-        _encoder(robot, turned, found)
-    _wheels(robot, turns, found)
+        if turned.note:
+            found.texts.append(f"{turned.joint}: {turned.note}")
+        elif turned.steers:
+            _reached(turned, found)
+        else:
+            _encoder(robot, turned, found)
+    _wheels(robot, [turned for turned in turns if not turned.note], found)
+    for turned in turns:
+        if turned.steers and turned.seen:
+            _zero(robot, turned, found)
     return found
+
+
+# ------------------------------------------------------------------------------------- the steering
+def _reached(turned: Turned, found: Findings) -> None:
+    name, commanded_rad = turned.joint, turned.commanded_rad
+    reported_rad = turned.counted_rad[name]
+    if not turned.seen:
+        found.texts.append(
+            f"{name}: its wheel did not turn, and its drive reports {reported_rad:+.2f} rad: is "
+            "the linkage on, and are line and unit those of its drive? (motord scan PORT)"
+        )
+    elif abs(reported_rad - commanded_rad) > REACHED_RAD:
+        found.texts.append(
+            f"{name}: was to turn by {commanded_rad:+.2f} rad and reports {reported_rad:+.2f} rad: "
+            "it is blocked or too weak, or gear_ratio or counts_per_turn is wrong"
+        )
+
+
+def _zero(robot: Robot, turned: Turned, found: Findings) -> None:
+    """The counter at which the wheel points straight ahead. It stood at the joint's zero_count when
+    it was off by so much: angle = (count - zero_count) · rad_per_count."""
+    wheel, source = turned.seen, robot.joint[turned.joint]
+    if wheel != turned.joint and not any(path[1] == wheel for path in found.changes):
+        return  # which ones are swapped is not known
+    off_rad = turned.off_straight_rad[wheel]
+    off_rad = off_rad if abs(off_rad) >= STRAIGHT_RAD else 0.0
+    if off_rad:
+        found.texts.append(
+            f"{wheel}: points {abs(math.degrees(off_rad)):.1f} degrees to the "
+            f"{'left' if off_rad > 0.0 else 'right'} instead of straight ahead"
+        )
+    profile = robot.profiles[source.drive]
+    if not counts_per_turn(source, profile):
+        if off_rad:
+            found.texts.append(f"{wheel}: its drive measures no angle: turn its horn on the shaft")
+        return
+    inverted = found.changes.get(("joint", wheel, "inverted"), robot.joint[wheel].inverted)
+    per_count_rad = abs(rad_per_count(source, profile)) * (-1.0 if inverted else 1.0)
+    zero = source.zero_count - round(off_rad / per_count_rad)
+    if zero != robot.joint[wheel].zero_count:
+        found.changes["joint", wheel, "zero_count"] = zero
 
 
 # -------------------------------------------------------------------------------------- the encoder
@@ -129,7 +182,10 @@ def _wheels(robot: Robot, turns: Sequence[Turned], found: Findings) -> None:
     seen = [turned for turned in turns if turned.seen]
     swapped = [turned for turned in seen if turned.seen != turned.joint]
     for turned in swapped:
-        found.texts.append(f"{turned.joint}: the {turned.seen} wheel turned instead")
+        text = f"{turned.joint}: the {turned.seen} wheel turned instead"
+        if turned.steers:
+            text = f"{turned.joint}: the wheel of {turned.seen} was pointed instead"
+        found.texts.append(text)
     if crossed := [turned for turned in swapped if not _counted(turned)]:
         found.texts.append(
             f"{crossed[0].joint}: the encoder of its drive is on its own wheel: swap the plugs of "
@@ -146,7 +202,8 @@ def _wheels(robot: Robot, turns: Sequence[Turned], found: Findings) -> None:
         _address(robot, turned, found)
         inverted = robot.joint[turned.joint].inverted != (turned.direction == "backward")
         if turned.direction == "backward":
-            found.texts.append(f"{turned.seen}: turned backward: inverted is changed")
+            how = "pointed to the wrong side" if turned.steers else "turned backward"
+            found.texts.append(f"{turned.seen}: {how}: inverted is changed")
         if robot.joint[turned.seen].inverted != inverted:
             found.changes["joint", turned.seen, "inverted"] = inverted
 

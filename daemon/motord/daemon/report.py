@@ -10,7 +10,8 @@ from typing import Any
 from motord.api.commands import CommandReport
 from motord.api.snapshot import Snapshot
 from motord.bus.publish.samples import Samples
-from motord.config.sections.bases import JointsBase, side_of, wheel_row
+from motord.config.sections.bases import JointsBase, side_of, wheel_modules, wheel_row
+from motord.config.sections.model import Robot
 from motord.config.sections.wheels import takes_position
 from motord.control.health import Health
 from motord.control.leases import Lease
@@ -84,6 +85,7 @@ def description(operation: Operation) -> dict[str, Any]:
         "wheel_radius_m": robot.base.wheel_radius_m,
         "wheel_radii_m": {name: robot.wheel_radius_m(name) for name in robot.joint},
         "wheel_rows": {name: wheel_row(robot.base, joint) for name, joint in robot.joint.items()},
+        "modules": modules(robot),
         "strafes": robot.base.strafes,
         "drives": not isinstance(robot.base, JointsBase),
         "takes_position": [
@@ -94,6 +96,21 @@ def description(operation: Operation) -> dict[str, Any]:
         "feedback_timeout_s": robot.safety.feedback_timeout_s,
         "inputs": robot.commanders(),
     }
+
+
+def modules(robot: Robot) -> list[dict[str, Any]]:
+    """The wheels of a base with steered wheels, each with the joints that move it; empty: a joint
+    that it does not have. None of another base."""
+    found = []
+    for module in wheel_modules(robot.base, robot.joint):
+        steering, traction = (one[0] if one else "" for one in (module.steering, module.traction))
+        joint = robot.joint.get(steering)
+        low_rad, high_rad = (
+            (joint.position_min_rad, joint.position_max_rad) if joint is not None else (0.0, 0.0)
+        )
+        found.append({"x_m": module.x_m, "y_m": module.y_m, "steering": steering,
+                      "traction": traction, "range_rad": [low_rad, high_rad]})  # fmt: skip
+    return found
 
 
 def latency(loop: Loop) -> dict[str, Any]:
