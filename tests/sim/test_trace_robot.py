@@ -76,9 +76,10 @@ def test_wireshark_decodes_the_pcap(stage, tmp_path):
     )  # fmt: skip
     rows = done.stdout.splitlines()
     assert len(rows) >= 20, done.stderr
-    assert all("Modbus" in row for row in rows), rows
-    good = [row for row in rows if "alformed" not in row and "ncorrect" not in row]
-    assert any("Query" in row for row in good)  # a busy machine may tear a reply
+    torn = ("alformed", "ncorrect", "nreassembled")  # a busy machine may tear a reply
+    good = [row for row in rows if not any(word in row for word in torn)]
+    assert all("Modbus" in row for row in good), rows
+    assert any("Query" in row for row in good)
     assert any("Response" in row for row in good)
 
 
