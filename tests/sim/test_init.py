@@ -5,7 +5,7 @@ import re
 
 import pytest
 from tests.sim.daemon_stage import DEADLINE_S, ROBOT
-from tests.sim.person_stage import at_terminal
+from tests.sim.person_stage import at_terminal, robot_of
 
 from motord.config import load_robot
 from motord.tools.simulator import start_simulator
@@ -116,3 +116,30 @@ def test_a_wrong_profile_is_noticed(port, tmp_path):
         screen.answer(r"unit 1 answers as zlac8015d.* does, not as bld-305s.*\[y/n\] ", "n")
         assert screen.end() == 1
     assert not file.exists()
+
+
+def test_a_swerve_base_on_simulated_servos_is_asked_for_and_arms(tmp_path):
+    file = tmp_path / "cart.toml"
+    words = ("init", file, "--at", "simulated", "--drive", "sts3215", "--name", "cart")
+    with at_terminal(*words) as screen:
+        screen.answer(r"Which base\?", "swerve")
+        screen.answer("Radius of a loaded wheel", "0.05")
+        screen.answer("Distance from the middle of a left", "0.3")
+        screen.answer("front axle to the rear one", "0.3")
+        screen.answer(r"Top speed\?", "0.2")
+        screen.answer(r"Top speed sideways\?", "0.2")
+        screen.answer("Fastest turn", "0.8")
+        screen.answer("Motor turns for a wheel turn", "1")
+        screen.answer(r"Which one\? \[sts3215-position\] ", "")
+        screen.answer("How far does a wheel steer", "1")
+        screen.answer("57 degrees to each side", "n")
+        screen.answer("How far does a wheel steer", "1.6")
+        screen.answer("How fast does it steer", "4")
+        screen.answer("about the vertical", "1")
+        for unit in range(1, 9):
+            screen.answer(rf"\[{unit}\.1\] ", "")
+        screen.wait("Next: motord run .*calibrate straight")
+        assert screen.end() == 0
+    with robot_of(tmp_path, file) as stage:
+        stage.robot.arm()
+        stage.wait_for("armed")

@@ -204,3 +204,74 @@ def test_a_missing_answer_without_a_terminal_names_the_cure(tmp_path):
                                     "--drive", "zlac8015d"], input="")  # fmt: skip
     assert done.exit_code == 1
     assert "give it as an option" in done.stderr
+
+
+# ------------------------------------------------------------------------------- steered wheels
+CAR = replace(
+    WHOLE, drive="vesc", base="ackermann", wheelbase_m=0.32, track_m=0.24, left=None, right=None,
+    steered="front", driven="axle", steering_count=1, steering_drive="sts3215-position",
+    steering_max_rad=0.5, steering_rad_s=4.0, steering_gear_ratio=1.0,
+    addresses={"drive": (1, 1), "steering": (1, 1)},
+)  # fmt: skip
+SWERVE = replace(
+    CAR, drive="sts3215", base="swerve", lateral_m_s=0.2, wheelbase_m=0.3, steering_max_rad=1.6,
+    addresses={}, steered=None, driven=None, steering_count=None,
+)  # fmt: skip
+
+
+def test_options_answer_every_question_about_a_car_whose_servo_has_a_port_of_its_own():
+    text, robot = written(CAR)
+    assert (robot.base.kind, robot.base.steered) == ("ackermann", "front")
+    assert {name: line.kind for name, line in robot.line.items()} == {
+        "main": "can", "steering": "feetech",
+    }  # fmt: skip
+    steering = robot.joint["steering"]
+    assert (steering.steers, steering.place, steering.line) == (True, "front", "steering")
+    assert (steering.position_min_rad, steering.position_max_rad) == (-0.5, 0.5)
+    assert steering.zero_count == 2048
+    assert robot.joint["drive"].place == "rear"
+    assert "motord spin --all measures it" in text
+
+
+@pytest.mark.parametrize(
+    ("driven", "count", "places"),
+    [("axle", 2, {"drive": "rear", "left_steering": "front-left"}),
+     ("pair", 1, {"left": "rear-left", "right": "rear-right", "steering": "front"}),
+     ("steered", 1, {"drive": "front", "steering": "front"}),
+     ("steered", 2, {"left": "front-left", "right_steering": "front-right"})],
+)  # fmt: skip
+def test_a_tricycle_is_driven_and_steered_as_it_was_answered(driven, count, places):
+    person = Answering(driven, str(count), *[""] * 4)
+    given = replace(CAR, drive="sts3215", base="tricycle", driven=None, steering_count=None,
+                    addresses={})  # fmt: skip
+    _, robot = written(given, person)
+    found = {name: joint.place for name, joint in robot.joint.items()}
+    assert found.items() >= places.items()
+    units = [joint.unit for joint in robot.joint.values()]
+    assert units == list(range(1, len(units) + 1))
+
+
+def test_modules_of_a_swerve_base_have_two_joints_each_on_one_line():
+    _, robot = written(SWERVE, Answering(*[""] * 8))
+    assert list(robot.line) == ["main"]
+    assert [joint.unit for joint in robot.joint.values()] == list(range(1, 9))
+    assert robot.joint["rear_left_steering"].place == robot.joint["rear_left"].place
+    assert robot.limits.lateral_m_s == 0.2
+
+
+def test_an_implausible_range_of_steering_is_asked_about_aloud():
+    person = Answering(*(3.0, False, 0.6))
+    _, robot = written(replace(CAR, steering_max_rad=None), person)
+    assert person.questions[1] == "3 rad: 172 degrees to each side?"
+    assert robot.joint["steering"].position_max_rad == 0.6
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [({"steering_drive": "vesc"}, "takes no positions"),
+     ({"drive": "sts3215-position"}, "takes positions"),
+     ({"addresses": {"front": (1, 1)}}, "no such joint")],
+)  # fmt: skip
+def test_a_drive_in_the_wrong_place_is_refused(changed, words):
+    with pytest.raises(Failed, match=words):
+        written(replace(CAR, **changed), Answering(*[""] * 4))

@@ -11,7 +11,7 @@ import click
 
 from motord.cli.common import POSITIVE, dry_run_option, json_option, print_json
 
-KINDS = ("differential", "skid", "mecanum", "omni")
+KINDS = ("differential", "skid", "mecanum", "omni", "ackermann", "tricycle", "swerve")
 
 
 @click.command
@@ -24,11 +24,11 @@ KINDS = ("differential", "skid", "mecanum", "omni")
 @click.option("--drive", help="Drive profile (motord drives).")
 @click.option(
     "--base", type=click.Choice(KINDS),
-    help="Casters that follow, wheels that scrub, or wheels with rollers.",
+    help="Casters that follow, wheels that scrub, wheels with rollers, or steered wheels.",
 )  # fmt: skip
 @click.option("--wheel-radius-m", type=POSITIVE, help="Radius of the loaded wheel.")
 @click.option("--track-m", type=POSITIVE, help="From the left wheels to the right ones.")
-@click.option("--wheelbase-m", type=POSITIVE, help="Mecanum: from the front axle to the rear one.")
+@click.option("--wheelbase-m", type=POSITIVE, help="From the front axle to the rear one.")
 @click.option("--radius-m", type=POSITIVE, help="Omni: from the middle of the base to a wheel.")
 @click.option("--wheel-count", type=click.IntRange(3, 8), help="Omni: number of wheels.")
 @click.option("--linear-m-s", type=POSITIVE, help="Top speed.")
@@ -49,6 +49,26 @@ KINDS = ("differential", "skid", "mecanum", "omni")
     "--unit", "addresses", metavar="WHEEL=UNIT[.CHANNEL]", multiple=True,
     help="Drive of a wheel, such as front_left=1.2 or wheel_1=3. Repeatable.",
 )  # fmt: skip
+@click.option("--steered", type=click.Choice(["front", "rear"]), help="Of a car: the axle.")
+@click.option(
+    "--driven", type=click.Choice(["axle", "pair", "steered"]),
+    help="Of a car: one motor for the fixed axle, one for each of its wheels, or those of the "
+    "steered wheels.",
+)  # fmt: skip
+@click.option(
+    "--steering-count", type=click.IntRange(1, 2), help="Of a car: how many drives steer."
+)
+@click.option("--steering-drive", help="Drive profile of the drives that steer.")
+@click.option(
+    "--steering-at", "steering_place", metavar="PLACE",
+    help="Where they are connected: as --at, or same.",
+)  # fmt: skip
+@click.option("--steering-max-rad", type=POSITIVE, help="How far a wheel steers to each side.")
+@click.option("--steering-rad-s", type=POSITIVE, help="How fast it steers.")
+@click.option(
+    "--steering-gear-ratio", type=POSITIVE, help="Its drive's turns for one of the wheel."
+)
+@click.option("--zero-count", type=int, help="What its counter shows straight ahead.")
 @click.option("--scan/--no-scan", default=True, help="Look for drives on a port or bus.")
 @click.option(
     "--scan-within-s", type=POSITIVE, default=60.0, show_default=True,
@@ -62,13 +82,14 @@ def init(robot_file: Path, dry_run: bool, as_json: bool, **options: Any) -> None
     Every question has an option, so a script can answer them all. A scan only reads; on a CAN bus
     it listens first. The file is not written if it is there already or would not pass motord check.
 
-    Bases that steer, drives on pins and drives that take a torque need more answers than this asks:
-    begin with an example (motord robots).
+    Drives on pins and drives that take a torque need more answers than this asks: begin with an
+    example (motord robots).
 
     \b
     Example: motord init robot.toml
              motord init robot.toml --at simulated --drive zlac8015d --base differential
              motord init robot.toml --at can0 --base mecanum
+             motord init car.toml --base ackermann --steering-drive sts3215-position
     """
     from motord.cli.check_text import understood_rows
     from motord.cli.terminal import Terminal, failing
@@ -107,4 +128,5 @@ def init(robot_file: Path, dry_run: bool, as_json: bool, **options: Any) -> None
     port = answers.line.get("port", answers.line.get("channel", ""))
     if port.startswith(str(simulated_ports(robot_file))):
         click.echo(f"Next, in another terminal: motord simulate {name} --link-dir {ports}")
-    click.echo(f"Next: motord run {name}, then motord spin --all, then motord calibrate all")
+    what = "all" if robot.base.kind in ("differential", "skid") else "straight"
+    click.echo(f"Next: motord run {name}, then motord spin --all, then motord calibrate {what}")

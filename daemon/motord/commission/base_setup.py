@@ -13,11 +13,13 @@ from motord.commission.robot_text import Wheel
 if TYPE_CHECKING:
     from motord.commission.setup import Given
 
-KINDS = ("differential", "skid", "mecanum", "omni")
-STRAFING = ("mecanum", "omni")
+KINDS = ("differential", "skid", "mecanum", "omni", "ackermann", "tricycle", "swerve")
+STRAFING = ("mecanum", "omni", "swerve")
 """Bases that move sideways too."""
+WITH_WHEELBASE = ("mecanum", "ackermann", "tricycle", "swerve")
 RADIUS_USUAL_M, TRACK_USUAL_M = (0.02, 0.4), (0.08, 3.0)
 WHEELS_OF_OMNI = (3, 8)
+ENDS = ("front", "rear")
 PLACES = ("front-left", "front-right", "rear-left", "rear-right")
 SKID_SLIP_FACTOR = 1.5
 """To begin with; wheels that scrub turn less than their track says."""
@@ -28,7 +30,8 @@ def base_of(person: Person, given: Given) -> dict[str, Any]:
     kind = given.base or person.choose(
         "Which base? differential: two driven sides, casters follow. skid: wheels on two sides "
         "that scrub. mecanum: four wheels with rollers at 45 degrees. omni: three or more wheels "
-        "with rollers across.",
+        "with rollers across. ackermann: a car. tricycle: one steered wheel. swerve: four wheels "
+        "that are driven and steered each.",
         KINDS,
     )
     if kind not in KINDS:
@@ -52,17 +55,20 @@ def base_of(person: Person, given: Given) -> dict[str, Any]:
         usual, (0.02, 20.0),
         lambda value: f"{100 * value:.3g} cm between left and right wheels?",
     )  # fmt: skip
-    if kind == "mecanum":
+    if kind in WITH_WHEELBASE:
         base["wheelbase_m"] = plausible(
             person, given.wheelbase_m, "Distance from the front axle to the rear one?",
             usual, (0.02, 20.0),
             lambda value: f"{100 * value:.3g} cm between front and rear axle?",
         )  # fmt: skip
+    if kind == "mecanum":
         base["rollers"] = "x"
         person.show(
             "seen from above, the upper rollers of the four wheels have to form an X; if they form "
             'an O, swap the front wheels with the rear ones, or write rollers = "o"'
         )
+    if kind in ("ackermann", "tricycle"):
+        base["steered"] = given.steered or person.choose("Which axle is steered?", ENDS)
     if kind == "skid":
         base["track_slip_factor"] = SKID_SLIP_FACTOR
     return base
@@ -82,11 +88,11 @@ def wheels_of(
     if unknown := sorted(given.addresses.keys() - {name for name, _ in places}):
         names = ", ".join(name for name, _ in places)
         raise Failed(f"--unit {unknown[0]}=...: no such wheel; this base has {names}")
-    proposed = _addresses(len(places), units, channels)
+    proposed = usual_addresses(len(places), units, channels)
     wheels = []
     for (name, placed), usual in zip(places, proposed, strict=True):
         option = given.addresses.get(name, {"left": given.left, "right": given.right}.get(name))
-        unit, channel = option or _ask_address(person, name, usual)
+        unit, channel = option or ask_address(person, name, usual)
         # motors that face each other turn opposite directions; spin shows whether these do
         inverted = name.endswith("right") and base["kind"] != "omni"
         wheels.append(Wheel(name=name, placed=placed, unit=unit, channel=channel,
@@ -114,7 +120,9 @@ def _places(person: Person, given: Given, kind: str) -> list[tuple[str, dict[str
     return [(f"wheel_{n + 1}", {"angle_rad": round((n + 0.5) * step_rad, 6)}) for n in range(count)]
 
 
-def _addresses(count: int, units: Sequence[int], channels: Sequence[int]) -> list[tuple[int, int]]:
+def usual_addresses(
+    count: int, units: Sequence[int], channels: Sequence[int]
+) -> list[tuple[int, int]]:
     """The usual ones: all channels of the first unit, then of the next."""
     each = channels if len(channels) > 1 else channels[:1]
     needed = math.ceil(count / len(each))
@@ -124,9 +132,10 @@ def _addresses(count: int, units: Sequence[int], channels: Sequence[int]) -> lis
     return [(unit, channel) for unit in found for channel in each][:count]
 
 
-def _ask_address(person: Person, name: str, proposed: tuple[int, int]) -> tuple[int, int]:
+def ask_address(person: Person, name: str, proposed: tuple[int, int]) -> tuple[int, int]:
     wheel = name.replace("_", " ").removesuffix(" wheel")
     of = wheel if wheel.startswith("wheel") else f"the {wheel} wheel"
+    of = f"joint {name}" if name.endswith(("drive", "steering")) else of
     text = person.text(f"Unit and channel of {of}'s drive, as 1.2?", f"{proposed[0]}.{proposed[1]}")
     return unit_and_channel(text)
 
@@ -159,9 +168,22 @@ def plausible(
     span: tuple[float, float],
     aloud: Callable[[float], str],
 ) -> float:
-    """A length; one that is not usual is asked about. An option is believed, but named."""
+    """`plausible_number` of a length."""
+    return plausible_number(person, given, question, "m", usual, span, aloud)
+
+
+def plausible_number(
+    person: Person,
+    given: float | None,
+    question: str,
+    unit: str,
+    usual: tuple[float, float],
+    span: tuple[float, float],
+    aloud: Callable[[float], str],
+) -> float:
+    """One that is not usual is asked about. An option is believed, but named."""
     while True:
-        value = asked(person, given, question, "m", *span)
+        value = asked(person, given, question, unit, *span)
         if usual[0] <= value <= usual[1]:
             return value
         if given is not None:

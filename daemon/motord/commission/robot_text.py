@@ -29,6 +29,9 @@ class Wheel:
     unit: int
     channel: int
     inverted: bool = False
+    line: str = "main"
+    drive: str = ""
+    """Empty: as Answers has it."""
     more: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -47,6 +50,8 @@ class Answers:
     """Keys of the line, but for cycle_hz."""
     drive: str
     wheels: tuple[Wheel, ...]
+    other_lines: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """By name, as `line`."""
 
 
 def robot_text(answers: Answers, file: Path) -> tuple[str, Robot]:
@@ -85,13 +90,20 @@ def _text(answers: Answers, cycle_hz: float) -> str:
         f"feedback_timeout_s = {max(0.25, three_s):g}      # no feedback for so long is a fault",
         f"drive_watchdog_s = {max(0.5, three_s):g}      # the drives stop when motord is gone",
         "",
-        "[line.main]",
-        *(f"{key} = {json.dumps(value)}" for key, value in answers.line.items()),
-        f"cycle_hz = {cycle_hz:g}      # set-points and feedback, so often a second",
-        "",
+        *_line("main", answers.line, cycle_hz),
+        *(row for name, keys in answers.other_lines.items() for row in _line(name, keys, cycle_hz)),
         "# motord spin --all shows whether unit, channel and inverted are right.",
     ]
     return "\n".join([*parts, *(_joint(answers, wheel) for wheel in answers.wheels)])
+
+
+def _line(name: str, keys: Mapping[str, Any], cycle_hz: float) -> list[str]:
+    return [
+        f"[line.{name}]",
+        *(f"{key} = {json.dumps(value)}" for key, value in keys.items()),
+        f"cycle_hz = {cycle_hz:g}      # set-points and feedback, so often a second",
+        "",
+    ]
 
 
 def _limits(axis: str, unit: str, most: float) -> list[str]:
@@ -106,13 +118,13 @@ def _limits(axis: str, unit: str, most: float) -> list[str]:
 def _joint(answers: Answers, wheel: Wheel) -> str:
     rows = [
         f"[joint.{wheel.name}]",
-        'line = "main"',
-        f"drive = {json.dumps(answers.drive)}",
+        f"line = {json.dumps(wheel.line)}",
+        f"drive = {json.dumps(wheel.drive or answers.drive)}",
         f"unit = {wheel.unit}",
         f"channel = {wheel.channel}",
         *(f"{key} = {_toml(value)}" for key, value in wheel.placed.items()),
         *(["inverted = true      # it faces the other side"] if wheel.inverted else []),
-        *(f"{key} = {_toml(value)}" for key, value in wheel.more.items()),
+        *(_commented(key, value) for key, value in wheel.more.items()),
     ]
     return "\n".join([*rows, ""])
 
@@ -123,6 +135,10 @@ _COMMENTS = {
     "wheelbase_m": "from the front axle to the rear one",
     "radius_m": "from the middle of the base to the wheels",
     "track_slip_factor": "turn ten times on the spot: counted over made turns",
+    "steered": "the axle whose wheels are steered",
+    "position_min_rad": "to the right, from straight ahead",
+    "position_max_rad": "to the left",
+    "zero_count": "its counter straight ahead; motord spin --all measures it",
     "rollers": "what the upper rollers form, seen from above",
 }
 

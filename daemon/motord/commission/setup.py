@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from motord.commission.hardware import (
 )
 from motord.commission.person import Failed, Person
 from motord.commission.robot_text import Answers
+from motord.commission.steered_setup import LINE, STEERED, Steering, steered_wheels
 from motord.config.drives.load import find_profile, list_profiles, load_profile
 from motord.tools.scan import USUAL, Found, scan
 from motord.tools.scan_can import scan_can
@@ -30,7 +31,7 @@ from motord_hal.drives.profile import DriveProfile
 
 __all__ = ["Given", "set_up", "simulated_ports", "unit_and_channel"]
 
-SIMULATED = "simulated"
+SIMULATED, SAME = "simulated", "same"
 LINE_KINDS = {
     "modbus-rtu": "modbus-rtu", "ddsm": "ddsm", "can": "can", "mcu-frame": "mcu",
     "ascii": "ascii", "roboclaw": "roboclaw", "feetech": "feetech", "dynamixel": "dynamixel",
@@ -67,6 +68,19 @@ class Given:
     right: tuple[int, int] | None = None
     addresses: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     """Unit and channel by the name of a joint."""
+    steered: str | None = None
+    """Of a car: the axle that is steered."""
+    driven: str | None = None
+    """Of a car: which motors drive it (motord.commission.steered_setup.DRIVEN)."""
+    steering_count: int | None = None
+    """Of a car: how many drives steer."""
+    steering_drive: str | None = None
+    steering_place: str | None = None
+    steering_max_rad: float | None = None
+    steering_rad_s: float | None = None
+    steering_gear_ratio: float | None = None
+    zero_count: int | None = None
+    """Of the drives that steer; None: the middle of their turn."""
     scan: bool = True
     units: range = range(1, 17)
     scan_within_s: float = 60.0
@@ -86,20 +100,29 @@ def set_up(person: Person, given: Given, file: Path) -> Answers:
     if base["kind"] in STRAFING:
         lateral_m_s = asked(person, given.lateral_m_s, "Top speed sideways?", "m/s", 0.01, 10.0)
     angular_rad_s = asked(
-        person, given.angular_rad_s, "Fastest turn on the spot? 1.0 is a turn in six seconds",
+        person, given.angular_rad_s, "Fastest turn? 1.0 is a turn in six seconds",
         "rad/s", 0.01, 20.0,
     )  # fmt: skip
     more = _joint_keys(person, given, profile)
     units = [one.unit for one in found if name_fits(one, drive)]
+    line, lines = _line(given, place, found, profile, file), {}
+    channels = sorted(profile.channels)
+    if base["kind"] in STEERED:
+        steering, own = _steering(person, given, place, drive, line, file)
+        lines = {} if own is None else {steering.line: own}
+        wheels = steered_wheels(person, given, base, units, channels, more, steering)
+    else:
+        wheels = wheels_of(person, given, base, units, channels, more)
     return Answers(
         name=name,
         base=base,
         linear_m_s=linear_m_s,
         angular_rad_s=angular_rad_s,
         lateral_m_s=lateral_m_s,
-        line=_line(given, place, found, profile, file),
+        line=line,
+        other_lines=lines,
         drive=drive,
-        wheels=wheels_of(person, given, base, units, sorted(profile.channels), more),
+        wheels=wheels,
     )
 
 
@@ -232,6 +255,8 @@ def _fits(profile: DriveProfile, place: Place | None) -> bool:
 def _joint_keys(person: Person, given: Given, profile: DriveProfile) -> dict[str, Any]:
     keys: dict[str, Any] = {}
     channel = next(iter(profile.channels.values()))
+    if takes_positions(profile):
+        raise Failed(f'drive "{profile.name}" takes positions: it steers a wheel, and rolls none')
     if channel.torque_setpoint is not None:
         raise Failed(
             f'drive "{profile.name}" takes a torque, and motord needs the gains of its speed loop: '
@@ -256,8 +281,53 @@ def _joint_keys(person: Person, given: Given, profile: DriveProfile) -> dict[str
     return keys
 
 
+def _steering(
+    person: Person,
+    given: Given,
+    place: Place | None,
+    drive: str,
+    line: Mapping[str, Any],
+    file: Path,
+) -> tuple[Steering, dict[str, Any] | None]:
+    """The drives that steer, and their line where it is not that of the others."""
+    where = given.steering_place or (
+        SAME if place is None or given.steering_drive is not None
+        else person.text("Where are the drives that steer connected?", SAME)
+    )  # fmt: skip
+    other = place if where == SAME else None if where == SIMULATED else place_of(where)
+    name = given.steering_drive
+    if name is None:
+        known = [one for one in _known(other) if takes_positions(find_profile(one))]
+        person.show(f"drive profiles that steer: {', '.join(known)}")
+        proposed = f"{drive}-position"
+        name = person.text("Which one?", proposed if proposed in known else "")
+    profile = _profile(name, other)
+    if not takes_positions(profile):
+        raise Failed(f'drive "{name}" takes no positions, so it steers no wheel')
+    kind = LINE_KINDS.get(profile.protocol)
+    if where == SAME and kind == line["kind"]:
+        return Steering(drive=name, profile=profile, line="main"), None
+    if where == SAME and place is not None:
+        raise Failed(
+            f'drive "{name}" speaks {profile.protocol}, and the line of {drive} does not: name the '
+            "port of the drives that steer (--steering-at)"
+        )
+    own = _line(replace(given, baudrate=None, parity=None), other, [], profile, file, LINE)
+    return Steering(drive=name, profile=profile, line=LINE), own
+
+
+def takes_positions(profile: DriveProfile) -> bool:
+    """Whether its set-point is an angle."""
+    return next(iter(profile.channels.values())).position_setpoint is not None
+
+
 def _line(
-    given: Given, place: Place | None, found: list[Found], profile: DriveProfile, file: Path
+    given: Given,
+    place: Place | None,
+    found: list[Found],
+    profile: DriveProfile,
+    file: Path,
+    name: str = "main",
 ) -> dict[str, Any]:
     kind = LINE_KINDS.get(profile.protocol)
     if kind is None:
@@ -267,14 +337,14 @@ def _line(
         )
     keys: dict[str, Any]
     if kind == "can":
-        address = can_address(place.name) if place else f"unix:{simulated_ports(file) / 'main'}"
+        address = can_address(place.name) if place else f"unix:{simulated_ports(file) / name}"
         interface, _, channel = address.partition(":")
         bitrate = given.baudrate or (found[0].baudrate if found else profile.baudrate)
         keys = {"kind": "can", "interface": interface, "channel": channel, "bitrate": bitrate}
         if profile.can is not None and any(frame.fd for frame in profile.can.frames.values()):
             keys["data_bitrate"] = FD_BITRATE
         return keys
-    port = place.name if place else str(simulated_ports(file) / "main")
+    port = place.name if place else str(simulated_ports(file) / name)
     scanned = found[0] if found else None
     keys = {"kind": scanned.kind if scanned else kind, "port": port}
     keys["baudrate"] = given.baudrate or (scanned.baudrate if scanned else profile.baudrate)
