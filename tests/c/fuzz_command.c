@@ -8,7 +8,7 @@
 #include <string.h>
 
 #define FUZZ_NAME "fuzz_command"
-enum { FUZZ_MAX = 128 };
+enum { FUZZ_MAX = 256 };
 
 static const int64_t NOW_NS = 5000000000;
 
