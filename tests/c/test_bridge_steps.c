@@ -110,7 +110,7 @@ static void a_joint_that_the_set_points_do_not_have_rests(void)
     CHECK(is(b.level[0], 0.3 + 0.25 * 0.5) && b.level[1] == 0.1);
 }
 
-/* Pin 0: its level is 0.5 in the middle and 0.25 either way. */
+/* Pin 0: its level is 0.5 in the middle and 0.25 less or more at the ends. */
 static bench servo(void)
 {
     bench b = begun();

@@ -202,7 +202,7 @@ static void the_first_target_is_the_place_where_it_is_and_later_ones_move_from_t
 {
     begin_at_limited_speed();
     arm_it();
-    w.place = 1490; /* it gives way a little */
+    w.place = 1490; /* it yields a little */
     go_to(NAN, 0, 50 * MS);
     CHECK(targets == 0);
     while (targets == 0) {

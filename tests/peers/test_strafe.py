@@ -242,11 +242,11 @@ def carried_out(stage, direction_rad):
     for _ in range(TRIES):
         with armed(stage), asked(direction_rad) as client:
             before = stage.sim.truth()
-            assert client.find(lambda said: "accepted" in said, "an answer")["accepted"]
-            sent = client.find(lambda said: "status" in said, "a result")
+            assert client.find(lambda answer: "accepted" in answer, "an answer")["accepted"]
+            sent = client.find(lambda answer: "status" in answer, "a result")
             if not was_held_up(sent["result"]["message"]):
                 break
-    return before, sent, [said["feedback"] for said in client.received if "feedback" in said]
+    return before, sent, [answer["feedback"] for answer in client.received if "feedback" in answer]
 
 
 @on(MECANUM)
@@ -255,7 +255,7 @@ def test_the_action_drives_a_distance_in_any_direction(place, resting, direction
     before, sent, feedback = carried_out(resting, direction_rad)
     assert (sent["status"], sent["result"]["message"]) == (SUCCEEDED, "")
     assert sent["result"]["distance_m"] == pytest.approx(0.3, abs=0.011)
-    assert max(said["speed_m_s"] for said in feedback) > 0.05
+    assert max(answer["speed_m_s"] for answer in feedback) > 0.05
     forward_m, left_m = shift(before, resting.sim.truth())
     assert forward_m == pytest.approx(0.3 * math.cos(direction_rad), abs=0.05)
     assert left_m == pytest.approx(0.3 * math.sin(direction_rad), abs=0.05)
@@ -266,7 +266,7 @@ def test_the_action_drives_a_distance_in_any_direction(place, resting, direction
 def test_the_action_refuses_a_direction_that_the_base_cannot_take(place, resting, direction_rad):
     before = resting.sim.truth()
     with asked(direction_rad) as client:
-        assert not client.find(lambda said: "accepted" in said, "an answer")["accepted"]
+        assert not client.find(lambda answer: "accepted" in answer, "an answer")["accepted"]
     assert resting.sim.truth().x_m == before.x_m
     words = "cannot move sideways: turn it" if direction_rad < math.inf else "a finite number"
     wait_until(lambda: words in resting.logged(), words)
