@@ -29,8 +29,11 @@ from motord_hal.fieldbus.ports import (
     PinsSpec,
 )
 from motord_hal.gpio.lines import Wanted, request_outputs
+from motord_hal.pwm.pins import servo_range_rad
 
-BRIDGES = [name for name in list_profiles() if find_profile(name).bridge]
+ON_PINS = [name for name in list_profiles() if find_profile(name).bridge]
+SERVOS = [name for name in ON_PINS if find_profile(name).goes_to_positions]
+BRIDGES = [name for name in ON_PINS if name not in SERVOS]
 FAILING = Path("/sys/module/pwm_sim/parameters/fail")
 NEAR = 0.001
 pytestmark = [
@@ -121,6 +124,27 @@ async def test_each_bridge_is_forward_backward_braked_and_without_power_as_the_k
         await reaches(line, are(rig, drive, "forward", 1.0), "full")
         await line.line.disarm()
         await until(are(rig, drive, "coast"), "no power")
+    for where in places(drive).values():
+        assert rig.level(where) == 0.0
+
+
+@pytest.mark.parametrize("drive", SERVOS)
+async def test_a_servo_has_the_pulses_of_its_angle_while_it_is_armed_as_the_kernel_sees_it(
+    rig, drive
+):
+    spec = spec_of(rig, drive)
+    full_rad = servo_range_rad(spec.joints[0])
+    async with running(spec) as line:
+        line.loop.enabled, line.loop.position_rad = True, {0: full_rad}
+        await line.ready()
+        cycles = line.line.stats().cycles
+        await until(lambda: line.line.stats().cycles > cycles + 5)
+        assert are(rig, drive, "coast")()
+        await reaches(line, are(rig, drive, "forward", 1.0), "to one end")
+        line.loop.position_rad = {0: -full_rad / 2}
+        await reaches(line, are(rig, drive, "reverse", 0.5), "half of the way to the other end")
+        line.loop.running = False
+        await until(are(rig, drive, "coast"), "no pulses without a loop")
     for where in places(drive).values():
         assert rig.level(where) == 0.0
 
