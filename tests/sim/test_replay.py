@@ -155,7 +155,8 @@ def test_a_signal_in_the_middle_of_the_making_of_a_page_leaves_none(tmp_path, nu
     words = ["replay", str(tmp_path / "any.mcap"), "--publish", str(ROBOT)]
     command = [sys.executable, "-c", code, *words, "--set", f"robot.name={name}"]
     try:
-        assert subprocess.run(command, timeout=DEADLINE_S, cwd=ROOT).returncode == 128 + number
+        ended = subprocess.run(command, timeout=DEADLINE_S, cwd=ROOT, stderr=subprocess.PIPE)
+        assert ended.returncode == 128 + number, ended.stderr
         assert not page.exists()
     finally:
         page.unlink(missing_ok=True)

@@ -11,6 +11,8 @@ import pytest
 from tests.sim.daemon_stage import ROOT, SURE, UNHURRIED, armed, rests, running, wait_until
 from tests.sim.pseudo_terminal import at_terminal
 
+from motord.client import ClientError
+
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory):
@@ -34,9 +36,14 @@ def teleop(stage, **options):
 
 
 def hold(stage, terminal, key="w"):
-    """Until the wheels turn. A slow machine makes keys too old; then the key is pressed again."""
+    """Until the wheels turn. A slow machine makes keys too old; then the key is pressed again, and
+    a fault that it latched is reset."""
 
     def turning():
+        if stage.state() == "fault":
+            with contextlib.suppress(ClientError):
+                stage.robot.reset()
+                stage.robot.arm()
         if "slow link" in terminal.text[-300:]:
             end_s = time.monotonic() + 0.5
             terminal.wait_until(lambda: time.monotonic() > end_s, "silence")
