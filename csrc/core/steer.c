@@ -81,13 +81,23 @@ static double curvature_at(double x_m, double y_m, double angle_rad)
     return d.sine / (x_m * d.cosine + y_m * d.sine);
 }
 
-static void find_reach(steer_state *steer, const core_config *config)
+/* Whether a driven wheel turns the base when the others stand across. */
+static bool drives_on_spot(const core_config *config)
 {
-    double least = -INFINITY, most = INFINITY;
     bool rolls = false;
     for (uint32_t i = 0; i < config->module_count; i++) {
         const wheel_module *module = &config->module[i];
         rolls |= module->traction != 0 && (module->y_m != 0.0 || (module->steering != 0 && module->x_m != 0.0));
+    }
+    return rolls;
+}
+
+static void find_reach(steer_state *steer, const core_config *config)
+{
+    double least = -INFINITY, most = INFINITY;
+    bool rolls = drives_on_spot(config);
+    for (uint32_t i = 0; i < config->module_count; i++) {
+        const wheel_module *module = &config->module[i];
         if (module->steering == 0) {
             continue;
         }
@@ -179,6 +189,9 @@ static bool aim_of(const core_config *config, const wheel_module *module, floor_
         aim_rad += ceil((range->position_min_rad - ROUNDING_RAD - aim_rad) / HALF_TURN_RAD) * HALF_TURN_RAD;
     }
     bool reached = aim_rad <= range->position_max_rad + ROUNDING_RAD;
+    if (!reached && aim_rad - range->position_max_rad > range->position_min_rad + HALF_TURN_RAD - aim_rad) {
+        aim_rad -= HALF_TURN_RAD; /* beyond both ends, nearer to the least */
+    }
     *found_rad = fmin(fmax(aim_rad, range->position_min_rad), range->position_max_rad);
     return reached;
 }

@@ -1,0 +1,115 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * steered_bases.h: bases whose wheels are steered, of each kind, and joints without a base, around good_config(). */
+#ifndef MOTORD_TESTS_STEERED_BASES_H
+#define MOTORD_TESTS_STEERED_BASES_H
+
+#include "core_rig.h"
+
+static const double WHEELBASE_M = 0.3;
+static const double RADIUS_M = 0.05;
+
+static inline joint_config rolling(void)
+{
+    joint_config joint = good_config().joint[0];
+    joint.row = (wheel_row){0.0, 0.0, 0.0};
+    joint.wheel_radius_m = RADIUS_M;
+    joint.velocity_min_rad_s = -60.0, joint.velocity_max_rad_s = 60.0;
+    joint.rad_per_count = 1e-5, joint.counter_bits = 64;
+    joint.pwm = (pwm_config){0.0, -1.0, 1.0, INFINITY, 60.0};
+    joint.own = (axis_limits){8.0, 10.0, 16.0, INFINITY};
+    return joint;
+}
+
+static inline joint_config turning_within(double range_rad)
+{
+    joint_config joint = rolling();
+    joint.position = (position_config){
+        .used = 1,
+        .position_min_rad = -range_rad,
+        .position_max_rad = range_rad,
+        .velocity_rad_s = 3.0,
+        .acceleration_rad_s2 = 40.0,
+    };
+    return joint;
+}
+
+/* Without modules and joints yet. */
+static inline core_config empty_base(uint32_t joints, uint32_t modules)
+{
+    core_config base = good_config();
+    memset(base.joint, 0, sizeof base.joint);
+    base.joint_count = joints, base.module_count = modules;
+    return base;
+}
+
+/* Joint 0 rolls the wheel behind, joint 1 steers the one in front. */
+static inline core_config bicycle(void)
+{
+    core_config base = empty_base(2, 2);
+    base.joint[0] = rolling(), base.joint[1] = turning_within(0.6);
+    base.module[0] = (wheel_module){.x_m = WHEELBASE_M, .steering = 2};
+    base.module[1] = (wheel_module){.traction = 1};
+    return base;
+}
+
+/* The wheel in front is steered by joint 1 and rolled by joint 0. */
+static inline core_config tricycle(void)
+{
+    core_config base = empty_base(2, 3);
+    base.joint[0] = rolling(), base.joint[1] = turning_within(1.6);
+    base.module[0] = (wheel_module){.x_m = WHEELBASE_M, .steering = 2, .traction = 1};
+    base.module[1] = (wheel_module){.y_m = 0.1};
+    base.module[2] = (wheel_module){.y_m = -0.1};
+    return base;
+}
+
+/* Two wheels behind roll, joints 0 and 1; two in front, or behind them, are steered by joints 2 and 3. */
+static inline core_config ackermann(double wheelbase_m)
+{
+    core_config base = empty_base(4, 4);
+    base.joint[0] = base.joint[1] = rolling();
+    base.joint[2] = base.joint[3] = turning_within(0.7);
+    base.module[0] = (wheel_module){.x_m = wheelbase_m, .y_m = 0.1, .steering = 3};
+    base.module[1] = (wheel_module){.x_m = wheelbase_m, .y_m = -0.1, .steering = 4};
+    base.module[2] = (wheel_module){.y_m = 0.1, .traction = 1};
+    base.module[3] = (wheel_module){.y_m = -0.1, .traction = 2};
+    return base;
+}
+
+/* Joints 0 and 2 steer what joints 1 and 3 roll. */
+static inline core_config swerve(void)
+{
+    core_config base = empty_base(4, 2);
+    base.joint[0] = base.joint[2] = turning_within(3.2);
+    base.joint[1] = base.joint[3] = rolling();
+    base.module[0] = (wheel_module){.x_m = 0.3, .y_m = 0.1, .steering = 1, .traction = 2};
+    base.module[1] = (wheel_module){.x_m = -0.2, .y_m = -0.2, .angle_rad = 0.3, .steering = 3, .traction = 4};
+    return base;
+}
+
+/* Joint 0 pans, joint 1 is a belt, joint 2 tilts. */
+static inline core_config head_and_belt(void)
+{
+    core_config joints = empty_base(3, 0);
+    joints.independent = 1;
+    joints.joint[0] = turning_within(2.0), joints.joint[2] = turning_within(0.8);
+    joints.joint[1] = rolling();
+    joints.joint[1].velocity_min_rad_s = -8.0, joints.joint[1].velocity_max_rad_s = 8.0;
+    return joints;
+}
+
+/* --- numbers by chance, the same in every run */
+static uint64_t noise = 88172645463325252U;
+
+static inline double any(double least, double most)
+{
+    noise ^= noise << 13, noise ^= noise >> 7, noise ^= noise << 17;
+    return least + (most - least) * (double)(noise % 100001) * 1e-5;
+}
+
+static inline bool close_to(double value, double expected)
+{
+    return fabs(value - expected) < 1e-9;
+}
+
+#endif

@@ -1,0 +1,196 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_modules: the motion of a base from its rims and the angles of its wheels, against the equations of the textbook
+ * (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3). */
+#include "steered_bases.h"
+
+/* What one wheel says of the twist. */
+typedef struct {
+    double of[AXES];
+    double rim;
+} equation;
+
+/* Of the joints that are known: what rolls, and what does not slide. A base that does not strafe has no lateral axis. */
+static int equations(const core_config *base, const double *angle_rad, uint32_t joints, const double *rim, equation *out)
+{
+    double y = kinematics_strafes(base) ? 1.0 : 0.0;
+    int count = 0;
+    for (uint32_t i = 0; i < base->module_count; i++) {
+        const wheel_module *at = &base->module[i];
+        if (at->steering != 0 && !(joints & 1U << (at->steering - 1))) {
+            continue;
+        }
+        double angle = at->angle_rad + (at->steering != 0 ? angle_rad[at->steering - 1] : 0.0), c = cos(angle), s = sin(angle);
+        out[count++] = (equation){{-s, at->x_m * c + at->y_m * s, c * y}, 0.0};
+        if (at->traction != 0 && joints & 1U << (at->traction - 1)) {
+            out[count++] = (equation){{c, at->x_m * s - at->y_m * c, s * y}, rim[at->traction - 1]};
+        }
+    }
+    return count;
+}
+
+static double left_over(const equation *one, const double *twist_u)
+{
+    return one->of[0] * twist_u[0] + one->of[1] * twist_u[1] + one->of[2] * twist_u[2] - one->rim;
+}
+
+/* Of least squares: what is left over is at right angles to every column. */
+static void check_least_squares(const core_config *base, const double *angle_rad, uint32_t joints, const double *rim)
+{
+    equation one[2 * JOINTS_MAX];
+    double twist_u[AXES] = {0.0}, square = 0.0;
+    twist_inverse found;
+    kinematics_modules(base, angle_rad, joints, &found);
+    CHECK(found.determined == 1 && found.joints == 0 && found.shared == 1.0);
+    CHECK(found.strafes == (uint32_t)kinematics_strafes(base));
+    for (int a = 0; a < AXES; a++) {
+        for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+            twist_u[a] += found.inverse[a][j] * rim[j];
+            CHECK(joints >> j & 1U || found.inverse[a][j] == 0.0);
+        }
+    }
+    int count = equations(base, angle_rad, joints, rim, one);
+    for (int a = 0; a < AXES; a++) {
+        double sum = 0.0;
+        for (int i = 0; i < count; i++) {
+            sum += one[i].of[a] * left_over(&one[i], twist_u);
+        }
+        CHECK(close_to(sum, 0.0));
+    }
+    twist_u[0] += any(-1.0, 1.0), twist_u[1] += any(-1.0, 1.0), twist_u[2] += any(-1.0, 1.0); /* any motion has a residual */
+    for (int i = 0; i < count; i++) {
+        square += left_over(&one[i], twist_u) * left_over(&one[i], twist_u);
+    }
+    CHECK(close_to(kinematics_residual(base, angle_rad, joints, rim, twist_u), sqrt(square / count)));
+}
+
+static void the_motion_is_that_of_least_squares_at_any_angle(void)
+{
+    const core_config bases[] = {bicycle(), tricycle(), ackermann(WHEELBASE_M), ackermann(-WHEELBASE_M), swerve()};
+    for (int round = 0; round < 500; round++) {
+        const core_config *base = &bases[round % COUNT_OF(bases)];
+        double angle_rad[JOINTS_MAX], rim[JOINTS_MAX];
+        for (int j = 0; j < JOINTS_MAX; j++) {
+            angle_rad[j] = any(-0.6, 0.6), rim[j] = any(-1.5, 1.5);
+        }
+        check_least_squares(base, angle_rad, 255, rim);
+    }
+}
+
+/* A wheel whose angle is not known says nothing, and one whose rim is not known that it does not slide. */
+static void joints_without_feedback_leave_their_equations_out(void)
+{
+    static const uint32_t ENOUGH[] = {0x7, 0xB, 0xD, 0xE, 0x3, 0x5, 0x6, 0x9, 0xA};
+    const core_config base = ackermann(WHEELBASE_M);
+    double angle_rad[JOINTS_MAX] = {0.0, 0.0, 0.4, 0.5}, rim[JOINTS_MAX] = {1.0, -0.3};
+    for (int i = 0; i < COUNT_OF(ENOUGH); i++) {
+        check_least_squares(&base, angle_rad, ENOUGH[i], rim);
+    }
+    const core_config strafes = swerve();
+    double turned_rad[JOINTS_MAX] = {0.4, 0.0, -1.2};
+    for (int j = 0; j < JOINTS_MAX; j++) {
+        rim[j] = any(-1.0, 1.0);
+    }
+    check_least_squares(&strafes, turned_rad, 0x7, rim); /* each of the two rolls free once */
+    check_least_squares(&strafes, turned_rad, 0xD, rim);
+}
+
+static void too_few_joints_determine_nothing(void)
+{
+    const core_config base = swerve();
+    double angle_rad[JOINTS_MAX] = {0.4, 0.0, -1.2};
+    twist_inverse found;
+    const uint32_t few[] = {0x0, 0x3, 0xC, 0xA, 0x5, 0x4};
+    for (int i = 0; i < COUNT_OF(few); i++) {
+        memset(&found, 0xff, sizeof found);
+        kinematics_modules(&base, angle_rad, few[i], &found);
+        CHECK(found.determined == 0 && found.shared == 1.0);
+        for (int a = 0; a < AXES; a++) {
+            for (int j = 0; j < JOINTS_MAX; j++) {
+                CHECK(found.inverse[a][j] == 0.0);
+            }
+        }
+    }
+}
+
+/* Two wheels on nearly one line: an error of a rim would be one of the turn a thousand times as large. */
+static void a_base_that_hangs_on_a_thread_is_not_determined(void)
+{
+    static const struct {
+        double part;
+        uint32_t determined;
+    } CASES[] = {{3e-6, 1}, {1.1e-6, 1}, {0.9e-6, 0}, {3e-7, 0}};
+    for (int i = 0; i < COUNT_OF(CASES); i++) {
+        /* levers of 1 and 1 - d: d^2 of 2 (1 + (1 - d)^2) */
+        double d = sqrt(4.0 * CASES[i].part);
+        core_config base = good_config();
+        base.joint_count = 2;
+        base.joint[0].row.lever_m = 1.0, base.joint[1].row.lever_m = 1.0 - d;
+        twist_inverse found;
+        kinematics_invert(&base, 3, &found);
+        CHECK(found.determined == CASES[i].determined);
+    }
+}
+
+/* Each joint shares what it determines with the others: of four wheels two for each axis. */
+static void wheels_share_the_axes_that_they_determine(void)
+{
+    core_config base = good_config();
+    twist_inverse found;
+    kinematics_invert(&base, 0xF, &found);
+    CHECK(found.determined == 1 && found.joints == 0xF && found.strafes == 0 && found.shared == 2.0);
+    kinematics_invert(&base, 0x7, &found);
+    CHECK(found.determined == 1 && found.joints == 0x7 && found.shared == 1.5 && found.inverse[0][3] == 0.0);
+    for (int j = 0; j < 4; j++) {
+        base.joint[j].row.y = j % 3 == 0 ? 1.0 : -1.0;
+    }
+    kinematics_invert(&base, 0xF, &found);
+    CHECK(found.determined == 1 && found.strafes == 1 && close_to(found.shared, 4.0 / 3.0));
+}
+
+/* Straight on: what the set-points and the configuration check take. */
+static void of_a_base_with_modules_the_inverse_is_that_of_wheels_straight_ahead(void)
+{
+    const core_config base = swerve();
+    twist_inverse straight, found;
+    double angle_rad[JOINTS_MAX] = {0.0};
+    kinematics_modules(&base, angle_rad, 0xF, &straight);
+    kinematics_invert(&base, 0xF, &found);
+    CHECK(memcmp(&found, &straight, sizeof found) == 0);
+}
+
+static void a_base_strafes_where_all_of_its_wheels_are_steered_or_one_rolls_sideways(void)
+{
+    core_config base = swerve();
+    CHECK(kinematics_strafes(&base));
+    base.module[1].steering = 0;
+    CHECK(!kinematics_strafes(&base));
+    base.module[1].steering = 3, base.module[0].steering = 0;
+    CHECK(!kinematics_strafes(&base));
+    base = good_config();
+    CHECK(!kinematics_strafes(&base));
+    base.joint[4].row.y = 1.0; /* no joint of it */
+    CHECK(!kinematics_strafes(&base));
+    for (int j = 0; j < 4; j++) {
+        base.joint[j].row.y = -1.0;
+        CHECK(kinematics_strafes(&base));
+        base.joint[j].row.y = 0.1;
+        CHECK(kinematics_strafes(&base));
+        base.joint[j].row.y = 0.0;
+    }
+    base = bicycle();
+    CHECK(!kinematics_strafes(&base));
+    base.joint[0].row.y = 1.0; /* rows of a base with modules do not count */
+    CHECK(!kinematics_strafes(&base));
+}
+
+int main(void)
+{
+    the_motion_is_that_of_least_squares_at_any_angle();
+    joints_without_feedback_leave_their_equations_out();
+    too_few_joints_determine_nothing();
+    a_base_that_hangs_on_a_thread_is_not_determined();
+    wheels_share_the_axes_that_they_determine();
+    of_a_base_with_modules_the_inverse_is_that_of_wheels_straight_ahead();
+    a_base_strafes_where_all_of_its_wheels_are_steered_or_one_rolls_sideways();
+    return checks_report("test_modules");
+}
