@@ -1,0 +1,182 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_position: one step of a joint to an angle against a search that tries it out, whole motions, and whether it follows. */
+#include "steered_bases.h"
+
+static const double DT_S = 0.01;
+
+static position_config fast(double velocity_rad_s, double acceleration_rad_s2)
+{
+    position_config own = turning_within(3.0).position;
+    own.velocity_rad_s = velocity_rad_s, own.acceleration_rad_s2 = acceleration_rad_s2;
+    return own;
+}
+
+static position_profile stepped(position_profile profile, const position_config *own, double goal_rad, double dt_s)
+{
+    position_step(&profile, own, goal_rad, dt_s);
+    return profile;
+}
+
+/* Whether this speed, `step` less in each step, is gone before `gap` is used up. */
+static bool brakes(double first, double gap, double step)
+{
+    double used = 0.0;
+    for (double now = first; now > 0.0; now -= step) {
+        used += now;
+    }
+    return used <= gap;
+}
+
+static double largest_that_brakes(double gap, double step)
+{
+    double low = 0.0, high = 2.0 * gap;
+    for (int i = 0; i < 100; i++) {
+        double middle = 0.5 * (low + high);
+        *(brakes(middle, gap, step) ? &low : &high) = middle;
+    }
+    return low;
+}
+
+static void a_joint_brakes_as_late_as_can_be(void)
+{
+    for (int round = 0; round < 2000; round++) {
+        position_config own = fast(1e3, any(2.0, 50.0));
+        double left_rad = any(0.001, 2.0), from_rad = any(-1.0, 1.0), sign = round % 2 == 0 ? 1.0 : -1.0;
+        double fastest_rad_s = largest_that_brakes(left_rad / DT_S, own.acceleration_rad_s2 * DT_S);
+        position_profile profile = {from_rad, sign * fastest_rad_s};
+        profile = stepped(profile, &own, from_rad + sign * left_rad, DT_S);
+        CHECK(fabs(profile.velocity_rad_s - sign * fastest_rad_s) <= 1e-9 * fastest_rad_s);
+        CHECK(close_to(profile.position_rad, from_rad + sign * fastest_rad_s * DT_S));
+    }
+}
+
+static void a_motion_takes_the_shortest_time_and_ends_exactly_at_its_goal(void)
+{
+    for (int round = 0; round < 300; round++) {
+        position_config own = fast(any(0.2, 3.0), any(2.0, 50.0));
+        double v = own.velocity_rad_s, a = own.acceleration_rad_s2, goal_rad = any(-3.0, 3.0), way_rad = fabs(goal_rad);
+        position_profile profile = {0.0, 0.0};
+        int steps = 0;
+        for (; (profile.position_rad != goal_rad || profile.velocity_rad_s != 0.0) && steps < 5000; steps++) {
+            position_profile before = profile;
+            position_step(&profile, &own, goal_rad, DT_S);
+            CHECK(fabs(profile.velocity_rad_s) <= v && fabs(profile.velocity_rad_s - before.velocity_rad_s) <= a * DT_S + 1e-12);
+            CHECK(close_to(profile.position_rad, before.position_rad + profile.velocity_rad_s * DT_S));
+            CHECK(fabs(profile.position_rad) <= way_rad && profile.position_rad * goal_rad >= 0.0);
+        }
+        double shortest_s = way_rad * a > v * v ? way_rad / v + v / a : 2.0 * sqrt(way_rad / a);
+        CHECK(steps * DT_S >= shortest_s - DT_S && steps * DT_S <= shortest_s + 2.5 * DT_S);
+    }
+}
+
+static void one_step_in_numbers(void)
+{
+    static const struct {
+        double from_rad, from_rad_s, goal_rad, to_rad, to_rad_s;
+    } CASES[] = {
+        /* 2 rad/s, and 10 rad/s2: 0.1 rad/s a step */
+        {0.0, 0.0, 1.0, 0.001, 0.1},
+        {0.0, 0.0, -1.0, -0.001, -0.1},
+        {0.0, 0.0, 0.1, 0.001, 0.1},
+        {0.0, 2.0, 1.0, 0.02, 2.0},
+        {0.0, 1.95, 1.0, 0.02, 2.0},
+        {0.0, 3.0, 1.0, 0.029, 2.9}, /* it was faster before */
+        {0.5, 0.0, 0.5, 0.5, 0.0},
+        {0.5, 0.05, 0.5, 0.5, 0.0},
+        {0.5, -0.1, 0.5, 0.5, 0.0},
+        {0.0, 0.0, 0.0005, 0.0005, 0.05}, /* in one step */
+        {0.0, 0.0, 1e-20, 1e-20, 1e-18},  /* nearer than rounding tells */
+        {0.0, 1.0, 0.001, 0.009, 0.9},    /* nearer than it can brake: it passes it */
+        {0.0, -1.0, 1.0, -0.009, -0.9},   /* away from it: it brakes first */
+        {0.0, 1.0, NAN, 0.009, 0.9},      /* no goal: it brakes */
+        {0.0, 0.05, NAN, 0.0, 0.0},
+        {0.0, -1.0, INFINITY, -0.009, -0.9},
+        {0.0, 1.0, INFINITY, 0.009, 0.9},
+        {0.0, 0.0, INFINITY, 0.0, 0.0},
+        {0.0, 0.0, -INFINITY, 0.0, 0.0},
+        /* what is no number stands */
+        {0.3, NAN, 1.0, 0.3, 0.0},
+        {0.3, INFINITY, 1.0, 0.3, 0.0},
+    };
+    position_config own = fast(2.0, 10.0);
+    for (int i = 0; i < COUNT_OF(CASES); i++) {
+        position_profile profile = {CASES[i].from_rad, CASES[i].from_rad_s};
+        profile = stepped(profile, &own, CASES[i].goal_rad, DT_S);
+        CHECK(fabs(profile.position_rad - CASES[i].to_rad) < 1e-12 && fabs(profile.velocity_rad_s - CASES[i].to_rad_s) < 1e-12);
+    }
+    CHECK(stepped((position_profile){0.0, 0.0}, &own, 1e-20, DT_S).position_rad == 1e-20);
+    CHECK(isnan(stepped((position_profile){NAN, 1.0}, &own, 0.0, DT_S).position_rad));
+    CHECK(stepped((position_profile){NAN, 1.0}, &own, 0.0, DT_S).velocity_rad_s == 0.0);
+    /* arrived, but too fast for one step to let go of it: it goes on, and comes back */
+    position_profile passes = stepped((position_profile){0.0, 1.0}, &own, 0.009, DT_S);
+    CHECK(passes.velocity_rad_s > 0.89);
+}
+
+static void a_time_that_is_none_is_no_step(void)
+{
+    static const double TIMES_S[] = {0.0, -0.01, NAN, INFINITY, 2e9};
+    position_config own = fast(2.0, 10.0);
+    for (int i = 0; i < COUNT_OF(TIMES_S); i++) {
+        position_profile profile = stepped((position_profile){0.3, 1.0}, &own, 1.0, TIMES_S[i]);
+        CHECK(profile.position_rad == 0.3 && profile.velocity_rad_s == 0.0);
+    }
+    position_profile profile = stepped((position_profile){0.0, 0.0}, &own, 1e9, 1e9); /* the longest there is */
+    CHECK(profile.position_rad == 1e9 && profile.velocity_rad_s == 1.0);
+    profile = stepped((position_profile){0.0, 0.0}, &own, 0.1, 1.0);
+    CHECK(profile.position_rad == 0.1);
+}
+
+/* --- does it follow? */
+static const int64_t FIRST_NS = 5000000000;
+
+static void a_joint_follows_while_it_is_near_or_comes_nearer(void)
+{
+    position_config own = fast(2.0, 10.0);
+    own.following_rad = 0.2, own.following_s = 0.5;
+    position_following following = {0, 0.0};
+    CHECK(position_follows(&following, &own, 0.2, 0.0, FIRST_NS) && following.since_ns == 0);
+    CHECK(position_follows(&following, &own, 0.44, 1.0, FIRST_NS) && following.since_ns == 0); /* it may lag by 0.25 s */
+    CHECK(position_follows(&following, &own, 0.44, -1.0, FIRST_NS) && following.since_ns == 0);
+    CHECK(position_follows(&following, &own, NAN, 0.0, FIRST_NS) && following.since_ns == 0);
+    CHECK(position_follows(&following, &own, 0.46, 1.0, FIRST_NS) && following.since_ns == FIRST_NS);
+    CHECK(following.nearest_rad == 0.46);
+    /* by a tenth of what is allowed it comes nearer */
+    CHECK(position_follows(&following, &own, 0.441, 0.0, FIRST_NS + 400 * MS_NS) && following.since_ns == FIRST_NS);
+    CHECK(position_follows(&following, &own, 0.43, 0.0, FIRST_NS + 450 * MS_NS));
+    CHECK(following.since_ns == FIRST_NS + 450 * MS_NS && following.nearest_rad == 0.43);
+    CHECK(position_follows(&following, &own, 0.43, 0.0, FIRST_NS + 949 * MS_NS));
+    CHECK(!position_follows(&following, &own, 0.43, 0.0, FIRST_NS + 950 * MS_NS));
+    CHECK(!position_follows(&following, &own, 0.43, 0.0, FIRST_NS + 2000 * MS_NS));
+    CHECK(!position_follows(&following, &own, 0.6, 0.0, FIRST_NS + 2000 * MS_NS));
+    CHECK(position_follows(&following, &own, 0.1, 0.0, FIRST_NS + 2001 * MS_NS) && following.since_ns == 0);
+    CHECK(position_follows(&following, &own, 0.6, 0.0, FIRST_NS + 2002 * MS_NS) && following.nearest_rad == 0.6);
+}
+
+static void without_a_time_nothing_is_checked(void)
+{
+    static const double TIMES_S[] = {0.0, NAN, -1.0};
+    for (int i = 0; i < COUNT_OF(TIMES_S); i++) {
+        position_config own = fast(2.0, 10.0);
+        own.following_rad = 0.2, own.following_s = TIMES_S[i];
+        position_following following = {FIRST_NS - 10000 * MS_NS, 0.5};
+        CHECK(position_follows(&following, &own, 9.0, 0.0, FIRST_NS) && following.since_ns == 0);
+    }
+    static const double SHORT_S[] = {0.05, 0.1, 1.0};
+    for (int i = 0; i < COUNT_OF(SHORT_S); i++) {
+        position_config own = fast(2.0, 10.0);
+        own.following_rad = 0.2, own.following_s = SHORT_S[i];
+        position_following following = {FIRST_NS, 0.5};
+        CHECK(!position_follows(&following, &own, 0.5, 0.0, FIRST_NS + 1001 * MS_NS));
+    }
+}
+
+int main(void)
+{
+    a_joint_brakes_as_late_as_can_be();
+    a_motion_takes_the_shortest_time_and_ends_exactly_at_its_goal();
+    one_step_in_numbers();
+    a_time_that_is_none_is_no_step();
+    a_joint_follows_while_it_is_near_or_comes_nearer();
+    without_a_time_nothing_is_checked();
+    return checks_report("test_position");
+}
