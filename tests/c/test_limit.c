@@ -229,10 +229,15 @@ static void the_largest_numbers_that_there_are_are_numbers(void)
     axis[0] = (limit_state){-DBL_MAX, 0.0}; /* the distance overflows */
     CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){DBL_MAX, 0.0}, DT_S, false) == 0);
     CHECK(axis[0].velocity_u_s == 0.0 && axis[0].acceleration_u_s2 == 0.0);
-    base_limits any_direction = {{1e300, INFINITY, INFINITY, INFINITY}, {1.0, 1.0, 1.0, INFINITY}, {1.0, 1.0, 1.0, INFINITY}};
-    axis[0] = (limit_state){0}; /* the acceleration overflows */
-    CHECK(ramp_step(axis, AXES, &any_direction, NULL, (const double[AXES]){1e10, 0.0}, 1e-300, false) == 0);
-    CHECK(axis[0].velocity_u_s == 0.0 && axis[0].acceleration_u_s2 == 0.0);
+    const axis_limits endless = {1e300, INFINITY, INFINITY, INFINITY}, plain = {1.0, 1.0, 1.0, INFINITY};
+    for (int a = 0; a < AXES; a++) { /* the acceleration overflows */
+        base_limits limits = {a == 0 ? endless : plain, a == 1 ? endless : plain, a == 2 ? endless : plain};
+        limit_state still[AXES] = {{0.0, 0.0}};
+        double goal[AXES] = {0.0};
+        goal[a] = 1e10;
+        CHECK(ramp_step(still, AXES, &limits, NULL, goal, 1e-300, false) == 0);
+        CHECK(still[a].velocity_u_s == 0.0 && still[a].acceleration_u_s2 == 0.0);
+    }
 }
 
 static void what_is_no_number_rests_and_what_is_no_goal_is_zero(void)

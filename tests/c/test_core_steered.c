@@ -1,0 +1,342 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_core_steered: ticks of bases whose wheels are steered, and of joints without a base. */
+#include "steered_bases.h"
+
+static const double ANGLE_RAD = 0.23554498072086333; /* of the bicycle's wheel at 0.8 / m: atan(0.3 * 0.8) */
+
+static bool all_rest(const rig *r)
+{
+    return zero(r) && r->shown.setpoint_linear_m_s == 0.0 && r->shown.setpoint_angular_rad_s == 0.0 &&
+           r->shown.lateral.setpoint_m_s == 0.0;
+}
+
+static void a_bicycle_points_its_wheel_drives_and_measures_its_curve(void)
+{
+    core_config config = bicycle();
+    rig r;
+    start(&r, &config);
+    go(&r, 0.5, 0.4);
+    CHECK(r.shown.reasons == 0 && close_to(r.out.joint[0].velocity_rad_s, 10.0) && close_to(r.out.joint[0].duty, 10.0 / 60.0));
+    CHECK(r.out.positioned == 2 && close_to(r.out.position_rad[1], ANGLE_RAD) && r.out.position_rad[0] == 0.0);
+    CHECK(close_to(r.shown.setpoint_linear_m_s, 0.5) && close_to(r.shown.setpoint_angular_rad_s, 0.4));
+    CHECK(fabs(r.shown.linear_m_s - 0.5) < 1e-3 && fabs(r.shown.angular_rad_s - 0.4) < 1e-3);
+    CHECK(r.shown.odometry_degraded == 0 && r.shown.lateral.slip_m_s < 1e-4);
+    CHECK(r.shown.steering.joints == 2 && r.shown.steering.misaligned_rad < 1e-4 && r.shown.steering.unknown == 0);
+    CHECK(fabs(r.shown.joint[1].position_rad - ANGLE_RAD) < 1e-4 && r.shown.joint[1].setpoint_rad_s == 0.0);
+    CHECK(fabs(r.shown.heading_rad - 0.8 * r.shown.distance_m) < 1e-3 && r.shown.heading_rad > 0.3);
+    for (int ms = 0; ms < 1000; ms++) {
+        double before_m_s = r.shown.setpoint_linear_m_s, before_rad_s = r.shown.setpoint_angular_rad_s;
+        r.input.control.stop = 1; /* a stop keeps the curve and the deceleration */
+        tick(&r);
+        CHECK(close_to(r.shown.setpoint_angular_rad_s, 0.8 * r.shown.setpoint_linear_m_s));
+        CHECK(before_m_s - r.shown.setpoint_linear_m_s < 1.5e-3 + 1e-9 && before_rad_s >= r.shown.setpoint_angular_rad_s);
+    }
+    CHECK(all_rest(&r) && r.shown.at_rest == 1 && r.shown.armed == 1 && close_to(r.out.position_rad[1], ANGLE_RAD));
+}
+
+static void at_rest_the_wheel_points_first(void)
+{
+    core_config config = bicycle();
+    rig r;
+    ready(&r, &config);
+    r.input.control.armed = 1;
+    CHECK(tick(&r)->armed == 1);
+    r.input.command.linear_m_s = 0.5, r.input.command.angular_rad_s = 0.9;
+    bool moved = false;
+    for (int ms = 0; ms < 1000; ms++) {
+        double off_rad = fabs(atan(0.3 * 1.8) - r.shown.joint[1].position_rad);
+        CHECK(r.shown.setpoint_linear_m_s == 0.0 || off_rad < 0.26);
+        tick(&r);
+        moved |= r.shown.setpoint_linear_m_s != 0.0;
+        if (!moved) { /* it turns: the base is not at rest */
+            CHECK((r.shown.reasons & REASON_STEERING) && r.shown.at_rest == 0);
+        }
+    }
+    CHECK(moved);
+}
+
+static void every_stop_of_a_steered_base_ends_at_rest(void)
+{
+    static const stop_action ACTIONS[] = {STOP_RAMP, STOP_BRAKE, STOP_HOLD, STOP_COAST};
+    for (int i = 0; i < COUNT_OF(ACTIONS); i++) {
+        core_config config = bicycle();
+        config.on_fault = config.on_timeout = ACTIONS[i];
+        rig r;
+        start(&r, &config);
+        go(&r, 0.5, 0.4);
+        r.input.command.angular_rad_s = -0.4;
+        ticks(&r, 10);
+        r.input.control.fault = 1;
+        tick(&r);
+        CHECK(r.shown.faults == FAULT_EXTERNAL && r.out.enabled == (ACTIONS[i] == STOP_COAST ? 0 : 1));
+        CHECK((r.out.joint[0].velocity_rad_s == 0.0) == (ACTIONS[i] == STOP_BRAKE || ACTIONS[i] == STOP_COAST));
+        ticks(&r, 2500);
+        CHECK(all_rest(&r) && r.out.enabled == (ACTIONS[i] == STOP_HOLD ? 1 : 0));
+        CHECK(r.out.positioned == (ACTIONS[i] == STOP_HOLD ? 2 : 0));
+        if (ACTIONS[i] != STOP_HOLD) { /* without power it is where it is */
+            CHECK(r.out.position_rad[1] == 0.0 && isnan(r.shown.steering.setpoint_rad[1]));
+            CHECK(r.state.steer.enabled == 0 && r.state.steer.profile[1].position_rad == r.state.odometry.angle_rad[1]);
+        }
+    }
+}
+
+/* A late tick is a step of a tenth of a second at most. */
+static void a_late_tick_turns_a_wheel_by_no_more_than_its_speed(void)
+{
+    static const double LATE_S[] = {0.1, 0.2, 5.0};
+    for (int i = 0; i < COUNT_OF(LATE_S); i++) {
+        core_config config = bicycle();
+        config.joint[1].position.acceleration_rad_s2 = 1.0;
+        rig r;
+        ready(&r, &config);
+        r.input.control.armed = 1;
+        tick(&r);
+        r.input.command.linear_m_s = 0.5, r.input.command.angular_rad_s = 0.9;
+        prepare(&r);
+        core_step(&r.state, &r.input, LATE_S[i], &r.out, &r.shown);
+        CHECK(close_to(r.out.position_rad[1], 0.01) && close_to(r.out.joint[1].velocity_rad_s, 0.1));
+        r.input.command.angular_rad_s = 0.0;
+        rig straight;
+        ready(&straight, &config);
+        straight.input.control.armed = 1;
+        tick(&straight);
+        straight.input.command.linear_m_s = 0.5;
+        prepare(&straight);
+        core_step(&straight.state, &straight.input, LATE_S[i], &straight.out, &straight.shown);
+        CHECK(close_to(straight.shown.setpoint_linear_m_s, 0.08)); /* its jerk: 8 m/s3 for 0.1 s */
+    }
+}
+
+static void a_steered_base_whose_wheel_is_stuck_comes_to_rest_and_reports_it(void)
+{
+    core_config config = bicycle();
+    config.joint[1].position.following_rad = 0.1, config.joint[1].position.following_s = 0.4;
+    rig r;
+    start(&r, &config);
+    go(&r, 0.5, 0.0);
+    r.input.command.angular_rad_s = 0.7;
+    double stuck_rad = r.position_rad[1];
+    int64_t began_ns = 0;
+    for (int ms = 0; ms < 3000 && r.shown.faults == 0; ms++) {
+        r.position_rad[1] = stuck_rad - r.out.joint[1].velocity_rad_s * 1e-3;
+        tick(&r);
+        double apart_rad = r.out.position_rad[1] - r.shown.joint[1].position_rad;
+        began_ns = began_ns == 0 && apart_rad > 0.1 + 0.25 * fabs(r.out.joint[1].velocity_rad_s) ? r.input.now_ns : began_ns;
+    }
+    CHECK(r.shown.faults == FAULT_FOLLOWING_ERROR && r.shown.armed == 0 && r.shown.doubt.joint == 1);
+    CHECK(r.shown.doubt.fault == FAULT_FOLLOWING_ERROR && isnan(r.shown.doubt.reported_rad_s));
+    CHECK(r.shown.doubt.since_ns > began_ns - 5 * MS_NS && r.shown.doubt.since_ns <= r.input.now_ns - 400 * MS_NS);
+    ticks(&r, 2500);
+    CHECK(all_rest(&r) && r.out.enabled == 0);
+}
+
+/* Its set-point is where it is, so long as its longest move takes it; the odometry has nothing else. */
+static void a_steering_that_measures_nothing_counts_as_where_its_set_point_is(void)
+{
+    core_config config = bicycle();
+    config.joint[1].position.reference = REFERENCE_ESTIMATED;
+    config.joint[1].counter_bits = 0;
+    rig r;
+    ready(&r, &config);
+    r.input.control.armed = 1;
+    tick(&r);
+    r.input.command.linear_m_s = 0.5, r.input.command.angular_rad_s = 0.4;
+    ticks(&r, 395); /* 1.2 rad at 3 rad/s */
+    CHECK(r.shown.setpoint_linear_m_s == 0.0 && r.out.position_rad[1] == 0.0 && (r.shown.reasons & REASON_STEERING));
+    ticks(&r, 1500);
+    CHECK(r.shown.reasons == 0 && close_to(r.shown.setpoint_linear_m_s, 0.5) &&
+          close_to(r.shown.joint[1].position_rad, ANGLE_RAD));
+    CHECK(fabs(r.shown.angular_rad_s - 0.4) < 1e-3);
+}
+
+/* --- what their odometry has beside that of others */
+static void an_angle_is_its_counters_distance_from_zero(void)
+{
+    core_config config = ackermann(WHEELBASE_M);
+    config.joint[2].position.zero_count = 1000, config.joint[2].counter_bits = 12, config.joint[2].rad_per_count = -1e-3;
+    odometry_state state;
+    odometry_init(&state, &config);
+    state.joint[2].count = 1200;
+    modules_take_angle(&state, &config, 2);
+    CHECK(isnan(state.angle_rad[2])); /* nothing has come yet */
+    for (uint32_t last = BELIEVED; last <= REFUSED; last++) {
+        state.joint[2].last = last, state.joint[2].count = 1200;
+        modules_take_angle(&state, &config, 2);
+        CHECK(close_to(state.angle_rad[2], -0.2));
+        state.joint[2].count = 3000; /* the shorter way round */
+        modules_take_angle(&state, &config, 2);
+        CHECK(close_to(state.angle_rad[2], -2.0));
+    }
+    config.joint[2].position.reference = REFERENCE_ESTIMATED;
+    state.joint[2].count = 1100;
+    modules_take_angle(&state, &config, 2);
+    config.joint[2].position.reference = REFERENCE_HOMED, config.joint[2].position.used = 0;
+    modules_take_angle(&state, &config, 2);
+    CHECK(close_to(state.angle_rad[2], -2.0));
+    config.joint[2].position.used = 1;
+    modules_take_angle(&state, &config, 2);
+    CHECK(close_to(state.angle_rad[2], -0.1));
+}
+
+static void an_arc_has_the_angles_of_its_middle(void)
+{
+    core_config config = bicycle();
+    odometry_state state;
+    odometry_init(&state, &config);
+    double angle_rad[JOINTS_MAX] = {0.0};
+    static const double COUNTS[] = {20000.0, 30000.0, 34000.0}, MIDDLE_RAD[] = {0.2, 0.25, 0.32};
+    for (int i = 0; i < COUNT_OF(COUNTS); i++) {
+        twist_inverse expected;
+        state.joint[0].last = state.joint[1].last = BELIEVED;
+        state.joint[1].count = (uint64_t)COUNTS[i];
+        modules_look(&state, &config, 3);
+        angle_rad[1] = MIDDLE_RAD[i];
+        kinematics_modules(&config, angle_rad, 3, &expected);
+        CHECK(close_to(state.arc_rad[1], COUNTS[i] * 1e-5) && close_to(state.angle_rad[1], COUNTS[i] * 1e-5));
+        for (int a = 0; a < AXES; a++) {
+            CHECK(close_to(state.used.inverse[a][0], expected.inverse[a][0]));
+        }
+    }
+    modules_look(&state, &config, 2); /* what rolls sends nothing */
+    CHECK(state.used.determined == 0);
+}
+
+static void the_slip_of_an_arc_is_smoothed(void)
+{
+    core_config config = ackermann(WHEELBASE_M);
+    odometry_state state;
+    odometry_init(&state, &config);
+    for (int j = 2; j < 4; j++) {
+        state.angle_rad[j] = 0.0;
+    }
+    const double rim_m[JOINTS_MAX] = {0.03, 0.01}, twist_u[AXES] = {0.02, 0.0};
+    double left_m = kinematics_residual(&config, state.angle_rad, 15, rim_m, twist_u), slip_m_s = 0.05;
+    CHECK(left_m > 1e-3);
+    state.spread.slip_m_s = slip_m_s;
+    modules_slip(&state, &config, 15, rim_m, twist_u, 0.1);
+    CHECK(close_to(state.spread.slip_m_s, slip_m_s + (left_m - slip_m_s * 0.1) / 0.3));
+}
+
+/* --- joints without a base */
+static void ask(rig *r, uint32_t named, double pan_rad, double belt_rad_s)
+{
+    r->input.joints.named = named;
+    r->input.joints.value_u[0] = pan_rad, r->input.joints.value_u[1] = belt_rad_s;
+}
+
+static void joints_move_each_for_itself_and_no_base_is_measured(void)
+{
+    core_config config = head_and_belt();
+    rig r;
+    ready(&r, &config);
+    r.input.control.armed = 1;
+    CHECK(tick(&r)->armed == 1 && r.out.positioned == 5);
+    ask(&r, 3, 1.0, -4.0);
+    tick(&r);
+    CHECK(close_to(r.out.joint[1].velocity_rad_s, -0.01) && close_to(r.out.position_rad[0], 40e-6) && r.shown.at_rest == 0);
+    CHECK(r.shown.reasons == REASON_JOINT_ACCELERATION && r.out.position_rad[2] == 0.0);
+    ticks(&r, 1000);
+    CHECK(r.out.joint[1].velocity_rad_s == -4.0 && close_to(r.out.joint[1].duty, -4.0 / 60.0) && r.out.position_rad[0] == 1.0);
+    CHECK(r.shown.reasons == 0 && fabs(r.shown.joint[0].position_rad - 1.0) < 1e-4 && r.shown.odometry_degraded == 0);
+    CHECK(r.shown.x_m == 0.0 && r.shown.heading_rad == 0.0 && r.shown.linear_m_s == 0.0);
+    ask(&r, 0, 0.0, 0.0);
+    ticks(&r, 500);
+    CHECK(zero(&r) && r.shown.at_rest == 1 && r.out.position_rad[0] == 1.0);
+}
+
+static void every_stop_of_joints_ends_at_rest_and_leaves_no_target(void)
+{
+    static const stop_action ACTIONS[] = {STOP_RAMP, STOP_BRAKE, STOP_HOLD, STOP_COAST};
+    for (int i = 0; i < COUNT_OF(ACTIONS); i++) {
+        core_config config = head_and_belt();
+        config.joint[1].own.jerk_u_s3 = 50.0;
+        config.on_fault = config.on_timeout = ACTIONS[i];
+        rig r;
+        ready(&r, &config);
+        r.input.control.armed = 1;
+        tick(&r);
+        ask(&r, 3, 2.0, 4.0);
+        ticks(&r, 300);
+        double before_rad_s = r.out.joint[1].velocity_rad_s;
+        r.input.control.fault = 1;
+        tick(&r);
+        bool at_once = ACTIONS[i] == STOP_BRAKE || ACTIONS[i] == STOP_COAST;
+        CHECK((r.out.joint[1].velocity_rad_s == 0.0) == at_once && (r.out.joint[0].velocity_rad_s == 0.0) == at_once);
+        CHECK(at_once || close_to(before_rad_s - r.out.joint[1].velocity_rad_s, 0.016)); /* no jerk limit in a fault */
+        ticks(&r, 2500);
+        CHECK(zero(&r) && r.out.enabled == (ACTIONS[i] == STOP_HOLD ? 1 : 0));
+        double held_rad = r.state.steer.profile[0].position_rad;
+        CHECK(held_rad > 0.1 && held_rad < 1.9 && fabs(held_rad - r.shown.joint[0].position_rad) < 1e-4);
+        for (int j = 0; j < JOINTS_MAX; j++) {
+            CHECK(isnan(r.state.joints.target_rad[j]));
+        }
+        CHECK(r.out.positioned == (ACTIONS[i] == STOP_HOLD ? 5 : 0));
+    }
+}
+
+static void a_late_tick_of_joints_is_a_step_of_a_tenth_of_a_second(void)
+{
+    static const double LATE_S[] = {0.1, 0.2, 5.0};
+    for (int i = 0; i < COUNT_OF(LATE_S); i++) {
+        core_config config = head_and_belt();
+        rig r;
+        ready(&r, &config);
+        r.input.control.armed = 1;
+        tick(&r);
+        ask(&r, 3, 2.0, 4.0);
+        prepare(&r);
+        core_step(&r.state, &r.input, LATE_S[i], &r.out, &r.shown);
+        CHECK(close_to(r.out.joint[1].velocity_rad_s, 1.0) && close_to(r.out.joint[0].velocity_rad_s, 3.0));
+    }
+}
+
+static void a_target_needs_power_a_finite_command_and_the_lease_that_gave_it(void)
+{
+    core_config config = head_and_belt();
+    rig r;
+    ready(&r, &config);
+    ask(&r, 3, 1.0, 2.0);
+    ticks(&r, 10);
+    CHECK(zero(&r) && r.out.positioned == 0 && r.state.steer.profile[0].position_rad == 0.0);
+    ask(&r, 0, 0.0, 0.0);
+    r.input.control.owner = 4;
+    tick(&r);
+    r.input.control.armed = 1;
+    tick(&r);
+    ask(&r, 3, 1.0, 2.0);
+    ticks(&r, 100);
+    r.input.control.owner = 5; /* another lease: it does not go on */
+    ask(&r, 0, 0.0, 0.0);
+    ticks(&r, 600);
+    double held_rad = r.out.position_rad[0];
+    CHECK(zero(&r) && held_rad > 0.0 && held_rad < 0.5);
+    ask(&r, 3, NAN, 2.0);
+    ticks(&r, 300);
+    CHECK(zero(&r) && r.out.position_rad[0] == held_rad && (r.shown.reasons & REASON_COMMAND_NOT_FINITE));
+    ask(&r, 1, 1.0, 0.0);
+    ticks(&r, 1000);
+    CHECK(r.out.position_rad[0] == 1.0);
+    r.input.control.stop = 1;
+    ticks(&r, 10);
+    r.input.control.stop = 0;
+    ask(&r, 0, 0.0, 0.0);
+    CHECK(ticks(&r, 500)->at_rest == 1 && r.out.position_rad[0] == 1.0);
+}
+
+int main(void)
+{
+    a_bicycle_points_its_wheel_drives_and_measures_its_curve();
+    at_rest_the_wheel_points_first();
+    every_stop_of_a_steered_base_ends_at_rest();
+    a_late_tick_turns_a_wheel_by_no_more_than_its_speed();
+    a_steered_base_whose_wheel_is_stuck_comes_to_rest_and_reports_it();
+    a_steering_that_measures_nothing_counts_as_where_its_set_point_is();
+    an_angle_is_its_counters_distance_from_zero();
+    an_arc_has_the_angles_of_its_middle();
+    the_slip_of_an_arc_is_smoothed();
+    joints_move_each_for_itself_and_no_base_is_measured();
+    every_stop_of_joints_ends_at_rest_and_leaves_no_target();
+    a_late_tick_of_joints_is_a_step_of_a_tenth_of_a_second();
+    a_target_needs_power_a_finite_command_and_the_lease_that_gave_it();
+    return checks_report("test_core_steered");
+}
