@@ -63,6 +63,8 @@ drive_stop drive_end_stopping(drive_state *drive, bool at_rest, int64_t now_ns);
 drive_stop drive_check_power(drive_state *drive, uint32_t tries, bool settled);
 drive_answer drive_obey(drive_state *drive, const mode_request *request, const drive_view *view);
 void drive_take_back(drive_state *drive, uint32_t why, uint32_t mode);
+/* It has lost its set-up: OFF until it is set up again. */
+drive_stop drive_lost_setup(drive_state *drive);
 /* It was taken back for another reason since it was asked last. */
 bool drive_is_changed(drive_state *drive);
 /* It does not answer: nothing is known of it any more. What it is sent all the same depends on its medium. */

@@ -37,6 +37,12 @@ drive_stop drive_end_stopping(drive_state *drive, bool at_rest, int64_t now_ns)
     return over ? drive_power_off(drive) : STOP_NOTHING;
 }
 
+drive_stop drive_lost_setup(drive_state *drive)
+{
+    drive_take_back(drive, DRIVE_FAULT_LOST_SETUP, DRIVE_OFF);
+    return drive_power_off(drive);
+}
+
 void drive_unresponsive(drive_state *drive)
 {
     drive_take_back(drive, DRIVE_FAULT_UNRESPONSIVE, DRIVE_UNRESPONSIVE);

@@ -223,6 +223,15 @@ static void in_every_mode_a_drive_that_does_not_answer_keeps_nothing_but_its_rea
     }
 }
 
+static void one_that_has_lost_its_set_up_gets_a_power_off(void)
+{
+    for (int m = 0; m < MODES; m++) {
+        drive_state drive = {.mode = MODE[m], .enabled = 1, .stopping = true};
+        CHECK(drive_lost_setup(&drive) == STOP_POWER_OFF && drive.mode == DRIVE_OFF && !drive.stopping);
+        CHECK(drive.fault_reasons == DRIVE_FAULT_LOST_SETUP && drive.enabled == 2);
+    }
+}
+
 static void reasons_gather(void)
 {
     drive_state drive = {.mode = DRIVE_ARMED, .enabled = 1};
@@ -246,6 +255,7 @@ int main(void)
     its_own_report_takes_its_power_where_it_was_not_armed();
     a_stop_that_has_arrived_brings_back_what_was_unresponsive();
     in_every_mode_a_drive_that_does_not_answer_keeps_nothing_but_its_reasons();
+    one_that_has_lost_its_set_up_gets_a_power_off();
     reasons_gather();
     return checks_report("drive state");
 }

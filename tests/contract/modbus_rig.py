@@ -51,6 +51,12 @@ def spec_of(peer, joints, **changes):
     return LineSpec(**{**values, **changes})
 
 
+def single_writes(peer, mark):
+    """Address and value of each single register that was written since then, in order."""
+    after = [received.request for received in peer.received[mark:]]
+    return [(one.address, one.values[0]) for one in after if len(one.values) == 1]
+
+
 def mute(peer):
     """From now on the drive hears and obeys, and no answer arrives."""
 

@@ -26,6 +26,7 @@ from modbus_rig import (
     WATCHDOG,
     hub_servo,
     registers_of,
+    single_writes,
     spec_of,
 )
 from scripted_gateway import GATEWAYS, peer_on
@@ -280,6 +281,20 @@ async def test_an_unresponsive_drive_is_reported_once_and_comes_back_configured_
     assert rig.kinds()[2:] == [EventKind.DRIVE_UNRESPONSIVE, EventKind.DRIVE_BACK]
 
 
+async def test_a_drive_that_answers_again_loses_its_power_before_it_is_set_up(rig, peer):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
+    await until(lambda: 60 in peer.written(TARGET_1))
+    peer.units[1].silent = True
+    await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
+    mark = len(peer.received)
+    peer.units[1].silent = False
+    await rig.ready()
+    # whatever it is probed with may stop it before that
+    written = [one for one in single_writes(peer, mark) if one != (CONTROL, QUICK_STOP)]
+    assert written[0] == (CONTROL, OFF)
+
+
 async def test_a_dead_drive_costs_its_neighbour_one_slot_at_a_time(peer):
     peer.units[2].silent = True
     async with running(spec_of(peer, (*hub_servo(1), *hub_servo(2, first=2)))) as rig:
@@ -345,9 +360,8 @@ async def test_an_armed_drive_that_lost_its_set_up_loses_its_power_before_it_is_
     mark = len(peer.received)
     peer.units[1].registers[WATCHDOG] = 0
     await until(lambda: rig.kinds()[2:] == [EventKind.DRIVE_WARNING, EventKind.DRIVE_READY])
-    after = [received.request for received in peer.received[mark:]]
-    written = [one for one in after if len(one.values) == 1]  # the cycle writes both wheels at once
-    assert (written[0].address, written[0].values) == (CONTROL, (OFF,))
+    # the cycle writes both wheels at once
+    assert single_writes(peer, mark)[0] == (CONTROL, OFF)
 
 
 # ----------------------------------------------------------------------------------------- faults

@@ -6,11 +6,13 @@ from loop_side import running, until
 from modbus_rig import (
     CONTROL,
     ENGINES,
+    OFF,
     QUICK_STOP,
     RPM,
     TARGET_1,
     hub_servo,
     registers_of,
+    single_writes,
     spec_of,
 )
 from scripted_gateway import GATEWAYS, peer_on
@@ -52,6 +54,18 @@ async def test_a_pulled_port_is_reported_once_and_comes_back_disarmed(rig, peer)
         EventKind.DRIVE_READY,
     ]
     assert rig.line.stats().reopened == 1
+
+
+async def test_a_drive_that_moved_when_its_port_was_lost_is_stopped_before_it_is_set_up(rig, peer):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
+    await until(lambda: 60 in peer.written(TARGET_1))
+    peer.pull()
+    await until(lambda: rig.line.state is LineState.CLOSED)
+    mark = len(peer.received)
+    peer.plug()
+    await rig.ready()
+    assert single_writes(peer, mark)[0] in {(CONTROL, QUICK_STOP), (CONTROL, OFF)}
 
 
 async def test_an_armed_drive_is_sent_to_stop_after_a_replug_though_it_does_not_answer(rig, peer):

@@ -71,8 +71,7 @@ static void believe(board_machine *m, bool kept, int64_t now_ns)
 {
     bool settled = now_ns >= m->control.request.arming_until_ns;
     if (!kept) {
-        drive_take_back(&m->state, DRIVE_FAULT_LOST_SETUP, DRIVE_OFF);
-        board_power_off(m, now_ns);
+        board_begin_stop(m, drive_lost_setup(&m->state), now_ns);
     }
     board_begin_stop(m, drive_check_power(&m->state, m->table.tries, settled), now_ns);
 }

@@ -237,8 +237,7 @@ static void end_cycle(line_machine *m, uint32_t number)
     drive->count.cycles++;
     line_publish(m, number);
     if (drive->lost_setup) {
-        drive_take_back(&drive->state, DRIVE_FAULT_LOST_SETUP, DRIVE_OFF);
-        line_begin_stop(m, number, drive_power_off(&drive->state), drive->cycle_start_ns);
+        line_begin_stop(m, number, drive_lost_setup(&drive->state), drive->cycle_start_ns);
     }
     line_begin_stop(m, number, drive_end_stopping(&drive->state, line_at_rest(m, number), drive->cycle_start_ns),
                     drive->cycle_start_ns);

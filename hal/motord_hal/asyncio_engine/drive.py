@@ -135,6 +135,12 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         """What else could be the reason for its silence, as its medium shows it."""
         return ""
 
+    def _answers(self) -> None:
+        """It is there: set it up. One that was unresponsive may still have power."""
+        was_unresponsive = self.state is DriveState.UNRESPONSIVE
+        stop = self._rules.answers() if was_unresponsive else Stop.NOTHING
+        self.configure(f"{self} is being configured", stop)
+
     def _becomes_unresponsive(self, error: HalError) -> bool:
         """It sends nothing. Returns whether that is new, and was reported."""
         self._forget(error)
@@ -168,13 +174,13 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         """It has reported whether it is enabled. Armed, without power: it was taken away. Not armed
         and with power: a power-off was lost or refused."""
         before = self._rules.fault_reasons
-        if self._rules.check_power(enabled, self.tries, settled=not self.jobs) is Stop.NOTHING:
+        stop = self._rules.check_power(enabled, self.tries, settled=not self.jobs)
+        if stop is Stop.NOTHING:
             return
         if self._rules.mode is Mode.OFF:
             text = f"{self} is not enabled any more: set up again, disarmed"
             self._say(EventKind.DRIVE_WARNING, self.names, text)
-            self._submit_power_off()
-            self.configure(text)
+            self.configure(text, stop)
             return
         if FaultReason.STILL_ENABLED in self._rules.fault_reasons & ~before:
             text = f"{self} stays enabled though it is disarmed: it is held at zero speed"
@@ -207,16 +213,17 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._drop_quick_stop()
         return self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
 
-    def configure(self, why: str) -> None:
+    def configure(self, why: str, stop: Stop = Stop.NOTHING) -> None:
         """Forget what was known, and set the drive up again. It ends READY, never ARMED. The
-        power-off comes first where it is pending, and where the drive may have power."""
+        power-off comes first where it is pending, and where the rules demand it: by the `stop`
+        that they have returned, or now."""
         pending = [job for job in self.jobs if job.name == "disarm"]
         for job in pending:
             self.jobs.remove(job)
-        if (self.is_stopping or self.state in PRESENT) and not pending:
+        demanded = {stop, self._rules.request(Mode.OFF)}
+        if Stop.POWER_OFF in demanded and not pending:
             pending = [Job("disarm", self.plan.profile.disarm, urgent=True)]
         self._forget(NoReply(why))
-        self._rules.request(Mode.OFF)
         self.jobs.extend(pending)
         self.submit(Job("configure", self._setup))
 

@@ -173,7 +173,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
         """It is there; one that has not let itself be set up is asked less and less often."""
         if now_s() >= self._set_up_at_s:
             self._set_up_at_s = now_s() + self._set_up_backoff.next_s()
-            self.configure(f"{self} is being configured")
+            self._answers()
 
     def _past_patience(self) -> tuple[DriveState, ...]:
         """The states in which a missing frame counts now: at first a drive is given time."""

@@ -158,7 +158,7 @@ class Drive(AsyncioDrive[DrivePlan]):
             if raw is not None and raw & step.mask != step.equals:
                 text = f"{self} has lost its set-up ({step.register} is {raw:#x}): set up again"
                 self._say(EventKind.DRIVE_WARNING, self.names, f"{text}, disarmed")
-                self.configure(text)
+                self.configure(text, self._rules.lost_setup())
                 return
 
     def _due_extra(self) -> ReadRange | None:
@@ -308,7 +308,7 @@ class Drive(AsyncioDrive[DrivePlan]):
             await self._ask(request, urgent=bool(request.values))
         except (NoReply, BadReply, Refused):
             return
-        self.configure(f"{self} is being configured")
+        self._answers()
 
     # ----------------------------------------------------------------------------------- stopping
     @property
@@ -322,7 +322,7 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._forget_enabled()
 
     async def send_power_off(self) -> bool:
-        """As AsyncioDrive.tell_power_off: all of it, whatever is not answered, for the drive may
+        """As AsyncioDrive.send_power_off: all of it, whatever is not answered, for the drive may
         receive though it sends nothing. The next time only what was not answered."""
         self._powerless()
         left, unanswered = self._power_off_left or self.plan.profile.disarm, []

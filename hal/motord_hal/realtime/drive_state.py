@@ -87,13 +87,13 @@ class DriveRules:
     def sent_motion(self, value: bool) -> None:
         self._state.sent_motion = value
 
-    def request(self, mode: Mode, *, fresh: bool = False, enabled_count: int = 0) -> None:
+    def request(self, mode: Mode, *, fresh: bool = False, enabled_count: int = 0) -> Stop:
         """As drive_obey in C: what cannot be is not done. For ARMED: whether the set-points are
         `fresh`, and their `enabled_count` when its arming began."""
         self._request.count += 1
         self._request.mode = mode
         self._view.fresh, self._view.enabled_count = fresh, enabled_count
-        lib.drive_obey(self._state, self._request, self._view)
+        return Stop(lib.drive_obey(self._state, self._request, self._view).stop)
 
     def may_move(self, *, fresh: bool, enabled: bool) -> bool:
         """Whether set-points that are not zero may go to it."""
@@ -105,6 +105,13 @@ class DriveRules:
 
     def unresponsive(self) -> None:
         lib.drive_unresponsive(self._state)
+
+    def answers(self) -> Stop:
+        """It was unresponsive, and is not any more."""
+        return Stop(lib.drive_answers(self._state))
+
+    def lost_setup(self) -> Stop:
+        return Stop(lib.drive_lost_setup(self._state))
 
     def guard(
         self, now_ns: int, *, fresh: bool, left_alone: bool, enabled: bool, enabled_count: int
