@@ -56,6 +56,50 @@ static void after_lost_numbers_nothing_that_was_worked_out_before_is_used(void)
     CHECK(ticks(&r, 1500)->faults == 0 && r.shown.setpoint_linear_m_s > 0.3 && r.shown.saturation < 1.0);
 }
 
+static void any_number_of_the_odometry_that_is_lost_is_seen(void)
+{
+    static odometry_state state;
+    core_config config = good_config();
+    odometry_init(&state, &config);
+    double *const number[] = {
+        &state.x_m,
+        &state.y_m,
+        &state.heading_rad,
+        &state.distance_m,
+        &state.turned_rad,
+        &state.linear_m_s,
+        &state.angular_rad_s,
+        &state.lateral_m_s,
+        &state.spread.slip_m_s,
+        &state.gyro.yaw_rad,
+        &state.gyro.bias_rad_s,
+        &state.gyro.bias_variance_rad2_s2,
+        &state.pose_covariance[0],
+        &state.pose_covariance[1],
+        &state.pose_covariance[2],
+        &state.pose_covariance[3],
+        &state.pose_covariance[4],
+        &state.pose_covariance[5],
+        &state.twist_covariance[0],
+        &state.twist_covariance[1],
+        &state.twist_covariance[2],
+        &state.lateral_covariance[0],
+        &state.lateral_covariance[1],
+        &state.lateral_covariance[2],
+        &state.joint[0].position_rad,
+        &state.joint[3].position_rad,
+    };
+    CHECK(odometry_finite(&state, 4));
+    for (int i = 0; i < COUNT_OF(number) * COUNT_OF(LOST); i++) {
+        double *lost = number[i / COUNT_OF(LOST)], kept = *lost;
+        *lost = LOST[i % COUNT_OF(LOST)];
+        CHECK(!odometry_finite(&state, 4));
+        *lost = kept;
+    }
+    state.joint[4].position_rad = NAN; /* no joint of it */
+    CHECK(odometry_finite(&state, 4));
+}
+
 static core_config watched(void)
 {
     core_config config = good_config();
@@ -200,6 +244,7 @@ int main(void)
 {
     a_set_point_that_is_no_number_is_seen_at_once();
     after_lost_numbers_nothing_that_was_worked_out_before_is_used();
+    any_number_of_the_odometry_that_is_lost_is_seen();
     the_time_of_a_doubt_begins_anew_with_the_power();
     a_base_without_power_may_be_pushed();
     a_runaway_ends_all_set_points_in_its_tick();
