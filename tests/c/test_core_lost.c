@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * test_core_lost: numbers that the core has lost, wheels that it doubts, and what it does not learn from motion. */
-#include "core_rig.h"
+#include "steered_bases.h"
 
 static const double LOST[] = {NAN, INFINITY, -INFINITY};
 
@@ -28,6 +28,29 @@ static void a_set_point_that_is_no_number_is_seen_at_once(void)
                 CHECK((r.shown.reasons & (REASON_FAULT | REASON_NOT_ARMED)) == (REASON_FAULT | REASON_NOT_ARMED));
             }
         }
+    }
+}
+
+/* Whichever axis of it, while it ramps, brakes, and without power. */
+static void a_twist_that_is_no_number_is_seen_at_once(void)
+{
+    core_config bases[] = {good_config(), swerve()};
+    for (int j = 0; j < 4; j++) {
+        bases[0].joint[j].row.y = j % 3 == 0 ? 1.0 : -1.0;
+    }
+    for (int i = 0; i < 2 * AXES * COUNT_OF(bases) * 3; i++) {
+        core_config *config = &bases[i / AXES / 2 / 3];
+        config->on_timeout = STOP_BRAKE;
+        rig r;
+        start(&r, config);
+        if (i / AXES / 2 % 3 > 0) {
+            go(&r, 0.2, 0.0);
+        }
+        r.input.control.stop = i / AXES / 2 % 3 == 2;
+        r.input.command.linear_m_s += 0.1;
+        limit_state *axis = &r.state.axis[i % AXES];
+        *(i / AXES % 2 == 0 ? &axis->velocity_u_s : &axis->acceleration_u_s2) = LOST[(i + i / AXES) % 3];
+        CHECK(tick(&r)->faults == FAULT_STATE && zero(&r) && r.shown.armed == 0);
     }
 }
 
@@ -243,6 +266,7 @@ static void a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on(void)
 int main(void)
 {
     a_set_point_that_is_no_number_is_seen_at_once();
+    a_twist_that_is_no_number_is_seen_at_once();
     after_lost_numbers_nothing_that_was_worked_out_before_is_used();
     any_number_of_the_odometry_that_is_lost_is_seen();
     the_time_of_a_doubt_begins_anew_with_the_power();

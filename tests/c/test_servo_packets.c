@@ -108,6 +108,62 @@ static void stuffing_is_taken_out_and_put_in(void)
     CHECK(rtu_unstuff(most, FRAME_BYTES_MAX + 1, plain) == 0);
 }
 
+/* Before the length and in the check sum it is what it is, and with another byte it is no head. */
+static void a_head_is_stuffed_between_length_and_check_sum_only(void)
+{
+    enum { COUNT = 20, NOT_STUFFED = 2 };
+    for (uint32_t at = 2; at < COUNT - 1; at++) {
+        for (uint32_t other = 0; other < 5; other++) { /* which of the four bytes is another one; 4: none */
+            uint8_t wire[COUNT] = {0}, plain[FRAME_BYTES_MAX];
+            wire[at - 2] = wire[at - 1] = 0xFF, wire[at] = wire[at + 1] = 0xFD;
+            if (other < 4) {
+                wire[at - 2 + other] ^= 0x40;
+            }
+            uint32_t taken = at >= 9 && at + 1 < COUNT - NOT_STUFFED && other == 4 ? 1 : 0, next = at + 1 + taken;
+            CHECK(rtu_unstuff(wire, COUNT, plain) == COUNT - taken);
+            CHECK(memcmp(plain, wire, at + 1) == 0 && memcmp(plain + at + 1, wire + next, COUNT - next) == 0);
+            line_frame frame = {.request_bytes = COUNT, .request_seal = SEAL_STUFFED};
+            memcpy(frame.request, wire, COUNT);
+            uint32_t put = at >= 9 && at < COUNT - NOT_STUFFED && (other == 3 || other == 4) ? 1 : 0;
+            rtu_finish(&frame);
+            CHECK(frame.request_bytes == COUNT + put && frame.request[5] == COUNT + put - 7 && frame.request[6] == 0);
+            CHECK(rtu_is_sealed(frame.request, COUNT + put, SEAL_STUFFED));
+            if (put == 1) {
+                CHECK(frame.request[at] == 0xFD && frame.request[at + 1] == 0xFD);
+            }
+        }
+    }
+}
+
+static void the_longest_packet_has_room_for_its_stuffing(void)
+{
+    line_frame frame = {.request_bytes = FRAME_BYTES_MAX - 1, .request_seal = SEAL_STUFFED};
+    memset(frame.request, 0x11, sizeof frame.request);
+    rtu_finish(&frame);
+    CHECK(frame.request_bytes == FRAME_BYTES_MAX - 1 && frame.request[FRAME_BYTES_MAX - 4] == 0x11);
+    CHECK(rtu_is_sealed(frame.request, FRAME_BYTES_MAX - 1, SEAL_STUFFED));
+    /* what does not fit is cut, and the frame stays within its place */
+    frame = (line_frame){.request_bytes = FRAME_BYTES_MAX, .reply_bytes = 77, .request_seal = SEAL_STUFFED};
+    for (uint32_t i = 0; i < FRAME_BYTES_MAX; i++) {
+        frame.request[i] = i % 3 == 2 ? 0xFD : 0xFF;
+    }
+    rtu_finish(&frame);
+    CHECK(frame.request_bytes <= FRAME_BYTES_MAX && frame.request_bytes >= FRAME_BYTES_MAX - 1 && frame.reply_bytes == 77);
+    CHECK(rtu_is_sealed(frame.request, frame.request_bytes, SEAL_STUFFED));
+}
+
+/* Eleven bytes are the shortest one: shorter ones have no error number. */
+static void a_packet_without_an_error_number_is_no_status(void)
+{
+    line_frame frame = read_of(11);
+    for (uint32_t bytes = 8; bytes <= 10; bytes++) {
+        uint8_t wire[32] = {0xFF, 0xFF, 0xFD, 0x00, 0x01, (uint8_t)(bytes - 7), 0x00, 0x55, 0x07};
+        rtu_seal(wire, bytes, SEAL_STUFFED);
+        wire[7] = 0x55;
+        CHECK(found_in(&frame, wire, sizeof wire).kind == RECEIVED_MORE);
+    }
+}
+
 static void values_stand_low_byte_first(void)
 {
     static const struct {
@@ -162,6 +218,9 @@ int main(void)
     a_status_is_found_whole_good_and_of_the_right_servo_only();
     an_error_number_is_a_refusal_and_an_alert_is_none();
     stuffing_is_taken_out_and_put_in();
+    a_head_is_stuffed_between_length_and_check_sum_only();
+    the_longest_packet_has_room_for_its_stuffing();
+    a_packet_without_an_error_number_is_no_status();
     values_stand_low_byte_first();
     a_status_is_never_taken_for_an_instruction();
     return checks_report("servo packets");
