@@ -154,7 +154,9 @@ def test_saturation_keeps_the_curve_also_while_it_speeds_up_and_stops(
             assert linear > 0.1
             limited = linear < speed_m_s * (1.0 - 1e-9)
             why = lib.REASON_LINEAR_VELOCITY | lib.REASON_ANGULAR_VELOCITY
-            assert bool(rig.shown.reasons & (why | lib.REASON_WHEEL_SATURATED)) == limited
+            named = bool(rig.shown.reasons & (why | lib.REASON_WHEEL_SATURATED))
+            # exactly at the limit, rounding decides
+            assert named == limited or linear == pytest.approx(speed_m_s, rel=1e-9)
     assert_rest(rig)
 
 
