@@ -54,7 +54,7 @@ static void a_motion_takes_the_shortest_time_and_ends_exactly_at_its_goal(void)
 {
     for (int round = 0; round < 300; round++) {
         position_config own = fast(any(0.2, 3.0), any(2.0, 50.0));
-        double v = own.velocity_rad_s, a = own.acceleration_rad_s2, goal_rad = any(-3.0, 3.0), way_rad = fabs(goal_rad);
+        double v = own.velocity_rad_s, a = own.acceleration_rad_s2, goal_rad = any(-3.0, 3.0), distance_rad = fabs(goal_rad);
         position_profile profile = {0.0, 0.0};
         int steps = 0;
         for (; (profile.position_rad != goal_rad || profile.velocity_rad_s != 0.0) && steps < 5000; steps++) {
@@ -62,9 +62,9 @@ static void a_motion_takes_the_shortest_time_and_ends_exactly_at_its_goal(void)
             position_step(&profile, &own, goal_rad, DT_S);
             CHECK(fabs(profile.velocity_rad_s) <= v && fabs(profile.velocity_rad_s - before.velocity_rad_s) <= a * DT_S + 1e-12);
             CHECK(close_to(profile.position_rad, before.position_rad + profile.velocity_rad_s * DT_S));
-            CHECK(fabs(profile.position_rad) <= way_rad && profile.position_rad * goal_rad >= 0.0);
+            CHECK(fabs(profile.position_rad) <= distance_rad && profile.position_rad * goal_rad >= 0.0);
         }
-        double shortest_s = way_rad * a > v * v ? way_rad / v + v / a : 2.0 * sqrt(way_rad / a);
+        double shortest_s = distance_rad * a > v * v ? distance_rad / v + v / a : 2.0 * sqrt(distance_rad / a);
         CHECK(steps * DT_S >= shortest_s - DT_S && steps * DT_S <= shortest_s + 2.5 * DT_S);
     }
 }
@@ -85,7 +85,7 @@ static void one_step_in_numbers(void)
         {0.5, 0.05, 0.5, 0.5, 0.0},
         {0.5, -0.1, 0.5, 0.5, 0.0},
         {0.0, 0.0, 0.0005, 0.0005, 0.05}, /* in one step */
-        {0.0, 0.0, 1e-20, 1e-20, 1e-18},  /* nearer than rounding tells */
+        {0.0, 0.0, 1e-20, 1e-20, 1e-18},  /* within rounding of where it is */
         {0.0, 1.0, 0.001, 0.009, 0.9},    /* nearer than it can brake: it passes it */
         {0.0, -1.0, 1.0, -0.009, -0.9},   /* away from it: it brakes first */
         {0.0, 1.0, NAN, 0.009, 0.9},      /* no goal: it brakes */

@@ -102,7 +102,7 @@ static void a_wheel_that_turns_across_turns_the_base_on_the_spot_where_something
     core_config base = tricycle();
     base.module[0].x_m = 0.0; /* in the middle it moves nothing */
     CHECK(begun(&base).turns_on_spot == 0);
-    base = tricycle(); /* the joints the other way round */
+    base = tricycle(); /* the joints swapped */
     base.joint[0] = tricycle().joint[1], base.joint[1] = rolling();
     base.module[0].steering = 1, base.module[0].traction = 2;
     CHECK(begun(&base).turns_on_spot == 1);
@@ -242,7 +242,7 @@ static void a_wheel_points_along_its_motion_or_against_it_whichever_is_nearer(vo
         for (int step = 0; step < 1000; step++) {
             steer_joints(&steer, &base, motion, goal, 1e-3);
         }
-        if (fabs(CASES[i].near_rad - CASES[i].aim_rad) < M_PI) { /* the others change their mind on the way */
+        if (fabs(CASES[i].near_rad - CASES[i].aim_rad) < M_PI) { /* the others aim again while they turn */
             CHECK(close_to(steer.profile[1].position_rad, CASES[i].aim_rad));
         }
     }

@@ -162,7 +162,7 @@ static void before_a_goal_that_turns_a_wheel_around_the_base_comes_to_rest(void)
         {&car, {-0.5, 0.0}, {0.1, 0.0}, true},
         {&car, {0.2, 0.0}, {0.25, 0.0}, false},
         {&car, {-0.2, 0.0}, {-0.25, 0.0}, false},
-        {&car, {1.0, 6.0}, {1.0, -6.0}, false}, /* a car's wheel in front turns from side to side on the way */
+        {&car, {1.0, 6.0}, {1.0, -6.0}, false}, /* while it drives, the wheel in front turns from side to side */
         {&car, {0.5, 6.0}, {0.2, -6.0}, false},
         {&car, {0.1, 3.0}, {0.1, -3.0}, false},
         {&car, {0.5, 0.5}, {0.0, -1.0}, true}, /* without speed there is no such way */
@@ -208,7 +208,7 @@ static void the_ramp_is_paced_by_the_wheel_whose_direction_changes_fastest(void)
         {{0.5, 0.0, 0.0}, {2.0, 0.0, 0.25}, 2.0},
         {{0.3, 0.0, 0.4}, {0.4, 0.0, 0.3}, 0.25 / 0.07},
         {{0.5, 0.0, 0.0}, {0.9, 0.0, 0.0}, INFINITY},
-        {{1.0, 0.0, 0.0}, {2.0, 0.0, 1e-6}, INFINITY}, /* so little is none */
+        {{1.0, 0.0, 0.0}, {2.0, 0.0, 1e-6}, INFINITY}, /* below rounding */
         {{1.0, 0.0, 0.0}, {2.0, 0.0, 4e-6}, 1.0 / 4e-6},
         {{0.5, 0.0, 0.0}, {0.5, 0.5, 0.0}, 0.25 / 0.075}, /* the one at x = 0.3 */
         {{0.5, 0.0, 0.0}, {0.5, 0.5, 0.16}, 0.25 / 0.155},
