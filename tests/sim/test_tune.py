@@ -2,9 +2,11 @@
 """`motord tune` at a real terminal: the simulated wheel is identified, its gains make it follow
 better, and whatever ends the command leaves the robot at rest with the gains that it had."""
 
+import contextlib
 import json
 import re
 import signal
+import threading
 
 import pytest
 from tests.sim.daemon_stage import ROOT, becomes_idle, wait_until
@@ -126,6 +128,41 @@ def test_the_wheel_is_identified_and_follows_better_with_its_gains(stage, tmp_pa
     assert loop.gain_s_per_rad == found["gains"]["gain_s_per_rad"] > 0.0
     assert stage.robot.params_get(GAIN)[GAIN] == loop.gain_s_per_rad
     assert stage.state() == "idle"
+
+
+@contextlib.contextmanager
+def held_up(process):
+    """It runs for a tenth of a second, and then has no CPU for a longer time, over and over."""
+    over = threading.Event()
+
+    def hold() -> None:
+        while not over.is_set():
+            process.send_signal(signal.SIGSTOP)
+            over.wait(0.5)
+            process.send_signal(signal.SIGCONT)
+            over.wait(0.1)
+
+    holding = threading.Thread(target=hold)
+    holding.start()
+    try:
+        yield
+    finally:
+        over.set()
+        holding.join()
+
+
+def test_steps_that_the_computer_was_too_busy_to_see_are_driven_again_after_a_question(stage):
+    before = stage.file.read_bytes()
+    with at_terminal("tune", "left", "--socket", stage.socket) as screen:
+        screen.answer("Is the path clear", "y")
+        with held_up(screen.process):
+            screen.wait(r"saw only \d+% of these steps")
+        place = stage.sim.truth().distance_m
+        screen.answer("Is the path clear", "y")
+        wait_until(lambda: stage.sim.truth().distance_m > place + 0.02, "it drives again")
+        screen.type("q")
+        assert screen.end() == 1
+    at_rest_with_its_gains(stage, before)
 
 
 def test_a_drive_that_holds_the_speed_by_itself_is_named(tmp_path):

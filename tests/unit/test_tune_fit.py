@@ -67,6 +67,52 @@ def test_inertia_friction_and_dead_time_are_found_again(inertia_kg_m2, coulomb_n
     assert found.misfit_rad_s < 0.1
 
 
+def held_up_run(model, peak, *, holds=()):
+    """A wheel under a loop that gives it a torque, each measure 10 ms old. `holds`: what is held
+    up, from when to when: "tool" sees nothing meanwhile, "loop" leaves its output as it is, "line"
+    brings no set-point to the drive and no measure back."""
+    wheel, integral, torque, output = Wheel(model), 0.0, 0.0, 0.0
+    moments, want = ramped(peak, 10.0, 0.8)
+    seen = {"time": [], "want": [], "output": [], "measured": [], "speed": []}
+    measures, latest = [], (0.0, 0.0)
+    for number, moment in enumerate(moments):
+        stopped = {what for what, begin_s, end_s in holds if begin_s <= moment < end_s}
+        if number % 10 == 0:
+            measures.append((moment, wheel.velocity_rad_s))
+        if not stopped & {"line", "loop"}:
+            latest = next((one for one in reversed(measures) if one[0] <= moment - 0.01), latest)
+        if "loop" not in stopped:
+            error = want[number] - latest[1]
+            integral += 4.0 * error * SUBSTEP_S
+            output = max(-3.0, min(3.0, error + integral))
+        if not stopped & {"line", "loop"}:
+            torque = output
+        wheel.drive(torque)
+        wheel.substep(SUBSTEP_S)
+        if number % 10 == 5 and not stopped & {"tool", "loop"}:
+            seen["time"].append(moment)
+            seen["want"].append(want[number])
+            seen["output"].append(output)
+            if not seen["measured"] or latest[0] > seen["measured"][-1]:
+                seen["measured"].append(latest[0])
+                seen["speed"].append(latest[1])
+    return Run(*map(np.array, seen.values()))
+
+
+@pytest.mark.parametrize("what", ["tool", "loop", "line"])
+@pytest.mark.parametrize("begin_s", [0.1, 0.3, 0.6, 1.3])
+def test_a_computer_that_is_held_up_for_moments_does_not_bend_the_wheel(what, begin_s):
+    """Under a torque a wheel keeps what a moment has added to its speed: what nobody saw of the
+    torque must not count for the rest of the run."""
+    model = WheelModel()
+    holds = [(what, begin_s, begin_s + 0.12), (what, begin_s + 0.35, begin_s + 0.45)]
+    found = identify("left", [held_up_run(model, peak, holds=holds) for peak in (2, 4, -2, -4)])
+    assert found.acceleration_u_s2_per_rad == pytest.approx(model.inertia_kg_m2, rel=0.1)
+    assert found.static_u == pytest.approx(model.coulomb_n_m, rel=0.1)
+    assert found.viscous_u_s_per_rad == pytest.approx(model.viscous_n_m_s_rad, abs=0.012)
+    assert found.misfit_rad_s < 0.1
+
+
 PLANT = Plant(
     acceleration_u_s2_per_rad=0.008, viscous_u_s_per_rad=0.05, static_u=0.05, dead_time_s=0.03,
     misfit_rad_s=0.05, sample_s=0.02,

@@ -26,6 +26,8 @@ from motord.commission.person import Failed, Person
 from motord.commission.robot_file_edit import KeyPath, RobotFileEdit, write_asking
 from motord.commission.session import Session, armed
 from motord.commission.tune_fit import (
+    HELD_UP,
+    SEEN_PART_MIN,
     Aggressiveness,
     Gains,
     Plant,
@@ -34,6 +36,7 @@ from motord.commission.tune_fit import (
     gains_of,
     identify,
     response_of,
+    seen_part,
 )
 from motord.config import Robot
 from motord.config.sections.bases import wheel_row
@@ -49,6 +52,8 @@ LOOK_EVERY_S = 0.01
 TURNS_PART_MIN = 0.3
 """Part of the base's straight motion that a rim has to follow: else the base turns on the spot."""
 DISTANCE_MARGIN = 1.5
+TRIES = 3
+"""Of steps that a busy computer does not see."""
 _GAIN_WORDS = re.compile(r"gain|pid|(^|_)k[pid]($|_)")
 
 
@@ -220,6 +225,20 @@ class Tuning:
         return 0.0, rim_m_s / row.lever_m
 
     def _steps(self, what: str) -> tuple[Run, ...]:
+        for _ in range(TRIES):
+            runs = self._driven(what)
+            part = seen_part(runs)
+            if part >= SEEN_PART_MIN:
+                return runs
+            if not self._person.confirm(
+                f"This computer was held up and saw only {part:.0%} of these steps. The robot "
+                "drives them once more, from where it stands. Is the path clear?"
+            ):
+                raise Failed("nothing was written")
+        raise Failed(f"{self._name}: {HELD_UP}")
+
+    def _driven(self, what: str) -> tuple[Run, ...]:
+        """All steps once."""
         runs = []
         signs = (1.0, -1.0) if self._reverses else (1.0,)
         with armed(self._client, self._person, OWNER) as session:

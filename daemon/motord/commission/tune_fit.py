@@ -6,6 +6,8 @@ output of the speed loop (Lynch & Park, Modern Robotics, 2017, 8.9.1; a dead tim
 Hägglund, Advanced PID Control, 2006, 2.7): of the first order, with friction. The parameters are
 those for which the simulated speed differs least from the measured one (output error, Ljung, System
 Identification, 1999, 3.2 and 10.2: damped Gauss-Newton), so that a coarse encoder makes no bias.
+Under a torque a wheel is nearly an integrator: what was not seen of it would count for the rest of
+the run. So the simulation begins anew, with the measured speed, behind each gap.
 
 Gains: Skogestad, Simple analytic rules for model reduction and PID controller tuning, Journal of
 Process Control 13, 2003 (SIMC), a PI: gain = time constant / (steady gain · (τc + dead time)),
@@ -27,6 +29,10 @@ import numpy.typing as npt
 from motord.commission.person import Failed
 
 Array = npt.NDArray[np.float64]
+HELD_UP = (
+    "this computer was held up for too much of the time to see what the wheel does: end other "
+    "programs (motord latency --suspects names them) and repeat"
+)
 Aggressiveness = Literal["gentle", "normal", "brisk"]
 CLOSED_LOOP: dict[Aggressiveness, float] = {"gentle": 4.0, "normal": 2.0, "brisk": 1.0}
 """τc, in dead times."""
@@ -37,6 +43,16 @@ MISFIT_MAX = 0.12
 """Root mean square of the residuals, of the greatest speed: more is no such wheel."""
 TURNED_PART = 0.2
 POINTS_MIN = 30
+GAP_S, GAP_SAMPLES = 0.05, 3.0
+"""Longer without a look, or so many times longer than usual without a measure: something was held
+up, and what the wheel got meanwhile is unknown."""
+AFTER_GAP_S = 0.05
+"""What the wheel does so long behind a gap may still follow from it: a dead time."""
+PIECE_S = 0.1
+"""Of shorter pieces the speed at the beginning is most of what they say."""
+BEGIN_POINTS = 5
+SEEN_PART_MIN = 0.3
+"""Of the time of all runs: less determines no wheel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +66,19 @@ class Run:
     measured_s: Array
     """When the speeds were measured."""
     speed_rad_s: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """What was measured between two gaps of a run, and the state in which it begins."""
+
+    run: Run
+    begin_s: float
+    begin_rad_s: float
+
+    @property
+    def seconds(self) -> float:
+        return float(self.run.measured_s[-1]) - self.begin_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,8 +164,12 @@ def identify(name: str, runs: Sequence[Run]) -> Plant:
             f"{name}: turned with {fastest:.2f} of {wanted:.2f} rad/s: charge the battery, let the "
             "wheels turn freely, or allow more speed (--speed-m-s)"
         )
-    start = min((_regressed(runs, dead_s) for dead_s in DEAD_TIMES_S), key=lambda one: one[1])[0]
-    found, misfit = _refined(runs, start)
+    pieces = [piece for run in runs for piece in _pieces(run)]
+    if sum(len(piece.run.measured_s) for piece in pieces) < POINTS_MIN:
+        raise Failed(f"{name}: {HELD_UP}")
+    parts = [piece.run for piece in pieces]
+    start = min((_regressed(parts, dead_s) for dead_s in DEAD_TIMES_S), key=lambda one: one[1])[0]
+    found, misfit = _refined(pieces, start)
     acceleration, viscous, static, dead_s = (float(one) for one in found)
     if misfit > MISFIT_MAX * fastest or not (acceleration > 0.0 and viscous > 0.0):
         raise Failed(
@@ -144,7 +177,7 @@ def identify(name: str, runs: Sequence[Run]) -> Plant:
             "a slipping wheel, a sagging battery, or a drive that holds the speed by itself: "
             "repeat on level ground"
         )
-    gaps = np.concatenate([np.diff(run.measured_s) for run in runs])
+    gaps = np.concatenate([np.diff(part.measured_s) for part in parts])
     return Plant(
         acceleration_u_s2_per_rad=acceleration,
         viscous_u_s_per_rad=viscous,
@@ -153,6 +186,40 @@ def identify(name: str, runs: Sequence[Run]) -> Plant:
         misfit_rad_s=misfit,
         sample_s=float(np.median(gaps)),
     )
+
+
+def seen_part(runs: Sequence[Run]) -> float:
+    """How much of the time of all runs is between gaps."""
+    seen_s = sum(piece.seconds for run in runs for piece in _pieces(run))
+    return seen_s / sum(float(run.time_s[-1]) for run in runs)
+
+
+def _pieces(run: Run) -> list[_Piece]:
+    """The run without its gaps, and without what follows from them."""
+    usual_s = float(np.median(np.diff(run.measured_s)))
+    gaps = [
+        (float(times_s[n]), float(times_s[n + 1]))
+        for times_s, most_s in (
+            (run.time_s, GAP_S),
+            (run.measured_s, max(GAP_S, GAP_SAMPLES * usual_s)),
+        )
+        for n in np.flatnonzero(np.diff(times_s) > most_s)
+    ]
+    found, known_s = [], 0.0
+    for begin_s, end_s in [*sorted(gaps), (math.inf, math.inf)]:
+        inside = (run.measured_s >= known_s) & (run.measured_s <= begin_s)
+        known_s, was_s = max(known_s, end_s + AFTER_GAP_S), known_s
+        measured_s, speed_rad_s = run.measured_s[inside], run.speed_rad_s[inside]
+        if len(measured_s) < BEGIN_POINTS or measured_s[-1] - measured_s[0] < PIECE_S:
+            continue
+        part = Run(run.time_s, run.want_rad_s, run.output_u, measured_s, speed_rad_s)
+        if was_s == 0.0:
+            found.append(_Piece(part, 0.0, 0.0))  # every run begins at rest
+            continue
+        since_s = measured_s[:BEGIN_POINTS] - measured_s[0]
+        slope = np.polyfit(since_s, speed_rad_s[:BEGIN_POINTS], 1)
+        found.append(_Piece(part, float(measured_s[0]), float(slope[1])))
+    return found
 
 
 def _regressed(runs: Sequence[Run], dead_s: float) -> tuple[Array, float]:
@@ -184,15 +251,15 @@ def _running(time_s: Array, values: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(parts)])
 
 
-def _refined(runs: Sequence[Run], start: Array) -> tuple[Array, float]:
+def _refined(pieces: Sequence[_Piece], start: Array) -> tuple[Array, float]:
     """Damped Gauss-Newton (Levenberg-Marquardt) on the simulated speeds."""
     found, damping = start, 1e-3
-    residual = _residual(runs, found)
+    residual = _residual(pieces, found)
     for _ in range(ROUNDS):
         steps = np.maximum(np.abs(found) * 0.01, [1e-7, 1e-7, 1e-5, 0.001])
         jacobian = np.stack(
             [
-                (_residual(runs, found + np.eye(4)[part] * steps[part]) - residual) / steps[part]
+                (_residual(pieces, found + np.eye(4)[part] * steps[part]) - residual) / steps[part]
                 for part in range(4)
             ],
             axis=1,
@@ -202,7 +269,7 @@ def _refined(runs: Sequence[Run], start: Array) -> tuple[Array, float]:
             normal + damping * np.diag(np.diag(normal) + 1e-12), -jacobian.T @ residual
         )
         tried = np.maximum(found + change, [1e-6, 1e-6, 0.0, 0.0])
-        after = _residual(runs, tried)
+        after = _residual(pieces, tried)
         gained = float(residual @ residual) - float(after @ after)
         if gained <= 0.0:
             damping *= 10.0
@@ -216,21 +283,26 @@ def _refined(runs: Sequence[Run], start: Array) -> tuple[Array, float]:
     return found, math.sqrt(float(residual @ residual) / len(residual))
 
 
-def _residual(runs: Sequence[Run], plant: Array) -> Array:
-    return np.concatenate([simulated(run, plant) - run.speed_rad_s for run in runs])
+def _residual(pieces: Sequence[_Piece], plant: Array) -> Array:
+    return np.concatenate(
+        [
+            simulated(piece.run, plant, piece.begin_s, piece.begin_rad_s) - piece.run.speed_rad_s
+            for piece in pieces
+        ]
+    )
 
 
-def simulated(run: Run, plant: Array) -> Array:
+def simulated(run: Run, plant: Array, begin_s: float = 0.0, begin_rad_s: float = 0.0) -> Array:
     """The speeds at the times of the measures: backward Euler, friction as the impulse that can at
     most bring the wheel to rest (as in the simulator)."""
     acceleration, viscous, static, dead_s = (float(one) for one in plant)
-    steps = math.ceil(float(run.measured_s[-1]) / STEP_S) + 2
-    moments_s = np.arange(steps) * STEP_S
+    steps = math.ceil((float(run.measured_s[-1]) - begin_s) / STEP_S) + 2
+    moments_s = begin_s + np.arange(steps) * STEP_S
     inputs = np.interp(moments_s - dead_s, run.time_s, run.output_u).tolist()
     drag = 1.0 / (1.0 + STEP_S * viscous / acceleration)
     pushes = STEP_S / acceleration * drag
     held = static * pushes
-    speed, speeds = 0.0, []
+    speed, speeds = begin_rad_s, []
     for pushed in inputs:
         free = speed * drag + pushed * pushes
         speed = free - held if free > held else free + held if free < -held else 0.0
