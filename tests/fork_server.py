@@ -64,6 +64,7 @@ _NETWORK, _MOUNTS = "/proc/thread-self/ns/net", "/proc/thread-self/ns/mnt"
 _LIMITS = [getattr(resource, name) for name in dir(resource) if name.startswith("RLIMIT_")]
 _libc = ctypes.CDLL(None, use_errno=True)
 _real = subprocess._fork_exec
+_read = []
 _worlds = {}
 """Modules of motord by whether they read robot files themselves: motord/base/validation.py."""
 
@@ -224,6 +225,8 @@ def _prepare(module, words):
     _enter(plain)
     for name in _imports(module, command):
         importlib.import_module(name)
+    if not plain and CONFIG in sys.modules:
+        _read_once()
     if plain:
         for name in _adapters(words):
             importlib.import_module(name)
@@ -259,6 +262,15 @@ def _imports(module, command):
         if where := importlib.import_module("motord.cli").COMMANDS.get(command):
             yield where[0].partition(":")[0]
         yield from LATER.get(command, (CONFIG,))
+
+
+def _read_once():
+    """One robot file with drives of each kind of table: pydantic makes its validators when they
+    are first used, which costs ten times what reading a file does."""
+    if not _read:
+        answer = sys.modules[CONFIG].answer
+        files = [ROOT / f"config/robots/{name}.toml" for name in ("demo", "cia402-two")]
+        _read.extend(answer(file, (), None) for file in files)
 
 
 def _adapters(words):
