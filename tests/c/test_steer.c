@@ -30,6 +30,10 @@ static void the_reach_of_a_wheel_in_front_or_behind_is_that_of_its_circle(void)
         CHECK(close_to(steer.curvature_min_per_m, x_m > 0.0 ? tan(-0.3) / x_m : tan(0.6) / x_m));
         CHECK(close_to(steer.curvature_max_per_m, x_m > 0.0 ? tan(0.6) / x_m : tan(-0.3) / x_m));
         CHECK(steer.turns_on_spot == 0 && isinf(steer.misaligned_rad) && !kinematics_spins(&base));
+        base = with_range(base, -0.1, 1.0);
+        steer = begun(&base);
+        CHECK(close_to(steer.curvature_min_per_m, x_m > 0.0 ? tan(-0.1) / x_m : tan(1.0) / x_m));
+        CHECK(close_to(steer.curvature_max_per_m, x_m > 0.0 ? tan(1.0) / x_m : tan(-0.1) / x_m));
         /* turned across, nothing drives it on the spot: 80 degrees are its most */
         base = with_range(base, -1.6, 1.6);
         steer = begun(&base);
@@ -53,6 +57,23 @@ static void a_wheel_beside_the_middle_reaches_other_curves_to_each_side(void)
     base = with_range(base, -0.6, 0.0); /* it only steers to the right */
     steer = begun(&base);
     CHECK(steer.curvature_max_per_m == 0.0 && steer.curvature_min_per_m < -1.0);
+}
+
+/* Turned beyond its motion on the spot, it reaches every curve to that side. */
+static void a_wheel_far_beside_the_middle_reaches_the_spot_to_one_side(void)
+{
+    static const struct {
+        double x_m, y_m, range_rad;
+    } CASES[] = {{0.3, 0.5, 0.6}, {0.05, 1.0, 0.06}};
+    for (int i = 0; i < COUNT_OF(CASES) * 2; i++) {
+        double x_m = CASES[i / 2].x_m, y_m = CASES[i / 2].y_m, range_rad = CASES[i / 2].range_rad;
+        double other_per_m = sin(range_rad) / (x_m * cos(range_rad) + y_m * sin(range_rad));
+        core_config base = with_range(bicycle(), -range_rad, range_rad);
+        base.module[0].x_m = x_m, base.module[0].y_m = i % 2 == 0 ? y_m : -y_m;
+        steer_state steer = begun(&base);
+        CHECK(close_to(steer.curvature_max_per_m, i % 2 == 0 ? other_per_m : 5.67 / x_m));
+        CHECK(close_to(steer.curvature_min_per_m, i % 2 == 0 ? -5.67 / x_m : -other_per_m));
+    }
 }
 
 static void straight_ahead_is_in_reach_also_where_its_wheel_cannot_point_there(void)
@@ -292,6 +313,7 @@ int main(void)
 {
     the_reach_of_a_wheel_in_front_or_behind_is_that_of_its_circle();
     a_wheel_beside_the_middle_reaches_other_curves_to_each_side();
+    a_wheel_far_beside_the_middle_reaches_the_spot_to_one_side();
     straight_ahead_is_in_reach_also_where_its_wheel_cannot_point_there();
     the_wheel_with_the_least_reach_counts();
     a_wheel_that_turns_across_turns_the_base_on_the_spot_where_something_rolls_it();

@@ -130,7 +130,8 @@ static void a_wheel_that_stands_points_anywhere(void)
         for (int i = 0; i < 2; i++) {
             double part = i == 0 ? 0.5e-6 : 2e-6;
             const wheel_module *at = &base.module[about];
-            const double goal[AXES] = {at->y_m + part * apart_m, 1.0, -at->x_m}; /* it rolls straight on, if at all */
+            const double goal[AXES] = {0.01 * (at->y_m + part * apart_m), 0.01,
+                                       -0.01 * at->x_m}; /* it rolls straight on, if at all */
             double angle_rad[JOINTS_MAX];
             steer_state steer = begun(&base);
             for (int k = 0; k < 2; k++) {
