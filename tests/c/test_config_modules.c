@@ -1,0 +1,198 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_config_modules: which bases with modules, and which joints without a base, are refused, and by which name. */
+#include "steered_bases.h"
+
+static bool is_good(const core_config *config)
+{
+    char name[FIELD_NAME_BYTES];
+    return core_config_check(config, name) == NULL;
+}
+
+static bool refused(const core_config *config, const char *by)
+{
+    char name[FIELD_NAME_BYTES];
+    return core_config_check(config, name) == name && strcmp(name, by) == 0;
+}
+
+/* A base that differs from a good one. */
+#define REFUSED(base, field, value, by)                                                                                          \
+    do {                                                                                                                         \
+        core_config changed = base;                                                                                              \
+        changed.field = value;                                                                                                   \
+        CHECK(refused(&changed, by));                                                                                            \
+    } while (0)
+#define GOOD(base, field, value)                                                                                                 \
+    do {                                                                                                                         \
+        core_config changed = base;                                                                                              \
+        changed.field = value;                                                                                                   \
+        CHECK(is_good(&changed));                                                                                                \
+    } while (0)
+
+static void is_between(core_config *config, double *value, double low, double high, const char *by)
+{
+    const double middle = *value;
+    *value = low;
+    CHECK(is_good(config));
+    *value = high;
+    CHECK(is_good(config));
+    *value = nextafter(low, -(double)INFINITY);
+    CHECK(refused(config, by));
+    if (isfinite(high)) {
+        *value = nextafter(high, (double)INFINITY);
+        CHECK(refused(config, by));
+    }
+    *value = NAN;
+    CHECK(refused(config, by));
+    *value = middle;
+}
+
+static void every_kind_of_base_is_good(void)
+{
+    const core_config bases[] = {bicycle(), tricycle(),     ackermann(WHEELBASE_M), ackermann(-WHEELBASE_M),
+                                 swerve(),  head_and_belt()};
+    for (int i = 0; i < COUNT_OF(bases); i++) {
+        CHECK(is_good(&bases[i]));
+    }
+}
+
+static void numbers_of_joints_that_take_positions_have_their_range(void)
+{
+    core_config base = bicycle();
+    position_config *own = &base.joint[1].position;
+    is_between(&base, &own->position_min_rad, -1e9, 0.0, "joint[1].position.position_min_rad");
+    is_between(&base, &own->position_max_rad, 0.0, 1e9, "joint[1].position.position_max_rad");
+    is_between(&base, &own->velocity_rad_s, 1e-12, 1e9, "joint[1].position.velocity_rad_s");
+    is_between(&base, &own->acceleration_rad_s2, 1e-12, 1e9, "joint[1].position.acceleration_rad_s2");
+    is_between(&base, &own->following_rad, 0.0, 1e9, "joint[1].position.following_rad");
+    is_between(&base, &own->following_s, 0.0, 1e9, "joint[1].position.following_s");
+    own->position_min_rad = own->position_max_rad = 0.0;
+    CHECK(refused(&base, "joint[1].position.position_max_rad"));
+    REFUSED(bicycle(), joint[1].position.used, 2, "joint[1].position.used");
+    REFUSED(bicycle(), joint[1].position.reference, 3, "joint[1].position.reference");
+    GOOD(bicycle(), joint[1].position.reference, REFERENCE_HOMED);
+    GOOD(bicycle(), joint[1].position.reference, REFERENCE_ESTIMATED);
+    REFUSED(bicycle(), joint[1].line, LINES_MAX, "joint[1].line");
+    GOOD(bicycle(), joint[1].line, LINES_MAX - 1);
+}
+
+static void an_angle_that_is_measured_needs_a_counter(void)
+{
+    core_config base = bicycle();
+    base.joint[1].counter_bits = 0;
+    CHECK(refused(&base, "joint[1].counter_bits"));
+    base.joint[1].position.reference = REFERENCE_HOMED;
+    CHECK(refused(&base, "joint[1].counter_bits"));
+    base.joint[1].position.reference = REFERENCE_ESTIMATED;
+    CHECK(is_good(&base));
+}
+
+static void places_of_modules_have_their_range(void)
+{
+    REFUSED(bicycle(), module[1].x_m, nextafter(1e9, INFINITY), "module[1].x_m");
+    REFUSED(bicycle(), module[0].x_m, nextafter(-1e9, -INFINITY), "module[0].x_m");
+    REFUSED(bicycle(), module[0].x_m, NAN, "module[0].x_m");
+    REFUSED(bicycle(), module[0].y_m, nextafter(1e9, INFINITY), "module[0].y_m");
+    REFUSED(bicycle(), module[0].y_m, nextafter(-1e9, -INFINITY), "module[0].y_m");
+    REFUSED(bicycle(), module[0].angle_rad, nextafter(7.0, INFINITY), "module[0].angle_rad");
+    REFUSED(bicycle(), module[0].angle_rad, nextafter(-7.0, -INFINITY), "module[0].angle_rad");
+    GOOD(bicycle(), module[0].angle_rad, 7.0);
+    GOOD(bicycle(), module[0].angle_rad, -7.0);
+}
+
+static void a_joint_has_one_module_and_does_one_thing_there(void)
+{
+    REFUSED(bicycle(), module[0].steering, 3, "module[0].steering");
+    REFUSED(bicycle(), module[1].traction, 3, "module[1].traction");
+    REFUSED(bicycle(), module[0].steering, 1, "module[0].steering"); /* it takes velocities */
+    REFUSED(bicycle(), module[1].traction, 2, "module[1].traction"); /* it takes positions */
+    REFUSED(bicycle(), module[0].traction, 1, "module[1].traction"); /* it has been named */
+    REFUSED(ackermann(WHEELBASE_M), module[1].steering, 3, "module[1].steering");
+    REFUSED(ackermann(WHEELBASE_M), module[3].traction, 1, "module[3].traction");
+    REFUSED(bicycle(), module[1].traction, 0, "joint[0]: no module");
+    REFUSED(good_config(), joint[3], turning_within(0.5), "joint[3]: no module");
+    core_config base = bicycle();
+    base.joint_count = 3, base.joint[2] = rolling();
+    CHECK(refused(&base, "joint[2]: no module"));
+}
+
+/* Where all wheels are steered, each rolls in every direction. */
+static void a_swerve_base_needs_half_a_turn_of_each_wheel(void)
+{
+    for (uint32_t j = 0; j <= 2; j += 2) {
+        core_config base = swerve();
+        const char *by = j == 0 ? "module[0].steering" : "module[1].steering";
+        base.joint[j].position.position_min_rad = 0.0, base.joint[j].position.position_max_rad = 3.1415;
+        CHECK(is_good(&base));
+        base.joint[j].position.position_max_rad = nextafter(3.1415, 0.0);
+        CHECK(refused(&base, by));
+        base.joint[j].position.position_min_rad = -0.5; /* the whole range counts */
+        CHECK(is_good(&base));
+    }
+}
+
+/* A car turns about the axle of its fixed wheels. */
+static void fixed_wheels_stand_on_the_axle_and_steered_ones_do_not(void)
+{
+    REFUSED(bicycle(), module[0].x_m, 0.0, "module[0].x_m");
+    GOOD(bicycle(), module[0].x_m, 0.1);
+    GOOD(bicycle(), module[0].x_m, 1.0);
+    REFUSED(bicycle(), module[1].x_m, 2e-9, "module[1].x_m");
+    REFUSED(bicycle(), module[1].x_m, -2e-9, "module[1].x_m");
+    GOOD(bicycle(), module[1].x_m, 0.9e-9);
+    REFUSED(bicycle(), module[1].angle_rad, 2e-9, "module[1].angle_rad");
+    REFUSED(bicycle(), module[1].angle_rad, 1.0, "module[1].angle_rad");
+    REFUSED(bicycle(), module[1].angle_rad, 0.1, "module[1].angle_rad");
+    GOOD(bicycle(), module[1].angle_rad, 0.9e-9);
+    core_config base = empty_base(2, 2); /* nothing is steered */
+    base.joint[0] = base.joint[1] = rolling();
+    base.module[0] = (wheel_module){.y_m = 0.1, .traction = 1}, base.module[1] = (wheel_module){.y_m = -0.1, .traction = 2};
+    CHECK(refused(&base, "module_count"));
+}
+
+static void modules_that_do_not_determine_the_motion_are_refused(void)
+{
+    core_config base = swerve();
+    base.joint_count = 2, base.module_count = 1;
+    CHECK(refused(&base, "module"));
+    REFUSED(swerve(), module_count, JOINTS_MAX + 1, "module_count");
+    base = bicycle();
+    base.module_count = JOINTS_MAX; /* free ones beside the axle */
+    for (int i = 2; i < JOINTS_MAX; i++) {
+        base.module[i] = (wheel_module){.y_m = 0.1 * i};
+    }
+    CHECK(is_good(&base));
+}
+
+static void joints_without_a_base_need_no_other_and_no_place(void)
+{
+    REFUSED(head_and_belt(), independent, 2, "independent");
+    REFUSED(bicycle(), independent, 1, "independent");
+    GOOD(head_and_belt(), joint_count, 1);
+    REFUSED(head_and_belt(), joint_count, 0, "joint_count");
+    REFUSED(bicycle(), joint_count, 1, "joint_count");
+    REFUSED(head_and_belt(), gyro.used, 1, "gyro.used");
+    REFUSED(bicycle(), gyro.used, 2, "gyro.used");
+    core_config joints = head_and_belt();
+    is_between(&joints, &joints.joint[1].own.acceleration_u_s2, 1e-12, 1e9, "joint[1].own.acceleration_u_s2");
+    is_between(&joints, &joints.joint[1].own.deceleration_u_s2, 1e-12, 1e9, "joint[1].own.deceleration_u_s2");
+    is_between(&joints, &joints.joint[1].own.jerk_u_s3, 1e-12, INFINITY, "joint[1].own.jerk_u_s3");
+    joints.joint[0].own = (axis_limits){.jerk_u_s3 = 0.0}; /* it takes positions */
+    CHECK(is_good(&joints));
+    core_config base = bicycle();
+    base.joint[0].own = (axis_limits){.jerk_u_s3 = 0.0};
+    CHECK(is_good(&base));
+}
+
+int main(void)
+{
+    every_kind_of_base_is_good();
+    numbers_of_joints_that_take_positions_have_their_range();
+    an_angle_that_is_measured_needs_a_counter();
+    places_of_modules_have_their_range();
+    a_joint_has_one_module_and_does_one_thing_there();
+    a_swerve_base_needs_half_a_turn_of_each_wheel();
+    fixed_wheels_stand_on_the_axle_and_steered_ones_do_not();
+    modules_that_do_not_determine_the_motion_are_refused();
+    joints_without_a_base_need_no_other_and_no_place();
+    return checks_report("test_config_modules");
+}
