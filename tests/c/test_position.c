@@ -112,6 +112,21 @@ static void one_step_in_numbers(void)
     CHECK(passes.velocity_rad_s > 0.89);
 }
 
+/* A distance, or a speed, of exactly 1 or 0.1 is one like any other. */
+static void a_goal_is_reached_exactly_whatever_is_rounded(void)
+{
+    static const struct {
+        double from_rad, goal_rad, dt_s;
+    } CASES[] = {{-0.33, 0.67, 36.08}, {-0.06, 0.04, 1.49}, {-0.86, -0.16, 0.7}, {-0.09, 0.107, 1.97}};
+    position_config own = fast(100.0, 100.0);
+    for (int i = 0; i < COUNT_OF(CASES); i++) {
+        position_profile profile = {CASES[i].from_rad, 0.0};
+        profile = stepped(profile, &own, CASES[i].goal_rad, CASES[i].dt_s);
+        CHECK(CASES[i].from_rad + profile.velocity_rad_s * CASES[i].dt_s != CASES[i].goal_rad);
+        CHECK(profile.position_rad == CASES[i].goal_rad);
+    }
+}
+
 static void a_time_that_is_none_is_no_step(void)
 {
     static const double TIMES_S[] = {0.0, -0.01, NAN, INFINITY, 2e9};
@@ -175,6 +190,7 @@ int main(void)
     a_joint_brakes_as_late_as_can_be();
     a_motion_takes_the_shortest_time_and_ends_exactly_at_its_goal();
     one_step_in_numbers();
+    a_goal_is_reached_exactly_whatever_is_rounded();
     a_time_that_is_none_is_no_step();
     a_joint_follows_while_it_is_near_or_comes_nearer();
     without_a_time_nothing_is_checked();
