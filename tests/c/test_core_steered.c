@@ -55,6 +55,25 @@ static void at_rest_the_wheel_points_first(void)
     CHECK(moved);
 }
 
+/* A curve that begins while it drives is as slow as the wheel that has to follow it, and every reason is reported. */
+static void a_curve_waits_for_its_wheel_and_the_base_does_not_slow_down(void)
+{
+    core_config config = bicycle();
+    config.limits.angular = (axis_limits){2.0, 60.0, 60.0, INFINITY};
+    rig r;
+    start(&r, &config);
+    go(&r, 0.5, 0.0);
+    r.input.command.angular_rad_s = 2.0; /* tighter than it can */
+    uint32_t reasons = 0;
+    for (int ms = 0; ms < 1500; ms++) {
+        reasons |= tick(&r)->reasons;
+        CHECK(close_to(r.shown.setpoint_linear_m_s, 0.5) && r.shown.steering.misaligned_rad < 0.05);
+        CHECK(r.shown.reasons & REASON_CURVATURE);
+    }
+    CHECK((reasons & REASON_STEERING) && r.shown.reasons == REASON_CURVATURE);
+    CHECK(close_to(r.shown.setpoint_angular_rad_s, 0.5 * tan(0.6) / WHEELBASE_M));
+}
+
 static void every_stop_of_a_steered_base_ends_at_rest(void)
 {
     static const stop_action ACTIONS[] = {STOP_RAMP, STOP_BRAKE, STOP_HOLD, STOP_COAST};
@@ -327,6 +346,7 @@ int main(void)
 {
     a_bicycle_points_its_wheel_drives_and_measures_its_curve();
     at_rest_the_wheel_points_first();
+    a_curve_waits_for_its_wheel_and_the_base_does_not_slow_down();
     every_stop_of_a_steered_base_ends_at_rest();
     a_late_tick_turns_a_wheel_by_no_more_than_its_speed();
     a_steered_base_whose_wheel_is_stuck_comes_to_rest_and_reports_it();
