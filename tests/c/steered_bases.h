@@ -87,6 +87,18 @@ static inline core_config swerve(void)
     return base;
 }
 
+/* At the corners: joints 0, 2, 4 and 6 steer what joints 1, 3, 5 and 7 roll. */
+static inline core_config swerve_of_four(void)
+{
+    core_config base = empty_base(8, 4);
+    for (uint32_t k = 0; k < 4; k++) {
+        base.joint[2 * k] = turning_within(3.2), base.joint[2 * k + 1] = rolling();
+        base.module[k] = (wheel_module){.x_m = k < 2 ? 0.3 : -0.3, .y_m = k % 2 == 0 ? 0.2 : -0.2};
+        base.module[k].steering = 2 * k + 1, base.module[k].traction = 2 * k + 2;
+    }
+    return base;
+}
+
 /* Joint 0 pans, joint 1 is a belt, joint 2 tilts. */
 static inline core_config head_and_belt(void)
 {

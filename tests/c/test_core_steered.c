@@ -34,6 +34,81 @@ static void a_bicycle_points_its_wheel_drives_and_measures_its_curve(void)
     CHECK(all_rest(&r) && r.shown.at_rest == 1 && r.shown.armed == 1 && close_to(r.out.position_rad[1], ANGLE_RAD));
 }
 
+static void each_wheel_of_a_swerve_base_rolls_as_the_floor_under_it(void)
+{
+    core_config config = swerve_of_four();
+    rig r;
+    start(&r, &config);
+    go(&r, 0.2, 0.0);
+    r.input.command.lateral_m_s = 0.3, r.input.command.angular_rad_s = 0.5;
+    ticks(&r, 2500);
+    CHECK(r.shown.reasons == 0 && r.out.positioned == 0x55 && close_to(r.shown.lateral.setpoint_m_s, 0.3));
+    for (int k = 0; k < 4; k++) {
+        const wheel_module *at = &config.module[k];
+        double x_m_s = 0.2 - 0.5 * at->y_m, y_m_s = 0.3 + 0.5 * at->x_m, angle_rad = r.out.position_rad[2 * k];
+        CHECK(fabs(sin(angle_rad - atan2(y_m_s, x_m_s))) < 1e-9 && fabs(angle_rad) < 1.6);
+        double rolls_rad_s = (x_m_s * cos(angle_rad) + y_m_s * sin(angle_rad)) / RADIUS_M;
+        CHECK(fabs(r.out.joint[2 * k + 1].velocity_rad_s - rolls_rad_s) < 1e-3); /* by the angle that is measured */
+        CHECK(r.out.joint[2 * k].duty == 0.0 && fabs(r.out.joint[2 * k + 1].duty - rolls_rad_s / 60.0) < 1e-4);
+    }
+    CHECK(fabs(r.shown.linear_m_s - 0.2) < 1e-3 && fabs(r.shown.lateral.measured_m_s - 0.3) < 1e-3);
+    CHECK(fabs(r.shown.angular_rad_s - 0.5) < 2e-3);
+}
+
+static void a_base_that_begins_to_roll_is_not_at_rest(void)
+{
+    const core_config bases[] = {bicycle(), swerve_of_four()};
+    for (int i = 0; i < COUNT_OF(bases); i++) {
+        rig r;
+        ready(&r, &bases[i]);
+        r.input.control.armed = 1;
+        CHECK(tick(&r)->at_rest == 1);
+        r.input.command.linear_m_s = 0.5;
+        CHECK(tick(&r)->setpoint_linear_m_s > 0.0 && r.shown.at_rest == 0);
+    }
+}
+
+/* Of whichever joint; and it ends with it. */
+static void a_duty_at_its_limit_is_reported(void)
+{
+    for (int j = 0; j < 4; j++) {
+        core_config config = j < 2 ? ackermann(WHEELBASE_M) : head_and_belt();
+        config.joint[2] = j < 2 ? config.joint[2] : config.joint[1];
+        config.joint[j % 2 + j / 2].pwm.duty_max = 0.1;
+        rig r;
+        ready(&r, &config);
+        r.input.control.armed = 1;
+        tick(&r);
+        r.input.command.linear_m_s = 0.5;
+        r.input.joints = (joint_command){.named = 6, .value_u = {0.0, 7.0, 7.0}};
+        ticks(&r, 1500);
+        CHECK(r.shown.reasons == REASON_DUTY_CLAMPED && close_to(r.out.joint[j % 2 + j / 2].duty, 0.1));
+        r.input.command.linear_m_s = 0.2;
+        r.input.joints.value_u[1] = r.input.joints.value_u[2] = 2.0;
+        CHECK(ticks(&r, 1500)->reasons == 0);
+    }
+}
+
+/* Whichever wheel it is of, before it takes its next one. */
+static void a_duty_that_is_no_number_is_seen_at_once(void)
+{
+    core_config config = swerve_of_four();
+    for (int k = 0; k < 4; k++) {
+        rig r;
+        start(&r, &config);
+        go(&r, 0.2, 0.0);
+        r.state.wheels.joint[2 * k + 1].duty = NAN;
+        CHECK(tick(&r)->faults == FAULT_STATE && zero(&r) && r.shown.armed == 0);
+    }
+    core_config joints = head_and_belt();
+    rig r;
+    ready(&r, &joints);
+    r.input.control.armed = 1;
+    tick(&r);
+    r.state.wheels.joint[1].duty = NAN;
+    CHECK(tick(&r)->faults == FAULT_STATE && zero(&r));
+}
+
 static void at_rest_the_wheel_points_first(void)
 {
     core_config config = bicycle();
@@ -97,6 +172,18 @@ static void every_stop_of_a_steered_base_ends_at_rest(void)
             CHECK(r.state.steer.enabled == 0 && r.state.steer.profile[1].position_rad == r.state.odometry.angle_rad[1]);
         }
     }
+}
+
+static void a_brake_holds_the_wheels_where_they_point(void)
+{
+    core_config config = bicycle();
+    config.on_timeout = STOP_BRAKE;
+    rig r;
+    start(&r, &config);
+    go(&r, 0.5, 0.4);
+    r.input.control.stop = 1;
+    CHECK(tick(&r)->armed == 1 && all_rest(&r) && close_to(r.out.position_rad[1], ANGLE_RAD));
+    CHECK(ticks(&r, 500)->at_rest == 1 && r.out.positioned == 2 && close_to(r.out.position_rad[1], ANGLE_RAD));
 }
 
 /* A late tick is a step of a tenth of a second at most. */
@@ -345,9 +432,14 @@ static void a_target_needs_power_a_finite_command_and_the_lease_that_gave_it(voi
 int main(void)
 {
     a_bicycle_points_its_wheel_drives_and_measures_its_curve();
+    each_wheel_of_a_swerve_base_rolls_as_the_floor_under_it();
+    a_base_that_begins_to_roll_is_not_at_rest();
+    a_duty_at_its_limit_is_reported();
+    a_duty_that_is_no_number_is_seen_at_once();
     at_rest_the_wheel_points_first();
     a_curve_waits_for_its_wheel_and_the_base_does_not_slow_down();
     every_stop_of_a_steered_base_ends_at_rest();
+    a_brake_holds_the_wheels_where_they_point();
     a_late_tick_turns_a_wheel_by_no_more_than_its_speed();
     a_steered_base_whose_wheel_is_stuck_comes_to_rest_and_reports_it();
     a_steering_that_measures_nothing_counts_as_where_its_set_point_is();
