@@ -73,18 +73,18 @@ static void a_duty_at_its_limit_is_reported(void)
 {
     for (int j = 0; j < 4; j++) {
         core_config config = j < 2 ? ackermann(WHEELBASE_M) : head_and_belt();
-        config.joint[2] = j < 2 ? config.joint[2] : config.joint[1];
-        config.joint[j % 2 + j / 2].pwm.duty_max = 0.1;
+        config.joint[0] = j < 2 ? config.joint[0] : config.joint[1]; /* two belts */
+        config.joint[j % 2].pwm.duty_max = 0.1;
         rig r;
         ready(&r, &config);
         r.input.control.armed = 1;
         tick(&r);
         r.input.command.linear_m_s = 0.5;
-        r.input.joints = (joint_command){.named = 6, .value_u = {0.0, 7.0, 7.0}};
+        r.input.joints = (joint_command){.named = 3, .value_u = {7.0, 7.0}};
         ticks(&r, 1500);
-        CHECK(r.shown.reasons == REASON_DUTY_CLAMPED && close_to(r.out.joint[j % 2 + j / 2].duty, 0.1));
+        CHECK(r.shown.reasons == REASON_DUTY_CLAMPED && close_to(r.out.joint[j % 2].duty, 0.1));
         r.input.command.linear_m_s = 0.2;
-        r.input.joints.value_u[1] = r.input.joints.value_u[2] = 2.0;
+        r.input.joints.value_u[0] = r.input.joints.value_u[1] = 2.0;
         CHECK(ticks(&r, 1500)->reasons == 0);
     }
 }
