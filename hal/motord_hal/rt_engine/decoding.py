@@ -40,9 +40,9 @@ def raw_offset(joint: JointSpec, profile: DriveProfile) -> float:
     if channel.position_setpoint is None:
         return 0.0
     register, bits = profile.registers[channel.position_setpoint], profile.counter_bits
-    low = register.raw_range[0]
-    below = low < 0 and register.type.bits == bits and joint.zero_count >> (bits - 1)
-    count = joint.zero_count - (1 << bits if below else 0)
+    count = joint.zero_count % (1 << bits)
+    if register.type.signed and register.type.bits == bits and count >> (bits - 1):
+        count -= 1 << bits  # the drive's number of that place has a sign
     return count * _unit_per_count(joint, profile, register) / register.scale
 
 
