@@ -25,14 +25,15 @@ VARIABLES = {
     0x1000: (U32, 0x00020192, "ro"), 0x1001: (U8, 0, "ro"), 0x1017: (U16, 0, "rw"),
     0x603F: (U16, 0, "ro"), 0x6040: (U16, 0, "rww"), 0x6041: (U16, SWITCH_ON_DISABLED, "ro"),
     0x605A: (I16, 1, "rw"), 0x6060: (I8, 0, "rw"), 0x6061: (I8, 0, "ro"),
-    0x6064: (I32, 0, "ro"), 0x606C: (I32, 0, "ro"), 0x6077: (I16, 0, "ro"),
+    0x6064: (I32, 0, "ro"), 0x6065: (U32, 1000, "rw"), 0x6066: (U16, 0, "rw"),
+    0x606C: (I32, 0, "ro"), 0x6077: (I16, 0, "ro"), 0x607A: (I32, 0, "rww"),
     0x6071: (I16, 0, "rww"), 0x6072: (U16, 1000, "rw"), 0x6076: (U32, 1000, "ro"),
     0x6079: (U32, 36500, "ro"), 0x6080: (U32, 6000, "rw"), 0x60FF: (I32, 0, "rww"),
 }  # fmt: skip
 
 PDO_IDENTIFIERS = {0x1400: 0x200, 0x1401: 0x300, 0x1800: 0x180, 0x1801: 0x280}
 SYNCHRONOUS_MAX = 240
-TORQUE_MODE, SYNC_S = 10, 0.005
+POSITION_MODE, TORQUE_MODE, SYNC_S = 8, 10, 0.005
 INERTIA_KG_M2, RPM = 0.07, 2 * math.pi / 60
 
 
@@ -75,6 +76,10 @@ class Cia402Node:
         self.error_code = 0
         self.position, self.velocity, self.torque = 0, 0, 0
         self.torques = []
+        self.target, self.targets = 0, []
+        """Positions; each with the state that it found."""
+        self.more_status = 0
+        """Bits of the status word beside those of the state."""
         self.stuck = False
         self.syncs, self.waiting = 0, {}
         self.network = canopen.Network(bus)
@@ -168,9 +173,15 @@ class Cia402Node:
             elif index == 0x6071:
                 self.torque = raw - (1 << bits) if raw >> (bits - 1) else raw
                 self.torques.append(self.torque)
+            elif index == 0x607A:
+                self.target = raw - (1 << bits) if raw >> (bits - 1) else raw
+                self.targets.append((self.target, self.status))
 
     def _turn(self):
-        """The torque, in 0.1 % of 1 N m, for the time of a SYNC; without power it is at rest."""
+        """The torque, in 0.1 % of 1 N m, for the time of a SYNC; without power it is at rest. With
+        power it is at its target at once."""
+        if self.get(0x6061) == POSITION_MODE and self.status == OPERATION:
+            self.position = self.target
         if self.get(0x6061) == TORQUE_MODE:
             step = self.torque / 1000 / INERTIA_KG_M2 * SYNC_S / RPM
             self.velocity = self.velocity + step if self.status == OPERATION else 0
@@ -209,7 +220,7 @@ class Cia402Node:
             self._send_mapped(by_sync=False)
 
     def _measure(self):
-        self.put(0x6041, self.status)
+        self.put(0x6041, self.status | self.more_status)
         self.put(0x603F, self.error_code)
         self.put(0x606C, round(self.velocity))
         self.put(0x6064, self.position)
