@@ -236,6 +236,20 @@ def test_a_joint_that_steers_is_refused_on_the_engine_that_does_not_carry_positi
     assert 'joint steering steers: its line needs interface = "socketcan"' in found
 
 
+@pytest.mark.parametrize("interface", ["slcan", "udp_multicast", "kvaser"])
+def test_positions_are_refused_on_an_adapter_that_the_engine_in_c_does_not_reach(
+    tmp_path, interface
+):
+    change = ('interface = "socketcan"', f'interface = "{interface}"')
+    assert problems(tmp_path, "swerve4-can", change).count("for the rt engine") == 4
+
+
+def test_positions_are_carried_by_a_bus_of_sockets(tmp_path):
+    text = (ROBOTS / "swerve4-can.toml").read_text("utf-8")
+    robot = written(tmp_path, text.replace('interface = "socketcan"', 'interface = "unix"'))
+    assert robot.line["can0"].interface == "unix"
+
+
 def test_a_joint_that_steers_is_refused_behind_a_gateway(tmp_path):
     gateway = 'kind = "rtu-over-tcp"\nhost = "gateway"\n'
     found = problems(

@@ -207,7 +207,7 @@ class Rig:
             axes |= {j.channel: self._axis(j) for j in line.joints if j.unit == unit}
             drives[unit] = new_drive(profile, unit, axes, watchdog_s=self._watchdog_s(profile))
         if line.kind == "can":
-            return self._make_can_line(line, drives)
+            return self._make_can_line(line, drives, link_dir)
         if line.kind == "pwm":
             return self._make_pins(line, drives, link_dir)
         port = self._make_port(line, link_dir)
@@ -242,7 +242,7 @@ class Rig:
         return SimulatedGyro(self.plant, line.imu, self.spec.seed, scale=scale)
 
     def _make_can_line(
-        self, line: LineSpec, drives: Mapping[int, SimulatedDrive]
+        self, line: LineSpec, drives: Mapping[int, SimulatedDrive], link_dir: Path
     ) -> SimulatedCanLine:
         # python-can is there only where a robot has a CAN bus
         from motord_hal.sim.can.line import SimulatedCanLine
@@ -250,6 +250,8 @@ class Rig:
 
         settings = BusSettings(line.baudrate, line.data_baudrate)
         own = line.port if line.port.startswith("unix:") else ""  # it needs no hardware
+        if not own and any(joint.profile.goes_to_positions for joint in line.joints):
+            own = f"unix:{link_dir / line.name}"  # the engine in C alone carries positions
         port = CanPort(self.spec.can or own or free_address(), settings)
         return SimulatedCanLine(line, drives, self.script, port)
 

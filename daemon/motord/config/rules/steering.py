@@ -20,6 +20,7 @@ from motord.config.sections.line import CanLine, GatewayLine
 from motord.config.sections.model import Joint, Robot
 from motord.config.sections.wheels import Profiles, reference_of, takes_position
 from motord.config.toml_lines import Path
+from motord_hal.fieldbus.open_line import RT_CAN_INTERFACES
 
 _ANYWHERE_RAD = math.pi - 1e-3
 """A wheel that also rolls backward points anywhere within half a turn."""
@@ -166,7 +167,7 @@ def engine_for_positions(robot: Robot, name: str, what: str) -> Iterator[Finding
         yield Finding((("line", joint.line, "kind"), *where), text)
     elif line is not None and line.engine == "asyncio":
         yield Finding(where, f'{what}: its line needs engine = "rt"')
-    elif isinstance(line, CanLine) and line.interface != "socketcan":
+    elif isinstance(line, CanLine) and line.interface not in RT_CAN_INTERFACES:
         text = f'{what}: its line needs interface = "socketcan", for the rt engine'
         yield Finding((("line", joint.line, "interface"), *where), text)
 
