@@ -2,6 +2,7 @@
 """A moteus controller by its documents (docs/protocol/can.md and registers.md there) and not by
 motord's profile: a register server that takes any subframes, in any order."""
 
+import math
 import struct
 import threading
 import time
@@ -18,9 +19,10 @@ SECONDS, WHOLE = (0.01, 0.001, 0.000001), (1, 1, 1)
 # register → what one is worth as int8, int16, int32; as a float it is itself
 SCALES = {
     0x000: WHOLE, 0x001: TURNS, 0x002: TURNS_S, 0x003: TORQUE, 0x004: CURRENT, 0x00D: VOLTAGE,
-    0x00E: CELSIUS, 0x00F: WHOLE, 0x020: TURNS, 0x021: TURNS_S, 0x022: TORQUE, 0x027: SECONDS,
+    0x00C: WHOLE, 0x00E: CELSIUS, 0x00F: WHOLE, 0x020: TURNS, 0x021: TURNS_S, 0x022: TORQUE,
+    0x027: SECONDS, 0x028: TURNS_S,
 }  # fmt: skip
-COMMANDS = (0x020, 0x021, 0x022, 0x027)
+COMMANDS = (0x020, 0x021, 0x022, 0x027, 0x028)
 LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 NOTHING = 0x50
 
@@ -43,6 +45,8 @@ class Moteus:
         self.node = node
         self.values = dict.fromkeys(SCALES, 0.0) | {0x00D: 24.0, 0x00E: 31.5}
         self.modes, self.velocities, self.bad = [], [], []
+        self.positions = []
+        """Of each command: where it was sent, and the mode that it had then."""
         self.bites = 0
         self.deaf = False
         self._fed_s = None
@@ -149,3 +153,7 @@ class Moteus:
         turning = self.mode == POSITION
         self.velocities.append(wanted.get(0x021, 0.0) if turning else 0.0)
         self.values[0x002] = self.velocities[-1]
+        target = wanted.get(0x020, 0.0)
+        self.positions.append((target, self.mode))
+        if turning and not math.isnan(target):
+            self.values[0x001] = target

@@ -18,8 +18,9 @@ import can
 from motord_hal.sim.can.unix_bus import UnixBus
 
 HEARTBEAT, ESTOP, MOTOR_ERROR, STATE, ESTIMATES = 0x01, 0x02, 0x03, 0x07, 0x09
-MODE, INPUT_VELOCITY, IQ, BUS, CLEAR = 0x0B, 0x0D, 0x14, 0x17, 0x18
+MODE, INPUT_POSITION, INPUT_VELOCITY, IQ, BUS, CLEAR = 0x0B, 0x0C, 0x0D, 0x14, 0x17, 0x18
 IDLE, CLOSED_LOOP = 1, 8
+VELOCITY_CONTROL, POSITION_CONTROL = 2, 3
 HEARTBEAT_S, ESTIMATES_S = 0.05, 0.01
 INTERFACE = os.environ.get("MOTORD_CAN_INTERFACE")
 """Of the kernel, for these tests alone: up, no others on it."""
@@ -84,6 +85,8 @@ class Axis:
     """Commands that are lost on the way."""
     stuck: bool = False
     """It does not change its state."""
+    input_turns: float = 0.0
+    """Where it goes at once, with power and in position control."""
     received: list[tuple[int, bytes]] = field(default_factory=list)
     """Command and data of each frame that is no question."""
     asked: list[int] = field(default_factory=list)
@@ -93,6 +96,10 @@ class Axis:
 
     def velocities(self):
         return [struct.unpack("<ff", data)[0] for data in self.sent(INPUT_VELOCITY)]
+
+    def inputs(self):
+        """Position in turns, and the feed-forward of velocity and torque, of each that came."""
+        return [struct.unpack("<fhh", data) for data in self.sent(INPUT_POSITION)]
 
     def states(self):
         return [int.from_bytes(data, "little") for data in self.sent(STATE)]
@@ -180,8 +187,12 @@ class Peer:
             axis.state = int.from_bytes(message.data, "little")
         elif command == MODE:
             axis.mode = struct.unpack("<II", message.data)
+        elif command == INPUT_POSITION:
+            axis.input_turns = struct.unpack("<fhh", message.data)[0]
         elif command == CLEAR:
             axis.error = 0
+        if axis.state == CLOSED_LOOP and axis.mode[0] == POSITION_CONTROL:
+            axis.position_turns = axis.input_turns
 
 
 @contextlib.asynccontextmanager
