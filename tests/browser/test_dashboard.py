@@ -14,7 +14,7 @@ from tests.sim.daemon_stage import wait_until
 from tests.sim.journal_copy import flipped, rewritten
 
 ESTOP = ".estop-place .estop"
-TABS = ("overview", "drive", "plots", "lines", "parameters", "commission", "log", "fleet")
+TABS = ("overview", "drive", "plots", "lines", "parameters", "file", "commission", "log", "fleet")
 
 
 @pytest.fixture(autouse=True)

@@ -64,6 +64,7 @@ async def test_a_wrong_token_is_refused_with_a_reason_and_another_site_without(c
 CALLS = (
     *("arm", "estop", "params.set", "params.get", "params.save", "params.diff", "reset"),
     *("record.start", "record.stop", "replay", "replay.cancel"),
+    *("file.read", "file.check", "file.diff", "file.save"),
     *("commission.start", "commission.answer", "commission.stop", "commission.take"),
 )
 

@@ -10,7 +10,7 @@ import struct
 from pathlib import Path
 
 import aiohttp
-from tests.sim.daemon_stage import DEADLINE_S, running, wait_until
+from tests.sim.daemon_stage import DEADLINE_S, ROBOT, running, wait_until
 
 TOKEN = "a-token-for-tests-0123456789"
 DRIVE, ACKNOWLEDGE = 1, 2
@@ -78,7 +78,7 @@ class Page:
 
 
 @contextlib.contextmanager
-def with_dashboard(folder, port, *settings):
+def with_dashboard(folder, port, *settings, robot=ROBOT):
     """A daemon whose dashboard needs TOKEN, with idle drives."""
     token = folder / "token"
     token.write_text(TOKEN, encoding="utf-8")
@@ -86,7 +86,7 @@ def with_dashboard(folder, port, *settings):
     dashboard = (
         "input.web.kind=web", f"input.web.port={port}", f'input.web.token_file="{token}"',
     )  # fmt: skip
-    with running(folder, *dashboard, *settings) as stage:
+    with running(folder, *dashboard, *settings, robot=robot) as stage:
         stage.wait_for("idle")
         wait_until(lambda: listens(port), "the dashboard listens")
         yield stage

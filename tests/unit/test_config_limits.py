@@ -9,6 +9,7 @@ from motord.config import ConfigError, load_robot
 from motord.config.drives.load import load_profile
 from motord_hal.base import bounded
 from motord_hal.base.errors import ProfileError
+from motord_hal.base.paths import config_dir
 
 BOMBS = {
     "arrays": "a = " + "[" * 50_000,
@@ -44,6 +45,14 @@ def test_it_is_refused_in_one_short_line_each(tmp_path, bomb):
 def test_a_file_without_end_is_refused():
     with pytest.raises(ConfigError, match="cannot be read: has more than"):
         load_robot("/dev/zero")
+
+
+def test_a_name_with_a_zero_byte_is_no_file(tmp_path):
+    file = tmp_path / "robot.toml"
+    demo = (config_dir() / "robots/demo.toml").read_text(encoding="utf-8")
+    file.write_text(demo.replace('"zlac8015d"', '"a\\u0000.toml"'), encoding="utf-8")
+    with pytest.raises(ConfigError, match="cannot be read: Invalid argument"):
+        load_robot(file)
 
 
 @pytest.mark.parametrize("bomb", [text for text in BOMBS.values() if len(text) < 100_000])

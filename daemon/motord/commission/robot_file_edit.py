@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
 import os
 import stat
 import time
@@ -27,6 +28,10 @@ _AnyTable: TypeAlias = "Container | Table | InlineTable | OutOfOrderTableProxy"
 
 class EditError(Exception):
     """The file cannot be read or written; the message names it, the cause and the cure."""
+
+
+class FileChanged(EditError):
+    """The file on disk is not the one that was read."""
 
 
 class RobotFileText:
@@ -54,6 +59,11 @@ class RobotFileText:
         """Whether `save` has anything to write."""
         return self.text.encode() != self._found
 
+    @property
+    def sha256(self) -> str:
+        """Of the file on disk, as it was read."""
+        return hashlib.sha256(self._found).hexdigest()
+
     def diff(self) -> str:
         """What changes, as `diff -u` shows it; empty: nothing."""
         before, after = self._found.decode(), self.text
@@ -70,12 +80,12 @@ class RobotFileText:
 
     def save(self) -> Path:
         """Write the file at once or not at all; returns the backup of the old one. Raises
-        ConfigError for a file that does not pass, EditError for one that cannot be written or has
-        changed since it was read."""
+        ConfigError for a file that does not pass, FileChanged for one that is not what was read,
+        EditError for one that cannot be written."""
         self.checked()
         try:
             if bounded.read(self.path) != self._found:
-                raise EditError(f"{self.path}: has changed since it was read: run this again")
+                raise FileChanged(f"{self.path}: has changed since it was read: run this again")
             backup = self._backup()
             replace_file(self.path, self.text.encode())
         except OSError as error:
@@ -226,6 +236,6 @@ def write_asking(person: Person, edit: RobotFileText, *, dry_run: bool = False) 
 
 
 __all__ = [
-    "ConfigError", "EditError", "KeyPath", "RobotFileEdit", "RobotFileText", "replace_file",
-    "write_asking", "write_new",
+    "ConfigError", "EditError", "FileChanged", "KeyPath", "RobotFileEdit", "RobotFileText",
+    "replace_file", "write_asking", "write_new",
 ]  # fmt: skip

@@ -5,6 +5,7 @@ keeps it busy."""
 from __future__ import annotations
 
 import errno
+import os
 import re
 import tomllib
 from pathlib import Path
@@ -28,7 +29,9 @@ TOKEN = re.compile(
 
 
 def read(path: Path, bytes_max: int = TOML_BYTES_MAX) -> bytes:
-    """All of a file. Raises OSError, also for one that is longer."""
+    """All of a file. Raises OSError, also for one that is longer, or whose name no file has."""
+    if "\0" in str(path):
+        raise OSError(errno.EINVAL, os.strerror(errno.EINVAL), str(path))
     with path.open("rb") as file:
         found = file.read(bytes_max + 1)
     if len(found) > bytes_max:

@@ -20,7 +20,7 @@ from motord.bus.http_server import HttpServer, tls_context
 from motord.bus.messages import json_form
 from motord.bus.messages.topics import View
 from motord.bus.secret import Token
-from motord.bus.web import tape
+from motord.bus.web import robot_file, tape
 from motord.bus.web.access import PROTOCOL, Access, Right, Stranger
 from motord.bus.web.assets import answer as asset
 from motord.bus.web.commissioning import Commissioning
@@ -28,6 +28,7 @@ from motord.bus.web.description import description
 from motord.bus.web.events import Event, Events
 from motord.bus.web.frames import Packer
 from motord.bus.web.recordings import ADDRESS
+from motord.bus.web.robot_file import FileEditor
 from motord.bus.web.saving import save
 from motord.bus.web.seat import Seat
 from motord.bus.web.tape import Tape
@@ -56,7 +57,9 @@ CHANGES = ("params.get", "params.set")
 SAVES = ("params.diff", "params.save")
 """Beside the calls of every bus. Reading a register costs a turn on the line."""
 COMMISSION = ("commission.start", "commission.answer", "commission.stop", "commission.take")
-AT_ANY_TIME = (*URGENT, "disarm", "params.get", *tape.CHANGES, *COMMISSION)
+AT_ANY_TIME = (
+    *(*URGENT, "disarm", "params.get"), *tape.CHANGES, *COMMISSION, *robot_file.LOOKS,
+)  # fmt: skip
 """Calls that a running procedure does not exclude."""
 
 
@@ -84,6 +87,7 @@ class WebAdapter:
         self._pages = self._frames = 0
         self._status_ns = 0
         self._saving = asyncio.Lock()
+        self._editor = FileEditor(runtime, self._saving)
         self._commissioning = Commissioning(
             runtime.path, self._publish_commissioning, self._publish_progress
         )
@@ -184,13 +188,14 @@ class WebAdapter:
             return web.Response(status=HTTPStatus.FORBIDDEN, text=f"{error}\n")
         if len(self._viewers) >= VIEWERS_MAX:
             return web.Response(status=HTTPStatus.SERVICE_UNAVAILABLE, text="too many pages\n")
+        right = self._access.right(request)
+        longest = robot_file.MESSAGE_BYTES_MAX if right.command else MESSAGE_BYTES_MAX
         connection = web.WebSocketResponse(
-            heartbeat=PING_EVERY_S, timeout=CLOSE_WITHIN_S, max_msg_size=MESSAGE_BYTES_MAX,
+            heartbeat=PING_EVERY_S, timeout=CLOSE_WITHIN_S, max_msg_size=longest,
             compress=False, protocols=(PROTOCOL,),
         )  # fmt: skip
         if not connection.can_prepare(request).ok:
             return web.Response(status=HTTPStatus.UPGRADE_REQUIRED, text="a WebSocket, please\n")
-        right = self._access.right(request)
         await connection.prepare(request)
         if right.watch:
             await self._serve_page(connection, request.remote or "this machine", right)
@@ -271,6 +276,8 @@ class WebAdapter:
             return await self._gate.act(method, viewer.name)
         if method in SAVES:
             return await self._save(viewer, dry_run=method == "params.diff")
+        if method in robot_file.CALLS:
+            return await self._edit(viewer, method, params)
         if method in tape.CHANGES:
             what = short(params.get("name", params.get("section")))
             self._events.note(viewer.name, f"{method} {what}")
@@ -323,6 +330,13 @@ class WebAdapter:
         if not dry_run:
             self._events.note(viewer.name, f"limits saved in {saved['file']}")
         return saved
+
+    async def _edit(self, viewer: Viewer, method: str, params: Mapping[str, Any]) -> Any:
+        """Raises NotTaken and ClientError."""
+        found = await self._editor.serve(method, params)
+        if found.get("backup"):
+            self._events.note(viewer.name, f"{found['file']} written")
+        return found
 
     async def _look(self, method: str) -> Any:
         looked_s, found = self._looked.get(method, (0.0, None))

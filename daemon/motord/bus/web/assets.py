@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of the page: read once, compressed once, and asked for again by their hash.
+"""The files of the page, and the schema of the robot file: read once, compressed once, and asked
+for again by their hash.
 
 What the first paint needs is in the page itself: one request, which the policy permits by hash.
 """
@@ -10,6 +11,7 @@ import base64
 import functools
 import gzip
 import hashlib
+import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -17,7 +19,10 @@ from pathlib import Path
 
 from aiohttp import web
 
+from motord_hal.base.paths import config_dir
+
 FOLDER = Path(__file__).parent / "page"
+SCHEMA = "robot.schema.json"
 _INLINE = {
     "style.css": ('<link rel="stylesheet" href="style.css" />', "style"),
     "theme.js": ('<script src="theme.js"></script>', "script"),
@@ -55,11 +60,17 @@ def assets() -> Mapping[str, Asset]:
     for path in sorted(FOLDER.rglob("*")):
         if path.suffix in _TYPES and path.name not in _INLINE:
             raw = _with_inline(path) if path.suffix == ".html" else path.read_bytes()
-            etag = f'"{hashlib.sha256(raw).hexdigest()[:24]}"'
             name = f"/{path.relative_to(FOLDER).as_posix()}"
-            found[name] = Asset(_TYPES[path.suffix], etag, raw, gzip.compress(raw, mtime=0))
+            found[name] = _asset(raw, path.suffix)
+    schema = json.loads((config_dir() / "schema" / SCHEMA).read_bytes())
+    found[f"/{SCHEMA}"] = _asset(json.dumps(schema, separators=(",", ":")).encode(), ".json")
     found["/"] = found["/index.html"]
     return found
+
+
+def _asset(raw: bytes, suffix: str) -> Asset:
+    etag = f'"{hashlib.sha256(raw).hexdigest()[:24]}"'
+    return Asset(_TYPES[suffix], etag, raw, gzip.compress(raw, mtime=0))
 
 
 def _with_inline(path: Path) -> bytes:

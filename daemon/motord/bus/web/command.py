@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands of motord as processes of their own: they may load what motord-bus does without, and
-take their time without costing it any."""
+"""Commands and modules of motord as processes of their own: they may load what motord-bus does
+without, and take their time without costing it any."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import json
+import logging
 import os
 import sys
 from asyncio.subprocess import DEVNULL, PIPE, Process
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from typing import Any
 
 from motord.api.deadline import within
@@ -19,12 +20,17 @@ from motord.bus.commands.gate import NotTaken
 NICENESS = 19
 """Every other process runs first."""
 
+_log = logging.getLogger(__name__)
+
 
 @contextlib.asynccontextmanager
-async def running(*arguments: str) -> AsyncIterator[Process]:
-    """`motord ARGUMENTS`, with pipes from its output; killed at the end if it still runs."""
+async def running(
+    *arguments: str, module: str = "motord", stdin: int = DEVNULL
+) -> AsyncIterator[Process]:
+    """`python -m MODULE ARGUMENTS`, with pipes from its output; killed at the end if it still
+    runs."""
     child = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "motord", *arguments, stdin=DEVNULL, stdout=PIPE, stderr=PIPE
+        sys.executable, "-m", module, *arguments, stdin=stdin, stdout=PIPE, stderr=PIPE
     )
     try:
         with contextlib.suppress(OSError):  # it has ended
@@ -46,6 +52,20 @@ async def answer(*arguments: str, within_s: float) -> Any:
         raise NotTaken(f"motord {arguments[0]} did not end within {within_s:g} s") from None
     if child.returncode and not found:
         raise NotTaken(reason(words, arguments[0]))
+    return json.loads(found)
+
+
+async def asked(module: str, request: Mapping[str, Any], *, within_s: float) -> Any:
+    """What that module answers to a request on its standard input, both in JSON. Raises
+    NotTaken."""
+    try:
+        async with within(within_s), running(module=module, stdin=PIPE) as child:
+            found, words = await child.communicate(json.dumps(request).encode())
+    except TimeoutError:
+        raise NotTaken(f"the robot did not answer within {within_s:g} s") from None
+    if child.returncode:
+        _log.error("%s: %s", module, words.decode(errors="replace").strip())
+        raise NotTaken("the request failed: see the log of motord-bus")
     return json.loads(found)
 
 

@@ -24,6 +24,7 @@ const PAGES = {
   plots: () => import("./plots.js").then(({ Plots }) => ({ default: Plots })),
   lines: () => import("./lines.js").then(({ Lines }) => ({ default: Lines })),
   parameters: () => import("./parameters.js").then(({ Parameters }) => ({ default: Parameters })),
+  file: () => import("./file.js").then(({ File }) => ({ default: File })),
   commission: () => import("./commission.js").then(({ Commission }) => ({ default: Commission })),
   log: () => import("./log.js").then(({ Log }) => ({ default: Log })),
   fleet: () => import("./fleet.js").then(({ Fleet }) => ({ default: Fleet })),

@@ -220,7 +220,7 @@ export class Link {
   }
 
   /** A method of the robot. Rejects with an Error that says why not. */
-  call(method, params = {}) {
+  call(method, params = {}, withinMs = CALL_WITHIN_MS) {
     if (this.phase !== "open") return Promise.reject(new Error("there is no connection"));
     const id = (this._number += 1);
     const began = performance.now();
@@ -228,7 +228,7 @@ export class Link {
       const timer = setTimeout(() => {
         this._calls.delete(id);
         reject(new Error("no answer"));
-      }, CALL_WITHIN_MS);
+      }, withinMs);
       const done = (end) => (value) => {
         clearTimeout(timer);
         if (method === "status") this.roundTripMs = performance.now() - began;

@@ -39,9 +39,9 @@ export function Rows({ rows }) {
 /** Buttons that call the robot, and why it did not obey. */
 export function useCall(link) {
   const [problem, say] = useState("");
-  const call = async (method, title, params) => {
+  const call = async (method, title, params, withinMs) => {
     try {
-      const result = await link.call(method, params);
+      const result = await link.call(method, params, withinMs);
       say("");
       return result;
     } catch (error) {

@@ -4,7 +4,7 @@
 export const TEXT = {
   tabs: {
     overview: "Overview", drive: "Drive", plots: "Plots", lines: "Lines",
-    parameters: "Parameters", commission: "Commissioning", log: "Log", fleet: "Fleet",
+    parameters: "Parameters", file: "Robot file", commission: "Commissioning", log: "Log", fleet: "Fleet",
   },
   navigation: "Pages of the dashboard",
   skip: "Skip to the content",
@@ -141,6 +141,23 @@ export const TEXT = {
   nothingToSave: (file) => `${file} has the limits in force already.`,
   close: "Close", cancel: "Cancel",
   forceNow: "in force",
+
+  // The robot file in its editor
+  fileNeedsToken: "The robot file is shown to pages that have the token.",
+  fileHelp: "The daemon runs by the file that it has read at its start: what is saved here takes effect when you start it again. Ctrl and space list keys and values, Esc closes the list, Ctrl and S shows what would be saved. A file that does not pass the check is not written.",
+  fileChanged: "Changed, not saved",
+  completions: "Keys and values",
+  aboutKey: "Move the cursor to a key to see what it means.",
+  fallback: (value) => `default ${value}`, isFallback: "default",
+  check: "Check", checking: "Checking…",
+  checked: (problems, warnings) => `${problems === 1 ? "1 problem" : `${problems || "No"} problems`}, ${warnings === 1 ? "1 warning" : `${warnings || "no"} warnings`}`,
+  messages: "What the check found",
+  atLine: (line) => `Line ${line}`, warning: "Warning:",
+  loadAgain: "Load again", takeTheirs: "Discard my changes, load the file",
+  keepMine: "Keep my text, compare it with the file now",
+  sameFile: (file) => `${file} has this text already.`,
+  conflict: "Not saved: another program has changed the file on the robot since this page loaded it.",
+  notSaved: "Not saved: the check finds problems. They are listed below the text.",
 
   events: "Events",
   filter: "Filter",
