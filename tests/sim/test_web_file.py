@@ -80,6 +80,19 @@ async def test_a_page_without_the_right_token_gets_and_writes_nothing(stage, con
     assert stage.file.read_bytes() == before
 
 
+async def test_a_page_that_is_trusted_without_the_token_checks_and_writes_nothing(tmp_path):
+    port, file = free_port(), copied(tmp_path)
+    trusted = (*SLOW, "input.web.trust_loopback=true")
+    with with_dashboard(tmp_path, port, *trusted, robot=file):
+        async with pages(port) as connected:
+            page = await connected(token=None)
+            read = (await page.answer("file.read"))["result"]
+            new = {"text": f"{read['text']}\n#\n", "sha256": read["sha256"]}
+            assert (await page.answer("file.diff", **new))["result"]["diff"]
+            assert "the token" in (await page.answer("file.save", **new))["error"]
+    assert file.read_text("utf-8") == read["text"]
+
+
 async def test_a_page_of_another_site_gets_no_connection_though_it_has_the_token(connect):
     with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
         await connect(Origin="https://evil.example")

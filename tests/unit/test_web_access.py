@@ -53,6 +53,13 @@ def test_a_page_of_this_machine_commands_without_a_token_only_where_the_robot_fi
     assert right(Access(TRUSTED, None), with_token("any")) == (True, True, "")
 
 
+def test_a_page_that_is_trusted_without_a_token_has_not_shown_it():
+    both = TRUSTED.model_copy(update={"token_file": "t"})
+    assert not Access(both, fits).right(request()).token
+    assert not Access(TRUSTED, None).right(with_token(TOKEN)).token
+    assert Access(both, fits).right(with_token(TOKEN)).token
+
+
 def test_a_dashboard_that_only_publishes_takes_no_command_whatever_is_shown():
     assert right(Access(WATCH, None), request()) == (True, False, "")
     assert right(Access(WATCH, fits), with_token(TOKEN)) == (True, False, "")

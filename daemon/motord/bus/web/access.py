@@ -39,6 +39,8 @@ class Right:
     command: bool
     why: str = ""
     """Why it may not watch."""
+    token: bool = False
+    """It has shown the token."""
 
 
 class Access:
@@ -64,7 +66,7 @@ class Access:
         shown = token_of(request)
         if shown is not None and self._fits is not None:
             if self._fits(shown):
-                return Right(watch=True, command=self._commands)
+                return Right(watch=True, command=self._commands, token=True)
             return Right(watch=False, command=False, why=WRONG_TOKEN)
         if self._local not in _LOCAL_NAMES or not _from_here(request):
             return Right(watch=False, command=False, why=NEEDS_TOKEN)

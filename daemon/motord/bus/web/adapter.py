@@ -57,6 +57,7 @@ CHANGES = ("params.get", "params.set")
 SAVES = ("params.diff", "params.save")
 """Beside the calls of every bus. Reading a register costs a turn on the line."""
 COMMISSION = ("commission.start", "commission.answer", "commission.stop", "commission.take")
+NEEDS_TOKEN = "only a page that has shown the token may write the robot file"  # noqa: S105
 AT_ANY_TIME = (
     *(*URGENT, "disarm", "params.get"), *tape.CHANGES, *COMMISSION, *robot_file.LOOKS,
 )  # fmt: skip
@@ -219,6 +220,7 @@ class WebAdapter:
         viewer = Viewer(
             connection, name, self._section.rate_hz, seat, self._commissioning, self._call
         )
+        viewer.may_write = right.command and right.token
         viewer.say(json_form.encode({"hello": self._hello(viewer)}).decode())
         self._show_commissioning(viewer)
         self._viewers.add(viewer)
@@ -236,6 +238,7 @@ class WebAdapter:
         return description(self._runtime.robot) | {
             "page": viewer.name,
             "may_command": viewer.may_command,
+            "may_write": viewer.may_write,
             "takes_commands": self._gate is not None,
             "rate_max_hz": section.rate_hz,
             "lease_s": section.lease_s if isinstance(section, WebInput) else None,
@@ -333,6 +336,8 @@ class WebAdapter:
 
     async def _edit(self, viewer: Viewer, method: str, params: Mapping[str, Any]) -> Any:
         """Raises NotTaken and ClientError."""
+        if method == robot_file.SAVE and not viewer.may_write:
+            raise NotTaken(NEEDS_TOKEN)
         found = await self._editor.serve(method, params)
         if found.get("backup"):
             self._events.note(viewer.name, f"{found['file']} written")

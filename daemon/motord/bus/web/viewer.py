@@ -80,6 +80,8 @@ class Viewer:
         """`seat`: None for a page that only watches."""
         self.name = name
         self.may_command = seat is not None
+        self.may_write = False
+        """Any text as the robot file, not just what a procedure has measured."""
         self._connection = connection
         self._seat, self._commissioning, self._serve = seat, commissioning, serve
         self._driver = Driver(name)

@@ -164,7 +164,7 @@ function Messages({ report, state, go }) {
 }
 
 /** What became of saving. */
-function Outcome({ outcome, write, close, keep, discard }) {
+function Outcome({ outcome, mayWrite, write, close, keep, discard }) {
   const { kind, found } = outcome;
   const name = found.file.split("/").at(-1);
   const text = {
@@ -178,9 +178,10 @@ function Outcome({ outcome, write, close, keep, discard }) {
     <p role=${kind === "compared" ? undefined : "alert"} class=${kind === "written" ? "good" : ""}>${text}</p>
     ${kind === "unwritable" && html`<p class="muted">${found.unwritable}</p>
       <pre class="command" tabindex="0">${TEXT.copyCommand(found.file, name)}</pre>`}
+    ${kind === "compared" && !mayWrite && html`<p class="muted">${TEXT.writingNeedsToken}</p>`}
     ${found.diff && kind !== "problems" && html`<${Difference} text=${found.diff} />`}
     <div class="actions">
-      ${kind === "compared" && found.diff && html`<button class="main" onClick=${write}>${TEXT.write}</button>`}
+      ${kind === "compared" && found.diff && mayWrite && html`<button class="main" onClick=${write}>${TEXT.write}</button>`}
       ${kind === "unwritable" && html`<button class="main" onClick=${() => download(name, onDisk(), "application/toml")}>${TEXT.downloadFile}</button>`}
       ${kind === "conflict" && html`<button class="main" onClick=${keep}>${TEXT.keepMine}</button>
         <button onClick=${discard}>${TEXT.takeTheirs}</button>`}
@@ -285,7 +286,7 @@ export function File({ link }) {
       <button disabled=${!usable} onClick=${() => load(false)}>${dirty ? TEXT.takeTheirs : TEXT.loadAgain}</button>
       <button class="main" disabled=${!usable || !dirty} onClick=${compare}>${TEXT.save}</button>`}>
     ${problem}
-    ${outcome && html`<${Outcome} outcome=${outcome} write=${() => ask("file.save")} close=${() => setOutcome(null)}
+    ${outcome && html`<${Outcome} outcome=${outcome} mayWrite=${link.hello.may_write} write=${() => ask("file.save")} close=${() => setOutcome(null)}
       keep=${() => load(true)} discard=${() => load(false)} />`}
     ${base ? html`<${Editor} area=${area} schema=${schema} marks=${marks} edited=${edited} compare=${compare} />` : html`<p class="muted">${TEXT.connecting}</p>`}
     ${base && html`<${Messages} report=${report} state=${state} go=${go} />`}

@@ -144,6 +144,7 @@ export const TEXT = {
 
   // The robot file in its editor
   fileNeedsToken: "The robot file is shown to pages that have the token.",
+  writingNeedsToken: "Only a page that has shown the token of this robot may write the file.",
   fileHelp: "The daemon runs by the file that it has read at its start: what is saved here takes effect when you start it again. Ctrl and space list keys and values, Esc closes the list, Ctrl and S shows what would be saved. A file that does not pass the check is not written.",
   fileChanged: "Changed, not saved",
   completions: "Keys and values",
