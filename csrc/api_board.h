@@ -5,14 +5,14 @@
  */
 
 /* ------------------------------------------------------------------------------------------- boards on a stream
- * One board alone on a serial port, one thread. It is sent its payload in every cycle, set-points among it, and says its
+ * One board alone on a serial port, or Sabertooths that count as one; one thread. It is sent its payload in every cycle, set-points among it, and says its
  * own unasked. Both are bytes with numbers at their places, low byte first: as they are in frames (docs/mcu-frame.md), or
  * as text (docs/mcu/line-ascii.md), whose numbers are written to and read from such places. */
 enum {
     BOARD_PAYLOAD_MAX = 190, /* a frame of 200 bytes without its head and check sum */
     BOARD_SETPOINTS_MAX = 8,
     BOARD_FIELDS_MAX = 72,
-    BOARD_WRITES_MAX = 8,
+    BOARD_WRITES_MAX = 16,
     BOARD_TEXT_MAX = 256, /* bytes of a line of text that is sent, or of a template */
     BOARD_LINE_MAX = 512, /* bytes of a line of text that is read */
     BOARD_PARTS_MAX = 26,
@@ -28,9 +28,10 @@ enum {
     HOVERBOARD_VALUE_BYTES = 14,   /* feedback payload: what stands between start word and check sum */
     HOVERBOARD_SETPOINT_MAX = 1000,
     SABERTOOTH_PACKET_BYTES = 4,
-    SABERTOOTH_SETPOINT_BYTES = 3, /* payload: serial time-out, motor 1, motor 2; motors with sign */
+    SABERTOOTH_SETPOINT_BYTES = 3, /* of each driver in the payload: serial time-out, motor 1, motor 2; motors with sign */
     SABERTOOTH_UNIT_MIN = 128,
-    SABERTOOTH_UNIT_MAX = 135
+    SABERTOOTH_UNIT_MAX = 135,
+    SABERTOOTH_UNITS_MAX = 8
 };
 
 /* A number in a payload. */
@@ -107,8 +108,9 @@ typedef struct {
     uint32_t field_count;
     uint32_t quick_stop_count;
     uint32_t disarm_count;
-    uint32_t mixed; /* HOVERBOARD: 1: the firmware mixes steer and speed; 0: left and right (TANK_STEERING) */
-    uint32_t unit;  /* SABERTOOTH: its address */
+    uint32_t mixed;                     /* HOVERBOARD: 1: the firmware mixes steer and speed; 0: left and right (TANK_STEERING) */
+    uint32_t unit_count;                /* SABERTOOTH: drivers on the wire, which move and stop as one drive */
+    uint8_t unit[SABERTOOTH_UNITS_MAX]; /* their addresses, each above the one before */
     uint32_t reserved;
     int64_t period_ns;           /* of the cycle: > 0 */
     int64_t gap_ns;              /* from a frame's beginning to the next one's, at least: a wire that carries one at a time */
@@ -224,7 +226,7 @@ typedef enum { HOVERBOARD_NOTHING = 0, HOVERBOARD_FEEDBACK = 1, HOVERBOARD_BAD =
 uint32_t board_hoverboard_build(const uint8_t *payload, uint32_t mixed, uint8_t *out);
 /* One more byte of the stream. hoverboard_found; FEEDBACK: values[HOVERBOARD_VALUE_BYTES]; BAD: bytes were dropped. */
 uint32_t board_hoverboard_take(hoverboard_tail *tail, uint8_t byte, uint8_t *values);
-/* The packets with the set-points of a payload, into out[3 * SABERTOOTH_PACKET_BYTES]; their bytes. */
+/* The packets with the set-points of one driver, into out[3 * SABERTOOTH_PACKET_BYTES]; their bytes. */
 uint32_t board_sabertooth_build(uint32_t unit, const uint8_t *payload, uint8_t *out);
 
 /* The line of text with the set-points of a payload: bytes of out[BOARD_TEXT_MAX]; 0: it is too long. */

@@ -28,9 +28,11 @@ static bool judge(void *sink, const uint8_t *bytes, uint32_t count)
     memcpy(w.sent, bytes, count);
     w.sent_bytes = count;
     if (w.table.dialect > BOARD_TEXT) {
-        static const uint8_t rest[] = {0xCD, 0xAB, 0, 0, 0, 0, 0xCD, 0xAB}, still[] = {128, 0, 0, 0, 128, 4, 0, 4};
+        static const uint8_t rest[] = {0xCD, 0xAB, 0, 0, 0, 0, 0xCD, 0xAB};
+        static const uint8_t still[] = {128, 0, 0, 0, 128, 4, 0, 4, 129, 0, 0, 1, 129, 4, 0, 5};
         bool saber = w.table.dialect == BOARD_SABERTOOTH;
-        CHECK(count == 8 && (may_move() || memcmp(bytes, saber ? still : rest, 8) == 0));
+        uint32_t size = saber ? sizeof still : sizeof rest;
+        CHECK(count == size && (may_move() || memcmp(bytes, saber ? still : rest, size) == 0));
         return true;
     }
     if (w.table.dialect == BOARD_TEXT) {
@@ -187,8 +189,9 @@ static board_table packets(uint32_t dialect, uint32_t mixed)
                          .answers = !saber,
                          .tries = 3,
                          .mixed = mixed,
-                         .unit = 128,
-                         .payload_bytes = saber ? SABERTOOTH_SETPOINT_BYTES : HOVERBOARD_SETPOINT_BYTES,
+                         .unit_count = 2,
+                         .unit = {128, 129},
+                         .payload_bytes = saber ? 2 * SABERTOOTH_SETPOINT_BYTES : HOVERBOARD_SETPOINT_BYTES,
                          .feedback_bytes = saber ? 0 : HOVERBOARD_VALUE_BYTES,
                          .period_ns = 20 * MS,
                          .silence_ns = 150 * MS,
@@ -197,7 +200,7 @@ static board_table packets(uint32_t dialect, uint32_t mixed)
     for (uint32_t j = 0; j < 2; j++) {
         double most = saber ? 127.0 : 1000.0;
         table.setpoint[table.setpoint_count++] =
-            (board_setpoint){.place = saber ? at(1 + j, 1, 1) : at(2 * j, 2, 1),
+            (board_setpoint){.place = saber ? at(1 + 3 * j, 1, 1) : at(2 * j, 2, 1),
                              .scale = {.joint = j, .raw_per_si = 10.0, .raw_min = -most, .raw_max = most}};
         if (!saber) {
             table.field[table.field_count++] = field_of(j, FIELD_VELOCITY, at(4 + 2 * j, 2, 1), 0.1);

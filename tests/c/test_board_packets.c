@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_packets: packets of the hoverboard FOC firmware and of the Sabertooth, byte by byte, and how a stream is found
- * again. Buffers are as long as what is in them, so that a sanitizer sees one byte more. */
+ * test_board_packets: packets of the hoverboard FOC firmware, byte by byte, and how a stream is found again. Buffers are as long as what is in them, so that a sanitizer sees one byte more. */
 #include <stdlib.h>
 
 #include "board_wire.h"
@@ -258,51 +257,6 @@ static void bytes_of_no_frame_are_counted_once_as_long_as_the_stream_is_lost(voi
     CHECK(good == 3 && bad == 1);
 }
 
-/* ------------------------------------------------------------------------------------------------- Sabertooth */
-static uint32_t build_sabertooth(uint32_t unit, uint32_t timeout, int one, int other, uint8_t *out)
-{
-    uint8_t *payload = malloc(SABERTOOTH_SETPOINT_BYTES), *packets = malloc(3 * SABERTOOTH_PACKET_BYTES);
-    payload[0] = (uint8_t)timeout;
-    payload[1] = (uint8_t)one;
-    payload[2] = (uint8_t)other;
-    uint32_t count = board_sabertooth_build(unit, payload, packets);
-    memcpy(out, packets, count);
-    free(payload);
-    free(packets);
-    return count;
-}
-
-static void each_motor_has_a_packet_with_its_direction_and_the_sum_of_seven_bits(void)
-{
-    static const uint8_t forward[] = {130, 0, 64, 66, 130, 4, 127, 5}; /* the first is the user's guide's */
-    static const uint8_t backward[] = {135, 1, 1, 9, 135, 5, 127, 11};
-    uint8_t out[3 * SABERTOOTH_PACKET_BYTES];
-    CHECK(build_sabertooth(130, 0, 64, 127, out) == sizeof forward && memcmp(out, forward, sizeof forward) == 0);
-    CHECK(build_sabertooth(135, 0, -1, -127, out) == sizeof backward && memcmp(out, backward, sizeof backward) == 0);
-    CHECK(build_sabertooth(135, 0, -1, -128, out) == sizeof backward && memcmp(out, backward, sizeof backward) == 0);
-}
-
-static void the_time_out_goes_out_with_every_set_point(void)
-{
-    static const uint8_t still[] = {128, 14, 3, 17, 128, 0, 0, 0, 128, 4, 0, 4};
-    uint8_t out[3 * SABERTOOTH_PACKET_BYTES];
-    CHECK(build_sabertooth(128, 3, 0, 0, out) == sizeof still && memcmp(out, still, sizeof still) == 0);
-    CHECK(build_sabertooth(128, 127, 0, 0, out) == sizeof still && out[2] == 127);
-    CHECK(build_sabertooth(128, 128, 0, 0, out) == sizeof still && out[2] == 127); /* no address among the values */
-    CHECK(build_sabertooth(128, 255, 5, 5, out) == sizeof still && out[2] == 127);
-}
-
-static void nothing_but_an_address_is_above_127(void)
-{
-    for (uint32_t value = 0; value < 256; value++) {
-        uint8_t out[3 * SABERTOOTH_PACKET_BYTES];
-        uint32_t count = build_sabertooth(131, value, (int)value, 255 - (int)value, out);
-        for (uint32_t i = 0; i < count; i++) {
-            CHECK(i % SABERTOOTH_PACKET_BYTES == 0 ? out[i] == 131 : out[i] < 128);
-        }
-    }
-}
-
 /* -------------------------------------------------------------------------------------------------- the machine */
 static board_table hoverboard_table(uint32_t mixed)
 {
@@ -323,22 +277,6 @@ static board_table hoverboard_table(uint32_t mixed)
         table.field[table.field_count++] = field_of(j, FIELD_VELOCITY, at(6 - 2 * j, 2, 1), j == 1 ? -0.1047 : 0.1047);
         table.field[table.field_count++] = field_of(j, FIELD_VOLTAGE, at(8, 2, 1), 0.01);
         table.disarm[table.disarm_count++] = (board_write){.place = at(2 * j, 2, 1), .raw = 0};
-    }
-    return table;
-}
-
-static board_table sabertooth_table(void)
-{
-    board_table table = hoverboard_table(0);
-    table.dialect = BOARD_SABERTOOTH;
-    table.answers = table.field_count = table.disarm_count = table.feedback_bytes = 0;
-    table.payload_bytes = SABERTOOTH_SETPOINT_BYTES;
-    table.unit = 128;
-    table.payload[0] = 3;
-    for (uint32_t j = 0; j < MOTORS; j++) {
-        table.setpoint[j].place = at(1 + j, 1, 1);
-        table.setpoint[j].scale.raw_per_si = 10.0;
-        table.setpoint[j].scale.raw_min = -127.0, table.setpoint[j].scale.raw_max = 127.0;
     }
     return table;
 }
@@ -419,24 +357,6 @@ static void frames_with_a_wrong_sum_are_silence(void)
     CHECK(w.machine.bad_frames == 1 && w.machine.state.mode == DRIVE_UNRESPONSIVE && sends(0, 0));
 }
 
-static void a_sabertooth_is_there_while_its_port_takes_bytes(void)
-{
-    static const uint8_t still[] = {128, 14, 3, 17, 128, 0, 0, 0, 128, 4, 0, 4};
-    static const uint8_t turning[] = {128, 14, 3, 17, 128, 0, 10, 10, 128, 4, 10, 14};
-    begin_with(sabertooth_table());
-    request(DRIVE_READY);
-    go_on(50 * MS);
-    CHECK(w.sent_bytes == sizeof still && memcmp(w.sent, still, sizeof still) == 0);
-    request(DRIVE_ARMED);
-    go_on(50 * MS);
-    CHECK(w.sent_bytes == sizeof turning && memcmp(w.sent, turning, sizeof turning) == 0);
-    board_machine_receive(&w.machine, turning, sizeof turning, w.now_ns); /* an echo is nothing that it reports */
-    CHECK(w.machine.bad_frames == 0 && w.machine.feedback_bytes == 0);
-    w.enabled = 2; /* set-points come no more */
-    go_on(300 * MS);
-    CHECK(w.machine.state.mode != DRIVE_ARMED && memcmp(w.sent, still, sizeof still) == 0);
-}
-
 static void tables_of_packets_are_refused_where_they_do_not_fit(void)
 {
     char name[FIELD_NAME_BYTES];
@@ -456,19 +376,6 @@ static void tables_of_packets_are_refused_where_they_do_not_fit(void)
     table = hoverboard_table(0);
     table.imu.used = 1;
     CHECK(strcmp(board_table_check(&table, name), "imu.used") == 0);
-    table = sabertooth_table();
-    CHECK(board_table_check(&table, name) == NULL);
-    table.unit = 127;
-    CHECK(strcmp(board_table_check(&table, name), "unit") == 0);
-    table.unit = 136;
-    CHECK(strcmp(board_table_check(&table, name), "unit") == 0);
-    table.unit = 135;
-    CHECK(board_table_check(&table, name) == NULL);
-    table.payload_bytes = 4;
-    CHECK(strcmp(board_table_check(&table, name), "payload_bytes") == 0);
-    table = sabertooth_table();
-    table.answers = 1;
-    CHECK(strcmp(board_table_check(&table, name), "answers") == 0);
 }
 
 int main(void)
@@ -482,13 +389,9 @@ int main(void)
     single_bytes_of_the_start_word_may_stand_anywhere();
     another_start_word_is_no_frame_whatever_its_sum_and_is_dropped_at_once();
     bytes_of_no_frame_are_counted_once_as_long_as_the_stream_is_lost();
-    each_motor_has_a_packet_with_its_direction_and_the_sum_of_seven_bits();
-    the_time_out_goes_out_with_every_set_point();
-    nothing_but_an_address_is_above_127();
     a_hoverboard_follows_when_armed_and_its_speeds_are_read();
     a_hoverboard_that_falls_silent_is_sent_zero_and_taken_back();
     frames_with_a_wrong_sum_are_silence();
-    a_sabertooth_is_there_while_its_port_takes_bytes();
     tables_of_packets_are_refused_where_they_do_not_fit();
     return checks_report("test_board_packets");
 }

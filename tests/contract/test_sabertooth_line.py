@@ -11,14 +11,29 @@ import pytest
 from loop_side import running, until
 from pysabertooth import Sabertooth
 from sim_bench import simulated
+from sim_bench import spec_of as bench_spec_of
 
 from motord.config.drives.load import find_profile
+from motord_hal.base.errors import ProfileError
 from motord_hal.fieldbus.halt import halt_line
+from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import DriveState, JointSpec, LineSpec
+from motord_hal.realtime.exchange import Exchange
 
-UNIT = 130
-TIMEOUT = bytes((UNIT, 14, 3, (UNIT + 14 + 3) & 127))
+UNIT, OTHER = 130, 131
+
+
+def packet(unit, command, value):
+    return bytes((unit, command, value, (unit + command + value) & 127))
+
+
+TIMEOUT = packet(UNIT, 14, 3)
 """0.3 s."""
+
+
+SINGLE = replace(find_profile("sabertooth"), channels={1: find_profile("sabertooth").channels[1]})
+"""Of which a robot's two wheels need two: at 128 and 129."""
+OTHER_PROFILE = replace(SINGLE, name="other")
 
 
 @pytest.fixture
@@ -38,11 +53,12 @@ def taken(master):
     return b""
 
 
-def spec_of(path, watchdog_s=0.3):
+def spec_of(path, watchdog_s=0.3, places=((UNIT, 1), (UNIT, 2))):
+    """`places`: unit and channel of each joint."""
     profile = find_profile("sabertooth")
-    joints = (
-        JointSpec(index=0, name="left", profile=profile, unit=UNIT, channel=1),
-        JointSpec(index=1, name="right", profile=profile, unit=UNIT, channel=2),
+    joints = tuple(
+        JointSpec(index=index, name=f"wheel{index}", profile=profile, unit=unit, channel=channel)
+        for index, (unit, channel) in enumerate(places)
     )
     return LineSpec(
         index=0, name="saber", kind="sabertooth", port=path, baudrate=9600, parity="none",
@@ -96,6 +112,48 @@ async def test_packets_are_those_of_pysabertooth_behind_the_time_out(port, left,
             return 2 * expected in seen
 
         await rig.drive(sent, "the same packets")
+
+
+async def test_two_drivers_on_one_wire_are_sent_what_two_of_pysabertooth_send(port):
+    master, path = port
+    with sabertooth(path, UNIT) as one, sabertooth(path, OTHER) as other:
+        taken(master)
+        one.driveBoth(0, 100)
+        first = taken(master)
+        other.driveBoth(-100, 0)
+        expected = TIMEOUT + first + packet(OTHER, 14, 3) + taken(master)
+    taken(master)
+    seen = b""
+    spec = spec_of(path, places=((OTHER, 1), (UNIT, 2)))
+    still = b"".join(packet(unit, *zero) for unit in (UNIT, OTHER) for zero in ((0, 0), (4, 0)))
+    async with running(spec) as rig:
+        rig.loop.enabled, rig.loop.duty = True, {0: -1.0, 1: 1.0}
+
+        def sent():
+            nonlocal seen
+            seen += taken(master)
+            return 2 * expected in seen
+
+        await rig.drive(sent, "the same packets")
+        rig.loop.enabled = False
+        await until(lambda: rig.states() == {DriveState.READY}, "not enabled any more")
+        seen = b""
+
+        def is_still():
+            nonlocal seen
+            seen += taken(master)
+            without = seen.replace(TIMEOUT, b"").replace(packet(OTHER, 14, 3), b"")
+            return still in without[-len(still) :]
+
+        await until(is_still, "both are sent zero")
+
+
+async def test_drivers_of_two_profiles_on_one_wire_are_refused(port):
+    _, path = port
+    spec = spec_of(path, places=((UNIT, 1), (OTHER, 1)))
+    joints = (spec.joints[0], replace(spec.joints[1], profile=OTHER_PROFILE))
+    with pytest.raises(ProfileError, match="the same profile"):
+        open_line(replace(spec, joints=joints), Exchange.private(), print)
 
 
 async def test_nothing_but_zeros_and_the_time_out_goes_out_before_arming_and_at_the_end(port):
@@ -154,6 +212,39 @@ async def test_pysabertooth_drives_the_simulated_driver_until_its_time_out(tmp_p
         await until(turn, "both turn")
         await until(lambda: sim.truth().at_rest, "silence stops them")
         assert bites() == 1
+
+
+async def test_each_of_two_simulated_drivers_on_one_wire_takes_what_is_for_it(tmp_path):
+    with simulated(SINGLE, tmp_path) as sim, sabertooth(str(tmp_path / "bus"), 129) as right:
+
+        def speeds():
+            return [joint.velocity_rad_s for joint in sim.truth().joints.values()]
+
+        def turn():
+            right.drive(1, 60)
+            return speeds()[1] < -2.0
+
+        await until(turn, "the one at 129 turns")
+        assert speeds()[0] == 0.0
+
+
+async def test_two_simulated_drivers_on_one_wire_drive_a_robot_and_stop_by_their_time_out(tmp_path):
+    with simulated(SINGLE, tmp_path) as sim:
+
+        def speeds():
+            return [joint.velocity_rad_s for joint in sim.truth().joints.values()]
+
+        def bites():
+            units = sim.stats()["lines"]["bus"]["units"]
+            return [units[unit]["watchdog_bites"] for unit in ("128", "129")]
+
+        async with running(bench_spec_of(SINGLE, tmp_path)) as rig:
+            rig.loop.duty = {0: 0.5, 1: -0.5}
+            await rig.drive(lambda: speeds()[0] > 1.0 and speeds()[1] < -1.0, "both turn")
+            await rig.line.disarm()
+            await until(lambda: sim.truth().at_rest, "zero stops both")
+        assert bites() == [0, 0]
+        await until(lambda: bites() == [1, 1], "each has the time-out")
 
 
 async def test_packets_for_another_address_or_with_a_wrong_sum_move_nothing(tmp_path):

@@ -17,6 +17,7 @@ ESTIMATED = {
     "forward-only": Source.SPEEDS,
     "hoverboard-rover": Source.SPEEDS,
     "sabertooth": Source.SETPOINTS,
+    "sabertooth4": Source.SETPOINTS,
     "two-single-drives": Source.SPEEDS,
     "waveshare-ugv": Source.SPEEDS,
 }

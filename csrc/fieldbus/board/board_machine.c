@@ -169,13 +169,23 @@ static void obey_order(board_machine *m, int64_t now_ns)
     m->order_written = true;
 }
 
+/* All of them at once: what stops one of them stops the others in the same cycle. */
+static uint32_t build_sabertooths(const board_table *table, const uint8_t *payload, uint8_t *out)
+{
+    uint32_t count = 0;
+    for (uint32_t i = 0; i < table->unit_count; i++) {
+        count += board_sabertooth_build(table->unit[i], payload + SABERTOOTH_SETPOINT_BYTES * i, out + count);
+    }
+    return count;
+}
+
 static uint32_t build(const board_machine *m, const uint8_t *payload, int64_t now_ns, uint8_t *out)
 {
     const board_table *table = &m->table;
     switch (table->dialect) {
     case BOARD_TEXT: return board_text_write(table, payload, out);
     case BOARD_HOVERBOARD: return board_hoverboard_build(payload, table->mixed, out);
-    case BOARD_SABERTOOTH: return board_sabertooth_build(table->unit, payload, out);
+    case BOARD_SABERTOOTH: return build_sabertooths(table, payload, out);
     default:
         return board_frame_build(BOARD_TYPE_SETPOINTS, m->next, (uint32_t)(now_ns / NS_PER_US), payload, table->payload_bytes,
                                  out);

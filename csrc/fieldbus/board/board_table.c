@@ -154,6 +154,18 @@ static void check_imu(finding *f, const board_table *table)
     }
 }
 
+static void check_sabertooths(finding *f, const board_table *table)
+{
+    uint32_t least = SABERTOOTH_UNIT_MIN;
+    need(f, table->unit_count >= 1 && table->unit_count <= SABERTOOTH_UNITS_MAX, "unit_count");
+    for (uint32_t i = 0; !f->bad && i < table->unit_count; i++) {
+        need(f, table->unit[i] >= least && table->unit[i] <= SABERTOOTH_UNIT_MAX, "unit");
+        least = table->unit[i] + 1U;
+    }
+    need(f, table->payload_bytes == SABERTOOTH_SETPOINT_BYTES * table->unit_count, "payload_bytes");
+    need(f, table->answers == 0, "answers");
+}
+
 /* As long as the packets have room for, and as they are read. */
 static void check_packets(finding *f, const board_table *table)
 {
@@ -162,9 +174,7 @@ static void check_packets(finding *f, const board_table *table)
         need(f, table->feedback_bytes == HOVERBOARD_VALUE_BYTES, "feedback_bytes");
         need(f, table->answers == 1, "answers");
     } else {
-        need(f, table->payload_bytes == SABERTOOTH_SETPOINT_BYTES, "payload_bytes");
-        need(f, table->unit >= SABERTOOTH_UNIT_MIN && table->unit <= SABERTOOTH_UNIT_MAX, "unit");
-        need(f, table->answers == 0, "answers");
+        check_sabertooths(f, table);
     }
 }
 

@@ -211,16 +211,20 @@ class Rig:
         if line.kind == "pwm":
             return self._make_pins(line, drives, link_dir)
         port = self._make_port(line, link_dir)
-        talk = self._make_talk(line)
-        if talk is not None:
-            return SimulatedBoard(line, drives, self.script, port, talk)
+        talks = self._make_talks(line)
+        if talks:
+            return SimulatedBoard(line, drives, self.script, port, talks)
         if line.kind in SERVO_KINDS:
             return SimulatedServoLine(line, drives, self.script, port)
         return SimulatedLine(line, drives, self.script, port)
 
-    def _make_talk(self, line: LineSpec) -> Talk | None:
-        """What a board speaks; None: there is no board on this line."""
-        profile = line.joints[0].profile
+    def _make_talks(self, line: LineSpec) -> dict[int, Talk]:
+        """By its address what each board takes and sends; empty: there is none on this line."""
+        units = {joint.unit: joint.profile for joint in line.joints}
+        talks = {unit: self._make_talk(line, unit, profile) for unit, profile in units.items()}
+        return {unit: talk for unit, talk in talks.items() if talk is not None}
+
+    def _make_talk(self, line: LineSpec, unit: int, profile: DriveProfile) -> Talk | None:
         if line.kind == "mcu":
             return FrameTalk(profile, lambda: self.plant.time_s, self._make_gyro(line))
         if line.kind == "ascii":
@@ -228,7 +232,7 @@ class Rig:
         if line.kind == "hoverboard":
             return HoverboardTalk(profile)
         if line.kind == "sabertooth":
-            return SabertoothTalk(profile, line.joints[0].unit)
+            return SabertoothTalk(profile, unit)
         return None
 
     def _watchdog_s(self, profile: DriveProfile) -> float:

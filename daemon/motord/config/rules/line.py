@@ -43,8 +43,6 @@ SERVO_UNIT_MAX = 252
 ON_RT_ONLY = (DdsmLine, DynamixelLine, FeetechLine, PortLine)
 """They always sit on a serial port of this machine."""
 WITHOUT_ADDRESS = (McuLine, AsciiLine, HoverboardLine)
-ALONE = (*WITHOUT_ADDRESS, SabertoothLine)
-"""One board a line."""
 
 
 def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
@@ -110,11 +108,20 @@ def _servo_unit(robot: Robot) -> Iterator[Finding]:
 
 def _one_board(robot: Robot) -> Iterator[Finding]:
     for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
-        alone = isinstance(robot.line.get(first.line), ALONE)
+        alone = isinstance(robot.line.get(first.line), WITHOUT_ADDRESS)
         if alone and first.line == second.line and first.unit != second.unit:
             text = f'line "{first.line}" has one board: joint {one} is on unit {first.unit}'
             kind: Path = ("line", first.line, "kind")
             yield Finding((("joint", other, "unit"), ("joint", one, "unit"), kind), text)
+
+
+def _one_profile(robot: Robot) -> Iterator[Finding]:
+    """Drivers that move and stop as one drive take the same steps."""
+    for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
+        together = isinstance(robot.line.get(first.line), SabertoothLine)
+        if together and first.line == second.line and first.drive != second.drive:
+            text = f'joint {one} on the same wire has "{first.drive}": all Sabertooths take one'
+            yield Finding((("joint", other, "drive"), ("joint", one, "drive")), text)
 
 
 def _templates(robot: Robot) -> Iterator[Finding]:
@@ -217,6 +224,7 @@ LINE_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _unit,
     _servo_unit,
     _one_board,
+    _one_profile,
     _templates,
     _gap,
     _direction,

@@ -110,7 +110,7 @@ def _cycle_time_s(spec: LineSpec, joints: list[JointSpec]) -> float:
         return _wire_time_s(spec, size_bytes)
 
     if spec.kind in _STREAMS:
-        return wire_time_s(_stream_bytes(spec, joints)) / WIRE_SHARE_MAX
+        return wire_time_s(_stream_bytes(spec, joints)) / WIRE_SHARE_MAX / len(_units(spec))
     if spec.kind == "ddsm":
         from motord_hal.rt_engine.rs485.ddsm_frames import DdsmFrames
 

@@ -12,8 +12,8 @@ from motord_hal.base.errors import DriveFault, HalError, NoReply
 from motord_hal.drives.profile import Step
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.realtime.board import BoardDriveReport, BoardThread
-from motord_hal.rt_engine.boards.layout import Layout
-from motord_hal.rt_engine.boards.table import write
+from motord_hal.rt_engine.boards.layout import Layout, Plain
+from motord_hal.rt_engine.boards.table import writes
 from motord_hal.rt_engine.rs485.request_queue import Check, always
 
 SENT_WITHIN_S = 0.5
@@ -66,17 +66,17 @@ class BoardJobs:
             check()
             if step.value is None:
                 await self._wait_for(name, step, check)
-            else:
-                await self._write(name, step.register, step.value, stops)
+            for write in writes(self._layout, [step]):
+                await self._write(name, write, stops)
 
     def _drive_report(self) -> BoardDriveReport:
         return self._thread.report().drives[0]
 
-    async def _write(self, name: str, register: str, raw: int, stops: int | None) -> None:
+    async def _write(self, name: str, write: Plain, stops: int | None) -> None:
         """Until a frame with it has gone out."""
         dropped = self._drive_report().orders_dropped
         order = {
-            "write": write(self._layout, register, raw),
+            "write": write,
             "guarded": int(stops is not None),
             "stops": stops or 0,
         }

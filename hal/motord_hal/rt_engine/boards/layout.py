@@ -54,6 +54,18 @@ class Layout:
     """What the table needs of the protocol itself."""
     rate_z: Plain | None = None
     """Of an inertial sensor in a text; None: there is none."""
+    units: tuple[int, ...] = ()
+    """Of drivers on one wire, each with its part of what is sent; empty: there is one board."""
+
+    def place(self, register: str, unit: int) -> Plain:
+        """Where it stands in what goes to the board with this address."""
+        first = self.sent[register]
+        part = self.units.index(unit) if self.units else 0
+        return {**first, "byte": first["byte"] + part * sabertooth.ADDRESSES}
+
+    def places(self, register: str) -> list[Plain]:
+        """Of all boards on the line."""
+        return [self.place(register, unit) for unit in self.units or (0,)]
 
     def raw(self, register: str, payload: bytes) -> int | None:
         """Its value in a word of the board; None: it is not in it."""
@@ -72,7 +84,7 @@ def layout_of(spec: LineSpec, plan: DrivePlan, period_s: float) -> Layout:
         return _frames(plan, period_s)
     if spec.kind == "ascii":
         return _text(spec, plan)
-    return _hoverboard(plan) if spec.kind == "hoverboard" else _sabertooth(plan)
+    return _hoverboard(plan) if spec.kind == "hoverboard" else _sabertooth(spec, plan)
 
 
 def _frames(plan: DrivePlan, period_s: float) -> Layout:
@@ -135,16 +147,23 @@ def _hoverboard(plan: DrivePlan) -> Layout:
     return Layout(sent, reported, dialect)
 
 
-def _sabertooth(plan: DrivePlan) -> Layout:
-    if plan.unit not in sabertooth.UNITS:
-        raise ProfileError(f"unit {plan.unit} is no address of a Sabertooth (128 to 135)")
+def _sabertooth(spec: LineSpec, plan: DrivePlan) -> Layout:
+    units = _units(spec)
+    for unit in units:
+        if unit not in sabertooth.UNITS:
+            raise ProfileError(f"unit {unit} is no address of a Sabertooth (128 to 135)")
     sent = {one.name: _place(one, one.address) for one in plan.profile.registers.values()}
     dialect = {
         "dialect": _SABERTOOTH,
-        "payload_bytes": sabertooth.ADDRESSES,
-        "unit": plan.unit,
+        "payload_bytes": sabertooth.ADDRESSES * len(units),
+        "unit_count": len(units),
+        "unit": list(units),
     }
-    return Layout(sent, {}, dialect)
+    return Layout(sent, {}, dialect, units=units)
+
+
+def _units(spec: LineSpec) -> tuple[int, ...]:
+    return tuple(sorted({joint.unit for joint in spec.joints}))
 
 
 def _fields_of(plan: DrivePlan) -> dict[str, Register]:
@@ -175,4 +194,6 @@ def wire_bytes(spec: LineSpec, channels: Iterable[int]) -> int:
         return frame_bytes(max(channels), imu=spec.imu is not None)
     if spec.kind == "ascii":
         return text_bytes(spec)
-    return hoverboard.FEEDBACK_BYTES if spec.kind == "hoverboard" else sabertooth.CYCLE_BYTES
+    if spec.kind == "hoverboard":
+        return hoverboard.FEEDBACK_BYTES
+    return sabertooth.CYCLE_BYTES * len(_units(spec))

@@ -30,8 +30,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
 
     def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
         super().__init__(spec, listener)
-        if len(list(joints_by_unit(spec))) != 1:
-            raise ProfileError(f"{spec.name}: one board a line: all its joints have the same unit")
+        _check_boards(spec)
         self._thread = BoardThread(spec.index, exchange)
         plan = DrivePlan(spec.joints, 0.0, lambda _: 0.0)
         size_bytes = wire_bytes(spec, plan.profile.channels)
@@ -129,6 +128,15 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         if raw is None:
             raise NoReply(f"{drive} has not reported its {register}")
         return found.to_si(raw)
+
+
+def _check_boards(spec: LineSpec) -> None:
+    """Raises ProfileError for boards that cannot be on one line."""
+    boards = list(joints_by_unit(spec))
+    if spec.kind != "sabertooth" and len(boards) != 1:
+        raise ProfileError(f"{spec.name}: one board a line: all its joints have the same unit")
+    if len({joints[0].profile.name for joints in boards}) != 1:
+        raise ProfileError(f"{spec.name}: drivers on one wire have the same profile")
 
 
 def _errors(report: BoardReport) -> Counter[str]:

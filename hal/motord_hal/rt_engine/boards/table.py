@@ -67,20 +67,21 @@ def _imu(spec: LineSpec, layout: Layout) -> Plain:
     }
 
 
-def write(layout: Layout, register: str, raw: int) -> Plain:
-    return {"place": layout.sent[register], "raw": raw}
-
-
 def writes(layout: Layout, steps: Iterable[Step]) -> list[Plain]:
-    """The writes of a sequence, in order; what it waits for is left out."""
-    return [write(layout, step.register, step.value) for step in steps if step.value is not None]
+    """The writes of a sequence, in order, each to all boards; what it waits for is left out."""
+    return [
+        {"place": place, "raw": step.value}
+        for step in steps
+        if step.value is not None
+        for place in layout.places(step.register)
+    ]
 
 
 def _setpoint(plan: DrivePlan, joint: JointSpec, layout: Layout) -> Plain:
     channel = plan.channel(joint)
     _, register = setpoint_of(plan, joint)
     return {
-        "place": layout.sent[register.name],
+        "place": layout.place(register.name, joint.unit),
         "scale": setpoint_scale(joint, channel, si_per_raw(register), raw_limits(register)),
     }
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated board on a serial port: takes a stream of set-points, sends a stream of feedback."""
+"""Simulated boards on a serial port: each takes a stream of set-points and sends a stream of
+feedback."""
 
 from __future__ import annotations
 
@@ -49,8 +50,38 @@ class Talk(Protocol):
     def feedback(self, content: NamedContent, now_s: float) -> bytes: ...
 
 
+class _Board:
+    """One drive, and what it makes of the bytes on its wire."""
+
+    def __init__(self, drive: SimulatedDrive, talk: Talk) -> None:
+        self.drive = drive
+        self.talk = talk
+        self._reboots = 0
+        self._fed_back_s = 0.0
+
+    @property
+    def due_s(self) -> float:
+        """Of its next feedback."""
+        return self._fed_back_s + self.talk.feedback_s
+
+    def is_awake(self) -> bool:
+        """False while it has no power; what it knew is lost when that comes back."""
+        if self.drive.on and self.drive.stats.reboots != self._reboots:
+            self._reboots = self.drive.stats.reboots
+            self.talk.power_up()
+        return self.drive.on
+
+    def feedback(self, now_s: float, *, silent: bool) -> bytes:
+        """Empty: it has none, or is silent."""
+        self._fed_back_s = now_s
+        content = self.drive.registers
+        if silent or not self.is_awake() or not isinstance(content, NamedContent):
+            return b""
+        return self.talk.feedback(content, now_s)
+
+
 class SimulatedBoard:
-    """As SimulatedLine, with one board on it."""
+    """As SimulatedLine, with one board on it, or several that only listen."""
 
     def __init__(
         self,
@@ -58,20 +89,18 @@ class SimulatedBoard:
         drives: Mapping[int, SimulatedDrive],
         script: FaultScript,
         port: Port,
-        talk: Talk,
+        talks: Mapping[int, Talk],
     ) -> None:
+        """`talks`: by the board's address."""
         self.spec = spec
         self.drives = drives
         self.port = port
         self.counters = BoardCounters()
-        self._drive = next(iter(drives.values()))
+        self._boards = [_Board(drives[unit], talk) for unit, talk in talks.items()]
         self._script = script
-        self._talk = talk
         self._bits = character_bits(spec.parity, spec.stop_bits)
-        self._reboots = 0
         self.wire = Wire(port, self._bits / spec.baudrate)
         self._incoming: deque[tuple[float, bytes]] = deque()
-        self._fed_back_s = 0.0
 
     # ---------------------------------------------------------------------------------- plugging
     def plug(self) -> None:
@@ -96,11 +125,7 @@ class SimulatedBoard:
             return math.inf
         received_s = self._incoming[0][0] if self._incoming else math.inf
         port_s = self.port.due_s(now_s)
-        return min(received_s, self.wire.due_s(), port_s, self._feedback_due_s)
-
-    @property
-    def _feedback_due_s(self) -> float:
-        return self._fed_back_s + self._talk.feedback_s
+        return min(received_s, self.wire.due_s(), port_s, *(one.due_s for one in self._boards))
 
     def work(self, now_s: float, clock: Clock | None = None) -> None:
         """Take in what has come, do what is due."""
@@ -113,8 +138,9 @@ class SimulatedBoard:
             self._receive(data, now_s)
         while self._incoming and self._incoming[0][0] <= now_s:
             self._obey(self._incoming.popleft()[1], now_s)
-        if now_s >= self._feedback_due_s:
-            self._feed_back(now_s, connected=data is not None)
+        for board in self._boards:
+            if now_s >= board.due_s:
+                self._feed_back(board, now_s, connected=data is not None)
         self.wire.work(clock or (lambda: now_s))
 
     def stats(self) -> dict[str, Any]:
@@ -147,32 +173,25 @@ class SimulatedBoard:
         return data
 
     def _obey(self, data: bytes, now_s: float) -> None:
-        if not self._awake():
-            return
-        for written in self._talk.feed(data, now_s):
-            self.counters.frames += 1
-            if written is None:
-                self.counters.bad_crc += 1
-            else:
-                self._drive.obey(written, now_s)
+        """Each board receives all of it, and takes what is for it."""
+        for board in self._boards:
+            if not board.is_awake():
+                continue
+            for written in board.talk.feed(data, now_s):
+                self.counters.frames += 1
+                if written is None:
+                    self.counters.bad_crc += 1
+                else:
+                    board.drive.obey(written, now_s)
 
-    def _awake(self) -> bool:
-        """False while it has no power; what it knew is lost when that comes back."""
-        if self._drive.on and self._drive.stats.reboots != self._reboots:
-            self._reboots = self._drive.stats.reboots
-            self._talk.power_up()
-        return self._drive.on
-
-    def _feed_back(self, now_s: float, *, connected: bool) -> None:
-        self._fed_back_s = now_s
-        silent = self._script.silent(self._drive.unit, now_s)
-        content = self._drive.registers
-        if not connected or not self._awake() or silent or not isinstance(content, NamedContent):
+    def _feed_back(self, board: _Board, now_s: float, *, connected: bool) -> None:
+        silent = not connected or self._script.silent(board.drive.unit, now_s)
+        sent = board.feedback(now_s, silent=silent)
+        if not sent:
             return
-        sent = self._talk.feedback(content, now_s)
-        spoiled = self._script.spoil(self._drive.unit, sent, Unaddressed(), now_s)
+        spoiled = self._script.spoil(board.drive.unit, sent, Unaddressed(), now_s)
         if spoiled.frame:
             self.counters.replies += 1
-            held_s = self._talk.feedback_s if spoiled.held else 0.0
+            held_s = board.talk.feedback_s if spoiled.held else 0.0
             received = self._disturbed(spoiled.frame, now_s)
             self.wire.send(received, now_s + spoiled.delay_s + held_s)
