@@ -5,9 +5,9 @@
  */
 
 /* ------------------------------------------------------------------------------------------- boards on a stream
- * One board alone on a serial port, or Sabertooths that count as one; one thread. It is sent its payload in every cycle, set-points among it, and says its
- * own unasked. Both are bytes with numbers at their places, low byte first: as they are in frames (docs/mcu-frame.md), or
- * as text (docs/mcu/line-ascii.md), whose numbers are written to and read from such places. */
+ * One board alone on a serial port, or Sabertooths that count as one; one thread. It is sent its payload in every cycle,
+ * set-points among it, and says its own unasked. Both are bytes with numbers at their places, low byte first: as they are in
+ * frames (docs/mcu-frame.md), or as text (docs/mcu/line-ascii.md), whose numbers are written to and read from such places. */
 enum {
     BOARD_PAYLOAD_MAX = 190, /* a frame of 200 bytes without its head and check sum */
     BOARD_SETPOINTS_MAX = 8,
