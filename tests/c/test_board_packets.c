@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_packets: packets of the hoverboard FOC firmware, byte by byte, and how a stream is found again. Buffers are as long as what is in them, so that a sanitizer sees one byte more. */
+ * test_board_packets: packets of the hoverboard FOC firmware, byte by byte, and how a stream is found again. Buffers are as
+ * long as what is in them, so that a sanitizer sees one byte more. */
 #include <stdlib.h>
 
 #include "board_wire.h"
