@@ -102,7 +102,7 @@ def held_up_run(model, peak, *, holds=()):
 @pytest.mark.parametrize("what", ["tool", "loop", "line"])
 @pytest.mark.parametrize("begin_s", [0.1, 0.3, 0.6, 1.3])
 def test_a_computer_that_is_held_up_for_moments_does_not_bend_the_wheel(what, begin_s):
-    """Under a torque a wheel keeps what a moment has added to its speed: what nobody saw of the
+    """Under a torque a wheel keeps what a moment has added to its speed: what was not seen of the
     torque must not count for the rest of the run."""
     model = WheelModel()
     holds = [(what, begin_s, begin_s + 0.12), (what, begin_s + 0.35, begin_s + 0.45)]
