@@ -68,6 +68,20 @@ static void a_base_that_begins_to_roll_is_not_at_rest(void)
     }
 }
 
+static void joints_of_which_one_begins_to_move_are_not_at_rest(void)
+{
+    for (uint32_t moves = 0; moves < 3; moves++) {
+        core_config config = head_and_belt();
+        config.joint[0] = config.joint[1]; /* two belts */
+        rig r;
+        ready(&r, &config);
+        r.input.control.armed = 1;
+        CHECK(tick(&r)->at_rest == 1);
+        r.input.joints = (joint_command){.named = 1U << moves, .value_u = {0.5, 0.5, 0.5}};
+        CHECK(tick(&r)->at_rest == 0 && r.out.joint[moves].velocity_rad_s > 0.0);
+    }
+}
+
 /* Of whichever joint; and it ends with it. */
 static void a_duty_at_its_limit_is_reported(void)
 {
@@ -434,6 +448,7 @@ int main(void)
     a_bicycle_points_its_wheel_drives_and_measures_its_curve();
     each_wheel_of_a_swerve_base_rolls_as_the_floor_under_it();
     a_base_that_begins_to_roll_is_not_at_rest();
+    joints_of_which_one_begins_to_move_are_not_at_rest();
     a_duty_at_its_limit_is_reported();
     a_duty_that_is_no_number_is_seen_at_once();
     at_rest_the_wheel_points_first();
