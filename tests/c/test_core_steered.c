@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_core_steered: ticks of bases whose wheels are steered, and of joints without a base. */
+ * test_core_steered: ticks of bases whose wheels are steered. */
 #include "steered_bases.h"
 
 static const double ANGLE_RAD = 0.23554498072086333; /* of the bicycle's wheel at 0.8 / m: atan(0.3 * 0.8) */
@@ -65,20 +65,6 @@ static void a_base_that_begins_to_roll_is_not_at_rest(void)
         CHECK(tick(&r)->at_rest == 1);
         r.input.command.linear_m_s = 0.5;
         CHECK(tick(&r)->setpoint_linear_m_s > 0.0 && r.shown.at_rest == 0);
-    }
-}
-
-static void joints_of_which_one_begins_to_move_are_not_at_rest(void)
-{
-    for (uint32_t moves = 0; moves < 3; moves++) {
-        core_config config = head_and_belt();
-        config.joint[0] = config.joint[1]; /* two belts */
-        rig r;
-        ready(&r, &config);
-        r.input.control.armed = 1;
-        CHECK(tick(&r)->at_rest == 1);
-        r.input.joints = (joint_command){.named = 1U << moves, .value_u = {0.5, 0.5, 0.5}};
-        CHECK(tick(&r)->at_rest == 0 && r.out.joint[moves].velocity_rad_s > 0.0);
     }
 }
 
@@ -337,118 +323,11 @@ static void the_slip_of_an_arc_is_smoothed(void)
     CHECK(close_to(state.spread.slip_m_s, slip_m_s + (left_m - slip_m_s * 0.1) / 0.3));
 }
 
-/* --- joints without a base */
-static void ask(rig *r, uint32_t named, double pan_rad, double belt_rad_s)
-{
-    r->input.joints.named = named;
-    r->input.joints.value_u[0] = pan_rad, r->input.joints.value_u[1] = belt_rad_s;
-}
-
-static void joints_move_each_for_itself_and_no_base_is_measured(void)
-{
-    core_config config = head_and_belt();
-    rig r;
-    ready(&r, &config);
-    r.input.control.armed = 1;
-    CHECK(tick(&r)->armed == 1 && r.out.positioned == 5);
-    ask(&r, 3, 1.0, -4.0);
-    tick(&r);
-    CHECK(close_to(r.out.joint[1].velocity_rad_s, -0.01) && close_to(r.out.position_rad[0], 40e-6) && r.shown.at_rest == 0);
-    CHECK(r.shown.reasons == REASON_JOINT_ACCELERATION && r.out.position_rad[2] == 0.0);
-    ticks(&r, 1000);
-    CHECK(r.out.joint[1].velocity_rad_s == -4.0 && close_to(r.out.joint[1].duty, -4.0 / 60.0) && r.out.position_rad[0] == 1.0);
-    CHECK(r.shown.reasons == 0 && fabs(r.shown.joint[0].position_rad - 1.0) < 1e-4 && r.shown.odometry_degraded == 0);
-    CHECK(r.shown.x_m == 0.0 && r.shown.heading_rad == 0.0 && r.shown.linear_m_s == 0.0);
-    ask(&r, 0, 0.0, 0.0);
-    ticks(&r, 500);
-    CHECK(zero(&r) && r.shown.at_rest == 1 && r.out.position_rad[0] == 1.0);
-}
-
-static void every_stop_of_joints_ends_at_rest_and_leaves_no_target(void)
-{
-    static const stop_action ACTIONS[] = {STOP_RAMP, STOP_BRAKE, STOP_HOLD, STOP_COAST};
-    for (int i = 0; i < COUNT_OF(ACTIONS); i++) {
-        core_config config = head_and_belt();
-        config.joint[1].own.jerk_u_s3 = 50.0;
-        config.on_fault = config.on_timeout = ACTIONS[i];
-        rig r;
-        ready(&r, &config);
-        r.input.control.armed = 1;
-        tick(&r);
-        ask(&r, 3, 2.0, 4.0);
-        ticks(&r, 300);
-        double before_rad_s = r.out.joint[1].velocity_rad_s;
-        r.input.control.fault = 1;
-        tick(&r);
-        bool at_once = ACTIONS[i] == STOP_BRAKE || ACTIONS[i] == STOP_COAST;
-        CHECK((r.out.joint[1].velocity_rad_s == 0.0) == at_once && (r.out.joint[0].velocity_rad_s == 0.0) == at_once);
-        CHECK(at_once || close_to(before_rad_s - r.out.joint[1].velocity_rad_s, 0.016)); /* no jerk limit in a fault */
-        ticks(&r, 2500);
-        CHECK(zero(&r) && r.out.enabled == (ACTIONS[i] == STOP_HOLD ? 1 : 0));
-        double held_rad = r.state.steer.profile[0].position_rad;
-        CHECK(held_rad > 0.1 && held_rad < 1.9 && fabs(held_rad - r.shown.joint[0].position_rad) < 1e-4);
-        for (int j = 0; j < JOINTS_MAX; j++) {
-            CHECK(isnan(r.state.joints.target_rad[j]));
-        }
-        CHECK(r.out.positioned == (ACTIONS[i] == STOP_HOLD ? 5 : 0));
-    }
-}
-
-static void a_late_tick_of_joints_is_a_step_of_a_tenth_of_a_second(void)
-{
-    static const double LATE_S[] = {0.1, 0.2, 5.0};
-    for (int i = 0; i < COUNT_OF(LATE_S); i++) {
-        core_config config = head_and_belt();
-        rig r;
-        ready(&r, &config);
-        r.input.control.armed = 1;
-        tick(&r);
-        ask(&r, 3, 2.0, 4.0);
-        prepare(&r);
-        core_step(&r.state, &r.input, LATE_S[i], &r.out, &r.shown);
-        CHECK(close_to(r.out.joint[1].velocity_rad_s, 1.0) && close_to(r.out.joint[0].velocity_rad_s, 3.0));
-    }
-}
-
-static void a_target_needs_power_a_finite_command_and_the_lease_that_gave_it(void)
-{
-    core_config config = head_and_belt();
-    rig r;
-    ready(&r, &config);
-    ask(&r, 3, 1.0, 2.0);
-    ticks(&r, 10);
-    CHECK(zero(&r) && r.out.positioned == 0 && r.state.steer.profile[0].position_rad == 0.0);
-    ask(&r, 0, 0.0, 0.0);
-    r.input.control.owner = 4;
-    tick(&r);
-    r.input.control.armed = 1;
-    tick(&r);
-    ask(&r, 3, 1.0, 2.0);
-    ticks(&r, 100);
-    r.input.control.owner = 5; /* another lease: it does not go on */
-    ask(&r, 0, 0.0, 0.0);
-    ticks(&r, 600);
-    double held_rad = r.out.position_rad[0];
-    CHECK(zero(&r) && held_rad > 0.0 && held_rad < 0.5);
-    ask(&r, 3, NAN, 2.0);
-    ticks(&r, 300);
-    CHECK(zero(&r) && r.out.position_rad[0] == held_rad && (r.shown.reasons & REASON_COMMAND_NOT_FINITE));
-    ask(&r, 1, 1.0, 0.0);
-    ticks(&r, 1000);
-    CHECK(r.out.position_rad[0] == 1.0);
-    r.input.control.stop = 1;
-    ticks(&r, 10);
-    r.input.control.stop = 0;
-    ask(&r, 0, 0.0, 0.0);
-    CHECK(ticks(&r, 500)->at_rest == 1 && r.out.position_rad[0] == 1.0);
-}
-
 int main(void)
 {
     a_bicycle_points_its_wheel_drives_and_measures_its_curve();
     each_wheel_of_a_swerve_base_rolls_as_the_floor_under_it();
     a_base_that_begins_to_roll_is_not_at_rest();
-    joints_of_which_one_begins_to_move_are_not_at_rest();
     a_duty_at_its_limit_is_reported();
     a_duty_that_is_no_number_is_seen_at_once();
     at_rest_the_wheel_points_first();
@@ -461,9 +340,5 @@ int main(void)
     an_angle_is_its_counters_distance_from_zero();
     an_arc_has_the_angles_of_its_middle();
     the_slip_of_an_arc_is_smoothed();
-    joints_move_each_for_itself_and_no_base_is_measured();
-    every_stop_of_joints_ends_at_rest_and_leaves_no_target();
-    a_late_tick_of_joints_is_a_step_of_a_tenth_of_a_second();
-    a_target_needs_power_a_finite_command_and_the_lease_that_gave_it();
     return checks_report("test_core_steered");
 }
