@@ -24,7 +24,7 @@ static void begin(joints_rig *r)
     r->input = (joints_input){.command = &r->command, .factor = 1.0, .dt_s = DT_S};
     steer_init(&r->steer, &r->config);
     independent_halt(&r->joints, &r->steer, &r->config);
-    r->velocity_rad_s[TILT] = 9.0;
+    r->velocity_rad_s[TILT] = r->velocity_rad_s[3] = 9.0;
 }
 
 static void command(joints_rig *r, uint32_t j, double value_u)
@@ -82,7 +82,8 @@ static void a_belt_ramps_by_its_own_limits(void)
     command(&r, BELT, -4.0);
     CHECK(step_joints(&r, 1) == REASON_JOINT_ACCELERATION);
     CHECK(close_to(r.velocity_rad_s[BELT], -0.1) && close_to(r.joints.acceleration_rad_s2[BELT], -10.0));
-    CHECK(r.velocity_rad_s[PAN] == 0.0 && r.velocity_rad_s[TILT] == 0.0 && r.steer.enabled == 1);
+    CHECK(r.velocity_rad_s[PAN] == 0.0 && r.velocity_rad_s[TILT] == 0.0 && r.velocity_rad_s[3] == 9.0);
+    CHECK(r.steer.enabled == 1);
     CHECK(step_joints(&r, 38) == REASON_JOINT_ACCELERATION && step_joints(&r, 1) == 0);
     CHECK(step_joints(&r, 1) == 0 && r.velocity_rad_s[BELT] == -4.0 && r.joints.velocity_rad_s[BELT] == -4.0);
     r.command.named = 0; /* left out, it comes to rest */
@@ -125,6 +126,7 @@ static void a_belt_goes_no_faster_than_its_file_and_its_derating_allow(void)
         r.config.joint[BELT].velocity_min_rad_s = -5.0;
         r.input.factor = CASES[i].factor;
         command(&r, BELT, CASES[i].wanted_rad_s);
+        CHECK(step_joints(&r, 1) == (CASES[i].reasons | REASON_JOINT_ACCELERATION));
         CHECK(step_joints(&r, 200) == CASES[i].reasons && close_to(r.velocity_rad_s[BELT], CASES[i].expected_rad_s));
     }
 }
@@ -185,6 +187,8 @@ static void a_head_that_derates_moves_slower_and_says_so_while_it_moves(void)
         r.input.factor = 0.5;
         CHECK(step_joints(&r, 200) == 0 && angle(&r, PAN) == 1.0);
         CHECK(r.config.joint[PAN].position.velocity_rad_s == 3.0);
+        command(&r, PAN, -5.0); /* every reason is reported */
+        CHECK(step_joints(&r, 1) == (REASON_DERATED | REASON_JOINT_POSITION));
     }
 }
 

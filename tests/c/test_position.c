@@ -87,8 +87,9 @@ static void one_step_in_numbers(void)
         {0.0, 0.0, 0.0005, 0.0005, 0.05}, /* in one step */
         {0.0, 0.0, 1e-20, 1e-20, 1e-18},  /* within rounding of where it is */
         {0.0, 1.0, 0.001, 0.009, 0.9},    /* nearer than it can brake: it passes it */
-        {0.0, -1.0, 1.0, -0.009, -0.9},   /* away from it: it brakes first */
-        {0.0, 1.0, NAN, 0.009, 0.9},      /* no goal: it brakes */
+        {0.0, 0.3, 0.0015, 0.002, 0.2},
+        {0.0, -1.0, 1.0, -0.009, -0.9}, /* away from it: it brakes first */
+        {0.0, 1.0, NAN, 0.009, 0.9},    /* no goal: it brakes */
         {0.0, 0.05, NAN, 0.0, 0.0},
         {0.0, -1.0, INFINITY, -0.009, -0.9},
         {0.0, 1.0, INFINITY, 0.009, 0.9},
@@ -150,8 +151,8 @@ static void a_joint_follows_while_it_is_near_or_comes_nearer(void)
     own.following_rad = 0.2, own.following_s = 0.5;
     position_following following = {0, 0.0};
     CHECK(position_follows(&following, &own, 0.2, 0.0, FIRST_NS) && following.since_ns == 0);
-    CHECK(position_follows(&following, &own, 0.44, 1.0, FIRST_NS) && following.since_ns == 0); /* it may lag by 0.25 s */
-    CHECK(position_follows(&following, &own, 0.44, -1.0, FIRST_NS) && following.since_ns == 0);
+    CHECK(position_follows(&following, &own, 0.445, 1.0, FIRST_NS) && following.since_ns == 0); /* it may lag by 0.25 s */
+    CHECK(position_follows(&following, &own, 0.445, -1.0, FIRST_NS) && following.since_ns == 0);
     CHECK(position_follows(&following, &own, NAN, 0.0, FIRST_NS) && following.since_ns == 0);
     CHECK(position_follows(&following, &own, 0.46, 1.0, FIRST_NS) && following.since_ns == FIRST_NS);
     CHECK(following.nearest_rad == 0.46);
