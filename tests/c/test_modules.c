@@ -65,7 +65,10 @@ static void check_least_squares(const core_config *base, const double *angle_rad
 
 static void the_motion_is_that_of_least_squares_at_any_angle(void)
 {
-    const core_config bases[] = {bicycle(), tricycle(), ackermann(WHEELBASE_M), ackermann(-WHEELBASE_M), swerve()};
+    core_config bases[] = {bicycle(), tricycle(), ackermann(WHEELBASE_M), ackermann(-WHEELBASE_M), swerve()};
+    for (int i = 0; i < COUNT_OF(bases); i++) { /* one more, which does not count */
+        bases[i].module[bases[i].module_count] = (wheel_module){.x_m = 1.0, .y_m = 0.5, .traction = 1};
+    }
     for (int round = 0; round < 500; round++) {
         const core_config *base = &bases[round % COUNT_OF(bases)];
         double angle_rad[JOINTS_MAX], rim[JOINTS_MAX];
@@ -138,6 +141,9 @@ static void wheels_share_the_axes_that_they_determine(void)
     twist_inverse found;
     kinematics_invert(&base, 0xF, &found);
     CHECK(found.determined == 1 && found.joints == 0xF && found.strafes == 0 && found.shared == 2.0);
+    base.joint[4] = base.joint[3]; /* no joint of it */
+    kinematics_invert(&base, 0xFF, &found);
+    CHECK(found.determined == 1 && found.shared == 2.0 && found.inverse[0][4] == 0.0 && found.inverse[0][3] > 0.0);
     kinematics_invert(&base, 0x7, &found);
     CHECK(found.determined == 1 && found.joints == 0x7 && found.shared == 1.5 && found.inverse[0][3] == 0.0);
     for (int j = 0; j < 4; j++) {
@@ -156,6 +162,22 @@ static void of_a_base_with_modules_the_inverse_is_that_of_wheels_straight_ahead(
     kinematics_modules(&base, angle_rad, 0xF, &straight);
     kinematics_invert(&base, 0xF, &found);
     CHECK(memcmp(&found, &straight, sizeof found) == 0);
+    core_config one = base; /* not that of its joints' rows */
+    one.module_count = 1;
+    one.joint[0].row = (wheel_row){1.0, 0.0, 0.25}, one.joint[1].row = (wheel_row){1.0, 0.0, -0.25};
+    kinematics_invert(&one, 3, &found);
+    CHECK(found.determined == 0 && found.joints == 0 && found.shared == 1.0);
+}
+
+static void a_wheel_turns_as_its_row_of_the_twist(void)
+{
+    core_config base = good_config();
+    const double twist_u_s[AXES] = {0.5, 0.8, 0.3};
+    double wheel_rad_s[JOINTS_MAX] = {7.0, 7.0, 7.0, 7.0, 7.0};
+    base.joint[2].row.y = 1.0, base.joint[3].wheel_radius_m = 0.2;
+    kinematics_wheels(&base, twist_u_s, wheel_rad_s);
+    CHECK(close_to(wheel_rad_s[0], 3.0) && close_to(wheel_rad_s[1], 7.0) && close_to(wheel_rad_s[2], 6.0));
+    CHECK(close_to(wheel_rad_s[3], 3.5) && wheel_rad_s[4] == 7.0);
 }
 
 static void a_base_strafes_where_all_of_its_wheels_are_steered_or_one_rolls_sideways(void)
@@ -181,6 +203,8 @@ static void a_base_strafes_where_all_of_its_wheels_are_steered_or_one_rolls_side
     CHECK(!kinematics_strafes(&base));
     base.joint[0].row.y = 1.0; /* rows of a base with modules do not count */
     CHECK(!kinematics_strafes(&base));
+    base.module_count = 1, base.module[0].steering = 0;
+    CHECK(!kinematics_strafes(&base));
 }
 
 int main(void)
@@ -191,6 +215,7 @@ int main(void)
     a_base_that_hangs_on_a_thread_is_not_determined();
     wheels_share_the_axes_that_they_determine();
     of_a_base_with_modules_the_inverse_is_that_of_wheels_straight_ahead();
+    a_wheel_turns_as_its_row_of_the_twist();
     a_base_strafes_where_all_of_its_wheels_are_steered_or_one_rolls_sideways();
     return checks_report("test_modules");
 }

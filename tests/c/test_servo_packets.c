@@ -135,6 +135,13 @@ static void a_head_is_stuffed_between_length_and_check_sum_only(void)
     }
 }
 
+static void a_first_byte_is_never_taken_out(void)
+{
+    static const uint8_t WIRE[] = {0xFD, 0xFD, 0x00, 0x00, 0x00};
+    uint8_t plain[FRAME_BYTES_MAX];
+    CHECK(rtu_unstuff(WIRE, sizeof WIRE, plain) == sizeof WIRE && memcmp(plain, WIRE, sizeof WIRE) == 0);
+}
+
 static void the_longest_packet_has_room_for_its_stuffing(void)
 {
     line_frame frame = {.request_bytes = FRAME_BYTES_MAX - 1, .request_seal = SEAL_STUFFED};
@@ -142,7 +149,12 @@ static void the_longest_packet_has_room_for_its_stuffing(void)
     rtu_finish(&frame);
     CHECK(frame.request_bytes == FRAME_BYTES_MAX - 1 && frame.request[FRAME_BYTES_MAX - 4] == 0x11);
     CHECK(rtu_is_sealed(frame.request, FRAME_BYTES_MAX - 1, SEAL_STUFFED));
-    /* what does not fit is cut, and the frame stays within its place */
+    /* what does not fit is cut, and the frame stays within its place: a head at its very end, */
+    frame = (line_frame){.request_bytes = FRAME_BYTES_MAX, .request_seal = SEAL_STUFFED};
+    frame.request[FRAME_BYTES_MAX - 5] = frame.request[FRAME_BYTES_MAX - 4] = 0xFF, frame.request[FRAME_BYTES_MAX - 3] = 0xFD;
+    rtu_finish(&frame);
+    CHECK(frame.request_bytes == FRAME_BYTES_MAX - 1);
+    /* and nothing but heads */
     frame = (line_frame){.request_bytes = FRAME_BYTES_MAX, .reply_bytes = 77, .request_seal = SEAL_STUFFED};
     for (uint32_t i = 0; i < FRAME_BYTES_MAX; i++) {
         frame.request[i] = i % 3 == 2 ? 0xFD : 0xFF;
@@ -219,6 +231,7 @@ int main(void)
     an_error_number_is_a_refusal_and_an_alert_is_none();
     stuffing_is_taken_out_and_put_in();
     a_head_is_stuffed_between_length_and_check_sum_only();
+    a_first_byte_is_never_taken_out();
     the_longest_packet_has_room_for_its_stuffing();
     a_packet_without_an_error_number_is_no_status();
     values_stand_low_byte_first();
