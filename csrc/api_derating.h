@@ -30,9 +30,14 @@ typedef struct {
     uint32_t by; /* DERATED_BY_* */
 } derating_shown;
 
-/* Since when each reason holds. */
+/* Since when each reason holds, and the joints that it comes from: bit n is joint n. What is said of a reason counts only while
+ * it holds. */
 typedef struct {
     int64_t since_ns[REASONS_MAX]; /* by bit; 0: it does not */
-    uint32_t saturated_joint;      /* while REASON_WHEEL_SATURATED holds: the joint whose limit it is */
-    uint32_t reserved;
+    uint32_t saturated_joint;      /* of REASON_WHEEL_SATURATED: the joint that has to be slowed down most */
+    uint32_t duty_clamped;         /* of REASON_DUTY_CLAMPED */
+    uint32_t duty_slew;            /* of REASON_DUTY_SLEW: the joint whose slew rate bounds the ramp */
+    uint32_t joint_velocity;       /* of REASON_JOINT_VELOCITY, and so on */
+    uint32_t joint_acceleration;
+    uint32_t joint_position;
 } reasons_shown;

@@ -4,6 +4,7 @@
  *
  * The order is core_step()'s at the foot of the page. Set-points are built from zero in each tick.
  */
+#include "duties.h"
 #include "following.h"
 #include "goal.h"
 #include "independent.h"
@@ -69,24 +70,21 @@ static bool may_ramp(const core_state *state, const tick *t)
     return state->armed && !(stopping && state->config.on_timeout == STOP_BRAKE);
 }
 
-/* speed → PWM of one wheel */
-static inline uint32_t set_wheel(core_state *state, uint32_t j, double wanted_rad_s, double dt_s)
+/* One step of the twist; `found` gets the joint that slows it down. */
+static inline void ramp(core_state *state, tick *t, const double *goal_u_s, double dt_s, duty_reasons *found)
 {
-    const joint_config *joint = &state->config.joint[j];
-    joint_setpoint *setpoint = &state->wheels.joint[j];
-    double speed_rad_s = wheel_rounded(joint, wanted_rad_s);
-    pwm_output output = wheel_duty(&joint->pwm, setpoint->duty, speed_rad_s, dt_s);
-    setpoint->velocity_rad_s = state->snapshot.joint[j].setpoint_rad_s = speed_rad_s;
-    setpoint->duty = state->snapshot.joint[j].duty = output.duty;
-    return output.reasons;
+    const core_config *slewed = state->slewed ? &state->config : NULL;
+    t->checksum += axis_sum(state);
+    t->reasons |=
+        ramp_joint_step(state->axis, state->axes, &state->limits, slewed, goal_u_s, dt_s, state->holding != 0, &found->slewing);
 }
 
 /* kinematics → PWM, for a twist that is not that of the last tick */
-static void set_wheels(core_state *state, tick *t, double dt_s)
+static void set_wheels(core_state *state, tick *t, double dt_s, duty_reasons *found)
 {
     core_wheels *wheels = &state->wheels;
     double twist_u_s[AXES];
-    uint32_t count = state->config.joint_count, reasons = 0;
+    uint32_t count = state->config.joint_count;
     double checksum = t->checksum;
     wheels->moving = 0;
     for (int i = 0; i < AXES; i++) {
@@ -95,11 +93,11 @@ static void set_wheels(core_state *state, tick *t, double dt_s)
     }
     for (uint32_t j = 0; j < count; j++) {
         checksum += wheels->joint[j].duty;
-        reasons |= set_wheel(state, j, wheel_speed(&state->config.joint[j], twist_u_s), dt_s);
+        set_wheel(state, j, wheel_speed(&state->config.joint[j], twist_u_s), dt_s, found);
     }
     t->checksum = checksum;
-    wheels->reasons = reasons;
-    wheels->known = !(reasons & REASON_DUTY_SLEW);
+    keep_reasons(state, found);
+    wheels->known = !(found->reasons & REASON_DUTY_SLEW);
 }
 
 /* The goal, which is within the limits, is reached: the ramp would change nothing. */
@@ -120,14 +118,13 @@ static void ramp_steered(core_state *state, tick *t, double *goal_u_s, double dt
     const double *angle_rad = state->odometry.angle_rad;
     double wheel_rad_s[JOINTS_MAX], rate_max_s, twist_u_s[AXES];
     core_wheels *wheels = &state->wheels;
-    wheels->moving = wheels->reasons = 0;
+    duty_reasons found = {0};
+    wheels->moving = 0;
     t->reasons |= steer_goal(&state->steer, config, state->axis, angle_rad, goal_u_s, &rate_max_s);
     if (!settled(state, goal_u_s)) {
-        const core_config *slewed = state->slewed ? config : NULL;
         limit_state from[AXES];
-        t->checksum += axis_sum(state);
         memcpy(from, state->axis, sizeof from);
-        t->reasons |= ramp_step(state->axis, state->axes, &state->limits, slewed, goal_u_s, dt_s, state->holding != 0);
+        ramp(state, t, goal_u_s, dt_s, &found);
         t->reasons |= steer_pace(from, state->axis, goal_u_s, rate_max_s, dt_s);
     }
     for (int i = 0; i < AXES; i++) {
@@ -137,8 +134,9 @@ static void ramp_steered(core_state *state, tick *t, double *goal_u_s, double dt
     steer_wheels(config, twist_u_s, angle_rad, wheel_rad_s);
     for (uint32_t j = 0; j < config->joint_count; j++) {
         t->checksum += wheels->joint[j].duty;
-        wheels->reasons |= set_wheel(state, j, wheel_rad_s[j], dt_s);
+        set_wheel(state, j, wheel_rad_s[j], dt_s, &found);
     }
+    keep_reasons(state, &found);
     t->reasons |= wheels->reasons;
     t->moving = wheels->moving != 0;
 }
@@ -177,15 +175,17 @@ static void ramp_independent(core_state *state, tick *t)
         .dt_s = t->dt_s < DT_MAX_S ? t->dt_s : DT_MAX_S,
         .urgent = state->holding != 0,
     };
-    wheels->moving = wheels->reasons = 0;
-    t->reasons |= independent_step(&state->joints, &state->steer, config, &input, velocity_rad_s);
+    duty_reasons found = {0};
+    wheels->moving = 0;
+    t->reasons |= independent_step(&state->joints, &state->steer, config, &input, velocity_rad_s, &state->snapshot.reason);
     for (uint32_t j = 0; j < config->joint_count; j++) {
         if (!config->joint[j].position.used) {
             t->checksum += wheels->joint[j].duty + velocity_rad_s[j];
-            wheels->reasons |= set_wheel(state, j, velocity_rad_s[j], input.dt_s);
+            set_wheel(state, j, velocity_rad_s[j], input.dt_s, &found);
             wheels->moving |= velocity_rad_s[j] != 0.0;
         }
     }
+    keep_reasons(state, &found);
     t->reasons |= wheels->reasons;
     t->moving = wheels->moving != 0;
 }
@@ -223,15 +223,14 @@ static void drive(core_state *state, tick *t)
     core_wheels *wheels = &state->wheels;
     double dt_s = t->dt_s < DT_MAX_S ? t->dt_s : DT_MAX_S;
     double goal_u_s[AXES];
+    duty_reasons found = {0};
     choose_goal(state, t, goal_u_s);
     if (!settled(state, goal_u_s)) {
-        const core_config *slewed = state->slewed ? &state->config : NULL;
-        t->checksum += axis_sum(state);
-        t->reasons |= ramp_step(state->axis, state->axes, &state->limits, slewed, goal_u_s, dt_s, state->holding != 0);
+        ramp(state, t, goal_u_s, dt_s, &found);
         wheels->known = 0;
     }
     if (!wheels->known) {
-        set_wheels(state, t, dt_s);
+        set_wheels(state, t, dt_s, &found);
     }
     t->reasons |= wheels->reasons;
     t->moving = wheels->moving != 0;

@@ -38,6 +38,10 @@ static inline double module_angle(const wheel_module *module, const double *angl
     return module->angle_rad + (module->steering != 0 ? angle_rad[module->steering - 1] : 0.0);
 }
 
+/* ramp_step(), and the joint whose duty slew bound it: its bit, or 0. */
+uint32_t ramp_joint_step(limit_state *axis, uint32_t axes, const base_limits *limits, const core_config *slewed,
+                         const double *goal_u_s, double dt_s, bool urgent, uint32_t *slewing);
+
 /* Is it time to look at a joint's newest sample? Those that come faster are taken together. Checks that have not begun
  * have a stamp of 0: so long ago that it is time. */
 static inline bool plausible_due(const plausible_state *state, const joint_odometry *joint)

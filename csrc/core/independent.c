@@ -104,20 +104,27 @@ static uint32_t step_position(joints_state *joints, steer_state *steer, const co
     return reasons;
 }
 
+static void name_joint(reasons_shown *named, uint32_t reasons, uint32_t j)
+{
+    named->joint_velocity |= reasons & REASON_JOINT_VELOCITY ? 1U << j : 0;
+    named->joint_acceleration |= reasons & REASON_JOINT_ACCELERATION ? 1U << j : 0;
+    named->joint_position |= reasons & REASON_JOINT_POSITION ? 1U << j : 0;
+}
+
 uint32_t independent_step(joints_state *joints, steer_state *steer, const core_config *config, const joints_input *input,
-                          double *velocity_rad_s)
+                          double *velocity_rad_s, reasons_shown *named)
 {
     uint32_t reasons = 0;
+    named->joint_velocity = named->joint_acceleration = named->joint_position = 0;
     if (input->command == NULL || input->owner != joints->owner) {
         forget_targets(joints);
     }
     joints->owner = input->owner;
     for (uint32_t j = 0; j < config->joint_count; j++) {
-        if (config->joint[j].position.used) {
-            reasons |= step_position(joints, steer, config, input, j);
-        } else {
-            reasons |= step_velocity(joints, &config->joint[j], input, j);
-        }
+        uint32_t own = config->joint[j].position.used ? step_position(joints, steer, config, input, j)
+                                                      : step_velocity(joints, &config->joint[j], input, j);
+        reasons |= own;
+        name_joint(named, own, j);
         velocity_rad_s[j] = joints->velocity_rad_s[j];
     }
     steer->enabled = 1;

@@ -16,9 +16,10 @@ typedef struct {
     bool urgent; /* leave out the jerk limits */
 } joints_input;
 
-/* One step of each joint, within its own limits; velocity_rad_s: of those that take velocities. Returns the reasons. */
+/* One step of each joint, within its own limits; velocity_rad_s: of those that take velocities. Returns the reasons; `named`:
+ * of which joints they are. */
 uint32_t independent_step(joints_state *joints, steer_state *steer, const core_config *config, const joints_input *input,
-                          double *velocity_rad_s);
+                          double *velocity_rad_s, reasons_shown *named);
 /* All stand in this step, and have no target any more. */
 void independent_halt(joints_state *joints, steer_state *steer, const core_config *config);
 /* Whether it requests no motion: no position, and no speed but zero. A value that is not finite is no such request. */

@@ -16,6 +16,7 @@
  * allowed. When a new goal or new limits turn the line, an axis drops at once what no longer fits: stopping and keeping
  * to the line matter more than gears. `urgent` leaves the jerk out.
  */
+#include "core.h"
 #include "wheel.h"
 
 #include <float.h>
@@ -31,6 +32,7 @@ typedef struct {
     double rate_s;
     double sum_s; /* of all that was looked at, none of it negative: NaN when one of it is */
     uint32_t reason;
+    uint32_t joint; /* of REASON_DUTY_SLEW */
 } pace;
 
 static inline void bind(pace *least, double rate_s, uint32_t reason)
@@ -120,12 +122,13 @@ static void keep_duties(pace *least, const core_config *base, const limit_state 
         const joint_config *joint = &base->joint[j];
         double from_rad_s = wheel_speed(joint, from_u_s);
         double goal_rad_s = wheel_speed(joint, goal_u_s);
-        double gains_rad_s2 = wheel_acceleration(&joint->pwm);
+        double gains_rad_s2 = wheel_acceleration(&joint->pwm), before_s = least->rate_s;
         if (turns(from_rad_s, goal_rad_s, gains_rad_s2, INFINITY)) {
             keep_turn(least, from_rad_s, goal_rad_s, gains_rad_s2, step_s, dt_s, REASON_DUTY_SLEW);
         } else if (fabs(goal_rad_s) > fabs(from_rad_s)) {
             bind(least, gains_rad_s2 / fabs(goal_rad_s - from_rad_s), REASON_DUTY_SLEW);
         }
+        least->joint = least->rate_s < before_s ? j : least->joint;
     }
 }
 
@@ -150,9 +153,10 @@ static void move(limit_state *axis, uint32_t axes, const double *goal_u_s, doubl
     }
 }
 
-uint32_t ramp_step(limit_state *axis, uint32_t axes, const base_limits *limits, const core_config *slewed, const double *goal_u_s,
-                   double dt_s, bool urgent)
+uint32_t ramp_joint_step(limit_state *axis, uint32_t axes, const base_limits *limits, const core_config *slewed,
+                         const double *goal_u_s, double dt_s, bool urgent, uint32_t *slewing)
 {
+    *slewing = 0;
     const axis_limits *of[AXES] = {&limits->linear, &limits->angular, &limits->lateral};
     double goal[AXES] = {0.0}, sum = 0.0, goals = 0.0;
     for (uint32_t i = 0; i < axes; i++) {
@@ -167,7 +171,7 @@ uint32_t ramp_step(limit_state *axis, uint32_t axes, const base_limits *limits, 
         memset(goal, 0, sizeof goal);
     }
 
-    pace whole = {1.0 / dt_s, 0.0, 0}, least = whole, step = {INFINITY, 0.0, 0};
+    pace whole = {1.0 / dt_s, 0.0, 0, 0}, least = whole, step = {INFINITY, 0.0, 0, 0};
     for (uint32_t i = 0; i < axes; i++) {
         keep_axis(&least, &step, &axis[i], of[i], goal[i], dt_s, urgent, SHIFT_OF_AXIS[i]);
     }
@@ -185,9 +189,17 @@ uint32_t ramp_step(limit_state *axis, uint32_t axes, const base_limits *limits, 
     }
 
     move(axis, axes, goal, least.rate_s, least.reason == 0, dt_s);
+    *slewing = least.reason == REASON_DUTY_SLEW ? 1U << least.joint : 0;
     sum = 0.0;
     for (uint32_t i = 0; i < axes; i++) {
         sum += fabs(axis[i].velocity_u_s) + fabs(axis[i].acceleration_u_s2);
     }
     return sum <= DBL_MAX && !isnan(least.sum_s + step.sum_s) ? least.reason : rest(axis);
+}
+
+uint32_t ramp_step(limit_state *axis, uint32_t axes, const base_limits *limits, const core_config *slewed, const double *goal_u_s,
+                   double dt_s, bool urgent)
+{
+    uint32_t slewing;
+    return ramp_joint_step(axis, axes, limits, slewed, goal_u_s, dt_s, urgent, &slewing);
 }

@@ -186,7 +186,7 @@ _Static_assert(sizeof(lateral_state) == 7 * 8, "padding in lateral_state");
 _Static_assert(sizeof(steering_state) == (JOINTS_MAX + 1) * 8 + 2 * 4, "padding in steering_state");
 _Static_assert(sizeof(speed_loop_shown) == 2 * 8, "padding in speed_loop_shown");
 _Static_assert(sizeof(derating_shown) == 2 * 8 + 2 * 4, "padding in derating_shown");
-_Static_assert(sizeof(reasons_shown) == REASONS_MAX * 8 + 2 * 4, "padding in reasons_shown");
+_Static_assert(sizeof(reasons_shown) == REASONS_MAX * 8 + 6 * 4, "padding in reasons_shown");
 _Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 32 + 8, "padding in setpoints");
 _Static_assert(sizeof(robot_state) == 8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80 + sizeof(imu_state) +
                                           sizeof(feedback_doubt) + sizeof(lateral_state) + sizeof(steering_state) +

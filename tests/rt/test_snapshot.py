@@ -72,9 +72,18 @@ def raw_state():
     raw.derating = {"since_ns": 9300, "factor": 0.5, "joint": 1, "by": lib.DERATED_BY_VOLTAGE}
     raw.reason.since_ns = list(range(9400, 9432))
     raw.reason.saturated_joint = 2
+    for place, name in enumerate(JOINT_REASONS):
+        setattr(raw.reason, name, 1 << place)
     return raw
 
 
+JOINT_REASONS = [
+    "duty_clamped",
+    "duty_slew",
+    "joint_velocity",
+    "joint_acceleration",
+    "joint_position",
+]
 LATERAL = {
     "wanted_lateral_m_s": "wanted_m_s",
     "setpoint_lateral_m_s": "setpoint_m_s",
@@ -99,11 +108,11 @@ def test_the_names_are_those_of_the_c_struct():
         | set(LATERAL)
         | set(STEERING)
     )
-    ours |= {"reasons_since_ns", "saturated_joint"}
+    ours |= {"reasons_since_ns", "saturated_joint", "reason_joints"}
     assert set(python_fields(Snapshot)) == expected | ours
     assert python_fields(SpeedLoopSnapshot) == c_fields("speed_loop_shown")
     assert python_fields(DeratingSnapshot) == c_fields("derating_shown")
-    assert c_fields("reasons_shown") == ["since_ns", "saturated_joint", "reserved"]
+    assert c_fields("reasons_shown") == ["since_ns", "saturated_joint", *JOINT_REASONS]
     assert list(STEERING.values()) == c_fields("steering_state")
     assert list(LATERAL.values()) == c_fields("lateral_state")
     assert python_fields(JointSnapshot) == c_fields("joint_state")
@@ -116,7 +125,7 @@ def test_every_field_arrives_in_its_place():
     made = rt._snapshot(raw)
     assert (made.reasons, made.faults) == (("linear_jerk", "command_stale"), ("estop", "state"))
     apart = {"joints", "speed_loops", "version", "reasons", "faults", "imu", "doubt", "derating"}
-    apart |= {"reasons_since_ns", "saturated_joint"}
+    apart |= {"reasons_since_ns", "saturated_joint", "reason_joints"}
     for name, raw_name in LATERAL.items():
         value = getattr(made, name)
         assert value == type(value)(getattr(raw.lateral, raw_name)), name
@@ -156,6 +165,20 @@ def test_a_saturated_wheel_is_named_while_it_is_and_what_derates_nothing_is_none
     assert made.reasons_since_ns == {"wheel_saturated": 77}
     assert made.derating is None
     assert len(DERATED_BY) == lib.DERATINGS
+
+
+@pytest.mark.parametrize("place", range(len(JOINT_REASONS)))
+def test_the_joints_of_a_reason_are_named_while_it_holds(place):
+    raw = raw_state()
+    raw.joint_count = 8
+    for number, name in enumerate(JOINT_REASONS):
+        setattr(raw.reason, name, 0b10000001 << number & 0xFF)
+    word = JOINT_REASONS[place]
+    assert rt._snapshot(raw).reason_joints == {}
+    raw.reasons = 1 << {name: bit for bit, name in REASONS.items()}[word]
+    named = (0, 7) if place == 0 else (place,)
+    assert rt._snapshot(raw).reason_joints == {word: named}
+    assert rt._snapshot(raw).to_json()["reason_joints"] == {word: list(named)}
 
 
 def test_without_a_fault_of_the_feedback_there_is_no_doubt():

@@ -189,6 +189,9 @@ class Snapshot:
     """Since when each of `reasons` holds."""
     saturated_joint: int | None = None
     """While `wheel_saturated` is a reason: the place of the joint whose limit it is."""
+    reason_joints: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    """Of those of `reasons` that are about a duty or about joints without a base: the places of the
+    joints that they come from."""
     version: int = SNAPSHOT_VERSION
 
     def to_json(self) -> dict[str, Any]:
@@ -221,4 +224,6 @@ def _plain(value: Any) -> Any:
         return value if math.isfinite(value) else None
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
     return _record(value) if isinstance(value, _Record) else value

@@ -192,7 +192,11 @@ _STEERING_OFFSET = _LATERAL_OFFSET + _LATERAL.bytes
 _SPEED_LOOP_OFFSET = _STEERING_OFFSET + _STEERING.bytes
 _DERATING = _Record(DeratingSnapshot)
 _DERATING_OFFSET = _SPEED_LOOP_OFFSET + _JOINTS_MAX * _SPEED_LOOP.bytes
-_REASON = struct.Struct("=32qII")
+_JOINT_REASONS = (
+    "duty_clamped", "duty_slew", "joint_velocity", "joint_acceleration", "joint_position",
+)  # fmt: skip
+"""That come from joints: each has a mask of them in reasons_shown, in this order."""
+_REASON = struct.Struct(f"=32qI{len(_JOINT_REASONS)}I")
 _REASON_OFFSET = _DERATING_OFFSET + _DERATING.bytes
 _PAYLOAD_BYTES = _REASON_OFFSET + _REASON.size
 
@@ -202,7 +206,8 @@ def decode(payload: bytes) -> Snapshot:
     state = _STATE.values(payload, 0)
     imu, doubt = _IMU.values(payload, _IMU_OFFSET), _DOUBT.values(payload, _DOUBT_OFFSET)
     derating = _DERATING.values(payload, _DERATING_OFFSET)
-    *since_ns, saturated_joint, _ = _REASON.unpack_from(payload, _REASON_OFFSET)
+    shown = _REASON.unpack_from(payload, _REASON_OFFSET)
+    since_ns, saturated_joint, masks = shown[:32], shown[32], shown[33:]
     places = range(min(state.pop("joint_count"), _JOINTS_MAX))
     return Snapshot(
         joints=tuple(
@@ -222,6 +227,11 @@ def decode(payload: bytes) -> Snapshot:
             word: since_ns[bit] for bit, word in REASONS.items() if since_ns[bit] != 0
         },
         saturated_joint=saturated_joint if "wheel_saturated" in state["reasons"] else None,
+        reason_joints={
+            word: tuple(place for place in places if mask >> place & 1)
+            for word, mask in zip(_JOINT_REASONS, masks, strict=True)
+            if word in state["reasons"]
+        },
         **state,
         **_LATERAL.values(payload, _LATERAL_OFFSET),
         **_STEERING.values(payload, _STEERING_OFFSET),

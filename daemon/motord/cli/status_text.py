@@ -51,7 +51,8 @@ def _reasons(found: dict[str, Any]) -> list[str]:
 
 def _reason(name: str, about: Mapping[str, Any]) -> str:
     by = f" to {100 * about['factor']:.0f} % by {about['by']}" if "by" in about else ""
-    joint = f" of {about['joint']}" if "joint" in about else ""
+    names = about.get("joints", [about["joint"]] if "joint" in about else [])
+    joint = f" of {', '.join(names)}" if names else ""
     lasts = f" for {about['for_s']:.1f} s" if "for_s" in about else ""
     return f"{name}{by}{joint}{lasts}"
 

@@ -136,7 +136,7 @@ def _age_s(stamp_ns: int) -> float | None:
 
 
 def _limited(operation: Operation) -> dict[str, dict[str, Any]]:
-    """Each reason: for how long, and the joint that it comes from where it comes from one."""
+    """Each reason: for how long, and the joint or joints that it comes from where there are."""
     snapshot, joints = operation.snapshot, list(operation.robot.joint)
     found: dict[str, dict[str, Any]] = {
         reason: {"for_s": (snapshot.stamp_ns - since_ns) / 1e9}
@@ -144,6 +144,9 @@ def _limited(operation: Operation) -> dict[str, dict[str, Any]]:
     }
     if snapshot.saturated_joint is not None and "wheel_saturated" in found:
         found["wheel_saturated"]["joint"] = joints[snapshot.saturated_joint]
+    for reason, places in snapshot.reason_joints.items():
+        if reason in found:
+            found[reason]["joints"] = [joints[place] for place in places]
     if (derating := snapshot.derating) is not None and "derated" in found:
         found["derated"] |= {
             "joint": joints[derating.joint],
