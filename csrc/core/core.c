@@ -70,21 +70,23 @@ static bool may_ramp(const core_state *state, const tick *t)
     return state->armed && !(stopping && state->config.on_timeout == STOP_BRAKE);
 }
 
-/* One step of the twist; `found` gets the joint that slows it down. */
-static inline void ramp(core_state *state, tick *t, const double *goal_u_s, double dt_s, duty_reasons *found)
+/* One step of the twist; returns the joint whose duty slew bounds it: its bit, or 0. */
+static inline uint32_t ramp(core_state *state, tick *t, const double *goal_u_s, double dt_s)
 {
     const core_config *slewed = state->slewed ? &state->config : NULL;
+    uint32_t slewing = 0;
     t->checksum += axis_sum(state);
     t->reasons |=
-        ramp_joint_step(state->axis, state->axes, &state->limits, slewed, goal_u_s, dt_s, state->holding != 0, &found->slewing);
+        ramp_joint_step(state->axis, state->axes, &state->limits, slewed, goal_u_s, dt_s, state->holding != 0, &slewing);
+    return slewing;
 }
 
 /* kinematics → PWM, for a twist that is not that of the last tick */
-static void set_wheels(core_state *state, tick *t, double dt_s, duty_reasons *found)
+static void set_wheels(core_state *state, tick *t, double dt_s, uint32_t slewing)
 {
     core_wheels *wheels = &state->wheels;
     double twist_u_s[AXES];
-    uint32_t count = state->config.joint_count;
+    uint32_t count = state->config.joint_count, reasons = 0;
     double checksum = t->checksum;
     wheels->moving = 0;
     for (int i = 0; i < AXES; i++) {
@@ -93,11 +95,14 @@ static void set_wheels(core_state *state, tick *t, double dt_s, duty_reasons *fo
     }
     for (uint32_t j = 0; j < count; j++) {
         checksum += wheels->joint[j].duty;
-        set_wheel(state, j, wheel_speed(&state->config.joint[j], twist_u_s), dt_s, found);
+        reasons |= set_wheel(state, j, wheel_speed(&state->config.joint[j], twist_u_s), dt_s);
     }
     t->checksum = checksum;
-    keep_reasons(state, found);
-    wheels->known = !(found->reasons & REASON_DUTY_SLEW);
+    wheels->reasons = reasons;
+    if ((reasons | slewing) != 0) {
+        name_duties(state, slewing);
+    }
+    wheels->known = !(reasons & REASON_DUTY_SLEW);
 }
 
 /* The goal, which is within the limits, is reached: the ramp would change nothing. */
@@ -118,13 +123,13 @@ static void ramp_steered(core_state *state, tick *t, double *goal_u_s, double dt
     const double *angle_rad = state->odometry.angle_rad;
     double wheel_rad_s[JOINTS_MAX], rate_max_s, twist_u_s[AXES];
     core_wheels *wheels = &state->wheels;
-    duty_reasons found = {0};
-    wheels->moving = 0;
+    uint32_t slewing = 0;
+    wheels->moving = wheels->reasons = 0;
     t->reasons |= steer_goal(&state->steer, config, state->axis, angle_rad, goal_u_s, &rate_max_s);
     if (!settled(state, goal_u_s)) {
         limit_state from[AXES];
         memcpy(from, state->axis, sizeof from);
-        ramp(state, t, goal_u_s, dt_s, &found);
+        slewing = ramp(state, t, goal_u_s, dt_s);
         t->reasons |= steer_pace(from, state->axis, goal_u_s, rate_max_s, dt_s);
     }
     for (int i = 0; i < AXES; i++) {
@@ -134,9 +139,11 @@ static void ramp_steered(core_state *state, tick *t, double *goal_u_s, double dt
     steer_wheels(config, twist_u_s, angle_rad, wheel_rad_s);
     for (uint32_t j = 0; j < config->joint_count; j++) {
         t->checksum += wheels->joint[j].duty;
-        set_wheel(state, j, wheel_rad_s[j], dt_s, &found);
+        wheels->reasons |= set_wheel(state, j, wheel_rad_s[j], dt_s);
     }
-    keep_reasons(state, &found);
+    if ((wheels->reasons | slewing) != 0) {
+        name_duties(state, slewing);
+    }
     t->reasons |= wheels->reasons;
     t->moving = wheels->moving != 0;
 }
@@ -175,17 +182,18 @@ static void ramp_independent(core_state *state, tick *t)
         .dt_s = t->dt_s < DT_MAX_S ? t->dt_s : DT_MAX_S,
         .urgent = state->holding != 0,
     };
-    duty_reasons found = {0};
-    wheels->moving = 0;
+    wheels->moving = wheels->reasons = 0;
     t->reasons |= independent_step(&state->joints, &state->steer, config, &input, velocity_rad_s, &state->snapshot.reason);
     for (uint32_t j = 0; j < config->joint_count; j++) {
         if (!config->joint[j].position.used) {
             t->checksum += wheels->joint[j].duty + velocity_rad_s[j];
-            set_wheel(state, j, velocity_rad_s[j], input.dt_s, &found);
+            wheels->reasons |= set_wheel(state, j, velocity_rad_s[j], input.dt_s);
             wheels->moving |= velocity_rad_s[j] != 0.0;
         }
     }
-    keep_reasons(state, &found);
+    if (wheels->reasons != 0) {
+        name_duties(state, 0);
+    }
     t->reasons |= wheels->reasons;
     t->moving = wheels->moving != 0;
 }
@@ -223,14 +231,14 @@ static void drive(core_state *state, tick *t)
     core_wheels *wheels = &state->wheels;
     double dt_s = t->dt_s < DT_MAX_S ? t->dt_s : DT_MAX_S;
     double goal_u_s[AXES];
-    duty_reasons found = {0};
+    uint32_t slewing = 0;
     choose_goal(state, t, goal_u_s);
     if (!settled(state, goal_u_s)) {
-        ramp(state, t, goal_u_s, dt_s, &found);
+        slewing = ramp(state, t, goal_u_s, dt_s);
         wheels->known = 0;
     }
     if (!wheels->known) {
-        set_wheels(state, t, dt_s, &found);
+        set_wheels(state, t, dt_s, slewing);
     }
     t->reasons |= wheels->reasons;
     t->moving = wheels->moving != 0;

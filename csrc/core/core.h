@@ -38,7 +38,7 @@ static inline double module_angle(const wheel_module *module, const double *angl
     return module->angle_rad + (module->steering != 0 ? angle_rad[module->steering - 1] : 0.0);
 }
 
-/* ramp_step(), and the joint whose duty slew bound it: its bit, or 0. */
+/* ramp_step(), and the joint whose duty slew bound it: its bit, or what was there before. */
 uint32_t ramp_joint_step(limit_state *axis, uint32_t axes, const base_limits *limits, const core_config *slewed,
                          const double *goal_u_s, double dt_s, bool urgent, uint32_t *slewing);
 

@@ -8,15 +8,8 @@
 #include "rt.h"
 #include "wheel.h"
 
-/* Why duties are not what the speeds ask for, and of which joints: bit n is joint n. */
-typedef struct {
-    uint32_t reasons;
-    uint32_t clamped;
-    uint32_t slewing;
-} duty_reasons;
-
 /* speed → PWM of one wheel */
-static inline void set_wheel(core_state *state, uint32_t j, double wanted_rad_s, double dt_s, duty_reasons *found)
+static inline uint32_t set_wheel(core_state *state, uint32_t j, double wanted_rad_s, double dt_s)
 {
     const joint_config *joint = &state->config.joint[j];
     joint_setpoint *setpoint = &state->wheels.joint[j];
@@ -24,18 +17,26 @@ static inline void set_wheel(core_state *state, uint32_t j, double wanted_rad_s,
     pwm_output output = wheel_duty(&joint->pwm, setpoint->duty, speed_rad_s, dt_s);
     setpoint->velocity_rad_s = state->snapshot.joint[j].setpoint_rad_s = speed_rad_s;
     setpoint->duty = state->snapshot.joint[j].duty = output.duty;
-    if (output.reasons != 0) {
-        found->reasons |= output.reasons;
-        found->clamped |= output.reasons & REASON_DUTY_CLAMPED ? 1U << j : 0;
-        found->slewing |= output.reasons & REASON_DUTY_SLEW ? 1U << j : 0;
-    }
+    return output.reasons;
 }
 
-static inline void keep_reasons(core_state *state, const duty_reasons *found)
+/* Rare: which joints the reasons come from. slewing: bit n, joint n slows the ramp down; and a duty that is not that of its
+ * speed has been slewed. */
+__attribute__((noinline)) static void name_duties(core_state *state, uint32_t slewing)
 {
-    state->wheels.reasons = found->reasons;
-    state->snapshot.reason.duty_clamped = found->clamped;
-    state->snapshot.reason.duty_slew = found->slewing;
+    reasons_shown *to = &state->snapshot.reason;
+    to->duty_clamped = 0;
+    to->duty_slew = slewing;
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
+        const joint_setpoint *setpoint = &state->wheels.joint[j];
+        if (state->config.joint[j].position.used) {
+            continue;
+        }
+        double speed_rad_s = setpoint->velocity_rad_s, unslewed = copysign((double)INFINITY, speed_rad_s);
+        pwm_output output = wheel_duty(&state->config.joint[j].pwm, unslewed, speed_rad_s, 0.0);
+        to->duty_clamped |= output.reasons & REASON_DUTY_CLAMPED ? 1U << j : 0;
+        to->duty_slew |= setpoint->duty != output.duty ? 1U << j : 0;
+    }
 }
 
 #endif

@@ -32,7 +32,6 @@ typedef struct {
     double rate_s;
     double sum_s; /* of all that was looked at, none of it negative: NaN when one of it is */
     uint32_t reason;
-    uint32_t joint; /* of REASON_DUTY_SLEW */
 } pace;
 
 static inline void bind(pace *least, double rate_s, uint32_t reason)
@@ -110,9 +109,9 @@ static void keep_turn(pace *least, double from, double goal, double gains, doubl
     bind(least, turning(fabs(from) / (change * dt_s), gains / change, step_s), reason);
 }
 
-/* Duty slews bound how fast a wheel's speed grows. */
+/* Duty slews bound how fast a wheel's speed grows. The last of all bounds: slewing is the joint that has the least room. */
 static void keep_duties(pace *least, const core_config *base, const limit_state *axis, const double *goal_u_s, double step_s,
-                        double dt_s)
+                        double dt_s, uint32_t *slewing)
 {
     double from_u_s[AXES];
     for (int i = 0; i < AXES; i++) {
@@ -128,7 +127,7 @@ static void keep_duties(pace *least, const core_config *base, const limit_state 
         } else if (fabs(goal_rad_s) > fabs(from_rad_s)) {
             bind(least, gains_rad_s2 / fabs(goal_rad_s - from_rad_s), REASON_DUTY_SLEW);
         }
-        least->joint = least->rate_s < before_s ? j : least->joint;
+        *slewing = least->rate_s < before_s ? 1U << j : *slewing;
     }
 }
 
@@ -156,7 +155,6 @@ static void move(limit_state *axis, uint32_t axes, const double *goal_u_s, doubl
 uint32_t ramp_joint_step(limit_state *axis, uint32_t axes, const base_limits *limits, const core_config *slewed,
                          const double *goal_u_s, double dt_s, bool urgent, uint32_t *slewing)
 {
-    *slewing = 0;
     const axis_limits *of[AXES] = {&limits->linear, &limits->angular, &limits->lateral};
     double goal[AXES] = {0.0}, sum = 0.0, goals = 0.0;
     for (uint32_t i = 0; i < axes; i++) {
@@ -171,7 +169,7 @@ uint32_t ramp_joint_step(limit_state *axis, uint32_t axes, const base_limits *li
         memset(goal, 0, sizeof goal);
     }
 
-    pace whole = {1.0 / dt_s, 0.0, 0, 0}, least = whole, step = {INFINITY, 0.0, 0, 0};
+    pace whole = {1.0 / dt_s, 0.0, 0}, least = whole, step = {INFINITY, 0.0, 0};
     for (uint32_t i = 0; i < axes; i++) {
         keep_axis(&least, &step, &axis[i], of[i], goal[i], dt_s, urgent, SHIFT_OF_AXIS[i]);
     }
@@ -185,11 +183,10 @@ uint32_t ramp_joint_step(limit_state *axis, uint32_t axes, const base_limits *li
         }
     }
     if (slewed != NULL) {
-        keep_duties(&least, slewed, axis, goal, step.rate_s, dt_s);
+        keep_duties(&least, slewed, axis, goal, step.rate_s, dt_s, slewing);
     }
 
     move(axis, axes, goal, least.rate_s, least.reason == 0, dt_s);
-    *slewing = least.reason == REASON_DUTY_SLEW ? 1U << least.joint : 0;
     sum = 0.0;
     for (uint32_t i = 0; i < axes; i++) {
         sum += fabs(axis[i].velocity_u_s) + fabs(axis[i].acceleration_u_s2);
@@ -200,6 +197,6 @@ uint32_t ramp_joint_step(limit_state *axis, uint32_t axes, const base_limits *li
 uint32_t ramp_step(limit_state *axis, uint32_t axes, const base_limits *limits, const core_config *slewed, const double *goal_u_s,
                    double dt_s, bool urgent)
 {
-    uint32_t slewing;
+    uint32_t slewing = 0;
     return ramp_joint_step(axis, axes, limits, slewed, goal_u_s, dt_s, urgent, &slewing);
 }

@@ -60,7 +60,7 @@ static void place(core_config *config, double x_m, double y_m, uint32_t steering
         config->joint[j].row = (wheel_row){0};
     }
     if (steering > 0) {
-        config->joint[steering - 1].position = (position_config){1, REFERENCE_ABSOLUTE, 0, -1.7, 1.7, 6.0, 60.0};
+        config->joint[steering - 1].position = (position_config){1, REFERENCE_ABSOLUTE, 0, -1.7, 1.7, 6.0, 60.0, 0.0, 0.0};
     }
 }
 

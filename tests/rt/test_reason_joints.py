@@ -62,6 +62,18 @@ def test_every_wheel_whose_duty_is_clamped_is_named_while_it_is():
     assert named(rig) == {}
 
 
+def test_a_joint_that_takes_positions_has_no_duty_to_be_named():
+    own = {"velocity_u_s": 60.0, "acceleration_u_s2": 50.0, "deceleration_u_s2": 50.0}
+    belt = ROLLS | {"own": own | {"jerk_u_s3": math.inf}, "pwm": ROLLS["pwm"] | SLOW}
+    rig = PositionRig(core_config(2, joint=[steers(1.0), belt], joint_count=2, independent=1))
+    rig.arm()
+    rig.input.joints.named = 0b11
+    rig.input.joints.value_u[0:2] = [0.9, 40.0]
+    rig.ticks(0.1)
+    assert rig.shown.joint[0].setpoint_rad_s > 0.0
+    assert named(rig)["duty_slew"] == (1,)
+
+
 def test_joints_without_a_base_are_named_by_the_limit_that_binds_each():
     own = {"velocity_u_s": 60.0, "acceleration_u_s2": 10.0, "deceleration_u_s2": 10.0}
     belt = ROLLS | {"own": own | {"jerk_u_s3": math.inf}}

@@ -3,6 +3,7 @@
 nowhere else."""
 
 import json
+import re
 import subprocess
 import sys
 
@@ -17,6 +18,8 @@ SETTINGS = (
       for setting in ("tries=10", "reply_timeout_s=0.2")),
 )  # fmt: skip
 NEAR_RAD = 0.03
+LEASE_S = 5.0
+"""The longest: a process starts meanwhile."""
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +45,14 @@ def command(stage, *words):
         [sys.executable, "-m", "motord", "joints", *words, "--json", "--socket", str(stage.socket)],
         capture_output=True, text=True, timeout=DEADLINE_S, cwd=ROOT,
     )  # fmt: skip
+
+
+def shown(stage):
+    """What `motord status` prints."""
+    words = [sys.executable, "-m", "motord", "status", "--socket", str(stage.socket)]
+    return subprocess.run(
+        words, capture_output=True, text=True, timeout=DEADLINE_S, cwd=ROOT, check=True
+    ).stdout
 
 
 def test_motord_joints_ends_where_it_was_sent(armed):
@@ -104,10 +115,25 @@ def test_before_arming_a_position_is_refused_and_moves_nothing(stage):
 
 def test_status_names_joints_and_their_angles(armed):
     assert command(armed, "tilt=0.3").returncode == 0
-    armed.robot.joints({"tilt": 0.3})
+    armed.robot.joints({"tilt": 0.3}, lease_s=LEASE_S)
     status = armed.robot.status()
     assert status["joints"]["tilt"]["position_rad"] == pytest.approx(0.3, abs=NEAR_RAD)
     (lease,) = (one for one in status["leases"] if one["owner"] == "socket")
     assert lease["joints"] == {"tilt": 0.3}
+    armed.robot.call("release", owner="socket")
+    assert re.search(r"joint tilt +drive armed, at 0\.[23]\d+ rad", shown(armed))
     description = armed.robot.call("robot")
     assert (description["drives"], description["takes_position"]) == (False, ["pan", "tilt"])
+
+
+def test_status_names_the_joint_whose_range_ends(armed):
+    def named():
+        armed.robot.joints({"pan": 5.0}, lease_s=LEASE_S)
+        return re.search(r"reasons +.*joint_position of pan for \d", shown(armed))
+
+    wait_until(named, "the reason in the text")
+    armed.robot.joints({"pan": 5.0}, lease_s=LEASE_S)
+    limited = armed.robot.status()["limited"]
+    assert limited["joint_position"]["joints"] == ["pan"]
+    assert limited["joint_position"]["for_s"] >= 0.0
+    armed.robot.call("release", owner="socket")

@@ -88,6 +88,9 @@ def _joint(joint: dict[str, Any]) -> str:
         ("voltage_v", "V", 1), ("temperature_c", "°C", 0),
     )  # fmt: skip
     parts = [f"drive {joint['drive']}"]
+    if joint["takes_position"]:
+        at_rad = joint["position_rad"]
+        parts.append("angle not known" if at_rad is None else f"at {at_rad:.3f} rad")
     parts += [
         f"{joint[key]:.{digits}f} {unit}"
         for key, unit, digits in measures

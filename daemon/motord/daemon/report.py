@@ -167,13 +167,15 @@ def _imu(snapshot: Snapshot, shown: dict[str, Any] | None) -> dict[str, Any] | N
 def _joints(operation: Operation, measured: list[dict[str, Any]]) -> dict[str, Any]:
     states = {name: state for line in operation.lines for name, state in line.drive_states.items()}
     words = {name: found for line in operation.lines for name, found in line.drive_faults.items()}
+    positions = operation.snapshot.position_joints
     return {
         name: {
             "drive": states[name].value,
             "fault_words": list(words.get(name, ())),
+            "takes_position": bool(positions >> place & 1),
             **values,
         }
-        for name, values in zip(operation.robot.joint, measured, strict=True)
+        for place, (name, values) in enumerate(zip(operation.robot.joint, measured, strict=True))
     }
 
 
