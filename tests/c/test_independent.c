@@ -15,6 +15,7 @@ typedef struct {
     joint_command command;
     joints_input input;
     double velocity_rad_s[JOINTS_MAX];
+    reasons_shown named;
 } joints_rig;
 
 static void begin(joints_rig *r)
@@ -37,7 +38,7 @@ static uint32_t step_joints(joints_rig *r, int count)
 {
     uint32_t reasons = 0;
     for (int i = 0; i < count; i++) {
-        reasons = independent_step(&r->joints, &r->steer, &r->config, &r->input, r->velocity_rad_s);
+        reasons = independent_step(&r->joints, &r->steer, &r->config, &r->input, r->velocity_rad_s, &r->named);
     }
     return reasons;
 }
