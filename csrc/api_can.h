@@ -48,6 +48,8 @@ typedef struct {
 typedef struct {
     can_place place;
     setpoint_scale scale;
+    can_place trigger; /* of a POSITION: a bit with whose rising edge the drive takes the target, set until it says that it has
+                                   (FIELD_TAKEN), and never in a frame that moves nothing; length 0: each target counts */
 } can_setpoint;
 
 /* A frame of every cycle. What is not set-point stands as in `packet`, or as it was written last (can_write.output). */

@@ -106,7 +106,9 @@ typedef enum {
     FIELD_FAULT = 5,       /* the drive's fault word, raw */
     FIELD_ENABLED = 6,     /* (raw & equals_mask) == equals: enabled; of all joints of the drive */
     FIELD_KEPT = 7,        /* (raw & equals_mask) == equals, else the drive has lost its set-up */
-    FIELD_REFERENCED = 8   /* (raw & equals_mask) == equals: the joint's counter has a reference */
+    FIELD_REFERENCED = 8,  /* (raw & equals_mask) == equals: the joint's counter has a reference */
+    FIELD_TAKEN = 9        /* of CAN: (raw & equals_mask) == equals: the drive has taken the joint's target, and waits for the end
+                                   of can_setpoint.trigger */
 } field_kind;
 
 /* Of buses and boards: the number that says what a joint is to do, as of line_setpoint. A POSITION that must not be sent is

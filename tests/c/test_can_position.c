@@ -2,77 +2,8 @@
  * Positions on a CAN bus: a drive without power gets the place where it is, one that must not move gets nothing. */
 #include <math.h>
 
-#include "can_wire.h"
+#include "can_position_rig.h"
 #include "joint_values.h"
-
-static const can_machine *const m = &w.machine;
-static double wanted_rad;
-static uint32_t positioned;
-
-/* Its target stands in turns of a float, as what it measures; two turns where the angle is 0. */
-static void begin(void)
-{
-    begin_with(1);
-    can_output *output = &table_of(0)->output[0];
-    output->packet.bytes = 6;
-    output->setpoint[0] = (can_setpoint){.place = {.start_bit = 16, .length = 32, .form = CAN_FLOAT},
-                                         .scale = {.kind = SETPOINT_POSITION,
-                                                   .raw_per_si = 0.5,
-                                                   .raw_offset = 2.0,
-                                                   .raw_min = -10.0,
-                                                   .raw_max = 10.0,
-                                                   .raw_per_s = 1e6}};
-    restart();
-    w.enabled = 2; /* `step` leaves the set-points to us */
-    positioned = 0;
-}
-
-static float target_in(const can_packet *packet)
-{
-    float target;
-    memcpy(&target, packet->data + 2, sizeof target);
-    return target;
-}
-
-static void report_all(float turns)
-{
-    report_state(0, w.powered ? 8 : 1);
-    report_motion(0, turns, 0.0F);
-}
-
-static void put(void)
-{
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 1};
-    w.machine.newest.position_rad[0] = wanted_rad;
-    w.machine.newest.positioned = positioned ? 1U : 0U;
-}
-
-static void run(float at_turns, int64_t for_ns)
-{
-    for (int64_t end_ns = w.now_ns + for_ns; w.now_ns < end_ns; w.now_ns += 2 * MS) {
-        put();
-        report_all(at_turns);
-        step();
-    }
-}
-
-static void ask_for(uint32_t mode)
-{
-    put();
-    w.machine.control.drive[0].count++;
-    w.machine.control.drive[0].mode = mode;
-    step();
-}
-
-static void make_armed(void)
-{
-    run(2.25F, 20 * MS);
-    ask_for(DRIVE_READY);
-    run(2.25F, 20 * MS);
-    w.powered = true;
-    ask_for(DRIVE_ARMED);
-    CHECK(state_of(0)->state.mode == DRIVE_ARMED);
-}
 
 static void a_drive_without_power_gets_the_place_where_it_is(void)
 {
@@ -237,27 +168,6 @@ static void whether_it_has_a_reference_is_reported_beside_its_power(void)
     w.powered = true;
     report_state(0, 8);
     CHECK(m->joint[0].feedback.referenced == 1 && state_of(0)->state.enabled == 1);
-}
-
-static void make_stopping(float at_turns)
-{
-    forget_sent();
-    w.now_ns += 6 * MS;
-    report_all(at_turns);
-    w.machine.newest.stamp_ns = w.now_ns - 10000 * MS;
-    step();
-    CHECK(state_of(0)->state.mode == DRIVE_READY && (state_of(0)->state.fault_reasons & DRIVE_FAULT_SETPOINTS_OLD) != 0);
-}
-
-static const can_packet *quick_stop_sent(void)
-{
-    for (uint32_t i = 0; i < w.sent_count; i++) {
-        if (w.sent[i].id == SPEED && w.sent[i].data[0] == QUICK_STOP) {
-            return &w.sent[i];
-        }
-    }
-    CHECK(false);
-    return NULL;
 }
 
 /* A frame that stops it has a target, too: where it is; and where it was sent last while that is not known. */

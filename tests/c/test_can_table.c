@@ -316,7 +316,7 @@ static void what_is_read(void)
     BAD(DRIVE.input[1].field[1].meaning.joint, JOINTS_MAX, "drive[1].field.joint");
     GOOD(DRIVE.input[1].field[1].meaning.joint, JOINTS_MAX - 1);
     BAD(DRIVE.input[1].field[1].meaning.kind, FIELD_KEPT, "drive[1].field.kind");
-    BAD(DRIVE.input[1].field[1].meaning.kind, FIELD_REFERENCED + 1, "drive[1].field.kind");
+    BAD(DRIVE.input[1].field[1].meaning.kind, FIELD_TAKEN + 1, "drive[1].field.kind");
     BAD(DRIVE.input[1].field[1].meaning.si_per_raw, (double)INFINITY, "drive[1].field.si_per_raw");
     BAD(DRIVE.input[1].field[0].meaning.counter_bits, 0, "drive[1].field.counter_bits");
     GOOD(DRIVE.input[1].field[0].meaning.counter_bits, 1);

@@ -27,13 +27,15 @@ VARIABLES = {
     0x605A: (I16, 1, "rw"), 0x6060: (I8, 0, "rw"), 0x6061: (I8, 0, "ro"),
     0x6064: (I32, 0, "ro"), 0x6065: (U32, 1000, "rw"), 0x6066: (U16, 0, "rw"),
     0x606C: (I32, 0, "ro"), 0x6077: (I16, 0, "ro"), 0x607A: (I32, 0, "rww"),
+    0x6081: (U32, 0, "rw"), 0x6083: (U32, 0, "rw"), 0x6084: (U32, 0, "rw"),
     0x6071: (I16, 0, "rww"), 0x6072: (U16, 1000, "rw"), 0x6076: (U32, 1000, "ro"),
     0x6079: (U32, 36500, "ro"), 0x6080: (U32, 6000, "rw"), 0x60FF: (I32, 0, "rww"),
 }  # fmt: skip
 
 PDO_IDENTIFIERS = {0x1400: 0x200, 0x1401: 0x300, 0x1800: 0x180, 0x1801: 0x280}
 SYNCHRONOUS_MAX = 240
-POSITION_MODE, TORQUE_MODE, SYNC_S = 8, 10, 0.005
+NEW_SETPOINT, AT_ONCE, TAKEN = 0x10, 0x20, 0x1000
+PROFILE_POSITION, POSITION_MODE, TORQUE_MODE, SYNC_S = 1, 8, 10, 0.005
 INERTIA_KG_M2, RPM = 0.07, 2 * math.pi / 60
 
 
@@ -78,6 +80,8 @@ class Cia402Node:
         self.torques = []
         self.target, self.targets = 0, []
         """Positions; each with the state that it found."""
+        self.taken = []
+        """Targets, in profile position mode."""
         self.more_status = 0
         """Bits of the status word beside those of the state."""
         self.stuck = False
@@ -194,6 +198,7 @@ class Cia402Node:
         self._sent_s = time.monotonic()
         if self.stuck:
             return
+        self._take_target(before, word)
         rising = word & 0x80 and not before & 0x80
         if self.status == FAULT:
             if rising:
@@ -213,6 +218,17 @@ class Cia402Node:
             self.status = READY
         if self.status != OPERATION:
             self.velocity = 0
+
+    def _take_target(self, before, word):
+        """CiA 402-2, 10.3: with the rising edge of bit 4, and with bit 5 at once; then it is there
+        at once. The acknowledge lasts until bit 4 falls."""
+        if not word & NEW_SETPOINT:
+            self.more_status &= ~TAKEN
+        can_take = self.get(0x6061) == PROFILE_POSITION and self.status == OPERATION
+        if can_take and word & ~before & NEW_SETPOINT and word & AT_ONCE:
+            self.more_status |= TAKEN
+            self.taken.append(self.target)
+            self.position = self.target
 
     def _send_pdos(self):
         while not self._stopped.wait(0.01):

@@ -20,6 +20,8 @@ from motord_hal.drives.can_profile import signals_of
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import JointSpec
 from motord_hal.realtime.exchange import Exchange, JointSetpoint
+from motord_hal.realtime.table import FieldKind
+from motord_hal.rt_engine.can.table import drive_table
 
 CIA402 = config_dir() / "robots" / "cia402-two.toml"
 ROBOT = config_dir() / "robots" / "odrive-two.toml"
@@ -246,6 +248,48 @@ def test_a_mistake_about_sync_or_an_object_is_reported(tmp_path, right, wrong, m
     with pytest.raises(ProfileError) as error:
         load_profile(path)
     assert message in str(error.value)
+
+
+PP = (config_dir() / "drives" / "cia402-pp.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "message"),
+    [
+        ('register = "control_word"', 'register = "nmt_command"', "is not in the frame of the set"),
+        ('register = "control_word"', 'register = "controlword"', 'did you mean "control_word"?'),
+        ("mask = 0x10\n", "mask = 0x30\n", "0x30 is not one bit"),
+        ("mask = 0x10\n", "mask = 0x10000\n", "0x10000 does not fit control_word"),
+        ('acknowledged = "status_word"', 'acknowledged = "position"', 'has the unit "count"'),
+        ("acknowledged_mask = 0x1000", "acknowledged_mask = 0x10000", "does not fit status_word"),
+        ('position_setpoint = "target_position"', 'velocity_setpoint = "velocity"',
+         "is for a position_setpoint on a CAN bus"),
+    ],
+)  # fmt: skip
+def test_a_mistake_about_a_handshake_is_reported(tmp_path, right, wrong, message):
+    assert right in PP
+    path = tmp_path / "cia402-pp.toml"
+    path.write_text(PP.replace(right, wrong, 1), encoding="utf-8")
+    with pytest.raises(ProfileError) as error:
+        load_profile(path)
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize(("big_endian", "start_bit"), [(False, 36), (True, 43)])
+def test_a_handshake_is_a_bit_of_its_word(big_endian, start_bit):
+    profile = find_profile("cia402-pp")
+    word = replace(profile.registers["control_word"], big_endian=big_endian)
+    profile = replace(profile, registers={**profile.registers, "control_word": word})
+    joint = JointSpec(index=0, name="turret", profile=profile, unit=5, position_velocity_rad_s=1.0)
+    _, spec = loaded()
+    drive = drive_table(CanPlan([joint]), spec)
+    trigger = drive["output"][0]["setpoint"][0]["trigger"]
+    assert (trigger["start_bit"], trigger["length"]) == (start_bit, 1)
+    taken = [field["meaning"] for one in drive["input"] for field in one["field"]
+             if field["meaning"]["kind"] == FieldKind.TAKEN]  # fmt: skip
+    assert [(one["joint"], one["equals_mask"], one["equals"]) for one in taken] == [
+        (0, 0x1000, 0x1000)
+    ]
 
 
 MOTEUS = (config_dir() / "drives" / "moteus.toml").read_text(encoding="utf-8")

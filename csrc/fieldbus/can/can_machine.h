@@ -62,6 +62,7 @@ typedef struct {
     int64_t velocity_ns;
     int64_t newest_ns;
     bool no_number;       /* its position is not finite: no feedback */
+    uint32_t taken;       /* 1: the drive has taken its target, and takes no other before the trigger was 0 */
     position_place place; /* in the numbers of the drive's frames */
     uint32_t fault_word;
 } can_joint_state;

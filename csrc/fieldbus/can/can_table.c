@@ -39,6 +39,10 @@ static void check_setpoint(finding *f, const can_setpoint *setpoint, uint32_t by
         check_scale(f, &setpoint->scale, SETPOINT_POSITION, is_float ? -(double)FLT_MAX : least,
                     is_float ? (double)FLT_MAX : most);
     }
+    if (!f->bad && setpoint->trigger.length > 0) {
+        check_place(f, &setpoint->trigger, bytes);
+        need(f, setpoint->trigger.length == 1 && setpoint->scale.kind == SETPOINT_POSITION, "trigger.length");
+    }
 }
 
 static void check_output(finding *f, const can_output *output)
@@ -68,7 +72,7 @@ bool can_write_is_good(const can_write *write, uint32_t output_count)
 static void check_field(finding *f, const can_field *field, uint32_t bytes)
 {
     check_place(f, &field->place, bytes);
-    check_meaning(f, &field->meaning, FIELD_REFERENCED);
+    check_meaning(f, &field->meaning, FIELD_TAKEN);
     need(f, field->meaning.kind != FIELD_KEPT, "field.kind");
     need(f, isfinite(field->si_at_zero), "field.si_at_zero");
 }

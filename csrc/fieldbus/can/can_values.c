@@ -134,6 +134,13 @@ static bool moves(const can_machine *m, uint32_t drive, const can_setpoint *setp
     return takes_position(setpoint) ? !isnan(target_of(m, drive, setpoint)) : raw_of(m, drive, setpoint) != 0;
 }
 
+/* A handshake that needs no memory but the drive's: what the bus loses is sent again with the next cycle. */
+static void put_trigger(const can_machine *m, uint32_t drive, const can_setpoint *setpoint, uint8_t *data)
+{
+    bool waits = m->joint[setpoint->scale.joint].taken == 0;
+    can_put(data, &setpoint->trigger, waits && moves(m, drive, setpoint) ? 1 : 0); /* a length of 0: nothing */
+}
+
 bool can_build(const can_machine *m, uint32_t drive, uint32_t output, can_packet *out)
 {
     const can_output *from = &m->table.drive[drive].output[output];
@@ -143,6 +150,7 @@ bool can_build(const can_machine *m, uint32_t drive, uint32_t output, can_packet
     for (uint32_t i = 0; i < from->setpoint_count; i++) {
         int64_t raw = raw_of(m, drive, &from->setpoint[i]);
         can_put(out->data, &from->setpoint[i].place, raw);
+        put_trigger(m, drive, &from->setpoint[i], out->data);
         motion |= moves(m, drive, &from->setpoint[i]);
     }
     return motion;
@@ -241,6 +249,16 @@ static void read_fault(can_machine *m, uint32_t number, const can_field *field, 
     }
 }
 
+static uint32_t *condition_of(can_machine *m, uint32_t number, const field_meaning *meaning)
+{
+    can_joint_state *joint = &m->joint[meaning->joint];
+    switch (meaning->kind) {
+    case FIELD_ENABLED: return &m->drive[number].state.enabled;
+    case FIELD_TAKEN: return &joint->taken;
+    default: return &joint->feedback.referenced;
+    }
+}
+
 static void read_field(can_machine *m, uint32_t number, const can_field *field, const uint8_t *data, int64_t stamp_ns)
 {
     can_joint_state *joint = &m->joint[field->meaning.joint];
@@ -256,7 +274,7 @@ static void read_field(can_machine *m, uint32_t number, const can_field *field, 
         read_fault(m, number, field, (uint32_t)raw);
     } else {
         uint32_t equal = ((uint32_t)raw & field->meaning.equals_mask) == field->meaning.equals ? 1 : 0;
-        *(field->meaning.kind == FIELD_ENABLED ? &m->drive[number].state.enabled : &joint->feedback.referenced) = equal;
+        *condition_of(m, number, &field->meaning) = equal;
     }
 }
 

@@ -145,6 +145,7 @@ class CanPlan(Plan):
         for joint in self.joints:
             channel = self.channel(joint)
             names += [n for n in (channel.position, channel.velocity, channel.fault) if n]
+            names += [channel.handshake.acknowledged] if channel.handshake else []
         return names
 
     def _measuring_names(self) -> list[str]:

@@ -176,6 +176,19 @@ class Direction:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Handshake:
+    """A drive that takes a target with the rising edge of a bit, and acknowledges it with another
+    one until the first is 0 again (CiA 402-2, profile position: new set-point)."""
+
+    register: str
+    mask: int
+    """One bit."""
+    acknowledged: str
+    """The register that acknowledges."""
+    acknowledged_mask: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Channel:
     """What one motor of the drive offers, as register names; None: the drive has no such thing."""
 
@@ -189,6 +202,8 @@ class Channel:
     setpoint_with: tuple[tuple[str, int], ...] = ()
     """(register, raw value) of what is written with each set-point, in one request: the drive obeys
     the set-point when it gets them."""
+    handshake: Handshake | None = None
+    """Of a drive that does not take each target that it gets."""
     position: str | None = None
     velocity: str | None = None
     current: str | None = None

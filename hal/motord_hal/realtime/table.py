@@ -60,6 +60,8 @@ class FieldKind(enum.IntEnum):
     ENABLED = 6
     KEPT = 7
     REFERENCED = 8
+    TAKEN = 9
+    """On a CAN bus only."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,6 +22,7 @@ from motord.config.drives.tables import (
     HoldingRegister,
     MotorChannel,
     ReverseRegister,
+    TargetHandshake,
     WriteStep,
 )
 from motord_hal.drives.profile import (
@@ -31,6 +32,7 @@ from motord_hal.drives.profile import (
     Enabled,
     FaultBit,
     Gap,
+    Handshake,
     Register,
     RegisterType,
     Step,
@@ -205,6 +207,7 @@ def _channel(table: MotorChannel) -> Channel:
         torque_setpoint=table.torque_setpoint,
         position_setpoint=table.position_setpoint,
         setpoint_with=tuple(table.setpoint_with.items()),
+        handshake=_handshake(table.handshake) if table.handshake else None,
         position=table.position,
         velocity=table.velocity,
         current=table.current,
@@ -240,6 +243,15 @@ def _step(key: str, step: AnyStep, problems: Problems) -> Step:
         verify=step.verify,
         plus_node=step.plus_node,
         cycle=step.cycle,
+    )
+
+
+def _handshake(table: TargetHandshake) -> Handshake:
+    return Handshake(
+        register=table.register_name,
+        mask=table.mask,
+        acknowledged=table.acknowledged,
+        acknowledged_mask=table.acknowledged_mask,
     )
 
 

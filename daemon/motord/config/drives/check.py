@@ -8,7 +8,15 @@ from itertools import combinations
 from motord.config.drives.can_check import check_can
 from motord.config.drives.problems import Problems
 from motord_hal.base.nearest import did_you_mean
-from motord_hal.drives.profile import Channel, Direction, DriveProfile, Gap, Register, Step
+from motord_hal.drives.profile import (
+    Channel,
+    Direction,
+    DriveProfile,
+    Gap,
+    Handshake,
+    Register,
+    Step,
+)
 
 _SPEED_UNITS = ("rpm", "rad/s", "turn/s")
 # what a channel's entry must be: units, and whether it is written
@@ -258,6 +266,8 @@ def _check_channel(profile: DriveProfile, key: str, channel: Channel, problems: 
         _check_together(profile, f"{key}.setpoint_with", setpoint, channel, problems)
     if channel.direction is not None:
         _check_direction(profile, f"{key}.direction", channel.direction, problems)
+    if channel.handshake is not None:
+        _check_handshake(profile, f"{key}.handshake", setpoint, channel.handshake, problems)
 
 
 def _check_torque(profile: DriveProfile, key: str, channel: Channel, problems: Problems) -> None:
@@ -332,6 +342,33 @@ def _check_together(
         problems.add(key, "these registers and the set-point's must lie side by side")
     if profile.write_function != 16 or len(words) > profile.max_registers:
         problems.add(key, f"needs write_function = 16 and max_registers = {len(words)} or more")
+
+
+def _check_handshake(
+    profile: DriveProfile,
+    key: str,
+    setpoint: Register | None,
+    handshake: Handshake,
+    problems: Problems,
+) -> None:
+    """The bit goes out with its target, and what acknowledges it comes in a frame of its own."""
+    if profile.can is None or setpoint is None or setpoint.unit not in ("count", "turn"):
+        problems.add(key, "is for a position_setpoint on a CAN bus")
+        return
+    trigger = _reference(profile, f"{key}.register", handshake.register, "w", ("",), problems)
+    if trigger is not None and trigger.address != setpoint.address:
+        problems.add(f"{key}.register", f'"{trigger.name}" is not in the frame of the set-point')
+    if handshake.mask.bit_count() != 1:
+        problems.add(f"{key}.mask", f"{handshake.mask:#x} is not one bit")
+    acknowledges = _reference(
+        profile, f"{key}.acknowledged", handshake.acknowledged, "r", ("",), problems
+    )
+    for register, mask in (
+        (trigger, handshake.mask),
+        (acknowledges, handshake.acknowledged_mask),
+    ):
+        if register is not None and mask >> register.type.bits:
+            problems.add(key, f"{mask:#x} does not fit {register.name}")
 
 
 def _check_direction(

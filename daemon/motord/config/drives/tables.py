@@ -110,6 +110,17 @@ class ReverseRegister(Section):
     rest: int = number("its value with a set-point of zero", 0, 65535, "1")
 
 
+class TargetHandshake(Section):
+    """[channel.N.handshake]: the drive takes a target with the rising edge of a bit."""
+
+    register_name: Text = Field(alias="register")
+    """The signal that has the bit, in the frame of the set-point."""
+    mask: int = number("the bit", 1, (1 << 32) - 1, "1")
+    acknowledged: Text
+    """The signal that says that the drive has taken the target."""
+    acknowledged_mask: int = number("its bit for that", 1, (1 << 32) - 1, "1")
+
+
 class MotorChannel(Section):
     """[channel.N]: one motor of the drive, by the names of its registers."""
 
@@ -137,6 +148,8 @@ class MotorChannel(Section):
         default_factory=dict
     )
     """Registers that get a fixed raw value in the same request as each set-point."""
+    handshake: TargetHandshake | None = None
+    """Of a drive on a CAN bus that takes a position with a handshake."""
 
 
 class WriteStep(Section):

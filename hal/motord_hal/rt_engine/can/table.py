@@ -16,7 +16,7 @@ from typing import Any
 from motord_hal.can.job_step import merged_writes
 from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent
 from motord_hal.drives.can_profile import FLOAT_MAX, Frame, Sender, Signal, signals_of
-from motord_hal.drives.profile import SI_UNITS, Enabled, Step
+from motord_hal.drives.profile import SI_UNITS, Enabled, Handshake, Step
 from motord_hal.fieldbus.ports import JointSpec, LineSpec
 from motord_hal.realtime.can import EXTENDED, REMOTE
 from motord_hal.realtime.table import FieldKind
@@ -148,7 +148,23 @@ def _setpoints(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
         if plan.frame_of(signal.name) is not frame:
             continue
         scale = setpoint_scale(joint, channel, _si_per_raw(signal), _raw_limits(signal))
-        yield {"place": _place(signal), "scale": scale}
+        trigger = _trigger(plan, channel.handshake)
+        yield {"place": _place(signal), "scale": scale, "trigger": trigger}
+
+
+def _trigger(plan: CanPlan, handshake: Handshake | None) -> Plain:
+    """The bit with which the drive takes a target; a length of 0: it takes each."""
+    if handshake is None:
+        return {}
+    signal, place = plan.signal(handshake.register), handshake.mask.bit_length() - 1
+    if signal.big_endian:
+        place = signal.length - 1 - place
+    return {
+        "start_bit": signal.start_bit + place,
+        "length": 1,
+        "big_endian": int(signal.big_endian),
+        "form": 0,
+    }
 
 
 def _raw_limits(signal: Signal) -> tuple[float, float]:
@@ -200,7 +216,8 @@ def silence_s(plan: CanPlan, spec: LineSpec, frame: Frame) -> float:
 
 
 def _input(plan: CanPlan, spec: LineSpec, frame: Frame) -> Plain:
-    fields = [*_joint_fields(plan, frame), *_enabled_field(plan, frame), *_homed(plan, frame)]
+    fields = [*_joint_fields(plan, frame), *_enabled_field(plan, frame)]
+    fields += [*_homed(plan, frame), *_taken(plan, frame)]
     spacing_s = SAMPLE_PART * frame.period_s if frame in plan.measuring else 0.0
     return {
         "silence_ns": round(silence_s(plan, spec, frame) * _NS_PER_S),
@@ -253,6 +270,15 @@ def _homed(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
     if homed is not None and plan.read_frame_of(homed.register) is frame:
         for joint in plan.joints:
             yield _is_so(plan, FieldKind.REFERENCED, joint.index, homed)
+
+
+def _taken(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
+    for joint in plan.joints:
+        handshake = plan.channel(joint).handshake
+        if handshake is not None and plan.read_frame_of(handshake.acknowledged) is frame:
+            mask = handshake.acknowledged_mask
+            place = Enabled(register=handshake.acknowledged, mask=mask, equals=mask)
+            yield _is_so(plan, FieldKind.TAKEN, joint.index, place)
 
 
 def _is_so(plan: CanPlan, kind: FieldKind, joint: int, place: Enabled) -> Plain:

@@ -16,6 +16,11 @@ from motord_hal.sim.rs485.drive import SimulatedDrive
 SWITCH_ON_DISABLED, READY, SWITCHED_ON, OPERATION = 0x40, 0x21, 0x23, 0x27
 QUICK_STOP_ACTIVE, FAULT = 0x07, 0x08
 _FAULT_RESET = 0x80
+_NEW_SETPOINT, _AT_ONCE = 0x10, 0x20
+"""Of the control word in profile position mode (CiA 402-2, 10.3): the rising edge of the first has
+the target taken, the second ends the move before."""
+_TAKEN = 0x1000
+"""Of the status word: set-point acknowledge, until the first is 0 again."""
 _INVALID = 0x8000_0000
 """Of a COB-ID: the PDO is off (CiA 301, 7.5.2.35)."""
 _OPERATIONAL = 5
@@ -45,6 +50,8 @@ class Cia402Drive(SimulatedDrive):
         super().__init__(profile, unit, axes, watchdog_s=watchdog_s)
         self._state = SWITCH_ON_DISABLED
         self._control = 0
+        self._taken = False
+        """It has acknowledged a target."""
         self._kept: dict[str, tuple[Frame, bytes]] = {}
         """PDOs that wait for the next SYNC, by name."""
         self.registers.make_live("status_word", self._status)
@@ -101,10 +108,16 @@ class Cia402Drive(SimulatedDrive):
 
     def _power_up(self) -> None:
         self._state, self._control = SWITCH_ON_DISABLED, 0
+        self._taken = False
         self._kept.clear()
         super()._power_up()
 
     def _status(self) -> int:
+        homed = self.profile.homed
+        more = homed.equals if homed and homed.register == "status_word" and self.homed else 0
+        return self._state_now() | more | (_TAKEN if self._taken else 0)
+
+    def _state_now(self) -> int:
         motors = self._motors.values()
         if any(motor.stopped_by_fault for motor in motors):
             self._state = FAULT
@@ -117,7 +130,7 @@ class Cia402Drive(SimulatedDrive):
     def _obey_control(self, word: int) -> None:
         """One transition a command, in the order of CiA 402-2, table 27."""
         rising, self._control = word & ~self._control, word
-        state = self._status()
+        state = self._state_now()
         if state == FAULT:
             if rising & _FAULT_RESET:
                 for motor in self._motors.values():
@@ -130,6 +143,16 @@ class Cia402Drive(SimulatedDrive):
                 self._brake()
         elif (self._state == OPERATION) != (state == OPERATION):
             self._switch(on=self._state == OPERATION)
+        self._take_target(word, rising)
+
+    def _take_target(self, word: int, rising: int) -> None:
+        """Of a drive in profile position mode; a target without "at once" is not taken."""
+        self._taken &= bool(word & _NEW_SETPOINT)
+        if self._state == OPERATION and rising & _NEW_SETPOINT and word & _AT_ONCE:
+            for motor in self._motors.values():
+                if motor.channel.handshake is not None:
+                    motor.sent_raw = self.registers.stored(motor.channel.setpoint)
+                    self._taken = True
 
 
 def _next(state: int, word: int) -> int:

@@ -279,7 +279,8 @@ class SimulatedDrive:
             axis.wheel.turn(motor.defects["runaway"])
             return
         name = channel.setpoint
-        raw = motor.sent_raw if channel.setpoint_with else self.registers.stored(name)
+        kept = channel.setpoint_with or channel.handshake
+        raw = motor.sent_raw if kept else self.registers.stored(name)
         if channel.position_setpoint is not None:
             axis.wheel.turn(0.0 if raw is None else approach_rad_s(self.profile, motor, raw))
             return
