@@ -3,6 +3,7 @@
 out; whatever ends a procedure ends it at rest and without power."""
 
 import math
+import re
 
 import pytest
 from tests.browser.axe import axe_violations
@@ -25,7 +26,8 @@ from motord.config import load_robot
 
 PINS = ROOT / "config/robots/pi5-bts7960.toml"
 SPIN, RADII, TRACK = "First turn of each wheel", "Wheel radii", "Track"
-GAINS = "Gains of a wheel"
+GAINS, GYRO = "Gains of a wheel", "Gyro"
+DEAD_BAND, FEED_FORWARD = "Dead band", "Dead band and feed-forward"
 GROUND, TURNED = "Are all wheels off the ground", "Did the (left|right) wheel turn forward"
 RADIUS_M, TRACK_M = 0.0825, 0.45
 TRUE_LEFT_M, TRUE_RIGHT_M, TRUE_TRACK_M = 1.03 * RADIUS_M, 1.02 * RADIUS_M, 0.96 * TRACK_M
@@ -169,6 +171,81 @@ def test_a_calibration_recovers_what_was_planted(browser, tmp_path, title, field
     else:  # by the radii of the file, which are too small
         assert found.base.track_m == pytest.approx(TRUE_TRACK_M / 1.025, rel=0.005)
     assert len(list(tmp_path.glob("*.bak"))) == 1
+
+
+def rubbing(browser, folder, was):
+    """Duty drives whose motors stall at 8 N·m and rub with 0.48 N·m: they begin to turn at 6 %."""
+    replaced = [("duty_dead_band = 0.06", f"duty_dead_band = {was}")]
+    file = copied(folder, ROOT / "config/robots/forward-only.toml", replaced)
+    rubs = wheels("left.coulomb_n_m=0.48", "right.coulomb_n_m=0.48")
+    return file, dashboard_of(browser, folder, file, *SURE, sim_options=rubs)
+
+
+@pytest.mark.parametrize(("title", "speed_too"), [(DEAD_BAND, False), (FEED_FORWARD, True)])
+def test_a_dead_band_is_recovered_and_the_speed_at_full_duty(browser, tmp_path, title, speed_too):
+    file, served = rubbing(browser, tmp_path, was=0.02)
+    before = load_robot(file).joint
+    with served as robot, robot.page() as page:
+        for _ in range(TRIES):
+            open_page(page, title)
+            fill(page, Top_speed=0.5)
+            begin(page)
+            answers(page, {"Is the path clear": "Yes", "Write .*cart.toml": "Yes"})
+            shown = page.locator(".ended").inner_text()
+            if not was_held_up(shown):
+                break
+        assert "is written" in shown, shown
+        assert page.locator(".ended .picture svg").count() >= 2
+        rests_disarmed(robot.stage)
+    for name, joint in load_robot(file).joint.items():
+        assert joint.duty_dead_band == pytest.approx(0.06, rel=0.05)
+        # 8 N·m · (duty − 0.06) = (8 / 18 + 0.02) N·m·s/rad · speed
+        true_rad_s = 8.0 * 0.94 / (8.0 / 18.0 + 0.02)
+        expected = true_rad_s if speed_too else before[name].full_duty_rad_s
+        assert joint.full_duty_rad_s == pytest.approx(expected, rel=0.02 if speed_too else 1e-9)
+
+
+def test_a_drive_that_holds_its_speed_has_no_dead_band_and_moves_nothing(robot):
+    before = robot.file.read_bytes()
+    with robot.page() as page:
+        open_page(page, DEAD_BAND)
+        begin(page)
+        wait_until(lambda: page.locator(".ended").count(), "the end")
+        assert "holds the wheel's speed by itself" in page.locator(".ended").inner_text()
+        rests_without_power(robot.stage)
+    assert robot.file.read_bytes() == before
+
+
+def test_the_scale_of_a_gyro_is_measured_and_its_variance_written(browser, tmp_path):
+    file = copied(tmp_path, ROOT / "config/robots/esp32-imu.toml")
+    planted = ("--gyro-scale", "1.03", "--seed", "5")
+    patient = (
+        *SURE, "imu.timeout_s=1.0", "joint.left.reply_timeout_s=1.0",
+        "joint.right.reply_timeout_s=1.0", "loop.rate_hz=250",
+    )  # fmt: skip
+    with (
+        dashboard_of(browser, tmp_path, file, *patient, sim_options=planted) as robot,
+        robot.page() as page,
+    ):
+
+        def used():
+            return (robot.stage.robot.status()["imu"] or {}).get("state") == "used"
+
+        for _ in range(TRIES):
+            wait_until(used, "the zero of the gyro")
+            open_page(page, GYRO)
+            fill(page, Turns_on_the_spot=2, Fastest_turn=1.0)
+            begin(page)
+            answers(page, Floor(robot).replies())
+            shown = page.locator(".ended").inner_text()
+            if not was_held_up(shown):
+                break
+        assert "is written" in shown, shown
+        rests_disarmed(robot.stage)
+    scale = float(re.search(r"scale ([.\d]+)", shown)[1])
+    assert scale == pytest.approx(1.0 / 1.03, abs=2 * 0.5 / 720 + 1e-3)  # half a degree is read
+    variance = load_robot(file).imu.turn_variance_rad2_per_rad
+    assert variance == pytest.approx((scale - 1.0) ** 2 * math.tau, rel=0.1)
 
 
 def test_the_gains_of_a_wheel_are_found_shown_and_kept(browser, tmp_path):
