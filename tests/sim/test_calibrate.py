@@ -6,7 +6,7 @@ import math
 import re
 
 import pytest
-from tests.sim.daemon_stage import ROOT, wait_until
+from tests.sim.daemon_stage import ROOT, patient_on_can, wait_until
 from tests.sim.person_stage import at_terminal, calibrated, copied, robot_of
 
 from motord.config import load_robot
@@ -54,8 +54,9 @@ def test_the_radius_of_a_base_without_two_sides_is_found(tmp_path, name, rolling
     assert load_robot(file).base.wheel_radius_m == pytest.approx(true_m, rel=0.003)
 
 
-def test_a_dead_band_is_found_with_the_speed_at_full_duty(tmp_path):
-    """The simulated motor stalls at 8 N·m and rubs with 0.48 N·m: it begins to turn at 6 %."""
+def test_the_feed_forward_of_a_duty_is_found(tmp_path):
+    """The simulated motor stalls at 8 N·m, turns 0.07 kg·m², and rubs with 0.48 N·m: it begins to
+    turn at 6 %."""
     file = copied(tmp_path, FORWARD_ONLY, [("duty_dead_band = 0.06", "duty_dead_band = 0.02")])
     wheels = ("left.coulomb_n_m=0.48", "right.coulomb_n_m=0.48")
     with robot_of(tmp_path, file, wheels=wheels) as stage:
@@ -65,6 +66,24 @@ def test_a_dead_band_is_found_with_the_speed_at_full_duty(tmp_path):
         assert joint.duty_dead_band == pytest.approx(0.06, rel=0.05)
         # 8 N·m · (duty − 0.06) = (8 / 18 + 0.02) N·m·s/rad · speed
         assert joint.full_duty_rad_s == pytest.approx(8.0 * 0.94 / (8.0 / 18.0 + 0.02), rel=0.02)
+        assert joint.speed_loop.acceleration_s2_per_rad == pytest.approx(0.07 / 8.0, rel=0.1)
+    assert text.count("acceleration_s2_per_rad 0 → ") == 2
+    assert "rad/s)" in text
+
+
+def test_the_feed_forward_of_a_torque_is_found_under_its_speed_loop(tmp_path):
+    file = patient_on_can(tmp_path, "cia402-torque", "cia402-torque")
+    with robot_of(tmp_path, file, "safety.feedback.runaway_s=5") as stage:
+        status, text = calibrated(stage, "deadband", "--speed-m-s", "0.5")
+        assert (status, "takes a torque and no duty" in text) == (1, True), text
+        status, text = calibrated(stage, "feedforward", "--speed-m-s", "0.5")
+        assert status == 0, text
+    for joint in load_robot(file).joint.values():
+        loop = joint.speed_loop
+        assert loop.inertia_kg_m2 == pytest.approx(0.07, rel=0.1)
+        assert loop.static_n_m == pytest.approx(0.3, rel=0.1)
+        assert loop.viscous_n_m_s_per_rad == pytest.approx(0.02, abs=0.005)
+        assert loop.gain_n_m_s_per_rad == 1.0
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.03])

@@ -32,10 +32,37 @@ def test_feedback_that_a_busy_machine_delays_does_not_bend_a_speed():
     snapshots = []
     for at_ms in range(100, 2001, 20):
         age_s = late_ms.get(at_ms, 5) / 1000.0
-        turned = joint(duty=0.3, position_rad=4.0 * (at_ms / 1000.0 - age_s), feedback_age_s=age_s)
+        turned = joint(
+            duty=0.3,
+            setpoint_rad_s=4.0,
+            position_rad=4.0 * (at_ms / 1000.0 - age_s),
+            feedback_age_s=age_s,
+        )
         snapshots.append(view(at_ms, joints=(turned,)).snapshot)
     found = steady(snapshots, 0)
     assert (found.duty, found.velocity_rad_s) == (pytest.approx(0.3), pytest.approx(4.0))
+
+
+def test_a_reply_that_a_busy_machine_delays_does_not_bend_a_speed():
+    """The last place is 25 ms older than its stamp says: of 0.8 s that is 3 %."""
+    snapshots = []
+    for at_ms in range(100, 2001, 20):
+        late_s = 0.025 if at_ms == 2000 else 0.0
+        turned = joint(duty=0.3, setpoint_rad_s=4.0, position_rad=4.0 * (at_ms / 1000.0 - late_s),
+                       feedback_age_s=0.005)  # fmt: skip
+        snapshots.append(view(at_ms, joints=(turned,)).snapshot)
+    assert steady(snapshots, 0).velocity_rad_s == pytest.approx(4.0, rel=0.002)
+
+
+def test_a_duty_that_a_speed_loop_changes_is_averaged_while_the_set_point_is_held():
+    snapshots = []
+    for n, at_ms in enumerate(range(100, 2001, 20)):
+        turned = joint(duty=0.3 + 0.02 * (-1) ** n, setpoint_rad_s=4.0,
+                       position_rad=4.0 * at_ms / 1000.0, feedback_age_s=0.005)  # fmt: skip
+        snapshots.append(view(at_ms, joints=(turned,)).snapshot)
+    found = steady(snapshots, 0)
+    assert found.duty == pytest.approx(0.3, abs=1e-3)
+    assert found.velocity_rad_s == pytest.approx(4.0)
 
 
 def test_exact_speeds_give_the_exact_dead_band():

@@ -164,5 +164,9 @@ def test_a_response_is_measured_against_its_set_point():
     assert math.isnan(settled_s(slow))
     over = Run(moments, want, want, moments, 1.1 * want)
     assert response_of([over]).overshoot_rad_s == pytest.approx(0.5)
+    kicked = np.where((moments > 1.3) & (moments < 1.5), 3.0 * want, want)
+    late = (moments < 1.3) | (moments > 1.47)
+    parts = (moments[late], want[late], want[late], moments[late], kicked[late])
+    assert response_of([Run(*parts)]).overshoot_rad_s == 0.0
     with pytest.raises(Failed, match="got no set-point"):
         response_of([Run(moments, 0.0 * want, want, moments, want)])

@@ -100,8 +100,9 @@ def calibrate(what: str | None, log: Path | None, as_json: bool, **options: Any)
     squares; data that contradict each other are refused, and nothing is written without a yes.
 
     straight: both radii. rotate: track. square: ratio of the radii, and track (UMBmark). all: these
-    three together, then dead band and feed-forward where the drives take a duty. gyro:
-    offset, scale and variance of the gyro. Radii and track are for bases with wheels on two sides.
+    three together, then dead band and feed-forward where motord holds the speed. feedforward:
+    static, viscous and acceleration part of a duty or a torque. gyro: offset, scale and variance of
+    the gyro. Of bases without two sides straight measures the radius of all wheels.
 
     \b
     Example: motord calibrate all
@@ -140,6 +141,8 @@ def _live(person: Terminal, what: str, options: dict[str, Any]) -> dict[str, Any
         found["geometry"] = _numbers(measured.measures, measured.fit)
     if measured.duty:
         found["duty"] = {name: asdict(fit) for name, fit in measured.duty.items()}
+    if measured.plants:
+        found["feed_forward"] = {name: asdict(plant) for name, plant in measured.plants.items()}
     if measured.gyro is not None:
         found["gyro"] = asdict(measured.gyro)
     return found | {"backup": _written(person, edit, options)}

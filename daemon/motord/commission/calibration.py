@@ -9,14 +9,23 @@ from dataclasses import dataclass, field
 
 from motord.api.geometry_fit import Fit, Free, Measure, fit
 from motord.client import Client
-from motord.commission.duty import DutyFit, drive_levels, duty_changes, duty_words
+from motord.commission.duty import (
+    DutyFit,
+    drive_levels,
+    duty_changes,
+    duty_fits,
+    duty_joints,
+    duty_words,
+)
+from motord.commission.feed_forward import plant_changes, plant_words, plants_of
 from motord.commission.geometry import changes, free_of, require_same, words
 from motord.commission.gyro import GyroFound, gyro_changes, measure_gyro
 from motord.commission.person import Person
 from motord.commission.robot_file_edit import RobotFileEdit
 from motord.commission.runs import Runs
+from motord.commission.tune_fit import Plant
 from motord.config import Robot
-from motord.config.sections.wheels import takes_duty
+from motord.config.sections.wheels import takes_duty, takes_torque
 
 GEOMETRY = ("straight", "rotate", "square")
 
@@ -28,6 +37,7 @@ class Calibration:
     measures: list[Measure] = field(default_factory=list)
     fit: Fit | None = None
     duty: Mapping[str, DutyFit] = field(default_factory=dict)
+    plants: Mapping[str, Plant] = field(default_factory=dict)
     gyro: GyroFound | None = None
 
 
@@ -44,11 +54,15 @@ def calibrated(
         kinds = GEOMETRY if what == "all" else (what,)
         found.measures = [measure for kind in kinds for measure in getattr(runs, kind)()]
         found.fit = fitted(person, edit, free, found.measures)
-    if what in ("deadband", "feedforward") or (what == "all" and _takes_duty(robot)):
-        found.duty = drive_levels(client, person, robot, options["speed_m_s"])
-        for text in duty_words(robot, found.duty):
+    if what in ("deadband", "feedforward") or (what == "all" and _holds_speed(robot)):
+        duty_joints(robot, torque=what != "deadband")  # nothing moves where there is none
+        levels = drive_levels(client, person, robot, options["speed_m_s"])
+        found.duty = duty_fits(robot, levels)
+        found.plants = {} if what == "deadband" else plants_of(robot, levels)
+        for text in (*duty_words(robot, found.duty), *plant_words(robot, found.plants)):
             person.show(text)
         edit.update(duty_changes(robot, found.duty, feed_forward=what != "deadband"))
+        edit.update(plant_changes(robot, found.plants))
     if what == "gyro":
         gyro = measure_gyro(client, person, robot, options["turns"], options["speed_rad_s"])
         person.show(
@@ -77,6 +91,11 @@ def fitted(
     return found
 
 
-def _takes_duty(robot: Robot) -> bool:
+def _holds_speed(robot: Robot) -> bool:
+    """Whether a drive takes a duty or a torque."""
     profiles = robot.profiles
-    return any(takes_duty(joint, profiles[joint.drive]) for joint in robot.joint.values())
+    return any(
+        takes(joint, profiles[joint.drive])
+        for joint in robot.joint.values()
+        for takes in (takes_duty, takes_torque)
+    )

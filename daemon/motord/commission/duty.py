@@ -20,11 +20,12 @@ from motord.commission.person import Failed, Person
 from motord.commission.robot_file_edit import KeyPath
 from motord.commission.session import armed
 from motord.config import Robot
-from motord.config.sections.wheels import takes_duty, velocity_range_rad_s
+from motord.config.sections.wheels import takes_duty, takes_torque, velocity_range_rad_s
 
 OWNER = "motord-calibrate"
 LEVELS = (0.15, 0.25, 0.35, 0.5, 0.65, 0.8)
 """Of the speed at most."""
+LOOK_EVERY_S = 0.01
 HOLD_S, STEADY_S = 2.5, 0.8
 """How long each level is held, and the end of it that is measured."""
 STANDS_RAD_S = 0.1
@@ -89,15 +90,20 @@ def fit_duty(name: str, points: Sequence[Point]) -> DutyFit:
     )
 
 
-def duty_joints(robot: Robot) -> list[str]:
-    """Joints that can be calibrated so. Raises Failed where there is none."""
+def duty_joints(robot: Robot, *, torque: bool = False) -> list[str]:
+    """Joints that can be calibrated so; `torque`: also those that take one. Raises Failed where
+    there is none."""
+    profiles = robot.profiles
     found = [
         name
         for name, joint in robot.joint.items()
-        if takes_duty(joint, robot.profiles[joint.drive])
+        if takes_duty(joint, profiles[joint.drive])
+        or (torque and takes_torque(joint, profiles[joint.drive]))
     ]
     if not found:
         drives = ", ".join(sorted({joint.drive for joint in robot.joint.values()}))
+        if any(takes_torque(joint, profiles[joint.drive]) for joint in robot.joint.values()):
+            raise Failed(f"{drives}: takes a torque and no duty: motord calibrate feedforward")
         raise Failed(
             f"{drives}: holds the wheel's speed by itself: it has no dead band and no feed-forward "
             "that motord could set"
@@ -107,9 +113,9 @@ def duty_joints(robot: Robot) -> list[str]:
 
 def drive_levels(
     client: Client, person: Person, robot: Robot, speed_m_s: float
-) -> dict[str, DutyFit]:
-    """Short straight runs forward and back, at rising speeds. Raises Failed, Aborted."""
-    names, joints = duty_joints(robot), list(robot.joint)
+) -> list[tuple[Snapshot, ...]]:
+    """Short straight runs forward and back, at rising speeds, each from rest to rest. Raises
+    Failed, Aborted."""
     profiles = robot.profiles
     reverses = all(
         velocity_range_rad_s(joint, profiles[joint.drive])[0] < 0.0
@@ -117,19 +123,27 @@ def drive_levels(
     )
     if not person.confirm(_question(speed_m_s, reverses=reverses)):
         raise Failed("nothing was driven")
-    points: dict[str, list[Point]] = {name: [] for name in names}
+    found = []
     with armed(client, person, OWNER) as session:
+        session.look_every_s = LOOK_EVERY_S
         for number, level in enumerate(LEVELS, 1):
             for sign in (1.0, -1.0) if reverses else (1.0,):
                 person.progress(f"level {number} of {len(LEVELS)}")
                 held = session.hold(sign * level * speed_m_s, 0.0, HOLD_S)
                 if held.faults:
-                    raise Failed(
-                        f"the robot stopped by itself ({', '.join(held.faults)}): motord spin --all"
-                    )
-                for name in names:
-                    points[name].append(steady(held.snapshots, joints.index(name)))
-    return {name: fit_duty(name, found) for name, found in points.items()}
+                    raise Failed(f"{session.stopped_by(held.faults)}: motord spin --all")
+                found.append(held.snapshots)
+    return found
+
+
+def duty_fits(robot: Robot, runs: Sequence[Sequence[Snapshot]]) -> dict[str, DutyFit]:
+    """Of each joint that takes a duty. Raises Failed."""
+    places, profiles = list(robot.joint), robot.profiles
+    return {
+        name: fit_duty(name, [steady(run, places.index(name)) for run in runs])
+        for name, joint in robot.joint.items()
+        if takes_duty(joint, profiles[joint.drive])
+    }
 
 
 def _question(speed_m_s: float, *, reverses: bool) -> str:
@@ -146,23 +160,33 @@ def _question(speed_m_s: float, *, reverses: bool) -> str:
 
 
 def steady(snapshots: Sequence[Snapshot], index: int) -> Point:
-    """The mean over the end of the time for which the duty was held."""
-    highest = max(abs(each.joints[index].duty) for each in snapshots)
-    if not highest > 0.0:
+    """The mean over the end of the time for which the set-point was held."""
+    wanted = [abs(each.joints[index].setpoint_rad_s) for each in snapshots]
+    if not max(abs(each.joints[index].duty) for each in snapshots) > 0.0:
         raise Failed("a wheel got no duty: the robot file or a limit keeps it at rest")
-    held = [each for each in snapshots if abs(each.joints[index].duty) > 0.999 * highest]
-    end_ns = held[-1].stamp_ns
-    window = [each for each in held if each.stamp_ns > end_ns - STEADY_S * 1e9]
+    held = [n for n, want in enumerate(wanted) if want > 0.999 * max(wanted)]
+    end_ns = snapshots[held[-1]].stamp_ns
+    window = [snapshots[n] for n in held if snapshots[n].stamp_ns > end_ns - STEADY_S * 1e9]
     duty = sum(each.joints[index].duty for each in window) / len(window)
-    first, last = window[0], window[-1]
-    elapsed_s = _fed_s(last, index) - _fed_s(first, index)
-    angle_rad = last.joints[index].position_rad - first.joints[index].position_rad
-    if elapsed_s > 0.5 * STEADY_S and math.isfinite(angle_rad):
-        return Point(duty, angle_rad / elapsed_s)  # a counter is more exact than a speed
+    places = {_fed_s(each, index): each.joints[index].position_rad for each in window}
+    if max(places) - min(places) > 0.5 * STEADY_S and all(map(math.isfinite, places.values())):
+        return Point(duty, _slope(places))  # a counter is more exact than a speed
     velocities = [each.joints[index].velocity_rad_s for each in window]
     if not all(map(math.isfinite, velocities)):
         raise Failed("a wheel measures neither position nor velocity: it cannot be calibrated")
     return Point(duty, sum(velocities) / len(velocities))
+
+
+def _slope(places: Mapping[float, float]) -> float:
+    """The median of the slopes of all pairs (Theil-Sen: Sen, Journal of the American Statistical
+    Association 63, 1968): a reply that was late has the place of an earlier moment, and must not
+    bend the speed. Pairs that are near each other say little."""
+    times_s, angles_rad = np.array(list(places)), np.array(list(places.values()))
+    first, second = np.triu_indices(len(times_s), 1)
+    apart_s = times_s[second] - times_s[first]
+    far = np.abs(apart_s) > 0.25 * STEADY_S
+    slopes = (angles_rad[second] - angles_rad[first])[far] / apart_s[far]
+    return float(np.median(slopes))
 
 
 def _fed_s(snapshot: Snapshot, index: int) -> float:

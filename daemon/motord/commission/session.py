@@ -132,6 +132,11 @@ class Session:
             self.client.reset()
         self.client.arm()
 
+    def stopped_by(self, faults: tuple[str, ...]) -> str:
+        """What has ended a motion, for an error: a fault in the daemon's words."""
+        why = "; ".join(self.client.status().why) or ", ".join(faults)
+        return f"the robot stopped by itself: {why}"
+
     def _looks(self) -> Iterator[Snapshot]:
         due_s = time.monotonic()
         last_tick, changed_s = -1, due_s

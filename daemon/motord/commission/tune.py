@@ -267,9 +267,7 @@ class Tuning:
         if far:
             raise Failed(f"{self._name}: {far[0]}: the robot was stopped, nothing was written")
         if held.faults:
-            raise Failed(
-                f"the robot stopped by itself ({', '.join(held.faults)}): motord spin {self._name}"
-            )
+            raise Failed(f"{session.stopped_by(held.faults)}: motord spin {self._name}")
         return run_of(held.snapshots, self._index, duty=self._open_loop)
 
 

@@ -136,14 +136,16 @@ def response_of(runs: Sequence[Run]) -> Response:
     errors, beyond, off = [], [0.0], []
     for run in runs:
         want = np.interp(run.measured_s, run.time_s, run.want_rad_s)
-        moving = np.abs(want) > 0.0
+        seen = _seen(run)
+        moving = seen & (np.abs(want) > 0.0)
         most = float(np.max(np.abs(want), initial=0.0))
         if not moving.any() or most == 0.0:
             continue
         error = want - run.speed_rad_s
         errors.append(error[moving])
-        beyond.append(float(np.max(np.abs(run.speed_rad_s))) - most)
+        beyond.append(float(np.max(np.abs(run.speed_rad_s[seen]))) - most)
         steady = np.abs(want) > 0.999 * most
+        steady = steady & seen if (steady & seen).any() else steady
         off.append(abs(float(np.mean(error[steady][-max(int(steady.sum()) // 3, 1) :]))))
     if not errors:
         raise Failed("the wheel got no set-point: a limit or another program keeps it at rest")
@@ -192,6 +194,15 @@ def seen_part(runs: Sequence[Run]) -> float:
     """How much of the time of all runs is between gaps."""
     seen_s = sum(piece.seconds for run in runs for piece in _pieces(run))
     return seen_s / sum(float(run.time_s[-1]) for run in runs)
+
+
+def _seen(run: Run) -> npt.NDArray[np.bool_]:
+    """Which measures are of no gap; all, where nothing is."""
+    seen = np.zeros(len(run.measured_s), dtype=bool)
+    for piece in _pieces(run):
+        first_s, last_s = piece.run.measured_s[[0, -1]]
+        seen |= (run.measured_s >= first_s) & (run.measured_s <= last_s)
+    return seen if seen.any() else ~seen
 
 
 def _pieces(run: Run) -> list[_Piece]:
