@@ -49,6 +49,15 @@ SURE = (*UNHURRIED, *RETRIED)
 POLL_S = 0.03
 
 
+HELD_TORQUE = (
+    "safety.feedback.runaway_s=5",
+    *(f"joint.{name}.velocity_max_rad_s=40" for name in ("left", "right")),
+    *(f"joint.{name}.speed_loop.torque_max_n_m=1.5" for name in ("left", "right")),
+)
+"""A drive holds its torque while a busy machine holds up the loop: no fault of two joints called
+left and right."""
+
+
 def patient_on_can(folder, name, profile):
     """A copy of this robot file, and of the profile of its drives, whose time-outs a busy machine
     that stalls the simulator does not reach."""

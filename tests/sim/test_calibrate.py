@@ -6,7 +6,7 @@ import math
 import re
 
 import pytest
-from tests.sim.daemon_stage import ROOT, patient_on_can, wait_until
+from tests.sim.daemon_stage import HELD_TORQUE, ROOT, patient_on_can, wait_until
 from tests.sim.person_stage import at_terminal, calibrated, copied, robot_of
 
 from motord.config import load_robot
@@ -73,7 +73,7 @@ def test_the_feed_forward_of_a_duty_is_found(tmp_path):
 
 def test_the_feed_forward_of_a_torque_is_found_under_its_speed_loop(tmp_path):
     file = patient_on_can(tmp_path, "cia402-torque", "cia402-torque")
-    with robot_of(tmp_path, file, "safety.feedback.runaway_s=5") as stage:
+    with robot_of(tmp_path, file, *HELD_TORQUE) as stage:
         status, text = calibrated(stage, "deadband", "--speed-m-s", "0.5")
         assert (status, "takes a torque and no duty" in text) == (1, True), text
         status, text = calibrated(stage, "feedforward", "--speed-m-s", "0.5")

@@ -9,7 +9,7 @@ import signal
 import threading
 
 import pytest
-from tests.sim.daemon_stage import ROOT, becomes_idle, patient_on_can, wait_until
+from tests.sim.daemon_stage import HELD_TORQUE, ROOT, becomes_idle, patient_on_can, wait_until
 from tests.sim.person_stage import at_terminal, copied, robot_of
 
 from motord.config import load_robot
@@ -181,7 +181,7 @@ def test_a_drive_that_takes_a_torque_gets_feed_forward_too(tmp_path):
     file = patient_on_can(tmp_path, "cia402-torque", "cia402-torque")
     slack = (("gain_n_m_s_per_rad = 1.0", "gain_n_m_s_per_rad = 0.3"),)
     copied(tmp_path, file, slack)
-    with robot_of(tmp_path, file, "safety.feedback.runaway_s=5") as stage:
+    with robot_of(tmp_path, file, *HELD_TORQUE) as stage:
         status, text = tuned(stage, "left", "--aggressiveness", "gentle", "--json")
         assert status == 0, text
         found = json.loads(text[text.index("\n{") :])
