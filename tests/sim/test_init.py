@@ -131,12 +131,13 @@ def test_a_swerve_base_on_simulated_servos_is_asked_for_and_arms(tmp_path):
         screen.answer("Fastest turn", "0.8")
         screen.answer("Motor turns for a wheel turn", "1")
         screen.answer(r"Which one\? \[sts3215-position\] ", "")
+        screen.answer("How many modules", "3")
         screen.answer("How far does a wheel steer", "1")
         screen.answer("57 degrees to each side", "n")
         screen.answer("How far does a wheel steer", "1.6")
         screen.answer("How fast does it steer", "4")
         screen.answer("about the vertical", "1")
-        for unit in range(1, 9):
+        for unit in range(1, 7):
             screen.answer(rf"\[{unit}\.1\] ", "")
         screen.wait("Next: motord run .*calibrate straight")
         assert screen.end() == 0

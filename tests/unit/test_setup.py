@@ -16,6 +16,7 @@ from motord.commission.robot_text import robot_text
 from motord.commission.setup import Given, set_up, unit_and_channel
 from motord.config import load_robot
 
+ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
 WHOLE = Given(
     name="cart", place="simulated", drive="zlac8015d", base="differential", wheel_radius_m=0.08,
     track_m=0.4, linear_m_s=0.5, angular_rad_s=1.0, gear_ratio=1.0, left=(1, 1), right=(1, 2),
@@ -206,6 +207,23 @@ def test_a_missing_answer_without_a_terminal_names_the_cure(tmp_path):
     assert "give it as an option" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("place", "drive", "example"),
+    [("pwmchip0", "bts7960", "pi5-bts7960"), ("pwmchip0", "tb6612fng", "pi4-encoders"),
+     ("pwmchip0", "servo-pulse", "ackermann-servo-pwm"),
+     ("simulated", "cia402-torque", "cia402-torque")],
+)  # fmt: skip
+def test_a_drive_that_needs_more_answers_is_refused_first_and_its_example_named(
+    place, drive, example
+):
+    person = Answering()
+    with pytest.raises(Failed, match=f"motord robots {example} > cart.toml"):
+        set_up(person, Given(place=place, drive=drive, scan=False), Path("cart.toml"))
+    assert not person.questions
+    joints = load_robot(ROBOTS / f"{example}.toml").joint.values()
+    assert drive in [joint.drive for joint in joints]
+
+
 # ------------------------------------------------------------------------------- steered wheels
 CAR = replace(
     WHOLE, drive="vesc", base="ackermann", wheelbase_m=0.32, track_m=0.24, left=None, right=None,
@@ -215,7 +233,7 @@ CAR = replace(
 )  # fmt: skip
 SWERVE = replace(
     CAR, drive="sts3215", base="swerve", lateral_m_s=0.2, wheelbase_m=0.3, steering_max_rad=1.6,
-    addresses={}, steered=None, driven=None, steering_count=None,
+    addresses={}, steered=None, driven=None, steering_count=None, wheel_count=4,
 )  # fmt: skip
 
 
@@ -259,6 +277,21 @@ def test_modules_of_a_swerve_base_have_two_joints_each_on_one_line():
     assert robot.limits.lateral_m_s == 0.2
 
 
+@pytest.mark.parametrize(
+    ("count", "places"),
+    [(2, ["front-left", "rear-right"]), (3, ["front", "rear-left", "rear-right"])],
+)
+def test_a_swerve_base_may_have_two_or_three_modules(count, places):
+    person = Answering(str(count), *[""] * 2 * count)
+    _, robot = written(replace(SWERVE, wheel_count=None), person)
+    joints = list(robot.joint.values())
+    assert [joint.place for joint in joints if not joint.steers] == places
+    assert [joint.place for joint in joints if joint.steers] == places
+    assert "where your modules are elsewhere" in person.shown[-1]
+    with pytest.raises(Failed, match="a swerve base has 2 to 4 modules, not 5"):
+        written(replace(SWERVE, wheel_count=5), Answering())
+
+
 def test_an_implausible_range_of_steering_is_asked_about_aloud():
     person = Answering(*(3.0, False, 0.6))
     _, robot = written(replace(CAR, steering_max_rad=None), person)
@@ -269,6 +302,7 @@ def test_an_implausible_range_of_steering_is_asked_about_aloud():
 @pytest.mark.parametrize(
     ("changed", "words"),
     [({"steering_drive": "vesc"}, "takes no positions"),
+     ({"steering_drive": "rc-servo", "steering_place": "pwmchip0"}, "is on pins"),
      ({"drive": "sts3215-position"}, "takes positions"),
      ({"addresses": {"front": (1, 1)}}, "no such joint")],
 )  # fmt: skip

@@ -30,7 +30,9 @@ KINDS = ("differential", "skid", "mecanum", "omni", "ackermann", "tricycle", "sw
 @click.option("--track-m", type=POSITIVE, help="From the left wheels to the right ones.")
 @click.option("--wheelbase-m", type=POSITIVE, help="From the front axle to the rear one.")
 @click.option("--radius-m", type=POSITIVE, help="Omni: from the middle of the base to a wheel.")
-@click.option("--wheel-count", type=click.IntRange(3, 8), help="Omni: number of wheels.")
+@click.option(
+    "--wheel-count", type=click.IntRange(2, 8), help="Omni: number of wheels. Swerve: of modules."
+)
 @click.option("--linear-m-s", type=POSITIVE, help="Top speed.")
 @click.option("--lateral-m-s", type=POSITIVE, help="Top speed sideways (mecanum, omni).")
 @click.option("--angular-rad-s", type=POSITIVE, help="Fastest turn.")
@@ -82,14 +84,16 @@ def init(robot_file: Path, dry_run: bool, as_json: bool, **options: Any) -> None
     Every question has an option, so a script can answer them all. A scan only reads; on a CAN bus
     it listens first. The file is not written if it is there already or would not pass motord check.
 
-    Drives on pins and drives that take a torque need more answers than this asks: begin with an
-    example (motord robots).
+    Bridges and servos on pins, and drives that take a torque, need more answers than this asks:
+    print the nearest example, change its pins and sizes, and check it (last two lines).
 
     \b
     Example: motord init robot.toml
              motord init robot.toml --at simulated --drive zlac8015d --base differential
              motord init robot.toml --at can0 --base mecanum
              motord init car.toml --base ackermann --steering-drive sts3215-position
+             motord robots pi5-bts7960 > robot.toml
+             motord check robot.toml
     """
     from motord.cli.check_text import understood_rows
     from motord.cli.terminal import Terminal, failing

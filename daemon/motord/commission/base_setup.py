@@ -30,8 +30,8 @@ def base_of(person: Person, given: Given) -> dict[str, Any]:
     kind = given.base or person.choose(
         "Which base? differential: two driven sides, casters follow. skid: wheels on two sides "
         "that scrub. mecanum: four wheels with rollers at 45 degrees. omni: three or more wheels "
-        "with rollers across. ackermann: a car. tricycle: one steered wheel. swerve: four wheels "
-        "that are driven and steered each.",
+        "with rollers across. ackermann: a car. tricycle: one steered wheel. swerve: two to four "
+        "wheels that are driven and steered each.",
         KINDS,
     )
     if kind not in KINDS:

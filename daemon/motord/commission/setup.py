@@ -90,9 +90,10 @@ def set_up(person: Person, given: Given, file: Path) -> Answers:
     """Ask everything. Raises Failed, Aborted."""
     place = _place(person, given)
     if given.drive is not None:
-        _profile(given.drive, place)  # before a scan that takes a minute
+        _require_rolls(_profile(given.drive, place), file)  # before a scan that takes a minute
     found = _scanned(person, given, place)
     drive, profile = _drive(person, given, found, place)
+    _require_rolls(profile, file)
     name = given.name or person.text("What is the robot's name?", _name_of(file))
     base = base_of(person, given)
     linear_m_s = asked(person, given.linear_m_s, "Top speed? 0.5 is a slow walk", "m/s", 0.01, 10.0)
@@ -221,6 +222,37 @@ def _profile(name: str, place: Place | None) -> DriveProfile:
     return profile
 
 
+_EXAMPLE_ON_PINS = {
+    "tb6612fng": "pi4-encoders",
+    "rc-servo": "ackermann-servo-pwm",
+    "servo-pulse": "ackermann-servo-pwm",
+}
+"""Of drives that the usual example does not have."""
+
+
+def _require_rolls(profile: DriveProfile, file: Path) -> None:
+    """Raises Failed for a drive that needs more answers than these, and names the example that has
+    them."""
+    _require_no_pins(profile, file)
+    if takes_positions(profile):
+        raise Failed(f'drive "{profile.name}" takes positions: it steers a wheel, and rolls none')
+    if next(iter(profile.channels.values())).torque_setpoint is not None:
+        raise Failed(
+            f'drive "{profile.name}" takes a torque, and motord needs the gains of its speed loop: '
+            f"motord robots cia402-torque > {file}, change it to your drives, then motord check "
+            f"{file}"
+        )
+
+
+def _require_no_pins(profile: DriveProfile, file: Path) -> None:
+    if profile.protocol not in LINE_KINDS:
+        example = _EXAMPLE_ON_PINS.get(profile.name, "pi5-bts7960")
+        raise Failed(
+            f'drive "{profile.name}" is on pins, and this does not ask which: motord robots '
+            f"{example} > {file}, change its pins (docs/pwm.md), then motord check {file}"
+        )
+
+
 def name_fits(found: Found, drive: str) -> bool:
     """Whether it may be such a drive: another device on the bus is no wheel."""
     return not found.matches or drive in [match.profile for match in found.matches]
@@ -255,13 +287,6 @@ def _fits(profile: DriveProfile, place: Place | None) -> bool:
 def _joint_keys(person: Person, given: Given, profile: DriveProfile) -> dict[str, Any]:
     keys: dict[str, Any] = {}
     channel = next(iter(profile.channels.values()))
-    if takes_positions(profile):
-        raise Failed(f'drive "{profile.name}" takes positions: it steers a wheel, and rolls none')
-    if channel.torque_setpoint is not None:
-        raise Failed(
-            f'drive "{profile.name}" takes a torque, and motord needs the gains of its speed loop: '
-            "begin with config/robots/cia402-torque.toml (motord robots cia402-torque)"
-        )
     gear_ratio = asked(
         person, given.gear_ratio, "Motor turns for a wheel turn? 1 for a hub motor", "1", 0.001, 1e4
     )
@@ -304,7 +329,8 @@ def _steering(
     profile = _profile(name, other)
     if not takes_positions(profile):
         raise Failed(f'drive "{name}" takes no positions, so it steers no wheel')
-    kind = LINE_KINDS.get(profile.protocol)
+    _require_no_pins(profile, file)
+    kind = LINE_KINDS[profile.protocol]
     if where == SAME and kind == line["kind"]:
         return Steering(drive=name, profile=profile, line="main"), None
     if where == SAME and place is not None:
@@ -329,12 +355,7 @@ def _line(
     file: Path,
     name: str = "main",
 ) -> dict[str, Any]:
-    kind = LINE_KINDS.get(profile.protocol)
-    if kind is None:
-        raise Failed(
-            f'drive "{profile.name}" is on pins: begin with config/robots/pi5-bts7960.toml '
-            "(motord robots pi5-bts7960) and docs/pwm.md"
-        )
+    kind = LINE_KINDS[profile.protocol]
     keys: dict[str, Any]
     if kind == "can":
         address = can_address(place.name) if place else f"unix:{simulated_ports(file) / name}"

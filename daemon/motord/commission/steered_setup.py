@@ -28,6 +28,12 @@ STEERED = ("ackermann", "tricycle", "swerve")
 DRIVEN = ("axle", "pair", "steered")
 LINE = "steering"
 """Name of the line of drives that steer and are not where those that drive are."""
+MODULES = {
+    4: PLACES,
+    3: ("front", "rear-left", "rear-right"),
+    2: ("front-left", "rear-right"),
+}
+"""Where the modules of a swerve base usually are, by their number."""
 _CAR_USUAL_RAD = (math.radians(10.0), math.radians(80.0))
 _SWERVE_LEAST_RAD = math.pi / 2.0
 
@@ -85,7 +91,7 @@ def _joints(
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Joints that drive and joints that steer, with their places."""
     if base["kind"] == "swerve":
-        names = {place.replace("-", "_"): place for place in PLACES}
+        names = {place.replace("-", "_"): place for place in _modules(person, given)}
         return names, {f"{name}_steering": place for name, place in names.items()}
     steered = base["steered"]
     fixed = ENDS[1 - ENDS.index(steered)]
@@ -109,6 +115,24 @@ def _joints(
     if driven == "pair":
         return {side: f"{fixed}-{side}" for side in sides}, steering
     return ({"drive": steered} if count == 1 else sides), steering
+
+
+def _modules(person: Person, given: Given) -> tuple[str, ...]:
+    """Their places. Raises Failed."""
+    count = given.wheel_count
+    if count is None:
+        count = int(
+            person.choose(
+                "How many modules? 4: one at each corner. 3: one in the middle of the front, two "
+                "at the rear corners. 2: front left and rear right.",
+                [str(number) for number in MODULES],
+            )
+        )
+    if count not in MODULES:
+        raise Failed(f"a swerve base has {min(MODULES)} to {max(MODULES)} modules, not {count}")
+    if count < len(PLACES):
+        person.show("change place, or write x_m and y_m, where your modules are elsewhere")
+    return MODULES[count]
 
 
 def _steering_keys(
