@@ -207,6 +207,8 @@ typedef struct {
     uint32_t data_byte;   /* where the data that are written begin in cyclic[0]; up to its check sum */
     uint32_t write_bytes; /* of write[], without check sum and the drives' data */
     uint32_t read_bytes;
+    uint32_t fast; /* 1: a fast sync read, which all answer in one packet, while none of them fails (Dynamixel); 0 */
+    uint32_t reserved;
     uint8_t write[GROUP_HEAD_MAX]; /* with the length of a packet for no drive */
     uint8_t read[GROUP_HEAD_MAX];
 } line_group;

@@ -8,6 +8,7 @@ every status goes out through the SDK's own packet code."""
 from __future__ import annotations
 
 import asyncio
+import itertools
 import os
 import tty
 from pathlib import Path
@@ -16,7 +17,8 @@ import dynamixel_sdk
 import scservo_sdk
 
 TABLE_BYTES = 256
-PING, READ, WRITE, REBOOT, STATUS, SYNC_READ, SYNC_WRITE = 1, 2, 3, 8, 0x55, 0x82, 0x83
+PING, READ, WRITE, REBOOT, STATUS = 1, 2, 3, 8, 0x55
+SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x82, 0x83, 0x8A
 ALL = 0xFE
 
 
@@ -85,8 +87,6 @@ class DynamixelSdk:
     """The packet code of dynamixel-sdk."""
 
     width, goal, present, torque, mode = 2, (104, 4), (128, 4), 64, 11
-    fast = False
-    """Whether all answer a sync read in one packet."""
 
     def __init__(self):
         self.port = CapturedPort()
@@ -107,6 +107,17 @@ class DynamixelSdk:
         self.handler.txPacket(self.port, [*head, *data, 0, 0])
         return self.port.take()
 
+    def status_of_all(self, asked, answers):
+        """One packet with the unit and the data of each that answers; its check sums are the
+        SDK's."""
+        length = 1 + asked * (len(answers[0][1]) + 4) if answers else 0
+        packet = [0xFF, 0xFF, 0xFD, 0, ALL, length & 0xFF, length >> 8, STATUS] if answers else []
+        for unit, data in answers:
+            packet += [0, unit, *data]
+            crc = self.handler.updateCRC(0, packet, len(packet))
+            packet += [crc & 0xFF, crc >> 8]
+        return bytes(packet)
+
     def rebuilt(self, unit, code, parameters):
         handler, port = self.handler, self.port
         first, count = (int.from_bytes(parameters[at : at + 2], "little") for at in (0, 2))
@@ -118,9 +129,9 @@ class DynamixelSdk:
             case 3:
                 data = list(parameters[2:])
                 handler.writeTxOnly(port, unit, first, len(data), data)
-            case 0x82:
+            case 0x82 | 0x8A:
                 units = list(parameters[4:])
-                handler.syncReadTx(port, first, count, units, len(units), self.fast)
+                handler.syncReadTx(port, first, count, units, len(units), code == FAST_SYNC_READ)
             case 0x83:
                 rows = list(parameters[4:])
                 handler.syncWriteTxOnly(port, first, count, rows, len(rows))
@@ -135,6 +146,8 @@ class SdkServos:
         self.sdk = sdk
         self.tables = {unit: bytearray(TABLE_BYTES) for unit in units}
         self.codes: list[int] = []
+        self.silent: set[int] = set()
+        """Units that receive, and do not answer."""
         self.foreign: list[bytes] = []
         """Requests that the SDK would have sent otherwise."""
         self.powered_in_other_modes = 0
@@ -185,6 +198,8 @@ class SdkServos:
         elif code == SYNC_READ:
             for each in parameters[2 * width :]:
                 self._answer(each, self.tables[each][first : first + count])
+        elif code == FAST_SYNC_READ:
+            self._answer_together(parameters[2 * width :], first, count)
 
     def _write(self, unit, first, data):
         table, sdk = self.tables[unit], self.sdk
@@ -194,6 +209,12 @@ class SdkServos:
         table[sdk.present[0] : sdk.present[0] + size] = moving
         self.powered_in_other_modes += bool(table[sdk.torque] and table[sdk.mode] != 1)
 
+    def _answer_together(self, units, first, count):
+        """Until one is missing: those behind it wait for ever."""
+        there = list(itertools.takewhile(lambda unit: unit not in self.silent, units))
+        answers = [(unit, self.tables[unit][first : first + count]) for unit in there]
+        os.write(self._master, self.sdk.status_of_all(len(units), answers))
+
     def _answer(self, unit, data):
-        if unit in self.tables:
+        if unit in self.tables and unit not in self.silent:
             os.write(self._master, self.sdk.status(unit, bytes(data)))

@@ -10,7 +10,14 @@ import pytest
 import scservo_sdk
 from loop_side import running, until
 from sdk_master import BAUDRATE, OK, opened, patiently, wait_until
-from sdk_servo import SYNC_READ, SYNC_WRITE, DynamixelSdk, FeetechSdk, SdkServos
+from sdk_servo import (
+    FAST_SYNC_READ,
+    SYNC_READ,
+    SYNC_WRITE,
+    DynamixelSdk,
+    FeetechSdk,
+    SdkServos,
+)
 from sim_bench import simulated, spec_of
 
 from motord.config.drives.load import find_profile
@@ -63,7 +70,8 @@ def test_feetech_s_sdk_drives_simulated_servos(tmp_path):
         assert stats["bad_crc"] == 0
 
 
-def test_robotis_sdk_drives_simulated_servos(tmp_path):
+@pytest.mark.parametrize("fast", [False, True])
+def test_robotis_sdk_drives_simulated_servos(fast, tmp_path):
     profile = dataclasses.replace(find_profile("xl430"), baudrate=BAUDRATE)
     handler = dynamixel_sdk.PacketHandler(2.0)
     with (
@@ -82,7 +90,7 @@ def test_robotis_sdk_drives_simulated_servos(tmp_path):
         assert write.txPacket() == OK
 
         def speeds():
-            if read.txRxPacket() != OK:
+            if (read.fastSyncRead() if fast else read.txRxPacket()) != OK:
                 return []
             raw = [read.getData(unit, 128, 4) for unit in (1, 2)]
             return [one - (1 << 32) if one >> 31 else one for one in raw]
@@ -166,6 +174,42 @@ async def test_the_line_drives_servos_that_the_makers_sdk_speaks_for(name, sdk, 
             assert [table[servos.sdk.torque] for table in servos.tables.values()] == [0, 0]
             assert [servos.goal(unit) for unit in (1, 2)] == [0, 0]
         assert {SYNC_READ, SYNC_WRITE} <= set(servos.codes)
+        assert servos.foreign == []
+    finally:
+        servos.close()
+
+
+async def test_the_line_reads_all_servos_in_one_packet_and_each_alone_while_one_is_missing(
+    tmp_path,
+):
+    servos = SdkServos(tmp_path / "bus", DynamixelSdk(), (1, 2))
+    spec = dataclasses.replace(spec_of(find_profile("xl430"), tmp_path), fast_sync_read=True)
+    try:
+        async with running(spec) as rig:
+
+            def speed_rad_s(joint):
+                return rig.loop.exchange.take_feedback(joint).velocity_rad_s
+
+            def read_by(code):
+                del servos.codes[:]
+                return lambda: code in servos.codes
+
+            await rig.arm()
+            rig.loop.velocity_rad_s = {0: 0.7, 1: 0.7}
+            await rig.drive(
+                lambda: all(abs(speed_rad_s(n) - 0.7) < 0.05 for n in (0, 1)), "as sent"
+            )
+            await until(read_by(FAST_SYNC_READ), "in one packet")
+            servos.silent.add(2)
+            await until(read_by(SYNC_READ), "each alone")
+            await until(lambda: rig.line.drive_states["right"] is DriveState.UNRESPONSIVE)
+            assert rig.line.drive_states["left"] is not DriveState.UNRESPONSIVE
+            await until(read_by(FAST_SYNC_READ), "the missing one is not asked any more")
+            servos.silent.clear()
+            rig.loop.enabled = False
+            await rig.ready()
+            await rig.arm()
+            await until(read_by(FAST_SYNC_READ), "both in one packet")
         assert servos.foreign == []
     finally:
         servos.close()

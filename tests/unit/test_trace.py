@@ -23,7 +23,7 @@ from motord_hal.mcu import frames as mcu
 from motord_hal.modbus.codec import Function, Request, build_exception, build_reply, build_request
 from motord_hal.realtime.exchange import Exchange as CoreExchange
 from motord_hal.sabertooth import codec as sabertooth
-from motord_hal.servo.packets import Instruction, packets_of
+from motord_hal.servo.packets import Instruction, build_fast_status, packets_of
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"
 DEMO = load_robot(ROBOTS / "demo.toml")
@@ -216,6 +216,22 @@ def test_servos_are_named_with_what_they_are_sent_and_answer():
     spoilt = decoded(decoder, read, answer[:-1] + bytes((answer[-1] ^ 1,)))
     assert spoilt.result == "bad reply: wrong check sum"
     assert decoded(decoder, b"", answer).result == "came without a request"
+
+
+def test_servos_that_answer_in_one_packet_are_named_each_with_its_own():
+    robot = load_robot(ROBOTS / "turtlebot3-burger.toml")
+    decoder, packets = decoder_of("turtlebot3-burger"), packets_of("dynamixel")
+    units = [robot.joint[name].unit for name in ("left", "right")]
+    goal = robot.profiles["xl430"].registers["goal_velocity"].address
+    velocity = (100).to_bytes(4, "little")
+    asked = packets.number(goal) + packets.number(4) + bytes(units)
+    read = packets.build(0xFE, Instruction.FAST_SYNC_READ, asked)
+    parts = build_fast_status(2, [(units[0], 0, velocity), (units[1], 7, velocity)])
+    found = decoded(decoder, read, b"".join(parts))
+    assert "→ left: goal_velocity " in found.what
+    assert "→ right: goal_velocity " in found.what
+    assert found.result == "right: error 7 (access error)"
+    assert decoded(decoder, read).result == "no reply"
 
 
 def test_a_hoverboard_is_decoded_as_its_firmware_mixes_the_command():

@@ -105,9 +105,11 @@ static void read_all(line_machine *m, int64_t now_ns, line_frame *out)
             append(&packet, alone->request + unit, 1);
             out->reply_bytes += alone->reply_bytes;
             m->group.waiting |= 1U << i;
+            m->group.asked[m->group.asked_count++] = (uint8_t)i;
         }
     }
     if (m->group.waiting != 0) {
+        out->reply_bytes = m->group.fast ? line_fast_request(m, &packet) : out->reply_bytes;
         finish(&packet, group->read_bytes);
         append(out, packet.request, packet.request_bytes);
     }
@@ -131,6 +133,7 @@ bool line_group_begin(line_machine *m, int64_t now_ns, line_frame *out)
 {
     memset(&m->group, 0, sizeof m->group);
     *out = (line_frame){.request_bytes = 0};
+    m->group.fast = line_fast_begins(m);
     begin_members(m, now_ns);
     write_all(m, out);
     read_all(m, now_ns, out);
@@ -158,11 +161,12 @@ static uint32_t first_byte(const line_machine *m)
 }
 
 /* For as long as this lasts, the exchange is that of one drive: its own request, and what it waited for on the wire. */
-static void end_member(line_machine *m, uint32_t number, uint32_t kind, const received *found, int64_t now_ns)
+void line_group_end_member(line_machine *m, uint32_t number, uint32_t kind, const received *found, int64_t now_ns)
 {
     line_frame all = m->transaction.frame;
     int64_t end_ns = m->end_ns;
     m->transaction.frame = m->table.drive[number].cyclic[READ_TURN].frame;
+    m->transaction.frame.exact = m->group.fast; /* a packet of all that is late is like no servo's own answer */
     m->group.waiting &= ~(1U << number);
     if (kind != ANSWER_OK) {
         line_drive_failed(m, number, kind, found->exception, now_ns);
@@ -170,7 +174,7 @@ static void end_member(line_machine *m, uint32_t number, uint32_t kind, const re
         line_doubt(m, number, now_ns);
     } else {
         m->end_ns += m->group.answered_ns;
-        line_drive_answered(m, number, line_reply(m, found), now_ns);
+        line_drive_answered(m, number, m->group.fast ? m->transaction.plain : line_reply(m, found), now_ns);
     }
     m->group.answered_ns += kind == ANSWER_OK ? line_reply_ns(m, &m->transaction.frame) : 0;
     m->transaction.frame = all;
@@ -187,7 +191,7 @@ static void look_for(line_machine *m, uint32_t number, uint32_t from, int64_t no
     }
     m->answers++;
     m->group.taken[m->group.taken_count++] = (group_reply){.offset = found.offset, .bytes = found.bytes};
-    end_member(m, number, found.kind == RECEIVED_ANSWER ? ANSWER_OK : ANSWER_REFUSED, &found, now_ns);
+    line_group_end_member(m, number, found.kind == RECEIVED_ANSWER ? ANSWER_OK : ANSWER_REFUSED, &found, now_ns);
 }
 
 /* True: the exchange is over. */
@@ -200,7 +204,10 @@ static bool is_over(line_machine *m, const uint8_t *bytes, uint32_t count, int64
     t->received_bytes += full ? room : count;
     uint32_t from = first_byte(m);
     bool collided = m->echo == ECHO_FIRST && from == 0 && t->received_bytes > 0;
-    for (uint32_t i = 0; i < m->table.drive_count && !collided; i++) {
+    if (m->group.fast && !collided) {
+        line_fast_look(m, from, now_ns);
+    }
+    for (uint32_t i = 0; i < m->table.drive_count && !collided && !m->group.fast; i++) {
         if ((m->group.waiting >> i & 1) != 0) {
             look_for(m, i, from, now_ns);
         }
@@ -241,13 +248,14 @@ static void end_all(line_machine *m, int64_t now_ns)
     const received nothing = {.kind = RECEIVED_MORE};
     bool all = m->group.waiting == 0;
     bool noise = sort_rest(m, now_ns);
+    line_fast_end(m, all);
     if (m->echo == ECHO_UNKNOWN && m->group.taken_count > 0) {
         m->echo = first_byte(m) > 0 ? ECHO_FIRST : ECHO_NONE;
         m->notify = true;
     }
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         if ((m->group.waiting >> i & 1) != 0) {
-            end_member(m, i, noise ? ANSWER_BAD_REPLY : ANSWER_NO_REPLY, &nothing, now_ns);
+            line_group_end_member(m, i, noise ? ANSWER_BAD_REPLY : ANSWER_NO_REPLY, &nothing, now_ns);
         }
     }
     if (!all) {
@@ -330,5 +338,6 @@ bool line_group_is_good(const line_table *table)
         comes += drive->cyclic[1].frame.reply_bytes;
     }
     sent = on_the_wire(sent, seal);
+    good = good && line_fast_is_good(table);
     return good && sent <= FRAME_BYTES_MAX && sent + on_the_wire(comes, seal) <= RECEIVED_BYTES_MAX;
 }

@@ -11,6 +11,7 @@
  * line_end.c      how a line is shut down
  * line_requests.c  requests from outside the cycle
  * line_group.c    one cycle for all drives of the line
+ * line_fast.c     one packet with the answers of all
  * line_report.c   what the line reports
  * line_machine.c  the line: whose turn it is, and what the answer means
  */
@@ -86,6 +87,9 @@ typedef struct {
     uint32_t taken_count; /* replies that were found */
     group_reply taken[LINE_DRIVES_MAX];
     int64_t answered_ns; /* time on the wire of the replies before */
+    bool fast;           /* all answer in one packet */
+    uint32_t asked_count;
+    uint8_t asked[LINE_DRIVES_MAX]; /* the drives, in the order of their answers */
 } group_state;
 
 typedef struct {
@@ -185,6 +189,8 @@ typedef struct line_machine {
     int64_t round_trip_ns;          /* of the exchange that ended in this step; 0: none did */
     line_transaction transaction;
     group_state group;
+    uint32_t plain_cycles; /* so many complete ones go by until the next fast sync read */
+    uint32_t fast_pause;   /* the same, after its last failure */
     line_answer answer;
     bool answered;
 } line_machine;
@@ -318,6 +324,19 @@ void line_group_step(line_machine *m, const uint8_t *bytes, uint32_t count, int6
 /* The next drive that has answered goes on with its cycle: it is `current`; false: there is none. */
 bool line_group_goes_on(line_machine *m);
 void line_group_answered(line_machine *m, uint32_t drive, const uint8_t *reply, int64_t stamp_ns);
+/* A drive has answered in the exchange of all, or has not. What it answers in a packet of all is in transaction.plain. */
+void line_group_end_member(line_machine *m, uint32_t drive, uint32_t kind, const received *found, int64_t now_ns);
+
+/* ------------------------------------------------------------------------ line_fast.c */
+bool line_fast_is_good(const line_table *table);
+/* Whether the next read of all is a fast one. */
+bool line_fast_begins(const line_machine *m);
+/* Makes it of a sync read that asks group.asked[]; bytes of its one answer. */
+uint32_t line_fast_request(line_machine *m, line_frame *packet);
+/* What has come of the answer, from there on. */
+void line_fast_look(line_machine *m, uint32_t from, int64_t now_ns);
+/* A read of all is over; `all`: each has answered. */
+void line_fast_end(line_machine *m, bool all);
 
 /* -------------------------------------------------------------------------- line_end.c */
 void line_shut_down(line_machine *m, int64_t now_ns);

@@ -7,7 +7,14 @@ from dataclasses import replace
 
 from motord.config.sections.bases import side_of
 from motord.config.sections.imu import LineImu
-from motord.config.sections.line import AnyLine, AsciiLine, CanLine, PwmLine, SerialLine
+from motord.config.sections.line import (
+    AnyLine,
+    AsciiLine,
+    CanLine,
+    DynamixelLine,
+    PwmLine,
+    SerialLine,
+)
 from motord.config.sections.model import Joint, Robot
 from motord.config.sections.wheels import (
     Profiles,
@@ -123,6 +130,7 @@ def _with_port(spec: LineSpec, line: SerialLine, loop_priority: int) -> LineSpec
             gpio_line=line.direction_gpio_line or "",
         ),
         echo=Echo(line.echo),
+        fast_sync_read=isinstance(line, DynamixelLine) and line.fast_sync_read,
         priority=min(line.priority, max(loop_priority - 1, 0)),
         cpu=line.cpu,
     )

@@ -244,6 +244,8 @@ class LineSpec:
     """Of the kind "ascii"."""
     imu: Mounting | None = None
     """Of the sensor that the board reads for the core; None: it reads none."""
+    fast_sync_read: bool = False
+    """Of the kind "dynamixel": all servos answer in one packet while none of them fails."""
     pins: PinsSpec = PinsSpec()
     """Of the kind "pwm"."""
     watchdog_s: float

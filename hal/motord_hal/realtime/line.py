@@ -256,6 +256,7 @@ def _group(group: LineGroup) -> dict[str, Any]:
         "data_byte": group.data_byte,
         "write_bytes": len(group.write),
         "read_bytes": len(group.read),
+        "fast": group.fast,
         "write": list(group.write),
         "read": list(group.read),
     }

@@ -145,6 +145,7 @@ class LineGroup:
     data_byte: int
     write: bytes
     read: bytes
+    fast: int = 0
 
 
 NO_GROUP = LineGroup(data_byte=0, write=b"", read=b"")

@@ -12,7 +12,7 @@ status packet, packet process.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
@@ -38,6 +38,8 @@ class Instruction(IntEnum):
     """Of a Dynamixel's answer."""
     SYNC_READ = 0x82
     SYNC_WRITE = 0x83
+    FAST_SYNC_READ = 0x8A
+    """Of Dynamixels: all answer in one packet."""
 
 
 DYNAMIXEL_ERRORS = MappingProxyType(
@@ -204,6 +206,32 @@ class DynamixelPackets:
 
 
 _HEAD = b"\xff\xff\xfd"
+
+
+def build_fast_status(asked: int, answers: Iterable[tuple[int, int, bytes]]) -> list[bytes]:
+    """What each servo puts on the wire for a fast sync read of so many: `answers`: unit, error and
+    data. The first one sends the head, with the length of what all are to send; each ends with the
+    CRC of the packet so far. Nothing is stuffed (`dynamixel-sdk`, group_sync_read.py)."""
+    packet, parts = b"", []
+    for unit, error, data in answers:
+        begin = len(packet)
+        if not packet:
+            length = 1 + asked * (len(data) + 4)
+            packet = _HEAD + bytes((0, BROADCAST_UNIT, *length.to_bytes(2, "little"), 0x55))
+        packet += bytes((error, unit)) + data
+        packet += crc16(packet).to_bytes(2, "little")
+        parts.append(packet[begin:])
+    return parts
+
+
+def split_fast_status(status: Packet, count: int) -> Iterator[Packet]:
+    """The servos' own statuses, each with so many bytes of data, of one that answers a fast sync
+    read."""
+    blocks = bytes((status.code,)) + status.parameters
+    for at in range(0, len(blocks) - count - 1, count + 4):
+        yield Packet(blocks[at + 1], blocks[at], blocks[at + 2 : at + 2 + count])
+
+
 _PACKETS: Mapping[str, Packets] = MappingProxyType(
     {"feetech": FeetechPackets(), "dynamixel": DynamixelPackets()}
 )

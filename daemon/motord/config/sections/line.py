@@ -91,6 +91,9 @@ class DynamixelLine(SerialLine):
     """Dynamixel servos that speak protocol 2.0, on a half-duplex adapter."""
 
     kind: Literal["dynamixel"]
+    fast_sync_read: bool = False
+    """All servos answer a cycle's read in one packet, which saves most of the wire's time. Their
+    firmware has to know instruction 0x8A; while one of them fails, each answers for itself."""
 
 
 class GatewayLine(Line):

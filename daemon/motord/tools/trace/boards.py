@@ -224,6 +224,9 @@ def _ddsm_values(registers: Sequence[Register], command: int, frame: bytes, acce
 
 
 # --------------------------------------------------------------------------------------- bus servos
+_READS_OF_ALL = (servo.Instruction.SYNC_READ, servo.Instruction.FAST_SYNC_READ)
+
+
 class _Servos:
     """Feetech and Dynamixel packets; a status is decoded by the request before it."""
 
@@ -251,11 +254,11 @@ class _Servos:
             if status is None:
                 problems.append("bad reply: wrong check sum")
                 continue
-            answered += 1
-            shown.append(f"→ {self._status(status, first)}")
-            if status.code:
-                name = servo.DYNAMIXEL_ERRORS.get(status.code & 0x7F, "see the servo's manual")
-                problems.append(f"{self._name(status.unit)}: error {status.code} ({name})")
+            is_of_all = status.unit == servo.BROADCAST_UNIT
+            for one in servo.split_fast_status(status, size) if is_of_all else [status]:
+                answered += 1
+                shown.append(f"→ {self._status(one, first)}")
+                problems += self._problems(one)
         if size and not answered and not problems:
             problems.append("no reply")
         if not exchange.sent and answered:
@@ -263,6 +266,12 @@ class _Servos:
         return Words(
             ",".join(dict.fromkeys(names)), "; ".join(shown), _end(exchange, problems, shown)
         )
+
+    def _problems(self, status: servo.Packet) -> list[str]:
+        if not status.code:
+            return []
+        name = servo.DYNAMIXEL_ERRORS.get(status.code & 0x7F, "see the servo's manual")
+        return [f"{self._name(status.unit)}: error {status.code} ({name})"]
 
     def _name(self, unit: int) -> str:
         if unit == servo.BROADCAST_UNIT:
@@ -278,9 +287,9 @@ class _Servos:
         """Words, and the address and number of bytes that are to be read; 0: nothing."""
         data, width = packet.parameters, self._number_bytes
         first = self._number(data, 0)
-        if packet.code in (servo.Instruction.READ, servo.Instruction.SYNC_READ):
+        if packet.code in (servo.Instruction.READ, *_READS_OF_ALL):
             size = self._number(data, 1)
-            units = data[2 * width :] if packet.code == servo.Instruction.SYNC_READ else b""
+            units = data[2 * width :] if packet.code in _READS_OF_ALL else b""
             of = f" of {', '.join(self._name(unit) for unit in units)}" if units else ""
             return f"read {size} bytes from {first}{of}", first, size
         if packet.code == servo.Instruction.WRITE:

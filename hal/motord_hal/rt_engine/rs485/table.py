@@ -8,6 +8,7 @@ each cycle; here they become one factor a number.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 
 from motord_hal.drives.profile import SI_UNITS, DriveProfile, Register, Step
@@ -58,14 +59,15 @@ def line_table(spec: LineSpec, drives: Sequence[DriveFrames]) -> LineTable:
         setpoint_timeout_ns=round(spec.setpoint_timeout_s * _NS_PER_S),
         rest_velocity_rad_s=spec.rest_velocity_rad_s,
         broadcast_stop=_broadcast_stop(drives),
-        group=_group(drives),
+        group=_group(spec, drives),
         drive=tuple(drive_table(frames, spec) for frames in drives),
     )
 
 
-def _group(drives: Sequence[DriveFrames]) -> LineGroup:
+def _group(spec: LineSpec, drives: Sequence[DriveFrames]) -> LineGroup:
     servos = [frames for frames in drives if isinstance(frames, ServoFrames)]
-    return (servos and group_of(servos)) or NO_GROUP
+    group = group_of(servos) if servos else None
+    return NO_GROUP if group is None else replace(group, fast=int(spec.fast_sync_read))
 
 
 def _broadcast_stop(drives: Sequence[DriveFrames]) -> tuple[LineFrame, ...]:

@@ -16,6 +16,7 @@ from motord_hal.servo.packets import (
     BROADCAST_UNIT,
     Instruction,
     Packet,
+    build_fast_status,
     decode,
     has_no_sync_read,
     packets_of,
@@ -58,6 +59,14 @@ class SimulatedServo(SimulatedDrive):
     # ------------------------------------------------------------------------------- the wire
     def execute_packet(self, packet: Packet, now_s: float) -> bytes | None:
         """Do what a packet for this servo, or for all, says; the status, None: it is silent."""
+        error, data = self.outcome_of(packet, now_s)
+        pinged = packet.code == Instruction.PING and self._strict
+        if packet.unit == BROADCAST_UNIT and packet.code != Instruction.SYNC_READ and not pinged:
+            return None
+        return self.packets.build_status(self.unit, error, data)
+
+    def outcome_of(self, packet: Packet, now_s: float) -> tuple[int, bytes]:
+        """The same; what its status says: error and data."""
         self.stats.requests += 1
         self._received_s = self._now_s = now_s
         error, data = 0, b""
@@ -68,13 +77,9 @@ class SimulatedServo(SimulatedDrive):
             error = refusal.number
         if self._strict and any(motor.faults for motor in self._motors.values()):
             error |= 0x80  # alert: hardware error status is not zero
-        pinged = packet.code == Instruction.PING and self._strict
-        if packet.unit == BROADCAST_UNIT and packet.code != Instruction.SYNC_READ and not pinged:
-            return None
-        reply = self.packets.build_status(self.unit, error, data)
         if data:
             self.journal.add(now_s, packet.code, self._first(packet), tuple(data))
-        return reply
+        return error, data
 
     def _first(self, packet: Packet) -> int:
         return int.from_bytes(packet.parameters[: len(self.packets.number(0))], "little")
@@ -86,7 +91,7 @@ class SimulatedServo(SimulatedDrive):
                 return (
                     self.registers.read(0, 2) + self.registers.read(6, 1) if self._strict else b""
                 )
-            case Instruction.READ | Instruction.SYNC_READ:
+            case Instruction.READ | Instruction.SYNC_READ | Instruction.FAST_SYNC_READ:
                 count = int.from_bytes(packet.parameters[width : 2 * width], "little")
                 return self.registers.read(self._first(packet), count)
             case Instruction.WRITE:
@@ -153,6 +158,8 @@ def answer_servos(
     """What the servos on a line do with a good packet, and what they answer, in their order."""
     servos = {unit: drive for unit, drive in drives.items() if isinstance(drive, SimulatedServo)}
     servos = {unit: servo for unit, servo in servos.items() if servo.on}
+    if packet.code == Instruction.FAST_SYNC_READ:
+        return _answer_together(packet, servos, now_s)
     if packet.unit != BROADCAST_UNIT:
         order = [packet.unit]
     elif packet.code == Instruction.SYNC_READ:
@@ -168,6 +175,21 @@ def answer_servos(
         if servo is not None and reply is not None:
             replies.append((servo, reply))
     return replies
+
+
+def _answer_together(
+    packet: Packet, servos: Mapping[int, SimulatedServo], now_s: float
+) -> list[tuple[SimulatedServo, bytes]]:
+    """Each servo waits for the one before it: one that is missing ends the packet."""
+    asked, answers = _asked(packet, servos), []
+    for unit in asked:
+        servo = servos.get(unit)
+        if servo is None or servo.profile.protocol != "dynamixel":
+            break
+        answers.append((servo, servo.outcome_of(packet, now_s)))
+    blocks = ((servo.unit, error, data) for servo, (error, data) in answers)
+    parts = build_fast_status(len(asked), blocks)
+    return [(servo, part) for (servo, _), part in zip(answers, parts, strict=True)]
 
 
 def _asked(packet: Packet, servos: Mapping[int, SimulatedServo]) -> bytes:
