@@ -106,6 +106,13 @@ class Rig:
         self.hold: set[str] = set()
         self.position_rad = [0.0] * values["joint_count"]
         self.wheel_rad_s = [0.0] * values["joint_count"]
+        numbers = range(values["joint_count"])
+        self.feedback = [self.input.feedback[j] for j in numbers]
+        self._setpoints = [self.out.joint[j] for j in numbers]
+        self._counting = [
+            (joint.rad_per_count, (1 << (joint.counter_bits or 64)) - 1)
+            for joint in (self.config.joint[j] for j in numbers)
+        ]
         self.input.now_ns = 1_000_000_000
         self.input.control.limits = values["limits"]
         for feedback in self.feedback:
@@ -114,12 +121,8 @@ class Rig:
             feedback.enabled = 1
 
     @property
-    def feedback(self) -> list[Any]:
-        return [self.input.feedback[j] for j in range(self.config.joint_count)]
-
-    @property
     def speeds(self) -> list[float]:
-        return [self.out.joint[j].velocity_rad_s for j in range(self.config.joint_count)]
+        return [setpoint.velocity_rad_s for setpoint in self._setpoints]
 
     def drive(
         self, linear_m_s: float, angular_rad_s: float = 0.0, lateral_m_s: float = 0.0
@@ -129,15 +132,14 @@ class Rig:
         self.input.command.angular_rad_s = angular_rad_s
 
     def follow(self, dt_s: float) -> None:
-        for j, feedback in enumerate(self.feedback):
-            self.wheel_rad_s[j] = self.out.joint[j].velocity_rad_s
-            self.position_rad[j] += self.wheel_rad_s[j] * dt_s
-            joint = self.config.joint[j]
-            bits = joint.counter_bits or 64
-            count = math.floor(self.position_rad[j] / joint.rad_per_count)
-            feedback.count = count % (1 << bits)
-            feedback.velocity_rad_s = self.wheel_rad_s[j]
-            feedback.stamp_ns = self.input.now_ns
+        now_ns = self.input.now_ns
+        self.wheel_rad_s = self.speeds
+        for j, (rad_per_count, mask) in enumerate(self._counting):
+            speed_rad_s, feedback = self.wheel_rad_s[j], self.feedback[j]
+            self.position_rad[j] += speed_rad_s * dt_s
+            feedback.count = math.floor(self.position_rad[j] / rad_per_count) & mask
+            feedback.velocity_rad_s = speed_rad_s
+            feedback.stamp_ns = now_ns
 
     def tick(self, dt_s: float = TICK_S) -> Any:
         now_ns = self.input.now_ns = self.input.now_ns + TICK_NS

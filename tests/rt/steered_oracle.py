@@ -149,10 +149,11 @@ class PositionRig(Rig):
     def follow(self, dt_s: float) -> None:
         before = list(self.position_rad)
         super().follow(dt_s)
+        turning = self.out.positioned if self.out.enabled else 0
         for j in self.steering:
-            feedback = self.input.feedback[j]
+            feedback = self.feedback[j]
             at_rad = before[j]
-            if self.out.enabled and self.out.positioned >> j & 1 and j not in self.stuck:
+            if turning >> j & 1 and j not in self.stuck:
                 most = self.servo_rad_s * dt_s
                 at_rad += max(-most, min(most, self.out.position_rad[j] - at_rad))
             self.position_rad[j] = at_rad
