@@ -30,8 +30,8 @@ typedef struct {
     uint32_t by; /* DERATED_BY_* */
 } derating_shown;
 
-/* Since when each reason holds, and the joints that it comes from: bit n is joint n. What is said of a reason counts only while
- * it holds. */
+/* Since when each reason holds, and the joints that it comes from: bit n is joint n. The joints of a reason count only while it
+ * holds. */
 typedef struct {
     int64_t since_ns[REASONS_MAX]; /* by bit; 0: it does not */
     uint32_t saturated_joint;      /* of REASON_WHEEL_SATURATED: the joint that has to be slowed down most */

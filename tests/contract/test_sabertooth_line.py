@@ -119,9 +119,9 @@ async def test_two_drivers_on_one_wire_are_sent_what_two_of_pysabertooth_send(po
     with sabertooth(path, UNIT) as one, sabertooth(path, OTHER) as other:
         taken(master)
         one.driveBoth(0, 100)
-        first = taken(master)
+        first = await all_of(master, 8)
         other.driveBoth(-100, 0)
-        expected = TIMEOUT + first + packet(OTHER, 14, 3) + taken(master)
+        expected = TIMEOUT + first + packet(OTHER, 14, 3) + await all_of(master, 8)
     taken(master)
     seen = b""
     spec = spec_of(path, places=((OTHER, 1), (UNIT, 2)))
