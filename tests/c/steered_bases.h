@@ -33,19 +33,20 @@ static inline joint_config turning_within(double range_rad)
     return joint;
 }
 
-/* Without modules and joints yet. */
-static inline core_config empty_base(uint32_t joints, uint32_t modules)
+/* Without modules and joints yet, but for a module behind the last one, which does not count. */
+static inline core_config empty_base(uint32_t joints, uint32_t modules, uint32_t steering, uint32_t traction)
 {
     core_config base = good_config();
     memset(base.joint, 0, sizeof base.joint);
     base.joint_count = joints, base.module_count = modules;
+    base.module[modules] = (wheel_module){5.0, 3.0, 1.0, steering, traction};
     return base;
 }
 
 /* Joint 0 rolls the wheel behind, joint 1 steers the one in front. */
 static inline core_config bicycle(void)
 {
-    core_config base = empty_base(2, 2);
+    core_config base = empty_base(2, 2, 2, 1);
     base.joint[0] = rolling(), base.joint[1] = turning_within(0.6);
     base.module[0] = (wheel_module){.x_m = WHEELBASE_M, .steering = 2};
     base.module[1] = (wheel_module){.traction = 1};
@@ -55,7 +56,7 @@ static inline core_config bicycle(void)
 /* The wheel in front is steered by joint 1 and rolled by joint 0. */
 static inline core_config tricycle(void)
 {
-    core_config base = empty_base(2, 3);
+    core_config base = empty_base(2, 3, 2, 1);
     base.joint[0] = rolling(), base.joint[1] = turning_within(1.6);
     base.module[0] = (wheel_module){.x_m = WHEELBASE_M, .steering = 2, .traction = 1};
     base.module[1] = (wheel_module){.y_m = 0.1};
@@ -66,7 +67,7 @@ static inline core_config tricycle(void)
 /* Two wheels behind roll, joints 0 and 1; two in front, or behind them, are steered by joints 2 and 3. */
 static inline core_config ackermann(double wheelbase_m)
 {
-    core_config base = empty_base(4, 4);
+    core_config base = empty_base(4, 4, 3, 1);
     base.joint[0] = base.joint[1] = rolling();
     base.joint[2] = base.joint[3] = turning_within(0.7);
     base.module[0] = (wheel_module){.x_m = wheelbase_m, .y_m = 0.1, .steering = 3};
@@ -79,7 +80,7 @@ static inline core_config ackermann(double wheelbase_m)
 /* Joints 0 and 2 steer what joints 1 and 3 roll. */
 static inline core_config swerve(void)
 {
-    core_config base = empty_base(4, 2);
+    core_config base = empty_base(4, 2, 1, 2);
     base.joint[0] = base.joint[2] = turning_within(3.2);
     base.joint[1] = base.joint[3] = rolling();
     base.module[0] = (wheel_module){.x_m = 0.3, .y_m = 0.1, .steering = 1, .traction = 2};
@@ -90,7 +91,7 @@ static inline core_config swerve(void)
 /* At the corners: joints 0, 2, 4 and 6 steer what joints 1, 3, 5 and 7 roll. */
 static inline core_config swerve_of_four(void)
 {
-    core_config base = empty_base(8, 4);
+    core_config base = empty_base(8, 4, 1, 2);
     for (uint32_t k = 0; k < 4; k++) {
         base.joint[2 * k] = turning_within(3.2), base.joint[2 * k + 1] = rolling();
         base.module[k] = (wheel_module){.x_m = k < 2 ? 0.3 : -0.3, .y_m = k % 2 == 0 ? 0.2 : -0.2};
@@ -102,7 +103,7 @@ static inline core_config swerve_of_four(void)
 /* Joint 0 pans, joint 1 is a belt, joint 2 tilts. */
 static inline core_config head_and_belt(void)
 {
-    core_config joints = empty_base(3, 0);
+    core_config joints = empty_base(3, 0, 1, 2);
     joints.independent = 1;
     joints.joint[0] = turning_within(2.0), joints.joint[2] = turning_within(0.8);
     joints.joint[1] = rolling();

@@ -143,7 +143,7 @@ static void fixed_wheels_stand_on_the_axle_and_steered_ones_do_not(void)
     REFUSED(bicycle(), module[1].angle_rad, 1.0, "module[1].angle_rad");
     REFUSED(bicycle(), module[1].angle_rad, 0.1, "module[1].angle_rad");
     GOOD(bicycle(), module[1].angle_rad, 0.9e-9);
-    core_config base = empty_base(2, 2); /* nothing is steered */
+    core_config base = empty_base(2, 2, 0, 0); /* nothing is steered */
     base.joint[0] = base.joint[1] = rolling();
     base.module[0] = (wheel_module){.y_m = 0.1, .traction = 1}, base.module[1] = (wheel_module){.y_m = -0.1, .traction = 2};
     CHECK(refused(&base, "module_count"));

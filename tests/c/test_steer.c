@@ -307,6 +307,10 @@ static void pointing_as_they_should_wheels_roll_as_fast_as_the_floor(void)
     steer = begun(&base);
     steer_speeds(&steer, &base, (const double[AXES]){0.4, 0.3}, wheel_rad_s);
     CHECK(close_to(wheel_rad_s[0], 8.0) && wheel_rad_s[1] == 0.0);
+    base = tricycle();
+    steer = begun(&base);
+    steer_speeds(&steer, &base, (const double[AXES]){0.4, 1.0}, wheel_rad_s);
+    CHECK(close_to(wheel_rad_s[0], hypot(0.4, 0.3) / 0.05));
 }
 
 int main(void)

@@ -67,6 +67,10 @@ static void a_joint_whose_angle_is_not_known_is_reported_while_it_sends_feedback
     core_config base = ackermann(WHEELBASE_M);
     CHECK(steer_unknown(&base, (const joint_feedback[JOINTS_MAX]){{0}}, (const uint32_t[JOINTS_MAX]){0},
                         (const double[JOINTS_MAX]){0.0, 0.0, NAN, NAN}) == 0xC);
+    base = swerve();
+    base.joint[4] = turning_within(1.0); /* no joint of it */
+    CHECK(steer_unknown(&base, (const joint_feedback[JOINTS_MAX]){{0}}, (const uint32_t[JOINTS_MAX]){0},
+                        (const double[JOINTS_MAX]){NAN, NAN, NAN, NAN, NAN}) == 0x5);
 }
 
 /* --- before the ramp */
@@ -239,6 +243,12 @@ static void a_step_that_is_faster_is_shortened_and_stays_straight(void)
         CHECK(close_to(axis[i].velocity_u_s, from[i].velocity_u_s + 0.1 * (goal[i] - from[i].velocity_u_s)));
         CHECK(close_to(axis[i].acceleration_u_s2, 10.0 * (goal[i] - from[i].velocity_u_s)));
     }
+    for (int a = 0; a < AXES; a++) { /* also of one axis alone */
+        limit_state alone[AXES] = {{0.0, 0.0}}, still[AXES] = {{0.0, 0.0}};
+        double goal_u_s[AXES] = {0.0};
+        alone[a].velocity_u_s = 0.5, goal_u_s[a] = 1.0;
+        CHECK(steer_pace(still, alone, goal_u_s, 10.0, DT_S) == REASON_STEERING && close_to(alone[a].velocity_u_s, 0.1));
+    }
     static const double FAST_ENOUGH_S[] = {51.0, 1000.0, INFINITY};
     for (int i = 0; i < COUNT_OF(FAST_ENOUGH_S); i++) {
         memcpy(axis, half, sizeof axis);
@@ -342,6 +352,12 @@ static void without_power_a_joint_is_where_it_is(void)
         CHECK(steer.profile[0].position_rad == 0.4 && steer.profile[0].velocity_rad_s == 1.0);
         CHECK(steer.enabled == 0 && steer.misaligned_rad == 0.0);
     }
+    base = swerve();                     /* and the first joint is where it is, too */
+    base.joint[4] = turning_within(1.0); /* no joint of it */
+    steer_state steer = begun(&base);
+    steer_released(&steer, &base, (const double[JOINTS_MAX]){0.5, 0.1, 0.6, 0.1, 0.7});
+    CHECK(steer.profile[0].position_rad == 0.5 && steer.profile[2].position_rad == 0.6);
+    CHECK(steer.profile[1].position_rad == 0.0 && steer.profile[4].position_rad == 0.0);
 }
 
 static void set_points_of_joints_that_take_positions_are_those_of_their_profiles(void)
@@ -349,6 +365,7 @@ static void set_points_of_joints_that_take_positions_are_those_of_their_profiles
     static const double SPEEDS_RAD_S[] = {0.0, 0.1, 1.0, -0.3};
     core_config base = ackermann(WHEELBASE_M);
     base.joint[3].position.reference = REFERENCE_ESTIMATED;
+    base.joint[4] = turning_within(1.0); /* no joint of it */
     for (int i = 0; i < COUNT_OF(SPEEDS_RAD_S) * 2; i++) {
         steer_state steer = begun(&base);
         joint_setpoint joint[JOINTS_MAX];
@@ -374,7 +391,8 @@ static void positions_count_with_power_where_they_are_known(void)
 {
     core_config base = ackermann(WHEELBASE_M);
     steer_state steer = begun(&base);
-    double position_rad[JOINTS_MAX];
+    double position_rad[JOINTS_MAX] = {[4] = 9.0};
+    base.joint[4] = turning_within(1.0); /* no joint of it */
     for (int j = 0; j < 4; j++) {
         steer.profile[j].position_rad = 0.1 + j, position_rad[j] = 9.0;
     }
@@ -384,6 +402,7 @@ static void positions_count_with_power_where_they_are_known(void)
     }
     CHECK(steer_positions(&steer, &base, true, position_rad) == 0xC);
     CHECK(position_rad[0] == 0.0 && position_rad[1] == 0.0 && position_rad[2] == 2.1 && position_rad[3] == 3.1);
+    CHECK(position_rad[4] == 9.0);
     steer.unknown = 1U << 3;
     CHECK(steer_positions(&steer, &base, true, position_rad) == 0x4 && position_rad[3] == 0.0);
     steer.unknown = 0, steer.profile[2].position_rad = NAN;
