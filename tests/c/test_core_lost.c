@@ -54,6 +54,27 @@ static void a_twist_that_is_no_number_is_seen_at_once(void)
     }
 }
 
+/* Whichever part it is: the others do not count either. */
+static void a_command_with_a_part_that_is_no_number_moves_and_arms_nothing(void)
+{
+    core_config config = good_config();
+    for (int i = 0; i < AXES * COUNT_OF(LOST); i++) {
+        rig r;
+        start(&r, &config);
+        go(&r, 0.4, 0.5);
+        twist_command *command = &r.input.command;
+        double *part[AXES] = {&command->linear_m_s, &command->angular_rad_s, &command->lateral_m_s};
+        *part[i % AXES] = LOST[i / AXES];
+        CHECK(tick(&r)->reasons & REASON_COMMAND_NOT_FINITE);
+        CHECK(r.shown.wanted_linear_m_s == 0.0 && r.shown.wanted_angular_rad_s == 0.0 && r.shown.lateral.wanted_m_s == 0.0);
+        CHECK(ticks(&r, 1500)->faults == 0 && zero(&r));
+        r.input.control.armed = 0;
+        tick(&r);
+        r.input.control.armed = 1;
+        CHECK(tick(&r)->armed == 0);
+    }
+}
+
 /* The twist that it was commanded is worked out anew, too. */
 static void after_lost_numbers_nothing_that_was_worked_out_before_is_used(void)
 {
@@ -267,6 +288,7 @@ int main(void)
 {
     a_set_point_that_is_no_number_is_seen_at_once();
     a_twist_that_is_no_number_is_seen_at_once();
+    a_command_with_a_part_that_is_no_number_moves_and_arms_nothing();
     after_lost_numbers_nothing_that_was_worked_out_before_is_used();
     any_number_of_the_odometry_that_is_lost_is_seen();
     the_time_of_a_doubt_begins_anew_with_the_power();
