@@ -121,6 +121,24 @@ static void joints_of_which_one_begins_to_move_are_not_at_rest(void)
     }
 }
 
+static void joints_are_armed_without_a_command_that_moves_one(void)
+{
+    static const struct {
+        uint32_t named;
+        double pan_rad, belt_rad_s;
+        uint32_t armed;
+    } CASES[] = {{1, 0.0, 0.0, 0}, {2, 0.0, 1.0, 0}, {2, 0.0, NAN, 0}, {1, NAN, 0.0, 0}, {2, 0.0, 0.0, 1}, {0, NAN, NAN, 1}};
+    for (int i = 0; i < COUNT_OF(CASES); i++) {
+        core_config config = head_and_belt();
+        rig r;
+        ready(&r, &config);
+        ask(&r, CASES[i].named, CASES[i].pan_rad, CASES[i].belt_rad_s);
+        tick(&r);
+        r.input.control.armed = 1;
+        CHECK(tick(&r)->armed == CASES[i].armed && zero(&r));
+    }
+}
+
 /* It is where it is measured, and begins there. */
 static void without_power_a_joint_is_where_it_was_moved_to(void)
 {
@@ -149,6 +167,7 @@ int main(void)
     a_late_tick_of_joints_is_a_step_of_a_tenth_of_a_second();
     a_target_needs_power_a_finite_command_and_the_lease_that_gave_it();
     joints_of_which_one_begins_to_move_are_not_at_rest();
+    joints_are_armed_without_a_command_that_moves_one();
     without_power_a_joint_is_where_it_was_moved_to();
     return checks_report("test_core_joints");
 }

@@ -75,6 +75,44 @@ static void a_command_with_a_part_that_is_no_number_moves_and_arms_nothing(void)
     }
 }
 
+static void one_joint_s_feedback_is_enough_to_measure(void)
+{
+    core_config config = good_config();
+    for (int j = 0; j < 4; j++) {
+        rig r;
+        start(&r, &config);
+        ticks(&r, 5);
+        r.stale = true;
+        r.input.feedback[j].stamp_ns = r.input.now_ns + TICK_NS;
+        r.input.feedback[j].current_a = 1.5;
+        CHECK(tick(&r)->joint[j].current_a == 1.5);
+        r.input.feedback[j].current_a = 2.5; /* of a sample that has been taken */
+        CHECK(tick(&r)->joint[j].current_a == 1.5);
+    }
+}
+
+__attribute__((noinline)) static void leave_no_numbers_on_the_stack(void)
+{
+    volatile unsigned char bytes[16384];
+    for (size_t i = 0; i < sizeof bytes; i++) {
+        bytes[i] = 0xFF;
+    }
+}
+
+static void a_tick_begins_with_numbers_of_its_own(void)
+{
+    core_config config = good_config();
+    rig r;
+    start(&r, &config);
+    go(&r, 0.4, 0.0);
+    for (int i = 0; i < 10; i++) {
+        r.input.command.linear_m_s += 0.01 * (i % 2);
+        prepare(&r);
+        leave_no_numbers_on_the_stack();
+        CHECK(step(&r)->faults == 0 && r.shown.armed == 1);
+    }
+}
+
 /* The twist that it was commanded is worked out anew, too. */
 static void after_lost_numbers_nothing_that_was_worked_out_before_is_used(void)
 {
@@ -289,6 +327,8 @@ int main(void)
     a_set_point_that_is_no_number_is_seen_at_once();
     a_twist_that_is_no_number_is_seen_at_once();
     a_command_with_a_part_that_is_no_number_moves_and_arms_nothing();
+    one_joint_s_feedback_is_enough_to_measure();
+    a_tick_begins_with_numbers_of_its_own();
     after_lost_numbers_nothing_that_was_worked_out_before_is_used();
     any_number_of_the_odometry_that_is_lost_is_seen();
     the_time_of_a_doubt_begins_anew_with_the_power();

@@ -40,7 +40,9 @@ static void each_wheel_of_a_swerve_base_rolls_as_the_floor_under_it(void)
     rig r;
     start(&r, &config);
     go(&r, 0.2, 0.0);
-    r.input.command.lateral_m_s = 0.3, r.input.command.angular_rad_s = 0.5;
+    r.input.command.lateral_m_s = 0.3;
+    CHECK(close_to(ticks(&r, 2500)->lateral.setpoint_m_s, 0.3));
+    r.input.command.angular_rad_s = 0.5;
     ticks(&r, 2500);
     CHECK(r.shown.reasons == 0 && r.out.positioned == 0x55 && close_to(r.shown.lateral.setpoint_m_s, 0.3));
     for (int k = 0; k < 4; k++) {
@@ -236,6 +238,33 @@ static void a_steered_base_whose_wheel_is_stuck_comes_to_rest_and_reports_it(voi
     CHECK(all_rest(&r) && r.out.enabled == 0);
 }
 
+static void a_steering_whose_place_gets_lost_ends_at_rest_and_is_not_armed_again(void)
+{
+    core_config config = bicycle();
+    config.joint[1].position.reference = REFERENCE_HOMED;
+    rig r;
+    start(&r, &config);
+    CHECK(ticks(&r, 2)->steering.unknown == 2 && (r.shown.reasons & REASON_POSITION_UNKNOWN));
+    r.input.control.armed = 1;
+    CHECK(tick(&r)->armed == 0 && r.shown.faults == 0 && isnan(r.shown.steering.setpoint_rad[1]));
+    r.input.control.armed = 0;
+    r.input.feedback[1].referenced = 1;
+    CHECK(ticks(&r, 2)->steering.unknown == 0 && !(r.shown.reasons & REASON_POSITION_UNKNOWN));
+    go(&r, 0.5, 0.4);
+    r.input.feedback[1].referenced = 0;
+    CHECK(tick(&r)->faults == FAULT_POSITION_UNKNOWN && r.shown.armed == 0 && r.out.positioned == 0 && r.out.enabled == 1);
+    r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.0;
+    CHECK(ticks(&r, 2500)->steering.unknown == 2 && all_rest(&r) && r.out.enabled == 0);
+    for (uint32_t known = 0; known < 2; known++) {
+        r.input.feedback[1].referenced = known;
+        r.input.control.reset_count++;
+        r.input.control.armed = 0;
+        CHECK(tick(&r)->faults == (known ? 0U : FAULT_POSITION_UNKNOWN));
+        r.input.control.armed = 1;
+        CHECK(tick(&r)->armed == known);
+    }
+}
+
 /* Its set-point is where it is, so long as its longest move takes it; the odometry has nothing else. */
 static void a_steering_that_measures_nothing_counts_as_where_its_set_point_is(void)
 {
@@ -336,6 +365,7 @@ int main(void)
     a_brake_holds_the_wheels_where_they_point();
     a_late_tick_turns_a_wheel_by_no_more_than_its_speed();
     a_steered_base_whose_wheel_is_stuck_comes_to_rest_and_reports_it();
+    a_steering_whose_place_gets_lost_ends_at_rest_and_is_not_armed_again();
     a_steering_that_measures_nothing_counts_as_where_its_set_point_is();
     an_angle_is_its_counters_distance_from_zero();
     an_arc_has_the_angles_of_its_middle();
