@@ -122,7 +122,7 @@ typedef struct {
     plausible_config plausible;
     position_config position;
     derating_config derating;
-    axis_limits own; /* of a joint without a base that takes velocities: u = rad; its velocity is not read here */
+    axis_limits own; /* of a joint without a base that takes velocities: u = rad; velocity_*_rad_s bound its velocity, too */
 } joint_config;
 
 typedef struct {
@@ -172,8 +172,9 @@ typedef struct {
     uint32_t owner;                /* the lease in command (its number), copied likewise */
     base_limits limits;            /* replace the configured ones as a group; refused by base_limits_check: kept */
     uint32_t gains_count;          /* a change puts `gains` in force, of all joints or, where one is out of range, of none */
-    uint32_t reserved;
+    uint32_t joint_limits_count;   /* the same of `joint_limits` */
     speed_loop_gains gains[JOINTS_MAX];
+    axis_limits joint_limits[JOINTS_MAX]; /* of joints without a base; those that take positions brake as they accelerate */
 } core_control;
 
 /* what a drive may say beside position; a value it does not say is NaN */
@@ -421,7 +422,7 @@ typedef struct {
 
 /* The wheels' part of the last tick: holds as long as the twist is the same and no duty is ramping. */
 typedef struct {
-    double twist_u_s[AXES];
+    double twist_u_s[AXES]; /* of a base with modules; others have it in core_state.axis alone */
     joint_setpoint joint[JOINTS_MAX];
     uint32_t reasons;
     uint32_t moving;
@@ -459,6 +460,7 @@ typedef struct {
     plausible_state plausible[JOINTS_MAX];
     steer_state steer;
     joints_state joints;
+    axis_limits joint_limits[JOINTS_MAX]; /* in force, of joints without a base */
     derating_state derating[JOINTS_MAX];
     robot_state snapshot;       /* of the last tick */
     uint32_t stale[JOINTS_MAX]; /* 1: the joint has sent no feedback for feedback_timeout_s */
@@ -468,6 +470,7 @@ typedef struct {
     uint32_t reset_seen;
     uint32_t odometry_reset_seen;
     uint32_t gains_seen;
+    uint32_t joint_limits_seen;
     uint32_t faults;
     uint32_t holding;      /* the drives stay enabled until rest (or for ever: STOP_HOLD) after a fault */
     uint32_t commanded;    /* a fresh command has come since arming */

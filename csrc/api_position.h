@@ -52,7 +52,8 @@ typedef struct {
     double target_rad[JOINTS_MAX];     /* of those that take positions; NaN: none */
     double velocity_rad_s[JOINTS_MAX]; /* of the others, in the last step */
     double acceleration_rad_s2[JOINTS_MAX];
-    uint32_t owner; /* the lease that gave the targets */
+    double braking_rad_s2[JOINTS_MAX]; /* of those that take positions: what they accelerate and brake with */
+    uint32_t owner;                    /* the lease that gave the targets */
     uint32_t reserved;
 } joints_state;
 

@@ -99,6 +99,14 @@ static const rule OWN_RULES[] = {
     RULE(joint_config, own.jerk_u_s3, LEAST, INFINITY),
 };
 
+/* Of a joint without a base, changed while it runs. */
+static const rule CHANGED_RULES[] = {
+    RULE(axis_limits, velocity_u_s, LEAST, MOST),
+    RULE(axis_limits, acceleration_u_s2, LEAST, MOST),
+    RULE(axis_limits, deceleration_u_s2, LEAST, MOST),
+    RULE(axis_limits, jerk_u_s3, LEAST, INFINITY),
+};
+
 /* Of a joint that takes positions. */
 static const rule POSITION_RULES[] = {
     RULE(joint_config, position.position_min_rad, -MOST, 0.0), RULE(joint_config, position.position_max_rad, 0.0, MOST),
@@ -247,6 +255,11 @@ static const char *bad_base_field(const core_config *config)
         return bad;
     }
     return config->gyro.used == 1 && !config->independent ? first_bad(config, GYRO_RULES, COUNT(GYRO_RULES)) : "gyro.used";
+}
+
+bool joint_limits_good(const axis_limits *limits)
+{
+    return first_bad(limits, CHANGED_RULES, COUNT(CHANGED_RULES)) == NULL;
 }
 
 const char *base_limits_check(const base_limits *limits, char *name)

@@ -177,6 +177,7 @@ static void ramp_independent(core_state *state, tick *t)
     core_wheels *wheels = &state->wheels;
     joints_input input = {
         .command = t->go && state->goal.command_reasons == 0 ? &t->input->joints : NULL,
+        .limits = state->joint_limits,
         .owner = t->input->control.owner,
         .factor = state->snapshot.derating.since_ns != 0 ? state->snapshot.derating.factor : 1.0,
         .dt_s = t->dt_s < DT_MAX_S ? t->dt_s : DT_MAX_S,
@@ -200,6 +201,7 @@ static void ramp_independent(core_state *state, tick *t)
 
 __attribute__((noinline)) static void drive_independent(core_state *state, tick *t)
 {
+    independent_take_limits(state, &t->input->control);
     if (!(state->armed | state->holding)) {
         zero_at_once(state, t);
         steer_released(&state->steer, &state->config, state->odometry.angle_rad);
@@ -460,6 +462,7 @@ int core_init(core_state *state, const core_config *config)
     }
     if (config->independent) {
         independent_halt(&state->joints, &state->steer, config);
+        independent_own_limits(state->joint_limits, config);
     }
     state->goal.zero = 1;
     state->silent = 1;

@@ -53,6 +53,9 @@ static inline bool plausible_due(const plausible_state *state, const joint_odome
 bool plausible(plausible_state *state, const plausible_config *config, const joint_odometry *joint, double reported_rad_s,
                double setpoint_rad_s, feedback_doubt *why);
 
+/* Are these limits of a joint? Its jerk may be infinite. */
+bool joint_limits_good(const axis_limits *limits);
+
 /* joint_odometry.last */
 enum { NONE = 0, BELIEVED = 1, REFUSED = 2 };
 

@@ -10,6 +10,7 @@
 /* What is new in a step, beside the configuration. */
 typedef struct {
     const joint_command *command; /* NULL: all come to rest */
+    const axis_limits *limits;    /* in force, by joint */
     uint32_t owner;               /* the lease in command */
     double factor;                /* 0..1, of each joint's speed limit */
     double dt_s;
@@ -20,6 +21,11 @@ typedef struct {
  * of which joints they are. */
 uint32_t independent_step(joints_state *joints, steer_state *steer, const core_config *config, const joints_input *input,
                           double *velocity_rad_s, reasons_shown *named);
+/* Where they have changed: limits of all joints or, where one is out of range, of none. Joints that move get to them by
+ * deceleration. */
+void independent_take_limits(core_state *state, const core_control *control);
+/* Those of the configuration. */
+void independent_own_limits(axis_limits *in_force, const core_config *config);
 /* All stand in this step, and have no target any more. */
 void independent_halt(joints_state *joints, steer_state *steer, const core_config *config);
 /* Whether it requests no motion: no position, and no speed but zero. A value that is not finite is no such request. */

@@ -16,13 +16,15 @@ typedef struct {
     joints_input input;
     double velocity_rad_s[JOINTS_MAX];
     reasons_shown named;
+    axis_limits limits[JOINTS_MAX];
 } joints_rig;
 
 static void begin(joints_rig *r)
 {
     memset(r, 0, sizeof *r);
     r->config = head_and_belt();
-    r->input = (joints_input){.command = &r->command, .factor = 1.0, .dt_s = DT_S};
+    independent_own_limits(r->limits, &r->config);
+    r->input = (joints_input){.command = &r->command, .limits = r->limits, .factor = 1.0, .dt_s = DT_S};
     steer_init(&r->steer, &r->config);
     independent_halt(&r->joints, &r->steer, &r->config);
     r->velocity_rad_s[TILT] = r->velocity_rad_s[3] = 9.0;
@@ -97,7 +99,7 @@ static void a_belt_keeps_its_jerk_but_in_a_fault(void)
     for (int urgent = 0; urgent < 2; urgent++) {
         joints_rig r;
         begin(&r);
-        r.config.joint[BELT].own.jerk_u_s3 = 100.0;
+        r.limits[BELT].jerk_u_s3 = 100.0;
         r.input.urgent = urgent == 1;
         command(&r, BELT, 4.0);
         CHECK(step_joints(&r, 1) == REASON_JOINT_ACCELERATION && close_to(r.velocity_rad_s[BELT], urgent ? 0.1 : 0.01));
