@@ -3,6 +3,7 @@
 nowhere else."""
 
 import json
+import math
 import re
 import subprocess
 import sys
@@ -10,7 +11,8 @@ import sys
 import pytest
 from daemon_stage import DEADLINE_S, ROOT, UNHURRIED, armed, rests, running, wait_until
 
-from motord.client import Refused
+from motord.client import Refused, WrongParams
+from motord.config import load_robot
 
 SETTINGS = (
     *UNHURRIED,
@@ -137,3 +139,62 @@ def test_status_names_the_joint_whose_range_ends(armed):
     assert limited["joint_position"]["joints"] == ["pan"]
     assert limited["joint_position"]["for_s"] >= 0.0
     armed.robot.call("release", owner="socket")
+
+
+PAN_SPEED = "joint.pan.velocity_max_rad_s"
+
+
+def test_only_limits_that_these_joints_have_are_listed(stage):
+    listed = stage.robot.params_list()
+    limits = {name for name in listed if not name.startswith("drive.")}
+    keys = ("velocity_max_rad_s", "acceleration_max_rad_s2")
+    assert limits == {f"joint.{name}.{key}" for name in ("pan", "tilt") for key in keys}
+    assert set(stage.robot.params_get()) == limits
+    with pytest.raises(WrongParams, match="there is no base"):
+        stage.robot.params_set(**{"limits.linear_m_s": 0.1})
+    with pytest.raises(WrongParams, match="did you mean"):
+        stage.robot.params_set(**{"joint.pan.velocity_max_rad": 0.1})
+    with pytest.raises(WrongParams, match="out of range"):
+        stage.robot.params_set(**{PAN_SPEED: listed[PAN_SPEED]["maximum"] * 1.01})
+
+
+@pytest.fixture(name="slowed")
+def _slowed(armed):
+    """Its pan joint moves at 0.3 rad/s; at the end as fast as before."""
+    before = armed.robot.params_get(PAN_SPEED)
+    armed.robot.params_set(**{PAN_SPEED: 0.3})
+    yield armed
+    armed.robot.params_set(**before)
+
+
+def test_a_limit_that_is_lowered_while_a_joint_moves_slows_it_down(slowed):
+    def at_speed(rad_s):
+        def seen():
+            goal_rad = math.copysign(1.4, goals[-1])
+            if abs(true_rad(slowed, "pan") - goal_rad) < NEAR_RAD:
+                goals.append(-goal_rad)
+            slowed.robot.joints({"pan": goals[-1]}, lease_s=LEASE_S)
+            return abs(slowed.robot.status()["joints"]["pan"]["setpoint_rad_s"]) == rad_s
+
+        return seen
+
+    goals = [1.4]
+    wait_until(at_speed(0.3), "the first limit")
+    assert slowed.robot.params_set(**{PAN_SPEED: 0.1}) == {PAN_SPEED: 0.1}
+    wait_until(at_speed(0.1), "the lowered limit")
+    slowed.robot.call("release", owner="socket")
+
+
+def test_limits_of_joints_are_saved(stage, tmp_path):
+    file = tmp_path / "head.toml"
+    file.write_text((ROOT / "config/robots/pan-tilt.toml").read_text())
+    before = stage.robot.params_get(PAN_SPEED)
+    stage.robot.params_set(**{PAN_SPEED: 0.7})
+    words = ["params", "save", "--file", str(file), "--yes", "--json"]
+    done = subprocess.run(
+        [sys.executable, "-m", "motord", *words, "--socket", str(stage.socket)],
+        capture_output=True, text=True, timeout=DEADLINE_S, cwd=ROOT, check=True,
+    )  # fmt: skip
+    stage.robot.params_set(**before)
+    assert json.loads(done.stdout)["saved"] == {PAN_SPEED: 0.7}
+    assert load_robot(file).joint["pan"].velocity_max_rad_s == 0.7

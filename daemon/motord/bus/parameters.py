@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters as every bus shows them: the limits, which may be changed while the robot runs, and
-measures of the robot file, which may not. What may be is the daemon's decision, and so are the
+"""Parameters as every bus shows them: the limits (of a base, or of each joint where there is none),
+which may be changed while the robot runs, and measures of the robot file, which may not. What may be is the daemon's decision, and so are the
 reasons."""
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 from motord.base.rate_limited_log import RateLimitedLog
 from motord.bus.commands.gate import NotTaken
 from motord.client import ClientError
+from motord.config.sections.bases import JointsBase
 
 if TYPE_CHECKING:
     from motord.config import Robot
 
-_LIMITS = "limits."
+_LIMITS, _JOINT, _GAINS = "limits.", "joint.", ".speed_loop."
 _FIXED = ("track_m", "wheel_radius_m")
 Call = Callable[..., Awaitable[Any]]
 
@@ -30,6 +31,8 @@ class Tunable:
         now."""
         self._call = call
         self._voice = RateLimitedLog(_log)
+        drives = not isinstance(robot.base, JointsBase)
+        self._tunable = _LIMITS if drives else _JOINT
         self.fixed: dict[str, dict[str, Any]] = {
             f"base.{key}": {
                 "value": getattr(robot.base, key),
@@ -37,6 +40,7 @@ class Tunable:
                 "description": "of the robot file",
             }
             for key in _FIXED
+            if drives
         }
 
     async def known(self) -> dict[str, dict[str, Any]]:
@@ -46,15 +50,18 @@ class Tunable:
         except ClientError as error:
             self._voice.say(f"parameters: {error}")
             listed = {}
-        limits = {name: about for name, about in listed.items() if name.startswith(_LIMITS)}
+        limits = {name: about for name, about in listed.items() if self._is_limit(name)}
         return limits | self.fixed
+
+    def _is_limit(self, name: str) -> bool:
+        return name.startswith(self._tunable) and _GAINS not in name
 
     def problem(self, name: str) -> str | None:
         """Why it cannot be changed, as far as the daemon need not be asked for it."""
         if name in self.fixed:
             return f"{name} is the robot file's and cannot be changed while the daemon runs"
-        if not name.startswith(_LIMITS):
-            return f"no parameter {name!r}: they begin with {_LIMITS}"
+        if not self._is_limit(name):
+            return f"no parameter {name!r}: they begin with {self._tunable}"
         return None
 
     async def change(self, wanted: Mapping[str, float]) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from motord.commission.person import Failed
 from motord.commission.robot_file_edit import RobotFileEdit
 from motord.config import Robot
+from motord.config.sections.joint_limits import NUMBERS, JointLimits
 from motord.config.sections.speed_loop import SpeedLoop
 
 LIMITS, JOINT = "limits.", "joint."
@@ -44,4 +45,6 @@ def _of_file(robot: Robot, name: str) -> float:
     if name.startswith(LIMITS):
         return float(getattr(robot.limits, key))
     _, joint, *_ = name.split(".")
+    if key in NUMBERS:
+        return float(getattr(JointLimits.of(robot.joint[joint]), key))
     return float(getattr(robot.joint[joint].speed_loop or SpeedLoop(), key))

@@ -7,6 +7,7 @@ from motord.config.sections.bases import JointsBase, wheel_modules, wheel_row
 from motord.config.sections.derating import PAIRS, Derating
 from motord.config.sections.feedback import FeedbackChecks
 from motord.config.sections.imu import Imu
+from motord.config.sections.joint_limits import JointLimits
 from motord.config.sections.limits import Limits
 from motord.config.sections.model import Joint, Robot
 from motord.config.sections.speed_loop import DUTY_GAINS, SpeedLoop
@@ -191,18 +192,17 @@ def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
         "plausible": {} if takes_position(joint, profile) else _plausible(robot, name, profile),
         "derating": _derating(joint.derating or Derating()),
         "position": _position(joint, profile, robot.safety.feedback),
-        "own": _own(joint, forward_rad_s),
+        "own": joint_limits(JointLimits.of(joint)),
     }
 
 
-def _own(joint: Joint, velocity_rad_s: float) -> rt.AxisLimits:
-    """Of a joint without a base that takes velocities; the core reads it of no other one."""
-    given = joint.deceleration_max_rad_s2
+def joint_limits(limits: JointLimits) -> rt.AxisLimits:
+    """Of a joint without a base; the core reads them of no other one."""
     return {
-        "velocity_u_s": velocity_rad_s,
-        "acceleration_u_s2": joint.acceleration_max_rad_s2,
-        "deceleration_u_s2": joint.acceleration_max_rad_s2 if given is None else given,
-        "jerk_u_s3": joint.jerk_max_rad_s3,
+        "velocity_u_s": limits.velocity_max_rad_s,
+        "acceleration_u_s2": limits.acceleration_max_rad_s2,
+        "deceleration_u_s2": limits.deceleration_max_rad_s2,
+        "jerk_u_s3": limits.jerk_max_rad_s3,
     }
 
 

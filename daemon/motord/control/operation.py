@@ -22,9 +22,10 @@ from motord.api.snapshot import Snapshot
 from motord.base.log import about
 from motord.base.sdnotify import Notifier
 from motord.config import Limits, Robot
+from motord.config.sections.joint_limits import JointLimits, limit_keys
 from motord.config.sections.speed_loop import SpeedLoop
 from motord.config.sections.wheels import gains_of, takes_position
-from motord.control.assembly import base_limits, speed_loop_gains
+from motord.control.assembly import base_limits, joint_limits, speed_loop_gains
 from motord.control.battery import BatteryLevel, BatteryWatch
 from motord.control.doubt import doubt_text
 from motord.control.joint_names import JointNames
@@ -99,6 +100,13 @@ class Operation:
         """By joint, as they are in force; of those whose speed motord holds, or could."""
         self._gains_count = 0
         self._gains: tuple[SpeedLoopGains, ...] = ()
+        self.joint_limits: dict[str, JointLimits] = {
+            name: JointLimits.of(joint)
+            for name, joint in robot.joint.items()
+            if limit_keys(robot, name)
+        }
+        """By joint, as they are in force; of a robot without a base."""
+        self._joint_limits_count = 0
         self.why: tuple[str, ...] = ()
         """What led to the fault or the emergency stop that is latched."""
         self.stops = 0
@@ -213,6 +221,8 @@ class Operation:
                 machine_state=self.state.number,
                 gains_count=self._gains_count,
                 gains=self._gains,
+                joint_limits_count=self._joint_limits_count,
+                joint_limits=tuple(map(joint_limits, self.joint_limits.values())),
                 limits=base_limits(self.limits),
             )
         )
@@ -238,6 +248,12 @@ class Operation:
     def set_limits(self, limits: Limits) -> None:
         """In force from the next tick on. They have been checked."""
         self.limits = limits
+        self.put_control()
+
+    def set_joint_limits(self, limits: Mapping[str, JointLimits]) -> None:
+        """In force from the next tick on. They have been checked."""
+        self.joint_limits |= limits
+        self._joint_limits_count += 1
         self.put_control()
 
     def set_speed_loops(self, loops: Mapping[str, SpeedLoop]) -> None:

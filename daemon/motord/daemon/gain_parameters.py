@@ -18,6 +18,11 @@ PREFIX = "joint."
 _TABLE = "speed_loop"
 
 
+def is_gain(name: str) -> bool:
+    """Whether it is one of a speed loop, by its form; other parameters of joints are limits."""
+    return f".{_TABLE}." in name or name.endswith(f".{_TABLE}")
+
+
 def listed(robot: Robot, loops: Mapping[str, SpeedLoop]) -> dict[str, dict[str, Any]]:
     """Every gain: value, unit, range and what it is."""
     return {

@@ -15,7 +15,14 @@ from motord.control.health import Health
 from motord.control.leases import LEASE_MAX_S, LEASE_MIN_S, Lease
 from motord.control.machine import State
 from motord.control.operation import WHY_CHARS_MAX, Operation
-from motord.daemon import drive_parameters, gain_parameters, parameters, procedures, report
+from motord.daemon import (
+    drive_parameters,
+    gain_parameters,
+    joint_parameters,
+    parameters,
+    procedures,
+    report,
+)
 from motord.daemon.bus_supervisor import BusSupervisor
 from motord.daemon.tracing import Tracing
 from motord.local_socket.command_sockets import CommandSockets
@@ -87,7 +94,8 @@ def methods(
         "latency": _looking(lambda: report.latency(operation.loop)),
         "params.list": _looking(
             lambda: (
-                parameters.listed(operation.limits, operation.robot.base.strafes)
+                parameters.listed(operation.limits, operation.robot.base)
+                | joint_parameters.listed(operation.robot, operation.joint_limits)
                 | gain_parameters.listed(operation.robot, operation.speed_loops)
                 | drive_parameters.listed(operation.lines)
             )
@@ -229,26 +237,34 @@ def _release(operation: Operation, caller: Caller, params: OwnerParams) -> dict[
 
 async def _get(operation: Operation, names: Sequence[str]) -> dict[str, float | None]:
     """Without a name: all limits and gains; drives are asked only for what is named."""
-    robot, loops, strafes = operation.robot, operation.speed_loops, operation.robot.base.strafes
+    robot, loops, own = operation.robot, operation.speed_loops, operation.joint_limits
     if not names:
-        limits = parameters.values(operation.limits, strafes)
+        limits = parameters.values(operation.limits, robot.base)
+        limits |= joint_parameters.values(robot, own)
         return limits | gain_parameters.values(robot, loops)
-    of_drives, gains, limit_names = _by_kind(names)
-    found = parameters.values(operation.limits, strafes, limit_names) if limit_names else {}
+    of_drives, gains, of_joints, limit_names = _by_kind(names)
+    found = parameters.values(operation.limits, robot.base, limit_names) if limit_names else {}
+    found |= joint_parameters.values(robot, own, of_joints)
     found |= gain_parameters.values(robot, loops, gains)
     return found | await drive_parameters.values(operation.lines, of_drives)
 
 
-def _by_kind(names: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
-    """Those of drives, of speed loops, and all others."""
-    prefixes = (drive_parameters.PREFIX, gain_parameters.PREFIX)
-    of_drives, gains = ([name for name in names if name.startswith(one)] for one in prefixes)
-    return of_drives, gains, [name for name in names if not name.startswith(prefixes)]
+def _by_kind(names: Sequence[str]) -> tuple[list[str], ...]:
+    """Those of drives, of speed loops, of joints without a base, and all others."""
+    kinds: tuple[list[str], ...] = ([], [], [], [])
+    for name in names:
+        if name.startswith(drive_parameters.PREFIX):
+            kinds[0].append(name)
+        elif name.startswith(gain_parameters.PREFIX):
+            kinds[1 if gain_parameters.is_gain(name) else 2].append(name)
+        else:
+            kinds[3].append(name)
+    return kinds
 
 
 async def _set(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, float | None]:
     """Limits and gains all or none; or registers of drives, one after the other."""
-    of_drives, gains, limits = (
+    of_drives, gains, of_joints, limits = (
         {name: wanted[name] for name in names} for names in _by_kind(list(wanted))
     )
     if of_drives and len(of_drives) < len(wanted):
@@ -257,10 +273,15 @@ async def _set(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, flo
         return dict(await drive_parameters.write(operation, of_drives))
     now, robot = operation.snapshot, operation.robot
     moving = now.setpoint_linear_m_s, now.setpoint_angular_rad_s, now.setpoint_lateral_m_s
-    new_limits = parameters.changed(operation.limits, robot.base.strafes, limits, *moving)
+    new_limits = parameters.changed(operation.limits, robot.base, limits, *moving)
+    new_joints = joint_parameters.changed(
+        robot, operation.joint_limits, of_joints, [one.setpoint_rad_s for one in now.joints]
+    )
     new_loops = gain_parameters.changed(robot, operation.speed_loops, gains)
     if limits:
         operation.set_limits(new_limits)
+    if new_joints:
+        operation.set_joint_limits(new_joints)
     if new_loops:
         operation.set_speed_loops(new_loops)
     return await _get(operation, list(wanted)) if wanted else {}

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from motord.config import Limits
+from motord.config.sections.bases import AnyBase, JointsBase
 from motord.config.sections.limits import LATERAL_KEYS, REST_MAX_S
 from motord.config.sections.section import Number, numbers_of
 from motord.control.assembly import base_limits
@@ -22,12 +23,14 @@ _PREFIX = "limits."
 _NUMBERS = numbers_of(Limits)
 
 
-def _numbers(strafes: bool) -> Mapping[str, Number]:
-    """The parameters of a base. `strafes`: it moves sideways too."""
-    return {key: one for key, one in _NUMBERS.items() if strafes or key not in LATERAL_KEYS}
+def _numbers(base: AnyBase) -> Mapping[str, Number]:
+    """The limits that it has; of joints without a base, each has its own (`joint_parameters`)."""
+    if isinstance(base, JointsBase):
+        return {}
+    return {key: one for key, one in _NUMBERS.items() if base.strafes or key not in LATERAL_KEYS}
 
 
-def listed(limits: Limits, strafes: bool) -> dict[str, dict[str, Any]]:
+def listed(limits: Limits, base: AnyBase) -> dict[str, dict[str, Any]]:
     """Every parameter: value, unit, range and what it is."""
     return {
         _PREFIX + key: {
@@ -37,19 +40,19 @@ def listed(limits: Limits, strafes: bool) -> dict[str, dict[str, Any]]:
             "maximum": number.high,
             "description": number.description,
         }
-        for key, number in _numbers(strafes).items()
+        for key, number in _numbers(base).items()
     }
 
 
-def values(limits: Limits, strafes: bool, names: Iterable[str] = ()) -> dict[str, float | None]:
+def values(limits: Limits, base: AnyBase, names: Iterable[str] = ()) -> dict[str, float | None]:
     """By name; no name: all. Raises RpcError for an unknown one."""
-    keys = [_key(name, strafes) for name in names] or list(_numbers(strafes))
+    keys = [_key(name, base) for name in names] or list(_numbers(base))
     return {_PREFIX + key: json_number(getattr(limits, key)) for key in keys}
 
 
 def changed(
     limits: Limits,
-    strafes: bool,
+    base: AnyBase,
     wanted: Mapping[str, Any],
     linear_m_s: float = 0.0,
     angular_rad_s: float = 0.0,
@@ -57,12 +60,14 @@ def changed(
 ) -> Limits:
     """All of them as one group, whether they were set before or not, for a robot that moves so.
     Raises RpcError: then none."""
-    keys = {name: _key(name, strafes) for name in wanted}
+    keys = {name: _key(name, base) for name in wanted}
+    if not keys:
+        return limits
     asked = {keys[name]: _in_range(keys[name], value) for name, value in wanted.items()}
     made = Limits(**(vars(limits) | asked))
     if (problem := limits_problem(base_limits(made))) is not None:
         raise RpcError(f"the core refuses {problem}: out of range", INVALID_PARAMS)
-    rest_s = made.rest_s(linear_m_s, angular_rad_s, lateral_m_s, strafes=strafes)
+    rest_s = made.rest_s(linear_m_s, angular_rad_s, lateral_m_s, strafes=base.strafes)
     if rest_s > REST_MAX_S:
         raise RpcError(
             f"it would take {rest_s:.0f} s to rest (at most {REST_MAX_S:g} s): more deceleration "
@@ -80,10 +85,12 @@ def _in_range(key: str, value: Any) -> float:
     return float(asked)
 
 
-def _key(name: str, strafes: bool) -> str:
-    key, numbers = name.removeprefix(_PREFIX), _numbers(strafes)
+def _key(name: str, base: AnyBase) -> str:
+    key, numbers = name.removeprefix(_PREFIX), _numbers(base)
     if not name.startswith(_PREFIX) or key not in numbers:
         near = nearest(name, [_PREFIX + known for known in numbers])
         hint = f"did you mean {near}?" if near else "params.list names them all"
+        if isinstance(base, JointsBase):
+            hint = "there is no base: limits are those of each joint, as joint.NAME.KEY"
         raise RpcError(f"no parameter {name!r}: {hint}", INVALID_PARAMS)
     return key

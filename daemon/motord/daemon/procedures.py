@@ -203,6 +203,10 @@ def ramp_s(operation: Operation, most_s: float) -> float:
     """Within this a robot that brakes as it should is at rest: v / deceleration, twice
     deceleration / jerk for both ends of the ramp, and a margin for the wheels to follow."""
     snapshot, limits = operation.snapshot, operation.limits
+    if operation.joint_limits:
+        rows = zip(operation.joint_limits.values(), snapshot.joints, strict=True)
+        slowest_s = max(own.ramp_s(joint.setpoint_rad_s) for own, joint in rows)
+        return min(slowest_s + RAMP_MARGIN_S, most_s)
     brakes_s = max(
         abs(snapshot.setpoint_linear_m_s) / limits.linear_deceleration_m_s2,
         abs(snapshot.setpoint_angular_rad_s) / limits.angular_deceleration_rad_s2,

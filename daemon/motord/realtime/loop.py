@@ -304,6 +304,9 @@ class Loop:
         if raw.gains_count != control.gains_count:
             raw.gains_count = control.gains_count
             raw.gains = [{**_NO_GAINS, **gains} for gains in control.gains]
+        if raw.joint_limits_count != control.joint_limits_count:
+            raw.joint_limits_count = control.joint_limits_count
+            raw.joint_limits = control.joint_limits
         self.beat()
 
     def beat(self) -> None:

@@ -308,4 +308,8 @@ class Control:
     """Another number puts `gains` in force; 0: those of the configuration are."""
     gains: tuple[SpeedLoopGains, ...] = ()
     """By joint."""
+    joint_limits_count: int = 0
+    """Another number puts `joint_limits` in force; 0: those of the configuration are."""
+    joint_limits: tuple[AxisLimits, ...] = ()
+    """By joint, without a base."""
     limits: BaseLimits

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from motord.config.finding import Finding
 from motord.config.rules.steering import engine_for_positions
 from motord.config.sections.bases import JointsBase
+from motord.config.sections.joint_limits import JointLimits
 from motord.config.sections.limits import REST_MAX_S
 from motord.config.sections.model import Joint, Robot
 from motord.config.sections.wheels import Profiles, reference_of, takes_position
@@ -53,8 +54,7 @@ def _stops_in_time(robot: Robot) -> Iterator[Finding]:
     if not isinstance(robot.base, JointsBase):
         return
     for name, joint in robot.joint.items():
-        falls = joint.deceleration_max_rad_s2 or joint.acceleration_max_rad_s2
-        rest_s = (joint.velocity_max_rad_s or 0.0) / falls + falls / joint.jerk_max_rad_s3
+        rest_s = JointLimits.of(joint).rest_s()
         if rest_s > REST_MAX_S:
             text = f"from full speed it takes {rest_s:.0f} s to rest (at most {REST_MAX_S:g} s)"
             keys = ("deceleration_max_rad_s2", "acceleration_max_rad_s2", "velocity_max_rad_s")

@@ -63,12 +63,12 @@ class Limits(Section):
 
     def linear_rest_s(self, linear_m_s: float) -> float:
         """How long a stop takes from this speed on a straight line."""
-        return _ramp_s(linear_m_s, self.linear_deceleration_m_s2, self.linear_m_s3)
+        return braking_s(linear_m_s, self.linear_deceleration_m_s2, self.linear_m_s3)
 
     def axes_rest_s(self) -> tuple[float, float]:
         """How long each axis alone takes from full speed to rest: linear, angular."""
         linear_s = self.linear_rest_s(self.linear_m_s)
-        angular_s = _ramp_s(
+        angular_s = braking_s(
             self.angular_rad_s, self.angular_deceleration_rad_s2, self.angular_rad_s3
         )
         return linear_s, angular_s
@@ -94,7 +94,7 @@ class Limits(Section):
             lateral = max(self.lateral_m_s, abs(lateral_m_s))
             deceleration = min(deceleration, self.lateral_deceleration_m_s2 / lateral)
             jerk = min(jerk, self.lateral_m_s3 / lateral)
-        return _ramp_s(1.0, deceleration, jerk)
+        return braking_s(1.0, deceleration, jerk)
 
 
 LATERAL_KEYS = frozenset(key for key in numbers_of(Limits) if key.startswith("lateral_"))
@@ -103,7 +103,7 @@ REST_MAX_S = 20.0
 """A stop that takes longer is refused."""
 
 
-def _ramp_s(velocity: float, deceleration: float, jerk: float) -> float:
+def braking_s(velocity: float, deceleration: float, jerk: float) -> float:
     """From a velocity to rest: the deceleration rises by the jerk, and may not get to its limit."""
     if velocity * jerk < deceleration**2:
         return 2.0 * math.sqrt(velocity / jerk)

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a joint without a base may do at most. It can be changed while the daemon runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Self
+
+from motord.config.sections.bases import JointsBase
+from motord.config.sections.limits import braking_s
+from motord.config.sections.model import Joint, Robot
+from motord.config.sections.section import Number, numbers_of
+from motord.config.sections.wheels import takes_position
+
+
+@dataclass(frozen=True, slots=True)
+class JointLimits:
+    """The keys of [joint.NAME] with these names, each with its value."""
+
+    velocity_max_rad_s: float
+    acceleration_max_rad_s2: float
+    deceleration_max_rad_s2: float
+    jerk_max_rad_s3: float
+
+    @classmethod
+    def of(cls, joint: Joint) -> Self:
+        """As the robot file has them."""
+        falls_rad_s2 = joint.deceleration_max_rad_s2
+        return cls(
+            velocity_max_rad_s=joint.velocity_max_rad_s or 0.0,
+            acceleration_max_rad_s2=joint.acceleration_max_rad_s2,
+            deceleration_max_rad_s2=falls_rad_s2 or joint.acceleration_max_rad_s2,
+            jerk_max_rad_s3=joint.jerk_max_rad_s3,
+        )
+
+    def rest_s(self, velocity_rad_s: float = 0.0) -> float:
+        """How long a stop takes at most: from full speed, or from this where it is more."""
+        velocity_rad_s = max(self.velocity_max_rad_s, abs(velocity_rad_s))
+        return braking_s(velocity_rad_s, self.deceleration_max_rad_s2, self.jerk_max_rad_s3)
+
+    def ramp_s(self, velocity_rad_s: float) -> float:
+        """Within this a joint that moves so comes to rest, whatever its acceleration is now."""
+        falls_rad_s2 = self.deceleration_max_rad_s2
+        return abs(velocity_rad_s) / falls_rad_s2 + 2.0 * falls_rad_s2 / self.jerk_max_rad_s3
+
+
+KEYS = (
+    "velocity_max_rad_s",
+    "acceleration_max_rad_s2",
+    "deceleration_max_rad_s2",
+    "jerk_max_rad_s3",
+)
+_POSITION_KEYS = KEYS[:2]
+NUMBERS: Mapping[str, Number] = {key: numbers_of(Joint)[key] for key in KEYS}
+
+
+def limit_keys(robot: Robot, name: str) -> tuple[str, ...]:
+    """Which limits this joint has; none where a base has limits for all."""
+    if not isinstance(robot.base, JointsBase):
+        return ()
+    joint = robot.joint[name]
+    return _POSITION_KEYS if takes_position(joint, robot.profiles[joint.drive]) else KEYS

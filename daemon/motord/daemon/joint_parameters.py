@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Limits of joints without a base by name: `joint.pan.velocity_max_rad_s` and its like, as in the
+robot file. They change while the joints move: a lowered one is reached by deceleration.
+
+A joint gets no faster than its robot file allows: what watches its feedback goes by that speed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from motord.config import Robot
+from motord.config.sections.joint_limits import NUMBERS, JointLimits, limit_keys
+from motord.config.sections.limits import REST_MAX_S
+from motord.config.sections.section import Number
+from motord.local_socket.server import INVALID_PARAMS, RpcError, json_number
+from motord_hal.base.nearest import nearest
+
+Limits = Mapping[str, JointLimits]
+"""By joint, as they are in force."""
+
+
+def listed(robot: Robot, limits: Limits) -> dict[str, dict[str, Any]]:
+    """Every limit: value, unit, range and what it is."""
+    found = {}
+    for name, (joint, key) in _known(robot).items():
+        number = _number(robot, joint, key)
+        found[name] = {
+            "value": json_number(getattr(limits[joint], key)),
+            "unit": number.unit,
+            "minimum": number.low,
+            "maximum": number.high,
+            "description": number.description,
+        }
+    return found
+
+
+def values(
+    robot: Robot, limits: Limits, names: Iterable[str] | None = None
+) -> dict[str, float | None]:
+    """By name; None: all. Raises RpcError for an unknown one."""
+    known = _known(robot)
+    found = {}
+    for name in known if names is None else names:
+        joint, key = _place(name, known)
+        found[name] = json_number(getattr(limits[joint], key))
+    return found
+
+
+def changed(
+    robot: Robot, limits: Limits, wanted: Mapping[str, Any], setpoints_rad_s: Sequence[float]
+) -> dict[str, JointLimits]:
+    """Those that differ then, of joints that move so. Raises RpcError: then none."""
+    known = _known(robot)
+    changes: dict[str, dict[str, float]] = defaultdict(dict)
+    for name, value in wanted.items():
+        joint, key = _place(name, known)
+        number, asked = _number(robot, joint, key), math.inf if value is None else value
+        if not number.takes(asked):
+            raise RpcError(f"{name}: {asked} is out of range ({number.span})", INVALID_PARAMS)
+        changes[joint][key] = float(asked)
+        if len(limit_keys(robot, joint)) < len(NUMBERS) and key == "acceleration_max_rad_s2":
+            changes[joint]["deceleration_max_rad_s2"] = float(asked)
+    made = {joint: dataclasses.replace(limits[joint], **new) for joint, new in changes.items()}
+    for joint, velocity_rad_s in zip(robot.joint, setpoints_rad_s, strict=True):
+        if joint in made and (rest_s := made[joint].rest_s(velocity_rad_s)) > REST_MAX_S:
+            raise RpcError(
+                f"{joint}: it would take {rest_s:.0f} s to rest (at most {REST_MAX_S:g} s): more "
+                "deceleration and jerk, or less speed",
+                INVALID_PARAMS,
+            )
+    return made
+
+
+def _number(robot: Robot, joint: str, key: str) -> Number:
+    number = NUMBERS[key]
+    if key != "velocity_max_rad_s":
+        return number
+    return dataclasses.replace(number, high=robot.joint[joint].velocity_max_rad_s)
+
+
+def _known(robot: Robot) -> dict[str, tuple[str, str]]:
+    """Name → joint and key."""
+    return {
+        f"joint.{joint}.{key}": (joint, key)
+        for joint in robot.joint
+        for key in limit_keys(robot, joint)
+    }
+
+
+def _place(name: str, known: Mapping[str, tuple[str, str]]) -> tuple[str, str]:
+    if name not in known:
+        near = nearest(name, list(known))
+        hint = f"did you mean {near}?" if near else "params.list names them all"
+        raise RpcError(f"no parameter {name!r}: {hint}", INVALID_PARAMS)
+    return known[name]
