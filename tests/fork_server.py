@@ -69,7 +69,7 @@ _worlds = {}
 """Modules of motord by whether they read robot files themselves: motord/base/validation.py."""
 
 
-# ------------------------------------------------------------------------------------ who asks
+# ------------------------------------------------------------------------------------ a client
 class Client:
     """Of one server, in the process whose children it forks."""
 
@@ -140,7 +140,7 @@ def _built_in(environ):
 
 
 def _surroundings():
-    """What a child inherits from whoever forks it, and nobody sets."""
+    """What a child inherits from what forks it, and no one sets."""
     limits = [resource.getrlimit(number) for number in _LIMITS]
     names = [os.readlink(_NETWORK), os.readlink(_MOUNTS)]
     turn = os.getpriority(os.PRIO_PROCESS, 0), os.sched_getscheduler(0), os.sched_getaffinity(0)
@@ -288,7 +288,7 @@ def _become(request, fds, end):
         os.setsid()
     elif request["group"] >= 0:
         os.setpgid(0, request["group"])
-    *high, told = [fcntl.fcntl(fd, fcntl.F_DUPFD_CLOEXEC, ABOVE) for fd in (*fds, end.fileno())]
+    *high, ready = [fcntl.fcntl(fd, fcntl.F_DUPFD_CLOEXEC, ABOVE) for fd in (*fds, end.fileno())]
     end.detach()
     os.closerange(0, ABOVE)
     for fd, to in zip(high, request["to"], strict=True):
@@ -307,7 +307,7 @@ def _become(request, fds, end):
         theirs.close()
         client = Client(ours)
     subprocess._fork_exec = client or _real
-    os.write(told, str(os.getpid()).encode())
+    os.write(ready, str(os.getpid()).encode())
     os.closerange(ABOVE, ABOVE + FDS_MAX + 2)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     _open_standard()

@@ -54,10 +54,10 @@ def smoke() -> dict[str, Any]:
 
 def table(found: dict[str, Any]) -> str:
     rows = ["a message from snapshot to bytes, µs (in brackets: the Cyclone binding, json):"]
-    for topic, ways in found["messages_us"].items():
+    for topic, forms in found["messages_us"].items():
         rows.append(
-            f"  {topic:16} CDR {ways['cdr']:6.2f} ({ways['cdr, cyclone']:6.2f})"
-            f"  JSON {ways['json']:6.2f} ({ways['json, stdlib']:6.2f})"
+            f"  {topic:16} CDR {forms['cdr']:6.2f} ({forms['cdr, cyclone']:6.2f})"
+            f"  JSON {forms['json']:6.2f} ({forms['json, stdlib']:6.2f})"
         )
     rows.append("memory, MB resident (shared pages shared out):")
     for name, one in found["memory_mb"].items():
@@ -84,22 +84,24 @@ def table(found: dict[str, Any]) -> str:
 
 def verdicts(found: dict[str, Any]) -> Verdicts:
     """As wire.verdicts."""
-    said: Verdicts = []
+    verdicts: Verdicts = []
     sent = found["messages_us"]
     for name, goal_us, topics in (("cdr", CDR_US, sent), ("json", JSON_US, OFTEN)):
         for topic in topics:
             one_us = sent[topic][name]
             text = f"{topic} from snapshot to {name}: {one_us:.2f} µs ({goal_us:g})"
-            said.append((text, one_us <= goal_us, False))
+            verdicts.append((text, one_us <= goal_us, False))
     memory = found["memory_mb"]
     daemon_mb, bus_mb = memory["daemon"]["rss"], memory["motord-bus"]["rss"]
     start_s = memory["daemon alone"]["cpu_to_idle_s"]
-    said += [
+    verdicts += [
         (f"the daemon has {daemon_mb:.1f} MB ({DAEMON_MB:g})", daemon_mb <= DAEMON_MB, False),
         (f"motord-bus with ROS 2 has {bus_mb:.1f} MB ({BUS_MB:g})", bus_mb <= BUS_MB, False),
         (f"{start_s:.2f} s of CPU to idle ({START_S:g})", start_s <= START_S, False),
     ]
     for name, row in found["disturbed"].items():
         late = row["ratio"]["p99_us"]
-        said.append((f"{name}: lateness p99 {late:.2f} times ({LATER:g})", late <= LATER, False))
-    return said
+        verdicts.append(
+            (f"{name}: lateness p99 {late:.2f} times ({LATER:g})", late <= LATER, False)
+        )
+    return verdicts

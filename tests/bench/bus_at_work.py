@@ -68,7 +68,7 @@ def stage(*settings: str, **more: Any) -> Iterator[Any]:
 
 
 def bus_pid(made: Any) -> int:
-    """Of the second process, once it has said its first word."""
+    """Of the second process, once it has reported for the first time."""
     return int(wait_until(
         lambda: (found := made.robot.status()["bus"]) and "publishers" in found and found,
         "motord-bus",
@@ -130,7 +130,7 @@ def cpu(
     seconds: float, rates_hz: tuple[int, ...] = (DEFAULT_HZ, FAST_HZ)
 ) -> dict[str, dict[str, float]]:
     """Percent of one CPU that motord-bus takes with one publisher and its topics, at the rate that
-    it has by default and at 50 Hz. Nobody reads, but for the broker."""
+    it has by default and at 50 Hz. No client reads but the broker."""
     found: dict[str, dict[str, float]] = {}
     with (
         tempfile.TemporaryDirectory() as made_folder,

@@ -57,7 +57,7 @@ def writer() -> Iterator[Any]:
     entity = DataWriter(participant, Topic(participant, "rt/cmd_vel", TwistStamped), qos=reliable)
 
     def write(linear_m_s: float) -> int:
-        """When it was written; 0: nobody reads it."""
+        """When it was written; 0: no client reads it."""
         sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
         twist = Twist(Vector3(linear_m_s, 0.0, 0.0), Vector3(0.0, 0.0, 0.0))
         raw = TwistStamped(Header(Time(sec, nanosec), ""), twist).serialize(use_version_2=False)

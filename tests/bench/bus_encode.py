@@ -42,7 +42,7 @@ def imu() -> ImuSnapshot:
 
 
 def moving() -> View:
-    """A base on its way: no number of it is round."""
+    """A base that moves: no number of it is round."""
     snapshot = Snapshot(
         stamp_ns=90_123_456_789, tick=90_123, machine_state=4, owner=1, reasons=("linear_jerk",),
         faults=(), armed=True, enabled=True, at_rest=False, odometry_degraded=False,
@@ -89,7 +89,7 @@ def cyclone(topic: str) -> Callable[[], Any]:
     return lambda: message.serialize(use_version_2=False)
 
 
-def ways(topic: str) -> dict[str, Callable[[], Any]]:
+def forms_of(topic: str) -> dict[str, Callable[[], Any]]:
     view, offset_ns, chosen = moving(), wall_offset_ns(), TOPICS[topic]
     cdr, text = as_cdr(chosen, BODY), as_json(chosen, BODY)
     build = as_message(chosen, BODY)
@@ -102,13 +102,13 @@ def ways(topic: str) -> dict[str, Callable[[], Any]]:
 
 
 def measure(rounds: int) -> dict[str, dict[str, float]]:
-    """µs a message, by topic and way; ways take turns and each keeps its best round."""
+    """µs a message, by topic and form; forms take turns and each keeps its best round."""
     view = moving()
     sent = [name for name, topic in TOPICS.items() if as_message(topic, BODY)(view, 0) is not None]
-    all_ways = {topic: ways(topic) for topic in sent}
-    best = {topic: dict.fromkeys(found, math.inf) for topic, found in all_ways.items()}
+    all_forms = {topic: forms_of(topic) for topic in sent}
+    best = {topic: dict.fromkeys(found, math.inf) for topic, found in all_forms.items()}
     for _ in range(rounds):
-        for topic, found in all_ways.items():
+        for topic, found in all_forms.items():
             for name, call in found.items():
                 one_us = timeit.timeit(call, number=CALLS) / CALLS * 1e6
                 best[topic][name] = min(best[topic][name], one_us)

@@ -2,7 +2,7 @@
 """CPU per CAN frame, sent or received: the rt line beside python-can, on the same kind of socket.
 
 There is no CAN in every kernel, so a SOCK_SEQPACKET socket stands for the bus: system calls and
-frames are SocketCAN's, its driver is not. Four drives speak 500 times a second each, and are told
+frames are SocketCAN's, its driver is not. Four drives speak 500 times a second each, and are sent
 as often: what each says is decoded, its speed (zero: none is armed) is sent. Each side is a whole
 process; the drives count the frames, the same way for all.
 

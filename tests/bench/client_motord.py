@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""motord's real-time line against the bench's slave: prints one line of JSON when told to end.
+"""motord's real-time line against the bench's slave: prints one line of JSON when it is to end.
 
 python client_motord.py PORT DRIVES GAP(spec|3.5char) FUNCTION(16|23) HOGS
 """

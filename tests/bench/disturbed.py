@@ -173,7 +173,7 @@ class Struck:
         if self._what.startswith("SIG"):
             os.kill(pid, signal.Signals[self._what])
         else:
-            self._planted.tell(self._what)
+            self._planted.order(self._what)
         yield
         if self._what == "SIGSTOP":
             os.kill(pid, signal.SIGKILL)  # sooner than the daemon would

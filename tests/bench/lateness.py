@@ -70,8 +70,8 @@ def child(rate_hz: float, seconds: float) -> None:
         while loop.status().ticks < seen + 600:  # it counts them in every 256th tick
             time.sleep(0.01)
         status = loop.status()
-        said = {"bars": bars, "page_faults": status.page_faults, "policy": status.policy}
-        print(json.dumps(said), flush=True)
+        report = {"bars": bars, "page_faults": status.page_faults, "policy": status.policy}
+        print(json.dumps(report), flush=True)
 
 
 # ---------------------------------------------------------------------------------------- the pairs
@@ -96,10 +96,10 @@ def pair(rate_hz: float, seconds: float) -> dict[str, Any]:
              f"-D{math.ceil(seconds)}", "-h20000"],
             capture_output=True, text=True, timeout=seconds + 30,
         )  # fmt: skip
-        said = json.loads(ours.stdout.readline())
-    bars = [(float(value), int(n)) for value, n in said["bars"]]
+        report = json.loads(ours.stdout.readline())
+    bars = [(float(value), int(n)) for value, n in report["bars"]]
     return {"ours": figures(bars), "cyclictest": figures(cyclictest_bars(theirs.stdout)),
-            "page_faults": said["page_faults"], "policy": said["policy"]}  # fmt: skip
+            "page_faults": report["page_faults"], "policy": report["policy"]}  # fmt: skip
 
 
 def measure(pairs: int, seconds: float) -> dict[str, Any]:
@@ -123,19 +123,19 @@ def measure(pairs: int, seconds: float) -> dict[str, Any]:
 
 def verdicts(found: dict[str, Any]) -> list[tuple[str, bool, bool]]:
     """As wire.verdicts."""
-    said = []
+    verdicts = []
     for rate_hz, row in found.items():
         p99, p99_9 = row["ratios"]["p99_us"], row["ratios"]["in_band_p99_9_us"]
         sentence = (
             f"{rate_hz} Hz, {len(row['pairs'])} pairs: lateness p99 {p99:.2f} of cyclictest's "
             f"(1.25), in-band p99.9 {p99_9:.2f} (1.3)"
         )
-        said.append((sentence, p99 <= 1.25 and p99_9 <= 1.3, False))
+        verdicts.append((sentence, p99 <= 1.25 and p99_9 <= 1.3, False))
     faults = sum(row["page_faults"] for row in found.values())
     if found:
-        said.append((f"page faults of the loop, also while Python starts processes: {faults}",
+        verdicts.append((f"page faults of the loop, also while Python starts processes: {faults}",
                      faults == 0, True))  # fmt: skip
-    return said
+    return verdicts
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ python tests/bench/run.py [--quick | --smoke] [--json] [--only core,wire,can,ser
 
 Ends with 1 only where something is wrong (a violation, a page fault, too many instructions), never
 because a machine is slow: the sentences say what was reached. `--smoke` runs every part as briefly
-as it can, for whoever wants to know that it runs: no figure is judged.
+as it can, to show that it runs: no figure is judged.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ def on_the_wire(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
         return wire.table(results), {}, []
     quick = size is Size.QUICK
     results = wire.measure(rounds=1 if quick else 3, seconds=2.0 if quick else 3.0)
-    said = "\n".join([wire.table(results), *wire.has_bench_tools()])
-    return said, {name: found.rounds for name, found in results.items()}, wire.verdicts(results)
+    lines = "\n".join([wire.table(results), *wire.has_bench_tools()])
+    return lines, {name: found.rounds for name, found in results.items()}, wire.verdicts(results)
 
 
 def on_a_bus(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
@@ -167,9 +167,9 @@ def main() -> int:
     verdicts: Verdicts = []
     for part in chosen:
         print(f"{part} ...", file=sys.stderr, flush=True)
-        text, found, said = PARTS[part](how_much)
+        text, found, judged = PARTS[part](how_much)
         results[part] = found
-        verdicts += said if how_much is not Size.SMOKE else []
+        verdicts += judged if how_much is not Size.SMOKE else []
         if not asked.json:
             print(f"{text}\n", flush=True)
     wrong = any(matters and not reached for _, reached, matters in verdicts)

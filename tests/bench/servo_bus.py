@@ -93,10 +93,10 @@ def table(found: dict[str, dict[str, Any]]) -> str:
 
 def verdicts(found: dict[str, dict[str, Any]]) -> list[tuple[str, bool, bool]]:
     """As wire.verdicts. What motord reads beside the cycle is in `busy`."""
-    said = []
+    verdicts = []
     for bus in BUSES:
         ours, theirs = found[f"{bus}: motord, GIL hog"], found[f"{bus}: makers' SDK, GIL hog"]
         ratio = ours["per_s"] / max(theirs["per_s"], 1e-9)
         text = f"{bus}, beside a GIL hog: {ratio:.1f} times the cycles of the maker's SDK (2)"
-        said.append((text, ratio >= 2.0, False))
-    return said
+        verdicts.append((text, ratio >= 2.0, False))
+    return verdicts

@@ -185,7 +185,7 @@ def verdicts(results: dict[str, Result]) -> list[tuple[str, bool, bool]]:
     ratio = cpu / results["minimalmodbus"].median("cpu_us")
     short = next(found for name, found in ours.items() if "23" in name)
     per_drive, part = short.median("per_s") / 2, short.median("fraction_p50")
-    short_said = (
+    short_text = (
         f"function 23 at 3.5 characters, two drives: {per_drive:.0f} Hz a drive (125), "
         f"{100 * part:.1f} % of that wire (95)"
     )
@@ -194,7 +194,7 @@ def verdicts(results: dict[str, Result]) -> list[tuple[str, bool, bool]]:
          False),
         (f"no violation of the silent interval: {violations}", violations == 0, True),
         (f"CPU at most half of minimalmodbus': {ratio:.2f}", ratio <= 0.5, False),
-        (short_said, per_drive >= 125 and part >= 0.95, False),
+        (short_text, per_drive >= 125 and part >= 0.95, False),
     ]  # fmt: skip
 
 

@@ -190,14 +190,14 @@ async def _recover(rig: Rig, peer: ScriptedSlave, profile: str) -> None:
 
 def _switched_off(requests: list[Request], profile: Any) -> bool:
     """Every write of the profile's power-off is among these."""
-    told = {
+    sent = {
         (address, value)
         for request in requests
         for address, value in enumerate(request.values, request.address)
     }
     steps = [step for step in profile.disarm if step.value is not None]
     return all(
-        (profile.registers[step.register].address + number, word) in told
+        (profile.registers[step.register].address + number, word) in sent
         for step in steps
         for number, word in enumerate(profile.registers[step.register].encode(step.value))
     )

@@ -92,12 +92,12 @@ def _try(path: Path, data: bytes) -> str:
 def _read(path: Path) -> str:
     try:
         robot = load_robot(path)
-        said = [str(warning) for warning in robot.warnings]
+        problems = [str(warning) for warning in robot.warnings]
     except ConfigError as error:
-        said = [str(problem) for problem in error.problems]
-        if not said:
+        problems = [str(problem) for problem in error.problems]
+        if not problems:
             return "an error that says nothing"
-    several = [text for text in said if len(text.splitlines()) != 1]
+    several = [text for text in problems if len(text.splitlines()) != 1]
     return f"a finding that is not one line: {several[0]!r}" if several else ""
 
 

@@ -108,7 +108,7 @@ class Stage:
 
 
 def set_off(stage, linear_m_s=0.4, fast_rad_s=3.0):
-    """Armed, and its wheels fast; a fault that a too busy machine latched on the way is reset."""
+    """Armed, and its wheels fast; a fault that a too busy machine latched meanwhile is reset."""
 
     def turning():
         with contextlib.suppress(Refused):
@@ -126,7 +126,7 @@ def set_off(stage, linear_m_s=0.4, fast_rad_s=3.0):
 
 def obeying(stage, command):
     """Armed and moving; `command` is called with whether it may be commanded yet. A fault that a
-    too busy machine latched on the way is reset."""
+    too busy machine latched meanwhile is reset."""
 
     def attempt():
         state = stage.state()

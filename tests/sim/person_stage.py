@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A command of motord at a real pseudo-terminal, and a person who reads and types there, or
-measures on the floor; a robot whose file is a copy, and whose simulated truth may differ from it.
+"""A command of motord at a real pseudo-terminal, and a person at the keyboard or with
+a tape on the floor; a robot whose file is a copy, and whose simulated truth may differ from it.
 """
 
 import contextlib
@@ -138,7 +138,7 @@ def robot_of(folder, file, *settings, truth=(), wheels=(), faults=(), simulator=
 
 
 class Floor:
-    """A person with a tape and marks on the floor, who reads the simulator's truth."""
+    """A person with a tape and marks on the floor, with the simulator's truth."""
 
     def __init__(self, stage):
         self._sim = stage.sim

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kinds of another package, in motord-bus; among them an input that commands as long as it is told
-to, and does to its process what it is told."""
+"""Kinds of another package, in motord-bus; among them an input that commands as long as it has an
+order to, and does to its process what it is ordered to do."""
 
 import contextlib
 from pathlib import Path
@@ -72,8 +72,8 @@ class Planted:
             f"input.planted.options.order_file={self._order}", "input.planted.lease_s=1.0",
         )  # fmt: skip
 
-    def tell(self, word):
-        """`drive` lasts until something else is told; `segfault`, `leak` and `loop` are done."""
+    def order(self, word):
+        """`drive` lasts until something else is ordered; `segfault`, `leak` and `loop` are done."""
         whole = self._order.with_suffix(".new")
         whole.write_text(word, encoding="ascii")
         whole.replace(self._order)

@@ -65,7 +65,7 @@ def test_an_emergency_stop_is_not_refused_because_other_calls_are_under_way(tmp_
 
 
 def test_a_disarming_lets_the_ramp_of_a_fault_end(tmp_path):
-    """Power off on the way is a wheel that coasts."""
+    """Power off in motion is a wheel that coasts."""
     with running(tmp_path, *SLOW_RAMP, robot=SKID) as stage:
         set_off(stage)
         stage.sim.inject("silence:unit=2,for_s=1000")
@@ -269,7 +269,7 @@ from motord.__main__ import main
 from motord.bus.publish.stdout import StdoutPublisher
 def hand_over(publisher, line):
     if os.path.exists(sys.argv[-1] + ".break"):
-        raise ValueError("nobody expected this")
+        raise ValueError("this error is not expected")
 StdoutPublisher._hand_over = hand_over
 main()
 """
@@ -287,7 +287,7 @@ def test_an_error_that_nothing_expected_ends_the_daemon_at_rest_and_without_powe
         assert stage.daemon.wait(DEADLINE_S) != 0
         wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
         assert not powered(stage)
-        assert "nobody expected this" in stage.logged()
+        assert "this error is not expected" in stage.logged()
 
 
 def test_a_signal_in_the_middle_of_arming_ends_it_without_power(tmp_path):

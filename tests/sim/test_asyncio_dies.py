@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A callback that never returns: the C side brings the robot to rest, whoever goes on commanding,
-and the supervisor hears no more."""
+"""A callback that never returns: the C side brings the robot to rest, whatever goes on commanding,
+and the supervisor receives no more."""
 
 import os
 import signal

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever dies, the wheels of a board come to rest: as test_stopping.py, on config/robots/esp32.
-What the board itself does after a silence is motord_mcu.c's; what it is told until then is the
+What the board itself does after a silence is motord_mcu.c's; what it is sent until then is the
 line's."""
 
 import os

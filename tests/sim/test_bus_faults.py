@@ -57,13 +57,13 @@ def exchanges(stage):
 @pytest.mark.parametrize("fault", FAULTS)
 def test_its_lease_lapses_the_robot_rests_and_all_else_goes_on(stage, planted, fault):
     pid = leasing(stage)
-    obeying(stage, lambda may: planted.tell("drive") if may else planted.rest())
+    obeying(stage, lambda may: planted.order("drive") if may else planted.rest())
     loop = stage.robot.status()["loop"]
     if fault.startswith("SIG"):
         os.kill(pid, signal.Signals[fault])
         planted.rest()
     else:
-        planted.tell(fault)
+        planted.order(fault)
     wait_until(lambda: not stage.robot.status()["leases"], "nobody in command")
     wait_until(lambda: stage.robot.status()["at_rest"], "rest")
     sent = exchanges(stage)

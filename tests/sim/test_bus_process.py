@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second process: what it tells, and that whatever becomes of it costs the robot nothing."""
+"""The second process: what it publishes, and that its end costs the robot nothing."""
 
 import json
 import os
@@ -40,7 +40,7 @@ def stage(tmp_path_factory, port):
 
 
 def scraped(port):
-    """Figures by name and labels; None while nobody listens."""
+    """Figures by name and labels; None while no client listens."""
     try:
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=10) as answer:
             text = answer.read().decode()
@@ -172,7 +172,7 @@ class Adapter:
 TICKS = 1500
 
 
-SAID_MAX = 10
+LOGGED_MAX = 10
 """A line at most each 10 s, of thousands."""
 TROUBLES = {"spin": "trouble begins", "chatter": "trouble begins", "flood": "no figures"}
 """By their words in the log."""
@@ -197,7 +197,7 @@ def test_a_robot_drives_whatever_trouble_is_in_it(tmp_path, what, message):
         now = stage.robot.status()
         assert "heartbeat_lost" not in now["faults"], stage.logged()
         assert now["stalls"] == before["stalls"]
-        assert stage.logged().count("motord-bus says") < SAID_MAX
+        assert stage.logged().count("motord-bus says") < LOGGED_MAX
 
 
 FAILING = """

@@ -56,7 +56,7 @@ def accepted(ask):
 
 
 class Source(threading.Thread):
-    """Somebody who sends a command again and again over a connection of his own."""
+    """A program that sends a command again and again over a connection of its own."""
 
     def __init__(self, stage, *command, **lease):
         super().__init__(daemon=True)
@@ -92,7 +92,7 @@ def wheels_turn(stage, rad_s=2.0):
 
 
 def set_off(stage, *more, **lease):
-    """An armed robot on its way, and the source that drives it."""
+    """An armed robot in motion, and the source that drives it."""
     stage.robot.arm()
     with contextlib.ExitStack() as unless_off:
         source = unless_off.enter_context(Source(stage, SPEED_M_S, *(more or (0.0,)), **lease))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a daemon starts and ends, and who is told: each test has a daemon of its own."""
+"""How a daemon starts and ends, and what is notified: each test has a daemon of its own."""
 
 import json
 import os
@@ -23,7 +23,7 @@ def supervisor(tmp_path):
         yield listener
 
 
-def hear_until(listener, last):
+def received_until(listener, last):
     received = []
     while not received or received[-1] != last:
         received.append(listener.recv(1000).decode())
@@ -39,11 +39,11 @@ def moving(stage):
 def test_a_supervisor_receives_ready_life_and_the_end(tmp_path, supervisor):
     environ = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "200000"}
     with running(tmp_path, environ=environ) as stage:
-        received = hear_until(supervisor, "STATUS=idle")
+        received = received_until(supervisor, "STATUS=idle")
         assert "READY=1" in received
-        hear_until(supervisor, "WATCHDOG=1")
+        received_until(supervisor, "WATCHDOG=1")
         stage.daemon.send_signal(signal.SIGTERM)
-        received = hear_until(supervisor, "STATUS=off")
+        received = received_until(supervisor, "STATUS=off")
         assert "STOPPING=1" in received
         assert stage.daemon.wait(DEADLINE_S) == 0
 
@@ -51,15 +51,15 @@ def test_a_supervisor_receives_ready_life_and_the_end(tmp_path, supervisor):
 def test_a_daemon_that_hangs_feeds_no_watchdog(tmp_path, supervisor):
     environ = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "200000"}
     with running(tmp_path, environ=environ) as stage:
-        hear_until(supervisor, "WATCHDOG=1")
+        received_until(supervisor, "WATCHDOG=1")
         stage.daemon.send_signal(signal.SIGSTOP)
         supervisor.settimeout(0.5)
         with pytest.raises(TimeoutError):
-            while True:  # what was on its way, and then nothing
+            while True:  # what had been sent, and then nothing
                 supervisor.recv(1000)
         stage.daemon.send_signal(signal.SIGCONT)
         supervisor.settimeout(DEADLINE_S)
-        hear_until(supervisor, "WATCHDOG=1")
+        received_until(supervisor, "WATCHDOG=1")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])

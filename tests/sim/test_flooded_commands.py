@@ -36,7 +36,7 @@ def flood(stage):
 
 async def rest(stage):
     """The pad says: rest, again and again, and at last gives the command back. Who commanded
-    meanwhile, and what was said of the others."""
+    meanwhile, and what was logged of the others."""
     source, seen = Source(stage.socket, "pad"), []
     async with asyncio.TaskGroup() as tasks:
         holding = tasks.create_task(source.run())

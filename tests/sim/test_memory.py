@@ -22,7 +22,7 @@ def stage(tmp_path_factory):
 
 
 def stacks_kb(pid):
-    """What is in memory of each: anonymous, above a page that nobody may touch."""
+    """What is in memory of each: anonymous, above a page that no code may touch."""
     found, guarded, is_stack = [], None, False
     with open(f"/proc/{pid}/smaps", encoding="ascii") as rows:
         for row in rows:

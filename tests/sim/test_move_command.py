@@ -57,7 +57,7 @@ def ended(process):
     return process.returncode, found, found.get("error", err)
 
 
-def under_way(stage):
+def wait_for_motion(stage):
     wait_until(lambda: not stage.sim.truth().at_rest, "the wheels turn")
 
 
@@ -88,7 +88,7 @@ def test_a_distance_and_a_turn_are_driven(armed):
 
 def test_interrupted_it_comes_to_rest_and_reports_so(armed):
     with command(armed, "move", "20") as process:
-        under_way(armed)
+        wait_for_motion(armed)
         process.send_signal(signal.SIGINT)
         code, sent, err = ended(process)
     assert "canceled" in err
@@ -98,14 +98,14 @@ def test_interrupted_it_comes_to_rest_and_reports_so(armed):
 
 def test_killed_it_moves_nothing_any_more(armed):
     with command(armed, "move", "20") as process:
-        under_way(armed)
+        wait_for_motion(armed)
         process.kill()
         wait_until(lambda: armed.sim.truth().at_rest, "the wheels rest")
 
 
 def test_an_emergency_stop_ends_it_with_the_exit_status_of_a_fault(armed):
     with command(armed, "move", "20") as process:
-        under_way(armed)
+        wait_for_motion(armed)
         armed.robot.estop()
         code, sent, err = ended(process)
     assert "estop" in err or "emergency stop" in err

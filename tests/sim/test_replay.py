@@ -165,6 +165,6 @@ def test_a_signal_in_the_middle_of_the_making_of_a_page_leaves_none(tmp_path, nu
 def test_a_robot_that_runs_is_not_played_over(recording, tmp_path):
     with running(tmp_path) as stage:
         name = stage.robot.status()["robot"]
-        said = command(recording, "--publish", ROBOT, "--set", f"robot.name={name}", status=1)
-        assert "living daemon" in said.stderr
+        result = command(recording, "--publish", ROBOT, "--set", f"robot.name={name}", status=1)
+        assert "living daemon" in result.stderr
         assert stage.end() == 0

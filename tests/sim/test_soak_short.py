@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "soak"))
 
 from fault_mix import SERIAL_KINDS, batches
 from hurt_robot import PROFILE, limit_m_s, live
-from said import Said
+from reported import Reported
 
 from motord.config.drives.load import load_profile
 
@@ -63,7 +63,7 @@ def test_the_limit_is_the_fastest_wheel_s_and_a_tolerance_that_is_small():
 
 
 class Journal:
-    """What drives have said, without a simulator."""
+    """What drives have reported, without a simulator."""
 
     def __init__(self, **entries):
         self.entries = {int(unit.removeprefix("unit_")): rows for unit, rows in entries.items()}
@@ -77,10 +77,10 @@ class Journal:
 
 
 @pytest.fixture
-def said(tmp_path):
+def reported(tmp_path):
     tap = tmp_path / "tap"
     tap.touch()
-    return Said("rs485", (1, 2), load_profile(PROFILE).registers["position"], tap)
+    return Reported("rs485", (1, 2), load_profile(PROFILE).registers["position"], tap)
 
 
 MS = 1_000_000
@@ -91,19 +91,19 @@ WORDS = (0, 0, 0x0100, 0x0007, 0, 0)
 @pytest.mark.parametrize(
     ("row", "wrong"),
     [
-        pytest.param(f"0 {1000 * MS} {0x01000007} 0", 0, id="said"),
-        pytest.param(f"1 {1000 * MS} {0x01000007} 0", 1, id="said by another drive"),
+        pytest.param(f"0 {1000 * MS} {0x01000007} 0", 0, id="reported"),
+        pytest.param(f"1 {1000 * MS} {0x01000007} 0", 1, id="reported by another drive"),
         pytest.param(f"0 {1000 * MS} {0x01000006} 0", 1, id="one bit off"),
-        pytest.param(f"0 {900 * MS} {0x01000007} 0", 1, id="before it was said"),
+        pytest.param(f"0 {900 * MS} {0x01000007} 0", 1, id="before it was reported"),
     ],
 )
-def test_only_a_count_that_the_drive_has_reported_passes(said, row, wrong):
-    said.tap.write_text(row + "\n", encoding="ascii")
-    said.check(Journal(unit_1=[(1001 * MS, AT, WORDS), (1001 * MS, 0x2000, (0x0100, 0x0006))]))
-    assert (said.checked, len(said.violations)) == (1, wrong)
+def test_only_a_count_that_the_drive_has_reported_passes(reported, row, wrong):
+    reported.tap.write_text(row + "\n", encoding="ascii")
+    reported.check(Journal(unit_1=[(1001 * MS, AT, WORDS), (1001 * MS, 0x2000, (0x0100, 0x0006))]))
+    assert (reported.checked, len(reported.violations)) == (1, wrong)
 
 
-def test_an_answer_to_an_older_request_is_counted_with_its_age(said):
-    said.tap.write_text(f"0 {1300 * MS} {0x01000007} 0\n", encoding="ascii")
-    said.check(Journal(unit_1=[(1000 * MS, AT, WORDS)]))
-    assert (said.violations, said.old, said.oldest_s) == ([], 1, pytest.approx(0.3))
+def test_an_answer_to_an_older_request_is_counted_with_its_age(reported):
+    reported.tap.write_text(f"0 {1300 * MS} {0x01000007} 0\n", encoding="ascii")
+    reported.check(Journal(unit_1=[(1000 * MS, AT, WORDS)]))
+    assert (reported.violations, reported.old, reported.oldest_s) == ([], 1, pytest.approx(0.3))

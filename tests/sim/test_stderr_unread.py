@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nobody reads the daemon's stderr: it starts and obeys all the same."""
+"""No program reads the daemon's stderr: it starts and obeys all the same."""
 
 import os
 

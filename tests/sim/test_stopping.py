@@ -123,11 +123,11 @@ def test_a_demonstration_that_is_terminated_leaves_no_process_behind(tmp_path):
     robot.write_text(ROBOT.read_text(encoding="utf-8"), encoding="utf-8")
 
     def others():
-        said = []
+        commands = []
         for process in Path("/proc").glob("[0-9]*"):
             with contextlib.suppress(OSError):
-                said.append((process / "cmdline").read_text("utf-8").split("\0"))
-        return [words for words in said if str(robot) in words and "demo" not in words]
+                commands.append((process / "cmdline").read_text("utf-8").split("\0"))
+        return [words for words in commands if str(robot) in words and "demo" not in words]
 
     demo = subprocess.Popen([sys.executable, "-m", "motord", "demo", "--robot", robot], cwd=ROOT)
     try:

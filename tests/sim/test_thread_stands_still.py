@@ -59,7 +59,7 @@ def test_the_watchdog_is_not_fed_for_a_thread_that_stands_still(tmp_path, which)
             wait_until(lambda: f"{heart} has not moved" in stage.logged(), "it is missed")
             stage.wait_for("fault")
             wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
-            notifications(supervisor)  # what was on its way
+            notifications(supervisor)  # what had been sent
             silent_since_s = time.monotonic()
             wait_until(lambda: time.monotonic() - silent_since_s > PATIENCE_S, "the supervisor's")
             assert not fed(supervisor)

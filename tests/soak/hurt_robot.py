@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One robot: its simulator, its daemon, somebody who drives it, and whoever hurts it."""
+"""One robot: its simulator, its daemon, a source that drives it, and what hurts it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from fault_mix import BATCH_S, SERIAL_KINDS, batches
-from said import Said
+from reported import Reported
 
 from motord.api.page_file import own_page
 from motord.client import Client, ClientError, Refused
@@ -93,7 +93,7 @@ def wait_for(condition: Callable[[], Any], within_s: float, what: str) -> Any:
 
 class Driver(threading.Thread):
     """Commands a random twist and changes it every now and then. Between two twists, and while it
-    is told to let go, it commands zero: the daemon ignores a source that commanded motion before
+    is to let go, it commands zero: the daemon ignores a source that commanded motion before
     the robot was armed until that source has commanded zero."""
 
     def __init__(self, path: Path, seed: int) -> None:
@@ -117,7 +117,7 @@ class Driver(threading.Thread):
             try:
                 self._client.drive(*((0.0, 0.0) if zero else twist))
             except Refused:
-                pass  # latched: whoever recovers the robot sees it
+                pass  # latched: what recovers the robot sees it
             except ClientError as error:
                 self.problem = str(error)
                 return
@@ -130,11 +130,11 @@ class HurtRobot:
     robot: Client
     sim: SimControl
     driver: Driver
-    said: Said
+    reported: Reported
     log: Path
     daemon: subprocess.Popen[bytes]
     refusal: str = ""
-    """What the daemon said when it last refused to reset or to arm."""
+    """What the daemon answered when it last refused to reset or to arm."""
 
     # -------------------------------------------------------------------------------- what is
     def status(self) -> dict[str, Any]:
@@ -183,7 +183,7 @@ class HurtRobot:
             self.robot.reset()
 
     def suffer(self, faults: list[str]) -> float:
-        """A batch of faults from a drive on; seconds until it was on its way again."""
+        """A batch of faults from a drive on; seconds until it moved again."""
         for text in faults:
             self.sim.inject(text)
         end_s = time.monotonic() + BATCH_S + 0.4
@@ -215,9 +215,9 @@ class HurtRobot:
     # ------------------------------------------------------------------------------- what is proved
     def check(self) -> None:
         """Raises Violation."""
-        self.said.check(self.sim)
-        if self.said.violations:
-            raise Violation("; ".join(self.said.violations[:5]))
+        self.reported.check(self.sim)
+        if self.reported.violations:
+            raise Violation("; ".join(self.reported.violations[:5]))
         most_m_s, tolerance_m_s = limit_m_s()
         moved_m_s = self.sim.truth().moved_max_m_s
         if not moved_m_s <= most_m_s + tolerance_m_s:
@@ -245,13 +245,13 @@ def standing(folder: Path, seed: int, engine: str) -> Iterator[HurtRobot]:
         cleanup.callback(driver.over.set)
         driver.start()
         joints = tomllib.loads(ROBOT.read_text(encoding="utf-8"))["joint"].values()
-        said = Said(
+        reported = Reported(
             LINE,
             tuple(joint["unit"] for joint in joints),
             load_profile(PROFILE).registers["position"],
             tap,
         )
-        yield HurtRobot(robot, simulator.control, driver, said, log, daemon)
+        yield HurtRobot(robot, simulator.control, driver, reported, log, daemon)
 
 
 @contextlib.contextmanager
@@ -328,8 +328,8 @@ def live(
 
 
 def _note(outcome: Outcome, hurt: HurtRobot) -> None:
-    outcome.checked_counts, outcome.old_answers = hurt.said.checked, hurt.said.old
-    outcome.oldest_s = hurt.said.oldest_s
+    outcome.checked_counts, outcome.old_answers = hurt.reported.checked, hurt.reported.old
+    outcome.oldest_s = hurt.reported.oldest_s
     line = hurt.sim.stats()["lines"][LINE]
     outcome.gap_violations = line["gap_violations"]
     outcome.watchdog_bites = sum(unit["watchdog_bites"] for unit in line["units"].values())

@@ -3,9 +3,9 @@
 
     python tests/soak/soak.py --faults 10000 --seed 7 --engine both --workers 2
 
-Proved all along: the core is given no count that its drive has not said, no wheel is ever faster
-than its limit, and whenever the faults end the robot comes to rest, is reset, armed and drives
-again. Exit status 1 on any violation.
+Proved all along: the core is given no count that its drive has not reported, no wheel is ever
+faster than its limit, and whenever the faults end the robot comes to rest, is reset, armed and
+drives again. Exit status 1 on any violation.
 """
 
 from __future__ import annotations

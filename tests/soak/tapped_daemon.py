@@ -42,14 +42,14 @@ class Peephole:
         box = ffi.cast("char *", lib.loop_exchange()) + place
         self._front = ffi.cast("volatile uint32_t *", box + FRONT_AT)
         self._slots = ffi.cast("joint_feedback *", box + MAILBOX_BYTES)
-        self._said_ns = 0
+        self._stamp_ns = 0
 
-    def news(self) -> str | None:
+    def row(self) -> str | None:
         front = self._front[0]
         found = ffi.new("joint_feedback *", self._slots[front])
-        if self._front[0] != front or found.stamp_ns in (0, self._said_ns):
+        if self._front[0] != front or found.stamp_ns in (0, self._stamp_ns):
             return None
-        self._said_ns = found.stamp_ns
+        self._stamp_ns = found.stamp_ns
         return f"{found.stamp_ns} {found.count} {found.epoch}"
 
 
@@ -58,8 +58,8 @@ def watch(path: Path, joints: int) -> None:
     with path.open("w", encoding="ascii", buffering=1) as file:
         while True:
             for joint, hole in enumerate(holes):
-                if (news := hole.news()) is not None:
-                    file.write(f"{joint} {news}\n")
+                if (row := hole.row()) is not None:
+                    file.write(f"{joint} {row}\n")
             time.sleep(LOOK_EVERY_S)
 
 

@@ -30,7 +30,7 @@ BUILD = ROOT / "build" / "vm"
 BUILD_PI = ROOT / "build" / "pi"
 SET_UP_WITHIN_S = 900.0
 TESTS_WITHIN_S = 1200.0
-"""At least; a quiet machine of two cores needs less."""
+"""At least; an idle machine of two cores needs less."""
 TESTS_PER_SET_UP = 25.0
 """How many times as long as its set-up a guest's tests may take."""
 ADAPTER_SERIAL = "A10K3XYZ"
@@ -90,7 +90,7 @@ def free_ports() -> tuple[int, int]:
 
 
 def cable_end(name: str, port: int, far_port: int) -> str:
-    """Datagrams: like a cable they lose what nobody reads. A stream would get full, and QEMU
+    """Datagrams: like a cable they lose what is not read. A stream would get full, and QEMU
     waits for room in it with the lock that its reader needs."""
     return f"udp,id={name},host=127.0.0.1,port={far_port},localaddr=127.0.0.1,localport={port}"
 
@@ -185,10 +185,10 @@ def boot(command: list[str], say: Callable[[str], None], *, ends_itself: bool) -
     return status
 
 
-def on_the_pi(said: list[str]) -> int:
+def on_the_pi(shown: list[str]) -> int:
     """Its tests, what they say kept for later: beside the other guest, which uses one CPU."""
     subprocess.run([HERE / "pi" / "image.sh", BUILD_PI, ROOT], check=True, timeout=600)
-    return boot(raspberry_pi(), said.append, ends_itself=False)
+    return boot(raspberry_pi(), shown.append, ends_itself=False)
 
 
 def on_the_guest(package: Path, arguments: list[str]) -> int:
@@ -209,11 +209,11 @@ def main(arguments: list[str]) -> int:
     package = Path(made.stdout.strip())
     if arguments:
         return on_the_guest(package, arguments)
-    said: list[str] = []
+    shown: list[str] = []
     with ThreadPoolExecutor(1) as pool:
-        pi = pool.submit(on_the_pi, said)
+        pi = pool.submit(on_the_pi, shown)
         status = on_the_guest(package, [])
-    print("\nRaspberry Pi 3:", *said, sep="\n")
+    print("\nRaspberry Pi 3:", *shown, sep="\n")
     took_s = time.monotonic() - begin_s
     print(f"make vm: guest {status}, Raspberry Pi {pi.result()} (0: passed), {took_s:.0f} s")
     return status or pi.result()

@@ -16,7 +16,7 @@ os.environ["PYTHONPATH"] = os.pathsep.join(PACKAGES)  # for the processes that t
 
 
 def pytest_runtest_logreport(report):
-    """A failure is told at once: the rest may take minutes."""
+    """A failure is printed at once: the rest may take minutes."""
     if report.failed:
         print(f"\n{report.longreprtext}", file=sys.__stdout__, flush=True)
 

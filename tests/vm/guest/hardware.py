@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands for hardware here runs before all that is none: drives and cables do not wait until
-the computer is done with its other work.
+"""What stands for hardware here runs before all that does not: drives and cables do not
+wait until the computer is done with its other work.
 
 Source: sched(7).
 """

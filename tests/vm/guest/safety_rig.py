@@ -110,7 +110,7 @@ def core_config():
 @contextlib.contextmanager
 def looped(rate_hz=200.0, pull=Bias.AS_IS):
     """A loop with a normally-closed contact to ground, and a watchdog. The simulated chip takes the
-    bias of a request for the level from outside, so only who tests the bias asks for one."""
+    bias of a request for the level from outside, so only a test of the bias requests one."""
     with contextlib.ExitStack() as unless_ended:
         contact = Wanted(line=CONTACT, purpose="safety.estop")
         estop_fd = request_edges(LABEL, contact, "motord", pull, rising=True)
@@ -139,7 +139,7 @@ def rt_guard(estop_fd, watchdog_fd):
 
 
 def reset(loop, count):
-    """Ask for it with wheels that are there and at rest, and give it some ticks."""
+    """Request it with wheels that are there and at rest, and give it some ticks."""
     for index in (0, 1):
         Exchange.of_loop().put_feedback(
             index,

@@ -12,12 +12,12 @@ how slow when it booted and installed the package."""
 LOOK_EVERY_S = 0.05
 
 
-def wait_until(condition, what, said=str):
+def wait_until(condition, what, shown=str):
     """Ask again until it holds; what came, or a failure that says what did not, and what was
-    said."""
+    shown."""
     end_s = time.monotonic() + DEADLINE_S
     while not (found := condition()):
-        assert time.monotonic() < end_s, f"{what}: not within {DEADLINE_S} s\n{said()}"
+        assert time.monotonic() < end_s, f"{what}: not within {DEADLINE_S} s\n{shown()}"
         time.sleep(LOOK_EVERY_S)
     return found
 

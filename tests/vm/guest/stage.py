@@ -30,7 +30,7 @@ class Stage:
 
     def drive_on(self, speed_m_s=0.5):
         """Armed, and the true wheels turn. A machine that stood still for seconds may have latched
-        a fault meanwhile, as it must: then once more, and it is said."""
+        a fault meanwhile, as it must: then once more, and it is printed."""
         self.wait_for("idle", "armed", "fault")
 
         def turning():
@@ -51,7 +51,7 @@ class Stage:
         return truth.at_rest and not any(joint.enabled for joint in truth.joints.values())
 
 
-def granted(ask, what="it is granted", said=str):
+def granted(ask, what="it is granted", shown=str):
     """Asks until it is neither refused nor answered with False."""
 
     refusals = [""]
@@ -63,7 +63,7 @@ def granted(ask, what="it is granted", said=str):
             refusals.append(str(refusal))
             return False
 
-    wait_until(attempt, what, lambda: f"{refusals[-1]}\n{said()}")
+    wait_until(attempt, what, lambda: f"{refusals[-1]}\n{shown()}")
 
 
 @contextlib.contextmanager

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """CAN lines of both engines on interfaces of the kernel: two controllers that are cabled to each
 other, an interface that goes down, one that is taken away, one whose queue is full, and how long a
-set-point takes. What is said on the bus is asked by the contract suite, on vcan.
+set-point takes. What is sent on the bus is judged by the contract suite, on vcan.
 
 QEMU's SJA1000 mixes up what follows a remote frame, which ODrives are asked by: those are at the
 other end of a vxcan, which is a cable without controllers.
@@ -74,13 +74,13 @@ async def rig(peer):
 async def drive(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
-    await until(lambda: any(peer.axes[0].velocities()), "it is told to turn")
+    await until(lambda: any(peer.axes[0].velocities()), "it is sent motion")
 
 
 async def back_disarmed(rig, peer):
     await rig.ready()
     mark = len(peer.axes[0].velocities())
-    await until(lambda: len(peer.axes[0].velocities()) > mark + 3, "it is told something")
+    await until(lambda: len(peer.axes[0].velocities()) > mark + 3, "it is sent something")
     assert set(peer.axes[0].velocities()[mark:]) == {0.0}
     assert peer.axes[0].state == IDLE
 

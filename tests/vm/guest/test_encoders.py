@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Quadrature encoders on the kernel's own GPIO: every edge of its simulated lines is counted, and
-what is wrong with them is said.
+what is wrong with them is reported.
 
 Source: kernel, kernel/irq/irq_sim.c (6.1): an interrupt that waits is a bit, not a number.
 """

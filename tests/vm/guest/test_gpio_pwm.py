@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motor bridges on the kernel's own GPIO and PWM: what the pins are when the line says so, also
-when it is stopped, starved, killed, or its pins are somebody else's."""
+when it is stopped, starved, killed, or its pins are another program's."""
 
 import asyncio
 import contextlib

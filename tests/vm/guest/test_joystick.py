@@ -43,7 +43,7 @@ def stage(tmp_path, simulator, monkeypatch):
         yield stage
 
 
-def tell(pad, *events):
+def push(pad, *events):
     for event in events:
         pad.write(*event)
     pad.syn()
@@ -53,14 +53,14 @@ def test_wheels_turn_while_its_button_is_held_and_its_emergency_stop_latches(pad
     stage.wait_for("idle")
     wait_until(lambda: f"input.pad: {NAME}" in stage.logged(), "it is found", stage.logged)
     granted(stage.robot.arm, "armed", stage.logged)
-    tell(pad, (EV_ABS, ABS_Y, -100))
+    push(pad, (EV_ABS, ABS_Y, -100))
     assert stage.sim.truth().at_rest
-    tell(pad, (EV_KEY, BTN_TL, 1))
+    push(pad, (EV_KEY, BTN_TL, 1))
     wait_until(lambda: not stage.sim.truth().at_rest, "the wheels turn", stage.logged)
-    tell(pad, (EV_KEY, BTN_TL, 0))
+    push(pad, (EV_KEY, BTN_TL, 0))
     wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest", stage.logged)
-    tell(pad, (EV_KEY, BTN_TL, 1))
+    push(pad, (EV_KEY, BTN_TL, 1))
     wait_until(lambda: not stage.sim.truth().at_rest, "the wheels turn again", stage.logged)
-    tell(pad, (EV_KEY, BTN_EAST, 1))
+    push(pad, (EV_KEY, BTN_EAST, 1))
     stage.wait_for("estop")
     wait_until(stage.rests_without_power, "without power", stage.logged)

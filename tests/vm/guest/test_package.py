@@ -17,8 +17,8 @@ def put_back():
 
 
 def test_the_installed_program_reads_a_robot_file_of_its_own_examples():
-    said = output("motord", "check", "/usr/share/motord/robots/demo.toml")
-    assert "demo" in said
+    shown = output("motord", "check", "/usr/share/motord/robots/demo.toml")
+    assert "demo" in shown
 
 
 def exposure(unit):

@@ -53,7 +53,7 @@ def test_an_adapter_that_was_pulled_is_found_again_disarmed(tmp_path, simulator,
         stage.wait_for("fault")
         wait_until(lambda: sim.truth().at_rest, "the drive's own watchdog stops the wheels")
         plug()
-        assert adapter() != before  # somebody still holds the old number
+        assert adapter() != before  # a process still holds the old number
         os.close(somebody)
         wait_until(lambda: stage.robot.status()["lines"]["rs485"]["state"] == "ready", "open again")
         assert stage.state() == "fault"

@@ -30,7 +30,7 @@ def test_a_closed_contact_lets_the_loop_be_and_an_open_one_is_an_emergency_stop(
 
 def test_a_broken_wire_stops_because_the_chip_pulls_the_line_up():
     with chip() as lines, looped(pull=Bias.PULL_UP) as loop:
-        assert lines.level(CONTACT) == 1.0  # by the request's bias: nobody drives it
+        assert lines.level(CONTACT) == 1.0  # by the request's bias: nothing drives it
         assert loop.read_state().faults == ("estop",)
 
 

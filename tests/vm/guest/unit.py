@@ -30,7 +30,7 @@ class Unit(Stage):
         return int(properties(self.unit, "MainPID")["MainPID"])
 
     def is_idle(self):
-        """Asks for what is missing."""
+        """Requests what is missing."""
         state = self.state()
         if state == "fault":
             self.robot.reset()
@@ -48,7 +48,7 @@ class Unit(Stage):
 
 
 def connected(name, old_pid=0):
-    """None as long as nobody but the old process listens: unix(7), SO_PEERCRED. Costs less than
+    """None as long as only the old process listens: unix(7), SO_PEERCRED. Costs less than
     asking systemd."""
     path = Path(f"/run/motord/{name}.sock")
     with contextlib.suppress(ClientError, OSError), socket.socket(socket.AF_UNIX) as probe:

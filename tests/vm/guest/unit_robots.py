@@ -32,7 +32,7 @@ class Truth:
 
 @dataclasses.dataclass
 class Pins:
-    """What a simulator would tell, of a robot that hangs on pins: power and pulses, or none."""
+    """What a simulator would report, of a robot that hangs on pins: power and pulses, or none."""
 
     rig: object
 

@@ -64,7 +64,7 @@ async def turn():
 
 
 def test_after_kill_9_the_pulses_and_the_enables_stay_until_stop_all_ends_them():
-    """This chip leaves a released line as it was: nobody but stop-all stops the motor."""
+    """This chip leaves a released line as it was: only stop-all stops the motor."""
     code = "import asyncio, test_pins; asyncio.run(test_pins.turn())"
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
         lines = iter(child.stdout.readline, b"")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Was every count that the core was given really said by its drive, then and there?"""
+"""Was every count that the core was given really reported by its drive, then and there?"""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ PAGE = 1000
 
 @dataclass(slots=True)
 class Unit:
-    """What one drive has said of its counter: when, and from which journal number on to ask."""
+    """What one drive has reported of its counter: when, and from which journal number on to ask."""
 
     asked: int = 0
     times_ns: defaultdict[int, list[int]] = field(default_factory=lambda: defaultdict(list))
 
 
 @dataclass(slots=True)
-class Said:
+class Reported:
     """`units`: the drive of each joint, in the core's order."""
 
     line: str
@@ -37,7 +37,7 @@ class Said:
     violations: list[str] = field(default_factory=list)
     checked: int = 0
     old: int = 0
-    """Answers to an earlier, equal request of the same drive: RTU cannot tell them apart."""
+    """Answers to an earlier, equal request of the same drive: RTU cannot distinguish them."""
     oldest_s: float = 0.0
     _read: int = 0
     _known: dict[int, Unit] = field(default_factory=dict)
@@ -82,7 +82,7 @@ class Said:
         if newest == 0:
             self.violations.append(
                 f"joint {joint} was given the count {count:#x} at {stamp_ns} ns:"
-                f" drive {unit} has not said it{' before' if times else ''}"
+                f" drive {unit} has not reported it{' before' if times else ''}"
             )
         elif (age_ns := stamp_ns - times[newest - 1]) > window_ns:
             self.old += 1
