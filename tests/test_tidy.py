@@ -373,8 +373,7 @@ NOT_YET = ("contract", "peers", "test_tidy.py")
 TESTED = [
     path
     for path in PYTHON + C
-    if path.relative_to(ROOT).parts[0] == "tests"
-    and path.relative_to(ROOT).parts[1] not in NOT_YET
+    if path.relative_to(ROOT).parts[0] == "tests" and path.relative_to(ROOT).parts[1] not in NOT_YET
 ]
 
 
