@@ -22,19 +22,19 @@ from motord.api.snapshot import Snapshot
 from motord.base.log import about
 from motord.base.sdnotify import Notifier
 from motord.config import Limits, Robot
-from motord.config.sections.joint_limits import JointLimits, limit_keys
+from motord.config.sections.joint_limits import JointLimits
 from motord.config.sections.speed_loop import SpeedLoop
-from motord.config.sections.wheels import gains_of, takes_position
-from motord.control.assembly import base_limits, joint_limits, speed_loop_gains
+from motord.config.sections.wheels import takes_position
 from motord.control.battery import BatteryLevel, BatteryWatch
 from motord.control.doubt import doubt_text
+from motord.control.in_force import InForce
 from motord.control.joint_names import JointNames
 from motord.control.leases import Lease, Leases, NoLease
 from motord.control.machine import Event, Facts, Refusal, State, step
 from motord.control.waiting import Waiting
 from motord.local_socket.server import Refused
 from motord.realtime.loop import Control, Loop
-from motord.realtime.types import SpeedLoopGains, StopRequests
+from motord.realtime.types import StopRequests
 from motord_hal.base.clock import within
 from motord_hal.fieldbus.ports import DriveState, EventKind, Line, LineEvent, LineState
 from motord_hal.realtime.exchange import now_ns
@@ -90,23 +90,7 @@ class Operation:
         self.snapshot: Snapshot = loop.read_state()
         self.leases = Leases(loop)
         self.joint_names = JointNames(robot)
-        self.limits: Limits = robot.limits
-        profiles = robot.profiles
-        self.speed_loops: dict[str, SpeedLoop] = {
-            name: joint.speed_loop or SpeedLoop()
-            for name, joint in robot.joint.items()
-            if gains_of(joint, profiles[joint.drive])
-        }
-        """By joint, as they are in force; of those whose speed motord holds, or could."""
-        self._gains_count = 0
-        self._gains: tuple[SpeedLoopGains, ...] = ()
-        self.joint_limits: dict[str, JointLimits] = {
-            name: JointLimits.of(joint)
-            for name, joint in robot.joint.items()
-            if limit_keys(robot, name)
-        }
-        """By joint, as they are in force; of a robot without a base."""
-        self._joint_limits_count = 0
+        self.in_force = InForce(robot)
         self.why: tuple[str, ...] = ()
         """What led to the fault or the emergency stop that is latched."""
         self.stops = 0
@@ -219,11 +203,7 @@ class Operation:
                 reset_count=self._reset_count,
                 odometry_reset_count=self._odometry_reset_count,
                 machine_state=self.state.number,
-                gains_count=self._gains_count,
-                gains=self._gains,
-                joint_limits_count=self._joint_limits_count,
-                joint_limits=tuple(map(joint_limits, self.joint_limits.values())),
-                limits=base_limits(self.limits),
+                **self.in_force.levels(),
             )
         )
 
@@ -247,26 +227,17 @@ class Operation:
 
     def set_limits(self, limits: Limits) -> None:
         """In force from the next tick on. They have been checked."""
-        self.limits = limits
+        self.in_force.limits = limits
         self.put_control()
 
     def set_joint_limits(self, limits: Mapping[str, JointLimits]) -> None:
         """In force from the next tick on. They have been checked."""
-        self.joint_limits |= limits
-        self._joint_limits_count += 1
+        self.in_force.change_joint_limits(limits)
         self.put_control()
 
     def set_speed_loops(self, loops: Mapping[str, SpeedLoop]) -> None:
         """In force from the next tick on, without a step of the output. They have been checked."""
-        self.speed_loops |= loops
-        profiles = self.robot.profiles
-        self._gains = tuple(
-            speed_loop_gains(joint, profiles[joint.drive], self.speed_loops[name])
-            if name in self.speed_loops
-            else SpeedLoopGains()
-            for name, joint in self.robot.joint.items()
-        )
-        self._gains_count += 1
+        self.in_force.change_speed_loops(loops)
         self.put_control()
 
     # ---------------------------------------------------------------------------------- commanding

@@ -94,9 +94,9 @@ def methods(
         "latency": _looking(lambda: report.latency(operation.loop)),
         "params.list": _looking(
             lambda: (
-                parameters.listed(operation.limits, operation.robot.base)
-                | joint_parameters.listed(operation.robot, operation.joint_limits)
-                | gain_parameters.listed(operation.robot, operation.speed_loops)
+                parameters.listed(operation.in_force.limits, operation.robot.base)
+                | joint_parameters.listed(operation.robot, operation.in_force.joint_limits)
+                | gain_parameters.listed(operation.robot, operation.in_force.speed_loops)
                 | drive_parameters.listed(operation.lines)
             )
         ),
@@ -237,13 +237,19 @@ def _release(operation: Operation, caller: Caller, params: OwnerParams) -> dict[
 
 async def _get(operation: Operation, names: Sequence[str]) -> dict[str, float | None]:
     """Without a name: all limits and gains; drives are asked only for what is named."""
-    robot, loops, own = operation.robot, operation.speed_loops, operation.joint_limits
+    robot, loops, own = (
+        operation.robot,
+        operation.in_force.speed_loops,
+        operation.in_force.joint_limits,
+    )
     if not names:
-        limits = parameters.values(operation.limits, robot.base)
+        limits = parameters.values(operation.in_force.limits, robot.base)
         limits |= joint_parameters.values(robot, own)
         return limits | gain_parameters.values(robot, loops)
     of_drives, gains, of_joints, limit_names = _by_kind(names)
-    found = parameters.values(operation.limits, robot.base, limit_names) if limit_names else {}
+    found = (
+        parameters.values(operation.in_force.limits, robot.base, limit_names) if limit_names else {}
+    )
     found |= joint_parameters.values(robot, own, of_joints)
     found |= gain_parameters.values(robot, loops, gains)
     return found | await drive_parameters.values(operation.lines, of_drives)
@@ -273,11 +279,14 @@ async def _set(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, flo
         return dict(await drive_parameters.write(operation, of_drives))
     now, robot = operation.snapshot, operation.robot
     moving = now.setpoint_linear_m_s, now.setpoint_angular_rad_s, now.setpoint_lateral_m_s
-    new_limits = parameters.changed(operation.limits, robot.base, limits, *moving)
+    new_limits = parameters.changed(operation.in_force.limits, robot.base, limits, *moving)
     new_joints = joint_parameters.changed(
-        robot, operation.joint_limits, of_joints, [one.setpoint_rad_s for one in now.joints]
+        robot,
+        operation.in_force.joint_limits,
+        of_joints,
+        [one.setpoint_rad_s for one in now.joints],
     )
-    new_loops = gain_parameters.changed(robot, operation.speed_loops, gains)
+    new_loops = gain_parameters.changed(robot, operation.in_force.speed_loops, gains)
     if limits:
         operation.set_limits(new_limits)
     if new_joints:

@@ -202,9 +202,9 @@ async def _come_down(operation: Operation, ramp_max_s: float, force: asyncio.Eve
 def ramp_s(operation: Operation, most_s: float) -> float:
     """Within this a robot that brakes as it should is at rest: v / deceleration, twice
     deceleration / jerk for both ends of the ramp, and a margin for the wheels to follow."""
-    snapshot, limits = operation.snapshot, operation.limits
-    if operation.joint_limits:
-        rows = zip(operation.joint_limits.values(), snapshot.joints, strict=True)
+    snapshot, limits = operation.snapshot, operation.in_force.limits
+    if operation.in_force.joint_limits:
+        rows = zip(operation.in_force.joint_limits.values(), snapshot.joints, strict=True)
         slowest_s = max(own.ramp_s(joint.setpoint_rad_s) for own, joint in rows)
         return min(slowest_s + RAMP_MARGIN_S, most_s)
     brakes_s = max(
