@@ -3,11 +3,13 @@
 at their lines, and saving."""
 
 import re
+import shutil
 import tomllib
 
 import pytest
 from tests.browser.axe import axe_violations
-from tests.sim.daemon_stage import ROOT, wait_until
+from tests.browser.dashboard import dashboard_of
+from tests.sim.daemon_stage import ROBOT, ROOT, SLOW, wait_until
 
 from motord.config import load_robot
 
@@ -255,6 +257,23 @@ def test_what_is_written_stays_while_another_page_of_the_dashboard_is_shown(page
     page.wait_for_selector(".overview")
     assert "linear_m_s = 0.75" in opened(page).input_value()
     assert page.locator(".robot-file header").inner_text().count("Changed, not saved") == 1
+
+
+def test_what_cannot_be_written_is_given_for_download(browser, tmp_path):
+    place = tmp_path / f"{'x' * 240}.toml"  # the backup's name is too long
+    shutil.copy(ROBOT, place)
+    with dashboard_of(browser, tmp_path, place, *SLOW) as robot, robot.page() as page:
+        changed(page, "linear_m_s = 1.0", "linear_m_s = 0.6")
+        button(page, SAVE).click()
+        button(page, "Write").click()
+        download = button(page, "Download the new file")
+        download.wait_for()
+        assert "File name too long" in page.locator(".difference").inner_text()
+        assert f"sudo cp -p {place}" in page.locator(".command").inner_text()
+        with page.expect_download() as found:
+            download.click()
+        assert found.value.path().read_text("utf-8") == page.locator(AREA).input_value()
+    assert place.read_bytes() == ROBOT.read_bytes()
 
 
 def test_a_page_without_the_token_is_shown_nothing_of_the_file(robot):
