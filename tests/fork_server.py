@@ -9,8 +9,9 @@ forked process is a child of the process that asked: a server is its child, and 
 twice is adopted by the nearest ancestor that is a subreaper, PR_SET_CHILD_SUBREAPER in prctl(2).
 
 A program that starts programs of its own, as the daemon does, gets a server of its own, forked
-before it has threads. `started_from_nothing` is for tests of the start itself, of memory and of
-imports. `make coverage` measures real starts.
+before it has threads. A program that setsid(1) starts at a terminal of its own, `AT_TERMINAL`, is
+forked too. `started_from_nothing` is for tests of the start itself, of memory and of imports.
+`make coverage` measures real starts.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ import signal
 import socket
 import subprocess
 import sys
+import termios
 import threading
 import traceback
 from pathlib import Path
@@ -51,6 +53,8 @@ LATER = {
     **dict.fromkeys(("status", "arm", "disarm", "drive", "stop", "estop", "reset", "params"), ()),
 }
 """What a command imports when it has read its arguments, if that is not the robot file's reader."""
+AT_TERMINAL = ("setsid", "--ctty", "--wait")
+"""Before a command whose standard input is a terminal: it becomes the one that controls it."""
 BUILT_IN = ("PYTHON", "LD_", "COVERAGE", "MALLOC_", "GLIBC_")
 """How variables begin that Python or its libraries read once, at the start."""
 REQUEST_BYTES_MAX, FDS_MAX = 1 << 17, 32
@@ -112,10 +116,15 @@ def _request(given):
     (words, paths, close_fds, keep, cwd, env, stdin, _, _, stdout, _, stderr, _, pipe,
      _, new_session, group, gid, gids, uid, umask, preexec, *_) = given  # fmt: skip
     words = [os.fsdecode(word) for word in words]
+    programs = [os.fsdecode(path) for path in paths]
+    terminal = tuple(words[: len(AT_TERMINAL)]) == AT_TERMINAL
+    if terminal:
+        words = words[len(AT_TERMINAL) :]
+        programs = words[:1]
     plain = close_fds and (gid, gids, uid, umask, preexec) == (None, None, None, -1, None)
     if not plain or words[1:2] != ["-m"] or words[2:3] not in ([name] for name in MODULES):
         return None
-    if list(paths) != [os.fsencode(sys.executable)] or (cwd and not os.path.isdir(cwd)):
+    if programs != [sys.executable] or (cwd and not os.path.isdir(cwd)):
         return None
     standard = [number if own < 0 else own for number, own in enumerate((stdin, stdout, stderr))]
     passed = [fd for fd in keep if fd != pipe]
@@ -124,7 +133,7 @@ def _request(given):
     return {
         "module": words[2], "words": words[3:], "cwd": os.fsdecode(cwd or os.getcwd()),
         "environ": _environ(env), "from": standard + passed, "to": [0, 1, 2, *passed],
-        "new_session": bool(new_session), "group": group,
+        "new_session": bool(new_session) or terminal, "terminal": terminal, "group": group,
     }  # fmt: skip
 
 
@@ -293,6 +302,8 @@ def _become(request, fds, end):
     os.closerange(0, ABOVE)
     for fd, to in zip(high, request["to"], strict=True):
         os.dup2(fd, to)
+    if request["terminal"]:
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
     os.chdir(request["cwd"])
     os.environ.clear()
     os.environ.update(request["environ"])

@@ -16,6 +16,7 @@ import time
 import tomllib
 from pathlib import Path
 
+from tests.fork_server import AT_TERMINAL
 from tests.sim.daemon_stage import DEADLINE_S, ROBOT, ROOT, running
 
 SETTINGS = (
@@ -94,7 +95,7 @@ def at_terminal(*words):
     """`motord WORDS` with a controlling terminal of its own."""
     master, slave = pty.openpty()
     process = subprocess.Popen(
-        ["setsid", "--ctty", "--wait", sys.executable, "-m", "motord", *map(str, words)],
+        [*AT_TERMINAL, sys.executable, "-m", "motord", *map(str, words)],
         stdin=slave, stdout=slave, stderr=slave, cwd=ROOT, env={**os.environ, "TERM": "xterm"},
     )  # fmt: skip
     os.close(slave)

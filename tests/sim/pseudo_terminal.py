@@ -12,6 +12,7 @@ import sys
 import termios
 import time
 
+from tests.fork_server import AT_TERMINAL
 from tests.sim.daemon_stage import DEADLINE_S, ROOT
 
 PING, PONG = b"\x1b[5n", b"\x1b[0n"
@@ -28,9 +29,8 @@ class PseudoTerminal:
         self.before = termios.tcgetattr(slave)
         self.answers, self.screen, self._rest, self._slave = answers, b"", b"", slave
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "motord", *words], cwd=ROOT,
+            [*AT_TERMINAL, sys.executable, "-m", "motord", *words], cwd=ROOT,
             stdin=slave, stdout=slave, stderr=slave,
-            preexec_fn=lambda: os.login_tty(os.dup(slave)),
             env={**os.environ, "TERM": "xterm-256color", **(environ or {})},
         )  # fmt: skip
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from tests.fork_server import LATER, NAME_BYTES, started_from_nothing
+from tests.sim.pseudo_terminal import at_terminal
 
 from motord.cli import COMMANDS
 
@@ -111,6 +112,20 @@ def test_it_has_a_session_of_its_own_where_that_was_asked_for():
     with simulator(start_new_session=True) as (process, _):
         assert is_forked(process)
         assert os.getsid(process.pid) == process.pid
+
+
+def test_it_controls_a_terminal_of_its_own_where_that_was_asked_for():
+    def found():
+        with at_terminal("simulate", DEMO, columns=200) as terminal:
+            terminal.wait_for("control socket")
+            process = terminal.process
+            fields = of(process, "stat").read_text(encoding="ascii").rpartition(")")[2].split()
+            group, session, number, foreground = map(int, fields[2:6])
+            leads = {group, session, foreground} == {process.pid}
+            terminal.type("\x03")
+            return is_forked(process), leads, number > 0, terminal.exit_status()
+
+    assert both(found) == ((True, True, True, 0), (False, True, True, 0))
 
 
 def test_under_other_limits_it_is_started_from_nothing():
