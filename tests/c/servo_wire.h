@@ -211,4 +211,15 @@ static inline void servos_arm(void)
     }
 }
 
+/* Armed and driving, until a request of all is out. */
+static inline void group_goes_out(uint32_t drives, uint32_t echo)
+{
+    servos_begin(drives, echo);
+    servos_arm();
+    servos_go_on(1.0, 50000000);
+    do {
+        servos_step(1.0, 1);
+    } while (s.machine.work != WORK_GROUP);
+}
+
 #endif

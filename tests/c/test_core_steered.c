@@ -176,6 +176,23 @@ static void every_stop_of_a_steered_base_ends_at_rest(void)
     }
 }
 
+static void limits_of_the_lateral_axis_count_where_there_is_one(void)
+{
+    core_config config = swerve_of_four();
+    rig r;
+    ready(&r, &config);
+    double *velocity_m_s = &r.input.control.limits.lateral.velocity_u_s;
+    *velocity_m_s = nextafter(*velocity_m_s, 1.0);
+    tick(&r);
+    CHECK(r.state.limits.lateral.velocity_u_s == *velocity_m_s);
+    r.input.control.armed = 1;
+    tick(&r);
+    r.input.command.lateral_m_s = 0.6;
+    CHECK(close_to(ticks(&r, 2500)->lateral.setpoint_m_s, 0.6));
+    *velocity_m_s = 0.2;
+    CHECK(close_to(ticks(&r, 2500)->lateral.setpoint_m_s, 0.2) && r.shown.reasons == REASON_LATERAL_VELOCITY);
+}
+
 static void a_brake_holds_the_wheels_where_they_point(void)
 {
     core_config config = bicycle();
@@ -236,6 +253,10 @@ static void a_steered_base_whose_wheel_is_stuck_comes_to_rest_and_reports_it(voi
     CHECK(r.shown.doubt.since_ns > began_ns - 5 * MS_NS && r.shown.doubt.since_ns <= r.input.now_ns - 400 * MS_NS);
     ticks(&r, 2500);
     CHECK(all_rest(&r) && r.out.enabled == 0);
+    r.input.command.angular_rad_s = r.input.command.linear_m_s = 0.0;
+    ticks(&r, 5);
+    r.input.control.reset_count++;
+    CHECK(tick(&r)->faults == 0 && r.shown.doubt.since_ns == 0 && r.shown.doubt.fault == 0);
 }
 
 static void a_steering_whose_place_gets_lost_ends_at_rest_and_is_not_armed_again(void)
@@ -362,6 +383,7 @@ int main(void)
     at_rest_the_wheel_points_first();
     a_curve_waits_for_its_wheel_and_the_base_does_not_slow_down();
     every_stop_of_a_steered_base_ends_at_rest();
+    limits_of_the_lateral_axis_count_where_there_is_one();
     a_brake_holds_the_wheels_where_they_point();
     a_late_tick_turns_a_wheel_by_no_more_than_its_speed();
     a_steered_base_whose_wheel_is_stuck_comes_to_rest_and_reports_it();

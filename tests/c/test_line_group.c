@@ -419,16 +419,6 @@ static void a_group_of_stuffed_packets_has_its_units_and_its_length(void)
     CHECK(out.request[20 + 12] == 21 && out.request[20 + 13] == 22);
 }
 
-static void group_goes_out(uint32_t drives, uint32_t echo)
-{
-    servos_begin(drives, echo);
-    servos_arm();
-    servos_go_on(1.0, 50 * SERVO_MS);
-    do {
-        servos_step(1.0, 1);
-    } while (m->work != WORK_GROUP);
-}
-
 static void replies_that_come_byte_by_byte_are_the_same_replies(void)
 {
     for (uint32_t echo = ECHO_NONE; echo <= ECHO_FIRST; echo++) {

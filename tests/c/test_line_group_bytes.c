@@ -1,0 +1,158 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_line_group_bytes: what comes after a request to all servos, byte by byte: replies, noise between them, too much. */
+#include "servo_wire.h"
+
+static const int64_t SERVO_MS = 1000000;
+static const line_machine *const m = &s.machine;
+
+/* A servo's reply with this number, put behind what is there. */
+static uint32_t put_reply(uint8_t *bytes, uint32_t count, uint32_t number)
+{
+    const uint8_t reply[] = {0xFF, 0xFF, (uint8_t)(number + 7), 4, 0, (uint8_t)(10 + number), 0, 0};
+    memcpy(bytes + count, reply, sizeof reply);
+    rtu_seal(bytes + count, sizeof reply, SEAL_SUM);
+    return count + (uint32_t)sizeof reply;
+}
+
+static uint32_t put_noise(uint8_t *bytes, uint32_t count, uint32_t more)
+{
+    memset(bytes + count, 0x55, more);
+    return count + more;
+}
+
+static void come(const uint8_t *bytes, uint32_t count, int64_t now_ns)
+{
+    line_machine_step(&s.machine, now_ns, bytes, count, &s.out);
+}
+
+static void noise_before_between_and_behind_replies_is_counted_and_takes_none_away(void)
+{
+    for (uint32_t order = 0; order < 2; order++) {
+        group_goes_out(3, ECHO_NONE);
+        uint8_t bytes[64];
+        uint64_t noise = m->noise_bytes;
+        uint32_t count = put_noise(bytes, 0, 3);
+        count = put_reply(bytes, count, order == 0 ? 0 : 2);
+        count = put_noise(bytes, count, 2);
+        count = put_reply(bytes, count, 1);
+        count = put_reply(bytes, count, order == 0 ? 2 : 0);
+        count = put_noise(bytes, count, 1);
+        come(bytes, count, m->end_ns + SERVO_MS);
+        CHECK(m->group.waiting == 0 && m->noise_bytes - noise == 6);
+        for (uint32_t i = 0; i < 3; i++) {
+            CHECK(m->drive[i].failures == 0 && m->joint[i].feedback.velocity_rad_s == (10 + i) * 0.01);
+        }
+    }
+}
+
+/* Each reply takes its time on the wire: they are stamped one reply apart. */
+static void replies_that_come_at_once_are_stamped_one_reply_apart(void)
+{
+    group_goes_out(3, ECHO_NONE);
+    for (uint32_t i = 0; i < 3; i++) {
+        s.machine.drive[i].usual_ns = 0;
+    }
+    uint8_t bytes[64];
+    uint32_t count = put_reply(bytes, put_reply(bytes, put_reply(bytes, 0, 0), 1), 2);
+    int64_t now_ns = m->end_ns + SERVO_MS;
+    come(bytes, count, now_ns);
+    int64_t apart_ns = m->joint[1].feedback.stamp_ns - m->joint[0].feedback.stamp_ns;
+    CHECK(apart_ns == 8 * SERVO_CHARACTER_NS && m->joint[2].feedback.stamp_ns - m->joint[1].feedback.stamp_ns == apart_ns);
+    CHECK(m->round_trip_ns == now_ns - m->start_ns && !s.out.notify);
+}
+
+static void more_than_there_is_room_for_ends_the_exchange(void)
+{
+    static uint8_t bytes[2 * RECEIVED_BYTES_MAX];
+    memset(bytes, 0x55, sizeof bytes);
+    for (uint32_t first = 0; first <= 100; first += 50) {
+        for (uint32_t more = 0; more <= 100; more += 100) {
+            group_goes_out(2, ECHO_NONE);
+            come(bytes, first, m->end_ns + SERVO_MS / 10);
+            CHECK(m->group.waiting == 3);
+            come(bytes, RECEIVED_BYTES_MAX - first + more, m->end_ns + SERVO_MS / 5);
+            CHECK(m->group.waiting == 0 && m->drive[0].count.bad_reply == 1 && m->drive[1].count.bad_reply == 1);
+            CHECK(m->transaction.received_bytes <= RECEIVED_BYTES_MAX);
+        }
+    }
+    group_goes_out(2, ECHO_NONE);
+    come(bytes, RECEIVED_BYTES_MAX - 1, m->end_ns + SERVO_MS / 10);
+    CHECK(m->group.waiting == 3 && m->work == WORK_GROUP);
+}
+
+/* Nobody is asked: what nobody answers ends with its time. */
+static void set_points_that_nobody_answers_take_their_time(void)
+{
+    group_goes_out(2, ECHO_NONE);
+    do {
+        s.machine.drive[0].silent_until_ns = s.machine.drive[1].silent_until_ns = s.now_ns + 900 * SERVO_MS;
+        servos_step(1.0, 1);
+    } while (m->work != WORK_GROUP || m->group.waiting != 0);
+    if (m->until_ns > m->end_ns) {
+        come(s.bytes, 0, m->until_ns - 1);
+        CHECK(m->work == WORK_GROUP);
+    }
+    come(s.bytes, 0, m->until_ns);
+    CHECK(m->drive[0].failures == 0 && m->drive[1].failures == 0 && m->round_trip_ns == 0);
+}
+
+/* The first replies decide whether the adapter receives itself; silence decides nothing, and no reply is no time. */
+static void silence_neither_decides_an_echo_nor_measures_a_round_trip(void)
+{
+    for (uint32_t silent = 1; silent < 4; silent++) {
+        group_goes_out(2, ECHO_NONE);
+        s.machine.echo = ECHO_UNKNOWN;
+        uint8_t bytes[32];
+        uint32_t count = silent == 1 ? put_reply(bytes, 0, 1) : silent == 2 ? put_reply(bytes, 0, 0) : 0;
+        come(bytes, count, m->end_ns + SERVO_MS / 10);
+        come(bytes, 0, m->until_ns);
+        CHECK(m->echo == (silent == 3 ? ECHO_UNKNOWN : ECHO_NONE) && (silent == 3 || s.out.notify));
+        CHECK(m->round_trip_ns == 0);
+    }
+    group_goes_out(1, ECHO_NONE);
+    uint8_t bytes[32];
+    come(bytes, put_reply(bytes, 0, 0), m->end_ns + SERVO_MS);
+    CHECK(m->round_trip_ns == m->end_ns + SERVO_MS - m->start_ns);
+}
+
+/* Where no drive is understood any more, the adapter may be another one. */
+static void a_line_on_which_all_fail_decides_its_echo_anew(void)
+{
+    group_goes_out(2, ECHO_UNKNOWN);
+    CHECK(m->echo == ECHO_NONE);
+    s.silent = 1;
+    servos_go_on(1.0, 400 * SERVO_MS);
+    CHECK(m->echo == ECHO_NONE);
+    s.silent = 3;
+    for (int ms = 0; ms < 2000 && (m->drive[0].failures < 3 || m->drive[1].failures < 3); ms++) {
+        CHECK(m->echo == ECHO_NONE);
+        servos_go_on(1.0, SERVO_MS);
+    }
+    CHECK(m->echo == ECHO_UNKNOWN);
+}
+
+static void after_an_exchange_the_line_is_silent_for_a_gap(void)
+{
+    group_goes_out(1, ECHO_NONE);
+    s.machine.table.gap_ns = 5 * SERVO_MS; /* longer than what it has waited */
+    uint8_t bytes[32];
+    int64_t now_ns = m->end_ns + SERVO_MS;
+    come(bytes, put_reply(bytes, 0, 0), now_ns);
+    CHECK(m->ours_ns == now_ns + 5 * SERVO_MS);
+    group_goes_out(1, ECHO_NONE);
+    int64_t ours_ns = s.machine.ours_ns = m->end_ns + 900 * SERVO_MS;
+    come(bytes, put_reply(bytes, 0, 0), m->end_ns + SERVO_MS);
+    CHECK(m->ours_ns == ours_ns);
+}
+
+int main(void)
+{
+    noise_before_between_and_behind_replies_is_counted_and_takes_none_away();
+    replies_that_come_at_once_are_stamped_one_reply_apart();
+    more_than_there_is_room_for_ends_the_exchange();
+    set_points_that_nobody_answers_take_their_time();
+    silence_neither_decides_an_echo_nor_measures_a_round_trip();
+    a_line_on_which_all_fail_decides_its_echo_anew();
+    after_an_exchange_the_line_is_silent_for_a_gap();
+    return checks_report("test_line_group_bytes");
+}
