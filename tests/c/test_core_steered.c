@@ -276,6 +276,12 @@ static void a_steering_whose_place_gets_lost_ends_at_rest_and_is_not_armed_again
     CHECK(tick(&r)->faults == FAULT_POSITION_UNKNOWN && r.shown.armed == 0 && r.out.positioned == 0 && r.out.enabled == 1);
     r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.0;
     CHECK(ticks(&r, 2500)->steering.unknown == 2 && all_rest(&r) && r.out.enabled == 0);
+    rig both;
+    start(&both, &config);
+    both.input.feedback[1].referenced = 1;
+    go(&both, 0.5, 0.4);
+    both.input.feedback[1].referenced = 0, both.input.control.fault = 1;
+    CHECK(tick(&both)->faults == (FAULT_POSITION_UNKNOWN | FAULT_EXTERNAL));
     for (uint32_t known = 0; known < 2; known++) {
         r.input.feedback[1].referenced = known;
         r.input.control.reset_count++;

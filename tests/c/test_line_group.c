@@ -417,6 +417,16 @@ static void a_group_of_stuffed_packets_has_its_units_and_its_length(void)
     CHECK(rtu_read(out.request + 5, FORM_U16_LE) == 7 + 6 && rtu_read(out.request + 20 + 5, FORM_U16_LE) == 7 + 2);
     CHECK(out.request[12] == 21 && out.request[13] == 100 && out.request[14] == 0 && out.request[15] == 22);
     CHECK(out.request[20 + 12] == 21 && out.request[20 + 13] == 22);
+    CHECK(out.request[4] == 0xFE && out.request[7] == 0x83 && out.request[20 + 4] == 0xFE && out.request[20 + 7] == 0x82);
+    for (uint32_t i = 0; i < 2; i++) {
+        machine->table.drive[i].cyclic[1].frame.reply_seal = SEAL_STUFFED;
+        machine->table.drive[i].cyclic[1].frame.reply_bytes = 15;
+    }
+    CHECK(line_group_is_good(&machine->table));
+    group->write_bytes = group->read_bytes = 7; /* a head ends with its length */
+    CHECK(line_group_is_good(&machine->table));
+    group->write_bytes = 6;
+    CHECK(!line_group_is_good(&machine->table));
 }
 
 static void replies_that_come_byte_by_byte_are_the_same_replies(void)
