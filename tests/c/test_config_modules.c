@@ -172,6 +172,8 @@ static void joints_without_a_base_need_no_other_and_no_place(void)
     REFUSED(bicycle(), joint_count, 1, "joint_count");
     REFUSED(head_and_belt(), gyro.used, 1, "gyro.used");
     REFUSED(bicycle(), gyro.used, 2, "gyro.used");
+    core_config sideways = good_config();
+    is_between(&sideways, &sideways.joint[1].row.y, -2.0, 2.0, "joint[1].row.y");
     core_config joints = head_and_belt();
     is_between(&joints, &joints.joint[1].own.acceleration_u_s2, 1e-12, 1e9, "joint[1].own.acceleration_u_s2");
     is_between(&joints, &joints.joint[1].own.deceleration_u_s2, 1e-12, 1e9, "joint[1].own.deceleration_u_s2");

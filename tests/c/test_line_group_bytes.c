@@ -120,10 +120,10 @@ static void a_line_on_which_all_fail_decides_its_echo_anew(void)
 {
     group_goes_out(2, ECHO_UNKNOWN);
     CHECK(m->echo == ECHO_NONE);
-    s.silent = 1;
-    servos_go_on(1.0, 400 * SERVO_MS);
-    CHECK(m->echo == ECHO_NONE);
-    s.silent = 3;
+    for (s.silent = 1; s.silent < 3; s.silent++) {
+        servos_go_on(1.0, 400 * SERVO_MS);
+        CHECK(m->echo == ECHO_NONE);
+    }
     for (int ms = 0; ms < 2000 && (m->drive[0].failures < 3 || m->drive[1].failures < 3); ms++) {
         CHECK(m->echo == ECHO_NONE);
         servos_go_on(1.0, SERVO_MS);

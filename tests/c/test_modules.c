@@ -169,6 +169,23 @@ static void of_a_base_with_modules_the_inverse_is_that_of_wheels_straight_ahead(
     CHECK(found.determined == 0 && found.joints == 0 && found.shared == 1.0);
 }
 
+/* Also of a base with one module only; and a joint that is not there neither counts nor hides what the others do. */
+static void wheel_speeds_alone_are_a_twist_where_they_fit_together(void)
+{
+    double twist_u_s[AXES + 1] = {9.0, 9.0, 9.0, 7.0}, velocity_rad_s[JOINTS_MAX] = {3.0, 7.0, 3.0, 7.0, 1e6};
+    core_config base = good_config();
+    base.joint[4] = base.joint[3];
+    CHECK(joints_twist(&base, velocity_rad_s, twist_u_s));
+    CHECK(close_to(twist_u_s[0], 0.5) && close_to(twist_u_s[1], 0.8) && twist_u_s[2] == 0.0 && twist_u_s[3] == 7.0);
+    velocity_rad_s[2] = 4.0;
+    CHECK(!joints_twist(&base, velocity_rad_s, twist_u_s));
+    velocity_rad_s[2] = 3.0;
+    for (uint32_t modules = 1; modules < 3; modules++) {
+        base.module_count = modules;
+        CHECK(!joints_twist(&base, velocity_rad_s, twist_u_s));
+    }
+}
+
 static void a_wheel_turns_as_its_row_of_the_twist(void)
 {
     core_config base = good_config();
@@ -215,6 +232,7 @@ int main(void)
     a_base_that_hangs_on_a_thread_is_not_determined();
     wheels_share_the_axes_that_they_determine();
     of_a_base_with_modules_the_inverse_is_that_of_wheels_straight_ahead();
+    wheel_speeds_alone_are_a_twist_where_they_fit_together();
     a_wheel_turns_as_its_row_of_the_twist();
     a_base_strafes_where_all_of_its_wheels_are_steered_or_one_rolls_sideways();
     return checks_report("test_modules");
