@@ -21,7 +21,7 @@ class Wire:
         self.services, self.channels = {}, {}
 
     async def received(self, op, fits=lambda message: True):
-        """The next that fits; what is advertised on the way is kept."""
+        """The next that fits; what is advertised meanwhile is kept."""
         while True:
             raw = await self._socket.recv()
             if isinstance(raw, bytes):
@@ -74,7 +74,7 @@ class Wire:
         """The answer to getParameters or setParameters: values by name."""
         number = f"p{next(self._numbers)}"
         await self.send(op, id=number, **more)
-        answer = await self.received("parameterValues", lambda said: said.get("id") == number)
+        answer = await self.received("parameterValues", lambda answer: answer.get("id") == number)
         return {one["name"]: one["value"] for one in answer["parameters"]}
 
 

@@ -143,7 +143,7 @@ class Operator:
         wait_until(lambda: made.get_subscription_count() > 0, f"somebody who hears {name}")
         return made
 
-    def hear(self, name, kind, quality=10):
+    def collect(self, name, kind, quality=10):
         """A list to which messages are added."""
         received = []
         self.node.create_subscription(kind, name, received.append, quality)

@@ -78,7 +78,7 @@ _saying = threading.Lock()
 
 
 def say(value):
-    """A line; goals are told of by two threads, and `print` ends its line by itself."""
+    """A line; goals are reported by two threads, and `print` ends its line by itself."""
     with _saying:
         print(json.dumps(value, default=list), flush=True)
 
@@ -98,14 +98,14 @@ _keep = []
 
 
 def _in_the_graph(participant, node, writer):
-    told = DataWriter(
+    graph = DataWriter(
         participant,
         Topic(participant, "ros_discovery_info", Entities),
         Qos(*RELIABLE, Policy.Durability.TransientLocal),
     )
     written = [Gid(list(writer.guid.bytes))]
-    told.write(Entities(Gid(list(participant.guid.bytes)), [NodeEntities("/", node, [], written)]))
-    return told
+    graph.write(Entities(Gid(list(participant.guid.bytes)), [NodeEntities("/", node, [], written)]))
+    return graph
 
 
 def _publish(participant, name, kind, make, qos=RELIABLE, node=""):
@@ -259,7 +259,7 @@ def act(participant, name, kind, values="{}"):
         participant, Topic(participant, f"rt{below}/feedback", action.feedback), Qos(*RELIABLE)
     )
     cancel = Caller(participant, f"{below}/cancel_goal", CancelRequest, CancelReply)
-    result = Caller(participant, f"{below}/get_result", action.ask, action.told)
+    result = Caller(participant, f"{below}/get_result", action.ask, action.outcome)
     send = Caller(participant, f"{below}/send_goal", action.send, action.sent)
     goal_id = Uuid(list(uuid.uuid4().bytes))
     accepted = send.ask(goal_id=goal_id, goal=action.goal(**json.loads(values))).accepted
@@ -267,7 +267,7 @@ def act(participant, name, kind, values="{}"):
     if not accepted:
         return
 
-    def tell():
+    def send_goals():
         for sample in feedback.take_iter(timeout=duration(seconds=DEADLINE_S)):
             if list(sample.goal_id.uuid) == list(goal_id.uuid):
                 say({"feedback": dataclasses.asdict(sample.feedback)})
@@ -277,11 +277,11 @@ def act(participant, name, kind, values="{}"):
             answer = cancel.ask(goal_info=GoalInfo(goal_id, Time(0, 0)))
             say({"canceling": len(answer.goals_canceling), "code": answer.return_code})
 
-    for work in (tell, listen):
+    for work in (send_goals, listen):
         threading.Thread(target=work, daemon=True).start()
-    told = result.ask(goal_id=goal_id)
-    say({"status": told.status, "result": dataclasses.asdict(told.result)})
-    while True:  # until it is killed: what is said on standard input is still heard
+    outcome = result.ask(goal_id=goal_id)
+    say({"status": outcome.status, "result": dataclasses.asdict(outcome.result)})
+    while True:  # until it is killed: standard input is still obeyed
         time.sleep(1.0)
 
 

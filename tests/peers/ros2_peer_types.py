@@ -370,7 +370,7 @@ def _action(name, goal, result, feedback):
         send=made("_SendGoal_Request", header | {"goal_id": Uuid, "goal": parts["goal"]}),
         sent=made("_SendGoal_Response", header | {"accepted": bool, "stamp": Time}),
         ask=made("_GetResult_Request", header | {"goal_id": Uuid}),
-        told=made("_GetResult_Response", header | {"status": int8, "result": parts["result"]}),
+        outcome=made("_GetResult_Response", header | {"status": int8, "result": parts["result"]}),
         feedback=made("_FeedbackMessage", {"goal_id": Uuid, "feedback": parts["feedback"]}),
     )
 

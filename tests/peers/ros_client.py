@@ -45,7 +45,7 @@ def main():
         service = roslibpy.Service(ros, name, "std_srvs/Trigger")
         return dict(service.call(roslibpy.ServiceRequest(), timeout=WITHIN_S))
 
-    said = {
+    found = {
         "topics": ros.get_topics(),
         "odom": first(ros, "/odom", "nav_msgs/Odometry"),
         "arm": trigger("/arm"),
@@ -58,7 +58,7 @@ def main():
 
     def look(message):
         if message["commander"] == "web" and message["state"] == "moving":
-            said["motor_status"] = message
+            found["motor_status"] = message
             moving.set()
 
     watching = roslibpy.Topic(ros, "/motor_status", "motord_msgs/MotorStatus")
@@ -71,12 +71,12 @@ def main():
         ending.set()
         driver.join()
     end_s = time.monotonic() + WITHIN_S
-    said["estop"] = trigger("/estop")
+    found["estop"] = trigger("/estop")
     cmd_vel.publish(roslibpy.Message({"linear": {"x": 0.0}, "angular": {"z": 0.0}}))
-    said["reset"] = trigger("/reset")
-    while not said["reset"]["success"] and time.monotonic() < end_s:  # until the zero is there
-        said["reset"] = trigger("/reset")
-    print(json.dumps(said))
+    found["reset"] = trigger("/reset")
+    while not found["reset"]["success"] and time.monotonic() < end_s:  # until the zero is there
+        found["reset"] = trigger("/reset")
+    print(json.dumps(found))
     ros.terminate()
 
 

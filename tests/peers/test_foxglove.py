@@ -73,12 +73,12 @@ def test_foxgloves_own_client_reads_what_there_is(stage, port):
         )  # fmt: skip
         return json.loads(run.stdout) if run.stdout else None  # it may have come too early
 
-    said = wait_until(ran, "what the client saw")
-    assert said["server"]["name"] == stage.robot.status()["robot"]
+    found = wait_until(ran, "what the client saw")
+    assert found["server"]["name"] == stage.robot.status()["robot"]
     topics = {f"/{name}": topic.type_name for name, topic in OFFERED.items()}
-    assert said["channels"] == topics | {"/robot_description": "std_msgs/msg/String"}
+    assert found["channels"] == topics | {"/robot_description": "std_msgs/msg/String"}
     message = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(
-        bytes.fromhex(said["odom"]), "nav_msgs/msg/Odometry"
+        bytes.fromhex(found["odom"]), "nav_msgs/msg/Odometry"
     )
     assert message.child_frame_id == "base_link"
 
@@ -99,7 +99,7 @@ async def test_a_client_that_stops_reading_costs_the_others_nothing(stage, port)
 
 
 async def test_whatever_begins_to_read_is_sent_what_the_robot_looks_like(stage, port):
-    for _ in range(2):  # the second who comes, too
+    for _ in range(2):  # the second one that comes, too
         async with asyncio.timeout(DEADLINE_S), wired(port) as client:
             channels = await client.advertised(len(OFFERED) + 1)
             channel = {"id": 9, "channelId": channels["/robot_description"]["id"]}

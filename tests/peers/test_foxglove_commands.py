@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Foxglove server that obeys: whoever connects may look; who shows the token drives the robot and
-changes its limits."""
+"""A Foxglove server that obeys: any client that connects may look; one that shows the token drives
+the robot and changes its limits."""
 
 import asyncio
 import contextlib
@@ -72,8 +72,8 @@ async def complaint(client, about, ask):
         await ask()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(1.0):
-                said = await client.received("status", lambda said: said["id"] == about)
-                return said["message"]
+                answer = await client.received("status", lambda answer: answer["id"] == about)
+                return answer["message"]
 
 
 WRONG = [{}, *({"token": shown} for shown in ("wrong-token-of-some-length", 7, "\ud800"))]
@@ -114,7 +114,7 @@ async def test_who_is_let_in_drives_and_the_lease_lapses_when_the_client_is_gone
                 await driven(stage, client, channel, message)
                 (lease,) = stage.robot.status()["leases"]
                 assert lease["owner"] == "fox"
-            stage.wait_for("armed", "fault")  # nobody said zero
+            stage.wait_for("armed", "fault")  # no source sent zero
         async with wired(port) as client:
             await client.call("disarm", token=TOKEN)
 
@@ -131,8 +131,8 @@ async def test_a_message_without_the_token_is_refused_counted_and_reported(stage
     before, refused = stage.robot.status()["commands"]["accepted"], inputs(stage)["refused"]
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:
         channel = await client.advertise("/cmd_vel")
-        said = await complaint(client, "cmd_vel", lambda: client.publish(channel, message))
-        assert "token" in said
+        answer = await complaint(client, "cmd_vel", lambda: client.publish(channel, message))
+        assert "token" in answer
     wait_until(lambda: inputs(stage)["refused"] > refused, "a refusal")
     assert stage.robot.status()["commands"]["accepted"] == before
 
@@ -143,8 +143,8 @@ async def test_a_complaint_is_taken_back_when_its_cause_is_gone(stage, port):
         channel = await client.advertise("/cmd_vel")
         await complaint(client, "cmd_vel", lambda: client.publish(channel, TWIST))
         await client.publish(channel, zero)
-        said = await client.received("removeStatus")
-        assert said["statusIds"] == ["cmd_vel"]
+        answer = await client.received("removeStatus")
+        assert answer["statusIds"] == ["cmd_vel"]
 
 
 async def test_a_channel_that_was_given_up_commands_no_longer(stage, port):
@@ -154,7 +154,7 @@ async def test_a_channel_that_was_given_up_commands_no_longer(stage, port):
         channel = await client.advertise("/cmd_vel")
         await client.send("unadvertise", channelIds=[channel])
         await client.publish(channel, TWIST)
-        await client.received("status", lambda said: "nknown channel" in said["message"])
+        await client.received("status", lambda answer: "nknown channel" in answer["message"])
     assert stage.robot.status()["commands"]["accepted"] == accepted
 
 
@@ -184,13 +184,13 @@ async def test_strangers_do_not_push_out_who_commands(stage, port):
 @pytest.mark.parametrize(("topic", "encoding"), [("/odom", "json"), ("/cmd_vel", "cdr")])
 async def test_what_cannot_be_published_is_reported(stage, port, topic, encoding):
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:
-        said = await complaint(client, "publish", lambda: client.advertise(topic, encoding))
-        assert said == "publish: taken are /cmd_vel, /joint_commands, in json"
+        answer = await complaint(client, "publish", lambda: client.advertise(topic, encoding))
+        assert answer == "publish: taken are /cmd_vel, /joint_commands, in json"
 
 
 def of(value):
     """That the one parameter which was asked for has it."""
-    return lambda said: [one["value"] for one in said["parameters"]] == [value]
+    return lambda answer: [one["value"] for one in answer["parameters"]] == [value]
 
 
 async def test_limits_are_read_changed_and_sent_to_who_subscribed(stage, port):
@@ -239,10 +239,10 @@ async def test_a_change_that_is_refused_changes_nothing_and_the_reason_is_report
         await let_in(client)
         change = {"name": name} | ({} if value is None else {"value": value})
         both = [{"name": "limits.angular_rad_s", "value": 0.123}, change]
-        said = await complaint(
+        answer = await complaint(
             client, "parameters", lambda: client.send("setParameters", parameters=both)
         )
-        assert words in said
+        assert words in answer
     assert stage.robot.call("params.get") == before
 
 
@@ -282,13 +282,13 @@ def test_foxgloves_own_client_arms_drives_stops_and_changes_a_limit(stage, port)
         capture_output=True, timeout=3 * DEADLINE_S,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr.decode()
-    said = json.loads(run.stdout)
+    answer = json.loads(run.stdout)
     services = {"authorize", "arm", "disarm", "stop", "estop", "reset", "reset_odometry"}
-    assert set(said["services"]) == {f"/{name}" for name in services}
-    assert said["refused"] == {"success": False, "message": "the token is missing or wrong"}
-    assert said["arm"] == {"success": True, "message": "armed"}
-    assert said["moved"] is True
-    assert said["estop"] == {"success": True, "message": "estop"}
-    assert said["reset"] == {"success": True, "message": "idle"}
-    assert said["limit"] == [{"name": LIMIT, "value": 0.25, "type": "float64"}]
+    assert set(answer["services"]) == {f"/{name}" for name in services}
+    assert answer["refused"] == {"success": False, "message": "the token is missing or wrong"}
+    assert answer["arm"] == {"success": True, "message": "armed"}
+    assert answer["moved"] is True
+    assert answer["estop"] == {"success": True, "message": "estop"}
+    assert answer["reset"] == {"success": True, "message": "idle"}
+    assert answer["limit"] == [{"name": LIMIT, "value": 0.25, "type": "float64"}]
     assert stage.robot.call("params.get", names=[LIMIT]) == {LIMIT: 0.25}

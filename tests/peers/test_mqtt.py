@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MQTT against Eclipse Mosquitto: what is told, who is obeyed, and what a broken broker costs."""
+"""MQTT against Eclipse Mosquitto: what is published and obeyed, and what a broken broker costs."""
 
 import json
 import math

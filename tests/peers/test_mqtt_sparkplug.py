@@ -24,8 +24,10 @@ def peer(tmp_path_factory):
 def stage(tmp_path_factory, peer):
     folder = tmp_path_factory.mktemp("sparkplug")
     common = ("kind=mqtt", f"port={peer.port}", "topic_scheme=sparkplug", "group=site")
-    settings = [f"{table}.fleet.{said}" for table in ("publish", "input") for said in common]
-    settings += [f"publish.short.{said}" for said in (*common, "encoding=cbor", 'topics=["tf"]')]
+    settings = [f"{table}.fleet.{setting}" for table in ("publish", "input") for setting in common]
+    settings += [
+        f"publish.short.{setting}" for setting in (*common, "encoding=cbor", 'topics=["tf"]')
+    ]
     more = (
         "publish.short.topic_prefix=cbor", "publish.fleet.rate_hz=20",
         f"input.fleet.token_file={token_file(folder)}", "input.fleet.lease_s=1.0",
@@ -93,7 +95,7 @@ def test_commands_and_calls_are_those_of_the_device_and_of_the_node(stage, peer)
 
 
 def test_a_process_that_died_has_the_death_of_its_last_birth(stage, peer):
-    """Whoever comes late knows by both, which are retained, that it is gone."""
+    """A client that comes late knows by both, which are retained, that it is gone."""
     born = retained(peer, f"spBv1.0/site/NBIRTH/{name(stage)}")["bdSeq"]
     pid = stage.robot.status()["bus"]["pid"]
     os.kill(pid, signal.SIGKILL)

@@ -32,7 +32,7 @@ CALM_SAMPLES = 3 * RATE_HZ
 PACE = 0.5
 """Of the pace before, that of loop and lines without a network; a busy machine has its part."""
 QUEUED_S = 1.0
-"""Of samples that may reach the broker late: what was under way when the cable was plugged."""
+"""Of samples that may reach the broker late: what had been sent when the cable was plugged."""
 
 
 class Lines:
@@ -247,7 +247,7 @@ def at_rest(stage):
 
 
 def calm_per_s(stage, network, odometry):
-    """The pace while all is well: both of the other side hear of the robot."""
+    """The pace while all is well: both of the other side receive of the robot."""
     pace, received, sent = Pace(stage), len(odometry.received), len(network.router.received)
     wait_until(lambda: len(odometry.received) > received + CALM_SAMPLES, "odometry by MQTT")
     wait_until(lambda: len(network.router.received) > sent + CALM_SAMPLES, "odometry by Zenoh")

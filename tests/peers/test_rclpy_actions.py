@@ -32,7 +32,7 @@ def stage(tmp_path_factory):
 
 @pytest.fixture
 def armed(stage):
-    """A fault that a too busy machine latched on the way is reset."""
+    """A fault that a too busy machine latched meanwhile is reset."""
 
     def attempt():
         method = {"fault": "reset", "estop": "reset", "idle": "arm"}.get(stage.state())
@@ -78,7 +78,7 @@ class Goal:
         return len(self._stage.operator.call(name, CancelGoal, goal_info=info).goals_canceling)
 
 
-def under_way(stage):
+def wait_for_motion(stage):
     wait_until(lambda: not stage.sim.truth().at_rest, "the wheels turn")
 
 
@@ -88,8 +88,8 @@ def at_rest(stage):
 
 def test_a_distance_is_driven_and_sent_on_the_way(armed):
     kind = actions.DriveDistance.Impl.FeedbackMessage
-    received = armed.operator.hear("drive_distance/_action/feedback", kind)
-    states = armed.operator.hear("drive_distance/_action/status", GoalStatusArray, LATCHED)
+    received = armed.operator.collect("drive_distance/_action/feedback", kind)
+    states = armed.operator.collect("drive_distance/_action/status", GoalStatusArray, LATCHED)
     before = armed.sim.truth()
     goal = Goal(armed, "drive_distance", distance_m=0.4)
     assert goal.accepted
@@ -101,7 +101,7 @@ def test_a_distance_is_driven_and_sent_on_the_way(armed):
     assert received
     assert bytes(received[-1].goal_id.uuid) == bytes(goal.number.uuid)
     wait_until(lambda: states and states[-1].status_list[-1].status == SUCCEEDED, "the state")
-    assert goal.result()[0] == SUCCEEDED  # who asks again is told again
+    assert goal.result()[0] == SUCCEEDED  # one that asks again is answered again
 
 
 def test_an_angle_is_turned(armed):
@@ -113,7 +113,7 @@ def test_an_angle_is_turned(armed):
 
 def test_cancelled_the_robot_comes_to_rest(armed):
     goal = Goal(armed, "drive_distance", distance_m=20.0)
-    under_way(armed)
+    wait_for_motion(armed)
     assert not Goal(armed, "rotate", angle_rad=1.0).accepted
     assert goal.cancel() == 1
     status, sent = goal.result()
@@ -123,7 +123,7 @@ def test_cancelled_the_robot_comes_to_rest(armed):
 
 def test_a_stop_gets_through_while_many_wait_for_results(armed):
     goal = Goal(armed, "drive_distance", distance_m=20.0)
-    under_way(armed)
+    wait_for_motion(armed)
     waiting = [goal.asked() for _ in range(12)]
     assert armed.operator.call("motord/stop", Trigger).success
     status, sent = goal.result()
@@ -142,7 +142,7 @@ def test_a_way_that_is_none_is_refused(armed, distance_m):
 
 def test_a_source_of_higher_priority_ends_the_goal(armed):
     future = Goal(armed, "drive_distance", distance_m=20.0).asked()
-    under_way(armed)
+    wait_for_motion(armed)
 
     def taken_over():
         armed.robot.drive(0.0, 0.0, priority=900, owner="person")

@@ -23,7 +23,7 @@ def stage(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def settled(stage):
-    """Disarmed and ready, nobody in command."""
+    """Disarmed and ready, no source in command."""
     wait_until(lambda: not stage.robot.status()["leases"], "the command's end")
 
     def ready():
@@ -174,7 +174,7 @@ def test_robot_parameters_are_listed_read_and_set_with_reasons(stage):
         "motord/get_parameter_types", T.GetParameterTypes, names=["limits.linear_m_s"]
     ).types
     assert kind == value.type == 3
-    events = stage.operator.hear("/parameter_events", T.ParameterEvent, 1000)
+    events = stage.operator.collect("/parameter_events", T.ParameterEvent, 1000)
 
     def put(name, number):
         wanted = T.Parameter(name=name, value=T.ParameterValue(type=3, double_value=number))
@@ -202,7 +202,7 @@ def test_robot_parameters_are_listed_read_and_set_with_reasons(stage):
 
 def test_a_manager_walks_the_life_cycle(stage):
     ask = stage.operator.call
-    events = stage.operator.hear("motord/transition_event", T.TransitionEvent)
+    events = stage.operator.collect("motord/transition_event", T.TransitionEvent)
 
     def walk(number):
         wanted = T.Transition(id=number)

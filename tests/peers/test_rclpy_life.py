@@ -30,7 +30,7 @@ Trigger = pytest.importorskip("std_srvs.srv").Trigger
 
 @contextlib.contextmanager
 def restarted(stage, *settings, number=signal.SIGKILL):
-    """Killed under way, and started at the same place."""
+    """Killed in motion, and started at the same place."""
     stage.end(number)
     daemon = again(stage, *settings)
     try:
@@ -58,7 +58,7 @@ def test_after_a_restart_nothing_moves_before_it_is_armed_again(tmp_path):
             assert stage.state() == "idle"
             assert stage.sim.truth().at_rest
 
-            # It asks for motion all the while: it has to ask for rest before anybody can arm.
+            # It commands motion all the while: it has to command rest before a program can arm.
             future = stage.operator.ask("motord/arm", Trigger)
             drive_until(stage, publisher, lambda: twist(0.2), future.done, "an answer")
             assert not future.result().success
@@ -98,7 +98,7 @@ def test_it_waits_for_a_daemon_and_reports_so_once(tmp_path):
 
 
 def test_what_it_is_started_with(tmp_path):
-    """An input that is none; a file of parameters; types of ours that were not built."""
+    """An input of no known kind; a file of parameters; types of ours that were not built."""
     file = tmp_path / "bridge.yaml"
     file.write_text(
         "/**:\n  ros__parameters:\n    input: ros\n    limits:\n      linear_m_s: 0.3\n"

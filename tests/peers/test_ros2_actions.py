@@ -63,7 +63,7 @@ def result(client):
     return message["status"], message["result"]
 
 
-def under_way(stage):
+def wait_for_motion(stage):
     wait_until(lambda: not stage.sim.truth().at_rest, "the wheels turn")
 
 
@@ -79,8 +79,8 @@ def test_a_distance_is_driven_and_sent_on_the_way(armed):
     after = armed.sim.truth()
     assert (status, sent["message"]) == (SUCCEEDED, "")
     assert sent["distance_m"] == pytest.approx(0.5, abs=0.011)
-    way_m = math.hypot(after.x_m - before.x_m, after.y_m - before.y_m)
-    assert way_m == pytest.approx(0.5, abs=0.05)
+    distance_m = math.hypot(after.x_m - before.x_m, after.y_m - before.y_m)
+    assert distance_m == pytest.approx(0.5, abs=0.05)
     assert after.at_rest
     received = [message["feedback"] for message in client.received if "feedback" in message]
     assert len(received) > 3
@@ -124,7 +124,7 @@ def test_a_way_that_is_none_is_refused(armed, distance_m):
 
 def test_cancelled_the_robot_comes_to_rest(armed):
     with goal("drive_distance", distance_m=20.0) as client:
-        under_way(armed)
+        wait_for_motion(armed)
         client.say("cancel")
         assert client.find(lambda message: "canceling" in message, "an answer")["canceling"] == 1
         status, sent = result(client)
@@ -136,7 +136,7 @@ def test_cancelled_the_robot_comes_to_rest(armed):
 
 def test_a_second_goal_is_refused_while_one_is_under_way(armed):
     with goal("drive_distance", distance_m=20.0) as first:
-        under_way(armed)
+        wait_for_motion(armed)
         with goal("rotate", angle_rad=1.0) as second:
             assert not second.accepted
         first.say("cancel")
@@ -146,7 +146,7 @@ def test_a_second_goal_is_refused_while_one_is_under_way(armed):
 @pytest.mark.parametrize("method", ["stop", "estop", "disarm"])
 def test_a_stop_ends_the_goal_at_rest(armed, method):
     with goal("drive_distance", distance_m=20.0) as client:
-        under_way(armed)
+        wait_for_motion(armed)
         assert called(method)["success"]
         status, sent = result(client)
         assert status == ABORTED
@@ -156,7 +156,7 @@ def test_a_stop_ends_the_goal_at_rest(armed, method):
 
 def test_drives_that_are_not_received_end_the_goal_at_rest(armed):
     with goal("drive_distance", distance_m=20.0) as client:
-        under_way(armed)
+        wait_for_motion(armed)
         armed.sim.inject("silence:unit=1,for_s=1000")
         try:
             status, sent = result(client)
@@ -169,7 +169,7 @@ def test_drives_that_are_not_received_end_the_goal_at_rest(armed):
 
 def test_a_command_by_hand_ends_the_goal_and_counts(armed):
     with goal("drive_distance", distance_m=20.0) as client:
-        under_way(armed)
+        wait_for_motion(armed)
         with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.0, 0.5):
             status, sent = result(client)
             assert (status, sent["message"]) == (ABORTED, "cmd_vel commands")
@@ -183,7 +183,7 @@ def test_a_command_by_hand_ends_the_goal_and_counts(armed):
 
 def test_a_source_of_higher_priority_ends_the_goal(armed):
     with goal("drive_distance", distance_m=20.0) as client:
-        under_way(armed)
+        wait_for_motion(armed)
 
         def taken_over():
             armed.robot.call(
@@ -211,7 +211,7 @@ def bus_pid(stage):
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_without_the_bus_process_the_robot_comes_to_rest(armed, number):
     with goal("drive_distance", distance_m=20.0):
-        under_way(armed)
+        wait_for_motion(armed)
         pid = wait_until(lambda: bus_pid(armed), "the bus process")
         os.kill(pid, number)
         at_rest(armed)

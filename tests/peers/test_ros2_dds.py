@@ -378,7 +378,7 @@ def test_what_is_absurd_moves_nothing_is_counted_and_has_a_name(armed, speed_m_s
     before, x_m = count(), armed.sim.truth().x_m
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", speed_m_s, 0.0, 0, "broken"):
         wait_until(lambda: count() > before + 10, "refusals")
-        # The graph may name him later than his first command comes.
+        # The graph may name it later than its first command comes.
         wait_until(lambda: "input.ros2: /broken requests " in armed.logged(), "his name")
     assert armed.sim.truth().x_m == x_m
 

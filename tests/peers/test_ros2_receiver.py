@@ -104,7 +104,7 @@ def test_commands_by_dds_and_by_python_go_out_under_one_lease(stage):
 
 
 def test_commands_end_with_a_python_that_stands_still_and_go_on_with_it(stage):
-    """It would not hear of an emergency stop by ROS 2."""
+    """It would not receive an emergency stop by ROS 2."""
 
     def accepted():
         return stage.robot.status()["commands"]["accepted"]

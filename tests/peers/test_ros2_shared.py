@@ -15,11 +15,11 @@ STRING = "std_msgs/msg/String"
 async def test_it_goes_on_and_may_be_run_again():
     node, received = Node("shared", "/shared", DOMAIN, "localhost"), set()
     node.subscribe("said", STRING, lambda message, *_: received.add(message.data))
-    teller = node.publisher("said", STRING)
+    sender = node.publisher("said", STRING)
 
     async def is_received(text):
         while text not in received:
-            teller.publish(SimpleNamespace(data=text))
+            sender.publish(SimpleNamespace(data=text))
             await asyncio.sleep(0.02)
 
     async with asyncio.timeout(DEADLINE_S), asyncio.TaskGroup() as tasks:

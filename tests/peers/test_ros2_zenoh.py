@@ -158,12 +158,12 @@ async def test_a_message_is_sent_with_the_name_of_its_node():
         ear = ZenohNode("base", "/r2", 3, Router(endpoint=endpoint(port)))
         mouth = ZenohNode("teleop", "/fleet", 3, Router(endpoint=endpoint(port)))
         ear.subscribe("/cmd_vel", TWIST, lambda _, age_s, sender: senders.append(sender))
-        teller = mouth.publisher("/cmd_vel", TWIST)
+        sender = mouth.publisher("/cmd_vel", TWIST)
         three = SimpleNamespace(x=0.0, y=0.0, z=0.0)
         async with running(ear), running(mouth):
 
             def named():
-                teller.publish(SimpleNamespace(linear=three, angular=three))
+                sender.publish(SimpleNamespace(linear=three, angular=three))
                 return "/fleet/teleop" in senders
 
             await until(named)

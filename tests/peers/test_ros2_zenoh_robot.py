@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A whole robot on simulated drives, driven and heard by ROS 2's ways over a real Zenoh router."""
+"""A whole robot on simulated drives, driven and observed as ROS 2 does over a real Zenoh router."""
 
 import rosbags.typesys as rosbags
 from tests.peers.zenoh_rig import STORE, ask, attached

@@ -86,14 +86,14 @@ def test_a_program_on_it_reads_arms_drives_and_stops_the_robot(stage, ports, lib
         command.append(str(ROSLIBJS))
     run = subprocess.run(command, capture_output=True, timeout=120)
     assert run.returncode == 0, run.stderr.decode()
-    said = json.loads(run.stdout)
-    assert "/odom" in said["topics"]
-    assert said["odom"]["child_frame_id"] == "base_link"
-    assert said["arm"] == {"success": True, "message": "armed"}
-    assert said["motor_status"]["commander_priority"] == 100
-    assert said["motor_status"]["commander_why"] == "in command: the only one"
-    assert said["estop"] == {"success": True, "message": "estop"}
-    assert said["reset"] == {"success": True, "message": "idle"}
+    found = json.loads(run.stdout)
+    assert "/odom" in found["topics"]
+    assert found["odom"]["child_frame_id"] == "base_link"
+    assert found["arm"] == {"success": True, "message": "armed"}
+    assert found["motor_status"]["commander_priority"] == 100
+    assert found["motor_status"]["commander_why"] == "in command: the only one"
+    assert found["estop"] == {"success": True, "message": "estop"}
+    assert found["reset"] == {"success": True, "message": "idle"}
 
 
 async def test_wheels_are_commanded_by_the_joints_names(stage, ports):

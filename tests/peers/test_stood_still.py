@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second process stands still while somebody commands without saying when, and goes on when
-nobody does any more: nothing that waited in a queue meanwhile moves the robot."""
+"""The second process stands still while a program commands without a stamp, and goes on when
+none does any more: nothing that waited in a queue meanwhile moves the robot."""
 
 import contextlib
 import json

@@ -27,13 +27,13 @@ def main():
         "listen_certificate": f"{folder}/host.pem",
         "listen_private_key": f"{folder}/host.key",
     }
-    said = {
+    config = {
         "mode": "router",
         "listen": {"endpoints": [f"tls/{address}"]},
         "transport": {"link": {"tls": own}},
         "scouting": {"multicast": {"enabled": False}},
     }
-    with zenoh.open(zenoh.Config.from_json5(json.dumps(said))) as session:
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
         kept = session.declare_subscriber("0/zenoh/odom/**", sent)
         for number, line in enumerate(sys.stdin, 1):
             key = f"0/zenoh/cmd_vel/{KIND}"

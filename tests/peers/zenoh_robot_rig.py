@@ -40,7 +40,7 @@ def command(linear_m_s, age_s=0.0, lateral_m_s=0.0):
 
 
 class Driver:
-    """Another node: it commands while it is asked to, and hears odometry."""
+    """Another node: it commands while it is asked to, and receives odometry."""
 
     def __init__(self, session):
         self.session = session

@@ -48,15 +48,15 @@ def started(port, *tls):
 
 
 def main():
-    said = {
+    config = {
         "mode": "router",
         "listen": {"endpoints": [endpoint(sys.argv[1])]},
         "scouting": {"multicast": {"enabled": False}},
     }
     if len(sys.argv) > 2:
         folder = sys.argv[3]
-        said["listen"]["endpoints"].append(f"tls/localhost:{sys.argv[2]}")
-        said["transport"] = {
+        config["listen"]["endpoints"].append(f"tls/localhost:{sys.argv[2]}")
+        config["transport"] = {
             "link": {
                 "tls": {
                     "root_ca_certificate": f"{folder}/ca.pem",
@@ -66,7 +66,7 @@ def main():
                 }
             }
         }
-    with zenoh.open(zenoh.Config.from_json5(json.dumps(said))):
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))):
         print("ready", flush=True)
         signal.pause()
 

@@ -63,7 +63,7 @@ class Graph:
         self.lock = threading.RLock()
         self.numbers = itertools.count(1)
         self.here, self.there = {}, {}
-        """Endpoints: objects of ours, and what others have told of theirs, by (pid, number)."""
+        """Endpoints: objects of ours, and what others announced of theirs, by (pid, number)."""
         self._socket = socket(AF_UNIX)
         self._socket.connect(os.environ[HUB])
         threading.Thread(target=self._read, daemon=True).start()
@@ -93,7 +93,7 @@ class Graph:
             found = [*ours, *self.there.items()]
         return [(key, about) for key, about in found if about[:2] == (role, name)]
 
-    def tell(self, role, name, *what):
+    def send(self, role, name, *what):
         """Every endpoint of that role and name, here too."""
         self._send(("tell", role, name, what))
         self._hand(role, name, what)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which callbacks may be under way at once."""
+"""Which callbacks may run at once."""
 
 import threading
 

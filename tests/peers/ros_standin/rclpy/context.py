@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where ROS 2 begins and ends in a process, and what it was told by --ros-args."""
+"""Where ROS 2 begins and ends in a process, and what --ros-args has set."""
 
 import itertools
 import json

@@ -157,16 +157,16 @@ class _Publisher(_Endpoint):
         if not self.node.context.ok():
             raise RuntimeError("publisher's context is invalid")
         self._newest = message
-        self._tell()
+        self._announce()
 
-    def _tell(self):
-        graph().tell("subscription", self.about[1], self.about, self._newest, time.time_ns())
+    def _announce(self):
+        graph().send("subscription", self.about[1], self.about, self._newest, time.time_ns())
 
     def met(self, about):
-        """Who comes later is told the newest, where that was promised."""
+        """One that comes later receives the newest, where that was promised."""
         latched = self.about[4].durability == DurabilityPolicy.TRANSIENT_LOCAL
         if latched and self._newest is not None and about[:2] == ("subscription", self.about[1]):
-            self._tell()
+            self._announce()
 
     def get_subscription_count(self):
         return len(graph().known("subscription", self.about[1]))
@@ -203,7 +203,7 @@ class _Service(_Endpoint):
             response = self._callback(request, self._kind.Response())
             if not isinstance(response, self._kind.Response):
                 raise TypeError("a service answers with its own type")
-            graph().tell("client", self.about[1], client, number, serialize_message(response))
+            graph().send("client", self.about[1], client, number, serialize_message(response))
 
         self.node.queue(self, answer)
 
@@ -224,7 +224,7 @@ class _Client(_Endpoint):
             future = self._asked[self._number] = Future()
             number = self._number
         who, raw = (os.getpid(), self.key), serialize_message(request)
-        graph().tell("service", self.about[1], who, number, self.about[2], raw)
+        graph().send("service", self.about[1], who, number, self.about[2], raw)
         return future
 
     def take(self, client, number, raw):

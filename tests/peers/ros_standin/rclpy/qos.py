@@ -33,7 +33,7 @@ def profile(given):
 
 
 def compatible(offered, requested):
-    """What a reader asks for is no more than what the writer offers."""
+    """What a reader requests is no more than what the writer offers."""
     return (
         offered.reliability <= requested.reliability and offered.durability <= requested.durability
     )
