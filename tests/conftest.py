@@ -51,6 +51,16 @@ def pytest_runtest_logreport(report):
         report.nodeid = report.nodeid.removesuffix("@" + report.nodeid.partition("::")[0])
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """What it makes stays, so no collection of garbage looks for what does not."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+
+
 def pytest_collection_finish():
     """Seven thousand tests and their modules live as long as the process: no collection of garbage
     looks through them again."""

@@ -22,10 +22,17 @@ from motord.tools.latency.plot import (
 )
 from motord.tools.latency.report import NOTHING, Bar, LatencyReport, Spread, Window
 
-image = pytest.importorskip("matplotlib.image")
-figure = pytest.importorskip("matplotlib.figure")
-
 MACHINE = {"kernel": "6.1", "preempt_rt": True, "virtual": False}
+
+
+@pytest.fixture(autouse=True)
+def _drawing():
+    matplotlib("figure")
+
+
+def matplotlib(name):
+    """Imported when a test of this file runs, and not by each process that collects them all."""
+    return pytest.importorskip(f"matplotlib.{name}", reason="needs matplotlib")
 
 
 def made_up(*, cyclictest=True, timeline=True, overruns=0):
@@ -54,7 +61,7 @@ def drawn(tmp_path_factory):
         path = tmp_path_factory.mktemp("plot") / "plot.png"
         plot(made_up(**kwargs), path)
         assert path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
-        return image.imread(path)
+        return matplotlib("image").imread(path)
 
     return picture
 
@@ -93,7 +100,7 @@ def test_microseconds_are_joined_to_buckets_of_the_loops_width_and_none_is_lost(
 
 
 def test_a_gap_between_buckets_is_a_gap_in_the_outline():
-    axes = figure.Figure().subplots()
+    axes = matplotlib("figure").Figure().subplots()
     outline(axes, [Bar(0.0, 0.5, 7), Bar(4, 5, 1), Bar(5, 6, 2), Bar(8, 9, 3)], LOOP, "loop")
     counts, edges, _ = axes.patches[-1].get_data()
     assert list(edges) == [FLOOR_US, FLOOR_US * 1.06, 4, 5, 6, 8, 9]
