@@ -289,8 +289,82 @@ static void a_joint_that_the_set_points_do_not_have_gets_no_place(void)
     CHECK(!setpoint_position(&from, 0, &position_rad));
 }
 
+/* A second target of the frame, or a second frame, for a joint of its own, whose place is not known. */
+static void begin_with_two(uint32_t targets, uint32_t frames)
+{
+    begin();
+    can_drive *drive = table_of(0);
+    can_output *output = &drive->output[0];
+    output->packet.bytes = 8;
+    output->setpoint[1] = output->setpoint[0];
+    output->setpoint[1].place = (can_place){.start_bit = 48, .length = 16, .form = CAN_SIGNED};
+    output->setpoint[1].scale.joint = 1;
+    output->setpoint_count = targets;
+    drive->output[1] = *output;
+    drive->output[1].setpoint[0] = output->setpoint[1];
+    drive->output[1].setpoint_count = 1;
+    drive->output_count = frames;
+    restart();
+    w.machine.joint[1].place = (position_place){.measured = NAN, .sent = NAN};
+    run(2.25F, 20 * MS);
+    ask_for(DRIVE_READY);
+    run(2.25F, 20 * MS);
+}
+
+static void each_target_of_each_frame_needs_its_place_and_no_other(void)
+{
+    for (uint32_t i = 0; i < 4; i++) {
+        begin_with_two(1 + i % 2, 1 + i / 2);
+        w.machine.joint[1].place = (position_place){.measured = NAN, .sent = NAN};
+        CHECK(can_place_is_missing(m, 0) == (i != 0));
+        w.machine.joint[1].place = (position_place){.measured = 2.0, .measured_ns = w.now_ns, .sent = NAN};
+        CHECK(!can_place_is_missing(m, 0));
+        w.machine.joint[0].place.measured = NAN;
+        CHECK(can_place_is_missing(m, 0));
+    }
+}
+
+static void each_target_of_each_frame_begins_anew_while_it_is_not_armed_and_no_other(void)
+{
+    for (uint32_t i = 0; i < 4; i++) {
+        begin_with_two(1 + i % 2, 1 + i / 2);
+        w.machine.joint[0].place.sent = w.machine.joint[1].place.sent = 1.0;
+        can_begin_positions(&w.machine, 0);
+        CHECK(isnan(m->joint[0].place.sent) && isnan(m->joint[1].place.sent) == (i != 0));
+    }
+    begin();
+    make_armed();
+    w.machine.joint[0].place.sent = 1.0;
+    step();
+    CHECK(m->joint[0].place.sent == 1.0);
+    ask_for(DRIVE_STAND_DOWN);
+    CHECK(isnan(m->joint[0].place.sent));
+}
+
+static void each_target_that_left_is_where_the_next_ones_begin_and_no_other(void)
+{
+    for (uint32_t count = 1; count <= 2; count++) {
+        begin_with_two(count, 1);
+        w.machine.joint[1].place = (position_place){.measured = 2.0, .measured_ns = w.now_ns, .sent = NAN};
+        w.powered = true;
+        ask_for(DRIVE_ARMED);
+        wanted_rad = 0.5, positioned = 1;
+        put();
+        w.machine.newest.joint_count = 2;
+        w.machine.newest.position_rad[1] = 0.0;
+        w.machine.newest.positioned = 3;
+        w.machine.joint[0].place.sent = w.machine.joint[1].place.sent = NAN;
+        can_note_positions(&w.machine, 0, 0);
+        CHECK(m->joint[0].place.sent == 2.25);
+        CHECK(isnan(m->joint[1].place.sent) == (count == 1) && (count == 1 || m->joint[1].place.sent == 2.0));
+    }
+}
+
 int main(void)
 {
+    each_target_of_each_frame_needs_its_place_and_no_other();
+    each_target_of_each_frame_begins_anew_while_it_is_not_armed_and_no_other();
+    each_target_that_left_is_where_the_next_ones_begin_and_no_other();
     a_stop_keeps_the_place_in_its_frame();
     each_target_of_a_frame_is_kept_and_no_other();
     a_frame_is_sent_only_when_each_of_its_targets_is_known();
