@@ -74,6 +74,14 @@ def test_a_joint_that_takes_positions_has_no_duty_to_be_named():
     assert named(rig)["duty_slew"] == (1,)
 
 
+def test_a_joint_is_named_where_its_position_is_not_known():
+    joints = [steers(1.0), steers(1.0, reference=lib.REFERENCE_HOMED)]
+    rig = PositionRig(core_config(2, joint=joints, joint_count=2, independent=1))
+    rig.input.feedback[1].referenced = 0
+    rig.ticks(0.01)
+    assert named(rig) == {"position_unknown": (1,)}
+
+
 def test_joints_without_a_base_are_named_by_the_limit_that_binds_each():
     own = {"velocity_u_s": 60.0, "acceleration_u_s2": 10.0, "deceleration_u_s2": 10.0}
     belt = ROLLS | {"own": own | {"jerk_u_s3": math.inf}}

@@ -190,8 +190,8 @@ class Snapshot:
     saturated_joint: int | None = None
     """While `wheel_saturated` is a reason: the place of the joint whose limit it is."""
     reason_joints: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    """Of those of `reasons` that are about a duty or about joints without a base: the places of the
-    joints that they come from."""
+    """Of those of `reasons` that are about a duty, a position that is not known or joints without a
+    base: the places of the joints that they come from."""
     version: int = SNAPSHOT_VERSION
 
     def to_json(self) -> dict[str, Any]:

@@ -207,7 +207,10 @@ def decode(payload: bytes) -> Snapshot:
     imu, doubt = _IMU.values(payload, _IMU_OFFSET), _DOUBT.values(payload, _DOUBT_OFFSET)
     derating = _DERATING.values(payload, _DERATING_OFFSET)
     shown = _REASON.unpack_from(payload, _REASON_OFFSET)
-    since_ns, saturated_joint, masks = shown[:32], shown[32], shown[33:]
+    since_ns, saturated_joint = shown[:32], shown[32]
+    steering = _STEERING.values(payload, _STEERING_OFFSET)
+    joints_of = dict(zip(_JOINT_REASONS, shown[33:], strict=True))
+    joints_of["position_unknown"] = steering["position_unknown"]
     places = range(min(state.pop("joint_count"), _JOINTS_MAX))
     return Snapshot(
         joints=tuple(
@@ -229,12 +232,12 @@ def decode(payload: bytes) -> Snapshot:
         saturated_joint=saturated_joint if "wheel_saturated" in state["reasons"] else None,
         reason_joints={
             word: tuple(place for place in places if mask >> place & 1)
-            for word, mask in zip(_JOINT_REASONS, masks, strict=True)
+            for word, mask in joints_of.items()
             if word in state["reasons"]
         },
         **state,
         **_LATERAL.values(payload, _LATERAL_OFFSET),
-        **_STEERING.values(payload, _STEERING_OFFSET),
+        **steering,
     )
 
 
