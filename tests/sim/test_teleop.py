@@ -106,6 +106,22 @@ def test_the_space_bar_is_an_emergency_stop(armed):
         assert terminal.settings == terminal.before
 
 
+def test_a_motion_key_during_an_emergency_stop_is_refused_and_the_session_goes_on(armed):
+    with teleop(armed) as terminal:
+        terminal.type(" ")
+        terminal.wait_for("emergency stop: estop")
+        terminal.wait_for("estop, r resets: requested by")
+        rests(armed)
+        refused = "so the robot does not move"
+        terminal.wait_until(lambda: refused in terminal.text, "the refusal", keys="w")
+        # refused until the wheels rest
+        terminal.wait_until(lambda: "reset: idle" in terminal.text, "the reset", keys="r")
+        terminal.wait_for("m arms")
+        terminal.type("x")
+        assert terminal.exit_status() == 0
+    assert armed.sim.truth().at_rest
+
+
 def test_what_is_armed_here_is_disarmed_at_the_end(stage):
     wait_until(lambda: stage.state() in ("idle", "fault", "estop"), "at rest")
     with teleop(stage) as terminal:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from motord.aio import Client, ClientError
+from motord.aio import Client, ClientError, Refused
 from motord.api.status import Status
 from motord.tools.teleop.keys import MOTIONS, PING, PONG, DeadMan, Decoder, Link
 from motord.tools.teleop.terminal import Terminal
@@ -202,7 +202,7 @@ class Teleop:
 
     async def _command(self) -> None:
         """As long as a key is held; one zero when it is released, and the lease is given back."""
-        commanding, last_s = False, self._loop.time()
+        commanding, last_s, refused = False, self._loop.time(), ""
         while True:
             if self._loop.time() - last_s > GAP_S:
                 self._drop_keys()
@@ -216,6 +216,11 @@ class Teleop:
                     commanding, self._answer = False, None
                     await self._robot.drive(0.0, 0.0, owner=OWNER)
                     await self._robot.release(OWNER)
+                    refused = ""
+            except Refused as error:  # r or m may mend it: the session goes on
+                if str(error) != refused:
+                    refused = str(error)
+                    self._terminal.message(refused)
             except ClientError as error:
                 self._end(str(error))
             await asyncio.sleep(SEND_PERIOD_S)
@@ -261,7 +266,9 @@ class Teleop:
         if self._answer is not None and not self._answer["in_command"]:
             return f"{text}  {self._answer['owner']} is in command"
         if found.state in ("fault", "estop"):
-            return f"{text}  {'; '.join(found.why)}"
+            return f"{found.state}, r resets: {'; '.join(found.why)}"
+        if found.state == "idle":
+            return f"{text}  m arms"
         trip_s = self._link.round_trip_s
         return text if trip_s is None else f"{text}  link {1000 * trip_s:.0f} ms"
 
