@@ -33,7 +33,7 @@ class Bus:
         self.door.settimeout(20.0)
         self.end = None
         self.state = IDLE
-        self.said_ns = 0
+        self.reported_ns = 0
         self.received = []
 
     def accept(self):
@@ -47,14 +47,14 @@ class Bus:
 
     def say(self):
         """What an axis says by itself, at rest."""
-        self.said_ns = time.monotonic_ns()
+        self.reported_ns = time.monotonic_ns()
         for command, data in (
             (HEARTBEAT, struct.pack("<IB3x", 0, self.state)),
             (ESTIMATES, struct.pack("<ff", 0.0, 0.0)),
         ):
             self.end.send(FRAME.pack(command, 8, data))
 
-    def hear(self):
+    def receive(self):
         """Take in all that has come; the axis obeys at once."""
         while True:
             try:
@@ -81,7 +81,7 @@ class Bus:
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             self.say()
-            self.hear()
+            self.receive()
             select.select([self.end], [], [], 0.005)
 
 
@@ -90,7 +90,7 @@ async def lively(rig, bus, condition):
 
     def both():
         bus.say()
-        bus.hear()
+        bus.receive()
         return condition()
 
     await until(both)

@@ -138,7 +138,7 @@ class Cia402Node:
 
     @property
     def silent_s(self):
-        """So long ago it was told its newest control word."""
+        """So long ago it received its newest control word."""
         return time.monotonic() - self._sent_s
 
     @property

@@ -22,10 +22,10 @@ LOOK_EVERY_S = 0.005
 SETPOINTS_EVERY_S = 0.005
 PATIENT_S = 1.0
 """After which lines here find set-points old. In the product a thread puts them that waits for
-nobody; here one event loop does, and a busy machine may leave it without a CPU for longer than
+nothing; here one event loop does, and a busy machine may leave it without a CPU for longer than
 the product allows."""
 REPLY_S, UNRESPONSIVE_S = 0.2, 0.6
-"""Of drives here, which share this process: a reply that is later is none, and a drive that was
+"""Of drives here, which share this process: a later reply does not count, and a drive that was
 without feedback for so long is unresponsive."""
 BOARDS = ("mcu", "ascii", "hoverboard", "sabertooth")
 
@@ -125,7 +125,7 @@ class LoopSide:
 
 @dataclass
 class Rig:
-    """A line under test, its loop side, and what it said."""
+    """A line under test, its loop side, and what it logged."""
 
     line: Line
     loop: LoopSide
@@ -149,8 +149,8 @@ class Rig:
                 while not await self._armed_now(refusals):
                     await asyncio.sleep(0.01)
         except TimeoutError:
-            said = [event.text for event in self.events]
-            raise AssertionError(f"never armed: {refusals[-3:]}, said: {said[-5:]}") from None
+            logged = [event.text for event in self.events]
+            raise AssertionError(f"never armed: {refusals[-3:]}, logged: {logged[-5:]}") from None
 
     async def drive(self, condition: Callable[[], bool], what: str) -> None:
         """Armed and enabled until the condition holds. A line that had no set-points for longer

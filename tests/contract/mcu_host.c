@@ -1,9 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
  * docs/mcu/motord_mcu.c as a board that turns two motors, on the master side of a pty: mcu_host FD.
- * One letter on stdin makes a fault ('f'), ends it ('g'), restarts the board ('r'), makes it mute ('m') or deaf ('d'),
+ * One letter on stdin makes a fault ('f'), ends it ('g'), restarts the board ('r'), makes it mute ('m') or take nothing ('d'),
  * well again ('w'), gives it a sensor ('i') whose x axis points up, or turns its first motor by hand ('t') and lets it go ('s').
- * Each change of what the motors are told is a line on stdout.
+ * Each change of what the motors are sent is a line on stdout.
  */
 #include "motord_mcu.h"
 
@@ -47,7 +47,7 @@ static void turn(motor *motors, const motord_board *board, double dt_s, int by_h
     }
 }
 
-static void tell(const motord_board *board)
+static void put(const motord_board *board)
 {
     static int last[4] = {-1, 0, 0, 0};
     const int now[4] = {board->enabled + 2 * board->braking, (int)board->setpoint[0].velocity_mrad_s,
@@ -69,7 +69,7 @@ int main(int argc, char **argv)
     motord_measured measured[MOTORS] = {{0, 0, 0}};
     motord_health health = {0, 2400, 310};
     motor motors[MOTORS] = {{0, 0}};
-    int mute = 0, deaf = 0, senses = 0, by_hand = 0;
+    int mute = 0, ignores = 0, senses = 0, by_hand = 0;
     uint32_t before_us = now_us();
     fcntl(fd, F_SETFL, O_NONBLOCK);
     motord_board_init(&board, MOTORS, before_us);
@@ -83,7 +83,7 @@ int main(int argc, char **argv)
             }
             health.faults = data[0] == 'f' ? 1 : data[0] == 'g' ? 0 : health.faults;
             mute = data[0] == 'm' ? 1 : data[0] == 'w' ? 0 : mute;
-            deaf = data[0] == 'd' ? 1 : data[0] == 'w' ? 0 : deaf;
+            ignores = data[0] == 'd' ? 1 : data[0] == 'w' ? 0 : ignores;
             senses |= data[0] == 'i';
             by_hand = data[0] == 't' ? 1 : data[0] == 's' ? 0 : by_hand;
             if (data[0] == 'r') {
@@ -91,7 +91,7 @@ int main(int argc, char **argv)
             }
         }
         const ssize_t size = read(fd, data, sizeof data);
-        for (ssize_t i = 0; i < size && !deaf; i++) {
+        for (ssize_t i = 0; i < size && !ignores; i++) {
             motord_board_byte(&board, data[i], now_us());
         }
         const uint32_t at_us = now_us();
@@ -105,8 +105,8 @@ int main(int argc, char **argv)
         }
         const size_t length = motord_board_feedback(&board, at_us, measured, &health, sent);
         if (length > 0 && !mute && write(fd, sent, length) < 0) {
-            usleep(1000); /* nobody has the other side open */
+            usleep(1000); /* no program has the other side open */
         }
-        tell(&board);
+        put(&board);
     }
 }

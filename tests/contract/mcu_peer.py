@@ -26,7 +26,7 @@ def compiled(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class Sent:
-    """What the board tells its motors."""
+    """What the board sends its motors."""
 
     enabled: bool
     braking: bool
@@ -39,7 +39,7 @@ WITHOUT_POWER = Sent(enabled=False, braking=False, left_mrad_s=0, right_mrad_s=0
 
 
 class McuPeer:
-    """Runs until it is closed. `told` grows with each change."""
+    """Runs until it is closed. `sent` grows with each change."""
 
     def __init__(self, program: Path, link: Path) -> None:
         self.link = link
@@ -65,15 +65,15 @@ class McuPeer:
             self.sent.append(Sent(bool(enabled), bool(braking), left, right, duty))
 
     def do(self, letter: str) -> None:
-        """f fault, g fault gone, r restart, m mute, d deaf, w well again, i a sensor, t turn the
-        first motor backward by hand, s let it go."""
+        """f fault, g fault gone, r restart, m mute, d takes nothing, w well again, i a sensor, t
+        turn the first motor backward by hand, s let it go."""
         assert self.process.stdin is not None
         self.process.stdin.write(letter.encode())
         self.process.stdin.flush()
 
     @property
     def now(self) -> Sent:
-        """The newest; before its first word it has told them nothing."""
+        """The newest; before its first word it has sent them nothing."""
         return self.sent[-1] if self.sent else WITHOUT_POWER
 
     def pull(self) -> None:

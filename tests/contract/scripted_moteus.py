@@ -39,7 +39,7 @@ def varuint(data):
 
 
 class Moteus:
-    """One controller on a bus. It turns at once as it is told."""
+    """One controller on a bus. It turns at once as commanded."""
 
     def __init__(self, address, node):
         self.node = node
@@ -48,7 +48,7 @@ class Moteus:
         self.positions = []
         """Of each command: where it was sent, and the mode that it had then."""
         self.bites = 0
-        self.deaf = False
+        self.unreceptive = False
         self._fed_s = None
         self._enabled_at_s = 0.0
         self._bus = end_of(address, 1_000_000, 5_000_000)
@@ -77,7 +77,7 @@ class Moteus:
             message = self._bus.recv(timeout=0.005)
             self._watch()
             mine = message is not None and message.arbitration_id & 0xFF == self.node
-            if mine and message.arbitration_id >> 8 & 0x80 and not self.deaf:
+            if mine and message.arbitration_id >> 8 & 0x80 and not self.unreceptive:
                 self._answer(message)
 
     def _watch(self):
@@ -101,7 +101,7 @@ class Moteus:
                                    bitrate_switch=True, data=reply))  # fmt: skip
 
     def execute(self, frame):
-        """What a frame writes is done, what it reads is told."""
+        """What a frame writes is done, what it reads is reported."""
         data, reply = list(frame), b""
         wanted = {}
         while data:

@@ -69,7 +69,7 @@ def open_bus(address):
 
 @dataclass
 class Axis:
-    """What one axis is and was told."""
+    """What one axis is and was sent."""
 
     state: int = IDLE
     error: int = 0
@@ -81,8 +81,8 @@ class Axis:
     silent: bool = False
     no_estimates: bool = False
     no_heartbeat: bool = False
-    deaf_to: set[int] = field(default_factory=set)
-    """Commands that are lost on the way."""
+    ignored: set[int] = field(default_factory=set)
+    """Commands that are lost in transit."""
     stuck: bool = False
     """It does not change its state."""
     input_turns: float = 0.0
@@ -130,7 +130,7 @@ class Peer:
             self._speak(node, axis)
 
     def cut(self):
-        """Off the bus, and nobody knows what it was told last."""
+        """Off the bus, and what it was sent last is not known."""
         self._bus.shutdown()
         self._bus = None
 
@@ -181,7 +181,7 @@ class Peer:
             self.say(node, axis, command)
             return
         axis.received.append((command, bytes(message.data)))
-        if command in axis.deaf_to:
+        if command in axis.ignored:
             return
         if command == STATE and not axis.stuck:
             axis.state = int.from_bytes(message.data, "little")

@@ -108,7 +108,7 @@ class ScriptedSlave:
         try:
             self._buffer += os.read(self._master, 4096)
         except (BlockingIOError, OSError):
-            return  # nobody has the other end open
+            return  # no program has the other end open
         while (size := request_bytes(self._buffer)) and len(self._buffer) >= size:
             frame, self._buffer = self._buffer[:size], self._buffer[size:]
             self._serve(parse_request(frame))

@@ -140,7 +140,7 @@ class DynamixelSdk:
 
 class SdkServos:
     """Servos of one maker on `path`, from the running event loop. Their wheels turn at once as they
-    are told."""
+    are commanded."""
 
     def __init__(self, path: Path, sdk, units):
         self.sdk = sdk

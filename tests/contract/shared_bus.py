@@ -21,7 +21,7 @@ KINDS = (
 
 @contextlib.contextmanager
 def shared_bus(kind):
-    """Its address. A socket at a path needs somebody who hands the frames on."""
+    """Its address. A socket at a path needs a program that hands the frames on."""
     address = new_address(kind)
     if kind != "unix":
         yield address

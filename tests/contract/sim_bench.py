@@ -201,7 +201,7 @@ class Bench:
 
     def open(self):
         self.fd = os.open(self.link, os.O_RDWR | os.O_NOCTTY)
-        self.go_on(0.01)  # the rig looks again whether somebody is there
+        self.go_on(0.01)  # the rig looks again whether a program is there
 
     def hang_up(self):
         with contextlib.suppress(OSError):

@@ -32,7 +32,7 @@ def compiled(folder: Path, chip: str) -> Path:
 
 
 class Sketch:
-    """A chip with the sketch on it. Time stands unless it is told to go."""
+    """A chip with the sketch on it. Time stands unless it is advanced."""
 
     def __init__(self, program: Path) -> None:
         self.levels: dict[int, int] = {}
@@ -78,12 +78,12 @@ class Sketch:
         """loop() each millisecond; set-points every ten, where there are any."""
         for step in range(round(seconds * 1e6 / STEP_US)):
             if mrad_s and step % 10 == 0:
-                self.tell(ENABLE if control is None else control, *mrad_s)
+                self.command(ENABLE if control is None else control, *mrad_s)
             self.now_us += STEP_US
             self.do(f"time {self.now_us}")
             self.do("loop")
 
-    def tell(self, control: int, *mrad_s: int) -> None:
+    def command(self, control: int, *mrad_s: int) -> None:
         """A frame of set-points comes."""
         motors = b"".join(struct.pack("<ih", each, 0) for each in mrad_s)
         head = struct.pack("<BBHH", control, len(mrad_s), WATCHDOG_MS, FEEDBACK_MS)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The firmware's side of an slcan adapter on a pty: the ASCII protocol of LAWICEL's CAN232 manual,
-chapters 2 and 3, and on its bus whoever sends and receives here."""
+chapters 2 and 3, and on its bus what sends and receives here."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ OK, BELL = b"\r", b"\a"
 
 
 class SlcanAdapter:
-    """Plugged at `link`. `recv` and `send` are the bus; what is said while its channel is closed is
+    """Plugged at `link`. `recv` and `send` are the bus; what is sent while its channel is closed is
     lost."""
 
     def __init__(self, link):
@@ -51,15 +51,15 @@ class SlcanAdapter:
             self._master = -1
 
     def say(self, data):
-        """Raw bytes to the host, as they are; nobody there: they are lost."""
+        """Raw bytes to the host, as they are; no program there: they are lost."""
         if self._master >= 0:
             with contextlib.suppress(BlockingIOError):
                 os.write(self._master, data)
 
-    def _hear(self):
+    def _receive(self):
         if self._master < 0:
             return
-        with contextlib.suppress(OSError):  # nobody has the other end open
+        with contextlib.suppress(OSError):  # no program has the other end open
             self._line += os.read(self._master, 4096)
         while b"\r" in self._line:
             command, _, self._line = self._line.partition(b"\r")
@@ -79,7 +79,7 @@ class SlcanAdapter:
             self.say(BELL)
 
     def recv(self, timeout=None):
-        self._hear()
+        self._receive()
         return self._frames.popleft() if self._frames else None
 
     def send(self, message, timeout=None):

@@ -85,15 +85,15 @@ async def test_feedback_is_read_from_the_template_and_silence_is_seen(peer):
     async with running(spec_of(peer.link, "{left:d},{right:d}\n", feedback)) as rig:
         left = rig.loop.exchange.take_feedback
 
-        def said():
+        def reported():
             peer.say(b"hello\nE -7 12 1.5 11.9\r\n")
             return left(0).stamp_ns > 0
 
-        await until(said)
+        await until(reported)
         assert left(0).count == 0xFFFFFFF9
         assert left(1).count == 12
         assert left(0).velocity_rad_s == pytest.approx(1.5)
-        assert left(1).velocity_rad_s != left(1).velocity_rad_s  # it was not said
+        assert left(1).velocity_rad_s != left(1).velocity_rad_s  # it was not reported
         assert left(0).voltage_v == pytest.approx(11.9)
         assert left(0).enabled is None
         assert rig.line.stats().errors["bad_reply"] >= 1
@@ -106,11 +106,11 @@ async def test_a_rate_in_the_text_reaches_the_core_as_it_is_mounted(peer):
     spec = spec_of(peer.link, "{left:d},{right:d}\n", feedback)
     async with running(replace(spec, imu=Mounting(up="-z", forward="x"))) as rig:
 
-        def said():
+        def reported():
             peer.say(b"\n12 0.25\n")
             return rig.loop.exchange.take_imu().stamp_ns > 0
 
-        await until(said)
+        await until(reported)
         sample = rig.loop.exchange.take_imu()
         assert sample.angular_rad_s[2] == pytest.approx(-0.25)
         assert sample.angular_rad_s[0] != sample.angular_rad_s[0]

@@ -60,35 +60,35 @@ def line_with(peer, chip):
     return spec_of(chip, joints=joints)
 
 
-def said(rig, joint=0):
+def feedback_of(rig, joint=0):
     return rig.loop.exchange.take_feedback(joint)
 
 
-def way(rig):
+def count_of(rig):
     """Counts of the left wheel, signed."""
-    count = said(rig).count
+    count = feedback_of(rig).count
     return count - (1 << 64) if count >> 63 else count
 
 
 async def test_a_wheel_that_turns_is_counted_with_its_speed_and_its_time(rig, peer):
-    assert (way(rig), said(rig).velocity_rad_s) == (0, 0.0)
+    assert (count_of(rig), feedback_of(rig).velocity_rad_s) == (0, 0.0)
     peer.do("t")
-    await until(lambda: way(rig) < -200, "it turns")
-    await until(lambda: said(rig).velocity_rad_s == pytest.approx(BY_HAND_RAD_S, rel=0.2))
-    first = said(rig)
+    await until(lambda: count_of(rig) < -200, "it turns")
+    await until(lambda: feedback_of(rig).velocity_rad_s == pytest.approx(BY_HAND_RAD_S, rel=0.2))
+    first = feedback_of(rig)
     assert 0 < first.stamp_ns <= now_ns()
-    assert said(rig, 1).count == 0
-    await until(lambda: said(rig).stamp_ns > first.stamp_ns)
+    assert feedback_of(rig, 1).count == 0
+    await until(lambda: feedback_of(rig).stamp_ns > first.stamp_ns)
     peer.do("s")
-    await until(lambda: said(rig).velocity_rad_s == 0.0, "it stands")
+    await until(lambda: feedback_of(rig).velocity_rad_s == 0.0, "it stands")
 
 
 async def test_a_board_that_counts_is_never_enabled_though_the_bridges_are(rig, peer, chip):
     await armed(rig)
     rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
     await until(lambda: chip.duties()[0] == PERIOD_NS // 2)
-    stamp_ns = said(rig).stamp_ns
-    await until(lambda: said(rig).stamp_ns > stamp_ns + 50_000_000)
+    stamp_ns = feedback_of(rig).stamp_ns
+    await until(lambda: feedback_of(rig).stamp_ns > stamp_ns + 50_000_000)
     assert not any(sent.enabled for sent in peer.sent)
 
 
@@ -96,37 +96,37 @@ async def test_a_silent_board_lets_the_feedback_of_its_wheels_get_old_and_is_rep
     rig, peer
 ):
     peer.do("m")
-    await until(lambda: EventKind.DRIVE_WARNING in rig.kinds(), "it is said")
+    await until(lambda: EventKind.DRIVE_WARNING in rig.kinds(), "it is reported")
     assert "left, right" in rig.events[-1].text
     assert "the board that counts is silent" in rig.events[-1].text
-    old = said(rig).stamp_ns
+    old = feedback_of(rig).stamp_ns
     cycles = rig.line.stats().cycles
     await until(lambda: rig.line.stats().cycles > cycles + 20)
-    assert said(rig).stamp_ns == old
+    assert feedback_of(rig).stamp_ns == old
     assert rig.states() == {DriveState.READY}  # the pins are as they were; the core judges the age
     peer.do("w")
-    await until(lambda: said(rig).stamp_ns > old, "it counts again")
+    await until(lambda: feedback_of(rig).stamp_ns > old, "it counts again")
     assert rig.kinds().count(EventKind.DRIVE_WARNING) == 1
     assert rig.kinds().count(EventKind.DRIVE_BACK) == 2
 
 
 async def test_a_board_that_begins_anew_is_a_new_origin_and_no_way(rig, peer):
     peer.do("t")
-    await until(lambda: way(rig) < -100)
+    await until(lambda: count_of(rig) < -100)
     peer.do("s")
-    await until(lambda: said(rig).velocity_rad_s == 0.0)
-    before, epoch = way(rig), said(rig).epoch
+    await until(lambda: feedback_of(rig).velocity_rad_s == 0.0)
+    before, epoch = count_of(rig), feedback_of(rig).epoch
     peer.do("r")
-    await until(lambda: said(rig).epoch == epoch + 1, "a new epoch")
-    assert way(rig) == before
+    await until(lambda: feedback_of(rig).epoch == epoch + 1, "a new epoch")
+    assert count_of(rig) == before
 
 
 async def test_a_board_that_is_pulled_is_found_again(program, peer, chip):
     async with running(line_with(peer, chip)) as rig:
-        await until(lambda: said(rig).stamp_ns > 0)
+        await until(lambda: feedback_of(rig).stamp_ns > 0)
         peer.pull()
-        await until(lambda: EventKind.DRIVE_WARNING in rig.kinds(), "it is said")
-        old = said(rig).stamp_ns
+        await until(lambda: EventKind.DRIVE_WARNING in rig.kinds(), "it is reported")
+        old = feedback_of(rig).stamp_ns
         again = McuPeer(program, peer.link)
-        await until(lambda: said(rig).stamp_ns > old, "it counts again")
+        await until(lambda: feedback_of(rig).stamp_ns > old, "it counts again")
     again.pull()

@@ -41,7 +41,7 @@ async def test_bus_off_is_reported_once_and_the_drives_come_back_disarmed(rig, p
     await until(lambda: EventKind.LINE_LOST in rig.kinds())
     assert "bus-off" in next(e.text for e in rig.events if e.kind is EventKind.LINE_LOST)
     await until(lambda: rig.kinds().count(EventKind.LINE_OPEN) == 2)
-    mark = len(peer.axes[0].velocities())  # what was under way at the bus-off has come by now
+    mark = len(peer.axes[0].velocities())  # what had been sent at the bus-off has come by now
     await rig.ready()
     assert rig.kinds().count(EventKind.LINE_LOST) == 1
     assert rig.kinds().count(EventKind.LINE_OPEN) == 2
@@ -79,13 +79,15 @@ async def test_what_error_frames_foretell_is_reported_in_words_and_not_with_each
     for count in range(1, 4):
         peer.send_raw(CONTROLLER | NO_ACK, bytes((0, 0x30, 0, 0, 0, 0, 0, 0)), is_error_frame=True)
         await until(lambda count=count: rig.line.stats().errors.get("no_ack") == count)
-    said = [e for e in rig.events if e.kind is EventKind.DRIVE_WARNING]
-    assert [any(word in e.text for e in said) for word in ("error-passive", "acknowledges")] == [
+    warnings = [e for e in rig.events if e.kind is EventKind.DRIVE_WARNING]
+    assert [
+        any(word in e.text for e in warnings) for word in ("error-passive", "acknowledges")
+    ] == [
         True,
         True,
     ]
-    assert len(said) == 2
-    assert {e.joints for e in said} == {("wheel0", "wheel3")}
+    assert len(warnings) == 2
+    assert {e.joints for e in warnings} == {("wheel0", "wheel3")}
 
 
 async def test_frames_that_come_make_no_frames_go_out(rig, peer):
@@ -99,7 +101,7 @@ async def test_frames_that_come_make_no_frames_go_out(rig, peer):
         await until(lambda enough=enough: rig.line.stats().exchanges >= enough)
     # A machine that stands still for long disarms the drives: fewer frames then.
     sent = len(peer.axes[0].velocities()) - began
-    assert sent <= rig.line.stats().cycles - cycles + 2  # the first and the last under way
+    assert sent <= rig.line.stats().cycles - cycles + 2  # the first and the last one
 
 
 async def test_remote_frames_and_long_frames_of_others_are_no_feedback(rig, peer):
@@ -171,12 +173,12 @@ async def test_no_more_motion_is_handed_to_a_bus_that_lets_none_leave(rig, peer)
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN, 1: TURN}
     await until(lambda: any(peer.axes[0].velocities()))
     await until(lambda: peer.axes[0].velocities()[-1] == peer.axes[3].velocities()[-1] == 0.0)
-    cycles, told = rig.line.stats().cycles, len(peer.axes[0].velocities())
+    cycles, mark = rig.line.stats().cycles, len(peer.axes[0].velocities())
     await until(lambda: rig.line.stats().cycles > cycles + 10)
-    assert not any(peer.axes[0].velocities()[told:])
+    assert not any(peer.axes[0].velocities()[mark:])
     assert rig.line.stats().errors["tx_full"] > 5
     rig.line._gate.left()
-    await until(lambda: any(peer.axes[0].velocities()[told:]))
+    await until(lambda: any(peer.axes[0].velocities()[mark:]))
 
 
 @pytest.mark.parametrize("step_s", [0.0, 0.7, 0.95, -0.7, 3600.0])

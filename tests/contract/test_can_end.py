@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a CAN line of either engine ends on a bus whose queue is full: told again, or said."""
+"""How a CAN line of either engine ends on a bus whose queue is full: sent again, or reported."""
 
 import asyncio
 
@@ -31,7 +31,7 @@ async def opened(rig, bus):
 
 
 async def fill(rig, bus):
-    """Nobody takes in what is sent, until nothing can be sent any more."""
+    """No drive takes in what is sent, until nothing can be sent any more."""
 
     def full():
         bus.say()
@@ -40,7 +40,7 @@ async def fill(rig, bus):
     await until(full)
 
 
-def said_at_the_end(rig):
+def warnings_at_the_end(rig):
     return [e for e in rig.events if e.kind is EventKind.DRIVE_LEFT_ON]
 
 
@@ -51,17 +51,17 @@ async def test_a_drive_that_cannot_be_switched_off_is_reported_by_name(bus, engi
         await arm(rig, bus)
         rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
         await fill(rig, bus)
-    (warning,) = said_at_the_end(rig)
+    (warning,) = warnings_at_the_end(rig)
     assert "wheel0 not switched off at the end" in warning.text
     assert warning.joints == ("wheel0",)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 async def test_a_power_off_that_the_full_bus_did_not_take_at_once_is_sent_again(bus, engine):
-    async def hear_late():
+    async def receive_late():
         await asyncio.sleep(0.1)
         while True:
-            bus.hear()
+            bus.receive()
             await asyncio.sleep(0.005)
 
     async with asyncio.TaskGroup() as group:
@@ -70,11 +70,11 @@ async def test_a_power_off_that_the_full_bus_did_not_take_at_once_is_sent_again(
             await lively(rig, bus, lambda: rig.states() == {DriveState.READY})
             await fill(rig, bus)
             bus.received.clear()
-            hearing = group.create_task(hear_late())
-        bus.hear()
+            hearing = group.create_task(receive_late())
+        bus.receive()
         hearing.cancel()
     assert bus.states()[-1] == IDLE
-    assert said_at_the_end(rig) == []
+    assert warnings_at_the_end(rig) == []
 
 
 @pytest.mark.parametrize("kind", BUSES)

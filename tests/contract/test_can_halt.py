@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drives on a CAN bus whose daemon has died: told to stop by whoever comes."""
+"""Drives on a CAN bus whose daemon has died: stopped by the program that comes next."""
 
 import pytest
 from can_rig import spec_of
@@ -31,7 +31,7 @@ async def test_a_drive_that_turns_on_is_switched_off_all_the_same_and_a_silent_o
     peer,
 ):
     peer.axes[0].velocity_turns_s = 2.0
-    peer.axes[3].deaf_to.add(STATE)
+    peer.axes[3].ignored.add(STATE)
     problems = await halt_line(spec_of(peer, 0, 3))
     assert peer.axes[0].state == IDLE
     assert problems == ["wheel3: reports that it is still enabled"]

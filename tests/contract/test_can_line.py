@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """CAN lines against scripted drives that speak raw frames: who is armed, who is unresponsive, what
-is said."""
+is reported."""
 
 import asyncio
 import math
@@ -201,7 +201,7 @@ async def test_old_set_points_stop_the_drive_and_take_its_power_when_it_is_at_re
 
 async def test_a_power_off_that_was_lost_is_sent_again(rig, peer):
     await rig.arm()
-    peer.axes[0].deaf_to.add(STATE)
+    peer.axes[0].ignored.add(STATE)
     rig.loop.enabled = True
     await until(lambda: rig.loop.exchange.take_feedback(0).enabled is True)
     await rig.line.disarm()
@@ -209,7 +209,7 @@ async def test_a_power_off_that_was_lost_is_sent_again(rig, peer):
     await until(lambda: peer.axes[0].states().count(IDLE) > sent + 1)
     await until(lambda: EventKind.DRIVE_WARNING in rig.kinds())
     assert "stays enabled" in rig.events[-1].text
-    peer.axes[0].deaf_to.clear()
+    peer.axes[0].ignored.clear()
     await until(lambda: peer.axes[0].state == IDLE)
 
 
@@ -229,7 +229,7 @@ async def test_cancelling_the_line_stops_and_disarms_every_drive(peer):
 # ----------------------------------------------------------------------------------------- arming
 async def test_arming_fails_when_a_drive_does_not_report_it_is_enabled(rig, peer):
     await rig.ready()
-    peer.axes[3].deaf_to.add(STATE)
+    peer.axes[3].ignored.add(STATE)
     with pytest.raises(DriveFault, match="axis_state"):
         await rig.line.arm()
     await until(lambda: peer.axes[0].state == IDLE and peer.axes[0].states()[-1] == IDLE)
@@ -238,7 +238,7 @@ async def test_arming_fails_when_a_drive_does_not_report_it_is_enabled(rig, peer
 
 async def test_arming_that_is_given_up_leaves_nothing_armed(rig, peer):
     await rig.ready()
-    peer.axes[3].deaf_to.add(STATE)
+    peer.axes[3].ignored.add(STATE)
     task = asyncio.ensure_future(rig.line.arm())
     await until(lambda: CLOSED_LOOP in peer.axes[0].states())
     task.cancel()
@@ -307,7 +307,7 @@ async def test_a_drive_that_falls_silent_comes_back_configured_and_disarmed(rig,
     setattr(peer.axes[0], what, True)
     await until(lambda: rig.line.drive_states["wheel0"] is DriveState.UNRESPONSIVE)
     epoch = rig.loop.exchange.take_feedback(0).epoch
-    await until(lambda: peer.axes[0].states()[-1] == IDLE, "one that may turn is told to stop")
+    await until(lambda: peer.axes[0].states()[-1] == IDLE, "one that may turn is sent a stop")
     mark = len(peer.axes[0].velocities())
     peer.axes[0].state, peer.axes[0].mode = IDLE, (3, 1)  # it had lost its power
     setattr(peer.axes[0], what, False)
@@ -356,7 +356,7 @@ async def test_faults_are_reported_once_in_words_and_once_when_gone(rig, peer):
 async def test_faults_that_stay_are_an_error_of_clearing(rig, peer):
     await rig.ready()
     peer.axes[0].error = 0x40
-    peer.axes[0].deaf_to.add(CLEAR)
+    peer.axes[0].ignored.add(CLEAR)
     await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
     with pytest.raises(DriveFault, match="axis_error"):
         await rig.line.clear_faults()

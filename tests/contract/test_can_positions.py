@@ -71,7 +71,7 @@ async def some_cycles(rig):
     await until(lambda: rig.line.stats().cycles > cycles + 20, "it could have moved")
 
 
-async def under_way(rig, sim):
+async def wait_for_motion(rig, sim):
     """Both are sent far away, and move."""
     await rig.arm()
     rig.loop.position_rad = {0: FAR_RAD, 1: FAR_RAD}
@@ -114,7 +114,7 @@ async def test_the_angle_is_reported_as_it_was_sent(rig, sim, profile):
 
 
 async def test_a_joint_whose_old_target_is_far_away_stays_where_it_is_when_it_is_armed(rig, sim):
-    await under_way(rig, sim)
+    await wait_for_motion(rig, sim)
     await rig.line.disarm()
     rig.loop.enabled, rig.loop.position_rad = False, {}
     await stopped(sim)
@@ -136,7 +136,7 @@ async def test_a_joint_that_is_sent_far_from_its_place_at_once_gets_no_power(pro
 
 
 async def test_old_set_points_stop_the_joints_on_their_way_and_take_their_power(rig, sim):
-    await under_way(rig, sim)
+    await wait_for_motion(rig, sim)
     rig.loop.running = False
     await until(lambda: rig.states() == {DriveState.READY}, "the line has stopped them")
     await stopped(sim)
@@ -145,7 +145,7 @@ async def test_old_set_points_stop_the_joints_on_their_way_and_take_their_power(
 async def test_a_cut_cable_stops_the_joints_by_their_watchdogs_and_they_come_back_disarmed(
     rig, sim
 ):
-    await under_way(rig, sim)
+    await wait_for_motion(rig, sim)
     sim.pull("bus")
     await stopped(sim)
     before = angles_rad(sim)
@@ -157,7 +157,7 @@ async def test_a_cut_cable_stops_the_joints_by_their_watchdogs_and_they_come_bac
 
 
 async def test_a_joint_that_lost_its_power_comes_back_disarmed_and_goes_nowhere(rig, sim, profile):
-    await under_way(rig, sim)
+    await wait_for_motion(rig, sim)
     with without_power(sim, 1):
         await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is missed")
         await until(lambda: sim.truth().joints["left"].velocity_rad_s == 0.0, "it rests")

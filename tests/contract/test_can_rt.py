@@ -34,7 +34,7 @@ async def rig(bus):
 
 async def test_an_event_loop_that_hangs_does_not_keep_a_motor_turning(rig, bus):
     await arm(rig, bus)
-    bus.live(PATIENT_S + 0.3)  # set-points grow old meanwhile, and nobody runs
+    bus.live(PATIENT_S + 0.3)  # set-points grow old meanwhile, and no drive runs
     assert bus.velocities()[-1] == 0.0
     assert bus.states()[-1] == IDLE
     bus.received.clear()
@@ -78,15 +78,15 @@ async def test_a_set_point_that_is_no_number_is_zero_on_the_bus(rig, bus, bad):
 async def test_a_bus_that_takes_nothing_loses_set_points_and_the_next_are_the_newest(rig, bus):
     await arm(rig, bus)
 
-    def speak_and_not_hear():
+    def speak_and_not_receive():
         bus.say()
         return rig.line.stats().errors.get("tx_full", 0) > 3
 
-    await until(speak_and_not_hear)
+    await until(speak_and_not_receive)
     assert rig.states() <= {DriveState.ARMED, DriveState.READY}
     rig.loop.velocity_rad_s = {0: 3 * TURN}
     rig.loop.put()
-    bus.hear()  # what was on its way
+    bus.receive()  # what had been sent
     bus.received.clear()
     await lively(rig, bus, lambda: len(bus.velocities()) > 2)
     assert all(one in (0.0, pytest.approx(3.0)) for one in bus.velocities()[1:])
@@ -130,13 +130,13 @@ async def test_a_bus_that_goes_away_is_reopened_and_the_drive_is_new_and_disarme
 
 async def test_feedback_carries_the_time_at_which_the_kernel_saw_the_frame(rig, bus):
     await lively(rig, bus, lambda: rig.states() == {DriveState.READY})
-    while time.monotonic_ns() < bus.said_ns + 20_000_000:  # a sample of its own
-        bus.hear()
+    while time.monotonic_ns() < bus.reported_ns + 20_000_000:  # a sample of its own
+        bus.receive()
     before_ns = time.monotonic_ns()
     bus.say()
     after_ns = time.monotonic_ns()
-    while time.monotonic_ns() < after_ns + 50_000_000:  # whoever looks late
-        bus.hear()
+    while time.monotonic_ns() < after_ns + 50_000_000:  # a look that is late
+        bus.receive()
     await until(lambda: rig.loop.exchange.take_feedback(0).stamp_ns >= before_ns - 1_000_000)
     assert rig.loop.exchange.take_feedback(0).stamp_ns <= after_ns + 5_000_000
 

@@ -43,7 +43,9 @@ class Drive:
             ["node", str(PROGRAM), str(NODE), str(MODULES)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1,
         )  # fmt: skip
-        self._threads = [threading.Thread(target=way) for way in (self._from_bus, self._from_node)]
+        self._threads = [
+            threading.Thread(target=work) for work in (self._from_bus, self._from_node)
+        ]
         for thread in self._threads:
             thread.start()
 
@@ -56,14 +58,14 @@ class Drive:
         self._process.wait()
         self._bus.shutdown()
 
-    def tell(self, **what):
+    def put(self, **what):
         self._process.stdin.write(json.dumps(what) + "\n")
 
     def _from_bus(self):
         while not self._ended.is_set():
             frame = self._bus.recv(0.05)
             if frame is not None:
-                self.tell(id=frame.arbitration_id, data=frame.data.hex())
+                self.put(id=frame.arbitration_id, data=frame.data.hex())
 
     def _from_node(self):
         for line in self._process.stdout:
@@ -134,7 +136,7 @@ async def test_it_is_set_up_by_sdo_started_by_nmt_and_not_armed(rig, drive):
 async def test_it_is_armed_edge_by_edge_and_turns_both_ways(rig, drive):
     await rig.arm()
     assert drive.reported["statuses"][-4:] == [0x40, 0x21, 0x23, OPERATION]
-    drive.tell(set=[0x6064, -1234])
+    drive.put(set=[0x6064, -1234])
     await until(lambda: feedback(rig).count == (1 << 32) - 1234)
     rig.loop.enabled = True
     for rpm in (90, -60):
@@ -158,7 +160,7 @@ async def test_old_set_points_are_a_quick_stop_and_then_no_power(rig, drive):
 
 async def test_a_fault_is_reported_and_reset_by_an_edge(rig, drive):
     await rig.arm()
-    drive.tell(fault=0x3220)
+    drive.put(fault=0x3220)
     await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
     assert rig.line.drive_faults == {"wheel": ("under-voltage",)}
     await rig.ready()
@@ -173,7 +175,7 @@ async def test_a_heartbeat_that_ends_stops_it_and_it_comes_back_disarmed(rig, dr
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: drive.reported["velocity"] == 60)
-    drive.tell(set=[HEARTBEAT_TIME, 0])
+    drive.put(set=[HEARTBEAT_TIME, 0])
     await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is missed")
     await until(lambda: QUICK_STOP in drive.reported["statuses"], "it receives, and is sent a stop")
     await rig.ready()

@@ -19,8 +19,8 @@ async def test_hub_motors_are_armed_turn_as_sent_and_come_to_rest(tmp_path):
         async with running(spec) as rig:
 
             def speeds_are(want_rad_s):
-                said = [rig.loop.exchange.take_feedback(n).velocity_rad_s for n in (0, 1)]
-                return all(abs(speed - want_rad_s) < 0.3 for speed in said)
+                measured = [rig.loop.exchange.take_feedback(n).velocity_rad_s for n in (0, 1)]
+                return all(abs(speed - want_rad_s) < 0.3 for speed in measured)
 
             await rig.arm()
             rig.loop.enabled = True

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An adapter that hears itself for a while only: a loose transceiver, a plug put in elsewhere."""
+"""An adapter that receives itself for a while only: a loose transceiver, another socket."""
 
 import pytest
 from loop_side import running, until
@@ -54,7 +54,7 @@ async def test_a_line_that_begins_to_echo_is_received_all_the_same(peer):
 
 
 async def test_an_echo_is_no_acknowledgement_of_a_dead_drive(peer):
-    """It was heard on an adapter that hears itself; then it dies, and only its echo is left."""
+    """It answered on an adapter that receives itself; then it dies, and its echo is left."""
     echo(peer)
     async with running(spec_of(peer, hub_servo())) as rig:
         await rig.ready()

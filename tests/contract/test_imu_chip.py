@@ -126,12 +126,12 @@ def test_counts_are_what_the_data_sheet_reports_at_each_scale(
     wanted_dps, scale = (12.0, -40.0, 100.0), 250.0 / range_dps
     device.gyro = [round(rate * per_dps * scale) for rate in wanted_dps]
     device.acceleration = [0, round(-0.5 * per_g), round(per_g)]
-    said = chip.read()
+    sample = chip.read()
     step = math.radians(1.0 / (per_dps * scale))
     wanted_rad_s = [math.radians(rate) for rate in wanted_dps]
-    assert said.angular_rad_s == pytest.approx(wanted_rad_s, rel=1e-3, abs=step)
-    assert said.acceleration_m_s2 == pytest.approx([0.0, -4.903, 9.807], abs=0.01)
-    assert not said.saturated
+    assert sample.angular_rad_s == pytest.approx(wanted_rad_s, rel=1e-3, abs=step)
+    assert sample.acceleration_m_s2 == pytest.approx([0.0, -4.903, 9.807], abs=0.01)
+    assert not sample.saturated
 
 
 @each_kind
@@ -303,7 +303,7 @@ def test_every_mounting_is_a_turn_and_there_is_a_way_back(up, forward):
     (a, b, c), (d, e, f), (g, h, i) = rows
     assert a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) == 1.0
     assert mounting.from_base(mounting.to_base((1.0, 2.0, 3.0))) == (1.0, 2.0, 3.0)
-    said = dict(zip("xyz", (1.0, 2.0, 3.0), strict=True))
+    sample = dict(zip("xyz", (1.0, 2.0, 3.0), strict=True))
     along = mounting.to_base((1.0, 2.0, 3.0))
     for axis, value in ((forward, along[0]), (up, along[2])):
-        assert value == (-1.0 if axis.startswith("-") else 1.0) * said[axis[-1]]
+        assert value == (-1.0 if axis.startswith("-") else 1.0) * sample[axis[-1]]

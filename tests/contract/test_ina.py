@@ -70,7 +70,7 @@ def test_an_ina228_measures_195_3125_uv_312_5_nv_and_7_8125_mk_a_count():
     assert power.voltage_v == pytest.approx(48.0)
     assert power.current_a == pytest.approx(40.0)
     assert power.chip_c == pytest.approx(25.0)
-    assert bus.words[0] == 0  # the wide range, whoever had set the narrow one
+    assert bus.words[0] == 0  # the wide range, whatever had set the narrow one
 
 
 def test_an_ina238_measures_3_125_mv_5_uv_and_an_eighth_of_a_kelvin_a_count():
@@ -142,12 +142,12 @@ def test_a_chip_that_lost_power_reports_nothing_until_it_is_set_up_again():
 
 
 def test_a_chip_that_keeps_no_configuration_is_another_one():
-    class Deaf(Bus):
+    class Stubborn(Bus):
         def write_word(self, register, value):
             """Acknowledges, and keeps what it had."""
 
     with pytest.raises(BadReply, match="another chip"):
-        Ina("ina219", Deaf(x00=0x399F), 0.1)
+        Ina("ina219", Stubborn(x00=0x399F), 0.1)
 
 
 def test_a_bus_that_is_not_there_is_named_with_what_helps(tmp_path):

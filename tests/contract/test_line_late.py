@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serial lines against drives that answer late, refuse, or lose replies: how old values are, and
-what is said of a drive that is unresponsive."""
+what is reported of a drive that is unresponsive."""
 
 import asyncio
 import random
@@ -116,7 +116,8 @@ async def test_replies_that_are_torn_among_good_ones_are_reported_to_be_so(peer)
         assert "bytes came, but no frame" not in text
 
 
-@pytest.mark.parametrize("peer", ["rt"], indirect=True)  # the other engine does not tell them apart
+# the other engine does not distinguish them
+@pytest.mark.parametrize("peer", ["rt"], indirect=True)
 async def test_a_drive_that_answers_late_is_reported_to_be_slow(peer):
     async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
         await rig.ready()

@@ -42,15 +42,15 @@ def two_drives():
 async def thread_on(peer):
     """The line's thread in C, by itself, on the peer's pty; its drives are not set up."""
     spec = spec_of(peer, two_drives())
-    thread, news, port = LineThread(0, Exchange.private()), Notifier(), open_port(spec)
-    news.open()
+    thread, notifier, port = LineThread(0, Exchange.private()), Notifier(), open_port(spec)
+    notifier.open()
     try:
-        place = ThreadSpec.of(spec, fd=port.fd, de_fd=port.de_fd, event_fd=news.event_fd)
+        place = ThreadSpec.of(spec, fd=port.fd, de_fd=port.de_fd, event_fd=notifier.event_fd)
         thread.start(place, line_table(spec, frames_of(spec)))
-        yield thread, news
+        yield thread, notifier
         thread.stop()
     finally:
-        news.close()
+        notifier.close()
         port.close()
 
 
@@ -65,7 +65,7 @@ def power_off_request(unit):
 @pytest.mark.parametrize("peer", ["rt"], indirect=True)
 async def test_an_urgent_request_does_not_get_the_reply_of_the_one_on_the_wire(peer):
     peer.tricks.append(lambda request, honest: [(0.015, honest)])
-    async with thread_on(peer) as (thread, _news):
+    async with thread_on(peer) as (thread, _notifier):
         limit_ns = now_ns() + 10**10
 
         def put(number, drive, frame, urgent):
@@ -139,7 +139,7 @@ async def test_reads_without_end_do_not_keep_the_drives_from_being_disarmed(peer
 @pytest.mark.parametrize("peer", ["rt"], indirect=True)
 async def test_what_an_urgent_request_overtakes_is_checked_again_before_it_is_sent(peer):
     """Power that waits for its turn is not switched on after the power-off that overtook it."""
-    async with thread_on(peer) as (thread, news):
+    async with thread_on(peer) as (thread, notifier):
         queue, allowed = RequestQueue("rs485", thread, 1.0), True
 
         def check():
@@ -149,7 +149,7 @@ async def test_what_an_urgent_request_overtakes_is_checked_again_before_it_is_se
         async def attend():
             while True:
                 queue.take_answers()
-                await news.wait()
+                await notifier.wait()
 
         async def enable():
             frame = modbus_frame(Request(1, Function.WRITE_SINGLE, CONTROL, values=(ENABLE,)))

@@ -32,7 +32,7 @@ from motord_hal.fieldbus.ports import DriveState, JointSpec
 from motord_hal.realtime.drive_state import DriveRules
 
 CYCLES_SEEN = 5
-"""More than what may have been under way when the line was told to end."""
+"""More than what may have been sent when the line was to end."""
 
 
 @pytest.fixture(params=[*ENGINES, *GATEWAYS])
@@ -52,7 +52,7 @@ async def bus(request):
 async def test_a_disarming_that_nothing_waits_for_any_more_takes_the_power_all_the_same(peer):
     mute = [
         replace(joint, profile=replace(joint.profile, enabled=None)) for joint in hub_servo()
-    ]  # a drive that says that it is enabled would be told again
+    ]  # a drive that says that it is enabled would be sent that again
     async with running(spec_of(peer, mute)) as rig:
         await rig.arm()
         sent = len(peer.written(CONTROL))
@@ -184,5 +184,5 @@ async def test_a_can_drive_keeps_its_power_until_it_is_as_slow_as_the_robot_file
 
 
 def sent_velocities(axis, since):
-    """How often it was told a velocity since then."""
+    """How often it was sent a velocity since then."""
     return [command for command, _ in axis.received[since:]].count(INPUT_VELOCITY)

@@ -27,7 +27,7 @@ FULL_FOR_S = 0.1
 
 @pytest.fixture
 def ends(tmp_path):
-    """A pty that nobody reads: its master, and another descriptor of the port."""
+    """A pty that no program reads: its master, and another descriptor of the port."""
     master, slave = os.openpty()
     tty.setraw(slave)
     os.set_blocking(master, False)
@@ -81,7 +81,7 @@ async def test_a_full_port_holds_nothing_up_and_sends_nothing_old_later(by, tmp_
     assert not client.connected
     all_of(master)  # it has room again
     for _ in range(5):
-        await asyncio.sleep(0)  # whoever waits for that is told
+        await asyncio.sleep(0)  # what waits for that is notified
     await client.open()
     with pytest.raises(NoReply):
         await client.exchange(READ, SHORT_S)

@@ -92,9 +92,9 @@ async def test_no_set_point_but_zero_leaves_before_arming(rig, peer):
 
 
 async def test_arming_enables_at_zero_and_feedback_reports_so(rig, peer):
-    rig.loop.velocity_rad_s = {0: 3.0}  # wished, but the loop has not enabled anything
+    rig.loop.velocity_rad_s = {0: 3.0}  # requested, but the loop has not enabled anything
     await rig.arm()
-    await until(lambda: peer.now.enabled, "the peer has told it, too")
+    await until(lambda: peer.now.enabled, "the peer has sent it, too")
     assert peer.now.left_mrad_s == 0
     await until(lambda: rig.loop.exchange.take_feedback(0).enabled is True)
 
@@ -212,7 +212,7 @@ async def test_a_mute_board_is_unresponsive_sent_to_stop_and_comes_back_disarmed
     await armed_and_turning(rig, peer)
     peer.do("m")
     await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
-    await until(lambda: not peer.now.enabled, "it is told to stop though it is not heard")
+    await until(lambda: not peer.now.enabled, "it is sent a stop though it is not received")
     with pytest.raises(NoReply):
         await rig.line.arm()
     peer.do("w")
@@ -297,7 +297,7 @@ async def test_a_new_line_is_received_by_a_board_that_a_dead_program_left_turnin
     async with running(spec) as rig:
         await rig.ready()
         assert not peer.sent[seen].enabled
-        assert not peer.sent[seen].braking  # told so, not by its own watchdog
+        assert not peer.sent[seen].braking  # by a command, not by its own watchdog
         await rig.arm()
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The reference sketch on every chip that it is for: what it does to the pins, told by frames."""
+"""The reference sketch on every chip that it is for: what frames make it do to the pins."""
 
 import shutil
 import struct
@@ -56,7 +56,7 @@ def resting(sketch, pins):
     return not any(sketch.pwm[pin] for pin in pins.pwm)
 
 
-def said(sketch):
+def reported(sketch):
     """Status, and of each motor its count and velocity in mrad/s."""
     payload = sketch.feedback[-1]
     return payload[0], [struct.unpack_from("<ii", payload, 16 + 10 * motor) for motor in (0, 1)]
@@ -114,7 +114,7 @@ def test_silence_brakes_until_it_is_enabled_anew(sketch, pins):
     sketch.run(0.12)
     brake = [sketch.levels[pin] for pin in (*pins.in1, *pins.in2)]
     assert (brake, sketch.pwm[pins.pwm[0]]) == ([1, 1, 1, 1], 1.0)
-    status, _ = said(sketch)
+    status, _ = reported(sketch)
     assert status & 1 == 0
     assert status & 4 == 4
     sketch.run(0.03, 4200, 4200)
@@ -127,10 +127,10 @@ def test_edges_are_counted_both_ways_and_sent(sketch, pins):
     sketch.turn(pins.a[0], pins.b[0], 9)
     sketch.turn(pins.a[1], pins.b[1], -5)
     sketch.run(0.02, 0, 0, control=8)
-    _, motors = said(sketch)
+    _, motors = reported(sketch)
     assert [count for count, _ in motors] == [9, -5]
     sketch.run(0.1, 0, 0, control=8)
-    assert said(sketch)[1] == [(9, 0), (-5, 0)]
+    assert reported(sketch)[1] == [(9, 0), (-5, 0)]
 
 
 def test_an_encoder_that_does_not_begin_at_zero_is_not_a_step(fresh, pins):
@@ -138,7 +138,7 @@ def test_an_encoder_that_does_not_begin_at_zero_is_not_a_step(fresh, pins):
     fresh.do("setup")
     fresh.do(f"level {pins.b[0]} 1")
     fresh.run(0.02, 0, 0, control=8)
-    assert said(fresh)[1][0][0] == 1
+    assert reported(fresh)[1][0][0] == 1
 
 
 def test_speed_is_measured_and_held_against_the_set_point(sketch, pins):
@@ -160,7 +160,7 @@ def test_a_chip_of_eight_bits_reads_a_count_while_no_edge_can_come(sketch, built
 
 
 def test_the_watchdog_is_fed_once_a_loop_and_nowhere_else(sketch, pins):
-    sketch.tell(1, 0, 0)
+    sketch.command(1, 0, 0)
     sketch.turn(pins.a[0], pins.b[0], 4)
     assert sketch.writes.count("fed") == 0
     sketch.run(0.02)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Modbus lines of both engines and over all media against scripted slaves: who is armed, who is
-unresponsive, what is said."""
+unresponsive, what is reported."""
 
 import asyncio
 import math
@@ -197,19 +197,19 @@ async def test_cancelling_the_line_stops_and_disarms_every_drive(peer):
         await until(lambda: 60 in peer.written(TARGET_1, unit=2))
     assert rig.task.cancelled()
     for unit in (1, 2):
-        told = peer.written(CONTROL, unit)
-        assert set(told[told.index(QUICK_STOP) + 1 :]) == {OFF}
+        sent = peer.written(CONTROL, unit)
+        assert set(sent[sent.index(QUICK_STOP) + 1 :]) == {OFF}
         assert peer.written(TARGET_1, unit)[-1] == 0
     assert rig.line.state is LineState.CLOSED
 
 
 # ----------------------------------------------------------------------------------------- arming
 async def test_arming_fails_when_a_drive_does_not_report_it_is_enabled(peer):
-    def deaf(address, value):
+    def stay_off(address, value):
         if (address, value) == (CONTROL, ENABLE):
             peer.units[2].registers[CONTROL] = OFF
 
-    peer.units[2].on_write = deaf
+    peer.units[2].on_write = stay_off
     async with running(spec_of(peer, (*hub_servo(1), *hub_servo(2, first=2)))) as rig:
         await rig.ready()
         with pytest.raises(DriveFault, match="control_word"):
@@ -323,8 +323,8 @@ async def test_an_unresponsive_drive_whose_bytes_are_no_frames_hints_at_the_baud
     await rig.ready()
     peer.tricks.extend(3 * [lambda request, honest: [(0.0, b"\xfe\x00\xf8\x80")]])
     await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds())
-    said = next(event.text for event in rig.events if event.kind is EventKind.DRIVE_UNRESPONSIVE)
-    assert "baud rate or parity?" in said
+    shown = next(event.text for event in rig.events if event.kind is EventKind.DRIVE_UNRESPONSIVE)
+    assert "baud rate or parity?" in shown
 
 
 async def test_a_drive_that_refuses_its_configuration_is_reported_once(peer):
@@ -431,9 +431,9 @@ async def test_a_magnitude_goes_out_with_its_direction(peer):
     async with running(spec_of(peer, joints)) as rig:
         await rig.arm()
         assert set(peer.written(run)) == {0}
-        for sign, way in ((1, 1), (-1, 2)):
+        for sign, direction in ((1, 1), (-1, 2)):
             rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: sign * 90 * RPM}
-            await until(lambda way=way: peer.written(run)[-1] == way)
+            await until(lambda direction=direction: peer.written(run)[-1] == direction)
             await until(lambda: peer.written(speed)[-1] == 90)
             want = pytest.approx(sign * 90 * RPM)
             await until(lambda want=want: rig.loop.exchange.take_feedback(0).velocity_rad_s == want)

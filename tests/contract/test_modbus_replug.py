@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modbus lines of both engines whose port goes and comes back: what is said, and who is told."""
+"""Modbus lines of both engines whose port goes and comes back: what is reported and sent."""
 
 import pytest
 from loop_side import running, until

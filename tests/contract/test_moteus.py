@@ -161,16 +161,16 @@ async def test_a_quick_stop_that_had_to_wait_is_not_carried_out_after_the_power_
         await drive.power_off()
     await until(lambda: STOPPED in drives[0].modes[last:])
     await more_cycles(rig)
-    told = drives[0].modes[last:]
-    assert set(told[told.index(STOPPED) :]) == {STOPPED}
+    modes = drives[0].modes[last:]
+    assert set(modes[modes.index(STOPPED) :]) == {STOPPED}
     full.shutdown()
 
 
 async def test_a_silent_master_lets_the_watchdog_bite_and_only_a_stop_ends_it(rig, drives):
     await turning(rig, drives)
-    drives[0].deaf = True
+    drives[0].unreceptive = True
     await until(lambda: drives[0].mode == TIMEOUT)
-    drives[0].deaf = False
+    drives[0].unreceptive = False
     await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds() or drives[0].mode == STOPPED)
     await until(lambda: rig.line.drive_states["wheel_3"] is DriveState.READY)
     assert drives[0].bites == 1
@@ -183,7 +183,7 @@ async def test_a_pause_of_this_program_makes_no_drive_unresponsive(rig, drives):
         time.sleep(0.5)  # noqa: ASYNC251  # what a busy machine does to the event loop
         await more_cycles(rig)
     assert EventKind.DRIVE_UNRESPONSIVE not in rig.kinds()
-    drives[0].deaf = True
+    drives[0].unreceptive = True
     await until(lambda: rig.line.drive_states["wheel_3"] is DriveState.UNRESPONSIVE)
 
 

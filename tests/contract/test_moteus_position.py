@@ -113,8 +113,8 @@ async def test_a_silent_master_lets_the_watchdog_bite(rig, drives):
     await rig.arm()
     rig.loop.position_rad = {0: 0.5, 1: 0.5}
     await rig.drive(lambda: drives[0].values[0x001] > HERE_TURNS, "it is under way")
-    drives[0].deaf = True
+    drives[0].unreceptive = True
     await until(lambda: drives[0].mode == TIMEOUT)
-    drives[0].deaf = False
+    drives[0].unreceptive = False
     await until(lambda: drives[0].mode == STOPPED)
     assert drives[0].bites == 1

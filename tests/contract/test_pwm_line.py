@@ -173,9 +173,9 @@ async def test_a_line_that_ends_and_leaves_a_pin_its_duty_reports_so(chip):
         await half_forward(rig, chip)
         kept = broken(chip, 0)
     os.close(kept)
-    said = [event for event in rig.events if "not brought to rest" in event.text]
-    assert [event.kind for event in said] == [EventKind.DRIVE_WARNING]
-    assert "joint left, pin rpwm: No space left on device" in said[0].text
+    warnings = [event for event in rig.events if "not brought to rest" in event.text]
+    assert [event.kind for event in warnings] == [EventKind.DRIVE_WARNING]
+    assert "joint left, pin rpwm: No space left on device" in warnings[0].text
 
 
 async def test_pulses_that_cannot_be_ended_are_reported_by_the_line_that_ends(chip):
@@ -184,8 +184,8 @@ async def test_pulses_that_cannot_be_ended_are_reported_by_the_line_that_ends(ch
         await rig.ready()
         enable.unlink()
         enable.mkdir()
-    said = [event.text for event in rig.events if "not brought to rest" in event.text]
-    assert said == [
+    warnings = [event.text for event in rig.events if "not brought to rest" in event.text]
+    assert warnings == [
         f"pins: not brought to rest: joint right, pin rpwm: {enable.parent}: enable: Is a directory"
     ]
     assert chip.duties() == REST
@@ -231,19 +231,19 @@ def as_software(chip):
 
 
 @pytest.mark.parametrize(
-    ("asked", "said"),
+    ("asked", "warnings"),
     [
         ({}, "software_pwm = true in the line's section allows them"),
         ({"software_pwm": True}, "pwm_hz must be at most 1000"),
         ({"software_pwm": True, "pwm_hz": 2000.0}, "pwm_hz must be at most 1000"),
     ],
 )
-async def test_pulses_that_software_makes_are_refused_unless_asked_for(chip, asked, said):
+async def test_pulses_that_software_makes_are_refused_unless_asked_for(chip, asked, warnings):
     as_software(chip)
     spec = spec_of(chip, pins=PinsSpec(pwm_chip=str(chip.folder), **asked))
     async with running(spec) as rig:
         await until(lambda: EventKind.LINE_LOST in rig.kinds())
-        assert said in rig.events[0].text
+        assert warnings in rig.events[0].text
         assert [chip.read(number, "enable") for number in range(4)] == ON_AT_REST
         assert [duty > 0 for duty in chip.duties()] == [False, False, False, True]
 

@@ -101,8 +101,8 @@ async def test_speeds_go_out_in_edges_a_second_and_zero_is_held_while_armed(peer
         assert peer.sent(SPEEDS)[-1][2:10] == bytes(8)
         turn_rad_s = 6.283185307179586
         rig.loop.velocity_rad_s = {0: turn_rad_s, 1: -turn_rad_s}
-        told = (1320).to_bytes(4, "big") + (-1320).to_bytes(4, "big", signed=True)
-        await until(lambda: peer.sent(SPEEDS)[-1][2:10] == told)
+        wanted = (1320).to_bytes(4, "big") + (-1320).to_bytes(4, "big", signed=True)
+        await until(lambda: peer.sent(SPEEDS)[-1][2:10] == wanted)
         await rig.line.disarm()
         held = len(peer.sent(SPEEDS))
         free = len(peer.sent(DUTIES))

@@ -152,10 +152,10 @@ def test_it_ends_with_who_started_it_and_takes_its_ports_along(tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_well(tmp_path, number):
     with simulate(str(DEMO), "--control", str(tmp_path / "control.sock")) as process:
-        said = [process.stdout.readline() for _ in range(3)]
-        assert "control socket" in said[0]
-        assert "--set line.rs485.port=" in said[2]
-        port = said[1].split()[-1]
+        printed = [process.stdout.readline() for _ in range(3)]
+        assert "control socket" in printed[0]
+        assert "--set line.rs485.port=" in printed[2]
+        port = printed[1].split()[-1]
         assert Path(port).is_symlink()
         process.send_signal(number)
         assert process.wait(ARRIVAL_DEADLINE_S) == 0
@@ -221,7 +221,7 @@ def test_a_simulator_that_hangs_is_an_error_in_time(tmp_path):
         assert time.monotonic() - started >= 0.2
 
 
-def said(*arguments):
+def printed(*arguments):
     command = [sys.executable, "-m", "motord", "simulate", *arguments]
     return subprocess.run(
         command, capture_output=True, text=True, cwd=ROOT, timeout=60, check=False
@@ -229,11 +229,11 @@ def said(*arguments):
 
 
 def test_it_lists_its_faults_for_people_and_for_programs():
-    kinds = json.loads(said("--list-faults", "--json").stdout)
+    kinds = json.loads(printed("--list-faults", "--json").stdout)
     assert kinds == list_kinds()
     assert kinds["noise"]["keys"]["ber"]["default"] == 1e-4
     assert {kind["happens"] for kind in kinds.values()} == {"reply", "state", "once"}
-    text = said("--list-faults").stdout
+    text = printed("--list-faults").stdout
     assert all(f"{name}: {kind['text']}" in text for name, kind in kinds.items())
 
 
@@ -241,7 +241,7 @@ def test_its_page_and_its_help_name_every_fault():
     page = (ROOT / "docs/simulator.md").read_text()
     described = re.findall(r"^\| `([a-z-]+)[:`]", page, re.MULTILINE)
     assert set(list_kinds()) <= set(described)
-    words = said("--help").stdout
+    words = printed("--help").stdout
     assert all(name in " ".join(words.split()) for name in list_kinds())
 
 
@@ -256,7 +256,7 @@ def test_its_page_and_its_help_name_every_fault():
     ],
 )
 def test_wrong_usage_is_sent_and_has_its_status(arguments, says):
-    done = said(*map(str, arguments))
+    done = printed(*map(str, arguments))
     assert done.returncode == 2
     assert says in done.stderr
 
@@ -321,7 +321,7 @@ def may_be_fifo():
 
 def test_a_priority_is_taken_or_its_refusal_sent():
     if not may_be_fifo():
-        done = said(str(DEMO), "--priority", "1")
+        done = printed(str(DEMO), "--priority", "1")
         assert (done.returncode, done.stdout) == (2, "")
         assert "--priority 1: " in done.stderr
         return

@@ -38,11 +38,11 @@ def test_after_a_standstill_a_board_reports_of_what_time_it_speaks(tmp_path):
         bench.now_s = late_s + TICK_S
         bench.go_on(5 * TICK_S)
         for after in frames_in(os.read(bench.fd, 65536)):
-            check_way(bench.profile, before, after)
+            check_direction(bench.profile, before, after)
         assert after.time_us > before.time_us + 100_000
 
 
-def check_way(profile, before, after):
+def check_direction(profile, before, after):
     """As far as it has come in the time that has passed."""
     passed_s = (after.time_us - before.time_us) * 1e-6
     position = profile.registers["position_1"]

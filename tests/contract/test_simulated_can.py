@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CAN lines against simulated drives that are hurt: never a wheel that turns without being told."""
+"""CAN lines against simulated drives that are hurt: never a wheel that turns without a command."""
 
 import pytest
 from loop_side import running, until

@@ -103,22 +103,22 @@ async def rest(sim):
     await until(lambda: sim.truth().at_rest, "the wheels are at rest")
 
 
-async def set_off(rig, sim, way=1.0):
+async def set_off(rig, sim, sign=1.0):
     """Armed, and both wheels at the wanted speed (of a duty drive: the speed-torque line's)."""
     await rig.arm()
-    await turn(rig, sim, way)
+    await turn(rig, sim, sign)
 
 
-async def turn(rig, sim, way=1.0):
+async def turn(rig, sim, sign=1.0):
     speed_rad_s = speed_of(rig)
-    rig.loop.velocity_rad_s = {0: way * speed_rad_s, 1: way * speed_rad_s}
-    rig.loop.duty = {0: way * DUTY, 1: way * DUTY}
+    rig.loop.velocity_rad_s = {0: sign * speed_rad_s, 1: sign * speed_rad_s}
+    rig.loop.duty = {0: sign * DUTY, 1: sign * DUTY}
     low_rad_s, high_rad_s = 0.97 * speed_rad_s, 1.25 * speed_rad_s
 
     def fast():
-        return all(low_rad_s < way * speed < high_rad_s for speed in wheels_rad_s(sim))
+        return all(low_rad_s < sign * speed < high_rad_s for speed in wheels_rad_s(sim))
 
-    await rig.drive(fast, "both wheels turn as told")
+    await rig.drive(fast, "both wheels turn as wanted")
 
 
 def feedback(rig, joint):
@@ -169,12 +169,12 @@ async def test_armed_wheels_turn_as_sent_and_feedback_agrees_with_the_plant(rig,
 
 @pytest.mark.parametrize("variant", profiles_that(can_reverse), indirect=True)
 async def test_a_drive_that_can_reverse_reverses(rig, sim, profile):
-    await set_off(rig, sim, way=-1.0)
+    await set_off(rig, sim, sign=-1.0)
     for joint in rig.line.spec.joints:
         if profile.channels[joint.channel].velocity is None:
             continue
         await until(lambda joint=joint: feedback(rig, joint).velocity_rad_s < 0, "it says so")
-    await turn(rig, sim, way=1.0)
+    await turn(rig, sim, sign=1.0)
     assert sim.truth().joints["left"].velocity_rad_s > 0
 
 
@@ -228,11 +228,11 @@ async def test_a_fault_is_reported_stops_its_wheel_and_is_cleared_disarmed(rig, 
     fault = next(fault for fault in profile.faults if fault.severity == "fault")
     which = f"bit={fault.bit}" if fault.code is None else f"code={fault.code}"
     sim.inject(f"fault:unit=1,channel=1,{which}")
-    await until(lambda: EventKind.DRIVE_FAULT in rig.kinds(), "the fault is said")
+    await until(lambda: EventKind.DRIVE_FAULT in rig.kinds(), "the fault is reported")
     left = rig.line.spec.joints[0]
-    await until(lambda: feedback(rig, left).drive_faults != 0, "the loop is told")
-    said = [event.text for event in rig.events if event.kind is EventKind.DRIVE_FAULT]
-    assert fault.text in said[0]
+    await until(lambda: feedback(rig, left).drive_faults != 0, "the loop has it")
+    reported = [event.text for event in rig.events if event.kind is EventKind.DRIVE_FAULT]
+    assert fault.text in reported[0]
     if profile.name != "moteus":  # it forgets its fault at any stop
         assert rig.line.drive_faults["left"] == (fault.text,)
     assert not sim.truth().joints["left"].enabled
@@ -258,7 +258,7 @@ async def test_a_pulled_plug_lets_the_watchdog_bite_and_the_line_comes_back_disa
     epoch = feedback(rig, left).epoch
     before = watchdog_bites(sim)
     sim.pull("bus")
-    await until(lambda: EventKind.LINE_LOST in rig.kinds(), "the loss is said")
+    await until(lambda: EventKind.LINE_LOST in rig.kinds(), "the loss is reported")
     await rest(sim)
     assert watchdog_bites(sim) == [bites + 1 for bites in before]
     sim.plug("bus")

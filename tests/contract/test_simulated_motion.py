@@ -24,7 +24,7 @@ def arm(bench):
 
 
 def spin(bench, seconds=1.0):
-    """Both wheels forward at 60 rpm, the drive heard often enough for its watchdog."""
+    """Both wheels forward at 60 rpm, the drive asked often enough for its watchdog."""
     velocities = (60, 0x10000 - 60)
     until_s = bench.now_s + seconds
     while bench.now_s < until_s:
@@ -149,13 +149,13 @@ def test_a_direction_register_reports_which_way(tmp_path):
     with Bench(tmp_path, "bld-305s") as bench:
         bench.run_steps(bench.profile.configure)
         assert bench.write("target_velocity", 100) is None
-        ways = []
-        for way in (1, 2, 0):
-            assert bench.write("run_command", way) is None
+        directions = []
+        for direction in (1, 2, 0):
+            assert bench.write("run_command", direction) is None
             bench.go_on(1.0)
-            ways.append(round(bench.wheel().velocity_rad_s / (100 * RPM), 2))
-            assert bench.read("velocity") == pytest.approx(abs(ways[-1]) * 100 * RPM, abs=0.2)
-    assert ways == [1.0, -1.0, 0.0]
+            directions.append(round(bench.wheel().velocity_rad_s / (100 * RPM), 2))
+            assert bench.read("velocity") == pytest.approx(abs(directions[-1]) * 100 * RPM, abs=0.2)
+    assert directions == [1.0, -1.0, 0.0]
 
 
 def test_a_fault_takes_the_power_from_its_channel_until_it_is_cleared_and_armed_again(bench):

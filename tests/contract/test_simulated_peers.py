@@ -42,23 +42,23 @@ def on_tcp(sim):
 def test_mbpoll_writes_reads_and_is_refused(tmp_path, options, where):
     with start_simulator(DEMO, link_dir=tmp_path, options=options) as sim:
         target = ["-r", str(TARGET_VELOCITY), *where(sim)]
-        status, _, said = mbpoll(*target, values=(12, 34))
-        assert status == 0, said
-        status, words, said = mbpoll("-c", "2", *target)
-        assert (status, words) == (0, [12, 34]), said
-        status, _, said = mbpoll("-c", "1", "-r", str(0x7777), *where(sim))
+        status, _, output = mbpoll(*target, values=(12, 34))
+        assert status == 0, output
+        status, words, output = mbpoll("-c", "2", *target)
+        assert (status, words) == (0, [12, 34]), output
+        status, _, output = mbpoll("-c", "1", "-r", str(0x7777), *where(sim))
         assert status != 0
-        assert "Illegal data address" in said
+        assert "Illegal data address" in output
 
 
 @needs_mbpoll
 def test_mbpoll_at_another_baud_rate_receives_nothing(tmp_path):
     with start_simulator(DEMO, link_dir=tmp_path) as sim:
         settings = ["-m", "rtu", "-b", "9600", "-P", "none", "-o", "0.3", sim.ports["rs485"]]
-        status, words, said = mbpoll("-c", "1", "-r", str(TARGET_VELOCITY), *settings)
+        status, words, output = mbpoll("-c", "1", "-r", str(TARGET_VELOCITY), *settings)
         assert status != 0
         assert words == []
-        assert "timed out" in said
+        assert "timed out" in output
         assert sim.control.stats()["lines"]["rs485"]["bad_crc"] >= 1
 
 

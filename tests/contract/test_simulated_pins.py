@@ -33,8 +33,8 @@ BRIDGES = [name for name in ON_PINS if name not in SERVOS]
 
 
 class Bench:
-    """Two bridges of one kind, every pin on a channel of its own; pins that are told, as a program
-    would tell the kernel."""
+    """Two bridges of one kind, every pin on a channel of its own; pins that are set, as a program
+    would set them by the kernel."""
 
     def __init__(self, folder, drive="bts7960", **left):
         self.profile = shipped_profile(drive)
@@ -74,7 +74,7 @@ class Bench:
     def put(self, name, value):
         (self.folder / name).write_text(f"{value}\n")
 
-    def tell(self, level, channel=0, enable=1):
+    def set_level(self, level, channel=0, enable=1):
         self.put(f"pwm{channel}/period", PERIOD_NS)
         self.put(f"pwm{channel}/duty_cycle", round(PERIOD_NS * level))
         self.put(f"pwm{channel}/enable", enable)
@@ -83,7 +83,7 @@ class Bench:
         """The levels that the profile has for a mode, at the left bridge's pins."""
         for channel, levels in enumerate(self.profile.bridge.levels.values()):
             base, slope = levels[mode]
-            self.tell(base + slope * duty, channel)
+            self.set_level(base + slope * duty, channel)
 
     def count(self):
         return int((self.folder / "count0/count").read_text())
@@ -98,13 +98,13 @@ def counted(rad_per_count=PER_COUNT):
 
 # ------------------------------------------------------------------------------------ the bridges
 @pytest.mark.parametrize("drive", BRIDGES)
-@pytest.mark.parametrize(("mode", "way"), [("forward", 1.0), ("reverse", -1.0)])
-def test_every_bridge_turns_its_motor_as_fast_as_its_duty_demands(tmp_path, drive, mode, way):
+@pytest.mark.parametrize(("mode", "sign"), [("forward", 1.0), ("reverse", -1.0)])
+def test_every_bridge_turns_its_motor_as_fast_as_its_duty_demands(tmp_path, drive, mode, sign):
     with Bench(tmp_path, drive) as bench:
         bench.mode(mode, 0.5)
         bench.go_on(2.0)
         # a little less than half of full duty: friction
-        assert 0.8 < bench.wheel.velocity_rad_s * way / (FULL_RAD_S * 0.5) < 1.0
+        assert 0.8 < bench.wheel.velocity_rad_s * sign / (FULL_RAD_S * 0.5) < 1.0
         assert bench.rig.plant.wheels["right"].velocity_rad_s == 0.0
         assert bench.enabled()
 
@@ -151,8 +151,8 @@ def test_nothing_turns_before_the_pins_report_so(tmp_path):
 
 def test_a_channel_that_is_disabled_gives_no_power(tmp_path):
     with Bench(tmp_path, pins={"rpwm": "pwm0", "lpwm": "pwm1"}) as bench:
-        bench.tell(1.0, 0)
-        bench.tell(0.0, 1)
+        bench.set_level(1.0, 0)
+        bench.set_level(0.0, 1)
         bench.go_on(1.0)
         fast_rad_s = bench.wheel.velocity_rad_s
         assert fast_rad_s > 0.8 * FULL_RAD_S
@@ -165,11 +165,11 @@ def test_a_channel_that_is_disabled_gives_no_power(tmp_path):
 
 def test_enable_pins_that_are_left_out_are_wired_high(tmp_path):
     with Bench(tmp_path, pins={"rpwm": "pwm0", "lpwm": "pwm1"}) as bench:
-        bench.tell(0.0, 0)
-        bench.tell(0.0, 1)
+        bench.set_level(0.0, 0)
+        bench.set_level(0.0, 1)
         bench.go_on(0.01)
         assert bench.enabled()  # both low brake, and only the enables would take the power
-        bench.tell(0.5, 1)
+        bench.set_level(0.5, 1)
         bench.go_on(1.0)
         assert bench.wheel.velocity_rad_s < -0.3 * FULL_RAD_S
 
@@ -177,16 +177,16 @@ def test_enable_pins_that_are_left_out_are_wired_high(tmp_path):
 def test_a_pin_that_is_active_low_and_a_motor_that_is_turned_round_are_obeyed(tmp_path):
     pins = {"rpwm": "!pwm0", "lpwm": "pwm1"}
     with Bench(tmp_path, pins=pins, inverted=True) as bench:
-        bench.tell(0.25, 0)
-        bench.tell(0.0, 1)
+        bench.set_level(0.25, 0)
+        bench.set_level(0.0, 1)
         bench.go_on(2.0)
         assert -0.75 < bench.wheel.velocity_rad_s / FULL_RAD_S < -0.6
 
 
 def test_levels_of_no_mode_give_no_power_and_are_counted(tmp_path):
     with Bench(tmp_path, pins={"rpwm": "pwm0", "lpwm": "pwm1"}) as bench:
-        bench.tell(0.5, 0)
-        bench.tell(0.5, 1)
+        bench.set_level(0.5, 0)
+        bench.set_level(0.5, 1)
         bench.go_on(0.1)
         assert bench.wheel.velocity_rad_s == 0.0
         assert not bench.enabled()
@@ -195,8 +195,8 @@ def test_levels_of_no_mode_give_no_power_and_are_counted(tmp_path):
 
 def test_a_file_that_is_being_written_reports_what_it_reported_before(tmp_path):
     with Bench(tmp_path, pins={"rpwm": "pwm0", "lpwm": "pwm1"}) as bench:
-        bench.tell(0.5, 0)
-        bench.tell(0.0, 1)
+        bench.set_level(0.5, 0)
+        bench.set_level(0.0, 1)
         bench.go_on(1.0)
         for text in ("", "x", "-"):
             (bench.folder / "pwm0/duty_cycle").write_text(text)
@@ -337,13 +337,13 @@ async def test_the_line_turns_a_simulated_bridge_round_by_its_direction_pins(tmp
         async with running(spec_of(simulator, robot)) as rig:
             await rig.ready()
             await armed(rig)
-            for way in (1.0, -1.0):
-                rig.loop.enabled, rig.loop.duty = True, {0: 0.5 * way}
+            for sign in (1.0, -1.0):
+                rig.loop.enabled, rig.loop.duty = True, {0: 0.5 * sign}
                 await until(
-                    lambda way=way: (
-                        simulator.control.truth().joints["left"].velocity_rad_s * way > 3.0
+                    lambda sign=sign: (
+                        simulator.control.truth().joints["left"].velocity_rad_s * sign > 3.0
                     ),
-                    f"the left wheel turns {way:+g}",
+                    f"the left wheel turns {sign:+g}",
                 )
 
 
@@ -406,8 +406,8 @@ async def test_the_line_drives_the_simulated_wheels_and_counts_them(simulator):
             position_rad = simulator.control.truth().joints[joint.name].position_rad
 
             def counted_rad(joint=joint):
-                said = rig.loop.exchange.take_feedback(joint.index).count
-                return (said - (1 << 64) if said >> 63 else said) * joint.encoder.rad_per_count
+                count = rig.loop.exchange.take_feedback(joint.index).count
+                return (count - (1 << 64) if count >> 63 else count) * joint.encoder.rad_per_count
 
             await until(lambda at_rad=position_rad: abs(counted_rad() - at_rad) < 1.01 * PER_COUNT)
     assert not any(joint.enabled for joint in simulator.control.truth().joints.values())

@@ -82,7 +82,7 @@ int main(int argc, char **argv)
 {
     const int fd = argc > 1 ? atoi(argv[1]) : -1;
     int last[3] = {0, 0, -1}, mute = 0;
-    long before_ms = now_ms(), said_ms = 0;
+    long before_ms = now_ms(), reported_ms = 0;
     (void)fcntl(fd, F_SETFL, O_NONBLOCK);
     for (;;) {
         struct pollfd in = {.fd = 0, .events = POLLIN};
@@ -105,8 +105,8 @@ int main(int argc, char **argv)
             fflush(stdout);
             memcpy(last, now, sizeof now);
         }
-        if (flows && !mute && at_ms - said_ms >= interval_ms && at_ms > said_ms) {
-            said_ms = at_ms;
+        if (flows && !mute && at_ms - reported_ms >= interval_ms && at_ms > reported_ms) {
+            reported_ms = at_ms;
             say(fd);
         }
     }
