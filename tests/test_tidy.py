@@ -368,7 +368,7 @@ def comments_in(path: Path) -> Iterator[tuple[int, str]]:
             yield from enumerate(found[0].splitlines(), first)
 
 
-# Tests keep the terms of the glossary, too: names, comments, docstrings. This file names the others.
+# Tests keep the terms of the glossary, too: names, comments, docstrings. This file names them.
 TESTED = [
     path
     for path in PYTHON + C
