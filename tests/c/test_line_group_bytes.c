@@ -80,7 +80,7 @@ static void more_than_there_is_room_for_ends_the_exchange(void)
     CHECK(m->group.waiting == 3 && m->work == WORK_GROUP);
 }
 
-/* Nobody is asked: what nobody answers ends with its time. */
+/* No drive is asked: what nobody answers ends with its time. */
 static void set_points_that_nobody_answers_take_their_time(void)
 {
     group_goes_out(2, ECHO_NONE);
