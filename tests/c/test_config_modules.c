@@ -115,6 +115,29 @@ static void a_joint_has_one_module_and_does_one_thing_there(void)
     CHECK(refused(&base, "joint[2]: no module"));
 }
 
+static void a_range_of_derating_ends_behind_its_beginning(void)
+{
+    for (int by = DERATED_BY_TEMPERATURE; by <= DERATED_BY_VOLTAGE; by++) {
+        core_config base = good_config();
+        derating_range *range = &base.joint[1].derating.range[by];
+        bool falls = by == DERATED_BY_VOLTAGE; /* the less of it, the slower */
+        *range = (derating_range){.full = falls ? 5.0 : 4.0, .none = falls ? 4.0 : 5.0};
+        CHECK(is_good(&base));
+        *range = (derating_range){.full = 4.0, .none = 4.0};
+        CHECK(is_good(&base));
+        *range = (derating_range){.full = falls ? 4.0 : 5.0, .none = falls ? 5.0 : 4.0};
+        CHECK(refused(&base, "joint[1].derating.range"));
+    }
+}
+
+static void a_speed_loop_has_a_kind_that_there_is(void)
+{
+    core_config base = good_config();
+    is_between(&base, &base.joint[2].speed_loop.output_min_u, -1e9, 0.0, "joint[2].speed_loop.output_min_u");
+    GOOD(good_config(), joint[2].speed_loop.kind, SPEED_LOOP_DUTY);
+    REFUSED(good_config(), joint[2].speed_loop.kind, SPEED_LOOP_DUTY + 1, "joint[2].speed_loop.kind");
+}
+
 /* Where all wheels are steered, each rolls in every direction. */
 static void a_swerve_base_needs_half_a_turn_of_each_wheel(void)
 {
@@ -192,6 +215,8 @@ int main(void)
     an_angle_that_is_measured_needs_a_counter();
     places_of_modules_have_their_range();
     a_joint_has_one_module_and_does_one_thing_there();
+    a_range_of_derating_ends_behind_its_beginning();
+    a_speed_loop_has_a_kind_that_there_is();
     a_swerve_base_needs_half_a_turn_of_each_wheel();
     fixed_wheels_stand_on_the_axle_and_steered_ones_do_not();
     modules_that_do_not_determine_the_motion_are_refused();

@@ -80,8 +80,8 @@ static void more_than_there_is_room_for_ends_the_exchange(void)
     CHECK(m->group.waiting == 3 && m->work == WORK_GROUP);
 }
 
-/* No drive is asked: an exchange without answers ends with its time. */
-static void set_points_without_answers_take_their_time(void)
+/* A request without a reply ends with its time. */
+static void set_points_without_a_reply_take_their_time(void)
 {
     group_goes_out(2, ECHO_NONE);
     do {
@@ -121,8 +121,10 @@ static void a_line_on_which_all_fail_decides_its_echo_anew(void)
     group_goes_out(2, ECHO_UNKNOWN);
     CHECK(m->echo == ECHO_NONE);
     for (s.silent = 1; s.silent < 3; s.silent++) {
-        servos_go_on(1.0, 400 * SERVO_MS);
-        CHECK(m->echo == ECHO_NONE);
+        for (int64_t end_ns = s.now_ns + 400 * SERVO_MS; s.now_ns < end_ns;) {
+            servos_step(1.0, 1);
+            CHECK(m->echo == ECHO_NONE);
+        }
     }
     for (int ms = 0; ms < 2000 && (m->drive[0].failures < 3 || m->drive[1].failures < 3); ms++) {
         CHECK(m->echo == ECHO_NONE);
@@ -150,7 +152,7 @@ int main(void)
     noise_before_between_and_behind_replies_is_counted_and_takes_none_away();
     replies_that_come_at_once_are_stamped_one_reply_apart();
     more_than_there_is_room_for_ends_the_exchange();
-    set_points_without_answers_take_their_time();
+    set_points_without_a_reply_take_their_time();
     silence_neither_decides_an_echo_nor_measures_a_round_trip();
     a_line_on_which_all_fail_decides_its_echo_anew();
     after_an_exchange_the_line_is_silent_for_a_gap();

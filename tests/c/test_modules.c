@@ -180,9 +180,10 @@ static void wheel_speeds_alone_are_a_twist_where_they_fit_together(void)
     velocity_rad_s[2] = 4.0;
     CHECK(!joints_twist(&base, velocity_rad_s, twist_u_s));
     velocity_rad_s[2] = 3.0;
-    for (uint32_t modules = 1; modules < 3; modules++) {
+    for (uint32_t modules = 0; modules < 3; modules++) {
         base.module_count = modules;
-        CHECK(!joints_twist(&base, velocity_rad_s, twist_u_s));
+        memset(velocity_rad_s, 0, sizeof velocity_rad_s);
+        CHECK(joints_twist(&base, velocity_rad_s, twist_u_s) == (modules == 0));
     }
 }
 
