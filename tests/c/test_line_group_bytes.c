@@ -118,14 +118,16 @@ static void silence_neither_decides_an_echo_nor_measures_a_round_trip(void)
 /* Where no drive is understood any more, the adapter may be another one. */
 static void a_line_on_which_all_fail_decides_its_echo_anew(void)
 {
-    group_goes_out(2, ECHO_UNKNOWN);
-    CHECK(m->echo == ECHO_NONE);
-    for (s.silent = 1; s.silent < 3; s.silent++) {
+    for (uint32_t silent = 1; silent < 3; silent++) {
+        group_goes_out(2, ECHO_UNKNOWN);
+        CHECK(m->echo == ECHO_NONE);
+        s.silent = silent;
         for (int64_t end_ns = s.now_ns + 400 * SERVO_MS; s.now_ns < end_ns;) {
             servos_step(1.0, 1);
             CHECK(m->echo == ECHO_NONE);
         }
     }
+    s.silent = 3;
     for (int ms = 0; ms < 2000 && (m->drive[0].failures < 3 || m->drive[1].failures < 3); ms++) {
         CHECK(m->echo == ECHO_NONE);
         servos_go_on(1.0, SERVO_MS);
