@@ -126,6 +126,27 @@ static void an_angle_or_a_speed_far_out_of_range_is_refused(void)
     }
 }
 
+/* Commanded while nothing may move, a motion does not begin when it may. */
+static void a_motion_that_was_requested_too_early_is_held(void)
+{
+    static const struct {
+        uint32_t velocities, positions;
+        double belt_rad_s;
+        bool held;
+    } CASES[] = {{2, 0, 1.0, true}, {2, 0, 0.1, true}, {0, 1, 0.0, true},
+                 {0, 4, 0.0, true}, {2, 1, 0.0, true}, {2, 0, 0.0, false}};
+    core_config config = head_and_belt();
+    for (int i = 0; i < COUNT_OF(CASES); i++) {
+        arbiter *a = begun(&config);
+        joint_position_datagram joints = datagram_of(1);
+        joints.velocities = CASES[i].velocities, joints.positions = CASES[i].positions;
+        joints.head.velocity_rad_s[1] = CASES[i].belt_rad_s;
+        joints.position_rad[0] = 0.0; /* an angle is a motion, also that of 0 */
+        CHECK(arbiter_submit(a, &joints, sizeof joints, NOW_NS, false) == 0);
+        CHECK((commanded(a).named == 0) == CASES[i].held);
+    }
+}
+
 static void a_datagram_has_the_length_of_its_version(void)
 {
     core_config config = head_and_belt();
@@ -145,6 +166,7 @@ int main(void)
     what_a_joint_does_not_take_is_refused();
     older_datagrams_move_belts_only();
     an_angle_or_a_speed_far_out_of_range_is_refused();
+    a_motion_that_was_requested_too_early_is_held();
     a_datagram_has_the_length_of_its_version();
     return checks_report("test_command_joints");
 }
