@@ -31,6 +31,8 @@ from motord.api.local_rpc import (
     Refused,
     WrongParams,
     answer_to,
+    drive_params,
+    joints_params,
     request_line,
     result_of,
 )
@@ -247,12 +249,8 @@ class Client:
         """Request a speed; `lateral_m_s` is to the left, of a base that moves sideways. None: as in
         the [input] of the robot file. Returns the source in command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
-        given: dict[str, Any] = {key: value for key, value in lease.items() if value is not None}
-        if lateral_m_s != 0.0:  # a daemon that does not know it serves all other commands
-            given["lateral_m_s"] = lateral_m_s
-        result: dict[str, Any] = self.call(
-            "drive", linear_m_s=linear_m_s, angular_rad_s=angular_rad_s, **given
-        )
+        params = drive_params(linear_m_s, angular_rad_s, lateral_m_s, **lease)
+        result: dict[str, Any] = self.call("drive", **params)
         return result
 
     def joints(
@@ -267,11 +265,9 @@ class Client:
         """Request positions and speeds of joints without a base, by their names. A joint that is
         left out comes to rest or, where it takes positions, goes on to the one that this owner has
         requested, as long as commands come. Returns the source in command."""
-        wanted = {"position_rad": position_rad, "velocity_rad_s": velocity_rad_s}
-        given = {key: dict(value) for key, value in wanted.items() if value is not None}
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
-        rest = {key: value for key, value in lease.items() if value is not None}
-        result: dict[str, Any] = self.call("joints", **given, **rest)
+        params = joints_params(position_rad, velocity_rad_s, **lease)
+        result: dict[str, Any] = self.call("joints", **params)
         return result
 
     def move(

@@ -60,3 +60,26 @@ def result_of(answer: Mapping[str, Any]) -> Any:
     if code in (REFUSED, NOT_ALLOWED):
         raise Refused(message, code)
     raise WrongParams(message) if code == INVALID_PARAMS else ClientError(message)
+
+
+def given(**params: Any) -> dict[str, Any]:
+    """Without those that are None: the daemon has a default for them."""
+    return {name: value for name, value in params.items() if value is not None}
+
+
+def drive_params(
+    linear_m_s: float, angular_rad_s: float, lateral_m_s: float, **lease: Any
+) -> dict[str, Any]:
+    """Of the method `drive`; a daemon that knows no `lateral_m_s` serves all other commands."""
+    lateral = {"lateral_m_s": lateral_m_s} if lateral_m_s != 0.0 else {}
+    return {"linear_m_s": linear_m_s, "angular_rad_s": angular_rad_s, **lateral, **given(**lease)}
+
+
+def joints_params(
+    position_rad: Mapping[str, float] | None,
+    velocity_rad_s: Mapping[str, float] | None,
+    **lease: Any,
+) -> dict[str, Any]:
+    """Of the method `joints`."""
+    wanted = given(position_rad=position_rad, velocity_rad_s=velocity_rad_s)
+    return {name: dict(values) for name, values in wanted.items()} | given(**lease)
