@@ -32,7 +32,7 @@ def everyone(tmp_path_factory):
 def stage(everyone):
     """The same daemon for every test, brought back to rest, disarmed and well."""
     everyone.sim.clear_faults_script()
-    everyone.robot.disarm()
+    wait_until(lambda: accepted(everyone.robot.disarm), "disarmed")
     everyone.wait_for("idle", "fault", "estop")
     wait_until(lambda: everyone.robot.status()["at_rest"], "rest")
     wait_until(lambda: accepted(everyone.robot.reset), "nothing keeps it from a reset")
