@@ -1,7 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The base from above, in a real browser."""
 
+import contextlib
 import math
+
+import pytest
+from tests.browser.dashboard import dashboard_of
+from tests.sim.daemon_stage import ROOT, UNHURRIED, armed, wait_until
+
+from motord.client import Refused
 
 DIRECTION = """([wheel, positions]) => import('/base_view.js').then(view => view.directionOf(
     wheel, {joints: ['wheel', 'steering']},
@@ -18,3 +25,32 @@ def test_a_wheel_points_where_the_joint_is_that_steers_it(page):
     assert direction_rad(page, "steering", 7.0, 0.5) == 0.75
     assert math.isnan(direction_rad(page, "steering", 7.0, math.nan))
     assert math.isnan(direction_rad(page, "steering", 7.0))
+
+
+def test_a_robot_without_a_base_shows_the_angles_of_its_joints(browser, tmp_path):
+    settings = (
+        *UNHURRIED, "joint.pan.reply_timeout_s=0.2", "joint.tilt.reply_timeout_s=0.2",
+        "joint.pan.tries=10", "joint.tilt.tries=10",
+    )  # fmt: skip
+    file = ROOT / "config/robots/pan-tilt.toml"
+    with (
+        dashboard_of(browser, tmp_path, file, *settings) as robot,
+        robot.page() as page,
+        armed(robot.stage),
+    ):
+
+        def shown_rad():
+            with contextlib.suppress(Refused):
+                robot.stage.robot.joints({"pan": 0.5, "tilt": -0.25}, lease_s=5.0)
+            cells = page.locator("tbody td.position").all_inner_texts()
+            return [float(text.split()[0]) for text in cells if text != "–"]
+
+        wait_until(lambda: shown_rad() == pytest.approx([0.5, -0.25], abs=0.03), "the angles")
+        dials = page.locator(".dial")
+        assert dials.locator("figcaption b").all_inner_texts() == ["pan", "tilt"]
+        turned = dials.first.locator(".needle").get_attribute("transform")
+        assert float(turned.split("(")[1][:-1]) == pytest.approx(math.degrees(-0.5), abs=3.0)
+        assert page.locator(".base-view").count() == 0
+        page.evaluate("location.hash = 'drive'")
+        page.wait_for_selector("main .card")
+        assert page.locator(".base-view").count() == 0

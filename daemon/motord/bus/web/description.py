@@ -11,7 +11,7 @@ from xml.etree.ElementTree import fromstring
 from motord.bus.ros2.urdf import urdf
 from motord.bus.web.frames import layout
 from motord.config import Robot
-from motord.config.sections.bases import SteeredBase, wheel_modules
+from motord.config.sections.bases import JointsBase, SteeredBase, wheel_modules
 
 
 def description(robot: Robot) -> dict[str, Any]:
@@ -44,7 +44,7 @@ def _wheels(robot: Robot) -> Iterator[dict[str, Any]]:
             "roller_rad": None, "radius_m": robot.wheel_radius_m(name),
             "steered_by": next(iter(module.steering), None),
         }  # fmt: skip
-    if isinstance(robot.base, SteeredBase):
+    if isinstance(robot.base, SteeredBase | JointsBase):
         return
     for joint in fromstring(urdf(robot)).iter("joint"):
         name, origin = joint.get("name", ""), joint.find("origin")

@@ -101,6 +101,9 @@ export function Drive({ link, pilot, trail }) {
   useKeys(pilot);
   const gamepad = useGamepad(pilot, lateral);
   if (!link.hello || !link.now) return html`<p class="muted">${TEXT.staleText}</p>`;
+  if (!link.hello.wheels.length) {
+    return html`<div class="column"><${StateCard} link=${link} /><${Card}><p>${TEXT.noBase}</p><//></div>`;
+  }
   const { now } = link;
   const powered = ["armed", "moving", "stopping"].includes(now.state);
   const notice = TEXT.releasedBy[pilot.released] ?? pilot.released;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The state in words, what to do next, the base from above, and every wheel.
+// The state in words, what to do next, the base from above, and every joint.
 
 import { html } from "./vendor/htm-preact.js";
 import { TEXT } from "./text.js";
@@ -49,32 +49,34 @@ function Motion({ link }) {
   const [call, problem] = useCall(link);
   const pair = (measured, setpoint, unit) =>
     html`${measure(now[measured], 2, unit)} <span class="muted">/ ${number(now[setpoint])}</span>`;
+  const based = hello.wheels.length > 0;
   const rows = [
-    [`${TEXT.speed} / ${TEXT.setpoint}`, pair("linear_m_s", "setpoint_linear_m_s", "m_s")],
-    hello.limits.lateral_m_s > 0 &&
+    based && [`${TEXT.speed} / ${TEXT.setpoint}`, pair("linear_m_s", "setpoint_linear_m_s", "m_s")],
+    based && hello.limits.lateral_m_s > 0 &&
       [`${TEXT.lateral} / ${TEXT.setpoint}`, pair("lateral_m_s", "setpoint_lateral_m_s", "m_s")],
-    [`${TEXT.turn} / ${TEXT.setpoint}`, pair("angular_rad_s", "setpoint_angular_rad_s", "rad_s")],
-    [TEXT.pose, `x ${measure(now.x_m, 2, "m")}, y ${measure(now.y_m, 2, "m")}`],
-    [TEXT.heading, `${number((now.heading_rad * 180) / Math.PI, 0)}°`],
-    [TEXT.distance, measure(now.distance_m, 2, "m")],
+    based && [`${TEXT.turn} / ${TEXT.setpoint}`, pair("angular_rad_s", "setpoint_angular_rad_s", "rad_s")],
+    based && [TEXT.pose, `x ${measure(now.x_m, 2, "m")}, y ${measure(now.y_m, 2, "m")}`],
+    based && [TEXT.heading, `${number((now.heading_rad * 180) / Math.PI, 0)}°`],
+    based && [TEXT.distance, measure(now.distance_m, 2, "m")],
     [TEXT.commander, commander(link)],
     [TEXT.battery, battery(link)],
     [TEXT.pages, link.status?.pages ?? "–"],
   ].filter(Boolean);
   return html`<${Card}>
     <${Rows} rows=${rows} />
-    <div class="actions"><button disabled=${!link.mayCommand}
-      onClick=${() => call("reset_odometry", TEXT.resetOdometry)}>${TEXT.resetOdometry}</button></div>
+    ${based && html`<div class="actions"><button disabled=${!link.mayCommand}
+      onClick=${() => call("reset_odometry", TEXT.resetOdometry)}>${TEXT.resetOdometry}</button></div>`}
     ${problem}
   <//>`;
 }
 
-function Wheels({ link }) {
+function Joints({ link }) {
   const { hello, now, status } = link;
   return html`<${Card} title=${TEXT.joints} className="wide">
     <div class="table" tabindex="0" role="region" aria-label=${TEXT.joints}><table>
       <thead><tr><th scope="col">${TEXT.joint}</th><th scope="col">${TEXT.drive}</th>
         <th scope="col" class="num">${TEXT.setpoint}</th><th scope="col" class="num">${TEXT.speed}</th>
+        <th scope="col" class="num">${TEXT.position}</th>
         <th scope="col" class="num">${TEXT.current}</th><th scope="col" class="num">${TEXT.voltage}</th>
         <th scope="col" class="num">${TEXT.temperature}</th><th scope="col" class="num">${TEXT.age}</th></tr></thead>
       <tbody>${hello.joints.map((name, place) => {
@@ -85,6 +87,7 @@ function Wheels({ link }) {
           <td>${known?.drive ?? "–"} ${known?.fault_words.join(", ")}</td>
           <td class="num">${measure(joint.setpoint_rad_s, 2, "rad_s")}</td>
           <td class="num">${measure(joint.velocity_rad_s, 2, "rad_s")}</td>
+          <td class="num position">${measure(joint.position_rad, 2, "rad")}</td>
           <td class="num">${measure(joint.current_a, 2, "a")}</td>
           <td class="num">${measure(joint.voltage_v, 1, "v")}</td>
           <td class="num">${measure(joint.temperature_c, 0, "c")}</td>
@@ -95,12 +98,31 @@ function Wheels({ link }) {
   <//>`;
 }
 
+/** Where each joint stands: zero is to the right, and an angle turns to the left. */
+function Dials({ link }) {
+  const { hello, now } = link;
+  return html`<${Card} className="dials">${hello.joints.map((name, place) => {
+    const { position_rad, stale } = now.joints[place];
+    const degrees = (position_rad * 180) / Math.PI;
+    const known = Number.isFinite(degrees);
+    return html`<figure class="dial ${stale ? "bad" : ""}">
+      <svg viewBox="-55 -55 110 110" aria-hidden="true">
+        <circle r="50" /><path class="zero" d="M42 0H50" />
+        ${known && html`<path class="needle" d="M0 0H40" transform="rotate(${-degrees})" />`}
+      </svg>
+      <figcaption><b>${name}</b> ${known ? `${number(degrees, 0)}°` : "–"}</figcaption>
+    </figure>`;
+  })}<//>`;
+}
+
 export function Overview({ link, trail }) {
   useLink(link);
   if (!link.hello || !link.now) return html`<p class="muted">${TEXT.staleText}</p>`;
   return html`<div class="grid overview">
     <div class="column"><${StateCard} link=${link} /><${Motion} link=${link} /></div>
-    <${Card} className="map"><${BaseView} link=${link} trail=${trail} /><//>
-    <${Wheels} link=${link} />
+    ${link.hello.wheels.length > 0
+      ? html`<${Card} className="map"><${BaseView} link=${link} trail=${trail} /><//>`
+      : html`<${Dials} link=${link} />`}
+    <${Joints} link=${link} />
   </div>`;
 }

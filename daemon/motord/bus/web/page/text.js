@@ -75,10 +75,11 @@ export const TEXT = {
   baseView: "The base from above, with wheels, speeds and its trail",
   legend: { speed: "speed", setpoint: "set-point", trail: "trail" },
   zoomIn: "Zoom in", zoomOut: "Zoom out", clearTrail: "Clear the trail",
-  joints: "Wheels",
-  joint: "Wheel", drive: "Drive", current: "Current", voltage: "Voltage",
+  joints: "Joints",
+  joint: "Joint", drive: "Drive", current: "Current", voltage: "Voltage",
   temperature: "Temperature", position: "Position", age: "Feedback age", duty: "Duty",
 
+  noBase: "This robot has no base to drive. `motord joints` moves its joints.",
   pad: "Drive pad: hold it and move; release it to stop",
   padHint: "Hold and drag",
   strafe: "Move sideways instead of turning",
