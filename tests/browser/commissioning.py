@@ -3,6 +3,7 @@
 the simulator's truth, and answers."""
 
 import contextlib
+import math
 import re
 
 from tests.sim.daemon_stage import wait_until
@@ -11,6 +12,16 @@ from motord.client import ClientError
 
 ENDED = ".ended"
 BUTTONS = ("Yes", "No", "Forward", "Backward", "No wheel turned", "Another wheel", "Normal")
+RADIUS_M, TRACK_M = 0.0825, 0.45
+TRUE_LEFT_M, TRUE_RIGHT_M, TRUE_TRACK_M = 1.03 * RADIUS_M, 1.02 * RADIUS_M, 0.96 * TRACK_M
+TRUTH = (
+    f"joint.left.wheel_radius_m={TRUE_LEFT_M}", f"joint.right.wheel_radius_m={TRUE_RIGHT_M}",
+    f"base.track_m={TRUE_TRACK_M}",
+)  # fmt: skip
+
+
+def truth(*settings):
+    return [part for setting in settings for part in ("--set", setting)]
 
 
 def open_page(page, title):
@@ -77,3 +88,26 @@ def rests_without_power(stage):
         return not any(joint.enabled for joint in stage.sim.truth().joints.values())
 
     wait_until(off, "without power")
+
+
+class Floor:
+    """What a tape and marks on the floor show."""
+
+    def __init__(self, robot):
+        self._sim = robot.stage.sim
+
+    def back_on_mark(self):
+        self._sim.reset_truth()
+        return "Yes"
+
+    def replies(self):
+        return {
+            "stand on its mark|room all around": self.back_on_mark,
+            "in front of the mark": lambda: f"{self._sim.truth().x_m:.3f}",
+            "to the left of the line": lambda: f"{self._sim.truth().y_m:.3f}",
+            "By how many degrees": lambda: self.degrees(),
+            "Write .*cart.toml": "Yes",
+        }
+
+    def degrees(self):
+        return f"{round(2 * math.degrees(self._sim.truth().heading_rad)) / 2:g}"

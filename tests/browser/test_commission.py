@@ -8,6 +8,11 @@ import re
 import pytest
 from tests.browser.axe import axe_violations
 from tests.browser.commissioning import (
+    TRUE_LEFT_M,
+    TRUE_RIGHT_M,
+    TRUE_TRACK_M,
+    TRUTH,
+    Floor,
     answers,
     asked_text,
     begin,
@@ -16,6 +21,7 @@ from tests.browser.commissioning import (
     open_page,
     rests_disarmed,
     rests_without_power,
+    truth,
 )
 from tests.browser.dashboard import dashboard_of, press_pad, state_of
 from tests.browser.link_proxy import LinkProxy
@@ -29,16 +35,6 @@ SPIN, RADII, TRACK = "First turn of each wheel", "Wheel radii", "Track"
 GAINS, GYRO = "Gains of a wheel", "Gyro"
 DEAD_BAND, FEED_FORWARD = "Dead band", "Dead band and feed-forward"
 GROUND, TURNED = "Are all wheels off the ground", "Did the (left|right) wheel turn forward"
-RADIUS_M, TRACK_M = 0.0825, 0.45
-TRUE_LEFT_M, TRUE_RIGHT_M, TRUE_TRACK_M = 1.03 * RADIUS_M, 1.02 * RADIUS_M, 0.96 * TRACK_M
-TRUTH = (
-    f"joint.left.wheel_radius_m={TRUE_LEFT_M}", f"joint.right.wheel_radius_m={TRUE_RIGHT_M}",
-    f"base.track_m={TRUE_TRACK_M}",
-)  # fmt: skip
-
-
-def truth(*settings):
-    return [part for setting in settings for part in ("--set", setting)]
 
 
 def wheels(*settings):
@@ -114,29 +110,6 @@ def test_swapped_wheels_are_found_and_put_right_in_the_file(browser, tmp_path):
         rests_without_power(robot.stage)
     joints = load_robot(file).joint
     assert (joints["left"].channel, joints["right"].channel) == (2, 1)
-
-
-class Floor:
-    """What a tape and marks on the floor show."""
-
-    def __init__(self, robot):
-        self._sim = robot.stage.sim
-
-    def back_on_mark(self):
-        self._sim.reset_truth()
-        return "Yes"
-
-    def replies(self):
-        return {
-            "stand on its mark|room all around": self.back_on_mark,
-            "in front of the mark": lambda: f"{self._sim.truth().x_m:.3f}",
-            "to the left of the line": lambda: f"{self._sim.truth().y_m:.3f}",
-            "By how many degrees": lambda: self.degrees(),
-            "Write .*cart.toml": "Yes",
-        }
-
-    def degrees(self):
-        return f"{round(2 * math.degrees(self._sim.truth().heading_rad)) / 2:g}"
 
 
 @pytest.mark.parametrize(
