@@ -12,7 +12,7 @@ import time
 import pytest
 from tests.peers.mosquitto import free_port
 from tests.peers.ros2_stage import LEASE_S, NAMESPACE, inputs, nobody_commands, peer, ros2_stage
-from tests.sim.daemon_stage import wait_until
+from tests.sim.daemon_stage import becomes_idle, wait_until
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -66,13 +66,19 @@ def by_rosbridge(port):
         driving.join()
 
 
+def arms(stage):
+    """Whatever was before: a busy machine may have latched a fault."""
+    becomes_idle(stage)
+    wait_until(lambda: stage.robot.arm(), "armed")
+
+
 def refused(stage, name):
     return inputs(stage).get(name, {}).get("refused", 0)
 
 
 @pytest.mark.parametrize(("name", "by"), [("ros2", by_dds), ("web", by_rosbridge)])
 def test_what_waited_while_it_stood_still_moves_nothing(stage, port, name, by):
-    wait_until(lambda: stage.robot.arm(), "armed")
+    arms(stage)
     pid, before = stage.robot.status()["bus"]["pid"], refused(stage, name)
     with by(port):
         stage.wait_for("moving")
@@ -96,7 +102,7 @@ def test_what_waited_while_it_stood_still_moves_nothing(stage, port, name, by):
 
 @pytest.mark.parametrize("ahead_s", [0.0, 3600.0, -3600.0])
 def test_what_waited_at_the_sender_moves_nothing_whatever_its_clock_reports(stage, ahead_s):
-    wait_until(lambda: stage.robot.arm(), "armed")
+    arms(stage)
     with peer("twist", f"rt{NAMESPACE}/cmd_vel", SPEED_M_S, 0.0, ahead_s) as sender:
         stage.wait_for("moving")
         sender.say("held")

@@ -85,6 +85,8 @@ class Joint:
     """None: the drive cannot say."""
     stale: bool = False
     jumps: int = 0
+    takes_position: bool = False
+    """It goes to angles: `position_rad` is the one that it has."""
 
 
 @dataclass(frozen=True, kw_only=True)
