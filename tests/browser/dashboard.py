@@ -144,6 +144,7 @@ def dashboard_of(browser, folder, file, *settings, **simulated):
     recordings = folder / "recordings"
     web = (
         "input.web.kind=web", f"input.web.port={port}", f'input.web.token_file="{token}"',
+        "input.web.rate_hz=20",  # a page draws each state: more costs every test its time
         "publish.tape.kind=mcap", f'publish.tape.folder="{recordings}"',
         "publish.tape.mode=manual", "publish.tape.journal=true",
     )  # fmt: skip

@@ -143,6 +143,7 @@ def test_a_signal_in_the_middle_of_the_making_of_a_page_leaves_none(tmp_path, nu
     page = own_page(name)
     code = (
         "import os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background\n"
         "from motord.__main__ import main\n"
         "really = os.truncate\n"
         "def truncate(*args):\n"

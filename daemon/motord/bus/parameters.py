@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from motord.base.rate_limited_log import RateLimitedLog
 from motord.bus.commands.gate import NotTaken
 from motord.client import ClientError
-from motord.config.sections.bases import JointsBase
 
 if TYPE_CHECKING:
     from motord.config import Robot
@@ -31,7 +30,7 @@ class Tunable:
         now."""
         self._call = call
         self._voice = RateLimitedLog(_log)
-        drives = not isinstance(robot.base, JointsBase)
+        drives = robot.base.kind != "joints"
         self._tunable = _LIMITS if drives else _JOINT
         self.fixed: dict[str, dict[str, Any]] = {
             f"base.{key}": {
