@@ -69,8 +69,9 @@ typedef enum {
     FORM_U16_LE = 8,
     FORM_I16_LE = 9,
     FORM_U32_LE = 10,
-    FORM_I32_LE = 11, /* low byte first */
-    FORM_M16_LE = 13  /* low byte first: the top bit is the sign, the others are the magnitude */
+    FORM_I32_LE = 11,   /* low byte first */
+    FORM_M16_LE = 13,   /* low byte first: the top bit is the sign, the others are the magnitude */
+    FORM_M16_BIT10 = 15 /* high byte first: bit 10 is the sign, those below are the magnitude */
 } wire_form;
 
 typedef enum {

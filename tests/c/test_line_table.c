@@ -187,6 +187,7 @@ static void a_set_point_lies_in_its_request(void)
     BAD(setpoint->kind, SETPOINT_DUTY + 1, "drive[0].setpoint.kind");
     BAD(setpoint->form, FORM_I32_LE + 1, "drive[0].setpoint.form");
     BAD(setpoint->form, FORM_M16_LE + 1, "drive[0].setpoint.form");
+    BAD(setpoint->form, FORM_M16_BIT10 + 1, "drive[0].setpoint.form");
     GOOD(setpoint->byte, 0);
     BAD(setpoint->byte, 5, "drive[0].setpoint.byte"); /* its last byte would be in the check sum */
     BAD(setpoint->byte, UINT32_MAX, "drive[0].setpoint.byte");
@@ -197,6 +198,13 @@ static void a_set_point_lies_in_its_request(void)
     setpoint->form = FORM_M16_LE, setpoint->raw_min = -32767.0;
     CHECK(is_good());
     setpoint->raw_min = -32767.5; /* -32768 has no magnitude of 15 bits */
+    CHECK(refused("drive[0].setpoint.raw_min"));
+    t = good;
+    setpoint->form = FORM_M16_BIT10, setpoint->raw_min = -1023.0, setpoint->raw_max = 1023.0;
+    CHECK(is_good());
+    setpoint->raw_max = 1023.5; /* 1024 is the sign: the motor would stand where it is to turn */
+    CHECK(refused("drive[0].setpoint.raw_max"));
+    setpoint->raw_max = 1023.0, setpoint->raw_min = -1023.5;
     CHECK(refused("drive[0].setpoint.raw_min"));
     t = good;
     setpoint->form = FORM_I32_LOW_FIRST, setpoint->byte = 2;

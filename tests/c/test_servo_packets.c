@@ -176,7 +176,7 @@ static void a_packet_without_an_error_number_is_no_status(void)
     }
 }
 
-static void values_stand_low_byte_first(void)
+static void values_stand_low_byte_first_but_those_of_one_series(void)
 {
     static const struct {
         uint32_t form, bytes;
@@ -189,7 +189,13 @@ static void values_stand_low_byte_first(void)
                  {FORM_M16_LE, 2, 1000, {0xE8, 0x03}},
                  {FORM_M16_LE, 2, -1000, {0xE8, 0x83}},
                  {FORM_M16_LE, 2, -32767, {0xFF, 0xFF}},
-                 {FORM_M16_LE, 2, 32767, {0xFF, 0x7F}}};
+                 {FORM_M16_LE, 2, 32767, {0xFF, 0x7F}},
+                 {FORM_M16_BIT10, 2, 1000, {0x03, 0xE8}},
+                 {FORM_M16_BIT10, 2, -1000, {0x07, 0xE8}},
+                 {FORM_M16_BIT10, 2, 0, {0x00, 0x00}},
+                 {FORM_M16_BIT10, 2, -1, {0x04, 0x01}},
+                 {FORM_M16_BIT10, 2, 1023, {0x03, 0xFF}},
+                 {FORM_M16_BIT10, 2, -1023, {0x07, 0xFF}}};
     for (uint32_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
         uint8_t wire[4] = {0};
         CHECK(rtu_form_bytes(cases[i].form) == cases[i].bytes);
@@ -198,6 +204,11 @@ static void values_stand_low_byte_first(void)
     }
     const uint8_t minus_zero[2] = {0x00, 0x80};
     CHECK(rtu_read(minus_zero, FORM_M16_LE) == 0);
+    const uint8_t minus_zero_high_first[2] = {0x04, 0x00};
+    CHECK(rtu_read(minus_zero_high_first, FORM_M16_BIT10) == 0);
+    /* bits that no number of this form has are no zero: who looks for one does not find it */
+    const uint8_t beyond[2] = {0x08, 0x00}, beyond_below[2] = {0x0C, 0x01};
+    CHECK(rtu_read(beyond, FORM_M16_BIT10) == 0x800 && rtu_read(beyond_below, FORM_M16_BIT10) == -0x801);
     /* a counter of twelve bits goes on below zero as it does above: -1 is one before 0 */
     const uint8_t below[2] = {0x01, 0x80};
     CHECK(((uint64_t)rtu_masked(rtu_read(below, FORM_M16_LE), 0xFFF, FORM_M16_LE) & 0xFFF) == 0xFFF);
@@ -234,7 +245,7 @@ int main(void)
     a_first_byte_is_never_taken_out();
     the_longest_packet_has_room_for_its_stuffing();
     a_packet_without_an_error_number_is_no_status();
-    values_stand_low_byte_first();
+    values_stand_low_byte_first_but_those_of_one_series();
     a_status_is_never_taken_for_an_instruction();
     return checks_report("servo packets");
 }

@@ -66,18 +66,29 @@ def register(kind, **more):
     ("kind", "raw", "wire"),
     [
         ("u8", 200, "c8"), ("i8", -1, "ff"), ("u16", 0x1234, "3412"), ("i32", -2, "feffffff"),
-        ("m16", 1000, "e803"), ("m16", -1000, "e883"),
+        ("m16", 1000, "e803"), ("m16", -1000, "e883"), ("u16-high-first", 0x1234, "1234"),
+        ("m16-bit10-high-first", 1000, "03e8"), ("m16-bit10-high-first", -1000, "07e8"),
+        ("m16-bit10-high-first", -1, "0401"), ("m16-bit10-high-first", 0, "0000"),
     ],
 )  # fmt: skip
-def test_values_stand_low_byte_first(kind, raw, wire):
+def test_values_stand_low_byte_first_unless_their_type_says_otherwise(kind, raw, wire):
     assert encode(register(kind), raw).hex() == wire
     assert decode(register(kind), bytes.fromhex(wire)) == raw
 
 
-def test_a_magnitude_has_no_lower_end_of_its_own():
-    assert register("m16").raw_range == (-32767, 32767)
-    with pytest.raises(ValueError, match="does not fit m16"):
-        encode(register("m16"), -32768)
+@pytest.mark.parametrize(("kind", "most"), [("m16", 32767), ("m16-bit10-high-first", 1023)])
+def test_a_magnitude_ends_below_its_sign(kind, most):
+    assert register(kind).raw_range == (-most, most)
+    for raw in (-most - 1, most + 1):
+        with pytest.raises(ValueError, match=f"does not fit {kind}"):
+            encode(register(kind), raw)
+    for raw in (-most, most):
+        assert decode(register(kind), encode(register(kind), raw)) == raw
+
+
+@pytest.mark.parametrize(("wire", "raw"), [("0400", 0), ("0800", 0x800), ("0c01", -0x801)])
+def test_bits_beyond_a_magnitude_are_not_lost(wire, raw):
+    assert decode(register("m16-bit10-high-first"), bytes.fromhex(wire)) == raw
 
 
 # ------------------------------------------------------------------------------------- the cycle

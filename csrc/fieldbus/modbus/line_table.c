@@ -58,16 +58,18 @@ bool line_frame_is_good(const line_frame *frame)
 
 static bool is_form(uint32_t form)
 {
-    return form <= FORM_I32_LE || form == FORM_M16_LE;
+    return form <= FORM_I32_LE || rtu_sign_of(form) != 0;
 }
 
 /* Beyond what the form holds, a number would go out as another one, even with the opposite sign. */
 static void check_range(finding *f, const line_setpoint *setpoint)
 {
     bool form_has_sign = (setpoint->form & 1) != 0;
-    double span = ldexp(1.0, (int)(8 * rtu_form_bytes(setpoint->form)));
+    double span = ldexp(1.0, (int)(8 * rtu_form_bytes(setpoint->form))), sign = (double)rtu_sign_of(setpoint->form);
     double least = form_has_sign ? -span / 2.0 : 0.0, most = form_has_sign ? span / 2.0 - 1.0 : span - 1.0;
-    least += setpoint->form == FORM_M16_LE ? 1.0 : 0.0;
+    if (sign > 0.0) { /* what is left of the magnitude: -0 is no number of its own */
+        least = 1.0 - sign, most = sign - 1.0;
+    }
     check_span(f, setpoint->kind, setpoint->raw_offset, setpoint->raw_min, setpoint->raw_max, setpoint->raw_per_s);
     need(f, setpoint->raw_min >= least, "setpoint.raw_min");
     need(f, setpoint->raw_max <= most, "setpoint.raw_max");

@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-enum { EXCEPTION_BYTES = 5, EXCEPTION_BIT = 0x80, BYTE_BITS = 8, MAGNITUDE_SIGN = 0x8000 };
+enum { EXCEPTION_BYTES = 5, EXCEPTION_BIT = 0x80, BYTE_BITS = 8 };
 /* Dynamixel protocol 2.0: head, instruction, error number. */
 enum { LENGTH_BYTE = 5, INSTRUCTION_BYTE = 7, ERROR_BYTE = 8, STATUS_BYTES_MIN = 11, STATUS = 0x55, ERROR_NUMBER = 0x7F };
 
@@ -106,9 +106,14 @@ bool rtu_is_sealed(const uint8_t *frame, uint32_t count, uint32_t seal)
     return seal != SEAL_CRC8 || frame[count - 1] == rtu_crc8(frame, count - 1);
 }
 
+uint32_t rtu_sign_of(uint32_t form)
+{
+    return form == FORM_M16_LE ? UINT32_C(1) << 15 : form == FORM_M16_BIT10 ? UINT32_C(1) << 10 : 0;
+}
+
 uint32_t rtu_form_bytes(uint32_t form)
 {
-    bool two = form <= FORM_I16 || form == FORM_U16_LE || form == FORM_I16_LE || form == FORM_M16_LE;
+    bool two = form <= FORM_I16 || form == FORM_U16_LE || form == FORM_I16_LE || rtu_sign_of(form) != 0;
     return form <= FORM_I8 ? 1 : two ? 2 : 4;
 }
 
@@ -126,7 +131,8 @@ static int64_t with_sign(uint64_t raw, uint32_t bits)
 /* The place of the n-th byte, the highest one first. */
 static uint32_t place(uint32_t form, uint32_t n)
 {
-    return form >= FORM_U16_LE ? rtu_form_bytes(form) - 1 - n : form >= FORM_U32_LOW_FIRST ? n ^ 2 : n;
+    bool high_first = form < FORM_U32_LOW_FIRST || form == FORM_M16_BIT10;
+    return high_first ? n : form >= FORM_U16_LE ? rtu_form_bytes(form) - 1 - n : n ^ 2;
 }
 
 int64_t rtu_read(const uint8_t *bytes, uint32_t form)
@@ -136,15 +142,17 @@ int64_t rtu_read(const uint8_t *bytes, uint32_t form)
     for (uint32_t n = 0; n < count; n++) {
         raw = raw << BYTE_BITS | bytes[place(form, n)];
     }
-    if (form == FORM_M16_LE) {
-        return (raw & MAGNITUDE_SIGN) != 0 ? -(int64_t)(raw & (MAGNITUDE_SIGN - 1)) : (int64_t)raw;
+    uint64_t sign = rtu_sign_of(form);
+    if (sign != 0) {
+        return (raw & sign) != 0 ? -(int64_t)(raw & ~sign) : (int64_t)raw;
     }
     return is_signed(form) ? with_sign(raw, count * BYTE_BITS) : (int64_t)raw;
 }
 
 void rtu_write(uint8_t *bytes, uint32_t form, int64_t raw)
 {
-    uint64_t left = form == FORM_M16_LE && raw < 0 ? (uint64_t)-raw | MAGNITUDE_SIGN : (uint64_t)raw;
+    uint64_t sign = rtu_sign_of(form);
+    uint64_t left = sign != 0 && raw < 0 ? (uint64_t)-raw | sign : (uint64_t)raw;
     for (uint32_t n = rtu_form_bytes(form); n > 0; n--) {
         bytes[place(form, n - 1)] = (uint8_t)(left & 0xFF);
         left >>= BYTE_BITS;

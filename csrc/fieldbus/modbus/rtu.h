@@ -34,6 +34,8 @@ uint32_t rtu_seal_bytes(uint32_t seal);
 void rtu_seal(uint8_t *frame, uint32_t count, uint32_t seal);
 bool rtu_is_sealed(const uint8_t *frame, uint32_t count, uint32_t seal);
 
+/* Of a magnitude: the bit that is its sign; of other forms 0. */
+uint32_t rtu_sign_of(uint32_t form);
 uint32_t rtu_form_bytes(uint32_t form);
 int64_t rtu_read(const uint8_t *bytes, uint32_t form);
 /* Of a packet that has its place for the check sum: what its seal makes of it, which may be longer: STUFFED. */

@@ -38,6 +38,8 @@ class RegisterType(enum.StrEnum):
     F32 = "f32"
     M16 = "m16"
     """The top bit is the sign, the others are the magnitude (bus servos)."""
+    M16_BIT10_HIGH_FIRST = "m16-bit10-high-first"
+    """The same with the sign in bit 10, and the high byte first (Feetech SCS)."""
 
     @functools.cached_property
     def bits(self) -> int:
@@ -58,6 +60,11 @@ class RegisterType(enum.StrEnum):
     @functools.cached_property
     def magnitude(self) -> bool:
         return self.value.startswith("m")
+
+    @functools.cached_property
+    def sign_bit(self) -> int:
+        """Of a signed one: the place of its sign, and the width of what is below."""
+        return 10 if self is RegisterType.M16_BIT10_HIGH_FIRST else self.bits - 1
 
 
 # drive unit → (SI unit, SI per drive unit, SI at drive zero)
@@ -147,7 +154,7 @@ class Register:
         bits = self.type.bits
         if not self.type.signed:
             return 0, (1 << bits) - 1
-        most = (1 << bits - 1) - 1
+        most = (1 << self.type.sign_bit) - 1
         return -most - (not self.type.magnitude), most
 
     def encode(self, raw: int) -> tuple[int, ...]:
@@ -250,6 +257,9 @@ class Step:
     """For a write: whether the register keeps what was written, so that it can be read back."""
     copy_of: str = ""
     """A write whose raw value is that of this register, read right before."""
+    if_different: bool = False
+    """For a write: only where the register reads as something else. Memory that survives a power
+    cut wears with each write."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

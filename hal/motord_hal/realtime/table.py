@@ -36,6 +36,7 @@ class Form(enum.IntEnum):
     U32_LE = 10
     I32_LE = 11
     M16_LE = 13
+    M16_BIT10 = 15
 
     @property
     def bits(self) -> int:

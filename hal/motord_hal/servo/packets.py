@@ -26,7 +26,6 @@ KINDS = ("feetech", "dynamixel")
 INSTRUCTION_ADDRESS = 0xFF00
 """A register from here on is no address in the servo: writing it sends the instruction of its low
 byte, without parameters (0xFF08: reboot)."""
-_SIGN = 0x8000
 
 
 class Instruction(IntEnum):
@@ -288,20 +287,22 @@ def encode(register: Register, raw: int) -> bytes:
     if not low <= raw <= high:
         raise ValueError(f"{register.name}: {raw} does not fit {register.type.value}")
     size = size_bytes(register)
-    if register.type.high_first:
-        return raw.to_bytes(size, "big")
-    if register.type.magnitude:
-        return (-raw | _SIGN if raw < 0 else raw).to_bytes(size, "little")
-    return (raw & (1 << 8 * size) - 1).to_bytes(size, "little")
+    if register.type.magnitude and raw < 0:
+        raw = -raw | 1 << register.type.sign_bit
+    return (raw & (1 << 8 * size) - 1).to_bytes(size, _order(register))
+
+
+def _order(register: Register) -> Literal["big", "little"]:
+    return "big" if register.type.high_first else "little"
 
 
 def decode(register: Register, data: bytes) -> int:
     """The raw value of these bytes, of which the first ones are the register's."""
     size = size_bytes(register)
-    order: Literal["big", "little"] = "big" if register.type.high_first else "little"
-    value, bits = int.from_bytes(data[:size], order), 8 * size
+    value, bits = int.from_bytes(data[:size], _order(register)), 8 * size
     if register.type.magnitude:
-        value = -(value & ~_SIGN) if value & _SIGN else value
+        sign = 1 << register.type.sign_bit
+        value = -(value & ~sign) if value & sign else value
         return value if register.mask is None else value & register.mask
     if register.mask is not None:
         value = (value & register.mask) // (register.mask & -register.mask)

@@ -243,6 +243,7 @@ def _step(key: str, step: AnyStep, problems: Problems) -> Step:
         verify=step.verify,
         plus_node=step.plus_node,
         cycle=step.cycle,
+        if_different=step.if_different,
     )
 
 

@@ -87,10 +87,10 @@ class HoldingRegister(Scaled):
     address: int = number("Modbus address, or the place that the protocol gives it", 0, 65535, "1")
     type: Literal[
         "u8", "i8", "u16", "i16", "u32", "i32", "u32-low-first", "i32-low-first", "m16",
-        "u16-high-first",
+        "u16-high-first", "m16-bit10-high-first",
     ]  # fmt: skip
     """Width and sign; two words come high word first unless the name says otherwise; m16 is a sign
-    bit and a magnitude. A bus servo's bytes come low byte first, those of u16-high-first do not."""
+    bit and a magnitude. A bus servo's bytes come low byte first unless the name says otherwise."""
     unit: Literal[Unit, "hz", "count/s"] = ""
     """Unit of the scaled value."""
     access: Access
@@ -160,6 +160,8 @@ class WriteStep(Section):
     value: int | None = number("raw value", RAW_MIN, RAW_MAX, "1", None)
     verify: bool = True
     """Whether the register keeps what was written, so that it can be read back."""
+    if_different: bool = False
+    """It is read before, and written only where it holds another value: for memory that wears."""
     plus_node: bool = False
     """The drive's own node number is added to the value."""
     cycle: bool = False

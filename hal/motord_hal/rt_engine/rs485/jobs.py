@@ -45,6 +45,8 @@ class DriveJobs:
                 await self._wait_for(name, step, check)
                 continue
             value = await self._copied(step, check) if step.copy_of else step.value
+            if step.if_different and await self.read(step.register, check=check) == value:
+                continue
             for frame in self.frames.writes({step.register: value}):
                 await self.send(frame, urgent=urgent, check=check)
 

@@ -54,7 +54,8 @@ class ServoFrames:
         fast, slow = wanted_registers(self.profile, self.joints)
         channel = self.profile.channels[self.joints[0].channel]
         moving = [self.profile.registers[n] for n in (channel.position, channel.velocity) if n]
-        self._cyclic = _around(moving or fast[:1], [*fast, *slow])
+        # of one that measures no motion, what else it measures: that says how old its answer is
+        self._cyclic = _around(moving or fast[:1] or slow[-1:], [*fast, *slow])
         rest = [r for r in dict.fromkeys([*fast, *slow]) if r not in self._cyclic.registers]
         self._extra = _spans(rest, _EXTRA_HOLE_BYTES)
 

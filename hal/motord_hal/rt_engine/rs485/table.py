@@ -171,9 +171,11 @@ def _setpoints(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineS
 
 def form_of(profile: DriveProfile, register: Register, *, signed: bool = True) -> Form:
     """How the register stands in the drive's frames."""
-    name = register.type.value if signed else register.type.value.replace("i", "u", 1)
+    name = register.type.value
+    if not signed and name.startswith("i"):
+        name = f"u{name[1:]}"
     if register.type.high_first:
-        return Form.U16
+        return _FORMS[name.removesuffix("-high-first")]
     low_byte_first = profile.protocol in SERVO_KINDS and register.type.bits > 8
     return _FORMS[f"{name}-le" if low_byte_first else name]
 

@@ -4,7 +4,9 @@
 What a real servo does is from the makers' manuals: a sync read is answered by each servo in the
 order of the request; a broadcast write by none. A Dynamixel refuses what is out of range, its
 EEPROM while it has torque (access error), and goal values after its bus watchdog has bitten, until
-0 is written to that (ROBOTIS e-Manual, XL430-W250, 2.4: Bus Watchdog (98)).
+0 is written to that (ROBOTIS e-Manual, XL430-W250, 2.4: Bus Watchdog (98)). A servo of Feetech's
+SCS series is a motor only while both its angle limits are 0, and what is written below address 40
+outlives its power only where its lock was open (`ftservo-python-sdk`, scscl.py).
 """
 
 from __future__ import annotations
@@ -22,12 +24,15 @@ from motord_hal.servo.packets import (
     packets_of,
     size_bytes,
 )
-from motord_hal.sim.axis import Axis
+from motord_hal.sim.axis import Axis, Motor
 from motord_hal.sim.rs485.content import ControlTable
 from motord_hal.sim.rs485.drive import SimulatedDrive
 
 EEPROM_END = 64
 """Of Dynamixels: addresses below are kept without power, and locked by torque."""
+ANGLE_LIMITS, LOCK = ("minimum_angle", "maximum_angle"), "lock"
+"""Registers of an SCS profile for motors."""
+SCS_EEPROM_END = 40
 RANGE_ERROR, LENGTH_ERROR, ACCESS_ERROR, INSTRUCTION_ERROR = 4, 5, 7, 2
 REBOOT_S = 0.1
 """A rebooting servo receives nothing for so long."""
@@ -54,6 +59,9 @@ class SimulatedServo(SimulatedDrive):
         self._sequences.pop("quick_stop", None)
         self.packets = packets_of(profile.protocol)
         self._strict = profile.protocol == "dynamixel"
+        self._scs_motor = has_no_sync_read(profile) and not profile.goes_to_positions
+        self._saved: dict[str, int] = {}
+        """What an SCS servo has kept through a power cut."""
         self._now_s = 0.0
 
     # ------------------------------------------------------------------------------- the wire
@@ -111,7 +119,27 @@ class SimulatedServo(SimulatedDrive):
     def _write(self, address: int, data: bytes) -> None:
         if self._strict:
             self._refuse(address, data)
-        self._obey(self.registers.write(address, data))
+        written = self.registers.write(address, data)
+        if self._scs_motor and not self.registers.stored(LOCK):
+            self._save(written)
+        self._obey(written)
+
+    def _save(self, written: list[tuple[str, int]]) -> None:
+        places = self.profile.registers
+        kept = {name: raw for name, raw in written if places[name].address < SCS_EEPROM_END}
+        self.stats.flashed += bool(kept)
+        self._saved |= kept
+
+    def _power_up(self) -> None:
+        super()._power_up()
+        for name, raw in self._saved.items():
+            self.registers.put(name, raw)
+
+    def _follow_setpoint(self, motor: Motor) -> None:
+        if self._scs_motor and any(map(self.registers.stored, ANGLE_LIMITS)):
+            motor.axis.wheel.turn(0.0)  # it holds a position
+            return
+        super()._follow_setpoint(motor)
 
     def _refuse(self, address: int, data: bytes) -> None:
         if address < EEPROM_END and any(motor.switched_on for motor in self._motors.values()):
