@@ -83,6 +83,16 @@ class FeetechSdk:
         return self.port.take()
 
 
+class ScsSdk(FeetechSdk):
+    """The packet code of its class for the SCS series."""
+
+    goal, present = (42, 2), (56, 2)
+
+    def __init__(self):
+        super().__init__()
+        self.handler = scservo_sdk.scscl(self.port)
+
+
 class DynamixelSdk:
     """The packet code of dynamixel-sdk."""
 

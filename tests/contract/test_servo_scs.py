@@ -12,7 +12,7 @@ import pytest
 import scservo_sdk
 from loop_side import running, until
 from sdk_master import opened, patiently, wait_until
-from sdk_servo import READ, SYNC_READ, SYNC_WRITE, WRITE, FeetechSdk, SdkServos
+from sdk_servo import READ, SYNC_READ, SYNC_WRITE, WRITE, ScsSdk, SdkServos
 from sim_bench import GEAR, simulated, spec_of
 from tests.sim.daemon_stage import DEADLINE_S, ROOT
 
@@ -24,16 +24,6 @@ MIDDLE, AWAY = 614, 200
 """Where a simulated servo begins, half a turn of 1229 counts; a move of the SDK."""
 COUNTS_PER_RAD = 1229 * GEAR / math.tau
 NEAR_COUNTS = 4
-
-
-class ScsSdk(FeetechSdk):
-    """The packet code of the SDK's class for this series."""
-
-    goal, present = (42, 2), (56, 2)
-
-    def __init__(self):
-        super().__init__()
-        self.handler = scservo_sdk.scscl(self.port)
 
 
 class ScsServos(SdkServos):
@@ -78,7 +68,7 @@ def test_the_makers_sdk_moves_simulated_servos(tmp_path):
         assert read.txRxPacket() != 0, "the series has no sync read"
 
 
-def test_a_scan_names_the_profile_of_the_series(tmp_path):
+def test_a_scan_names_the_first_profile_of_the_series(tmp_path):
     words = (str(tmp_path / "bus"), "--units", "1-2", "--baudrate", "1000000", "--json")
     with simulated(PROFILE, tmp_path):
         run = subprocess.run(
@@ -87,7 +77,7 @@ def test_a_scan_names_the_profile_of_the_series(tmp_path):
         )  # fmt: skip
     assert run.returncode == 0, run.stderr
     found = [(one["unit"], one["matches"][0]["profile"]) for one in json.loads(run.stdout)["found"]]
-    assert found == [(1, "scs0009-position"), (2, "scs0009-position")]
+    assert found == [(1, "scs0009"), (2, "scs0009")]
 
 
 async def test_the_line_moves_servos_that_the_makers_sdk_speaks_for(tmp_path):
