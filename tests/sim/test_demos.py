@@ -18,6 +18,7 @@ ESTIMATED = {
     "hoverboard-rover": Source.SPEEDS,
     "sabertooth": Source.SETPOINTS,
     "sabertooth4": Source.SETPOINTS,
+    "two-scs-servos": Source.SETPOINTS,
     "two-single-drives": Source.SPEEDS,
     "waveshare-ugv": Source.SPEEDS,
 }

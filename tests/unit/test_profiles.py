@@ -319,6 +319,21 @@ def test_low_first_swaps_words_and_nothing_else():
         ("ddsm115", "address = 0x6406", "address = 0x6405", "overlaps velocity"),
         ("ddsm115", 'access = "w"', 'access = "rw"', "in the request"),
         ("vfd-el", "pole_pairs = 2", "pole_pairs = 0", "needs motor.pole_pairs"),
+        ("ddsm115", "value = 0 }", "value = 0, if_different = true }", "is for bus servos"),
+        (
+            "scs0009",
+            'arm = [{ write = "torque_enable", value = 1 }]',
+            'arm = [{ write = "torque_enable", value = 1, if_different = true }]',
+            "only in configure",
+        ),
+        (
+            "scs0009",
+            'default = 20\naccess = "rw"',
+            'default = 20\naccess = "w"',
+            'if_different: "minimum_angle" cannot be read',
+        ),
+        ("scs0009", "maximum = 100\n", "maximum = 103\n", "does not fit m16-bit10-high-first"),
+        ("bld-305s", 'type = "u16"', 'type = "m16-bit10-high-first"', "is for bus servos"),
     ],
 )
 def test_parts_that_do_not_go_together_are_reported(tmp_path, name, old, new, message):

@@ -71,7 +71,7 @@ def register(kind, **more):
         ("m16-bit10-high-first", -1, "0401"), ("m16-bit10-high-first", 0, "0000"),
     ],
 )  # fmt: skip
-def test_values_stand_low_byte_first_unless_their_type_says_otherwise(kind, raw, wire):
+def test_values_stand_low_byte_first_but_those_of_one_series(kind, raw, wire):
     assert encode(register(kind), raw).hex() == wire
     assert decode(register(kind), bytes.fromhex(wire)) == raw
 

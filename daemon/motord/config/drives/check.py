@@ -408,20 +408,13 @@ def _check_steps(
             problems.add(key, "cycle is for a time, and only in configure")
         if step.cycle and profile.can is None:
             problems.add(key, f"{profile.protocol} has no such thing as cycle")
-        if step.if_different:
-            _check_if_different(profile, key, register, problems)
+        if step.if_different and (profile.protocol not in _SERVOS or name != "configure"):
+            problems.add(key, "if_different is for bus servos, and only in configure")
+        if step.if_different and "r" not in register.access:
+            problems.add(key, f'if_different: "{register.name}" cannot be read')
         low, high = register.raw_range
         if not low <= step.value <= high:
             problems.add(key, f"{step.value} does not fit {register.name}")
-
-
-def _check_if_different(
-    profile: DriveProfile, key: str, register: Register, problems: Problems
-) -> None:
-    if profile.protocol not in _SERVOS:
-        problems.add(key, f"{profile.protocol} has no such thing as if_different")
-    elif "r" not in register.access:
-        problems.add(key, f'if_different: "{register.name}" cannot be read')
 
 
 def _check_enabled(profile: DriveProfile, problems: Problems) -> None:
