@@ -31,7 +31,9 @@ def _armed(stage):
 def teleop(stage, **options):
     words = ("teleop", "--socket", str(stage.socket), "--first-s", "1.0")
     with at_terminal(*words, **options) as terminal:
-        terminal.wait_for("m/s")
+        terminal.wait_until(
+            lambda: "m/s" in terminal.text or "r resets" in terminal.text, "the status line"
+        )
         yield terminal
 
 
