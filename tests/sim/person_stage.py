@@ -17,7 +17,15 @@ import tomllib
 from pathlib import Path
 
 from tests.fork_server import AT_TERMINAL
-from tests.sim.daemon_stage import DEADLINE_S, ROBOT, ROOT, running
+from tests.sim.daemon_stage import (
+    DEADLINE_S,
+    ROBOT,
+    ROOT,
+    TRIES,
+    becomes_idle,
+    running,
+    was_held_up,
+)
 
 SETTINGS = (
     "loop.rate_hz=250", "input.socket.kind=socket", "input.socket.lease_s=1.0",
@@ -170,7 +178,13 @@ class Floor:
 
 
 def calibrated(stage, *words, write="y"):
-    """Exit status and text of `motord calibrate WORDS`, with a person on the floor."""
-    with at_terminal("calibrate", *words, "--socket", stage.socket) as screen:
-        status = screen.answers(Floor(stage).replies(write))
-        return status, screen.text
+    """Exit status and text of `motord calibrate WORDS`, with a person on the floor; again where a
+    busy machine held it up, at most TRIES times."""
+    for number in range(TRIES):
+        if number:
+            becomes_idle(stage)
+        with at_terminal("calibrate", *words, "--socket", stage.socket) as screen:
+            status = screen.answers(Floor(stage).replies(write))
+            if status == 0 or not was_held_up(screen.text):
+                break
+    return status, screen.text
