@@ -325,7 +325,7 @@ static void an_angle_is_its_counters_distance_from_zero(void)
         state.joint[2].last = last, state.joint[2].count = 1200;
         modules_take_angle(&state, &config, 2);
         CHECK(close_to(state.angle_rad[2], -0.2));
-        state.joint[2].count = 3000; /* the shorter way round */
+        state.joint[2].count = 3000; /* the shorter direction */
         modules_take_angle(&state, &config, 2);
         CHECK(close_to(state.angle_rad[2], -2.0));
     }

@@ -170,7 +170,7 @@ static void before_a_goal_that_turns_a_wheel_around_the_base_comes_to_rest(void)
         {&car, {1.0, 6.0}, {1.0, -6.0}, false}, /* while it drives, the wheel in front turns from side to side */
         {&car, {0.5, 6.0}, {0.2, -6.0}, false},
         {&car, {0.1, 3.0}, {0.1, -3.0}, false},
-        {&car, {0.5, 0.5}, {0.0, -1.0}, true}, /* without speed there is no such way */
+        {&car, {0.5, 0.5}, {0.0, -1.0}, true}, /* without speed no wheel has to turn from side to side */
         {&car, {0.5, 0.0}, {0.0, 1.0}, false},
         {&car, {0.0, 1.0}, {0.0, -1.0}, true},
         {&car, {0.0, 1.0}, {0.0, 0.2}, false},

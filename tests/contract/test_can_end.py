@@ -70,9 +70,9 @@ async def test_a_power_off_that_the_full_bus_did_not_take_at_once_is_sent_again(
             await lively(rig, bus, lambda: rig.states() == {DriveState.READY})
             await fill(rig, bus)
             bus.received.clear()
-            hearing = group.create_task(receive_late())
+            receiving = group.create_task(receive_late())
         bus.receive()
-        hearing.cancel()
+        receiving.cancel()
     assert bus.states()[-1] == IDLE
     assert warnings_at_the_end(rig) == []
 

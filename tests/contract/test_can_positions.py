@@ -75,7 +75,7 @@ async def wait_for_motion(rig, sim):
     """Both are sent far away, and move."""
     await rig.arm()
     rig.loop.position_rad = {0: FAR_RAD, 1: FAR_RAD}
-    await rig.drive(lambda: min(angles_rad(sim)) > 0.5, "both are under way")
+    await rig.drive(lambda: min(angles_rad(sim)) > 0.5, "both move")
 
 
 async def stopped(sim):

@@ -113,7 +113,7 @@ async def test_both_go_to_their_angles_from_the_place_where_they_are(rig, nodes)
 async def test_old_set_points_stop_it_by_its_quick_stop_and_take_its_power(rig, nodes):
     await rig.arm()
     rig.loop.position_rad = {0: 0.5, 1: 0.5}
-    await rig.drive(lambda: nodes[0].position > HERE + 300, "they are on their way")
+    await rig.drive(lambda: nodes[0].position > HERE + 300, "they move")
     rig.loop.running = False
     await until(lambda: all(node.controls[-1] == 0x06 for node in nodes))
     for node in nodes:
@@ -125,7 +125,7 @@ async def test_old_set_points_stop_it_by_its_quick_stop_and_take_its_power(rig, 
 async def test_a_following_error_of_the_drive_is_its_fault_and_ends_its_motion(rig, nodes):
     await rig.arm()
     rig.loop.position_rad = {0: 0.3, 1: 0.3}
-    await rig.drive(lambda: nodes[0].position > HERE, "they are on their way")
+    await rig.drive(lambda: nodes[0].position > HERE, "they move")
     nodes[0].status, nodes[0].error_code = FAULT, 0x8611
     await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
     assert any("following error" in event.text for event in rig.events)

@@ -105,7 +105,7 @@ async def test_an_acknowledge_that_stays_lets_it_take_nothing_and_one_that_is_ba
 async def test_old_set_points_stop_it_and_have_nothing_taken_any_more(rig, node):
     await rig.arm()
     rig.loop.position_rad = {0: 0.5}
-    await rig.drive(lambda: node.position > HERE, "it is under way")
+    await rig.drive(lambda: node.position > HERE, "it moves")
     rig.loop.running = False
     await until(lambda: node.controls[-1] == 0x06, "its power is off")
     stop = max(at for at, word in enumerate(node.controls) if word == 0x02)

@@ -101,7 +101,7 @@ async def test_only_an_output_that_is_referenced_is_a_known_place(rig, drives, s
 async def test_old_set_points_stop_it_with_zero_velocity_and_then_without_power(rig, drives):
     await rig.arm()
     rig.loop.position_rad = {0: 0.5, 1: 0.5}
-    await rig.drive(lambda: drives[0].values[0x001] > HERE_TURNS, "it is under way")
+    await rig.drive(lambda: drives[0].values[0x001] > HERE_TURNS, "it moves")
     rig.loop.running = False
     await until(lambda: all(drive.mode == STOPPED for drive in drives))
     for drive in drives:
@@ -112,7 +112,7 @@ async def test_old_set_points_stop_it_with_zero_velocity_and_then_without_power(
 async def test_a_silent_master_lets_the_watchdog_bite(rig, drives):
     await rig.arm()
     rig.loop.position_rad = {0: 0.5, 1: 0.5}
-    await rig.drive(lambda: drives[0].values[0x001] > HERE_TURNS, "it is under way")
+    await rig.drive(lambda: drives[0].values[0x001] > HERE_TURNS, "it moves")
     drives[0].unreceptive = True
     await until(lambda: drives[0].mode == TIMEOUT)
     drives[0].unreceptive = False

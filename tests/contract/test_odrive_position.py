@@ -114,7 +114,7 @@ def _known(rig):
 async def test_old_set_points_stop_it_in_velocity_control_and_then_take_its_power(rig, axis):
     await rig.arm()
     rig.loop.position_rad = {0: 0.5}
-    await rig.drive(lambda: axis.position_turns > HERE_TURNS, "it is under way")
+    await rig.drive(lambda: axis.position_turns > HERE_TURNS, "it moves")
     rig.loop.running = False
     await until(lambda: axis.state == IDLE, "its power is off")
     stop = max(at for at, (command, data) in enumerate(axis.received)

@@ -131,7 +131,7 @@ async def test_the_line_drives_servos_that_the_makers_sdk_speaks_for(tmp_path):
             await rig.arm()
             assert {raw for _, _, raw in servos.duties} == {sdk_duty(0)}, "zero until it may move"
             rig.loop.duty = {0: 0.5, 1: 0.25}
-            await rig.drive(duties_are(500, -250), "the right one is mounted the other way round")
+            await rig.drive(duties_are(500, -250), "the right one is mounted mirrored")
             rig.loop.duty = {0: -0.5, 1: -0.001}
             await rig.drive(duties_are(-500, 1), "and back")
             rig.loop.duty = {0: 9.0, 1: 9.0}

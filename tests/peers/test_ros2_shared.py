@@ -14,8 +14,8 @@ STRING = "std_msgs/msg/String"
 
 async def test_it_goes_on_and_may_be_run_again():
     node, received = Node("shared", "/shared", DOMAIN, "localhost"), set()
-    node.subscribe("said", STRING, lambda message, *_: received.add(message.data))
-    sender = node.publisher("said", STRING)
+    node.subscribe("words", STRING, lambda message, *_: received.add(message.data))
+    sender = node.publisher("words", STRING)
 
     async def is_received(text):
         while text not in received:

@@ -87,7 +87,7 @@ def test_the_oracle_has_the_times_of_the_textbook(change_u_s, most_u_s2, jerk_u_
 @settings(max_examples=30)
 @given(BOUNDS, BOUNDS, SPEED, SPEED, SPEED, SPEED, ALONG)
 def test_the_oracle_has_the_time_of_a_sweep_forth_and_back(one, other, a, b, c, d, along):
-    """The usual way to time a path under limits: on a fine grid, the fastest that can be reached
+    """The usual method to time a path under limits: on a fine grid, the fastest that can be reached
     from the start, then the fastest that can still be let go before the end."""
     changes = [Change(one, a, b, along), Change(other, c, d, along)]
     moving = [x for x in changes if x.size_u_s > 0.05 and math.isfinite(x.bounds.jerk_u_s3)]

@@ -55,7 +55,7 @@ def calibrated(
         found.measures = [measure for kind in kinds for measure in getattr(runs, kind)()]
         found.fit = fitted(person, edit, free, found.measures)
     if what in ("deadband", "feedforward") or (what == "all" and _holds_speed(robot)):
-        duty_joints(robot, torque=what != "deadband")  # nothing moves where there is none
+        duty_joints(robot, torque=what != "deadband")  # raises before anything moves
         levels = drive_levels(client, person, robot, options["speed_m_s"])
         found.duty = duty_fits(robot, levels)
         found.plants = {} if what == "deadband" else plants_of(robot, levels)

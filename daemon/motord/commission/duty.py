@@ -92,7 +92,7 @@ def fit_duty(name: str, points: Sequence[Point]) -> DutyFit:
 
 def duty_joints(robot: Robot, *, torque: bool = False) -> list[str]:
     """Joints that can be calibrated so; `torque`: also those that take one. Raises Failed where
-    there is none."""
+    no joint can."""
     profiles = robot.profiles
     found = [
         name

@@ -219,7 +219,7 @@ class Rig:
         return SimulatedLine(line, drives, self.script, port)
 
     def _make_talks(self, line: LineSpec) -> dict[int, Talk]:
-        """By its address what each board takes and sends; empty: there is none on this line."""
+        """By its address what each board takes and sends; empty: no board is on this line."""
         units = {joint.unit: joint.profile for joint in line.joints}
         talks = {unit: self._make_talk(line, unit, profile) for unit, profile in units.items()}
         return {unit: talk for unit, talk in talks.items() if talk is not None}

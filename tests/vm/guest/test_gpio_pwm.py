@@ -142,7 +142,7 @@ async def test_a_servo_has_the_pulses_of_its_angle_while_it_is_armed_as_the_kern
         assert are(rig, drive, "coast")()
         await reaches(line, are(rig, drive, "forward", 1.0), "to one end")
         line.loop.position_rad = {0: -full_rad / 2}
-        await reaches(line, are(rig, drive, "reverse", 0.5), "half of the way to the other end")
+        await reaches(line, are(rig, drive, "reverse", 0.5), "halfway to the other end")
         line.loop.running = False
         await until(are(rig, drive, "coast"), "no pulses without a loop")
     for where in places(drive).values():
