@@ -18,8 +18,8 @@ from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, Line, Li
 from motord_hal.realtime.exchange import Exchange, JointSetpoint, Setpoints
 
 GENEROUS_S = 60.0
-LOOK_EVERY_S = 0.005
-SETPOINTS_EVERY_S = 0.005
+LOOK_EVERY_S = 0.01
+SETPOINTS_EVERY_S = 0.01
 PATIENT_S = 1.0
 """After which lines here find set-points old. In the product a thread puts them that waits for
 nothing; here one event loop does, and a busy machine may leave it without a CPU for longer than
@@ -165,7 +165,7 @@ class Rig:
                         self.loop.put()
                         await self.arm()
                     self.loop.enabled = True
-                    await asyncio.sleep(0.005)
+                    await asyncio.sleep(LOOK_EVERY_S)
         except TimeoutError:
             raise AssertionError(f"never came true: {what}: {self.states()}") from None
 

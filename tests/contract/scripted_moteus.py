@@ -25,6 +25,8 @@ SCALES = {
 COMMANDS = (0x020, 0x021, 0x022, 0x027, 0x028)
 LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 NOTHING = 0x50
+STOP = bytes([0x01, 0x00, STOPPED])
+"""How a command begins that takes the power: mode, as int8."""
 
 
 def varuint(data):
@@ -48,6 +50,8 @@ class Moteus:
         self.positions = []
         """Of each command: where it was sent, and the mode that it had then."""
         self.bites = 0
+        self.lost_stops = 0
+        """So many of the stops that come next are lost on their way."""
         self.unreceptive = False
         self._fed_s = None
         self._enabled_at_s = 0.0
@@ -78,7 +82,10 @@ class Moteus:
             self._watch()
             mine = message is not None and message.arbitration_id & 0xFF == self.node
             if mine and message.arbitration_id >> 8 & 0x80 and not self.unreceptive:
-                self._answer(message)
+                if self.lost_stops and message.data.startswith(STOP):
+                    self.lost_stops -= 1
+                else:
+                    self._answer(message)
 
     def _watch(self):
         if self.mode == ENABLING and time.monotonic() > self._enabled_at_s:

@@ -4,7 +4,7 @@
 import math
 
 import pytest
-from cia402_node import FAULT, OPERATION, QUICK_STOP_ACTIVE, READY, Cia402Node
+from cia402_node import FAULT, OPERATION, QUICK_STOP_ACTIVE, SWITCH_ON_DISABLED, Cia402Node
 from loop_side import running, until
 from scripted_odrive import BUSES, engine_asked, new_address, open_bus
 
@@ -16,6 +16,7 @@ from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 
 RPM = 2 * math.pi / 60
 NODE = 5
+INTERRUPTIONS_MAX = 20
 
 
 @pytest.fixture(params=[kind for kind in BUSES if kind != "virtual"])
@@ -72,11 +73,23 @@ async def test_the_state_machine_is_walked_and_velocity_and_position_go_both_way
     assert feedback().enabled is True
 
 
-async def test_the_control_word_stays_while_set_points_go_out(rig, node):
+async def words_while_armed(rig, node):
+    """Control words since it was armed, more than 20. None if it was disarmed meanwhile: the
+    machine stood still, so that set-points were old."""
     await rig.arm()
-    words = len(node.controls)
-    await until(lambda: len(node.controls) > words + 20)
-    assert set(node.controls[words:]) == {0x0F}
+    begin = len(node.controls)
+    await until(lambda: len(node.controls) > begin + 20 or rig.states() != {DriveState.ARMED})
+    words = node.controls[begin:]
+    return words if rig.states() == {DriveState.ARMED} else []
+
+
+async def test_the_control_word_stays_while_set_points_go_out(rig, node):
+    for _ in range(INTERRUPTIONS_MAX):
+        words = await words_while_armed(rig, node)
+        if words:
+            break
+    assert len(words) > 20
+    assert set(words) == {0x0F}
 
 
 async def test_old_set_points_are_a_quick_stop_and_then_no_power(rig, node):
@@ -87,7 +100,7 @@ async def test_old_set_points_are_a_quick_stop_and_then_no_power(rig, node):
     await until(lambda: rig.states() == {DriveState.READY} or node.status == QUICK_STOP_ACTIVE)
     await until(lambda: node.status != OPERATION)
     await until(lambda: node.velocity == 0)
-    await until(lambda: node.controls[-1] in (0x06, 0x00))
+    await until(lambda: node.controls[-1] == 0x00)
 
 
 async def test_a_fault_is_reported_and_reset_by_an_edge(rig, node):
@@ -147,7 +160,7 @@ async def test_registers_are_objects(rig, node):
     await rig.ready()
     assert await rig.line.read_register("wheel", "bus_voltage") == pytest.approx(36.5)
     assert await rig.line.read_register("wheel", "device_type") == 0x00020192
-    assert node.status in (READY, 0x40)
+    assert node.status == SWITCH_ON_DISABLED
 
 
 async def left_turning(node):
@@ -195,7 +208,7 @@ async def test_a_drive_that_nothing_drives_is_stopped_in_either_state_and_report
     assert await halt_line(spec_of(node)) == []
     assert node.velocity == 0
     assert node.status != OPERATION
-    assert set(node.controls) <= {0x02, 0x06}
+    assert set(node.controls) <= {0x02, 0x00}
 
 
 async def test_a_pre_operational_drive_that_keeps_its_power_is_reported(node):

@@ -5,7 +5,7 @@ import dataclasses
 import math
 
 import pytest
-from cia402_node import FAULT, OPERATION, Cia402Node
+from cia402_node import FAULT, OPERATION, SWITCH_ON_DISABLED, Cia402Node
 from loop_side import running, until
 from shared_bus import end_of, shared_bus
 from tests.shipped import shipped_profile
@@ -115,7 +115,7 @@ async def test_old_set_points_stop_it_by_its_quick_stop_and_take_its_power(rig, 
     rig.loop.position_rad = {0: 0.5, 1: 0.5}
     await rig.drive(lambda: nodes[0].position > HERE + 300, "they move")
     rig.loop.running = False
-    await until(lambda: all(node.controls[-1] == 0x06 for node in nodes))
+    await until(lambda: all(node.controls[-1] == 0x00 for node in nodes))
     for node in nodes:
         assert 0x02 in node.controls
         assert node.status != OPERATION
@@ -154,4 +154,4 @@ async def test_stop_all_stops_drives_on_their_way(nodes, address):
     for node in nodes:
         node.status = OPERATION  # as after a crash
     assert await halt_line(spec_of(address)) == []
-    assert all(node.status != OPERATION for node in nodes)
+    assert all(node.status == SWITCH_ON_DISABLED for node in nodes)

@@ -7,7 +7,7 @@ import time
 
 import can
 import pytest
-from cia402_node import OPERATION, Cia402Node
+from cia402_node import OPERATION, SWITCH_ON_DISABLED, Cia402Node
 from loop_side import running, until
 from shared_bus import KINDS, end_of, shared_bus
 
@@ -129,7 +129,7 @@ async def test_old_set_points_stop_all_drives_of_the_bus(rig, nodes):
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM, 1: 60 * RPM}
     await until(lambda: [node.velocity for node in nodes] == [60, 60])
     rig.loop.running = False
-    await until(lambda: all(node.controls[-1] in (0x02, 0x06) for node in nodes))
+    await until(lambda: all(node.status == SWITCH_ON_DISABLED for node in nodes))
     await until(lambda: [node.velocity for node in nodes] == [0, 0])
     await until(lambda: rig.states() == {DriveState.READY})
 
@@ -176,4 +176,4 @@ async def test_drives_that_turn_and_take_no_pdo_are_stopped_before_they_are_set_
 
 async def test_drives_that_turn_and_take_no_pdo_are_stopped_by_who_comes_for_that(spec, turning):
     assert await halt_line(spec) == []
-    assert all(node.status != OPERATION and node.velocity == 0 for node in turning)
+    assert all(node.status == SWITCH_ON_DISABLED and node.velocity == 0 for node in turning)

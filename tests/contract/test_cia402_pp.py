@@ -107,7 +107,7 @@ async def test_old_set_points_stop_it_and_have_nothing_taken_any_more(rig, node)
     rig.loop.position_rad = {0: 0.5}
     await rig.drive(lambda: node.position > HERE, "it moves")
     rig.loop.running = False
-    await until(lambda: node.controls[-1] == 0x06, "its power is off")
+    await until(lambda: node.controls[-1] == 0x00, "its power is off")
     stop = max(at for at, word in enumerate(node.controls) if word == 0x02)
     assert not any(word & NEW_SETPOINT for word in node.controls[stop:])
     assert node.status != OPERATION

@@ -5,7 +5,7 @@ core's speed loop turns it."""
 import math
 
 import pytest
-from cia402_node import OPERATION, Cia402Node
+from cia402_node import OPERATION, SWITCH_ON_DISABLED, Cia402Node
 from loop_side import running, until
 from shared_bus import KINDS, end_of, shared_bus
 
@@ -107,4 +107,4 @@ async def test_stop_all_takes_torque_and_power(node, spec, state):
         await rig.arm()
     node.status, node.torque, node.node.nmt.state = OPERATION, 500, state  # as after a crash
     assert await halt_line(spec) == []
-    assert node.status != OPERATION
+    assert node.status == SWITCH_ON_DISABLED

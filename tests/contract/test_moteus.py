@@ -173,6 +173,8 @@ async def test_a_silent_master_lets_the_watchdog_bite_and_only_a_stop_ends_it(ri
     drives[0].unreceptive = False
     await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds() or drives[0].mode == STOPPED)
     await until(lambda: rig.line.drive_states["wheel_3"] is DriveState.READY)
+    await until(lambda: drives[0].mode == STOPPED)
+    await more_cycles(rig)
     assert drives[0].bites == 1
     assert drives[0].mode == STOPPED
 
@@ -225,3 +227,20 @@ async def test_stop_all_stops_both(drives, spec):
         drive.values |= {0x000: POSITION, 0x002: 2.0}  # as after a crash
     assert await halt_line(spec) == []
     assert [drive.mode for drive in drives] == [STOPPED, STOPPED]
+
+
+async def test_stop_all_goes_on_until_a_drive_that_brakes_reports_that_it_has_no_power(drives, spec):
+    for drive in drives:
+        drive.values |= {0x000: POSITION, 0x002: 2.0}
+        drive.lost_stops = 5
+    assert await halt_line(spec) == []
+    assert [drive.mode for drive in drives] == [STOPPED, STOPPED]
+    assert all(ZERO_VELOCITY in drive.modes for drive in drives)
+
+
+async def test_stop_all_reports_a_drive_that_keeps_its_power_though_it_is_at_rest(drives, spec):
+    for drive in drives:
+        drive.values |= {0x000: POSITION, 0x002: 2.0}
+    drives[0].lost_stops = 1_000_000
+    assert await halt_line(spec) == ["wheel_3: reports that it still has power"]
+    assert [drive.mode for drive in drives] == [ZERO_VELOCITY, STOPPED]

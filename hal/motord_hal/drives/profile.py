@@ -364,6 +364,8 @@ class DriveProfile:
     clear_fault: tuple[Step, ...]
     enabled: Enabled | None
     """None: the drive cannot say."""
+    power_off: Enabled | None = None
+    """Its motor has no power when this is so. None: it has none when it is not `enabled`."""
     absolute: bool = False
     """Its position means the same after each power-up."""
     homed: Enabled | None = None

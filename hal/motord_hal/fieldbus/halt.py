@@ -12,7 +12,7 @@ from typing import Any, cast
 from motord_hal.base.clock import now_s, within
 from motord_hal.base.errors import HalError, PortError
 from motord_hal.drives.can_profile import Signal
-from motord_hal.drives.profile import DriveProfile
+from motord_hal.drives.profile import Enabled
 from motord_hal.fieldbus.line import DriveLine
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import (
@@ -127,11 +127,15 @@ async def _until_drive_off(
 async def _report(line: DriveLine[Any], joint: JointSpec) -> str:
     """Why the drive may have power, or may turn, by its own report; empty: it is off. Raises
     HalError."""
-    register, place = _power_register(joint.profile), joint.profile.enabled
-    if register and place is not None:
-        found = joint.profile.registers[register]
-        raw = found.from_si(await line.read_register(joint.name, register))
-        return "reports that it is still enabled" if raw & place.mask == place.equals else ""
+    profile = joint.profile
+    if profile.enabled is not None or profile.power_off is not None:
+        # a drive that brakes is not enabled for some: what is read after the power-off counts
+        stopping = line.is_stopping(joint.name)
+        if profile.enabled is not None and await _holds(line, joint, profile.enabled):
+            return "reports that it is still enabled"
+        if profile.power_off is not None and not await _holds(line, joint, profile.power_off):
+            return "reports that it still has power"
+        return "is still stopping" if stopping else ""
     if line.drive_states[joint.name] is DriveState.UNRESPONSIVE:
         return "is unresponsive"
     if line.is_stopping(joint.name):
@@ -141,10 +145,11 @@ async def _report(line: DriveLine[Any], joint: JointSpec) -> str:
     return ""
 
 
-def _power_register(profile: DriveProfile) -> str:
-    """What is read to see whether it has power: of a CAN drive the object, which answers also where
-    its frames do not come."""
-    if profile.enabled is None:
-        return ""
-    found = profile.registers[profile.enabled.register]
-    return (isinstance(found, Signal) and found.object) or profile.enabled.register
+async def _holds(line: DriveLine[Any], joint: JointSpec, place: Enabled) -> bool:
+    """Whether the drive reports it. Of a CAN drive the object is read, which answers also where
+    its frames do not come. Raises HalError."""
+    registers = joint.profile.registers
+    found = registers[place.register]
+    register = (isinstance(found, Signal) and found.object) or place.register
+    raw = registers[register].from_si(await line.read_register(joint.name, register))
+    return raw & place.mask == place.equals

@@ -63,6 +63,7 @@ def build(file: DriveFile, path: Path, problems: Problems) -> DriveProfile:
         quick_stop=_steps("quick_stop", file.steps.quick_stop, problems),
         clear_fault=_steps("clear_fault", file.steps.clear_fault, problems),
         enabled=_enabled(file.enabled) if file.enabled else None,
+        power_off=_enabled(file.power_off) if file.power_off else None,
         absolute=file.absolute,
         homed=_enabled(file.homed) if file.homed else None,
         watchdog=_watchdog(file.watchdog) if file.watchdog else None,

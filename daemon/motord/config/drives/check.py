@@ -418,7 +418,8 @@ def _check_steps(
 
 
 def _check_enabled(profile: DriveProfile, problems: Problems) -> None:
-    for key, place in (("enabled", profile.enabled), ("homed", profile.homed)):
+    for key in ("enabled", "power_off", "homed"):
+        place = getattr(profile, key)
         if place is None:
             continue
         _reference(profile, f"{key}.register", place.register, "r", (), problems)

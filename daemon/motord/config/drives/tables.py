@@ -219,6 +219,13 @@ class EnabledWhen(Section):
     equals: int = number("its value then", 0, 0xFFFFFFFF, "1")
 
 
+class PowerOffWhen(EnabledWhen):
+    """[power_off]: the motor has no power when (register & mask) = equals. For a drive that is not
+    enabled any more while it brakes with power."""
+
+    equals: int = number("its value then", 0, 0xFFFFFFFF, "0")
+
+
 class HomedWhen(EnabledWhen):
     """[homed]: the position has a reference when (register & mask) = equals."""
 
@@ -333,6 +340,7 @@ class DriveFile(Section):
     """The drive's motors, numbered 1, 2, ..."""
     steps: Sequences
     enabled: EnabledWhen | None = None
+    power_off: PowerOffWhen | None = None
     homed: HomedWhen | None = None
     watchdog: DriveWatchdog | None = None
     faults: list[FaultCode] = Field(default_factory=list, alias="fault")

@@ -14,7 +14,7 @@ from motord.config.sections.limits import REST_MAX_S
 from motord.config.sections.model import Robot
 from motord_hal.base.nearest import nearest
 
-JOINTS_MIN, JOINTS_MAX = 2, 8  # JOINTS_MAX, LINES_MAX: csrc/api.h
+JOINTS_MIN, JOINTS_MAX = 2, 8  # JOINTS_MAX, LINES_MAX: csrc/api/api.h
 LINES_MAX = 4
 STOP_USUAL_M = 3.0
 """Braking distance of a fast delivery robot; small robots have less."""

@@ -53,7 +53,7 @@ def takes_position(joint: Joint, profile: DriveProfile) -> bool:
 
 def reference_of(joint: Joint, profile: DriveProfile) -> int:
     """How the angle of a joint that takes positions is known: position_reference of
-    csrc/api_position.h. -1: not at all."""
+    csrc/api/api_position.h. -1: not at all."""
     if counter_bits(joint, profile) == 0:
         return 2
     return 0 if profile.absolute else 1 if profile.homed is not None else -1
