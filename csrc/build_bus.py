@@ -12,14 +12,14 @@ from cffi import FFI
 HERE = Path(__file__).resolve().parent
 SOURCES = sorted((HERE / "bus").glob("*.c"))
 SHARED = [HERE / "base" / f"{name}.c" for name in ("clock", "ring")]
-FOLDERS = (HERE, HERE / "base", HERE / "bus")
+FOLDERS = (HERE, HERE / "api", HERE / "base", HERE / "bus")
 FLAGS = [
     *("-std=c11", "-O2", "-fvisibility=hidden", "-ffp-contract=off", "-D_GNU_SOURCE"),
     *("-Wall", "-Wextra", "-Werror=implicit-function-declaration"),
 ]
 
 ffi = FFI()
-ffi.cdef((HERE / "api_bus.h").read_text(encoding="utf-8"))
+ffi.cdef((HERE / "api" / "api_bus.h").read_text(encoding="utf-8"))
 ffi.set_source(
     "_motord_bus",
     '#include "bus.h"',

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Builds `_motord_rt` from the api*.h by cffi in API mode: the C compiler checks every
+"""Builds `_motord_rt` from api/*.h by cffi in API mode: the C compiler checks every
 field's place.
 
 ABI mode was tried and refused: two swapped fields went through without a word.
@@ -57,7 +57,7 @@ HEADERS = (
     "api_journal.h",
 )
 for header in HEADERS:
-    ffi.cdef((HERE / header).read_text(encoding="utf-8"))
+    ffi.cdef((HERE / "api" / header).read_text(encoding="utf-8"))
 ffi.set_source(
     "_motord_rt",
     '#include "rt.h"',

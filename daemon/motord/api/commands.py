@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The datagram by which every command enters: docs/commands.md, csrc/api_command.h."""
+"""The datagram by which every command enters: docs/commands.md, csrc/api/api_command.h."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the core knows after a tick, as plain Python values.
 
-Names, meanings and order are those of `robot_state` in csrc/api.h: `motord.api.state_page` decodes
+Names, meanings and order are those of `robot_state` in api.h: `motord.api.state_page` decodes
 by them. Everybody but the core only reads a snapshot: hence no import of the C core.
 """
 
@@ -11,16 +11,16 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, get_args
 
 SNAPSHOT_VERSION = 1
 """Raised when a field is renamed, removed or changes its meaning; not when one is added."""
 STATES = ("off", "configuring", "idle", "armed", "moving", "stopping", "fault", "estop")
 """By `machine_state`."""
 GYRO_STATES = ("none", "unbiased", "used", "stale", "reversed")
-"""By GYRO_* of csrc/api_imu.h."""
+"""By GYRO_* of csrc/api/api_imu.h."""
 DERATED_BY = ("temperature", "current", "voltage")
-"""By DERATED_BY_* of csrc/api_derating.h."""
+"""By DERATED_BY_* of csrc/api/api_derating.h."""
 
 
 I64 = int
@@ -215,15 +215,25 @@ _Record = (
 )
 
 
+_NAMES = {kind: tuple(key.name for key in dataclasses.fields(kind)) for kind in get_args(_Record)}
+"""Of the fields, by the class: `fields` looks for them anew each time."""
+_AS_IT_IS = frozenset((int, str, bool, type(None)))
+
+
 def _record(record: _Record) -> dict[str, Any]:
-    return {key.name: _plain(getattr(record, key.name)) for key in dataclasses.fields(record)}
+    return {name: _plain(getattr(record, name)) for name in _NAMES[type(record)]}
 
 
 def _plain(value: Any) -> Any:
+    kind = type(value)
+    if kind in _AS_IT_IS:
+        return value
     if isinstance(value, float):
         return value if math.isfinite(value) else None
+    if kind in _NAMES:
+        return _record(value)
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
-    return _record(value) if isinstance(value, _Record) else value
+    return value

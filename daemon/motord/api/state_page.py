@@ -60,7 +60,7 @@ REASONS = {
     27: "joint_acceleration",
     28: "joint_position",
 }
-"""By bit: REASON_* of csrc/api.h."""
+"""By bit: REASON_* of csrc/api/api.h."""
 FAULTS = {
     0: "estop",
     1: "heartbeat_lost",
@@ -79,7 +79,7 @@ FAULTS = {
     14: "suspended",
     15: "position_unknown",
 }
-"""By bit: FAULT_* of csrc/api.h."""
+"""By bit: FAULT_* of csrc/api/api.h."""
 
 _MAGIC = b"MOTORD\0\1"
 _LAYOUT_VERSION = 1
@@ -128,11 +128,11 @@ _FORMS: Mapping[str, tuple[str, Callable[[Any], Any] | None]] = {
     "GyroState": ("I", gyro_word),
     "DeratedBy": ("I", derated_by),
 }
-"""How csrc/api.h has what a dataclass calls by that type, and what it is in Python."""
+"""How csrc/api/api.h has what a dataclass calls by that type, and what it is in Python."""
 
 
 class _Record:
-    """Decodes a structure of csrc/api.h: the fields of its dataclass, in their order."""
+    """Decodes a structure of csrc/api/api.h: the fields of its dataclass, in their order."""
 
     def __init__(
         self,

@@ -2,7 +2,7 @@
 """Stop, emergency stop and disarm as a datagram that the real-time loop reads itself:
 docs/commands.md. It needs no connection, so no other client can block it.
 
-Standard library alone. Layout: stop_request in csrc/api.h.
+Standard library alone. Layout: stop_request in csrc/api/api.h.
 """
 
 from __future__ import annotations

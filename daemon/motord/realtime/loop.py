@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The daemon's interface to the C core: its configuration, the real-time loop, the state page.
 
-Names and units are those of csrc/api.h, which holds the meaning of each field. All times are
+Names and units are those of csrc/api/api.h, which holds the meaning of each field. All times are
 CLOCK_MONOTONIC in nanoseconds. Nothing here waits for longer than one period of the loop.
 """
 
@@ -172,6 +172,8 @@ class Loop:
         self._event_fd = -1
         self._command_end: socket.socket | None = None
         self._release = contextlib.ExitStack()
+        self._refused = permissions.Refused()
+        self._refusals: dict[str, str] = {}
 
     def __enter__(self) -> Self:
         self.start()
@@ -343,7 +345,11 @@ class Loop:
             memory_lock=raw.memory_lock_errno,
             dma_latency=raw.dma_latency_errno,
         )
-        settings = self._settings
+        if refused != self._refused:  # the sentences need a descriptor, which may be lacking later
+            cpu = self._settings.cpu
+            priority = self._settings.priority
+            self._refusals = permissions.sentences(refused, priority=priority, cpu=cpu)
+            self._refused = refused
         return LoopStatus(
             running=raw.running != 0,
             policy=_POLICIES[raw.policy],
@@ -352,7 +358,7 @@ class Loop:
             overruns=raw.overruns,
             page_faults=raw.page_faults,
             tick_stamp_ns=raw.tick_stamp_ns,
-            refusals=permissions.sentences(refused, priority=settings.priority, cpu=settings.cpu),
+            refusals=dict(self._refusals),
             estop_input=_ESTOP_INPUTS[raw.estop_input],
             watchdog=raw.watchdog_well != 0,
             watchdog_edges=raw.watchdog_edges,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What goes into the real-time loop and what it says of itself, as plain values.
 
-The TypedDicts mirror the structs of csrc/api.h field by field, which holds their meanings and
+The TypedDicts mirror the structs of csrc/api/api.h field by field, which holds their meanings and
 ranges.
 """
 
@@ -99,7 +99,7 @@ class PositionConfig(TypedDict, total=False):
 
     used: Required[int]
     reference: int
-    """A position_reference of csrc/api_position.h."""
+    """A position_reference of csrc/api/api_position.h."""
     zero_count: int
     position_min_rad: float
     position_max_rad: float

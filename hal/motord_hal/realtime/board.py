@@ -2,7 +2,7 @@
 """The interface to the threads that drive boards on a stream: one a board, its table, its orders,
 its report.
 
-The meaning of each field is in csrc/api_board.h; tables and orders are plain values named as there.
+The meaning of each field is in api_board.h; tables and orders are plain values named as there.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The interface to the threads that drive CAN buses: one a bus, its table, its orders, its report.
 
-The meaning of each field is in csrc/api_can.h; tables, frames and orders are plain values named as
+The meaning of each field is in api_can.h; tables, frames and orders are plain values named as
 there.
 """
 

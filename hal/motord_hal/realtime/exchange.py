@@ -2,7 +2,7 @@
 """The lines' interface to the C core: the clock, and the mailboxes between lines and loop.
 
 Newest wins in each mailbox; a put never waits, and a take gives the newest value whether it is new
-or not. The meaning of each field is in csrc/api.h.
+or not. The meaning of each field is in csrc/api/api.h.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ LINES_MAX: int = lib.LINES_MAX
 _U32 = 0xFFFF_FFFF
 _U64 = 0xFFFF_FFFF_FFFF_FFFF
 _UNKNOWN = 2
-"""Of what a drive may say of itself: csrc/api.h."""
+"""Of what a drive may say of itself: csrc/api/api.h."""
 _ALIGNMENT_BYTES = 64
 
 

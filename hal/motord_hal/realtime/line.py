@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The interface to the lines that run in C: one thread a line, its table, its requests, its report.
 
-The meaning of each field is in csrc/api_line.h. A line that runs needs no Python; what is done here
+The meaning of each field is in api_line.h. A line that runs needs no Python; what is done here
 is done when a person, a fault or a parameter needs it.
 """
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The interface to the thread that drives motor bridges. The meaning of each field is in
-csrc/api_bridge.h."""
+csrc/api/api_bridge.h."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class EncoderKind(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EncoderConfig:
-    """csrc/api_encoder.h has the meanings."""
+    """csrc/api/api_encoder.h has the meanings."""
 
     kind: EncoderKind
     fd: int

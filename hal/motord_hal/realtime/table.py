@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of a real-time line as plain values, named as in csrc/api_line.h, where each field's
+"""The table of a real-time line as plain values, named as in api_line.h, where each field's
 meaning stands. Making one needs no C; `rt_line.py` hands it over."""
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What went over a line whose thread is in C: csrc/api_trace.h."""
+"""What went over a line whose thread is in C: csrc/api/api_trace.h."""
 
 from __future__ import annotations
 

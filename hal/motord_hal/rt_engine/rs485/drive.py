@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One drive of a real-time line: it is set up, armed and disarmed here, and watched.
 
-Its cycle and what takes it back to rest are C's (csrc/api_line.h). Here are only requests, which C
+Its cycle and what takes it back to rest are C's (api_line.h). Here are only requests, which C
 obeys where it is safe, and sequences of requests.
 """
 
