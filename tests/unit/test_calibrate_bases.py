@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from motord.api.geometry_fit import Measure, Pose, fit
 from motord.cli import cli
 from motord.cli.common import Exit
-from motord.commission.geometry import changes, free_of, words
+from motord.commission.calibrate.geometry import changes, free_of, words
 from motord.commission.person import Failed
 from motord.config import load_robot
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from tests.unit.bus_views import joint, view
 
-from motord.commission.duty import Point, duty_changes, duty_joints, fit_duty, steady
+from motord.commission.calibrate.duty import Point, duty_changes, duty_joints, fit_duty, steady
 from motord.commission.person import Failed
 from motord.config import load_robot
 

@@ -12,7 +12,7 @@ from dataclasses import asdict
 import pytest
 from tests.unit.bus_config_rig import DEMO
 
-from motord.commission.file_on_page import CHANGED, ELSEWHERE, carry_out
+from motord.commission.page.robot_file import CHANGED, ELSEWHERE, carry_out
 from motord.config import ConfigError, load_robot
 
 TEXT = DEMO.read_text(encoding="utf-8")
@@ -160,7 +160,7 @@ def test_a_profile_in_the_folder_or_that_the_file_names_already_may_be_used(file
 def test_the_process_answers_one_request_and_ends(file):
     request = {"do": "check", "file": str(file), "text": "nåme = 1 # \u2028"}
     ended = subprocess.run(
-        [sys.executable, "-m", "motord.commission.file_on_page"],
+        [sys.executable, "-m", "motord.commission.page.robot_file"],
         input=json.dumps(request).encode(), capture_output=True, timeout=60, check=True,
         env=os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0"},
     )  # fmt: skip

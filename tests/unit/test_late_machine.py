@@ -42,9 +42,13 @@ def test_it_hangs():
 
 @pytest.fixture
 def ran(tmp_path):
-    def run(hold_s, good_at):
+    def run(hold_s, good_at, again_max_s=60.0):
         """Exit status, runs, output."""
-        (tmp_path / "conftest.py").write_text(CONFTEST, encoding="utf-8")
+        bounds = (
+            f"tests.late_machine.AGAIN_MAX_S = {again_max_s}\ntests.late_machine.CALM_WITHIN_S = 0"
+        )
+        conftest = f"import tests.late_machine\n{CONFTEST}{bounds}\n"
+        (tmp_path / "conftest.py").write_text(conftest, encoding="utf-8")
         test = tmp_path / "test_it.py"
         test.write_text(TEST.format(hold_s=hold_s, good_at=good_at), encoding="utf-8")
         command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
@@ -68,6 +72,11 @@ def test_a_failure_that_comes_each_time_is_a_failure(ran):
     code, runs, out = ran(hold_s=0.3, good_at=99)
     assert (code, runs) == (1, 4)
     assert "1 failed" in out
+
+
+def test_a_test_whose_runs_took_long_is_not_run_again(ran):
+    assert ran(hold_s=1.0, good_at=3, again_max_s=1.9)[:2] == (1, 2)
+    assert ran(hold_s=0.3, good_at=4, again_max_s=0.1)[:2] == (1, 3)
 
 
 def test_a_test_that_hung_is_not_run_again(tmp_path):

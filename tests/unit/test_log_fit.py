@@ -9,8 +9,8 @@ from mcap_ros2.writer import Writer
 
 from motord.api.geometry_fit import fit
 from motord.bus.messages.table import definition
-from motord.commission.log_fit import Log, read_csv, windows
-from motord.commission.mcap_log import read_mcap
+from motord.commission.calibrate.log_fit import Log, read_csv, windows
+from motord.commission.calibrate.mcap_log import read_mcap
 from motord.commission.person import Failed
 
 TRACK_M, RADIUS_M = 0.45, 0.0825

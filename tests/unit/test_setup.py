@@ -10,10 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 from motord.cli import cli
-from motord.commission.hardware import Place, place_of, places
 from motord.commission.person import Failed
-from motord.commission.robot_text import robot_text
-from motord.commission.setup import Given, set_up, unit_and_channel
+from motord.commission.setup.hardware import Place, place_of, places
+from motord.commission.setup.procedure import Given, set_up, unit_and_channel
+from motord.commission.setup.robot_text import robot_text
 from motord.config import load_robot
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"

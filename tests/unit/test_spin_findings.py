@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from motord.commission.spin import Turned, both_times
-from motord.commission.spin_findings import findings
-from motord.commission.spin_steered import recognized
+from motord.commission.spin.findings import findings
+from motord.commission.spin.procedure import Turned, both_times
+from motord.commission.spin.steered import recognized
 from motord.config import load_robot
 
 ROBOTS = Path(__file__).resolve().parents[2] / "config/robots"

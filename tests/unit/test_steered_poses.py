@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from motord.commission.steered_poses import (
+from motord.commission.spin.steered_poses import (
     modules_of,
     opposite,
     patterns,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from motord.commission.person import Failed
-from motord.commission.tune_fit import (
+from motord.commission.tune.fit import (
     CLOSED_LOOP,
     Plant,
     Run,

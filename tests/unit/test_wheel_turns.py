@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord.commission.spin import wheels_of
-from motord.commission.wheel_turns import FASTER_MAX, together, turns_of
+from motord.commission.spin.procedure import wheels_of
+from motord.commission.spin.wheel_turns import FASTER_MAX, together, turns_of
 from motord.config import load_robot
 from motord.config.sections.bases import wheel_row
 

@@ -128,7 +128,7 @@ def calibrate(what: str | None, log: Path | None, as_json: bool, **options: Any)
 
 
 def _live(person: Terminal, what: str, options: dict[str, Any]) -> dict[str, Any]:
-    from motord.commission.calibration import calibrated
+    from motord.commission.calibrate.procedure import calibrated
     from motord.commission.robot_file_edit import RobotFileEdit
 
     with Client(options["path"] or find_socket(options["robot"])) as client:
@@ -156,7 +156,7 @@ def _plot(
     options: dict[str, Any],
 ) -> None:
     if options["plot"] is not None:
-        from motord.commission.plots import plot_paths
+        from motord.commission.page.plots import plot_paths
 
         plot_paths(options["plot"], measures, edit.before.base.effective_track_m, fit)
         person.show(f"{options['plot']}: written")
@@ -171,9 +171,9 @@ def _numbers(measures: Sequence[Measure], fit: Fit) -> dict[str, Any]:
 
 
 def _from_log(person: Terminal, log: Path, options: dict[str, Any]) -> dict[str, Any]:
-    from motord.commission.calibration import fitted
-    from motord.commission.geometry import free_of
-    from motord.commission.log_fit import read_csv, windows
+    from motord.commission.calibrate.geometry import free_of
+    from motord.commission.calibrate.log_fit import read_csv, windows
+    from motord.commission.calibrate.procedure import fitted
     from motord.commission.robot_file_edit import RobotFileEdit
 
     file = options["robot_file"] or _file_of_daemon(options)
@@ -185,7 +185,7 @@ def _from_log(person: Terminal, log: Path, options: dict[str, Any]) -> dict[str,
     sides: dict[str, str] = {n: side_of(robot.base, j) for n, j in robot.joint.items()}
     radii_m = {name: robot.wheel_radius_m(name) for name in robot.joint}
     if log.suffix == ".mcap":
-        from motord.commission.mcap_log import read_mcap
+        from motord.commission.calibrate.mcap_log import read_mcap
 
         read = read_mcap(log, options["pose_topic"], sides, radii_m)
     else:

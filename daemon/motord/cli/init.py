@@ -98,8 +98,8 @@ def init(robot_file: Path, dry_run: bool, as_json: bool, **options: Any) -> None
     from motord.cli.check_text import understood_rows
     from motord.cli.terminal import Terminal, failing
     from motord.commission.robot_file_edit import EditError, write_new
-    from motord.commission.robot_text import robot_text
-    from motord.commission.setup import Given, set_up, simulated_ports, unit_and_channel
+    from motord.commission.setup.procedure import Given, set_up, simulated_ports, unit_and_channel
+    from motord.commission.setup.robot_text import robot_text
 
     with failing(), Terminal() as person:
         if robot_file.exists():

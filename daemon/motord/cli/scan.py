@@ -78,7 +78,7 @@ def scan(
              motord scan /dev/ttyUSB0 --units 1-247 --baudrate 115200
              motord scan /dev/ttyAMA0 --directions --unit 1 --baudrate 115200
     """
-    from motord.commission.hardware import place_of
+    from motord.commission.setup.hardware import place_of
     from motord.tools.scan import USUAL
     from motord_hal.base.errors import PortError
 
@@ -114,7 +114,7 @@ def _scan(
 
 
 def _scan_can(port: str, baudrate: int | None, *, as_json: bool) -> None:
-    from motord.commission.hardware import (
+    from motord.commission.setup.hardware import (
         FD_BITRATE,
         USUAL_BITRATE,
         can_address,
@@ -149,7 +149,7 @@ def _report(port: str, found: list[Found], as_json: bool, advice: str) -> None:
 
 
 def _print_node(port: str, found: Found) -> None:
-    from motord.commission.hardware import can_address
+    from motord.commission.setup.hardware import can_address
 
     interface, _, channel = can_address(port).partition(":")
     drive = found.matches[0].profile if found.matches else "..."

@@ -75,8 +75,8 @@ def spin(
         raise click.UsageError("name the joints, or give --all")
     from motord.cli.terminal import Terminal, failing
     from motord.commission.robot_file_edit import RobotFileEdit, write_asking
-    from motord.commission.spin_findings import findings
-    from motord.commission.spin_steered import procedure_for
+    from motord.commission.spin.findings import findings
+    from motord.commission.spin.steered import procedure_for
 
     with failing(), Terminal(yes=yes) as person:
         described = client.call("robot")

@@ -27,7 +27,7 @@ from motord.client import Client
 
 if TYPE_CHECKING:
     from motord.cli.terminal import Terminal
-    from motord.commission.tune import Tuned
+    from motord.commission.tune.procedure import Tuned
 
 SPEED, STEP = OPTIONS["rim_m_s"], OPTIONS["step_s"]
 
@@ -99,10 +99,10 @@ def tune(client: Client, joint: str, as_json: bool, **options: Any) -> None:
 def _tuned(
     client: Client, person: Terminal, joint: str, options: dict[str, Any]
 ) -> tuple[Tuned, Path | None]:
+    from motord.commission.page.tune_pictures import plot_responses, sparklines
     from motord.commission.robot_file_edit import RobotFileEdit
-    from motord.commission.tune import Bounds
-    from motord.commission.tune import tune as procedure
-    from motord.commission.tune_plot import plot_responses, sparklines
+    from motord.commission.tune.procedure import Bounds
+    from motord.commission.tune.procedure import tune as procedure
 
     def pictured(tuned: Tuned) -> None:
         for text in sparklines(tuned):

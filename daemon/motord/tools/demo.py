@@ -43,7 +43,7 @@ from motord.tools.course import (
 from motord.tools.demo_words import Source, held_up_words, worth
 from motord.tools.simulator import start_simulator
 from motord_hal.sim.control import RobotTruth, SimControl
-from motord_hal.sim.runner import may_be_punctual
+from motord_hal.sim.runner import punctual
 
 COMMAND_PERIOD_S = 0.05
 PATH_PERIOD_S = 0.1
@@ -190,7 +190,7 @@ def staged(robot_file: Path, overrides: Sequence[str] = ()) -> Iterator[Stage]:
     with contextlib.ExitStack() as cleanup:
         folder = Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="motord-demo-")))
         options = [f"--set={setting}" for setting in overrides]
-        options += ["--priority=1"] if may_be_punctual() else []
+        options += ["--priority=1"] if cleanup.enter_context(punctual()) else []
         sim = cleanup.enter_context(start_simulator(robot_file, link_dir=folder, options=options))
         log, socket = folder / "daemon.log", folder / "daemon.sock"
         # a name of its own: a daemon of the same robot may be running on this machine

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A guided procedure that a page conducts: one at a time. It runs in a process of its own, which
 may load what this one does without, and commands the daemon by itself
-(motord/commission/on_page.py). This is the relay between it and its page.
+(motord/commission/page/procedure.py). This is the relay between it and its page.
 
 The page guards what moves: the procedure ends at rest when the page stops it, is hidden or closed,
 or is silent. While a question is open the robot rests without power, and the page may be away.
@@ -166,7 +166,7 @@ class Commissioning:
 
     async def _carry_out(self) -> dict[str, Any]:
         self._process = process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "motord.commission.on_page"),
+            *(sys.executable, "-m", "motord.commission.page.procedure"),
             stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, process_group=0,
             limit=LINE_BYTES_MAX, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
         )  # fmt: skip

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The robot file in the editor of a page: read, checked, compared and written by a process of its
-own (motord/commission/file_on_page.py), one at a time and at most one in CHECK_EVERY_S."""
+own (motord/commission/page/robot_file.py), one at a time and at most one in CHECK_EVERY_S."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SAVE = "file.save"
 CALLS = (*LOOKS, SAVE)
 MESSAGE_BYTES_MAX = 3 * TOML_BYTES_MAX + 4096
 """JSON has at most three bytes for one of a robot file, such as \\u00e4 for two."""
-MODULE = "motord.commission.file_on_page"
+MODULE = "motord.commission.page.robot_file"
 WITHIN_S = 30.0
 CHECK_EVERY_S = 0.5
 WAITING_MAX = 4

@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from motord.commission.person import Failed, Person
-from motord.commission.robot_text import Wheel
+from motord.commission.setup.robot_text import Wheel
 
 if TYPE_CHECKING:
-    from motord.commission.setup import Given
+    from motord.commission.setup.procedure import Given
 
 KINDS = ("differential", "skid", "mecanum", "omni", "ackermann", "tricycle", "swerve")
 STRAFING = ("mecanum", "omni", "swerve")

@@ -21,11 +21,11 @@ import numpy as np
 from motord.api.procedures import OPTIONS
 from motord.api.snapshot import Snapshot
 from motord.client import Client, ClientError
-from motord.commission.geometry import require_same
+from motord.commission.calibrate.geometry import require_same
 from motord.commission.person import Failed, Person
 from motord.commission.robot_file_edit import KeyPath, RobotFileEdit, write_asking
 from motord.commission.session import Session, armed
-from motord.commission.tune_fit import (
+from motord.commission.tune.fit import (
     HELD_UP,
     SEEN_PART_MIN,
     Aggressiveness,

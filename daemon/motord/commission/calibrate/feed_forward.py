@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Feed-forward of wheels whose speed motord holds, from the ramps of `motord.commission.duty`: what
-the wheel is (tune_fit), as keys of the robot file. Of a duty, dead band and speed at duty 1 come
-from the steady speeds, which are more exact, and the ramps give the part of the acceleration."""
+"""Feed-forward of wheels whose speed motord holds, from the ramps of `duty`: what the wheel is
+(`tune.fit`), as keys of the robot file. Of a duty, dead band and speed at duty 1 come from the
+steady speeds, which are more exact, and the ramps give the part of the acceleration."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 
 from motord.api.snapshot import Snapshot
 from motord.commission.robot_file_edit import KeyPath
-from motord.commission.tune import run_of
-from motord.commission.tune_fit import Plant, identify
+from motord.commission.tune.fit import Plant, identify
+from motord.commission.tune.procedure import run_of
 from motord.config import Robot
 from motord.config.sections.speed_loop import CoreGain, SpeedLoop
 from motord.config.sections.wheels import gains_of, takes_duty

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from motord.api.geometry_fit import Fit, Free, Measure, fit
 from motord.client import Client
-from motord.commission.duty import (
+from motord.commission.calibrate.duty import (
     DutyFit,
     drive_levels,
     duty_changes,
@@ -17,13 +17,13 @@ from motord.commission.duty import (
     duty_joints,
     duty_words,
 )
-from motord.commission.feed_forward import plant_changes, plant_words, plants_of
-from motord.commission.geometry import changes, free_of, require_same, words
-from motord.commission.gyro import GyroFound, gyro_changes, measure_gyro
+from motord.commission.calibrate.feed_forward import plant_changes, plant_words, plants_of
+from motord.commission.calibrate.geometry import changes, free_of, require_same, words
+from motord.commission.calibrate.gyro import GyroFound, gyro_changes, measure_gyro
+from motord.commission.calibrate.runs import Runs
 from motord.commission.person import Person
 from motord.commission.robot_file_edit import RobotFileEdit
-from motord.commission.runs import Runs
-from motord.commission.tune_fit import Plant
+from motord.commission.tune.fit import Plant
 from motord.config import Robot
 from motord.config.sections.wheels import takes_duty, takes_torque
 

@@ -9,9 +9,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from motord.api.geometry_fit import Array, Factors, Fit, Measure
-from motord.commission.calibration import Calibration
-from motord.commission.duty import DutyFit
-from motord.commission.pictures import Plot, Style, axis, plain, series
+from motord.commission.calibrate.duty import DutyFit
+from motord.commission.calibrate.procedure import Calibration
+from motord.commission.page.pictures import Plot, Style, axis, plain, series
 from motord.config import Robot
 
 POINTS_MAX = 200
@@ -92,7 +92,7 @@ def _duty(robot: Robot, fits: Mapping[str, DutyFit]) -> Plot:
 
 
 def _line(dead_band: float, full_duty_rad_s: float, most: float) -> tuple[list[float], list[float]]:
-    """As motord.commission.duty describes it."""
+    """As motord.commission.calibrate.duty describes it."""
     duties = [dead_band, max(dead_band, most)]
     return duties, [full_duty_rad_s * (duty - dead_band) / (1.0 - dead_band) for duty in duties]
 

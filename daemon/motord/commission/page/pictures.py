@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any, Literal
 
-from motord.commission.spin import Turned
+from motord.commission.spin.procedure import Turned
 
 Plot = dict[str, Any]
 """title, x and y (title and unit), series; `equal`: both axes have one scale. Where it has `bars`,

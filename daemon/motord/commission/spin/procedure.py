@@ -2,7 +2,7 @@
 """The first turn of each wheel: which one turns, in which direction, and what its encoder counts.
 
 A wheel turns by a twist of the base in which as few others as possible turn (wheel_turns): no path
-to the motors but that of every other command. Bases with steered wheels: spin_steered.
+to the motors but that of every other command. Bases with steered wheels: steered.py.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from motord.api.snapshot import Snapshot
 from motord.client import Client
 from motord.commission.person import Failed, Person
 from motord.commission.session import Held, Session, armed, require_idle
-from motord.commission.wheel_turns import Turn, together, turns_of
+from motord.commission.spin.wheel_turns import Turn, together, turns_of
 
 Direction = Literal["forward", "backward", "not at all"]
 OWNER = "motord-spin"

@@ -16,7 +16,7 @@ from motord.api.snapshot import Snapshot
 from motord.client import Client
 from motord.commission.person import Failed, Person
 from motord.commission.session import Held, Session, armed
-from motord.commission.spin import (
+from motord.commission.spin.procedure import (
     OWNER,
     Direction,
     Turned,
@@ -30,7 +30,7 @@ from motord.commission.spin import (
     wheels_of,
     words,
 )
-from motord.commission.steered_poses import (
+from motord.commission.spin.steered_poses import (
     SIDES,
     Module,
     Pose,

@@ -11,7 +11,7 @@ from typing import Any
 
 from motord.api.geometry_fit import Factors, Fit, Measure
 from motord.base.extras import how_to_install
-from motord.commission.calibration_pictures import path
+from motord.commission.page.calibration_pictures import path
 from motord.commission.person import Failed
 
 

@@ -9,7 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from motord.commission.base_setup import (
+from motord.commission.person import Failed, Person
+from motord.commission.setup.base import (
     ENDS,
     PLACES,
     ask_address,
@@ -17,12 +18,11 @@ from motord.commission.base_setup import (
     plausible_number,
     usual_addresses,
 )
-from motord.commission.person import Failed, Person
-from motord.commission.robot_text import Wheel
+from motord.commission.setup.robot_text import Wheel
 from motord_hal.drives.profile import DriveProfile
 
 if TYPE_CHECKING:
-    from motord.commission.setup import Given
+    from motord.commission.setup.procedure import Given
 
 STEERED = ("ackermann", "tricycle", "swerve")
 DRIVEN = ("axle", "pair", "steered")

@@ -13,7 +13,7 @@ import numpy as np
 
 from motord.api.geometry_fit import Array
 from motord.base.extras import how_to_install
-from motord.commission.log_fit import ROWS_MAX, Log, sides_of
+from motord.commission.calibrate.log_fit import ROWS_MAX, Log, sides_of
 from motord.commission.person import Failed
 
 JOINTS = "joint_states"

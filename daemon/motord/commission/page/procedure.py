@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One procedure for a page of the dashboard: motord-bus starts `python -m
-motord.commission.on_page`, passes messages between it and the page (page_person.py), and kills it
-if it does not end. It commands as every other program does; dead_man.py disarms when it is gone.
+"""One procedure for a page of the dashboard. motord-bus starts this module as a process, passes
+messages between it and the page (person.py), and kills it if it does not end. It commands as every
+other program does; dead_man.py disarms when it is gone.
 
 The first line that comes names the daemon's socket, the procedure, its options and the joints to
 turn; the last that goes is `{"end": ...}`.
@@ -19,21 +19,21 @@ from typing import TYPE_CHECKING, Any
 
 from motord.api.procedures import chosen
 from motord.client import Client, ClientError
-from motord.commission.page_person import PagePerson
+from motord.commission.page.person import PagePerson
+from motord.commission.page.pictures import picture_of_turns
 from motord.commission.person import Aborted, Failed
-from motord.commission.pictures import picture_of_turns
 from motord.commission.robot_file_edit import (
     ConfigError,
     EditError,
     RobotFileEdit,
     write_asking,
 )
-from motord.commission.spin_findings import findings
-from motord.commission.spin_steered import procedure_for
+from motord.commission.spin.findings import findings
+from motord.commission.spin.steered import procedure_for
 
 if TYPE_CHECKING:
-    from motord.commission.tune import Tuned
-    from motord.commission.tune_fit import Aggressiveness
+    from motord.commission.tune.fit import Aggressiveness
+    from motord.commission.tune.procedure import Tuned
 
 CLIENT_WITHIN_S = 30.0
 
@@ -91,8 +91,8 @@ def _calibrate(
 ) -> str:
     _require_numpy()
     from motord.api.geometry_fit import BadData
-    from motord.commission.calibration import calibrated
-    from motord.commission.calibration_pictures import pictures
+    from motord.commission.calibrate.procedure import calibrated
+    from motord.commission.page.calibration_pictures import pictures
 
     try:
         found = calibrated(client, person, edit, what, options)
@@ -111,8 +111,8 @@ def _tune(
     options: Mapping[str, float],
 ) -> dict[str, Any]:
     _require_numpy()
-    from motord.commission.tune import Bounds, tunable, tune
-    from motord.commission.tune_plot import pictures_of_steps
+    from motord.commission.page.tune_pictures import pictures_of_steps
+    from motord.commission.tune.procedure import Bounds, tunable, tune
 
     if len(joints) != 1:
         raise Failed("one wheel at a time: choose it")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from motord.commission.robot_file_edit import KeyPath
-from motord.commission.spin import DOUBTS, RATIO_MAX, RATIO_MIN, TURNED_RAD, Turned
+from motord.commission.spin.procedure import DOUBTS, RATIO_MAX, RATIO_MIN, TURNED_RAD, Turned
 from motord.config import Robot
 from motord.config.sections.wheels import counts_per_turn, rad_per_count, takes_duty, takes_torque
 

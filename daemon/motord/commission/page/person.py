@@ -15,8 +15,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TextIO, TypeVar
 
+from motord.commission.page.pictures import Plot
 from motord.commission.person import Aborted
-from motord.commission.pictures import Plot
 
 PRESENT_S = 1.0
 """A page that has not been seen for longer is gone: the motions are bounded, and slow."""

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from motord.commission.base_setup import STRAFING, asked, base_of, unit_and_channel, wheels_of
-from motord.commission.hardware import (
+from motord.commission.person import Failed, Person
+from motord.commission.setup.base import STRAFING, asked, base_of, unit_and_channel, wheels_of
+from motord.commission.setup.hardware import (
     FD_BITRATE,
     USUAL_BITRATE,
     Place,
@@ -20,9 +21,8 @@ from motord.commission.hardware import (
     place_of,
     places,
 )
-from motord.commission.person import Failed, Person
-from motord.commission.robot_text import Answers
-from motord.commission.steered_setup import LINE, STEERED, Steering, steered_wheels
+from motord.commission.setup.robot_text import Answers
+from motord.commission.setup.steered import LINE, STEERED, Steering, steered_wheels
 from motord.config.drives.load import find_profile, list_profiles, load_profile
 from motord.tools.scan import USUAL, Found, scan
 from motord.tools.scan_can import scan_can
@@ -71,7 +71,7 @@ class Given:
     steered: str | None = None
     """Of a car: the axle that is steered."""
     driven: str | None = None
-    """Of a car: which motors drive it (motord.commission.steered_setup.DRIVEN)."""
+    """Of a car: which motors drive it (motord.commission.setup.steered.DRIVEN)."""
     steering_count: int | None = None
     """Of a car: how many drives steer."""
     steering_drive: str | None = None

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The robot file in the dashboard's editor. For each request motord-bus starts `python -m
-motord.commission.file_on_page`; the request is on standard input, the answer on standard output,
+motord.commission.page.robot_file`; the request is on standard input, the answer on standard output,
 both in JSON.
 
 A text from a page may name files of this machine, and a problem may quote what is in them. So a

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from motord.commission.pictures import Plot, axis, series
-from motord.commission.plots import picture
-from motord.commission.tune import Tuned
-from motord.commission.tune_fit import Run, simulated
+from motord.commission.page.pictures import Plot, axis, series
+from motord.commission.page.plots import picture
+from motord.commission.tune.fit import Run, simulated
+from motord.commission.tune.procedure import Tuned
 
 BARS = "▁▂▃▄▅▆▇█"
 COLUMNS = 60
