@@ -15,7 +15,7 @@ static inline uint32_t joints_with_power(const core_state *state)
     return state->armed | state->holding ? state->config.joint_count : 0;
 }
 
-/* Is a joint that takes positions where its set-point is? */
+/* Is a joint that takes positions where its set-point is? One that measures nothing counts as there. */
 __attribute__((noinline)) static void doubt_positions(core_state *state, tick *t)
 {
     steer_state *steer = &state->steer;
@@ -24,7 +24,7 @@ __attribute__((noinline)) static void doubt_positions(core_state *state, tick *t
         const position_config *own = &state->config.joint[j].position;
         const position_profile *profile = &steer->profile[j];
         position_following *following = &steer->following[j];
-        if (!own->used || own->reference == REFERENCE_ESTIMATED || state->stale[j]) {
+        if (!own->used || state->stale[j]) {
             continue;
         }
         if (joints_with_power(state) == 0) {

@@ -25,10 +25,10 @@ static inline uint32_t limit_direction(const core_state *state, double *twist_u_
     double lateral = within(lateral_m_s, state->limits.lateral.velocity_u_s);
     twist_u_s[AXIS_LINEAR] = linear;
     twist_u_s[AXIS_LATERAL] = lateral;
-    /* which of the two has to fall by the larger part, without a quotient that may be rounded up */
-    if (linear_m_s != 0.0 && lateral_m_s != 0.0 && fabs(linear * lateral_m_s) < fabs(lateral * linear_m_s)) {
+    /* which of the two has to fall by the larger part, without a quotient that may be rounded up; not one that is 0 */
+    if (fabs(linear * lateral_m_s) < fabs(lateral * linear_m_s)) {
         twist_u_s[AXIS_LATERAL] = within(lateral_m_s * (linear / linear_m_s), fabs(lateral));
-    } else if (linear_m_s != 0.0 && lateral_m_s != 0.0) {
+    } else if (lateral_m_s != 0.0) {
         twist_u_s[AXIS_LINEAR] = within(linear_m_s * (lateral / lateral_m_s), fabs(linear));
     }
     return (linear != linear_m_s ? (uint32_t)REASON_LINEAR_VELOCITY : 0) |
@@ -39,14 +39,17 @@ static inline uint32_t limit_direction(const core_state *state, double *twist_u_
 static inline uint32_t derate(const core_state *state, double *twist_u_s)
 {
     const axis_limits *limits[AXES] = {&state->limits.linear, &state->limits.angular, &state->limits.lateral};
-    double part = state->snapshot.derating.since_ns != 0 ? state->snapshot.derating.factor : 1.0, scale = 1.0;
-    for (int i = 0; i < AXES && part < 1.0; i++) {
-        double most_u_s = part * limits[i]->velocity_u_s;
+    double scale = 1.0;
+    if (state->snapshot.derating.since_ns == 0) {
+        return 0;
+    }
+    for (int i = 0; i < AXES; i++) {
+        double most_u_s = state->snapshot.derating.factor * limits[i]->velocity_u_s;
         if (fabs(twist_u_s[i]) > most_u_s) {
             scale = fmin(scale, most_u_s / fabs(twist_u_s[i]));
         }
     }
-    for (int i = 0; i < AXES && scale < 1.0; i++) {
+    for (int i = 0; i < AXES; i++) {
         twist_u_s[i] *= scale;
     }
     return scale < 1.0 ? (uint32_t)REASON_DERATED : 0;

@@ -106,7 +106,6 @@ static inline void write_steering(core_state *state)
     steering_state *to = &state->snapshot.steering;
     to->misaligned_rad = state->steer.misaligned_rad;
     to->unknown = state->steer.unknown;
-    to->joints = 0;
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
         bool takes = state->config.joint[j].position.used != 0;
         bool shown = takes && state->steer.enabled && !(state->steer.unknown >> j & 1U);
@@ -144,7 +143,7 @@ static inline uint32_t all_reasons(const core_state *state, const tick *t)
 __attribute__((noinline)) static void note_reasons(robot_state *to, uint32_t reasons)
 {
     uint32_t changed = to->reasons ^ reasons;
-    for (uint32_t bit = 0; bit < REASONS_MAX && changed != 0; bit++) {
+    for (uint32_t bit = 0; bit < REASONS_MAX; bit++) {
         if (changed & 1U << bit) {
             to->reason.since_ns[bit] = reasons & 1U << bit ? to->stamp_ns : 0;
         }

@@ -250,21 +250,20 @@ static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_n
     return 0;
 }
 
-/* The datagram in the form of a twist. */
+/* The datagram in the form of a twist; what it does not have stays zero. */
 static bool read_form(const void *datagram, size_t bytes, command_datagram *command)
 {
     if (bytes != COMMAND_BYTES && bytes != COMMAND_BYTES_PLANE && bytes != JOINT_COMMAND_BYTES && bytes != JOINT_POSITION_BYTES) {
         return false;
     }
-    *command = (command_datagram){0};
     memcpy(command, datagram, bytes < sizeof *command ? bytes : sizeof *command);
     if (command->magic != COMMAND_MAGIC) {
         return false;
     }
-    if (bytes == JOINT_POSITION_BYTES || command->version == COMMAND_VERSION_POSITIONS) {
-        return bytes == JOINT_POSITION_BYTES && command->version == COMMAND_VERSION_POSITIONS && command->kind == COMMAND_JOINTS;
+    if (command->version == COMMAND_VERSION_POSITIONS) {
+        return bytes == JOINT_POSITION_BYTES && command->kind == COMMAND_JOINTS;
     }
-    if ((command->version != COMMAND_VERSION && command->version != COMMAND_VERSION_PLANE)) {
+    if (command->version != COMMAND_VERSION && command->version != COMMAND_VERSION_PLANE) {
         return false;
     }
     if (bytes == JOINT_COMMAND_BYTES) {
@@ -279,7 +278,7 @@ static bool read_form(const void *datagram, size_t bytes, command_datagram *comm
 /* In the newest form. Older ones give a velocity to each joint: one that takes positions has none but zero. */
 static void read_joint_datagram(const arbiter *a, const void *datagram, size_t bytes, joint_position_datagram *found)
 {
-    *found = (joint_position_datagram){0};
+    memset(found, 0, sizeof *found);
     memcpy(found, datagram, bytes);
     if (bytes == JOINT_POSITION_BYTES || a->base == NULL || found->head.joint_count > JOINTS_MAX) {
         return;
@@ -308,16 +307,18 @@ static bool read_independent(const arbiter *a, const joint_position_datagram *fr
 /* False: nothing that this base can do. */
 static bool read_wheels(const arbiter *a, joint_position_datagram *from, command_datagram *command)
 {
-    double twist_u_s[AXES] = {0.0};
+    double twist_u_s[AXES];
     bool foreign = from->positions != 0 || (from->velocities >> a->base->joint_count) != 0;
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         from->head.velocity_rad_s[j] = from->velocities >> j & 1U ? from->head.velocity_rad_s[j] : 0.0;
     }
-    bool possible = !foreign && joints_twist(a->base, from->head.velocity_rad_s, twist_u_s);
+    if (foreign || !joints_twist(a->base, from->head.velocity_rad_s, twist_u_s)) {
+        return false;
+    }
     command->linear_m_s = twist_u_s[AXIS_LINEAR];
     command->angular_rad_s = twist_u_s[AXIS_ANGULAR];
     command->lateral_m_s = twist_u_s[AXIS_LATERAL];
-    return possible;
+    return true;
 }
 
 static void read_joints(const arbiter *a, const void *datagram, size_t bytes, request *wanted)

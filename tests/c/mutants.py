@@ -197,6 +197,12 @@ class Program:
         return self.cpu_s / (1 + self.kills)
 
 
+def flat(path: Path) -> str:
+    """A file of csrc/ for one folder of all files. What is hidden cannot be replaced."""
+    text = path.read_text(encoding="utf-8").replace("#pragma GCC visibility", "#pragma")
+    return re.sub(r'^#include "(?:\w+/)+', '#include "', text, flags=re.MULTILINE)
+
+
 class Bench:
     """The tests, each linked once; and a copy of csrc/ for each worker to change."""
 
@@ -207,9 +213,7 @@ class Bench:
         self.asan = subprocess.run(asan, check=True, capture_output=True, text=True).stdout.strip()
         (BUILT / "csrc").mkdir(parents=True, exist_ok=True)
         for path in sorted(CSRC.rglob("*.[ch]")):
-            # what is hidden cannot be replaced
-            text = path.read_text(encoding="utf-8").replace("#pragma GCC visibility", "#pragma")
-            write_if_other(BUILT / "csrc" / path.name, text)
+            write_if_other(BUILT / "csrc" / path.name, flat(path))
         self._build_library()
         self.programs = self._programs()
         self.copies: SimpleQueue[Path] = SimpleQueue()
@@ -249,7 +253,7 @@ class Bench:
         while left:
             wanted = f'#include "{left.pop()}"'
             for path in sorted(CSRC.rglob("*.[ch]")):
-                if path.name not in reached and wanted in path.read_text(encoding="utf-8"):
+                if path.name not in reached and wanted in flat(path):
                     reached.add(path.name)
                     left.append(path.name)
         return sorted(path for path in reached if path.endswith(".c"))

@@ -111,6 +111,17 @@ static inline core_config head_and_belt(void)
     return joints;
 }
 
+/* Of the most joints that there may be: belts are the even ones. */
+static inline core_config heads_and_belts(void)
+{
+    core_config joints = empty_base(JOINTS_MAX, 0, 1, 2);
+    joints.independent = 1;
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        joints.joint[j] = j % 2 == 0 ? rolling() : turning_within(2.0);
+    }
+    return joints;
+}
+
 /* --- numbers by chance, the same in every run */
 static uint64_t noise = 88172645463325252U;
 

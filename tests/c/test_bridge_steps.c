@@ -129,13 +129,59 @@ static void a_servo_gets_the_pulses_of_its_newest_position(void)
     b.newest.position_rad[0] = 0.4;
     CHECK(bridge_config_check(&b.config) == 0 && steps_on(&b, 0)[0] == 0.0); /* no power, no pulses */
     CHECK(is(requests(&b, PWM_ARMED)[0], 0.5 + 0.125));
-    const double at_rad[] = {0.0, -0.2, -0.8, -7.0, 0.8, 7.0}, levels[] = {0.5, 0.4375, 0.25, 0.25, 0.75, 0.75};
-    for (int i = 0; i < 6; i++) {
+    const double at_rad[] = {0.0, -0.2, -0.8, -0.84, -1.2, -7.0, 0.8, 0.84, 1.2, 7.0};
+    const double levels[] = {0.5, 0.4375, 0.25, 0.25, 0.25, 0.25, 0.75, 0.75, 0.75, 0.75};
+    for (int i = 0; i < 10; i++) {
         b.newest.position_rad[0] = at_rad[i];
         CHECK(is(steps_on(&b, MS)[0], levels[i]));
     }
     b.config.joint[0].sign = -1.0;
     CHECK(is(steps_on(&b, MS)[0], 0.25));
+}
+
+static void a_servo_may_turn_as_far_as_it_likes_and_stands_in_its_middle_at_zero(void)
+{
+    const double full_rad[] = {0.1, 0.8, 1.0, 2.0, 1000.0};
+    for (int i = 0; i < 5; i++) {
+        bench b = servo();
+        b.config.joint[0].full_rad = full_rad[i];
+        b.config.output[0].base[BRIDGE_REVERSE] = 0.4; /* at zero it counts as one that goes forward */
+        b.newest.position_rad[0] = 0.5 * full_rad[i];
+        CHECK(bridge_config_check(&b.config) == 0 && is(requests(&b, PWM_ARMED)[0], 0.5 + 0.125));
+        b.newest.position_rad[0] = 0.0;
+        CHECK(is(steps_on(&b, MS)[0], 0.5));
+        b.newest.position_rad[0] = -0.5 * full_rad[i];
+        CHECK(is(steps_on(&b, MS)[0], 0.4 - 0.125));
+    }
+}
+
+/* In either place of the table, whichever joint of the robot it is. */
+static void each_servo_has_a_position_of_its_own(void)
+{
+    bench b = servo();
+    b.config.output[1] = b.config.output[0];
+    b.config.output[1].joint = 1, b.config.output[1].bit = 1;
+    b.config.joint[0].index = 2;
+    b.config.joint[1] = (bridge_joint){.index = 1, .sign = 1.0, .full_rad = 0.4, .rest_mode = BRIDGE_COAST};
+    b.newest.joint_count = 3, b.newest.positioned = 6;
+    b.newest.position_rad[0] = 7.0, b.newest.position_rad[1] = 0.2, b.newest.position_rad[2] = -0.4;
+    requests(&b, PWM_ARMED);
+    CHECK(is(b.level[0], 0.375) && is(b.level[1], 0.625));
+    b.newest.position_rad[1] = -0.1, b.newest.position_rad[2] = 0.2;
+    b.newest.positioned = 2;
+    steps_on(&b, MS);
+    CHECK(is(b.level[0], 0.375) && is(b.level[1], 0.4375));
+    b.newest.positioned = 4;
+    b.newest.position_rad[1] = 0.4;
+    steps_on(&b, MS);
+    CHECK(is(b.level[0], 0.5625) && is(b.level[1], 0.4375));
+    for (uint32_t known = 0; known < 4; known++) { /* of those that have had no position yet, the pulses wait */
+        bench c = b;
+        c.state = (bridge_state){0}, c.control = (bridge_control){0};
+        c.newest.positioned = (known & 1U ? 4U : 0U) | (known & 2U ? 2U : 0U);
+        requests(&c, PWM_ARMED);
+        CHECK((c.level[0] != 0.0) == ((known & 1U) != 0) && (c.level[1] != 0.0) == ((known & 2U) != 0));
+    }
 }
 
 static void a_servo_without_a_position_holds_the_one_before(void)
@@ -273,6 +319,8 @@ static void each_number_of_a_config_ends_where_it_says(void)
     CHECK(bridge_config_check(&config) == 0);
     REFUSED(joint[0].full_rad, -1.0);
     REFUSED(joint[1].full_rad, (double)NAN);
+    ALLOWED(joint[1].full_rad, 1000.0);
+    REFUSED(joint[1].full_rad, nextafter(1000.0, 2000.0));
     REFUSED(joint_count, 0);
     REFUSED(joint_count, JOINTS_MAX + 1);
     REFUSED(output_count, 0);
@@ -349,6 +397,8 @@ int main(void)
     each_mode_has_its_level();
     a_joint_that_the_set_points_do_not_have_rests();
     a_servo_gets_the_pulses_of_its_newest_position();
+    a_servo_may_turn_as_far_as_it_likes_and_stands_in_its_middle_at_zero();
+    each_servo_has_a_position_of_its_own();
     a_servo_without_a_position_holds_the_one_before();
     a_servo_that_stops_keeps_its_place_and_then_gets_no_pulses();
     each_reason_stays_until_it_is_armed_again();

@@ -316,7 +316,12 @@ static void a_turn_on_the_spot_counts_where_the_steering_cannot(void)
     CHECK(say(&a, command, START_NS, true) == 0 && a.report.on_spot == 1);
     command.sequence = 3;
     command.linear_m_s = 0.1;
-    CHECK(say(&a, command, START_NS, true) == 0 && a.report.on_spot == 1);
+    CHECK(say(&a, command, START_NS, true) == 0 && a.report.on_spot == 1 && a.report.sideways == 0);
+    command.sequence = 4;
+    command.linear_m_s = 0.0, command.lateral_m_s = 0.1; /* counts as the other thing that it cannot do */
+    CHECK(say(&a, command, START_NS, true) == 0 && a.report.on_spot == 1 && a.report.sideways == 1);
+    CHECK(say(&a, command_of('a', 5, START_NS, 0.0), START_NS, true) == 0);
+    CHECK(a.report.on_spot == 1 && a.report.sideways == 1);
 }
 
 /* Version 1 ends before the lateral speed, which is zero; a base that cannot strafe obeys the rest, and the command counts. */

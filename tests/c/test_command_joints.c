@@ -2,14 +2,16 @@
  * test_command_joints: datagrams for joints without a base: positions, velocities, and what of them a joint does not take. */
 #include "steered_bases.h"
 
+#include <float.h>
+
 static const int64_t NOW_NS = 5000000000;
 static const uint8_t LETTER = 'a';
 
 static arbiter *begun(const core_config *config)
 {
     static arbiter a;
-    lease_permissions permissions = {.lease = {{.number = LETTER, .priority = 10, .lifetime_ns = 300 * MS_NS}}};
-    memset(permissions.lease[0].token, LETTER, TOKEN_BYTES);
+    lease_permissions permissions = {.lease = {[3] = {.number = 1, .priority = 10, .lifetime_ns = 300 * MS_NS}}};
+    memset(permissions.lease[3].token, LETTER, TOKEN_BYTES);
     arbiter_init(&a, config, &config->limits);
     arbiter_grant(&a, &permissions);
     return &a;
@@ -89,6 +91,147 @@ static void what_a_joint_does_not_take_is_refused(void)
     CHECK(submit(a, &joints) == 1 + REFUSED_JOINTS);
 }
 
+static void a_twist_but_zero_is_refused_where_there_is_no_base(void)
+{
+    core_config config = head_and_belt();
+    for (uint32_t axes = 0; axes < 8; axes++) {
+        arbiter *a = begun(&config);
+        command_datagram twist = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_TWIST};
+        twist.sequence = 1, twist.stamp_ns = NOW_NS;
+        twist.linear_m_s = axes & 1U ? 0.1 : 0.0;
+        twist.angular_rad_s = axes & 2U ? 0.1 : 0.0;
+        twist.lateral_m_s = axes & 4U ? 0.1 : 0.0;
+        memset(twist.token, LETTER, TOKEN_BYTES);
+        CHECK(arbiter_submit(a, &twist, sizeof twist, NOW_NS, true) == (axes == 0 ? 0 : 1 + REFUSED_JOINTS));
+        CHECK(commanded(a).named == 0);
+    }
+}
+
+static void as_many_joints_as_there_may_be_are_commanded(void)
+{
+    core_config config = heads_and_belts();
+    arbiter *a = begun(&config);
+    joint_position_datagram joints = datagram_of(1);
+    joints.head.joint_count = JOINTS_MAX;
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        joints.head.velocity_rad_s[j] = j % 2 == 0 ? 2.0 + j : 0.0;
+        joints.position_rad[j] = 0.1 * (1 + j);
+    }
+    joints.velocities = 0x55, joints.positions = 0xAA;
+    CHECK(submit(a, &joints) == 0);
+    joint_command command = commanded(a);
+    CHECK(command.named == 0xFF);
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        CHECK(command.value_u[j] == (j % 2 == 0 ? joints.head.velocity_rad_s[j] : joints.position_rad[j]));
+    }
+    joints.head.version = COMMAND_VERSION, joints.head.sequence = 2;
+    CHECK(arbiter_submit(a, &joints.head, sizeof joints.head, NOW_NS, true) == 0);
+    command = commanded(a);
+    CHECK(command.named == 0x55 && command.value_u[6] == 8.0 && command.value_u[7] == 0.0);
+    joints.head.joint_count = JOINTS_MAX + 1, joints.head.sequence = 3; /* more than there may be */
+    CHECK(arbiter_submit(a, &joints.head, sizeof joints.head, NOW_NS, true) == 1 + REFUSED_JOINTS);
+    command = commanded(a);
+    CHECK(command.named == 0 && command.value_u[0] == 0.0);
+}
+
+/* A base of four wheels, left and right in turn. */
+static void what_is_not_named_of_a_base_s_wheels_comes_to_rest(void)
+{
+    static const struct {
+        uint32_t velocities, positions;
+        double linear_m_s, angular_rad_s;
+        int result;
+    } CASES[] = {{0xF, 0, 0.15, 0.2, 0},
+                 {0xA, 0, 0.1, 0.4, 0},
+                 {0x5, 0, 0.05, -0.2, 0},
+                 {0, 0, 0.0, 0.0, 0},
+                 {0xF, 1, 0.0, 0.0, 1 + REFUSED_JOINTS},
+                 {0x1F, 0, 0.0, 0.0, 1 + REFUSED_JOINTS},
+                 {0x2F, 0, 0.0, 0.0, 1 + REFUSED_JOINTS}};
+    core_config base = good_config();
+    for (int i = 0; i < COUNT_OF(CASES); i++) {
+        arbiter *a = begun(&base);
+        joint_position_datagram joints = datagram_of(1);
+        joints.head.joint_count = 4;
+        for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+            joints.head.velocity_rad_s[j] = j % 2 == 0 ? 1.0 : 2.0;
+        }
+        joints.velocities = CASES[i].velocities, joints.positions = CASES[i].positions;
+        CHECK(submit(a, &joints) == CASES[i].result);
+        twist_command twist;
+        arbiter_command(a, NOW_NS, true, &twist);
+        CHECK(close_to(twist.linear_m_s, CASES[i].linear_m_s) && close_to(twist.angular_rad_s, CASES[i].angular_rad_s));
+    }
+}
+
+/* Each of them is a number; their twist is no number, or far out of range. */
+static void speeds_that_are_no_twist_of_numbers_are_refused_and_the_base_comes_to_rest(void)
+{
+    static const double MOST = DBL_MAX;
+    static const double SPEEDS_RAD_S[][4] = {{-MOST, MOST, -MOST, MOST}, {MOST, MOST, MOST, MOST}, {MOST, -MOST, MOST, -MOST},
+                                             {-MOST, 0.0, -MOST, 0.0},   {0.0, MOST, 0.0, MOST},   {MOST, MOST, -MOST, -MOST},
+                                             {0.0, 0.0, 0.0, MOST},      {MOST, 1.0, MOST, 1.0}};
+    static const double RADII_M[] = {0.1, 10.0}; /* and levers are 0.25 m long: sums are finite, or not */
+    for (int i = 0; i < COUNT_OF(SPEEDS_RAD_S) * COUNT_OF(RADII_M); i++) {
+        core_config base = good_config();
+        for (int j = 0; j < 4; j++) {
+            base.joint[j].wheel_radius_m = RADII_M[i % 2];
+        }
+        arbiter *a = begun(&base);
+        joint_position_datagram joints = datagram_of(1);
+        joints.head.joint_count = 4, joints.velocities = 0xF, joints.positions = 0;
+        joints.head.velocity_rad_s[0] = joints.head.velocity_rad_s[1] = 0.5;
+        joints.head.velocity_rad_s[2] = joints.head.velocity_rad_s[3] = 0.5;
+        CHECK(submit(a, &joints) == 0);
+        rig r;
+        start(&r, &base);
+        twist_command twist;
+        arbiter_command(a, NOW_NS, true, &twist);
+        go(&r, twist.linear_m_s, twist.angular_rad_s);
+        CHECK(!zero(&r));
+        memcpy(joints.head.velocity_rad_s, SPEEDS_RAD_S[i / 2], sizeof SPEEDS_RAD_S[0]);
+        joints.head.sequence = 2;
+        int result = submit(a, &joints);
+        CHECK(result == 1 + REFUSED_NOT_FINITE || result == 1 + REFUSED_JOINTS || result == 1 + REFUSED_OUT_OF_RANGE);
+        CHECK(a->report.refused[result - 1] == 1 && a->report.lease[3].wants_motion == 0);
+        arbiter_command(a, NOW_NS, true, &r.input.command);
+        CHECK(r.input.command.sequence == 2 && r.input.command.linear_m_s == 0.0);
+        CHECK(r.input.command.angular_rad_s == 0.0 && r.input.command.lateral_m_s == 0.0);
+        CHECK(ticks(&r, 3000)->faults == 0 && zero(&r) && r.shown.at_rest == 1);
+    }
+}
+
+/* Rollers under 45 degrees: the wheels of a diagonal turn against those of the other. */
+static void wheels_that_strafe_are_a_lateral_speed(void)
+{
+    core_config base = good_config();
+    joint_position_datagram joints = datagram_of(1);
+    joints.head.joint_count = 4, joints.velocities = 0xF, joints.positions = 0;
+    for (uint32_t j = 0; j < 4; j++) {
+        base.joint[j].row.y = j == 0 || j == 3 ? -1.0 : 1.0;
+        joints.head.velocity_rad_s[j] = base.joint[j].row.y;
+    }
+    arbiter *a = begun(&base);
+    CHECK(submit(a, &joints) == 0);
+    twist_command twist;
+    arbiter_command(a, NOW_NS, true, &twist);
+    CHECK(close_to(twist.lateral_m_s, 0.1) && close_to(twist.linear_m_s, 0.0) && close_to(twist.angular_rad_s, 0.0));
+}
+
+static void without_a_lease_in_command_no_joint_is_named(void)
+{
+    core_config config = head_and_belt();
+    arbiter *a = begun(&config);
+    joint_command command = commanded(a);
+    CHECK(command.named == 0 && command.value_u[0] == 0.0);
+    joint_position_datagram joints = datagram_of(1);
+    CHECK(submit(a, &joints) == 0 && commanded(a).named == 3);
+    joints.head.kind = COMMAND_RELEASE, joints.head.version = COMMAND_VERSION;
+    CHECK(arbiter_submit(a, &joints, COMMAND_BYTES, NOW_NS, true) == 0 && a->report.accepted == 2);
+    command = commanded(a);
+    CHECK(command.named == 0 && command.value_u[0] == 0.0 && command.value_u[1] == 0.0);
+}
+
 /* An older datagram gives each joint a velocity: one that takes positions has none but zero. */
 static void older_datagrams_move_belts_only(void)
 {
@@ -126,6 +269,27 @@ static void an_angle_or_a_speed_far_out_of_range_is_refused(void)
     }
 }
 
+/* The end that is farther from zero counts for both. */
+static void an_angle_or_a_speed_is_measured_by_the_farther_end_of_its_range(void)
+{
+    static const double ENDS[][2] = {{-0.5, 2.0}, {-2.0, 0.5}};
+    core_config config = head_and_belt();
+    for (int i = 0; i < COUNT_OF(ENDS); i++) {
+        config.joint[0].position.position_min_rad = config.joint[1].velocity_min_rad_s = ENDS[i][0];
+        config.joint[0].position.position_max_rad = config.joint[1].velocity_max_rad_s = ENDS[i][1];
+        for (int sign = -1; sign <= 1; sign += 2) {
+            arbiter *a = begun(&config);
+            joint_position_datagram joints = datagram_of(1);
+            joints.position_rad[0] = joints.head.velocity_rad_s[1] = sign * 20.0;
+            CHECK(submit(a, &joints) == 0);
+            joints.head.sequence = 2, joints.position_rad[0] = sign * 20.1;
+            CHECK(submit(a, &joints) == 1 + REFUSED_OUT_OF_RANGE);
+            joints.head.sequence = 3, joints.position_rad[0] = 0.0, joints.head.velocity_rad_s[1] = sign * 20.1;
+            CHECK(submit(a, &joints) == 1 + REFUSED_OUT_OF_RANGE);
+        }
+    }
+}
+
 /* Commanded while nothing may move, a motion does not begin when it may. */
 static void a_motion_that_was_requested_too_early_is_held(void)
 {
@@ -155,17 +319,32 @@ static void a_datagram_has_the_length_of_its_version(void)
     CHECK(arbiter_submit(a, &joints, sizeof joints.head, NOW_NS, true) == 1 + REFUSED_FORM);
     joints.head.kind = COMMAND_TWIST;
     CHECK(submit(a, &joints) == 1 + REFUSED_FORM);
+    joints.head.kind = COMMAND_RELEASE;
+    CHECK(submit(a, &joints) == 1 + REFUSED_FORM);
     joints = datagram_of(1);
     joints.head.version = COMMAND_VERSION;
     CHECK(submit(a, &joints) == 1 + REFUSED_FORM);
+    for (uint16_t version = 0; version <= 5; version++) {
+        bool known = version == COMMAND_VERSION || version == COMMAND_VERSION_PLANE;
+        joints = datagram_of((uint64_t)version + 1);
+        joints.head.version = version, joints.head.velocity_rad_s[0] = 0.0;
+        CHECK(arbiter_submit(a, &joints, sizeof joints.head, NOW_NS, true) == (known ? 0 : 1 + REFUSED_FORM));
+    }
 }
 
 int main(void)
 {
     each_joint_takes_what_it_is_sent_for_it();
     what_a_joint_does_not_take_is_refused();
+    a_twist_but_zero_is_refused_where_there_is_no_base();
+    as_many_joints_as_there_may_be_are_commanded();
+    what_is_not_named_of_a_base_s_wheels_comes_to_rest();
+    speeds_that_are_no_twist_of_numbers_are_refused_and_the_base_comes_to_rest();
+    wheels_that_strafe_are_a_lateral_speed();
+    without_a_lease_in_command_no_joint_is_named();
     older_datagrams_move_belts_only();
     an_angle_or_a_speed_far_out_of_range_is_refused();
+    an_angle_or_a_speed_is_measured_by_the_farther_end_of_its_range();
     a_motion_that_was_requested_too_early_is_held();
     a_datagram_has_the_length_of_its_version();
     return checks_report("test_command_joints");

@@ -296,6 +296,21 @@ static void gains_alone_move_nothing(void)
     CHECK(r.out.enabled == 1);
 }
 
+/* Whatever their number is. */
+static void gains_that_are_there_at_the_first_tick_count(void)
+{
+    static const uint32_t COUNTS[] = {1, 2, 7};
+    for (int i = 0; i < COUNT_OF(COUNTS); i++) {
+        rig r;
+        core_config config = with_loops((speed_loop_gains){0});
+        start(&r, &config);
+        put_gains(&r, PI);
+        r.input.control.gains_count = COUNTS[i];
+        turned(&r, 1.0);
+        CHECK(r.state.loops == 0xF && r.state.gains[3].gain_u_s_per_rad == PI.gain_u_s_per_rad);
+    }
+}
+
 static void a_state_that_is_no_number_is_no_duty_of_any_loop(void)
 {
     rig r;
@@ -324,6 +339,7 @@ int main(void)
     only_what_changes_goes_on_from_before_and_joints_that_are_not_there_do_not_count();
     a_loop_without_gains_ends_when_its_integral_is_gone();
     gains_alone_move_nothing();
+    gains_that_are_there_at_the_first_tick_count();
     a_state_that_is_no_number_is_no_duty_of_any_loop();
     return checks_report("test_core_duty");
 }

@@ -160,6 +160,134 @@ static void without_power_a_joint_is_where_it_was_moved_to(void)
     }
 }
 
+/* Without power nothing of the set-point is left, on the page either, and the next move begins at zero. */
+static void without_power_a_belt_has_no_set_point_left(void)
+{
+    core_config config = head_and_belt();
+    rig r;
+    ready(&r, &config);
+    r.input.control.armed = 1;
+    tick(&r);
+    ask(&r, 2, 0.0, 4.0);
+    CHECK(ticks(&r, 1000)->joint[1].setpoint_rad_s == 4.0 && close_to(r.shown.joint[1].duty, 4.0 / 60.0));
+    r.input.control.armed = 0;
+    r.stale = true; /* also in a tick in which nothing is measured */
+    tick(&r);
+    CHECK(r.out.enabled == 0 && zero(&r) && r.shown.joint[1].setpoint_rad_s == 0.0 && r.shown.joint[1].duty == 0.0);
+    r.stale = false;
+    ask(&r, 0, 0.0, 0.0);
+    ticks(&r, 10);
+    r.input.control.armed = 1;
+    CHECK(tick(&r)->armed == 1 && zero(&r));
+}
+
+static void joints_begin_without_a_target(void)
+{
+    core_config config = head_and_belt();
+    rig r;
+    start(&r, &config);
+    for (int j = 0; j < JOINTS_MAX; j++) {
+        CHECK(isnan(r.state.joints.target_rad[j]));
+    }
+}
+
+static void limits_of_joints_that_change_while_they_move_are_kept_from_then_on(void)
+{
+    core_config config = head_and_belt();
+    rig r;
+    ready(&r, &config);
+    r.input.control.armed = 1;
+    tick(&r);
+    ask(&r, 2, 0.0, 4.0);
+    CHECK(ticks(&r, 1000)->joint[1].setpoint_rad_s == 4.0);
+    for (int j = 0; j < 3; j++) {
+        r.input.control.joint_limits[j] = (axis_limits){1.5, 10.0, 16.0, INFINITY};
+    }
+    CHECK(ticks(&r, 500)->joint[1].setpoint_rad_s == 4.0); /* they have no number of their own yet */
+    r.input.control.joint_limits_count++;
+    CHECK(ticks(&r, 1000)->joint[1].setpoint_rad_s == 1.5 && r.shown.reasons == REASON_JOINT_VELOCITY);
+    CHECK(r.shown.reason.joint_velocity == 2);
+}
+
+static void as_many_joints_as_there_may_be_move(void)
+{
+    core_config config = heads_and_belts();
+    rig r;
+    ready(&r, &config);
+    r.input.control.armed = 1;
+    CHECK(tick(&r)->armed == 1 && r.out.positioned == 0xAA);
+    r.input.joints = (joint_command){.named = 0xFF, .value_u = {2.0, 0.5, 3.0, 0.6, 4.0, 0.7, 5.0, 0.8}};
+    ticks(&r, 1500);
+    CHECK(r.shown.faults == 0 && r.shown.reasons == 0 && r.shown.at_rest == 0 && r.shown.odometry_degraded == 0);
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        CHECK((j % 2 == 0 ? r.out.joint[j].velocity_rad_s : r.out.position_rad[j]) == r.input.joints.value_u[j]);
+    }
+}
+
+/* Belts 0 and 2; only the first would need more duty than it may get. */
+static void a_belt_whose_duty_is_clamped_is_named(void)
+{
+    core_config config = heads_and_belts();
+    config.joint[0].pwm.duty_max = 0.05;
+    rig r;
+    ready(&r, &config);
+    r.input.control.armed = 1;
+    tick(&r);
+    r.input.joints = (joint_command){.named = 5, .value_u = {[0] = 4.0, [2] = 4.0}};
+    ticks(&r, 1000);
+    CHECK(r.shown.reasons == REASON_DUTY_CLAMPED && r.shown.reason.duty_clamped == 1 && r.shown.reason.duty_slew == 0);
+    CHECK(r.out.joint[0].duty == 0.05 && close_to(r.out.joint[2].duty, 4.0 / 60.0));
+    r.input.joints = (joint_command){.named = 5, .value_u = {[0] = 1.0, [2] = 4.0}};
+    CHECK(ticks(&r, 1000)->reasons == 0);
+}
+
+static void a_warm_belt_is_derated_and_a_cold_one_is_not(void)
+{
+    for (int warm = 0; warm <= 1; warm++) {
+        core_config config = head_and_belt();
+        config.joint[1].derating.range[DERATED_BY_TEMPERATURE] = (derating_range){60.0, 80.0};
+        rig r;
+        start(&r, &config);
+        r.input.feedback[1].temperature_c = warm ? 72.0 : 20.0;
+        ticks(&r, 2);
+        r.input.control.armed = 1;
+        tick(&r);
+        ask(&r, 2, 0.0, 8.0);
+        ticks(&r, 2000);
+        CHECK(close_to(r.out.joint[1].velocity_rad_s, warm ? 3.2 : 8.0));
+        CHECK(((r.shown.reasons & REASON_DERATED) != 0) == warm && (r.shown.derating.since_ns != 0) == warm);
+    }
+}
+
+/* What one tick has computed with is looked at, also where the next set-point hides it. */
+static void a_duty_that_is_no_number_is_a_fault_of_a_belt_too(void)
+{
+    core_config config = head_and_belt();
+    rig r;
+    ready(&r, &config);
+    r.input.control.armed = 1;
+    tick(&r);
+    ask(&r, 2, 0.0, 4.0);
+    ticks(&r, 100);
+    r.state.wheels.joint[1].duty = NAN;
+    CHECK((tick(&r)->faults & FAULT_STATE) != 0 && zero(&r));
+}
+
+static void a_lost_command_of_joints_is_a_reason_beside_their_own(void)
+{
+    core_config config = head_and_belt();
+    rig r;
+    ready(&r, &config);
+    r.input.control.armed = 1;
+    tick(&r);
+    ask(&r, 2, 0.0, 4.0);
+    ticks(&r, 1000);
+    r.mute = true;
+    CHECK(ticks(&r, 302)->reasons == (REASON_COMMAND_STALE | REASON_JOINT_ACCELERATION));
+    r.stale = true; /* and feedback that is lost is missing where there is no base, too */
+    CHECK(ticks(&r, 260)->odometry_degraded == 1);
+}
+
 int main(void)
 {
     joints_move_each_for_itself_and_no_base_is_measured();
@@ -169,5 +297,13 @@ int main(void)
     joints_of_which_one_begins_to_move_are_not_at_rest();
     joints_are_armed_without_a_command_that_moves_one();
     without_power_a_joint_is_where_it_was_moved_to();
+    without_power_a_belt_has_no_set_point_left();
+    joints_begin_without_a_target();
+    limits_of_joints_that_change_while_they_move_are_kept_from_then_on();
+    as_many_joints_as_there_may_be_move();
+    a_belt_whose_duty_is_clamped_is_named();
+    a_warm_belt_is_derated_and_a_cold_one_is_not();
+    a_duty_that_is_no_number_is_a_fault_of_a_belt_too();
+    a_lost_command_of_joints_is_a_reason_beside_their_own();
     return checks_report("test_core_joints");
 }

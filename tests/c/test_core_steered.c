@@ -85,10 +85,28 @@ static void a_duty_at_its_limit_is_reported(void)
         r.input.joints = (joint_command){.named = 3, .value_u = {7.0, 7.0}};
         ticks(&r, 1500);
         CHECK(r.shown.reasons == REASON_DUTY_CLAMPED && close_to(r.out.joint[j % 2].duty, 0.1));
+        CHECK(r.shown.reason.duty_clamped == 1U << j % 2 && r.shown.reason.duty_slew == 0);
         r.input.command.linear_m_s = 0.2;
         r.input.joints.value_u[0] = r.input.joints.value_u[1] = 2.0;
         CHECK(ticks(&r, 1500)->reasons == 0);
     }
+}
+
+static void a_steered_base_waits_for_a_duty_that_grows_slowly_and_names_its_joint(void)
+{
+    core_config config = bicycle();
+    config.limits.linear = (axis_limits){1.0, 100.0, 100.0, INFINITY};
+    config.joint[0].row = (wheel_row){.x = 1.0};
+    config.joint[0].pwm.slew_per_s = 1.0 / 60.0; /* 1 rad/s a second */
+    rig r;
+    ready(&r, &config);
+    r.input.control.armed = 1;
+    tick(&r);
+    r.input.command.linear_m_s = 0.5;
+    for (int ms = 0; ms < 1000; ms++) {
+        CHECK((tick(&r)->reasons & REASON_DUTY_SLEW) && r.shown.reason.duty_slew == 1);
+    }
+    CHECK(fabs(r.shown.joint[0].setpoint_rad_s - 1.0) < 0.01);
 }
 
 /* Whichever wheel it is of, before it takes its next one. */
@@ -385,6 +403,7 @@ int main(void)
     each_wheel_of_a_swerve_base_rolls_as_the_floor_under_it();
     a_base_that_begins_to_roll_is_not_at_rest();
     a_duty_at_its_limit_is_reported();
+    a_steered_base_waits_for_a_duty_that_grows_slowly_and_names_its_joint();
     a_duty_that_is_no_number_is_seen_at_once();
     at_rest_the_wheel_points_first();
     a_curve_waits_for_its_wheel_and_the_base_does_not_slow_down();

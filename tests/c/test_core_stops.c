@@ -192,6 +192,28 @@ static void a_torque_ends_with_its_power_its_feedback_or_its_runaway(void)
     CHECK(r.state.speed_loop[2].integral_u == 0.0 && r.out.joint[0].velocity_rad_s > 1.0);
 }
 
+/* A step of time that is long, but one, is no reason to stand still at once. */
+static void a_late_tick_in_a_stop_ramps_by_the_time_that_has_gone(void)
+{
+    static const double STEPS_S[] = {0.1, 1.0, 0.0, -0.1};
+    core_config config = good_config();
+    config.limits.linear.jerk_u_s3 = INFINITY;
+    for (int i = 0; i < COUNT_OF(STEPS_S); i++) {
+        rig r;
+        start(&r, &config);
+        go(&r, 0.85, 0.0);
+        r.input.control.stop = 1;
+        prepare(&r);
+        core_step(&r.state, &r.input, STEPS_S[i], &r.out, &r.shown);
+        double expected_m_s = STEPS_S[i] > 0.0 ? 0.85 - 0.1 * config.limits.linear.deceleration_u_s2 : 0.0;
+        CHECK(fabs(r.shown.setpoint_linear_m_s - expected_m_s) < 1e-9);
+        for (int j = 0; j < 4; j++) {
+            CHECK((r.shown.joint[j].setpoint_rad_s == 0.0) == (expected_m_s == 0.0));
+            CHECK(expected_m_s != 0.0 || (r.shown.joint[j].duty == 0.0 && r.out.joint[j].duty == 0.0));
+        }
+    }
+}
+
 int main(void)
 {
     the_power_goes_off_at_rest_or_when_the_set_points_have_been_zero_for_two_seconds();
@@ -199,5 +221,6 @@ int main(void)
     a_stop_or_a_lost_command_coasts_only_where_it_is_to_coast_and_once_commanded();
     at_rest_is_slower_than_the_configured_speed_with_set_points_of_zero();
     a_torque_ends_with_its_power_its_feedback_or_its_runaway();
+    a_late_tick_in_a_stop_ramps_by_the_time_that_has_gone();
     return checks_report("test_core_stops");
 }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * test_core_wheels: from a twist to what leaves for the drives, in the ticks in which something changes. */
-#include "core_rig.h"
+#include "steered_bases.h"
 #include "torque_loop.h"
 
 static void a_base_that_turned_on_the_spot_stands_still_afterwards(void)
@@ -75,31 +75,73 @@ static void the_slew_of_any_one_duty_holds_the_base_back(void)
         r.input.control.armed = 1;
         tick(&r);
         r.input.command.linear_m_s = 0.5;
-        CHECK(fabs(ticks(&r, 1000)->joint[slow].setpoint_rad_s - 1.0) < 0.01 && (r.shown.reasons & REASON_DUTY_SLEW));
+        for (int ms = 0; ms < 1000; ms++) {
+            CHECK((tick(&r)->reasons & REASON_DUTY_SLEW) && r.shown.reason.duty_slew == 1U << slow);
+            CHECK(r.shown.reason.duty_clamped == 0);
+        }
+        CHECK(fabs(r.shown.joint[slow].setpoint_rad_s - 1.0) < 0.01);
         ticks(&r, 5000);
         CHECK(fabs(r.shown.setpoint_linear_m_s - 0.5) < 1e-12 && r.shown.reasons == 0);
     }
 }
 
-/* The twist has arrived, and a duty has not: it goes on by its slew. */
-static void a_ramp_of_duties_arrives_though_the_twist_stands(void)
+/* The twist has arrived, or goes on, and one duty is behind: it grows by its slew, and is named. */
+static void a_duty_that_is_behind_grows_by_its_slew_and_is_named(void)
+{
+    core_config bases[] = {good_config(), swerve_of_four()};
+    for (int i = 0; i < 2 * COUNT_OF(bases); i++) {
+        core_config *config = &bases[i / 2];
+        uint32_t late = i < 2 ? 2 : 3;
+        for (uint32_t j = 0; j < config->joint_count; j++) {
+            config->joint[j].pwm.slew_per_s = 1.0;
+        }
+        rig r;
+        start(&r, config);
+        go(&r, 0.3, 0.0);
+        double duty = r.out.joint[late].duty;
+        CHECK(duty > 0.09 && r.shown.reasons == 0);
+        r.state.wheels.joint[late].duty = 0.05;
+        r.state.wheels.known = 0;
+        r.input.command.linear_m_s = i % 2 == 0 ? 0.3 : 0.25; /* down: no slew holds the ramp back */
+        for (int ms = 1; ms <= 20; ms++) {
+            CHECK(fabs(tick(&r)->joint[late].duty - (0.05 + ms * 1e-3)) < 1e-9);
+            CHECK((r.shown.reasons & REASON_DUTY_SLEW) && r.shown.reason.duty_slew == 1U << late);
+            CHECK(r.shown.reason.duty_clamped == 0);
+        }
+        CHECK(ticks(&r, 800)->reasons == 0 && (i % 2 != 0 || r.out.joint[late].duty == duty));
+    }
+}
+
+/* In the ticks in which nothing changes. */
+static void what_a_twist_makes_of_the_wheels_is_worked_out_once(void)
 {
     core_config config = good_config();
-    for (int j = 0; j < 4; j++) {
-        config.joint[j].pwm.slew_per_s = 1.0;
-    }
     rig r;
     start(&r, &config);
     go(&r, 0.3, 0.0);
     double duty = r.out.joint[2].duty;
-    CHECK(fabs(duty - (0.05 + 3.0 * 0.95 / 12.5)) < 1e-9 && r.shown.reasons == 0);
-    r.state.wheels.joint[2].duty = 0.1;
-    r.state.wheels.known = 0;
-    for (int ms = 1; ms <= 100; ms++) {
-        CHECK(fabs(tick(&r)->joint[2].duty - (0.1 + ms * 1e-3)) < 1e-9);
-        CHECK(r.shown.reasons & REASON_DUTY_SLEW);
+    r.state.wheels.joint[2].duty = 0.125;
+    r.state.axis[AXIS_LATERAL].acceleration_u_s2 = NAN; /* of an axis that the base does not have */
+    CHECK(ticks(&r, 3)->armed == 1 && r.out.joint[2].duty == 0.125);
+    r.input.command.linear_m_s = 0.2;
+    ticks(&r, 500);
+    r.input.command.linear_m_s = 0.3;
+    CHECK(ticks(&r, 500)->reasons == 0 && r.out.joint[2].duty == duty && r.shown.faults == 0);
+}
+
+static void each_wheel_whose_duty_is_clamped_is_named(void)
+{
+    for (uint32_t wheels = 1; wheels < 16; wheels++) {
+        core_config config = good_config();
+        for (uint32_t j = 0; j < 4; j++) {
+            config.joint[j].pwm.duty_max = wheels >> j & 1U ? 0.1 : 1.0;
+        }
+        rig r;
+        start(&r, &config);
+        go(&r, 0.3, 0.0);
+        CHECK(r.shown.reasons == REASON_DUTY_CLAMPED && r.shown.reason.duty_clamped == wheels);
+        CHECK(r.shown.reason.duty_slew == 0);
     }
-    CHECK(ticks(&r, 200)->joint[2].duty == duty && r.shown.reasons == 0);
 }
 
 static void set_points_say_when_and_for_how_many_they_were_made(void)
@@ -117,6 +159,10 @@ static void set_points_say_when_and_for_how_many_they_were_made(void)
         CHECK(r.out.stamp_ns == r.input.now_ns && r.out.joint_count == 4 && r.out.tick == (uint64_t)i);
         CHECK(r.shown.stamp_ns == r.input.now_ns && r.shown.joint_count == 4 && r.shown.tick == (uint64_t)i);
         CHECK(r.out.enabled == 0 && zero(&r) && r.out.joint[7].torque_n_m == 0.0);
+        CHECK(r.out.positioned == 0 && r.out.reserved == 0);
+        for (int j = 0; j < JOINTS_MAX; j++) {
+            CHECK(r.out.position_rad[j] == 0.0);
+        }
     }
 }
 
@@ -235,7 +281,9 @@ int main(void)
     a_ramp_that_has_arrived_leaves_no_acceleration();
     a_late_tick_of_a_stop_is_a_step_of_the_ramp();
     the_slew_of_any_one_duty_holds_the_base_back();
-    a_ramp_of_duties_arrives_though_the_twist_stands();
+    a_duty_that_is_behind_grows_by_its_slew_and_is_named();
+    what_a_twist_makes_of_the_wheels_is_worked_out_once();
+    each_wheel_whose_duty_is_clamped_is_named();
     set_points_say_when_and_for_how_many_they_were_made();
     a_core_begins_with_its_own_limits_in_whatever_memory();
     a_base_of_as_many_wheels_as_there_can_be();

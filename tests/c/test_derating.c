@@ -86,6 +86,7 @@ static void the_whole_twist_is_scaled_by_the_worst_joint_and_slows_down_by_its_d
     warm(&r, 3, 20.0);
     go(&r, 0.5, 1.0);
     CHECK(r.shown.derating.since_ns == 0 && !(r.shown.reasons & REASON_DERATED) && near(r.shown.setpoint_linear_m_s, 0.5));
+    CHECK(r.shown.derating.factor == 1.0 && r.shown.derating.joint == 0 && r.shown.derating.by == 0);
     warm(&r, 3, 72.0);
     int64_t before_ns = r.input.now_ns;
     double last_m_s = 0.5;
@@ -128,6 +129,72 @@ static void a_joint_without_a_range_derates_nothing_and_one_that_sends_nothing_k
     warm(&r, 1, 200.0);
     go(&r, 0.5, 0.0);
     CHECK(r.state.derates == 0 && r.shown.derating.since_ns == 0);
+}
+
+/* Warm from the first sample, so that nothing is smoothed; the twist is zero. */
+static void begin_warm(rig *r, const core_config *config, double first_c, double second_c)
+{
+    start(r, config);
+    warm(r, 0, first_c);
+    r->input.feedback[1].temperature_c = second_c;
+    ticks(r, 3);
+}
+
+static void the_joint_that_derates_most_is_named_among_equals_the_first_and_since_when(void)
+{
+    static const struct {
+        double first_c, second_c, factor;
+        uint32_t joint;
+    } CASES[] = {{72.0, 20.0, 0.4, 0}, {20.0, 72.0, 0.4, 1}, {72.0, 72.0, 0.4, 0}, {70.0, 72.0, 0.4, 1}, {72.0, 70.0, 0.4, 0}};
+    core_config config = good_config();
+    config.joint[0].derating = config.joint[1].derating = HOT;
+    rig r;
+    for (size_t i = 0; i < sizeof CASES / sizeof CASES[0]; i++) {
+        begin_warm(&r, &config, CASES[i].first_c, CASES[i].second_c);
+        CHECK(near(r.shown.derating.factor, CASES[i].factor) && r.shown.derating.joint == CASES[i].joint);
+        CHECK(r.shown.derating.since_ns == r.input.now_ns - 2 * TICK_NS); /* of the first tick, not of this one */
+    }
+    config.joint[1].derating = (derating_config){0}; /* the first alone may derate */
+    begin_warm(&r, &config, 72.0, 90.0);
+    CHECK(near(r.shown.derating.factor, 0.4) && r.shown.derating.joint == 0);
+}
+
+static void another_joint_or_another_measure_derates_since_then(void)
+{
+    core_config config = good_config();
+    config.joint[0].derating = config.joint[1].derating = HOT;
+    config.joint[0].derating.range[DERATED_BY_CURRENT] = (derating_range){10.0, 20.0};
+    rig r;
+    begin_warm(&r, &config, 70.0, 20.0);
+    CHECK(r.shown.derating.by == DERATED_BY_TEMPERATURE && r.shown.derating.joint == 0);
+    r.input.feedback[0].current_a = 1e6; /* so much that it counts at once, however smoothed */
+    tick(&r);
+    CHECK(r.shown.derating.by == DERATED_BY_CURRENT && r.shown.derating.joint == 0);
+    CHECK(r.shown.derating.since_ns == r.input.now_ns && r.shown.derating.factor == 0.0);
+    begin_warm(&r, &config, 70.0, 20.0);
+    r.input.feedback[1].temperature_c = 1e6;
+    tick(&r);
+    CHECK(r.shown.derating.by == DERATED_BY_TEMPERATURE && r.shown.derating.joint == 1);
+    CHECK(r.shown.derating.since_ns == r.input.now_ns && r.shown.derating.factor == 0.0);
+}
+
+/* Its fault is that it sends nothing. */
+static void what_a_joint_has_sent_too_long_ago_derates_nothing(void)
+{
+    core_config config = good_config();
+    config.joint[0].derating = config.joint[1].derating = HOT;
+    rig r;
+    begin_warm(&r, &config, 72.0, 70.0);
+    for (int ms = 0; ms < 300; ms++) {
+        r.stale = true;
+        for (int j = 1; j < 4; j++) {
+            r.input.feedback[j].stamp_ns = r.input.now_ns + TICK_NS;
+        }
+        tick(&r);
+    }
+    CHECK(near(r.shown.derating.factor, 0.5) && r.shown.derating.joint == 1 && r.shown.joint[0].stale == 1);
+    ticks(&r, 300);
+    CHECK(r.shown.derating.since_ns == 0 && r.shown.derating.factor == 1.0);
 }
 
 static void each_reason_says_since_when_it_holds_and_a_saturated_wheel_is_named(void)
@@ -173,6 +240,9 @@ int main(void)
     a_measure_is_smoothed_and_one_that_is_no_number_changes_nothing();
     the_whole_twist_is_scaled_by_the_worst_joint_and_slows_down_by_its_deceleration();
     a_joint_without_a_range_derates_nothing_and_one_that_sends_nothing_keeps_its_factor();
+    the_joint_that_derates_most_is_named_among_equals_the_first_and_since_when();
+    another_joint_or_another_measure_derates_since_then();
+    what_a_joint_has_sent_too_long_ago_derates_nothing();
     each_reason_says_since_when_it_holds_and_a_saturated_wheel_is_named();
     a_range_is_finite_and_falls_in_its_direction();
     return checks_report("test_derating");

@@ -34,6 +34,9 @@ static void an_angle_is_that_of_its_joint_where_it_counts(void)
         from = all_of(8);
         from.position_rad[joint % JOINTS_MAX] = NAN;
         CHECK(!setpoint_position(&from, joint, &position_rad));
+        from = all_of(JOINTS_MAX + 1); /* no more joints than there are */
+        from.positioned = ~0U;
+        CHECK(setpoint_position(&from, joint, &position_rad) == (joint < JOINTS_MAX));
     }
 }
 

@@ -195,65 +195,6 @@ static void at_the_end_all_come_to_rest_and_lose_their_torque(void)
     }
 }
 
-static void a_group_that_cannot_be_is_refused(void)
-{
-    char name[FIELD_NAME_BYTES];
-    servos_begin(2, ECHO_NONE);
-    CHECK(line_table_check(&s.table, name) == NULL);
-    line_table good = s.table;
-#define REFUSED(change)                                                                                                          \
-    s.table = good;                                                                                                              \
-    change;                                                                                                                      \
-    CHECK(!line_group_is_good(&s.table) && line_table_check(&s.table, name) != NULL)
-    REFUSED(s.table.group.used = 2);
-    REFUSED(s.table.group.write_bytes = GROUP_HEAD_MAX + 1);
-    REFUSED(s.table.group.read_bytes = GROUP_HEAD_MAX + 1);
-    REFUSED(s.table.group.write_bytes = 4);
-    REFUSED(s.table.group.read_bytes = 4);
-    REFUSED(s.table.group.data_byte = 8);
-    REFUSED(s.table.group.data_byte = 7); /* a set-point would not be carried */
-    REFUSED(s.table.drive[1].cyclic_count = 1);
-    REFUSED(s.table.drive[1].cyclic[0].setpoint_count = 0);
-    REFUSED(s.table.drive[1].cyclic[1].setpoint[0] = s.table.drive[1].cyclic[0].setpoint[0];
-            s.table.drive[1].cyclic[1].setpoint_count = 1);
-    REFUSED(s.table.drive[1].cyclic[0].frame.request_bytes = 8);
-    REFUSED(s.table.drive[0].cyclic[0].frame.request_seal = SEAL_CRC8);
-    REFUSED(s.table.drive[1].cyclic[0].frame.request_seal = SEAL_STUFFED);
-    REFUSED(s.table.drive[1].cyclic[1].frame.request_seal = SEAL_STUFFED);
-    REFUSED(s.table.drive[1].cyclic[1].frame.reply_seal = SEAL_STUFFED);
-    REFUSED(s.table.drive[1].idle[0] = s.table.drive[1].cyclic[0].frame; s.table.drive[1].idle_count = 1);
-    s.table = good;
-    s.table.group.used = 0;
-    s.table.group.write_bytes = 0;
-    CHECK(line_table_check(&s.table, name) == NULL);
-}
-
-/* Its set-points end before the check sum; all of it fits in one request. */
-static void a_group_has_room_for_its_set_points_and_fits_on_the_wire(void)
-{
-    servos_begin(2, ECHO_NONE);
-    line_table good = s.table;
-    line_frame *first = &s.table.drive[0].cyclic[0].frame, *second = &s.table.drive[1].cyclic[0].frame;
-    s.table.group.data_byte = first->request_bytes - 2;
-    for (uint32_t i = 0; i < 2; i++) {
-        s.table.drive[i].cyclic[0].setpoint[0].byte = first->request_bytes - 1;
-    }
-    CHECK(line_group_is_good(&s.table)); /* one byte of data */
-    s.table.group.data_byte++;
-    CHECK(!line_group_is_good(&s.table)); /* the check sum's place */
-    for (uint32_t odd = 0; odd < 2; odd++) {
-        s.table = good;
-        s.table.group.write_bytes += odd;
-        uint32_t heads = s.table.group.write_bytes + s.table.group.read_bytes + 2, each;
-        do {
-            CHECK(line_group_is_good(&s.table));
-            second->request_bytes = ++first->request_bytes;
-            each = 2 + first->request_bytes - s.table.group.data_byte;
-        } while (heads + 2 * each <= FRAME_BYTES_MAX);
-        CHECK(!line_group_is_good(&s.table));
-    }
-}
-
 /* In a group, one exchange asks all of them: the last one waits for those before it. */
 static void a_servo_whose_reply_is_awaited_is_not_left_alone(void)
 {
@@ -463,8 +404,19 @@ static void a_collision_ends_the_exchange_and_silence_does_not(void)
     CHECK(m->group.waiting == 0 && m->drive[0].failures == 1 && m->drive[1].failures == 1);
 }
 
+static void those_that_have_answered_go_on_one_after_the_other(void)
+{
+    group_goes_out(3, ECHO_NONE);
+    s.machine.group.answered = 7;
+    s.machine.drive[1].state.mode = DRIVE_OFF; /* since its answer */
+    CHECK(line_group_goes_on(&s.machine) && m->current == 0 && m->drive[0].stage == STAGE_EXTRA);
+    CHECK(line_group_goes_on(&s.machine) && m->current == 2 && m->drive[2].stage == STAGE_EXTRA);
+    CHECK(!line_group_goes_on(&s.machine) && m->group.answered == 0);
+}
+
 int main(void)
 {
+    those_that_have_answered_go_on_one_after_the_other();
     replies_that_come_byte_by_byte_are_the_same_replies();
     a_collision_ends_the_exchange_and_silence_does_not();
     a_group_of_stuffed_packets_has_its_units_and_its_length();
@@ -474,7 +426,6 @@ int main(void)
     what_was_sent_motion_counts_as_moving_until_it_was_sent_zero();
     a_servo_whose_place_is_not_known_gets_none_and_one_that_does_not_answer_its_zero();
     the_first_replies_of_a_group_show_whether_the_adapter_receives_itself();
-    a_group_has_room_for_its_set_points_and_fits_on_the_wire();
     each_reply_is_stamped_after_the_one_before();
     one_request_carries_all_set_points_and_reads_all();
     who_is_not_armed_gets_no_set_point();
@@ -485,7 +436,6 @@ int main(void)
     a_foreign_servo_s_reply_is_noise();
     old_set_points_stop_all_and_zero_goes_on_until_they_rest();
     at_the_end_all_come_to_rest_and_lose_their_torque();
-    a_group_that_cannot_be_is_refused();
     a_servo_whose_reply_is_awaited_is_not_left_alone();
     return checks_report("line group");
 }

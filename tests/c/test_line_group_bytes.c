@@ -45,6 +45,43 @@ static void noise_before_between_and_behind_replies_is_counted_and_takes_none_aw
     }
 }
 
+/* To a request of an exchange before this one, in which its servo is not asked. */
+static void a_late_reply_behind_one_that_is_due_is_no_noise(void)
+{
+    uint8_t bytes[32];
+    group_goes_out(2, ECHO_NONE);
+    come(bytes, put_reply(bytes, 0, 0), m->end_ns + SERVO_MS / 10);
+    int64_t failed_ns = m->until_ns;
+    s.machine.drive[1].held_until_ns = failed_ns + 900 * SERVO_MS;
+    come(bytes, 0, failed_ns);
+    CHECK(m->drive[0].failures == 0 && m->drive[1].count.no_reply == 1 && m->drive[1].count.late == 0);
+    for (int64_t now_ns = failed_ns; m->work != WORK_GROUP; now_ns += SERVO_MS) {
+        come(bytes, 0, now_ns);
+    }
+    line_machine_sent(&s.machine, m->now_ns);
+    CHECK(m->group.waiting == 1);
+    int64_t stamp_ns = m->joint[1].feedback.stamp_ns;
+    come(bytes, put_reply(bytes, put_reply(bytes, 0, 0), 1), m->end_ns + SERVO_MS / 10);
+    CHECK(m->drive[0].failures == 0 && m->drive[1].count.late == 1 && m->noise_bytes == 0);
+    CHECK(m->joint[1].feedback.stamp_ns == stamp_ns);
+}
+
+/* When its values were taken is not known. */
+static void a_reply_that_takes_longer_than_usual_is_not_read(void)
+{
+    for (int64_t longer_ns = 0; longer_ns < 2; longer_ns++) {
+        group_goes_out(1, ECHO_NONE);
+        s.machine.drive[0].usual_ns = SERVO_MS;
+        int64_t stamp_ns = m->joint[0].feedback.stamp_ns;
+        uint8_t bytes[32];
+        uint32_t count = put_reply(bytes, 0, 0);
+        come(bytes, count, m->end_ns + count * SERVO_CHARACTER_NS + SERVO_MS + longer_ns);
+        CHECK(m->group.waiting == 0 && m->drive[0].failures == 0);
+        CHECK((m->joint[0].feedback.stamp_ns == stamp_ns) == (longer_ns > 0));
+        CHECK((m->joint[0].feedback.velocity_rad_s == 0.1) == (longer_ns == 0));
+    }
+}
+
 /* Each reply takes its time on the wire: they are stamped one reply apart. */
 static void replies_that_come_at_once_are_stamped_one_reply_apart(void)
 {
@@ -88,10 +125,8 @@ static void set_points_without_a_reply_take_their_time(void)
         s.machine.drive[0].silent_until_ns = s.machine.drive[1].silent_until_ns = s.now_ns + 900 * SERVO_MS;
         servos_step(1.0, 1);
     } while (m->work != WORK_GROUP || m->group.waiting != 0);
-    if (m->until_ns > m->end_ns) {
-        come(s.bytes, 0, m->until_ns - 1);
-        CHECK(m->work == WORK_GROUP);
-    }
+    come(s.bytes, 0, m->until_ns - 1); /* its bytes are still on the wire */
+    CHECK(m->work == WORK_GROUP);
     come(s.bytes, 0, m->until_ns);
     CHECK(m->drive[0].failures == 0 && m->drive[1].failures == 0 && m->round_trip_ns == 0);
 }
@@ -152,6 +187,8 @@ static void after_an_exchange_the_line_is_silent_for_a_gap(void)
 int main(void)
 {
     noise_before_between_and_behind_replies_is_counted_and_takes_none_away();
+    a_late_reply_behind_one_that_is_due_is_no_noise();
+    a_reply_that_takes_longer_than_usual_is_not_read();
     replies_that_come_at_once_are_stamped_one_reply_apart();
     more_than_there_is_room_for_ends_the_exchange();
     set_points_without_a_reply_take_their_time();

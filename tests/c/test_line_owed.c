@@ -217,8 +217,62 @@ static void the_shortest_turn_around_is_that_of_a_certain_reply(void)
     }
 }
 
+static void owe(const line_frame *frame)
+{
+    w.machine.transaction.frame = *frame;
+    line_owe(&w.machine, 0);
+}
+
+static line_frame write_to(uint32_t place)
+{
+    static const uint8_t ADDRESSES[] = {SPEED, STATUS, CONTROL, RELEASE};
+    return frame_of(1, WRITE, ADDRESSES[place], 1);
+}
+
+/* It is the newest one then. */
+static void a_reply_that_is_owed_again_leaves_the_others_in_their_order(void)
+{
+    for (uint32_t count = 1; count <= OWED_MAX; count++) {
+        for (uint32_t again = 0; again < count; again++) {
+            begin_asking();
+            for (uint32_t i = 0; i <= count; i++) {
+                line_frame frame = write_to(i < count ? i : again);
+                drive->probe_at_ns = drive->probe_pause_ns = drive->answered_ns = drive->smoothed_ns = 7;
+                owe(&frame);
+            }
+            CHECK(drive->owed_count == count && drive->held_until_ns == 0);
+            CHECK(drive->owed[count - 1].until_ns == reply_after((count < OWED_MAX ? count + 1 : OWED_MAX) * 200 * MS));
+            for (uint32_t i = 0; i < count; i++) {
+                line_frame frame = write_to(i == count - 1 ? again : i < again ? i : i + 1);
+                CHECK(memcmp(drive->owed[i].look.head, frame.request, drive->owed[i].look.head_bytes) == 0);
+                CHECK(drive->owed[i].count == (i == count - 1 ? 2U : 1U));
+            }
+            CHECK(drive->probe_at_ns == 7 && drive->probe_pause_ns == 7 && drive->answered_ns == 7 && drive->smoothed_ns == 7);
+        }
+    }
+}
+
+/* A drive answers in the order of its requests. */
+static void a_certain_reply_ends_the_wait_for_all_older_ones(void)
+{
+    for (uint32_t certain = 0; certain < 3; certain++) {
+        begin_asking();
+        for (uint32_t i = 0; i < 3; i++) {
+            line_frame frame = write_to(i);
+            owe(&frame);
+        }
+        line_frame frame = w.machine.transaction.frame = write_to(certain);
+        line_settle(&w.machine, 0, reply_after(MS));
+        CHECK(drive->owed_count == 3 - certain);
+        CHECK(drive->owed[2 - certain].until_ns == reply_after((3 - certain) * 200 * MS)); /* its own may come twice */
+        CHECK(!line_may_be_late(&w.machine, 0, &frame, w.now_ns));
+    }
+}
+
 int main(void)
 {
+    a_reply_that_is_owed_again_leaves_the_others_in_their_order();
+    a_certain_reply_ends_the_wait_for_all_older_ones();
     a_drive_that_never_failed_may_answer_as_soon_as_it_likes();
     only_the_reply_to_a_known_request_is_doubted();
     a_reply_that_repeats_its_request_may_be_an_older_one_s_after_another_write();

@@ -376,6 +376,56 @@ static void a_request_is_sent_only_when_each_of_its_places_is_known(void)
     CHECK(!line_sends(m, 0, 0));
 }
 
+static void add_target(uint32_t turn, uint32_t n, uint32_t joint)
+{
+    line_setpoint *added = &m->table.drive[0].cyclic[turn].setpoint[n];
+    *added = *setpoint;
+    added->joint = joint;
+}
+
+/* Only joint 0 is where its first target may begin. */
+static void begin_with_one_place(void)
+{
+    begin();
+    m->now_ns = w.now_ns;
+    for (uint32_t j = 0; j < 4; j++) {
+        m->joint[j].place = (position_place){.measured = j == 0 ? HERE : (double)NAN, .sent = NAN, .measured_ns = w.now_ns};
+    }
+}
+
+static void a_place_that_is_missing_is_looked_for_in_every_target_of_every_exchange(void)
+{
+    begin_with_one_place();
+    line_drive *drive = &m->table.drive[0];
+    add_target(0, 1, 1), add_target(2, 0, 1); /* which the table does not have */
+    drive->cyclic[2].setpoint_count = 1;
+    CHECK(drive->cyclic_count == 2 && !line_place_is_missing(m, 0));
+    drive->cyclic[0].setpoint_count = 2;
+    CHECK(line_place_is_missing(m, 0));
+    add_target(0, 0, 1), add_target(0, 1, 0);
+    CHECK(line_place_is_missing(m, 0));
+    begin_with_one_place();
+    add_target(1, 0, 1);
+    drive->cyclic[1].setpoint_count = 1;
+    CHECK(line_place_is_missing(m, 0));
+}
+
+static void all_targets_begin_anew_and_no_others(void)
+{
+    begin_with_one_place();
+    line_drive *drive = &m->table.drive[0];
+    add_target(0, 1, 1), add_target(1, 0, 2), add_target(1, 1, 3), add_target(2, 0, 3);
+    drive->cyclic[0].setpoint_count = 2;
+    drive->cyclic[1].setpoint_count = drive->cyclic[2].setpoint_count = 1;
+    for (uint32_t j = 0; j < 4; j++) {
+        m->joint[j].place.sent = HERE;
+    }
+    line_begin_positions(m, 0);
+    for (uint32_t j = 0; j < 4; j++) {
+        CHECK(!isnan(m->joint[j].place.sent) == (j == 3));
+    }
+}
+
 static bool is_good(void)
 {
     char name[FIELD_NAME_BYTES];
@@ -411,6 +461,8 @@ int main(void)
 {
     a_position_is_looked_for_in_every_place_of_every_exchange();
     a_request_is_sent_only_when_each_of_its_places_is_known();
+    a_place_that_is_missing_is_looked_for_in_every_target_of_every_exchange();
+    all_targets_begin_anew_and_no_others();
     a_position_is_scaled_from_its_zero_and_held_within_its_range();
     what_is_not_armed_is_sent_no_position();
     a_position_that_is_not_known_is_not_sent_and_the_drive_goes_on_being_read();

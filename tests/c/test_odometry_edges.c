@@ -348,7 +348,9 @@ static void no_variance_of_the_pose_is_below_its_floor(void)
     base b = begun(32);
     b.config.pose_variance_floor_m2 = 1e-4, b.config.heading_variance_floor_rad2 = 2e-4;
     received(&b, STEP_NS, 0, NAN);
-    received(&b, SPREAD_EVERY_NS, 0, NAN);
+    received(&b, SPREAD_EVERY_NS - 1, 0, NAN); /* not yet looked at */
+    CHECK(b.state.pose_covariance[0] < 1e-4 && b.state.pose_covariance[5] < 2e-4);
+    received(&b, 1, 0, NAN);
     CHECK(b.state.pose_covariance[0] == 1e-4 && b.state.pose_covariance[3] == 1e-4 && b.state.pose_covariance[5] == 2e-4);
 }
 

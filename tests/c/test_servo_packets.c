@@ -40,6 +40,14 @@ static void the_manual_s_check_sums_are_ours(void)
     CHECK(!rtu_is_sealed(ping, sizeof ping, SEAL_SUM));
 }
 
+static void three_bytes_are_no_packet_with_a_sum_and_four_are_the_shortest(void)
+{
+    const uint8_t short_one[] = {0xFF, 0xFF, 0xFF}; /* its last byte is the sum of nothing */
+    CHECK(!rtu_is_sealed(short_one, sizeof short_one, SEAL_SUM));
+    const uint8_t shortest[] = {0xFF, 0xFF, 0x01, 0xFE};
+    CHECK(rtu_is_sealed(shortest, sizeof shortest, SEAL_SUM));
+}
+
 static received found_in(const line_frame *frame, const uint8_t *bytes, uint32_t count)
 {
     return rtu_hunt(frame, frame->request, 0, bytes, count);
@@ -238,6 +246,7 @@ static void a_status_is_never_taken_for_an_instruction(void)
 int main(void)
 {
     the_manual_s_check_sums_are_ours();
+    three_bytes_are_no_packet_with_a_sum_and_four_are_the_shortest();
     a_status_is_found_whole_good_and_of_the_right_servo_only();
     an_error_number_is_a_refusal_and_an_alert_is_none();
     stuffing_is_taken_out_and_put_in();

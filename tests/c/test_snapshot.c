@@ -2,7 +2,7 @@
  * test_snapshot: what a tick reports: every field from its own place, and NaN for what is not measured. */
 #include <stdlib.h>
 
-#include "core_rig.h"
+#include "steered_bases.h"
 
 static rig *r;
 
@@ -127,7 +127,7 @@ static void the_sensor_is_reported_less_its_bias(void)
     r->input.imu.angular_rad_s[0] = r->input.imu.acceleration_m_s2[1] = INFINITY;
     r->input.imu.stamp_ns += TICK_NS;
     imu = &tick(r)->imu;
-    CHECK(imu->refused == gyro->refused && isnan(imu->angular_rad_s[0]) && isnan(imu->acceleration_m_s2[1]));
+    CHECK(imu->refused == gyro->refused && imu->refused > 0 && isnan(imu->angular_rad_s[0]) && isnan(imu->acceleration_m_s2[1]));
     config.gyro.used = 0;
     start(r, &config);
     CHECK(tick_with(0.5)->imu.stamp_ns == 0);
@@ -175,6 +175,95 @@ static void a_heading_stays_within_half_a_turn(void)
     CHECK(r->shown.turned_rad > 6.5);
 }
 
+/* Of a base that strafes; one wheel slips meanwhile. */
+static void lateral_motion_is_reported_like_the_other_two(void)
+{
+    core_config config = good_config();
+    for (int j = 0; j < 4; j++) {
+        config.joint[j].row.y = j == 0 || j == 3 ? -1.0 : 1.0;
+    }
+    start(r, &config);
+    go(r, 0.2, 0.0);
+    r->input.command.lateral_m_s = 0.25;
+    for (int i = 0; i < 1500; i++) {
+        r->position_rad[0] += 0.0005;
+        tick(r);
+    }
+    const odometry_state *from = &r->state.odometry;
+    const lateral_state *lateral = &r->shown.lateral;
+    CHECK(lateral->wanted_m_s == 0.25 && lateral->setpoint_m_s == 0.25 && r->state.axis[AXIS_LATERAL].velocity_u_s == 0.25);
+    CHECK(lateral->measured_m_s == from->lateral_m_s && lateral->measured_m_s > 0.1);
+    CHECK(lateral->slip_m_s == from->spread.slip_m_s && lateral->slip_m_s > 0.001);
+    for (int i = 0; i < 3; i++) {
+        CHECK(lateral->covariance[i] == from->lateral_covariance[i] && lateral->covariance[i] != 0.0);
+    }
+    r->mute = true;
+    CHECK(ticks(r, 310)->lateral.wanted_m_s == 0.0);
+    config = good_config();
+    start(r, &config);
+    go(r, 0.2, 0.0);
+    r->state.odometry.lateral_covariance[0] = r->state.odometry.lateral_covariance[2] = 1.0; /* it has none */
+    CHECK(tick(r)->lateral.covariance[0] == 0.0 && r->shown.lateral.covariance[2] == 0.0);
+}
+
+/* A steering joint is shown where it is; where it is to be, while it has power and its place is known. */
+static void joints_that_take_positions_are_reported_with_their_set_points(void)
+{
+    core_config config = bicycle();
+    config.joint[1].position.reference = REFERENCE_HOMED;
+    start(r, &config);
+    r->input.feedback[1].referenced = 1;
+    r->position_rad[1] = 0.125;
+    const robot_state *shown = ticks(r, 3);
+    const steering_state *steering = &r->shown.steering;
+    CHECK(steering->joints == 2 && isnan(steering->setpoint_rad[0]) && isnan(steering->setpoint_rad[1]));
+    CHECK(fabs(shown->joint[1].position_rad - 0.125) < 2e-5 && shown->joint[1].setpoint_rad_s == 0.0);
+    r->input.control.armed = 1;
+    CHECK(tick(r)->armed == 1);
+    r->input.command.linear_m_s = 0.5, r->input.command.angular_rad_s = 0.9;
+    for (int ms = 0; ms < 50; ms++) {
+        shown = tick(r);
+        CHECK(steering->misaligned_rad == r->state.steer.misaligned_rad && steering->misaligned_rad > 0.1);
+        CHECK(steering->setpoint_rad[1] == r->out.position_rad[1] && isnan(steering->setpoint_rad[0]));
+        CHECK(shown->joint[1].setpoint_rad_s == r->out.joint[1].velocity_rad_s && shown->joint[1].setpoint_rad_s > 0.0);
+        CHECK(shown->joint[1].position_rad == r->state.odometry.angle_rad[1] && steering->joints == 2);
+    }
+    r->input.feedback[1].referenced = 0;
+    shown = tick(r);
+    CHECK(shown->faults == FAULT_POSITION_UNKNOWN && shown->enabled == 1 && steering->unknown == 2);
+    CHECK(isnan(steering->setpoint_rad[1]) && shown->joint[1].setpoint_rad_s == 0.0);
+}
+
+static void every_reason_is_reported_beside_the_others_and_since_when(void)
+{
+    core_config config = bicycle();
+    config.joint[1].position.reference = REFERENCE_HOMED;
+    start(r, &config);
+    r->mute = true;
+    r->input.control.stop = r->input.control.estop = 1;
+    uint32_t all = REASON_NOT_ARMED | REASON_POSITION_UNKNOWN | REASON_STOP_REQUESTED | REASON_FAULT | REASON_COMMAND_STALE;
+    const robot_state *shown = ticks(r, 2);
+    int64_t since_ns = r->input.now_ns - TICK_NS;
+    for (int i = 0; i < 3; i++) {
+        CHECK(shown->reasons == all);
+        for (uint32_t bit = 0; bit < REASONS_MAX; bit++) {
+            CHECK((shown->reason.since_ns[bit] != 0) == ((all >> bit & 1U) != 0));
+        }
+        shown = tick(r);
+    }
+    CHECK(since_ns < shown->stamp_ns && shown->reason.since_ns[16] <= since_ns);
+    core_config base = good_config();
+    start(r, &base);
+    go(r, 0.5, 0.0);
+    r->input.command.linear_m_s = 1.05; /* more than it may, and of the first bit alone that is a reason */
+    r->input.control.limits.linear.velocity_u_s = 0.5;
+    since_ns = tick(r)->stamp_ns;
+    shown = ticks(r, 3);
+    CHECK(shown->reasons == REASON_LINEAR_VELOCITY && shown->reason.since_ns[0] == since_ns);
+    r->input.command.linear_m_s = 0.5;
+    CHECK(tick(r)->reasons == 0 && shown->reason.since_ns[0] == 0);
+}
+
 int main(void)
 {
     r = malloc(sizeof *r);
@@ -184,6 +273,9 @@ int main(void)
     the_sensor_is_reported_less_its_bias();
     what_the_base_does_and_why_is_reported();
     a_heading_stays_within_half_a_turn();
+    lateral_motion_is_reported_like_the_other_two();
+    joints_that_take_positions_are_reported_with_their_set_points();
+    every_reason_is_reported_beside_the_others_and_since_when();
     free(r);
     return checks_report("snapshot");
 }

@@ -38,9 +38,10 @@ static uint32_t data_bytes(const line_machine *m)
     return alone_of(m, 0)->reply_bytes - STATUS_BYTES;
 }
 
-static uint32_t end_of_block(const line_machine *m, uint32_t place)
+/* A packet's bytes up to the end of so many blocks. */
+static uint32_t end_of(const line_machine *m, uint32_t blocks)
 {
-    return HEAD_BYTES + (place + 1) * (BLOCK_BYTES + data_bytes(m));
+    return HEAD_BYTES + blocks * (BLOCK_BYTES + data_bytes(m));
 }
 
 bool line_fast_is_good(const line_table *table)
@@ -63,7 +64,7 @@ bool line_fast_begins(const line_machine *m)
 uint32_t line_fast_request(line_machine *m, line_frame *packet)
 {
     packet->request[INSTRUCTION_BYTE] = FAST_SYNC_READ;
-    return end_of_block(m, m->group.asked_count - 1);
+    return end_of(m, m->group.asked_count);
 }
 
 /* ------------------------------------------------------------------------------------------------------ receiving */
@@ -85,7 +86,7 @@ static uint32_t begin_of(const line_machine *m, uint32_t from, uint32_t whole)
 static void take_block(line_machine *m, uint32_t place, uint32_t at, int64_t now_ns)
 {
     line_transaction *t = &m->transaction;
-    uint32_t number = m->group.asked[place], count = data_bytes(m), end = end_of_block(m, place);
+    uint32_t number = m->group.asked[place], count = data_bytes(m), end = end_of(m, place + 1);
     const uint8_t *block = t->received + at + end - BLOCK_BYTES - count;
     received found = {.kind = RECEIVED_ANSWER, .exception = block[0] & ERROR_NUMBER};
     memcpy(t->plain, t->received + at, HEAD_BYTES);
@@ -103,11 +104,12 @@ static void take_block(line_machine *m, uint32_t place, uint32_t at, int64_t now
 void line_fast_look(line_machine *m, uint32_t from, int64_t now_ns)
 {
     const line_transaction *t = &m->transaction;
-    uint32_t whole = m->group.asked_count == 0 ? HEAD_BYTES : end_of_block(m, m->group.asked_count - 1);
+    uint32_t whole = end_of(m, m->group.asked_count);
     uint32_t at = begin_of(m, from, whole), came = t->received_bytes - at;
+    /* the last check sum speaks for all blocks: the dynamixel-sdk looks at no other */
     bool good = came >= whole && rtu_is_sealed(t->received + at, whole, SEAL_STUFFED);
-    for (uint32_t i = 0; i < m->group.asked_count && end_of_block(m, i) <= came; i++) {
-        uint32_t number = m->group.asked[i], end = end_of_block(m, i);
+    for (uint32_t i = 0; i < m->group.asked_count && end_of(m, i + 1) <= came; i++) {
+        uint32_t number = m->group.asked[i], end = end_of(m, i + 1);
         bool waits = (m->group.waiting >> number & 1) != 0;
         uint8_t unit = t->received[at + end - BLOCK_BYTES - data_bytes(m) + BLOCK_UNIT_BYTE];
         bool sealed = good || rtu_is_sealed(t->received + at, end, SEAL_STUFFED);
@@ -124,9 +126,8 @@ void line_fast_end(line_machine *m, bool all)
         return;
     }
     if (m->group.fast) {
-        uint32_t longer = 2 * m->fast_pause < PAUSE_MOST ? 2 * m->fast_pause : PAUSE_MOST;
-        m->fast_pause = all ? PAUSE_LEAST / 2 : longer > PAUSE_LEAST ? longer : PAUSE_LEAST;
-        m->plain_cycles = all ? 0 : m->fast_pause;
+        uint32_t longer = m->fast_pause == 0 ? PAUSE_LEAST : m->fast_pause < PAUSE_MOST ? 2 * m->fast_pause : PAUSE_MOST;
+        m->fast_pause = m->plain_cycles = all ? 0 : longer;
     } else {
         m->plain_cycles = all ? m->plain_cycles - 1 : m->fast_pause;
     }

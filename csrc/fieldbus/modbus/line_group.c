@@ -284,7 +284,6 @@ bool line_group_goes_on(line_machine *m)
         if (is_member(m, number)) {
             m->current = number;
             m->drive[number].stage = STAGE_EXTRA;
-            m->drive[number].place = 0;
             return true;
         }
     }
@@ -316,7 +315,7 @@ static bool is_member_good(const line_drive *drive, const line_frame *first, con
                  read->reply_seal == first->request_seal;
     bool places = write->request_bytes == first->request_bytes && read->reply_bytes > 0 &&
                   group->data_byte + rtu_seal_bytes(first->request_seal) < write->request_bytes;
-    for (uint32_t i = 0; i < drive->cyclic[0].setpoint_count && i < EXCHANGE_SETPOINTS_MAX; i++) {
+    for (uint32_t i = 0; i < drive->cyclic[0].setpoint_count; i++) {
         places = places && drive->cyclic[0].setpoint[i].byte >= group->data_byte;
     }
     return turns && seals && places && drive->direction_count == 0 && drive->idle_count == 0;

@@ -1,0 +1,132 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * test_core_following: joints that take positions and are not where their set-points are. */
+#include "steered_bases.h"
+
+static rig r;
+
+static core_config watched(core_config config)
+{
+    for (uint32_t j = 0; j < config.joint_count; j++) {
+        if (config.joint[j].position.used) {
+            config.joint[j].position.following_rad = 0.1, config.joint[j].position.following_s = 0.4;
+        }
+    }
+    return config;
+}
+
+/* Joint j stays where it was at first, for so long or until that is a fault. */
+static void stuck(uint32_t j, double at_rad, int most_ms)
+{
+    for (int ms = 0; ms < most_ms && r.shown.faults == 0; ms++) {
+        r.position_rad[j] = at_rad - r.out.joint[j].velocity_rad_s * 1e-3;
+        tick(&r);
+    }
+}
+
+/* Its set-point moves on, slowly, when that is seen. */
+static void a_joint_that_is_stuck_is_a_fault_of_its_tick_with_what_was_wanted_and_measured(void)
+{
+    core_config config = watched(head_and_belt());
+    config.joint[2].position.velocity_rad_s = 0.5;
+    ready(&r, &config);
+    r.input.control.armed = 1;
+    CHECK(tick(&r)->armed == 1);
+    r.input.joints = (joint_command){.named = 4, .value_u = {[2] = 0.8}};
+    stuck(2, 0.0, 3000);
+    CHECK(r.shown.faults == FAULT_FOLLOWING_ERROR && r.shown.armed == 0 && r.out.enabled == 1);
+    CHECK((r.shown.reasons & (REASON_FAULT | REASON_NOT_ARMED)) == (REASON_FAULT | REASON_NOT_ARMED));
+    CHECK(r.shown.doubt.joint == 2 && r.shown.doubt.setpoint_rad_s == 0.5);
+    CHECK(r.shown.doubt.measured_rad_s == r.state.odometry.joint[2].velocity_rad_s);
+}
+
+static void of_joints_that_are_stuck_together_the_first_is_named(void)
+{
+    core_config config = watched(head_and_belt());
+    ready(&r, &config);
+    r.input.control.armed = 1;
+    CHECK(tick(&r)->armed == 1);
+    r.input.joints = (joint_command){.named = 5, .value_u = {[0] = 0.7, [2] = 0.7}};
+    for (int ms = 0; ms < 3000 && r.shown.faults == 0; ms++) {
+        r.position_rad[0] = -r.out.joint[0].velocity_rad_s * 1e-3;
+        r.position_rad[2] = -r.out.joint[2].velocity_rad_s * 1e-3;
+        tick(&r);
+    }
+    CHECK(r.shown.faults == FAULT_FOLLOWING_ERROR && r.shown.doubt.joint == 0);
+    CHECK(r.shown.doubt.fault == FAULT_FOLLOWING_ERROR && ticks(&r, 500)->doubt.joint == 0);
+}
+
+/* The hand is faster than a drive could ever be. */
+static void turned_by_hand(int milliseconds)
+{
+    for (int ms = 0; ms < milliseconds; ms++) {
+        r.position_rad[0] += ms % 2 == 0 ? 0.3 : -0.3;
+        CHECK(tick(&r)->faults == 0);
+    }
+}
+
+/* Also of a robot of which nothing else moves: no fault, and none when it gets its power again. */
+static void a_joint_without_power_may_be_turned_by_hand(void)
+{
+    core_config config = watched(head_and_belt());
+    config.joint_count = 1;
+    ready(&r, &config);
+    turned_by_hand(1000);
+    r.input.control.armed = 1;
+    CHECK(tick(&r)->armed == 1);
+    r.input.joints = (joint_command){.named = 1, .value_u = {0.9}};
+    stuck(0, r.position_rad[0], 500);
+    CHECK(r.shown.faults == 0 && r.state.steer.following[0].since_ns != 0); /* nearly */
+    r.input.joints.named = 0;
+    r.input.control.armed = 0;
+    turned_by_hand(1000);
+    CHECK(r.state.steer.following[0].since_ns == 0);
+    r.input.control.armed = 1;
+    turned_by_hand(300);
+    CHECK(r.shown.armed == 1);
+}
+
+/* Where it is, is not known: that is another fault, and the only one. */
+static void a_joint_whose_feedback_is_lost_is_not_stuck(void)
+{
+    static const stop_action ACTIONS[] = {STOP_RAMP, STOP_BRAKE, STOP_HOLD};
+    for (int i = 0; i < COUNT_OF(ACTIONS); i++) {
+        core_config config = watched(head_and_belt());
+        config.on_fault = ACTIONS[i];
+        config.joint[0].position.acceleration_rad_s2 = 4.0;
+        ready(&r, &config);
+        r.input.control.armed = 1;
+        CHECK(tick(&r)->armed == 1);
+        r.input.joints = (joint_command){.named = 1, .value_u = {2.0}};
+        ticks(&r, 300);
+        r.stale = true;
+        CHECK(ticks(&r, 260)->faults == FAULT_FEEDBACK_STALE);
+        double apart_rad = r.state.steer.profile[0].position_rad - r.state.odometry.angle_rad[0];
+        CHECK(apart_rad > 0.3);
+        CHECK(ticks(&r, 1500)->faults == FAULT_FEEDBACK_STALE);
+    }
+}
+
+/* Also of one that measures nothing, and in either direction. */
+static void a_joint_that_follows_may_be_anywhere(void)
+{
+    for (uint32_t i = 0; i < 4; i++) {
+        core_config config = watched(head_and_belt());
+        config.joint[0].position.reference = i < 2 ? REFERENCE_ESTIMATED : config.joint[0].position.reference;
+        ready(&r, &config);
+        r.input.control.armed = 1;
+        CHECK(tick(&r)->armed == 1);
+        r.input.joints = (joint_command){.named = 1, .value_u = {i % 2 == 0 ? 1.5 : -1.5}};
+        CHECK(ticks(&r, 4000)->faults == 0 && r.out.position_rad[0] == r.input.joints.value_u[0]);
+        CHECK(fabs(r.shown.joint[0].position_rad - r.out.position_rad[0]) < 1e-4);
+    }
+}
+
+int main(void)
+{
+    a_joint_that_follows_may_be_anywhere();
+    a_joint_that_is_stuck_is_a_fault_of_its_tick_with_what_was_wanted_and_measured();
+    of_joints_that_are_stuck_together_the_first_is_named();
+    a_joint_without_power_may_be_turned_by_hand();
+    a_joint_whose_feedback_is_lost_is_not_stuck();
+    return checks_report("test_core_following");
+}
