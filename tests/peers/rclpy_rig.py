@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rclpy bridge on a stand-in of rclpy, with a running robot behind it."""
+"""Words for tests of the rclpy bridge, with a running robot behind it."""
 
 import time
 
-import pytest
+from tests.peers.rclpy_stage import Trigger
 from tests.sim.daemon_stage import wait_until
-
-Trigger = pytest.importorskip("std_srvs.srv").Trigger
 
 
 def types():
@@ -29,6 +27,7 @@ def types():
 
 
 T = types()
+__all__ = ["T", "Trigger", "drive_until", "stamped", "trigger", "twist", "types"]
 
 
 def trigger(stage, method):

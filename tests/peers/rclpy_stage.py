@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """A daemon with the bridge node beside it, and an operator's node that meets the bridge. On rclpy
-itself where ROS 2 is sourced; on the stand-in of its API elsewhere."""
+itself where there is one (rclpy_real); on the stand-in of its API elsewhere."""
 
 import contextlib
-import importlib.util
 import os
 import subprocess
 import sys
 import threading
 import time
+import warnings
 from pathlib import Path
 
+import pytest
+from tests.peers.rclpy_real import ENVIRON, PYTHON, REAL
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 
-REAL = importlib.util.find_spec("rclpy") is not None
 STANDIN = Path(__file__).with_name("ros_standin")
 if not REAL:
     sys.path.append(str(STANDIN))
 
 import rclpy  # noqa: E402
-import standin_wire  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
@@ -35,6 +35,10 @@ SETTINGS = (
 )  # fmt: skip
 BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+ANSWERS = QoSProfile(depth=100)
+"""An operator's own: what a test loses, the bridge has lost."""
+UNWARNED = pytest.mark.filterwarnings("ignore:Deprecated in favor of:DeprecationWarning")
+"""rclpy itself calls what it deprecates where two qualities of service do not go together."""
 MODULE = ("-m", "motord.ros2_rclpy")
 
 
@@ -44,10 +48,18 @@ def ros(folder):
     domain = {
         "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": str(folder),
     }
     with contextlib.ExitStack() as cleanup:
-        if not REAL:
+        if REAL:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)  # of its parser
+                import rosidl_generator_py  # noqa: F401
+        else:
+            import standin_wire
+
             path = folder / "hub.sock"
+            cleanup.callback(standin_wire.forget)
             cleanup.enter_context(standin_wire.hub(path))
             domain = {standin_wire.HUB: str(path)}
         before = {key: os.environ.get(key) for key in domain}
@@ -55,7 +67,6 @@ def ros(folder):
         try:
             yield
         finally:
-            standin_wire.forget()
             for key, value in before.items():
                 os.environ.pop(key)
                 if value is not None:
@@ -65,9 +76,7 @@ def ros(folder):
 class Bridge:
     """A process, and what it has logged."""
 
-    def __init__(
-        self, log, *words, ros_args=(), environ=None, program=MODULE, python=sys.executable
-    ):
+    def __init__(self, log, *words, ros_args=(), environ=None, program=MODULE, python=PYTHON):
         self.log = log
         path = [str(ROOT / "daemon"), str(ROOT / "hal"), *([] if REAL else [str(STANDIN)])]
         path += [os.environ["PYTHONPATH"]] if "PYTHONPATH" in os.environ else []
@@ -76,7 +85,7 @@ class Bridge:
             [python, *program, *map(str, words),
              "--ros-args", "-r", f"__ns:={NAMESPACE}", *map(str, ros_args)],
             stdin=subprocess.DEVNULL, stdout=self._sink, stderr=self._sink, cwd="/",
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(path), **(environ or {})},
+            env={**os.environ, **ENVIRON, "PYTHONPATH": os.pathsep.join(path), **(environ or {})},
         )  # fmt: skip
 
     def logged(self):
@@ -127,7 +136,7 @@ class Operator:
         """The answer's future."""
         key = (name, kind)
         if key not in self._clients:
-            self._clients[key] = self.node.create_client(kind, name)
+            self._clients[key] = self.node.create_client(kind, name, qos_profile=ANSWERS)
         wait_until(self._clients[key].service_is_ready, f"a service {name}")
         return self._clients[key].call_async(kind.Request(**values))
 

@@ -13,7 +13,8 @@ library itself. It shares nothing with motord.
                                                  line on standard input: sent 3 s ago from now on
     ros2_peer.py DOMAIN joints NAME JOINT=SPEED ... [AGE_S]   20 JointState a second
     ros2_peer.py DOMAIN say NAME TEXT [best [NODE]]  one String, again and again; best: best effort
-    ros2_peer.py DOMAIN call NAME TYPE [JSON]    one request, its reply as JSON
+    ros2_peer.py DOMAIN calls                    for each line on stdin, [NAME, TYPE, VALUES] in
+                                                 JSON, one request; its reply as JSON
     ros2_peer.py DOMAIN act NAME TYPE [JSON]     one goal: accepted, feedback, result, each as JSON;
                                                  a line on standard input: cancel it
     ros2_peer.py DOMAIN endpoints                a line of JSON for each endpoint that is seen
@@ -229,6 +230,7 @@ class Caller:
             assert time.monotonic() < end_s, f"nobody serves {name}"
             time.sleep(0.01)
         self._guid = self._writer.instance_handle & 0xFFFFFFFFFFFFFFFF
+        self._number = 0
 
     def _available(self):
         """As rmw_cyclonedds has it: a reader and a writer that say the same `serviceid`."""
@@ -241,16 +243,22 @@ class Caller:
         return {*map(_service_id, readers)} & {*map(_service_id, writers)} - {None}
 
     def ask(self, **values):
-        self._writer.write(_built(self._request, {"guid": self._guid, "seq": 1, **values}))
+        self._number += 1
+        asked = {"guid": self._guid, "seq": self._number, **values}
+        self._writer.write(_built(self._request, asked))
         for sample in self._reader.take_iter(timeout=duration(seconds=DEADLINE_S)):
-            if sample.guid == self._guid:
+            if (sample.guid, sample.seq) == (self._guid, self._number):
                 return sample
         raise AssertionError("no answer")
 
 
-def call(participant, name, kind, values="{}"):
-    caller = Caller(participant, name, *SERVICES[kind])
-    say(dataclasses.asdict(caller.ask(**json.loads(values))))
+def calls(participant):
+    callers = {}
+    for line in sys.stdin:
+        name, kind, values = json.loads(line)
+        if name not in callers:
+            callers[name] = Caller(participant, name, *SERVICES[kind])
+        say(dataclasses.asdict(callers[name].ask(**values)))
 
 
 def act(participant, name, kind, values="{}"):
@@ -308,7 +316,7 @@ def endpoints(participant):
 
 COMMANDS = {
     "topic": topic, "drive": drive, "plane": plane, "joints": joints, "twist": twist,
-    "say": _say_text, "bursts": bursts, "frame": frame, "call": call, "act": act,
+    "say": _say_text, "bursts": bursts, "frame": frame, "calls": calls, "act": act,
     "endpoints": endpoints,
 }  # fmt: skip
 

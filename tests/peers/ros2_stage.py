@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 
+from tests.peers.light import LIGHT
 from tests.sim.daemon_stage import PATIENT, running, wait_until
 
 from motord.client import ClientError
@@ -28,13 +29,15 @@ def ros2_stage(folder, *more, environ=None):
         f"publish.ros2.namespace={NAMESPACE}", "publish.ros2.rate_hz=20",
         "input.ros2.kind=ros2", f"input.ros2.domain_id={DOMAIN}",
         f"input.ros2.namespace={NAMESPACE}", f"input.ros2.lease_s={LEASE_S}",
-        f"safety.command_timeout_s={LEASE_S}", *PATIENT,
-        "joint.left.tries=10", "joint.right.tries=10", *more,
+        f"safety.command_timeout_s={LEASE_S}", *PATIENT, *LIGHT, *more,
     )  # fmt: skip
     with running(folder, *settings, environ=environ) as stage:
         stage.wait_for("idle")
         wait_until(lambda: inputs(stage).get("ros2", {}).get("lease"), "a lease")
-        yield stage
+        try:
+            yield stage
+        finally:
+            caller.leave()
 
 
 def inputs(stage):
@@ -82,9 +85,35 @@ def peer(*words, program=PEER, decode=json.loads):
         made.close()
 
 
+class Caller:
+    """A node that calls services: one process for all calls, as a panel's is."""
+
+    def __init__(self):
+        self._peer = None
+
+    def ask(self, name, *words):
+        if self._peer is None:
+            self._peer = Peer([*PEER, str(DOMAIN), "calls"], json.loads)
+        answers = len(self._peer.received)
+        try:
+            self._peer.say(json.dumps([name, *words]))
+            return wait_until(lambda: self._peer.received[answers:], f"an answer of {name}")[0]
+        except BaseException:
+            self.leave()
+            raise
+
+    def leave(self):
+        """The next one is new to the robot, and the robot to it."""
+        if self._peer is not None:
+            self._peer.close()
+        self._peer = None
+
+
+caller = Caller()
+
+
 def called(name, kind="Trigger", **values):
-    with peer("call", f"{NAMESPACE}/motord/{name}", kind, json.dumps(values)) as client:
-        return client.find(lambda _: True, f"an answer of {name}")
+    return caller.ask(f"{NAMESPACE}/motord/{name}", kind, values)
 
 
 def nobody_commands(stage):

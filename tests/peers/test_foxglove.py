@@ -13,6 +13,7 @@ from xml.etree import ElementTree as ET
 import pytest
 from rosbags.typesys import Stores, get_typestore
 from tests.peers.foxglove_wire import MESSAGE_DATA, wired
+from tests.peers.light import LIGHT
 from tests.peers.mosquitto import free_port
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 
@@ -32,7 +33,7 @@ def port():
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory, port):
     settings = ("publish.view.kind=foxglove", f"publish.view.port={port}",
-                "publish.view.rate_hz=50")  # fmt: skip
+                "publish.view.rate_hz=50", *LIGHT)  # fmt: skip
     with running(tmp_path_factory.mktemp("foxglove"), *settings) as stage:
         stage.wait_for("idle")
         yield stage

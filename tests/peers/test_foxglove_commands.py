@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from tests.peers.foxglove_wire import wired
+from tests.peers.light import LIGHT
 from tests.peers.mosquitto import certified, free_port
 from tests.peers.tokens import TOKEN, token_file
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, becomes_idle, running, wait_until
@@ -34,7 +35,7 @@ def stage(tmp_path_factory, port):
         "input.fox.kind=foxglove", f"input.fox.port={port}", "input.fox.stamped=false",
         f"input.fox.token_file={token_file(folder)}", "input.fox.rate_hz=50",
         "input.fox.lease_s=1.0",
-        "safety.command_timeout_s=1.0",
+        "safety.command_timeout_s=1.0", *LIGHT,
     )  # fmt: skip
     with running(folder, *settings) as stage:
         stage.wait_for("idle")

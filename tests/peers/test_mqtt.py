@@ -12,6 +12,7 @@ import time
 
 import cbor2
 import pytest
+from tests.peers.light import LIGHT
 from tests.peers.mosquitto import broker, certified, needs_mosquitto, stamp, with_password
 from tests.peers.tokens import TOKEN, token_file
 from tests.sim.daemon_stage import DEADLINE_S, running, wait_until
@@ -43,6 +44,7 @@ def stage(tmp_path_factory, peer):
         "input.fleet.kind=mqtt", f"input.fleet.port={peer.port}", "input.fleet.priority=70",
         "input.fleet.topic_prefix=site/r2", f"input.fleet.token_file={token_file(folder)}",
         f"input.fleet.lease_s={LEASE_S}", f"safety.command_timeout_s={LEASE_S}",
+        *LIGHT,
     )  # fmt: skip
     with running(folder, *settings) as stage:
         stage.wait_for("idle")

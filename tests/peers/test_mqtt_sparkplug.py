@@ -7,6 +7,7 @@ import signal
 
 import cbor2
 import pytest
+from tests.peers.light import LIGHT
 from tests.peers.mosquitto import broker, needs_mosquitto, stamp
 from tests.peers.tokens import TOKEN, token_file
 from tests.sim.daemon_stage import DEADLINE_S, running, wait_until
@@ -31,7 +32,7 @@ def stage(tmp_path_factory, peer):
     more = (
         "publish.short.topic_prefix=cbor", "publish.fleet.rate_hz=20",
         f"input.fleet.token_file={token_file(folder)}", "input.fleet.lease_s=1.0",
-        "safety.command_timeout_s=1.0",
+        "safety.command_timeout_s=1.0", *LIGHT,
     )  # fmt: skip
     with running(folder, *settings, *more) as stage:
         stage.wait_for("idle")

@@ -12,6 +12,7 @@ import threading
 import time
 
 import pytest
+from tests.peers.light import LIGHT
 from tests.peers.mosquitto import BROKER, certified, needs_mosquitto, stamp
 from tests.peers.namespaces import THERE, cable, inside, why_not
 from tests.sim.daemon_stage import DEADLINE_S, ROBOT, ROOT, obeying, running, wait_until
@@ -27,7 +28,7 @@ LEASE_S = 1.0
 RATE_HZ = 20
 CUT_S = 30.0
 """Longer than any of them believes that the other is still there: Zenoh 10 s, MQTT 7.5 s."""
-MISSED_TICKS = 2000
+MISSED_TICKS = 800
 CALM_SAMPLES = 3 * RATE_HZ
 PACE = 0.5
 """Of the pace before, that of loop and lines without a network; a busy machine has its part."""
@@ -139,7 +140,7 @@ def stage(tmp_path_factory, network):
         f"input.fleet.token_file={token}", f"safety.command_timeout_s={LEASE_S}",
         *(f"{section}.z.{one}" for section in ("publish", "input") for one in zenoh),
         f"publish.z.rate_hz={RATE_HZ}", f"input.z.lease_s={LEASE_S}", "input.z.trust_router=true",
-        "joint.left.tries=10", "joint.right.tries=10",
+        *LIGHT,
     )  # fmt: skip
     with running(folder, *settings, options=("--no-bus",)) as stage:
         stage.wait_for("idle")

@@ -17,6 +17,8 @@ from std_srvs.srv import Trigger  # noqa: E402
 from unique_identifier_msgs.msg import UUID  # noqa: E402
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
+WAITING = 12
+"""For one result: more than a service of rclpy keeps answers by default."""
 KINDS = {
     "drive_distance": actions.DriveDistance,
     "rotate": actions.Rotate,
@@ -124,7 +126,7 @@ def test_cancelled_the_robot_comes_to_rest(armed):
 def test_a_stop_gets_through_while_many_wait_for_results(armed):
     goal = Goal(armed, "drive_distance", distance_m=20.0)
     wait_for_motion(armed)
-    waiting = [goal.asked() for _ in range(12)]
+    waiting = [goal.asked() for _ in range(WAITING)]
     assert armed.operator.call("motord/stop", Trigger).success
     status, sent = goal.result()
     assert status == ABORTED

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.peers.rclpy_rig import drive_until, trigger, twist
+from tests.peers.rclpy_rig import T, Trigger, drive_until, trigger, twist
 from tests.peers.rclpy_stage import (
     BEST_EFFORT,
     REAL,
@@ -23,9 +23,6 @@ from tests.peers.rclpy_stage import (
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, connected, ended, running, wait_until
 
 from motord.ros2_rclpy.__main__ import options_of
-
-T = pytest.importorskip("geometry_msgs.msg")
-Trigger = pytest.importorskip("std_srvs.srv").Trigger
 
 
 @contextlib.contextmanager

@@ -8,7 +8,7 @@ import os
 import signal
 
 import pytest
-from tests.peers.ros2_stage import NAMESPACE, called, inputs, peer, ros2_stage, settle
+from tests.peers.ros2_stage import NAMESPACE, called, caller, inputs, peer, ros2_stage, settle
 from tests.sim.daemon_stage import wait_until
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds")
@@ -27,7 +27,8 @@ ZERO = {
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ros2")
-    with ros2_stage(folder, "input.person.kind=socket") as stage:
+    precise = ("loop.rate_hz=250", "line.rs485.cycle_hz=50")  # distances are measured
+    with ros2_stage(folder, "input.person.kind=socket", *precise) as stage:
         yield stage
 
 
@@ -213,6 +214,7 @@ def test_without_the_bus_process_the_robot_comes_to_rest(armed, number):
     with goal("drive_distance", distance_m=20.0):
         wait_for_motion(armed)
         pid = wait_until(lambda: bus_pid(armed), "the bus process")
+        caller.leave()  # it would take the one that is gone for a server
         os.kill(pid, number)
         at_rest(armed)
         armed.wait_for("armed")

@@ -217,7 +217,13 @@ def test_the_graph_shows_one_node_with_all_that_it_has(stage):
 def test_every_endpoint_shows_its_type_and_its_hash(stage):
     with peer("endpoints") as eye:
         odom = eye.find(lambda found: found["topic"] == f"rt{NAMESPACE}/odom", "odom")
-        arm = eye.find(lambda found: found["topic"].endswith("motord/armRequest"), "arm")
+        arm = eye.find(
+            lambda found: (
+                found["topic"].endswith("motord/armRequest")
+                and not found["user_data"].startswith("clientid=")  # of who calls it
+            ),
+            "arm",
+        )
     assert odom["type"] == "nav_msgs::msg::dds_::Odometry_"
     assert odom["user_data"] == f"typehash={type_hash('nav_msgs/msg/Odometry')};"
     assert arm["type"] == "std_srvs::srv::dds_::Trigger_Request_"

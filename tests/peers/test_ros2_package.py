@@ -13,6 +13,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
+from tests.peers.rclpy_real import FOLDER, REAL, site_of
 from tests.peers.rclpy_stage import SETTINGS, STANDIN, bridge, operator, ros
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 
@@ -82,10 +83,13 @@ def test_pip_installs_it_whole_without_anything_else(by_pip):
 
 def test_what_pip_installed_serves_a_robot(by_pip, tmp_path):
     """The installed program by its own Python, where nothing else of motord is."""
-    if not STANDIN.exists() or "ROS_DISTRO" in os.environ:
+    if REAL and FOLDER is None:
         pytest.skip("ROS 2's own Python is another")
-    copy = tmp_path / "standin"
-    shutil.copytree(STANDIN, copy)
+    rclpy = tmp_path / "standin"
+    if FOLDER is None:
+        shutil.copytree(STANDIN, rclpy)
+    else:
+        rclpy = site_of(FOLDER)
     prefix = by_pip.parent.parent
     (library,) = prefix.glob(f"lib/python3*/site-packages/{PACKAGE}/_lib")
     with (
@@ -93,7 +97,7 @@ def test_what_pip_installed_serves_a_robot(by_pip, tmp_path):
         running(tmp_path, *SETTINGS) as stage,
         bridge(
             tmp_path, "--socket", stage.socket, python=by_pip, program=(program(prefix),),
-            environ={"PYTHONPATH": f"{copy}:{library}"},
+            environ={"PYTHONPATH": f"{rclpy}:{library}"},
         ) as made,
         operator() as person,
     ):  # fmt: skip

@@ -6,12 +6,14 @@ import asyncio
 import contextlib
 import json
 import shutil
+import socket
 import ssl
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests.peers.light import LIGHT
 from tests.peers.mosquitto import certified, free_port
 from tests.peers.tokens import TOKEN, token_file
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
@@ -43,6 +45,7 @@ def stage(tmp_path_factory, ports):
         "input.web.lease_s=1.0",
         "safety.command_timeout_s=1.0",
         "publish.tell.kind=rosbridge", f"publish.tell.port={ports[1]}", "publish.tell.rate_hz=200",
+        *LIGHT, "loop.rate_hz=250",
     )  # fmt: skip
     with running(folder, *settings) as stage:
         stage.wait_for("idle")
@@ -250,16 +253,23 @@ async def test_a_client_is_sent_no_faster_than_it_asked_for(stage, ports):
 async def test_a_reader_that_stops_reading_costs_samples_and_nothing_else_anything(stage, ports):
     ticks = stage.robot.status()["loop"]["ticks"]
     url = f"ws://127.0.0.1:{ports[1]}/"
-    async with connect(url, max_queue=1, ping_interval=None) as stuck:
+    narrow = socket.socket()
+    narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # soon full
+    narrow.connect(("127.0.0.1", ports[1]))
+    tf = {"op": "subscribe", "topic": "/tf"}
+    async with (
+        connect(url, sock=narrow, max_queue=1, ping_interval=None) as stuck,
+        connect(url) as other,
+    ):
         for topic in ("odom", "joint_states", "motor_status", "tf"):
             await stuck.send(json.dumps({"op": "subscribe", "topic": topic}))
+        await other.send(json.dumps(tf))
         before = bus(stage)["publishers"]["tell"]["dropped"]
         async with asyncio.timeout(2 * DEADLINE_S):
             while bus(stage)["publishers"]["tell"]["dropped"] == before:
-                answer = await exchanged(
-                    ports[1], {"op": "subscribe", "topic": "/tf"}, until=lambda one: True
-                )
-                assert answer["topic"] == "/tf"
+                for _ in range(10):
+                    assert json.loads(await other.recv())["topic"] == "/tf"
+            assert (await exchanged(ports[1], tf, until=lambda one: True))["topic"] == "/tf"
         stuck.transport.abort()
         with contextlib.suppress(OSError):
             await stuck.wait_closed()

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import pytest
 from tests.peers.foxglove_wire import wired
+from tests.peers.light import LOOP
 from tests.peers.mosquitto import broker, free_port, needs_mosquitto, stamp
 from tests.peers.ros2_stage import DOMAIN, peer
 from tests.peers.tokens import TOKEN, token_file
@@ -59,7 +60,7 @@ def settings(place, folder):
         *table("fox", kind="foxglove", port=place.fox_port, stamped=False, token_file=token,
                lease_s=LEASE_S),
     ]  # fmt: skip
-    return [*made, f"safety.command_timeout_s={LEASE_S}", *PATIENT]
+    return [*made, f"safety.command_timeout_s={LEASE_S}", *PATIENT, LOOP]
 
 
 @pytest.fixture(scope="module")

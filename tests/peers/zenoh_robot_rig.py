@@ -5,9 +5,10 @@ import contextlib
 import time
 
 import pytest
+from tests.peers.light import LIGHT
 from tests.peers.zenoh_rig import REQUEST, STORE, ask, attached, peer
 from tests.peers.zenoh_router import endpoint, free_port, started
-from tests.sim.daemon_stage import RETRIED, running, wait_until
+from tests.sim.daemon_stage import running, wait_until
 
 TRIGGER = (
     "std_srvs::srv::dds_::Trigger_/"
@@ -75,12 +76,11 @@ def robot(tmp_path_factory):
     settings += [f"{table}.z.domain_id=5" for table in ("publish", "input")]
     settings += [f"{table}.z.namespace=/r2" for table in ("publish", "input")]
     settings += ["publish.z.rate_hz=20", "input.z.trust_router=true"]
-    settings += [f"joint.{side}.reply_timeout_s=0.2" for side in ("left", "right")]
     settings += [f"input.z.lease_s={LEASE_S}", f"safety.command_timeout_s={LEASE_S}"]
     folder = tmp_path_factory.mktemp("zenoh")
     with (
         started(port) as router,
-        running(folder, *settings, *RETRIED) as stage,
+        running(folder, *settings, *LIGHT) as stage,
         contextlib.ExitStack() as later,
     ):
         assert router.stdout.readline() == b"ready\n"

@@ -42,6 +42,10 @@ ANSWER_WITHIN_S = 30.0
 RESULT_WITHIN_S = 3660.0
 """Of an action's goal: each has a time-out of its own, an hour at most."""
 NAMES_EVERY_S = 1.0
+WRITERS_MAX = 32
+"""New writers on a topic that are looked for at once, in that time."""
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"
+"""rmw's, of a node whose participant has not named it yet."""
 _OWN = "motord_msgs"
 _PARTS = {"SendGoal": "SendGoalService", "GetResult": "GetResultService"}
 """Of an action: its services, as ROS 2 names them in Python."""
@@ -281,6 +285,7 @@ class _Ear:
         self._node, self._name, self._kind, self._take = node, name, kind, take
         self._delays, self._voice = Delays(), RateLimitedLog(_log)
         self._names: dict[bytes, str] = {}
+        self._looked_for: set[bytes] = set()
         self._named_s = -NAMES_EVERY_S
 
     def receive(self, item: tuple[bytes, Any]) -> None:
@@ -296,20 +301,30 @@ class _Ear:
         self._take(message, waited_s, self._sender(gid))
 
     def _sender(self, gid: bytes) -> str:
-        """The name of its node; of all who publish the topic where its writer is not known."""
+        """The name of its node; of all who publish the topic where its writer is not known. A
+        writer that is new is looked for at once, one that the graph does not name each second."""
         now_s = time.monotonic()
         if now_s - self._named_s >= NAMES_EVERY_S:
             self._named_s = now_s
-            self._names = {
-                bytes(found.endpoint_gid)[:16]: (
-                    f"{found.node_namespace.rstrip('/')}/{found.node_name}"
-                )
-                for found in self._node.get_publishers_info_by_topic(self._name)
-            }
+            self._looked_for.clear()
+            self._names = self._publishers()
+        new = gid and gid not in self._names and gid not in self._looked_for
+        if new and len(self._looked_for) < WRITERS_MAX:
+            self._looked_for.add(gid)
+            self._names = self._publishers()
         if gid:
             return self._names.get(gid) or unnamed(gid)
         found = sorted(set(self._names.values()))
         return found[0] if len(found) == 1 else f"one of {', '.join(found) or 'those who left'}"
+
+    def _publishers(self) -> dict[bytes, str]:
+        """Nodes that publish the topic, by writer. Of one that ROS 2 has just met it may not know
+        the node yet."""
+        return {
+            bytes(found.endpoint_gid)[:16]: f"{found.node_namespace.rstrip('/')}/{found.node_name}"
+            for found in self._node.get_publishers_info_by_topic(self._name)
+            if found.node_name != _UNKNOWN
+        }
 
 
 def _profile(quality: Quality) -> QoSProfile:

@@ -25,6 +25,8 @@ GOALS_KEPT = 16
 """With their results; more are forgotten, the oldest first."""
 RESULTS_TOGETHER = 8
 """Clients that wait for results at once."""
+RESULTS_DEPTH = 100
+"""All that wait for one result are answered at once: the default of 10 loses answers."""
 FEEDBACK_EVERY_S = 0.1
 STATUS = Quality(depth=1, latched=True)
 """rcl_action_qos_profile_status_default."""
@@ -103,7 +105,7 @@ class ActionServer:
         node.serve(f"{below}/cancel_goal", "action_msgs/srv/CancelGoal", self._cancel)
         node.serve(
             f"{below}/get_result", f"{self._kind}_GetResult", self._result,
-            together=RESULTS_TOGETHER,
+            depth=RESULTS_DEPTH, together=RESULTS_TOGETHER,
         )  # fmt: skip
         self._feedback = node.publisher(f"{below}/feedback", f"{self._kind}_FeedbackMessage")
         self._status = node.publisher(f"{below}/status", "action_msgs/msg/GoalStatusArray", STATUS)

@@ -9,6 +9,7 @@ class Context:
     def __init__(self):
         self._ok = False
         self.remaps, self.parameters, self.on_shutdown_calls = {}, {}, []
+        self.topics = {}
 
     def init(self, args):
         assert not self._ok, "twice"

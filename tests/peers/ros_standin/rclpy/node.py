@@ -3,6 +3,7 @@
 
 import inspect
 import os
+import struct
 import sys
 import threading
 import time
@@ -18,6 +19,11 @@ from rclpy.qos import DurabilityPolicy, compatible, profile
 from rclpy.serialization import deserialize_message, serialize_message
 
 _NAMES = ("__node", "__name", "__ns")
+_GID = struct.Struct(">QQ")
+
+
+def _gid(key):
+    return _GID.pack(*key)
 
 
 class _Logger:
@@ -94,14 +100,18 @@ class Node:
         found = graph().known("publisher", self.resolve_topic_name(name))
         return [
             SimpleNamespace(node_name=about[3][1], node_namespace=about[3][0] or "/",
-                            topic_type=about[2], endpoint_gid=[0] * 16)
-            for _, about in found
+                            topic_type=about[2], endpoint_gid=list(_gid(key)))
+            for key, about in found
         ]  # fmt: skip
 
     def _made(self, endpoint, role, name, kind, quality, group=None):
         endpoint.node, endpoint.callback_group = self, group or self._group
         endpoint.callback_group.add_entity(endpoint)
-        about = (role, self.resolve_topic_name(name), kind, (self._space, self._name), quality)
+        full = self.resolve_topic_name(name)
+        topic = role in ("publisher", "subscription")
+        if topic and self.context.topics.setdefault(full, kind) != kind:  # as a participant does
+            raise RuntimeError(f"{full}: called for existing topic with incompatible type")
+        about = (role, full, kind, (self._space, self._name), quality)
         graph().add(endpoint, about)
         self._endpoints.append(endpoint)
         return endpoint
@@ -129,7 +139,7 @@ class Node:
         made = _Service(srv_type, callback)
         return self._made(made, "service", srv_name, srv_type.KIND, None, callback_group)
 
-    def create_client(self, srv_type, srv_name):
+    def create_client(self, srv_type, srv_name, *, qos_profile=None):
         return self._made(_Client(srv_type), "client", srv_name, srv_type.KIND, None)
 
     def destroy_node(self):
@@ -160,7 +170,8 @@ class _Publisher(_Endpoint):
         self._announce()
 
     def _announce(self):
-        graph().send("subscription", self.about[1], self.about, self._newest, time.time_ns())
+        sender = (_gid(self.key), *self.about)
+        graph().send("subscription", self.about[1], sender, self._newest, time.time_ns())
 
     def met(self, about):
         """One that comes later receives the newest, where that was promised."""
@@ -182,10 +193,12 @@ class _Subscription(_Endpoint):
             self._informed = True
 
     def take(self, sender, raw, sent_ns):
-        if sender[2] != self.about[2] or not compatible(sender[4], self.about[4]):
+        gid, _, _, kind, _, offered = sender
+        if kind != self.about[2] or not compatible(offered, self.about[4]):
             return
         message = raw if self._raw else deserialize_message(raw, self._kind)
-        info = {"source_timestamp": sent_ns, "received_timestamp": time.time_ns()}
+        info = {"source_timestamp": sent_ns, "received_timestamp": time.time_ns(),
+                "publisher_gid": {"implementation_identifier": "", "data": gid}}  # fmt: skip
         sent = (message, info) if self._informed else (message,)
         self.node.queue(self, lambda: self._callback(*sent))
 

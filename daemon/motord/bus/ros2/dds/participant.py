@@ -56,6 +56,13 @@ _LOCALHOST = (
     '<Peers><Peer address="localhost"/></Peers></Discovery>'
 )
 
+_COMPATIBILITY = (
+    "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
+)
+"""Types of Fast DDS (vendor 1.15) match by their names. Its releases from 3.0 on (Kilted) describe
+each type, and what they say of arrays Cyclone takes for invalid: odom and the graph did not match.
+eclipse-cyclonedds/cyclonedds, pull request 2333."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -71,7 +78,7 @@ def configuration(discovery: Discovery, interface: str | None) -> str:
     elif interface is not None:
         network = f'<NetworkInterface name="{interface}"/>'
         inside = f"<General><Interfaces>{network}</Interfaces></General>"
-    return f"<CycloneDDS><Domain>{inside}</Domain></CycloneDDS>"
+    return f"<CycloneDDS><Domain>{inside}{_COMPATIBILITY}</Domain></CycloneDDS>"
 
 
 @cache
