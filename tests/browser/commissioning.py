@@ -27,11 +27,17 @@ def truth(*settings):
 def open_page(page, title):
     """The form of one procedure."""
     page.evaluate("location.hash = 'commission'")
-    page.wait_for_selector(".commission, .ended")
+    form = page.get_by_role("button", name=title, exact=True)
     another = page.get_by_role("button", name="Another procedure", exact=True)
-    if another.count():
-        another.click()
-    page.get_by_role("button", name=title, exact=True).click()
+
+    def listed():
+        """The end of the procedure before may come only now: it is shown until it is closed."""
+        if another.count():
+            another.click()
+        return form.count()
+
+    wait_until(listed, f"{title} is listed")
+    form.click()
 
 
 def fill(page, **values):

@@ -5,15 +5,21 @@ skipped and say so."""
 import shutil
 
 import pytest
-from tests.browser.dashboard import CHROMIUM_ARGUMENTS, dashboard_of
+from tests.browser.dashboard import (
+    CHEAP_ARGUMENTS,
+    CHROMIUM_ARGUMENTS,
+    dashboard_of,
+    installed_chromium,
+)
+from tests.peers.light import LOOP
 from tests.sim.daemon_stage import ROBOT, SLOW
 
 
 @pytest.fixture(scope="session")
 def chromium():
-    found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+    found = installed_chromium()
     if found is None:
-        pytest.skip("no Chromium here: apt install chromium")
+        pytest.skip("no Chromium here: apt install chromium-headless-shell")
     return found
 
 
@@ -22,7 +28,7 @@ def browser(chromium):
     api = pytest.importorskip("playwright.sync_api", reason="no Playwright for this machine")
     with api.sync_playwright() as playwright:
         found = playwright.chromium.launch(
-            executable_path=chromium, headless=True, args=list(CHROMIUM_ARGUMENTS)
+            executable_path=chromium, headless=True, args=[*CHROMIUM_ARGUMENTS, *CHEAP_ARGUMENTS]
         )
         yield found
         found.close()
@@ -32,7 +38,7 @@ def browser(chromium):
 def robot(browser, tmp_path_factory):
     folder = tmp_path_factory.mktemp("dashboard")
     file = shutil.copy(ROBOT, folder / "robot.toml")
-    with dashboard_of(browser, folder, file, *SLOW) as dashboard:
+    with dashboard_of(browser, folder, file, *SLOW, LOOP) as dashboard:
         yield dashboard
 
 

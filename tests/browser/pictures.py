@@ -8,14 +8,13 @@ python -m tests.browser.pictures overview fault
 import argparse
 import contextlib
 import math
-import shutil
 import tempfile
 import time
 from pathlib import Path
 
 from playwright.sync_api import sync_playwright
 from tests.browser.commissioning import TRUTH, Floor, answers, begin, fill, open_page, truth
-from tests.browser.dashboard import CHROMIUM_ARGUMENTS, dashboard_of, state_of
+from tests.browser.dashboard import CHROMIUM_ARGUMENTS, dashboard_of, installed_chromium, state_of
 from tests.sim.daemon_stage import POLL_S, ROOT, SURE, wait_until
 from tests.sim.person_stage import copied
 
@@ -151,7 +150,7 @@ def main():
     names = parser.parse_args().names or PICTURES
     if unknown := set(names) - set(PICTURES):
         parser.error(f"no such picture: {', '.join(sorted(unknown))}")
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    chromium = installed_chromium()
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(
             executable_path=chromium, headless=True, args=list(CHROMIUM_ARGUMENTS)

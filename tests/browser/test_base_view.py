@@ -27,6 +27,41 @@ def test_a_wheel_points_where_the_joint_is_that_steers_it(page):
     assert math.isnan(direction_rad(page, "steering", 7.0))
 
 
+COUNTED = """async () => {
+    const { Link } = await import("/link.js");
+    const clear = CanvasRenderingContext2D.prototype.clearRect;
+    Object.assign(window, { pictures: 0, frames: 0 });
+    CanvasRenderingContext2D.prototype.clearRect = function (...area) {
+        window.pictures += 1;
+        clear.apply(this, area);
+    };
+    new Link(location.origin, 20).on("frame", () => { window.frames += 1; });
+}"""
+
+
+def test_a_robot_that_rests_is_not_drawn_again_and_one_that_moves_is(robot, page):
+    robot.ready()
+    robot.wait_for_rest()
+    page.wait_for_selector("canvas")
+    page.evaluate(COUNTED)
+
+    def pictures():
+        """Drawn while thirty states came."""
+        was, frames = page.evaluate("[pictures, frames]")
+        page.wait_for_function("frames => window.frames >= frames + 30", arg=frames)
+        return page.evaluate("pictures") - was
+
+    wait_until(lambda: pictures() == 0, "no state is drawn again")
+    robot.set_off(page)
+    assert pictures() > 0
+    page.mouse.up()
+    robot.wait_for_rest()
+    wait_until(lambda: pictures() == 0, "no state is drawn again")
+    drawn = page.evaluate("pictures")
+    page.emulate_media(color_scheme="dark")
+    page.wait_for_function("drawn => window.pictures > drawn", arg=drawn)
+
+
 def test_a_robot_without_a_base_shows_the_angles_of_its_joints(browser, tmp_path):
     settings = (
         *UNHURRIED, "joint.pan.reply_timeout_s=0.2", "joint.tilt.reply_timeout_s=0.2",

@@ -125,6 +125,13 @@ def test_enter_is_a_line_end_unless_a_completion_is_chosen(page):
     assert area.input_value() == "[limits]\nlinear_m_s = 0.4\nang\n"
 
 
+@pytest.fixture(scope="module")
+def programs(robot):
+    """A page whose functions are called, and nothing else."""
+    with robot.page() as page:
+        yield page
+
+
 COMPLETE = """async ([text, cursor]) => {
     const { complete } = await import("./completion.js");
     const schema = await (await fetch("robot.schema.json")).json();
@@ -148,9 +155,9 @@ CASES = [
 
 
 @pytest.mark.parametrize(("marked", "mode", "offered", "absent"), CASES)
-def test_what_the_schema_allows_at_the_cursor_is_offered(page, marked, mode, offered, absent):
+def test_what_the_schema_allows_at_the_cursor_is_offered(programs, marked, mode, offered, absent):
     text = marked.replace("|", "")
-    found = page.evaluate(COMPLETE, [text, marked.index("|")])
+    found = programs.evaluate(COMPLETE, [text, marked.index("|")])
     inserts = {option["insert"] for option in found["options"]}
     assert found["mode"] == mode
     assert offered <= inserts
@@ -160,8 +167,8 @@ def test_what_the_schema_allows_at_the_cursor_is_offered(page, marked, mode, off
 @pytest.mark.parametrize(
     "marked", ["# [saf|", 'x = """\n[saf|', "[robot]\nname |", '[safety]\non_fault = "ramp" |']
 )
-def test_nothing_is_offered_where_nothing_may_stand(page, marked):
-    found = page.evaluate(COMPLETE, [marked.replace("|", ""), marked.index("|")])
+def test_nothing_is_offered_where_nothing_may_stand(programs, marked):
+    found = programs.evaluate(COMPLETE, [marked.replace("|", ""), marked.index("|")])
     assert found["options"] == []
 
 
@@ -178,9 +185,9 @@ def leaves(table, path=()):
             yield from leaves(value, (*path, key))
 
 
-def test_the_reader_of_the_page_finds_the_keys_of_every_shipped_robot_file(page):
+def test_the_reader_of_the_page_finds_the_keys_of_every_shipped_robot_file(programs):
     texts = [path.read_text("utf-8") for path in ROBOTS]
-    for path, text, found in zip(ROBOTS, texts, page.evaluate(SCANNED, texts), strict=True):
+    for path, text, found in zip(ROBOTS, texts, programs.evaluate(SCANNED, texts), strict=True):
         data = tomllib.loads(text)
         known = [tuple(key) for key in leaves(data)]
         assert set(map(tuple, found)) <= set(known), path.name

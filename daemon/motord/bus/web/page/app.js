@@ -86,17 +86,20 @@ function useSpaceBar() {
   }, []);
 }
 
+const darkSystem = matchMedia("(prefers-color-scheme: dark)");
+const showTheme = () => document.dispatchEvent(new Event("motord-theme"));
+darkSystem.addEventListener("change", showTheme);
+
 function toggleTheme() {
   const root = document.documentElement;
-  const dark = root.dataset.theme
-    ? root.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+  const dark = root.dataset.theme ? root.dataset.theme === "dark" : darkSystem.matches;
   root.dataset.theme = dark ? "light" : "dark";
   try {
     localStorage.setItem("motord.theme", root.dataset.theme);
   } catch {
     // it lasts as long as the page
   }
-  document.dispatchEvent(new Event("motord-theme"));
+  showTheme();
 }
 
 function Token() {

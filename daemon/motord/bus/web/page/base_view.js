@@ -54,12 +54,29 @@ export function directionOf(wheel, hello, now) {
   return wheel.heading_rad + (now.joints[hello.joints.indexOf(wheel.steered_by)]?.position_rad ?? NaN);
 }
 
+/** What the picture shows of a state, as finely as an eye sees it: the same again needs no drawing. */
+function shownOf(hello, now) {
+  const wheels = hello.wheels.map((wheel) => {
+    const joint = now.joints[hello.joints.indexOf(wheel.joint)];
+    if (!joint) return "";
+    return [joint.stale, directionOf(wheel, hello, now).toFixed(3), joint.setpoint_rad_s.toFixed(2),
+      joint.velocity_rad_s.toFixed(2)].join();
+  });
+  const twist = [now.setpoint_linear_m_s, now.setpoint_lateral_m_s, now.setpoint_angular_rad_s,
+    now.linear_m_s, now.lateral_m_s, now.angular_rad_s].map((value) => value.toFixed(3));
+  return [now.x_m.toFixed(3), now.y_m.toFixed(3), now.heading_rad.toFixed(3), ...twist, ...wheels].join(" ");
+}
+
 class Painter {
   constructor(canvas) {
     this.canvas = canvas;
     this.paint = canvas.getContext("2d");
     this.zoom = 1;
+    this.shown = null;
   }
+
+  /** Whether another picture than the one that is drawn shows this state. */
+  differs(hello, now) { return !hello || shownOf(hello, now) !== this.shown; }
 
   draw(hello, now, trail) {
     const { canvas, paint } = this;
@@ -71,7 +88,8 @@ class Painter {
     }
     paint.setTransform(ratio, 0, 0, ratio, 0, 0);
     paint.clearRect(0, 0, width, height);
-    if (!hello || !now) return;
+    this.shown = hello && now ? shownOf(hello, now) : null;
+    if (this.shown === null) return;
     const reach = Math.max(0.1, ...hello.wheels.map((wheel) =>
       Math.hypot(Math.abs(wheel.x_m) + wheel.radius_m, wheel.y_m)));
     const scale = (this.zoom * Math.min(width, height)) / (reach * 6);
@@ -230,7 +248,8 @@ export function BaseView({ link, trail }) {
       painter.current.draw(link.hello, link.now, trail);
     };
     const soon = () => { frame ||= requestAnimationFrame(draw); };
-    const ends = [link.on("frame", soon), link.on("hello", soon)];
+    const moved = (now) => { if (painter.current.differs(link.hello, now)) soon(); };
+    const ends = [link.on("frame", moved), link.on("hello", soon)];
     const size = new ResizeObserver(soon);
     size.observe(canvas.current);
     document.addEventListener("motord-theme", soon);

@@ -76,7 +76,7 @@ export function Parameters({ link }) {
   };
   const save = async () => {
     const found = await call("params.save", TEXT.save);
-    setDiff(found ?? null);
+    if (found) setDiff(found);
   };
   const apply = async () => {
     const inForce = await call("params.set", TEXT.apply, changes);
