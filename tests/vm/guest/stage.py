@@ -28,18 +28,22 @@ class Stage:
     def logged(self):
         return self.log.read_text(encoding="utf-8")
 
+    def armed(self):
+        """Armed, after a fault too: a machine that stood still for seconds latched one."""
+        status = self.robot.status()
+        if status["state"] == "fault":
+            print("a fault:", status["why"])
+            self.robot.reset()
+        if not status["armed"]:
+            self.robot.arm()
+        return True
+
     def drive_on(self, speed_m_s=0.5):
-        """Armed, and the true wheels turn. A machine that stood still for seconds may have latched
-        a fault meanwhile, as it must: then once more, and it is printed."""
+        """Armed, and the true wheels turn."""
         self.wait_for("idle", "armed", "fault")
 
         def turning():
-            status = self.robot.status()
-            if status["state"] == "fault":
-                print("before it drove:", status["why"])
-                self.robot.reset()
-            if not status["armed"]:
-                self.robot.arm()
+            self.armed()
             self.robot.drive(speed_m_s, 0.0)
             joints = self.sim.truth().joints.values()
             return all(abs(joint.velocity_rad_s) > 2.0 for joint in joints)

@@ -49,18 +49,22 @@ def push(pad, *events):
     pad.syn()
 
 
+def turns(stage):
+    return not stage.sim.truth().at_rest
+
+
 def test_wheels_turn_while_its_button_is_held_and_its_emergency_stop_latches(pad, stage):
     stage.wait_for("idle")
     wait_until(lambda: f"input.pad: {NAME}" in stage.logged(), "it is found", stage.logged)
-    granted(stage.robot.arm, "armed", stage.logged)
+    granted(stage.armed, "armed", stage.logged)
     push(pad, (EV_ABS, ABS_Y, -100))
     assert stage.sim.truth().at_rest
     push(pad, (EV_KEY, BTN_TL, 1))
-    wait_until(lambda: not stage.sim.truth().at_rest, "the wheels turn", stage.logged)
+    granted(lambda: stage.armed() and turns(stage), "the wheels turn", stage.logged)
     push(pad, (EV_KEY, BTN_TL, 0))
-    wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest", stage.logged)
+    wait_until(lambda: not turns(stage), "the wheels rest", stage.logged)
     push(pad, (EV_KEY, BTN_TL, 1))
-    wait_until(lambda: not stage.sim.truth().at_rest, "the wheels turn again", stage.logged)
+    granted(lambda: stage.armed() and turns(stage), "the wheels turn again", stage.logged)
     push(pad, (EV_KEY, BTN_EAST, 1))
     stage.wait_for("estop")
     wait_until(stage.rests_without_power, "without power", stage.logged)

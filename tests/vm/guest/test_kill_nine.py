@@ -30,6 +30,7 @@ def test_wheels_of_a_killed_daemon_come_to_rest_and_it_comes_back_disarmed(kind,
         unit.again(pid).wait_for("idle")
         back_s = time.monotonic() - killed_s
         assert unit.rests_without_power()
-        assert unit.logged().count("stopped and without power") == sent_before + 1
+        logged = unit.logged()
+        assert logged.count("stopped and without power") == sent_before + 1, logged
     with capsys.disabled():
         print(f"\n{kind}: kill -9: at rest after {rest_s:.1f} s, idle after {back_s:.1f} s")
