@@ -47,13 +47,26 @@ $(VENV)/check: $(VENV)/made
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable '.[test,check]' >&2
 	@touch $@
 
+# The tests are compiled here once, not once in each of the workers.
+$(VENV)/collected: $(VENV)/test | $(VENV)/built
+	@-$(PYTHON) -m pytest --collect-only -qq >/dev/null
+	@touch $@
+
+# A real rclpy for tests/peers with motord_msgs, in an environment of its own: ros-kilted, ros-jazzy.
+build/ros-%/made: tests/peers/ros-%.txt tests/peers/make_motord_msgs.py | $(VENV)/built
+	@echo "making build/ros-$* ..." >&2
+	@$(PYTHON) -m venv --clear build/ros-$* >&2
+	@build/ros-$*/bin/python -m pip install --quiet --disable-pip-version-check -r $< >&2
+	@MOTORD_ROS= $(PYTHON) -m tests.peers.make_motord_msgs build/ros-$* >&2
+	@touch $@
+
 # ------------------------------------------------------------------------------------------- what people run
 demo: $(VENV)/built
 	@$(VENV)/bin/motord demo $(ARGS)
 
 # More workers than processors: most tests wait for simulated motors.
-WORKERS ?= 8
-test: $(VENV)/built $(VENV)/test
+WORKERS ?= 6
+test: $(VENV)/built $(VENV)/test $(VENV)/collected
 	@$(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup $(ARGS)
 
 # For the inner loop: no other process, no simulated robot.

@@ -7,7 +7,9 @@ anew."""
 
 import gc
 import os
+import re
 import sys
+from collections import Counter
 
 import pytest
 from hypothesis import settings
@@ -26,21 +28,46 @@ if directory := os.environ.get("MOTORD_RT_DIR"):
     sys.path.insert(0, os.path.abspath(directory))
 
 
+CPUS = os.cpu_count() or 1
+LANES = {"page": max(1, CPUS // 2), "robot": CPUS + CPUS // 2}
+"""So many whole robots, and pages of a browser with their robots, run at once. Each is three to
+seven programs: with more of them every one is late, fails, and runs again."""
+LANE_OF = {"browser": "page", "sim": "robot", "peers": "robot"}
 SHORT = ("rt", "unit", "golden")
 """Folders of tests that wait for nothing: they fill the time for which the last of the others, each
 of which may take half a minute, still run."""
 
 
+def lanes(items):
+    """The lane of each file that starts robots: the longest files first, each to the lane that has
+    the fewest tests."""
+    tests = Counter(item.path for item in items if item.path.parent.name in LANE_OF)
+    loads = {kind: Counter(dict.fromkeys(range(count), 0)) for kind, count in LANES.items()}
+    found = {}
+    for path, count in sorted(tests.items(), key=lambda row: (-row[1], row[0])):
+        kind = LANE_OF[path.parent.name]
+        number = min(loads[kind], key=loads[kind].__getitem__)
+        loads[kind][number] += count
+        found[path] = f"{kind} {number}"
+    return found
+
+
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Tests that share a fixture of their file stay in one process of `--dist loadgroup`, which
-    looks for the mark in this hook; all others go wherever one is free."""
+    """Tests of a lane, and tests that share a fixture of their file, stay in one process of `--dist
+    loadgroup`, which looks for the mark in this hook; all others go wherever one is free."""
+    lane_of = lanes(items)
     for item in items:
         definitions = item._fixtureinfo.name2fixturedefs.values()
-        if any(found[-1].scope == "module" for found in definitions if found):
+        if lane := lane_of.get(item.path):
+            item.add_marker(pytest.mark.xdist_group(lane))
+        elif any(found[-1].scope == "module" for found in definitions if found):
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
     yield  # they are shuffled
     items.sort(key=lambda item: item.path.parent.name in SHORT)
+
+
+GROUP = re.compile(rf"@({'|'.join(LANES)}) \d+$")
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -48,7 +75,8 @@ def pytest_runtest_logreport(report):
     """The process that counts names a test without its group: what has failed is found again by
     `--last-failed`, with or without groups, and by who copies its name."""
     if "PYTEST_XDIST_WORKER" not in os.environ:
-        report.nodeid = report.nodeid.removesuffix("@" + report.nodeid.partition("::")[0])
+        name = GROUP.sub("", report.nodeid)
+        report.nodeid = name.removesuffix("@" + name.partition("::")[0])
 
 
 @pytest.hookimpl(wrapper=True)

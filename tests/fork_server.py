@@ -38,8 +38,10 @@ import traceback
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PEER = "tests.peers.ros2_peer"
-MODULES = ("motord", "motord.config", "motord.bus", PEER)
+PEERS = ("tests.peers.ros2_peer", "tests.sim.straight_on")
+HOGGED = "tests.sim.hogged_daemon"
+"""It calls motord's main(), so it is prepared as motord is."""
+MODULES = ("motord", "motord.config", "motord.bus", *PEERS, HOGGED)
 STARTS = {
     "run": (("motord.config",), ("motord.bus",)),
     "demo": (("motord", "simulate"), ("motord.config",), ("motord", "run"), ("motord.bus",)),
@@ -227,6 +229,7 @@ def _fork(end):
 
 def _prepare(module, words):
     """What it and the programs that it starts import, imported; what it is to find is there."""
+    module = "motord" if module == HOGGED else module
     command = words[0] if module == "motord" and words else ""
     for other, *its_words in STARTS.get(command, ()):
         _prepare(other, its_words)
@@ -263,9 +266,9 @@ def _imports(module, command):
         yield "motord.bus.process"
     elif module == "motord.config":
         yield "motord.config.load"
-    elif module == PEER:
-        yield PEER
-        del sys.modules[PEER]  # what it imports stays; it is run as __main__
+    elif module in PEERS:
+        yield module
+        del sys.modules[module]  # what it imports stays; it is run as __main__
     elif module == "motord":
         yield "motord.cli"
         if where := importlib.import_module("motord.cli").COMMANDS.get(command):
@@ -311,7 +314,8 @@ def _become(request, fds, end):
     sys.argv = [request["module"], *request["words"]]
     _show_as([sys.executable, "-m", *sys.argv])
     client = None
-    if request["module"] == "motord" and "".join(request["words"][:1]) in STARTS:
+    starts = request["module"] in ("motord", HOGGED) and "".join(request["words"][:1]) in STARTS
+    if starts:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         if os.fork() == 0:
             return serve(_alone(theirs))
@@ -367,7 +371,31 @@ def _open_standard():
 def main():
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     request = serve(socket.socket(fileno=int(sys.argv[1])))
-    runpy.run_module(request["module"], run_name="__main__", alter_sys=True)
+    status = 0
+    try:
+        runpy.run_module(request["module"], run_name="__main__", alter_sys=True)
+    except SystemExit as end:
+        status = 0 if end.code is None else end.code
+        if not isinstance(status, int) or not _ended():
+            raise
+    else:
+        if not _ended():
+            return
+    os._exit(status & 0xFF)
+
+
+def _ended():
+    """What Python does at its end, but for taking down what was imported, which would copy the
+    memory that this process shares with its server. False: Python has to report the rest."""
+    threading._shutdown()
+    atexit._run_exitfuncs()
+    gc.collect()
+    try:
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except (AttributeError, OSError, ValueError):  # none, or closed at one end
+        return False
+    return True
 
 
 if __name__ == "__main__":

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import shutil
 import statistics
 import time
 from pathlib import Path
 
-from tests.browser.dashboard import CHROMIUM_ARGUMENTS, press_pad
+from tests.browser.dashboard import CHROMIUM_ARGUMENTS, installed_chromium, press_pad
 from tests.browser.link_proxy import LinkProxy
 from tests.sim.daemon_stage import running, wait_until
 from tests.sim.web_page import free_port, listens
@@ -215,7 +214,7 @@ def plots(browser, folder, seconds):
 
 def in_chromium(stage, folder, port, times, heap_s, plots_s):
     """All of it, by the stage's dashboard at that port."""
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    chromium = installed_chromium()
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:

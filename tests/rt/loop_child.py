@@ -29,7 +29,11 @@ def refused() -> None:
     with loop:
         until(lambda: loop.status().ticks > 600)
         answer = dataclasses.asdict(loop.status())
-    print(json.dumps(answer | {"before_the_first_start": code}))
+        _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (0, hard))  # no descriptor is left
+        again = loop.status().refusals
+        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+    print(json.dumps(answer | {"before_the_first_start": code, "without_a_descriptor": again}))
 
 
 def forget_code(of: str) -> None:

@@ -130,6 +130,7 @@ def test_without_privileges_it_runs_and_reports_what_was_refused_and_what_to_do(
     assert answer["ticks"] > 0
     assert answer["page_faults"] == 0
     assert answer["before_the_first_start"] == errno.EPROTO
+    assert answer["without_a_descriptor"] == answer["refusals"]
 
 
 def test_the_first_drive_of_a_process_costs_no_page_fault_even_where_memory_is_not_locked():

@@ -6,13 +6,12 @@ import os
 import signal
 import threading
 import time
-from pathlib import Path
 
 from command_source import INPUTS, Source, free_udp_port, wheels_turn
 from daemon_stage import ROBOT, running, wait_until
 from supervised_daemon import PATIENCE_S, fed, notifications, supervised
 
-HOGGED = (str(Path(__file__).with_name("hogged_daemon.py")),)
+HOGGED = ("-m", "tests.sim.hogged_daemon")
 
 
 def test_a_source_of_datagrams_keeps_no_robot_going_whose_asyncio_is_dead(tmp_path):

@@ -11,7 +11,7 @@ from daemon_stage import running, wait_until
 
 from motord.bus.commands.link import Source
 
-COMMANDS = 100
+COMMANDS = 30
 EVERY_S = 0.02
 SETTINGS = (
     "input.flood.kind=rt",

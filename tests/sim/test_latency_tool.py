@@ -34,6 +34,8 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": f"{ROOT / 'daemon'}:{ROOT / 'hal'}:{R
 COMMAND = [sys.executable, "-m", "motord", "latency"]
 DEADLINE_S = 60.0
 STOPPED_S = 0.2
+SEARCHED_S = 0.3
+"""Each of the measurements of a search: a thread is looked at every tenth of a second."""
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +128,7 @@ def test_no_key_is_a_constant(report):
 
 @pytest.mark.parametrize("load", ["cpu", "io"])
 def test_under_load_it_measures_all_the_same_and_leaves_nothing_behind(load):
-    found = run_latency(LatencyOptions(rate_hz=500.0, seconds=1.0, load=load)).to_json()
+    found = run_latency(LatencyOptions(rate_hz=500.0, seconds=0.4, load=load)).to_json()
     assert found["load"] == load
     assert all(spread["samples"] > 0 for _, spread in spreads(found))
     assert helpers() == []
@@ -158,9 +160,8 @@ def test_the_kernels_records_name_who_starts_processes_and_who_had_a_processor()
 
 
 def searched(kind, **more):
-    report = search(
-        LatencyOptions(seconds=1.0, cpu=(0,), load=kind), lambda _: None, lambda _: None, **more
-    )
+    options = LatencyOptions(seconds=SEARCHED_S, cpu=(0,), load=kind)
+    report = search(options, lambda _: None, lambda _: None, **more)
     return report if any(one.kind == KINDS[kind] for one in report.verdict.suspects) else None
 
 

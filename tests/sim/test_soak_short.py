@@ -19,8 +19,8 @@ from reported import Reported
 from motord.config.drives.load import load_profile
 
 SEED = 20
-FAULTS = 100
-BATCH = 50
+FAULTS = 2 * len(SERIAL_KINDS)
+BATCH = len(SERIAL_KINDS)
 ENGINES = ("rt", "asyncio")
 
 

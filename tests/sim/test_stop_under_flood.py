@@ -14,9 +14,9 @@ import pytest
 from daemon_stage import DEADLINE_S, ROOT, running, set_off, wait_until
 
 CONNECTOR = str(Path(__file__).with_name("connector.py"))
-HOGGED = (str(Path(__file__).with_name("hogged_daemon.py")),)
-IDLE_CONNECTIONS = 2000
-STORMERS = 3
+HOGGED = ("-m", "tests.sim.hogged_daemon")
+IDLE_CONNECTIONS = 500
+STORMERS = 2
 FAULT_LATCHED = 3
 """Exit status."""
 

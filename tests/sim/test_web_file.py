@@ -16,7 +16,7 @@ from tests.sim.web_page import bus_children, free_port, pages, with_dashboard
 from motord.config import load_robot
 from motord_hal.base.bounded import TOML_BYTES_MAX
 
-MODULE = "motord.commission.file_on_page"
+MODULE = "motord.commission.page.robot_file"
 
 
 @pytest.fixture(scope="module")

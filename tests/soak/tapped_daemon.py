@@ -17,8 +17,8 @@ from _motord_rt import ffi, lib
 
 from motord.__main__ import main
 
-LOOK_EVERY_S = 0.004
-"""A tick of the loop is 5 ms, a cycle of the line 40 ms."""
+LOOK_EVERY_S = 0.01
+"""A cycle of the line is 40 ms."""
 CACHE_LINE_BYTES = 64
 MAILBOX_BYTES = 3 * CACHE_LINE_BYTES
 FRONT_AT = 2 * CACHE_LINE_BYTES

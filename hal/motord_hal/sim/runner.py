@@ -12,9 +12,10 @@ import contextlib
 import gc
 import os
 import select
+import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from motord_hal.sim.rig import Rig
@@ -32,6 +33,8 @@ HELD_UP_S = 0.002
 """Of a longer time for which the process got no CPU, a robot that pauses has lived through this
 much: in the 5 ms between two looks of a line the wheel still turns no further than it can."""
 NICE = -15
+PUNCTUAL = "\0motord-simulator-on-time"
+"""A socket of this name (unix(7), abstract) exists while a simulator has SCHED_FIFO."""
 TIMER_SLACK = Path("/proc/self/timerslack_ns")
 
 
@@ -51,8 +54,20 @@ def set_pace(priority: int) -> None:
     gc.freeze()  # what is there now stays: later collections have nearly nothing to look through
 
 
-def may_be_punctual() -> bool:
-    """Whether this process may have SCHED_FIFO, and a processor is left for others meanwhile."""
+@contextlib.contextmanager
+def punctual() -> Iterator[bool]:
+    """Whether a simulator may have SCHED_FIFO meanwhile: it is allowed, a processor is left for
+    others, and no other simulator of this machine has asked so."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as place:
+        try:
+            place.bind(PUNCTUAL)
+            free = True
+        except OSError:
+            free = False
+        yield free and _may_be_punctual()
+
+
+def _may_be_punctual() -> bool:
     granted: list[bool] = []
 
     def ask() -> None:

@@ -1,0 +1,13 @@
+# SPDX-License-Identifier: Apache-2.0
+"""straight_on.py SOCKET SPEED_M_S: a source that commands this speed until it is refused."""
+
+import sys
+import time
+
+from motord.client import Client
+
+if __name__ == "__main__":
+    with Client(sys.argv[1]) as robot:
+        while True:
+            robot.drive(float(sys.argv[2]), 0.0, owner="source")
+            time.sleep(0.05)
