@@ -229,7 +229,9 @@ async def test_stop_all_stops_both(drives, spec):
     assert [drive.mode for drive in drives] == [STOPPED, STOPPED]
 
 
-async def test_stop_all_goes_on_until_a_drive_that_brakes_reports_that_it_has_no_power(drives, spec):
+async def test_stop_all_goes_on_until_a_drive_that_brakes_reports_that_it_has_no_power(
+    drives, spec
+):
     for drive in drives:
         drive.values |= {0x000: POSITION, 0x002: 2.0}
         drive.lost_stops = 5
