@@ -51,7 +51,7 @@ class Moteus:
         """Of each command: where it was sent, and the mode that it had then."""
         self.bites = 0
         self.lost_stops = 0
-        """So many of the stops that come next are lost on their way."""
+        """So many of the stops that come next are lost."""
         self.unreceptive = False
         self._fed_s = None
         self._enabled_at_s = 0.0

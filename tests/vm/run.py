@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """make vm: builds the guest and the package, boots once, runs tests/vm/guest there, prints what
-they print; then tests/vm/pi on an emulated Raspberry Pi 3. Arguments go to the guest's pytest, and
-with any the Pi is left out. Without root, Debian 12 on amd64 or QEMU's packages: one line that says
-why, and status 0.
+they print; then tests/vm/pi on an emulated Raspberry Pi 3. With --smoke only the guest's tests that
+are marked so. Other arguments go to the guest's pytest, and the Pi is left out. Without root,
+Debian 12 on amd64 or QEMU's packages: one line that says why, and status 0.
 
 Emulated, not virtualised: time in the guest means nothing, what the kernel does is real. How long
 the tests may take follows from how long the guest takes to boot and to install the package, which
@@ -34,6 +34,7 @@ TESTS_WITHIN_S = 2400.0
 TESTS_PER_SET_UP = 40.0
 """How many times as long as its set-up a guest's tests may take."""
 ADAPTER_SERIAL = "A10K3XYZ"
+SMOKE = "--smoke"
 SET_UP = "guest: set up"
 STATUS = "guest: status "
 DISK_MB = 120
@@ -207,12 +208,12 @@ def main(arguments: list[str]) -> int:
     made = subprocess.run([ROOT / "systemd" / "deb.sh", ROOT / "build" / "deb"],
                           check=True, timeout=300, stdout=subprocess.PIPE, text=True)  # fmt: skip
     package = Path(made.stdout.strip())
-    if arguments:
+    if arguments not in ([], [SMOKE]):
         return on_the_guest(package, arguments)
     shown: list[str] = []
     with ThreadPoolExecutor(1) as pool:
         pi = pool.submit(on_the_pi, shown)
-        status = on_the_guest(package, [])
+        status = on_the_guest(package, arguments)
     print("\nRaspberry Pi 3:", *shown, sep="\n")
     took_s = time.monotonic() - begin_s
     print(f"make vm: guest {status}, Raspberry Pi {pi.result()} (0: passed), {took_s:.0f} s")

@@ -175,6 +175,7 @@ async def test_can_fd_is_refused_in_words_on_an_interface_that_does_not_carry_it
         ip("del", "classic0")
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("engine", ENGINES)
 async def test_a_cia_402_drive_is_driven_by_controllers_on_a_cable(controllers, engine):
     own, far = controllers

@@ -76,6 +76,7 @@ async def test_every_edge_is_counted_forward_and_back_from_any_place(rig, begin)
         assert "encoder_illegal" not in line.line.stats().errors
 
 
+@pytest.mark.smoke
 async def test_a_wheel_that_turns_is_measured_and_one_that_stands_is_at_rest(rig):
     wheel = Wheel(rig)
     async with running(with_encoder(rig)) as line:

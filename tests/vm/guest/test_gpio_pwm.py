@@ -104,6 +104,7 @@ def levels(rig, where):
     return {pin: rig.level(place) for pin, place in where.items()}
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("drive", BRIDGES)
 async def test_each_bridge_is_forward_backward_braked_and_without_power_as_the_kernel_sees_it(
     rig, drive
@@ -149,6 +150,7 @@ async def test_a_servo_has_the_pulses_of_its_angle_while_it_is_armed_as_the_kern
         assert rig.level(where) == 0.0
 
 
+@pytest.mark.smoke
 async def test_a_loop_that_dies_brakes_the_motor_and_then_takes_its_power(rig):
     async with running(spec_of(rig, "bts7960")) as line:
         await armed(line)
@@ -164,6 +166,7 @@ async def test_a_loop_that_dies_brakes_the_motor_and_then_takes_its_power(rig):
         assert EventKind.DRIVE_WARNING in line.kinds()
 
 
+@pytest.mark.smoke
 async def test_cancelling_the_line_leaves_no_power_and_no_pulses(rig):
     async with running(spec_of(rig, "tb6612fng")) as line:
         await armed(line)

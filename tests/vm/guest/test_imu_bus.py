@@ -71,6 +71,7 @@ def test_the_bus_belongs_to_the_group_of_the_daemon(bus):
     assert bus.stat().st_mode & 0o777 == 0o660
 
 
+@pytest.mark.smoke
 def test_samples_come_over_the_kernels_bus_in_si(bus):
     chip, exchange = Stub(bus), Exchange.private()
     reader = reading(bus, exchange)

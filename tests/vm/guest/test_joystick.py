@@ -53,6 +53,7 @@ def turns(stage):
     return not stage.sim.truth().at_rest
 
 
+@pytest.mark.smoke
 def test_wheels_turn_while_its_button_is_held_and_its_emergency_stop_latches(pad, stage):
     stage.wait_for("idle")
     wait_until(lambda: f"input.pad: {NAME}" in stage.logged(), "it is found", stage.logged)

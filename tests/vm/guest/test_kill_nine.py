@@ -12,7 +12,10 @@ from unit import prepared, started
 from unit_robots import KINDS
 
 
-@pytest.mark.parametrize("kind", KINDS)
+SMOKE = pytest.param("modbus", marks=pytest.mark.smoke)
+
+
+@pytest.mark.parametrize("kind", [SMOKE, *(kind for kind in KINDS if kind != "modbus")])
 def test_wheels_of_a_killed_daemon_come_to_rest_and_it_comes_back_disarmed(kind, capsys):
     name = f"killed-{kind}"
     with (

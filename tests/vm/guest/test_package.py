@@ -16,6 +16,7 @@ def put_back():
     output("dpkg", "-i", PACKAGE)
 
 
+@pytest.mark.smoke
 def test_the_installed_program_reads_a_robot_file_of_its_own_examples():
     shown = output("motord", "check", "/usr/share/motord/robots/demo.toml")
     assert "demo" in shown
@@ -27,6 +28,7 @@ def exposure(unit):
     assert score <= 2.0, table
 
 
+@pytest.mark.smoke
 def test_the_unit_is_hardened():
     exposure("motord@demo.service")
 
@@ -39,6 +41,7 @@ def test_the_unit_is_hardened_also_where_its_robot_needs_most():
         exposure(f"motord@{robot}.service")
 
 
+@pytest.mark.smoke
 def test_the_unit_is_well_formed():
     assert output("systemd-analyze", "verify", "motord@demo.service") == ""
 

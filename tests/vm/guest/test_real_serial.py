@@ -25,6 +25,7 @@ def plugged():
     plug()
 
 
+@pytest.mark.smoke
 def test_a_robot_on_a_uart_drives_and_comes_to_rest(tmp_path, simulator):
     with (
         behind(simulator, adapter()) as sim,
@@ -62,6 +63,7 @@ def test_an_adapter_that_was_pulled_is_found_again_disarmed(tmp_path, simulator,
         stage.drive_on()
 
 
+@pytest.mark.smoke
 def test_the_kernel_counts_what_a_uart_received():
     fd = open_exclusively(UART)
     try:

@@ -16,6 +16,7 @@ from motord_hal.gpio.lines import Wanted, request_edges
 pytestmark = pytest.mark.timeout(300)
 
 
+@pytest.mark.smoke
 def test_a_closed_contact_lets_the_loop_be_and_an_open_one_is_an_emergency_stop():
     with chip() as lines:
         lines.drive(CONTACT, 0)
@@ -70,6 +71,7 @@ def test_a_chip_that_is_gone_is_an_emergency_stop_that_no_reset_clears():
             assert loop.read_state().faults == ("estop",)
 
 
+@pytest.mark.smoke
 def test_the_watchdogs_pin_changes_while_all_live_and_is_low_when_asyncio_hangs():
     with chip() as lines, looped() as loop:
         levels = set()

@@ -38,6 +38,7 @@ def unit(drives):
         yield unit
 
 
+@pytest.mark.smoke
 def test_it_runs_on_time_as_a_user_without_rights(unit):
     status = Path(f"/proc/{unit.main_pid()}/status").read_text().splitlines()
     found = dict(line.split(":\t", 1) for line in status if ":\t" in line)
@@ -116,6 +117,7 @@ def test_an_upgrade_brings_the_robot_to_rest_first_and_starts_it_again_disarmed(
     assert "comes to rest" in unit.logged()
 
 
+@pytest.mark.smoke
 def test_stopping_the_unit_brings_the_robot_to_rest(unit):
     unit.drive_on()
     output("systemctl", "stop", UNIT)
