@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node of a real rclpy, in ROS's own Python, without anything of motord. Prints lines of JSON.
 
-rclpy_peer.py DOMAIN drive NAMESPACE V W   what odom, motor_status and robot_description have; 20
-                                           TwistStamped a second on cmd_vel
+rclpy_peer.py DOMAIN drive NAMESPACE V W   what odom and robot_description have; 20 TwistStamped a
+                                           second on cmd_vel
+rclpy_peer.py DOMAIN watch NAMESPACE       what motor_status has
 rclpy_peer.py DOMAIN say TOPIC TEXT NODE   20 std_msgs/String a second
 rclpy_peer.py DOMAIN wait SERVICE NODE S   a std_srvs/Trigger: whether wait_for_service has found it
                                            in S seconds, then whether the graph lists it
@@ -44,15 +45,6 @@ def drive(namespace, linear_m_s, angular_rad_s):
     node.create_subscription(
         String, "robot_description", lambda message: put(description=message.data[:12]), LATCHED
     )
-    node.create_subscription(
-        MotorStatus,
-        "motor_status",
-        lambda message: put(
-            state=message.state,
-            setpoint_rad_s=dict(zip(message.name, message.setpoint_rad_s, strict=True)),
-        ),
-        10,
-    )
     publisher = node.create_publisher(TwistStamped, "cmd_vel", 10)
 
     def command():
@@ -63,6 +55,17 @@ def drive(namespace, linear_m_s, angular_rad_s):
         publisher.publish(message)
 
     node.create_timer(PERIOD_S, command)
+    rclpy.spin(node)
+
+
+def watch(namespace):
+    node = Node("watcher", namespace=namespace)
+
+    def status(message):
+        speeds = dict(zip(message.name, message.setpoint_rad_s, strict=True))
+        put(state=message.state, setpoint_rad_s=speeds)
+
+    node.create_subscription(MotorStatus, "motor_status", status, 10)
     rclpy.spin(node)
 
 
@@ -86,4 +89,4 @@ def wait(service, name, seconds):
 if __name__ == "__main__":
     os.environ["ROS_DOMAIN_ID"] = sys.argv[1]
     rclpy.init(args=[])
-    {"drive": drive, "say": say, "wait": wait}[sys.argv[2]](*sys.argv[3:])
+    {"drive": drive, "watch": watch, "say": say, "wait": wait}[sys.argv[2]](*sys.argv[3:])
