@@ -11,7 +11,6 @@ from shell import output, wait_until
 from unit import prepared, started
 from unit_robots import KINDS
 
-
 SMOKE = pytest.param("modbus", marks=pytest.mark.smoke)
 
 
