@@ -78,10 +78,12 @@ def ticks(stage):
 
 
 def test_what_prometheus_reads_is_what_the_daemon_reports(stage, port):
+    # the figures are renewed after the state that the daemon has reported on its socket
     figures = wait_until(
-        lambda: found if (found := full(port))["motord_up",] == 1.0 else None, "a loop that runs"
+        lambda: found if (found := full(port))["motord_state", "idle"] == 1.0 else None,
+        "figures of an idle robot",
     )
-    assert figures["motord_state", "idle"] == 1.0
+    assert figures["motord_up",] == 1.0
     assert figures["motord_state", "moving"] == 0.0
     assert ("motord_joint_velocity_radians_per_second", "left") in figures
     assert figures["motord_line_exchanges_total", "rs485"] > 0
