@@ -26,6 +26,7 @@ from motord.config import ConfigError
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PROGRESS_EVERY_S = 0.2
+STOPPED_EVERY_S = 0.1
 ABORTED_TEXT = "aborted: nothing was written"
 
 
@@ -121,14 +122,14 @@ class Terminal:
             raise Aborted(ABORTED_TEXT)
 
     def _ask(self, prompt: str) -> str:
-        if self._stopped:
-            raise Aborted(ABORTED_TEXT)
-        self._cook()
-        self._end_line()
-        self._asking = True
+        self._asking = True  # before the look at `_stopped`: a signal between them would be lost
         try:
+            if self._stopped:
+                raise Aborted(ABORTED_TEXT)
+            self._cook()
+            self._end_line()
             click.echo(prompt, nl=False, err=True)
-            line = sys.stdin.readline()
+            line = self._line()
         except OSError as error:
             raise Aborted(f"the terminal is gone ({error.strerror})") from error
         finally:
@@ -136,6 +137,14 @@ class Terminal:
         if not line:
             raise Aborted("there is no answer: give it as an option, or use a terminal")
         return line.strip()
+
+    def _line(self) -> str:
+        """The answer. At a terminal it looks at `_stopped` meanwhile: an exception of the signal
+        handler comes to nothing where it cannot be raised (in a finalizer)."""
+        while self._keys and not select.select([sys.stdin], [], [], STOPPED_EVERY_S)[0]:
+            if self._stopped:
+                raise Aborted(ABORTED_TEXT)
+        return sys.stdin.readline()
 
     def _uncook(self) -> None:
         """Keys come without Enter, and are not shown."""
