@@ -10,7 +10,7 @@ import time
 
 import pytest
 from tests.sim.daemon_stage import becomes_idle, wait_until
-from tests.sim.web_page import free_port, listens, pages, with_dashboard
+from tests.sim.web_page import ended, free_port, listens, pages, with_dashboard
 
 from motord.client import ClientError
 
@@ -39,15 +39,6 @@ async def connect(stage, port):
         await page.answer("commission.stop")
         await ended(page)
         yield connected
-
-
-async def ended(page):
-    """No procedure runs; whether one did is in the next status."""
-
-    def idle(one):
-        return isinstance(one, dict) and "status" in one and one["status"]["commissioning"] is None
-
-    await page.until(idle)
 
 
 def record(one):

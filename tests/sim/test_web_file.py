@@ -11,7 +11,7 @@ import aiohttp
 import pytest
 from tests.sim.daemon_stage import SLOW, becomes_idle
 from tests.sim.person_stage import copied
-from tests.sim.web_page import bus_children, free_port, pages, with_dashboard
+from tests.sim.web_page import bus_children, ended, free_port, pages, with_dashboard
 
 from motord.config import load_robot
 from motord_hal.base.bounded import TOML_BYTES_MAX
@@ -182,6 +182,7 @@ async def test_the_file_is_not_written_while_a_procedure_runs(stage, connect):
     assert "spin is running" in found["error"]
     assert "result" in await page.answer("file.check", text=text)
     await page.answer("commission.stop")
+    await ended(page)
     assert stage.file.read_text("utf-8") == text
 
 

@@ -77,6 +77,15 @@ class Page:
         await self.connection.send_bytes(command)
 
 
+async def ended(page):
+    """No procedure runs; whether one did is in the next status."""
+
+    def idle(one):
+        return isinstance(one, dict) and "status" in one and one["status"]["commissioning"] is None
+
+    await page.until(idle)
+
+
 @contextlib.contextmanager
 def with_dashboard(folder, port, *settings, robot=ROBOT):
     """A daemon whose dashboard needs TOKEN, with idle drives."""
