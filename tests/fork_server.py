@@ -301,7 +301,7 @@ def _become(request, fds, end):
     elif request["group"] >= 0:
         os.setpgid(0, request["group"])
     *high, ready = [fcntl.fcntl(fd, fcntl.F_DUPFD_CLOEXEC, ABOVE) for fd in (*fds, end.fileno())]
-    end.detach()
+    end.close()
     os.closerange(0, ABOVE)
     for fd, to in zip(high, request["to"], strict=True):
         os.dup2(fd, to)
@@ -318,6 +318,7 @@ def _become(request, fds, end):
     if starts:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         if os.fork() == 0:
+            ours.close()  # not later, by its finalizer: its number is another file's then
             return serve(_alone(theirs))
         theirs.close()
         client = Client(ours)

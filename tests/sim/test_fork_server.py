@@ -11,7 +11,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.fork_server import LATER, NAME_BYTES, started_from_nothing
+from tests.fork_server import ABOVE, LATER, NAME_BYTES, started_from_nothing
+from tests.sim.daemon_stage import wait_until
 from tests.sim.pseudo_terminal import at_terminal
 
 from motord.cli import COMMANDS
@@ -143,3 +144,31 @@ def test_what_it_imports_beforehand_is_there():
     assert LATER.keys() <= COMMANDS.keys()
     for name in {name for names in LATER.values() for name in names}:
         assert importlib.util.find_spec(name) is not None, name
+
+
+def children(pid):
+    """Numbers of its child processes."""
+    return [
+        number
+        for path in Path(f"/proc/{pid}/task").glob("*/children")
+        for number in path.read_text(encoding="ascii").split()
+    ]
+
+
+def test_the_daemon_of_a_demo_has_a_fork_server_of_its_own_and_no_end_of_the_demo_s():
+    def daemon():
+        with contextlib.suppress(OSError):  # a process may end meanwhile
+            for pid in children(demo.pid):
+                tasks = Path(f"/proc/{pid}/task").glob("*/comm")
+                if "motord-loop\n" in [path.read_text(encoding="ascii") for path in tasks]:
+                    return pid  # all that was left behind is closed by then
+        return None
+
+    command = [sys.executable, "-m", "motord", "demo", "--seconds", "5"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as demo:
+        try:
+            pid = wait_until(daemon, "the loop of the demo's daemon")
+            assert len(children(pid)) == 1
+            assert all(int(path.name) < ABOVE for path in Path(f"/proc/{pid}/fd").iterdir())
+        finally:
+            demo.send_signal(signal.SIGINT)
