@@ -29,15 +29,15 @@ TRUTH = (
 FORWARD_ONLY = ROOT / "config/robots/forward-only.toml"
 FRICTION = ("left.coulomb_n_m=0.48", "right.coulomb_n_m=0.48")
 """Of a motor that stalls at 8 N·m: a dead band of 6 %."""
-SIDE_M = 4.0
-"""Of the square."""
+SHORT = ("--distance-m", "1", "--turns", "1", "--side-m", "1")
+"""A course that shows that the calibration runs."""
 TRIES = 4
 """A busy machine may hold up the simulated robot for too long."""
 FULL_DUTY_RAD_S = 8.0 * 0.94 / (8.0 / 18.0 + 0.02)
 """8 N·m · (duty − 0.06) = (8 / 18 + 0.02) N·m·s/rad · speed"""
 
 
-def square_error_m(stage: Any) -> float:
+def square_error_m(stage: Any, side_m: float) -> float:
     """How far a square ends from where the odometry has it, the mean of one to the left and one to
     the right (UMBmark: the return position error)."""
     errors_m = []
@@ -47,7 +47,7 @@ def square_error_m(stage: Any) -> float:
             stage.sim.reset_truth()
             stage.robot.reset_odometry()
             for _ in range(4):
-                stage.robot.move(SIDE_M, speed_m_s=0.4)
+                stage.robot.move(side_m, speed_m_s=0.4)
                 stage.robot.turn(sign * math.pi / 2.0, speed_rad_s=0.8)
             wait_until(lambda: stage.sim.truth().at_rest, "rest")
             truth, odometry = stage.sim.truth(), stage.robot.status().odometry
@@ -55,24 +55,25 @@ def square_error_m(stage: Any) -> float:
     return sum(errors_m) / len(errors_m)
 
 
-def geometry() -> dict[str, Any]:
-    """Radii and track, and the square before and after."""
+def geometry(side_m: float, *course: str) -> dict[str, Any]:
+    """Radii and track, and the square before and after. `course`: options of motord calibrate."""
     with tempfile.TemporaryDirectory() as folder:
         file = copied(folder)
         with robot_of(folder, file, *SURE, truth=TRUTH) as stage:
-            before_m = square_error_m(stage)
+            before_m = square_error_m(stage, side_m)
             for _ in range(TRIES):
-                status, text = calibrated(stage, "all", "--speed-m-s", "0.4")
+                status, text = calibrated(stage, "all", "--speed-m-s", "0.4", *course)
                 if status == 0:
                     break
             assert status == 0, text
         with robot_of(folder, file, *SURE, truth=TRUTH) as stage:
-            after_m = square_error_m(stage)
+            after_m = square_error_m(stage, side_m)
         robot = load_robot(file)
     found = {name: robot.wheel_radius_m(name) for name in ("left", "right")}
     found["track"] = robot.base.track_m
     off = {name: found[name] / true - 1.0 for name, true in TRUE.items()}
-    return {"off": off, "before_m": before_m, "after_m": after_m, "ratio": before_m / after_m}
+    return {"off": off, "side_m": side_m, "before_m": before_m, "after_m": after_m,
+            "ratio": before_m / after_m}  # fmt: skip
 
 
 def duty() -> dict[str, float]:
@@ -88,26 +89,22 @@ def duty() -> dict[str, float]:
             "full_duty": joint.full_duty_rad_s / FULL_DUTY_RAD_S - 1.0}  # fmt: skip
 
 
-def measure(*, wheels: bool = True) -> dict[str, Any]:
-    """All of it; without the wheels and their squares it takes seconds instead of minutes."""
-    return {"duty": duty()} | ({"geometry": geometry()} if wheels else {})
+def measure(side_m: float = 4.0, course: tuple[str, ...] = ()) -> dict[str, Any]:
+    """All of it."""
+    return {"geometry": geometry(side_m, *course), "duty": duty()}
 
 
 def table(found: dict[str, Any]) -> str:
-    motor = found["duty"]
-    text = (
+    made, motor = found["geometry"], found["duty"]
+    off = ", ".join(f"{name} {part:+.2%}" for name, part in made["off"].items())
+    return (
+        f"calibrated on a robot with radii +3 % and +2 %, track -4 %: off by {off}\n"
+        f"a square of {made['side_m']:g} m ends {1e3 * made['before_m']:.0f} mm from where the "
+        f"odometry has it before, {1e3 * made['after_m']:.1f} mm after: {made['ratio']:.0f} times "
+        "closer\n"
         f"dead band of 6 %: off by {motor['dead_band']:+.1%} of it; speed at full duty: "
         f"{motor['full_duty']:+.1%}"
     )
-    if made := found.get("geometry"):
-        off = ", ".join(f"{name} {part:+.2%}" for name, part in made["off"].items())
-        text += (
-            f"\ncalibrated on a robot with radii +3 % and +2 %, track -4 %: off by {off}\n"
-            f"a square of {SIDE_M:g} m ends {1e3 * made['before_m']:.0f} mm from where the "
-            f"odometry has it before, {1e3 * made['after_m']:.1f} mm after: {made['ratio']:.0f} "
-            "times closer"
-        )
-    return text
 
 
 def verdicts(found: dict[str, Any]) -> list[tuple[str, bool, bool]]:

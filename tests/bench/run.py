@@ -5,8 +5,7 @@ python tests/bench/run.py [--quick | --smoke] [--json] [--only core,wire,can,ser
 
 Ends with 1 only where something is wrong (a violation, a page fault, too many instructions), never
 because a machine is slow: the sentences say what was reached. `--smoke` runs every part as briefly
-as it can, to show that it runs: no figure is judged. Of the calibration it leaves out the wheels,
-which are driven for minutes; tests/sim calibrates them.
+as it can, to show that it runs: no figure is judged.
 """
 
 from __future__ import annotations
@@ -134,12 +133,9 @@ def late_ticks(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
 
 
 def calibrating(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
-    found = calibration.measure(wheels=size is not Size.SMOKE)
-    return (
-        calibration.table(found),
-        found,
-        calibration.verdicts(found) if "geometry" in found else [],
-    )
+    smoke = size is Size.SMOKE
+    found = calibration.measure(*((0.5, calibration.SHORT) if smoke else ()))
+    return calibration.table(found), found, calibration.verdicts(found)
 
 
 PARTS = {
