@@ -53,11 +53,11 @@ $(VENV)/collected: $(VENV)/test | $(VENV)/built
 	@touch $@
 
 # A real rclpy for tests/peers with motord_msgs, in an environment of its own: ros-kilted, ros-jazzy.
-build/ros-%/made: tests/peers/ros-%.txt tests/peers/make_motord_msgs.py | $(VENV)/built
+build/ros-%/made: tests/peers/ros2_rclpy/ros-%.txt tests/peers/ros2_rclpy/make_motord_msgs.py | $(VENV)/built
 	@echo "making build/ros-$* ..." >&2
 	@$(PYTHON) -m venv --clear build/ros-$* >&2
 	@build/ros-$*/bin/python -m pip install --quiet --disable-pip-version-check -r $< >&2
-	@MOTORD_ROS= $(PYTHON) -m tests.peers.make_motord_msgs build/ros-$* >&2
+	@MOTORD_ROS= $(PYTHON) -m tests.peers.ros2_rclpy.make_motord_msgs build/ros-$* >&2
 	@touch $@
 
 # ------------------------------------------------------------------------------------------- what people run
@@ -90,7 +90,7 @@ san: $(VENV)/built $(VENV)/test
 	@rm -rf build/ubsan && mkdir -p build/ubsan
 	@MOTORD_CFLAGS="-fsanitize=undefined -fno-sanitize-recover=undefined -g" MOTORD_LDFLAGS="-fsanitize=undefined" \
 		$(PYTHON) setup.py --quiet build_ext --build-lib build/ubsan --build-temp build/ubsan/temp >&2
-	@MOTORD_RT_DIR=build/ubsan $(PYTHON) -m pytest -q tests/rt
+	@MOTORD_RT_DIR=build/ubsan $(PYTHON) -m pytest -q -n 2 --dist loadgroup tests/rt
 
 # Python lines by coverage.py, also in the processes that the tests start; C lines of the pure files by gcov.
 coverage: $(VENV)/built $(VENV)/test

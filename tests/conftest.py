@@ -10,6 +10,7 @@ import os
 import re
 import sys
 from collections import Counter
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -28,6 +29,7 @@ if directory := os.environ.get("MOTORD_RT_DIR"):
     sys.path.insert(0, os.path.abspath(directory))
 
 
+TESTS = Path(__file__).parent
 CPUS = os.cpu_count() or 1
 LANES = {"page": max(1, CPUS // 2), "robot": CPUS + CPUS // 2}
 """So many whole robots, and pages of a browser with their robots, run at once. Each is three to
@@ -38,14 +40,19 @@ SHORT = ("rt", "unit", "golden")
 of which may take half a minute, still run."""
 
 
+def kind_of(path):
+    """The folder of tests/ that it is in, at any depth."""
+    return path.relative_to(TESTS).parts[0] if path.is_relative_to(TESTS) else ""
+
+
 def lanes(items):
     """The lane of each file that starts robots: the longest files first, each to the lane that has
     the fewest tests."""
-    tests = Counter(item.path for item in items if item.path.parent.name in LANE_OF)
+    tests = Counter(item.path for item in items if kind_of(item.path) in LANE_OF)
     loads = {kind: Counter(dict.fromkeys(range(count), 0)) for kind, count in LANES.items()}
     found = {}
     for path, count in sorted(tests.items(), key=lambda row: (-row[1], row[0])):
-        kind = LANE_OF[path.parent.name]
+        kind = LANE_OF[kind_of(path)]
         number = min(loads[kind], key=loads[kind].__getitem__)
         loads[kind][number] += count
         found[path] = f"{kind} {number}"
@@ -64,7 +71,7 @@ def pytest_collection_modifyitems(items):
         elif any(found[-1].scope == "module" for found in definitions if found):
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
     yield  # they are shuffled
-    items.sort(key=lambda item: item.path.parent.name in SHORT)
+    items.sort(key=lambda item: kind_of(item.path) in SHORT)
 
 
 GROUP = re.compile(rf"@({'|'.join(LANES)}) \d+$")

@@ -38,7 +38,7 @@ import traceback
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PEERS = ("tests.peers.ros2_peer", "tests.sim.straight_on")
+PEERS = ("tests.peers.ros2.ros2_peer", "tests.sim.straight_on")
 HOGGED = "tests.sim.hogged_daemon"
 """It calls motord's main(), so it is prepared as motord is."""
 MODULES = ("motord", "motord.config", "motord.bus", *PEERS, HOGGED)

@@ -24,7 +24,7 @@ typedef enum {
 /* CDR with its header, of either byte order. 0, or 1 + TWIST_NOT_ONE. NaN and infinity pass: the loop takes them for zero. */
 int twist_parse(const uint8_t *raw, size_t bytes, stamped_twist *out);
 /* Age of what was given at that wall time: 0 to 3600 s, whatever is older is as old. 0, or 1 + twist_refusal. The rule of
- * motord/bus/commands/gate.py, once more: tests/unit/test_bus_receiver.py holds the two together. */
+ * motord/bus/commands/gate.py, once more: tests/unit/bus/test_bus_receiver.py holds the two together. */
 int stamp_age(double stamp_s, double wall_s, double *age_s);
 
 /* ------------------------------------------------------------------------------------------------------ receivers

@@ -32,7 +32,7 @@ priority = 200
 lease_s = 2.0
 """
 GOAL_P50_MS, GOAL_P99_MS, GOAL_RATIO = 0.25, 1.0, 2.0
-HOGGED = ROOT / "tests/peers/hogged"
+HOGGED = ROOT / "tests/peers/ros2/hogged"
 WHERE = {"idle": (0, 0), "busy motord-bus": (0, 4), "busy daemon": (4, 0)}
 """Busy Python threads in the daemon, and in motord-bus."""
 Found = dict[str, dict[str, float]]
@@ -48,8 +48,8 @@ def writer() -> Iterator[Any]:
     from cyclonedds.qos import Policy, Qos
     from cyclonedds.topic import Topic
     from cyclonedds.util import duration
-    from tests.peers.ros2_peer import LOCALHOST
-    from tests.peers.ros2_peer_types import Header, Time, Twist, TwistStamped, Vector3
+    from tests.peers.ros2.ros2_peer import LOCALHOST
+    from tests.peers.ros2.ros2_peer_types import Header, Time, Twist, TwistStamped, Vector3
 
     domain = Domain(DOMAIN, LOCALHOST)
     participant = DomainParticipant(DOMAIN)

@@ -25,7 +25,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "daemon"), str(ROOT / "hal")]
 import aiohttp  # noqa: E402
 from dashboard_page import SLOW_DOWN, in_chromium  # noqa: E402
 from tests.sim.daemon_stage import running, wait_until  # noqa: E402
-from tests.sim.web_page import free_port, listens  # noqa: E402
+from tests.sim.web.web_page import free_port, listens  # noqa: E402
 
 from motord.bus.web.assets import assets  # noqa: E402
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from tests.browser.dashboard import CHROMIUM_ARGUMENTS, installed_chromium, press_pad
 from tests.browser.link_proxy import LinkProxy
 from tests.sim.daemon_stage import running, wait_until
-from tests.sim.web_page import free_port, listens
+from tests.sim.web.web_page import free_port, listens
 
 from motord.api.state_page import StatePage
 from motord.client import Refused

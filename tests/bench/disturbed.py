@@ -26,7 +26,7 @@ import lateness
 from tests.sim.daemon_stage import wait_until
 from tests.sim.planted import Planted
 
-PEER = "tests.peers.ros2_peer"
+PEER = "tests.peers.ros2.ros2_peer"
 BACK_WITHIN_S = 60.0
 READER = """
 import contextlib, json, socket, sys

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from bus_at_work import ROBOT, cpu_s, memory_mb, stage
-from tests.peers.mosquitto import BROKER  # the path is made by bus_at_work
+from tests.peers.mqtt.mosquitto import BROKER  # the path is made by bus_at_work
 from tests.peers.namespaces import THERE, Cable, cable, inside, why_not
 
 PROCESSES = 4

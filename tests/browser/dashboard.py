@@ -10,7 +10,7 @@ import uuid
 from urllib.parse import urlsplit
 
 from tests.sim.daemon_stage import DEADLINE_S, connected, ended, running, wait_until
-from tests.sim.web_page import bus_children, free_port
+from tests.sim.web.web_page import bus_children, free_port
 
 from motord.client import Refused
 

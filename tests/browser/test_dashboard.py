@@ -11,7 +11,7 @@ from tests.browser.axe import axe_violations
 from tests.browser.dashboard import TOKEN, held, press_key, press_pad, state_of
 from tests.browser.link_proxy import LinkProxy
 from tests.sim.daemon_stage import wait_until
-from tests.sim.journal_copy import flipped, rewritten
+from tests.sim.tools.journal_copy import flipped, rewritten
 
 ESTOP = ".estop-place .estop"
 TABS = ("overview", "drive", "plots", "lines", "parameters", "file", "commission", "log", "fleet")

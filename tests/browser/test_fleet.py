@@ -8,7 +8,7 @@ import signal
 import pytest
 from tests.browser.dashboard import TOKEN, Dashboard
 from tests.sim.daemon_stage import ROBOT, SLOW, running, wait_until
-from tests.sim.web_page import free_port
+from tests.sim.web.web_page import free_port
 
 OTHER_TOKEN = "another-token-for-tests-987654321"
 

@@ -177,13 +177,16 @@ class Program:
         """Built, if it has to be."""
         name, *arguments = self.call.split()
         into = BUILT / (f"{name}.sanitized" if flags is SANITIZED else name)
-        needs = [*HERE.glob("*.h"), *(BUILT / "csrc").glob("*.h"), *ROOT.glob("docs/mcu/*.[ch]")]
-        here: list[str | Path] = [HERE / f"{name}.c", f"-I{BUILT / 'csrc'}", BUILT / "libcsrc.so"]
+        own = sorted(HERE.rglob("*.h"))
+        needs = [*own, *(BUILT / "csrc").glob("*.h"), *ROOT.glob("docs/mcu/*.[ch]")]
+        (source,) = HERE.glob(f"*/{name}.c")
+        folders = [f"-I{folder}" for folder in (BUILT / "csrc", *{path.parent for path in own})]
+        here: list[str | Path] = [source, *folders, BUILT / "libcsrc.so"]
         with self.lock:
             compile_all(
                 [*flags, *here, f"-Wl,-rpath,{BUILT}", "-lm", "-lpthread", "-lrt"],
                 into,
-                [HERE / f"{name}.c", *needs],
+                [source, *needs],
             )
         return [str(into), *arguments]
 

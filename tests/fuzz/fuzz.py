@@ -17,8 +17,8 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = ("tests/fuzz", "tests/contract", "daemon", "hal", ".")
-sys.path[:0] = [str(ROOT / part) for part in FOLDERS]
+FOLDERS = ("tests/fuzz", "tests/contract", "tests/contract/lines", "tests/contract/modbus")
+sys.path[:0] = [str(ROOT / part) for part in (*FOLDERS, "daemon", "hal", ".")]
 
 import guard  # noqa: E402  # the path is made above
 import local_socket  # noqa: E402

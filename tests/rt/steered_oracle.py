@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from core_rig import TICK_S, Rig, core_config, joint_config
+from tests.rt.core_rig import TICK_S, Rig, core_config, joint_config
 
 RADIUS_M = 0.05
 COUNT_RAD = math.tau / (1 << 20)

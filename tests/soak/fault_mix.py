@@ -31,7 +31,8 @@ UNTAGS = "encoder-wrap"
 _NOT_OF_LINES = ("unheard", "bus-off", *MOTOR_DEFECTS)
 SERIAL_KINDS = (*(kind for kind in KINDS if kind not in _NOT_OF_LINES), *VARIANTS)
 """All that can happen on a serial line: two belong to CAN alone. Defects of motor and encoder break
-what is judged here, the wheel's speed and its counts: tests/sim/test_doubted_feedback.py has them.
+what is judged here, the wheel's speed and its counts: tests/sim/robots/test_doubted_feedback.py has
+them.
 """
 _OWN_KEYS = ("unit", "from_s", "at_s", "for_s", "p", "nth")
 

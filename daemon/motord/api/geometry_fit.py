@@ -111,7 +111,8 @@ class _Stack:
         self._weights = np.where(self.known, 1.0 / deviations, 0.0)
 
     def ends(self, factors: Factors) -> Array:
-        """Predicted poses: an exact arc between two samples, as csrc/core/odometry.c has it."""
+        """Predicted poses: an exact arc between two samples, as in
+        csrc/core/kinematics/odometry.c."""
         left, right = self._left * factors.left, self._right * factors.right
         forward, turn = (left + right) / 2.0, (right - left) / (self._track_m * factors.track)
         middle = np.cumsum(turn, axis=1) - turn / 2.0

@@ -2,7 +2,8 @@
 """Dead band and feed-forward of wheels whose drives take a duty: a line through measured speeds.
 
 duty = dead band + speed / full-duty speed · (1 − dead band), the inverse of which is wheel_duty in
-csrc/core/wheel.h; static friction is the dead band, and viscous friction with back-EMF the slope.
+csrc/core/kinematics/wheel.h; static friction is the dead band, and viscous friction with back-EMF
+the slope.
 """
 
 from __future__ import annotations

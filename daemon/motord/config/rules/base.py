@@ -28,7 +28,7 @@ _WHEEL_RADIUS_USUAL_M, _TRACK_USUAL_M = 0.4, 3.0
 _LEVER_LEAST = 0.1
 """Of half the wheels' distance: a base turns by less only against much slip."""
 _DETERMINED_LEAST = 1e-6
-"""As csrc/core/kinematics.c."""
+"""As csrc/core/kinematics/kinematics.c."""
 _KEYS = ("side", "place", "angle_rad", "x_m", "y_m", "rolling_rad")
 _OF_KIND: dict[str, tuple[str, ...]] = {
     "differential": ("side",),

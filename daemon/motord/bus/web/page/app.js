@@ -6,9 +6,9 @@ import { TEXT } from "./text.js";
 import { Link } from "./link.js";
 import { History } from "./history.js";
 import { Pilot } from "./pilot.js";
-import { useLink } from "./parts.js";
-import { Trail } from "./base_view.js";
-import { battery, commander, Overview } from "./overview.js";
+import { useLink } from "./parts/parts.js";
+import { Trail } from "./parts/base_view.js";
+import { battery, commander, Overview } from "./tabs/overview.js";
 
 const RATE_HZ = 20;
 const PLOT_RATE_HZ = 50;
@@ -20,14 +20,14 @@ const pilot = new Pilot(link);
 // Loaded when they are opened: the first paint needs the overview alone.
 const PAGES = {
   overview: () => Promise.resolve({ default: Overview }),
-  drive: () => import("./drive.js").then(({ Drive }) => ({ default: Drive })),
-  plots: () => import("./plots.js").then(({ Plots }) => ({ default: Plots })),
-  lines: () => import("./lines.js").then(({ Lines }) => ({ default: Lines })),
-  parameters: () => import("./parameters.js").then(({ Parameters }) => ({ default: Parameters })),
-  file: () => import("./file.js").then(({ File }) => ({ default: File })),
-  commission: () => import("./commission.js").then(({ Commission }) => ({ default: Commission })),
-  log: () => import("./log.js").then(({ Log }) => ({ default: Log })),
-  fleet: () => import("./fleet.js").then(({ Fleet }) => ({ default: Fleet })),
+  drive: () => import("./tabs/drive.js").then(({ Drive }) => ({ default: Drive })),
+  plots: () => import("./tabs/plots.js").then(({ Plots }) => ({ default: Plots })),
+  lines: () => import("./tabs/lines.js").then(({ Lines }) => ({ default: Lines })),
+  parameters: () => import("./tabs/parameters.js").then(({ Parameters }) => ({ default: Parameters })),
+  file: () => import("./tabs/file.js").then(({ File }) => ({ default: File })),
+  commission: () => import("./tabs/commission.js").then(({ Commission }) => ({ default: Commission })),
+  log: () => import("./tabs/log.js").then(({ Log }) => ({ default: Log })),
+  fleet: () => import("./tabs/fleet.js").then(({ Fleet }) => ({ default: Fleet })),
 };
 
 function useTab() {

@@ -1,0 +1,142 @@
+// SPDX-License-Identifier: Apache-2.0
+// The pad, the keys and the gamepad.
+
+import { html, useEffect, useRef, useState } from "../vendor/htm-preact.js";
+import { TEXT } from "../text.js";
+import { Card, measure, Rows, useLink } from "../parts/parts.js";
+import { commander, StateCard } from "./overview.js";
+import { BaseView } from "../parts/base_view.js";
+import { useGamepad } from "../parts/gamepad.js";
+
+const KEYS = {
+  KeyW: ["linear", 1], ArrowUp: ["linear", 1], KeyS: ["linear", -1], ArrowDown: ["linear", -1],
+  KeyA: ["angular", 1], ArrowLeft: ["angular", 1], KeyD: ["angular", -1], ArrowRight: ["angular", -1],
+  KeyQ: ["lateral", 1], KeyE: ["lateral", -1],
+};
+const REST = { linear: 0, lateral: 0, angular: 0 };
+
+const clipped = (value) => Math.min(1, Math.max(-1, value));
+const typing = (target) => target.matches?.("input:not([type=range]), select, textarea");
+
+function useKeys(pilot) {
+  useEffect(() => {
+    const held = new Set();
+    const hold = () => {
+      const share = { ...REST };
+      for (const code of held) share[KEYS[code][0]] = clipped(share[KEYS[code][0]] + KEYS[code][1]);
+      if (held.size) pilot.hold("keys", share);
+      else pilot.letGo("keys");
+    };
+    const down = (event) => {
+      if (!(event.code in KEYS) || typing(event.target) || event.ctrlKey || event.metaKey || event.altKey) return;
+      if (event.target.matches?.("input[type=range]") && event.code.startsWith("Arrow")) return;
+      event.preventDefault();
+      if (event.repeat) return;
+      held.add(event.code);
+      hold();
+    };
+    const up = (event) => {
+      if (held.delete(event.code)) hold();
+    };
+    const forget = () => held.clear();
+    window.addEventListener("keydown", down);
+    window.addEventListener("keyup", up);
+    window.addEventListener("blur", forget);
+    document.addEventListener("visibilitychange", forget);
+    pilot.onEnd.add(forget);
+    return () => {
+      window.removeEventListener("keydown", down);
+      window.removeEventListener("keyup", up);
+      window.removeEventListener("blur", forget);
+      document.removeEventListener("visibilitychange", forget);
+      pilot.onEnd.delete(forget);
+      pilot.letGo("keys");
+    };
+  }, [pilot]);
+}
+
+function Pad({ pilot, sideways }) {
+  const pad = useRef(null);
+  const share = (event) => {
+    const box = pad.current.getBoundingClientRect();
+    const radius = box.width / 2;
+    let x = (event.clientX - box.left - radius) / radius;
+    let y = (event.clientY - box.top - radius) / radius;
+    const length = Math.hypot(x, y);
+    if (length > 1) [x, y] = [x / length, y / length];
+    return { linear: -y, angular: sideways ? 0 : -x, lateral: sideways ? -x : 0 };
+  };
+  const down = (event) => {
+    if (event.button !== 0) return;
+    pad.current.setPointerCapture(event.pointerId);
+    pilot.hold("pad", share(event));
+    event.preventDefault();
+  };
+  const move = (event) => {
+    if (pilot.holder === "pad") pilot.hold("pad", share(event));
+  };
+  const up = () => pilot.letGo("pad");
+  useEffect(() => () => pilot.letGo("pad"), [pilot]);
+  const { linear, angular, lateral } = pilot.share;
+  const [x, y] = [100 - 78 * (sideways ? lateral : angular), 100 - 78 * linear];
+  return html`<div class="pad ${pilot.held ? "held" : ""}" ref=${pad} role="img" aria-label=${TEXT.pad}
+      onPointerDown=${down} onPointerMove=${move} onPointerUp=${up} onPointerCancel=${up}
+      onLostPointerCapture=${up} onContextMenu=${(event) => event.preventDefault()}>
+    <svg viewBox="0 0 200 200" aria-hidden="true">
+      <circle class="rim" cx="100" cy="100" r="97" />
+      <circle class="ring" cx="100" cy="100" r="48" />
+      <path class="ring" d="M100 12v176M12 100h176" />
+      <path class="mark" d="M100 10l7 11h-14zM100 190l7-11h-14zM10 100l11 7v-14zM190 100l-11 7v-14z" />
+      <line class="stalk" x1="100" y1="100" x2=${x} y2=${y} />
+      <circle class="knob" cx=${x} cy=${y} r="22" />
+    </svg>
+    ${!pilot.held && html`<span class="pad-hint">${TEXT.padHint}</span>`}
+  </div>`;
+}
+
+export function Drive({ link, pilot, trail }) {
+  useLink(link, 60);
+  const [sideways, setSideways] = useState(false);
+  const lateral = (link.hello?.limits.lateral_m_s ?? 0) > 0;
+  useKeys(pilot);
+  const gamepad = useGamepad(pilot, lateral);
+  if (!link.hello || !link.now) return html`<p class="muted">${TEXT.staleText}</p>`;
+  if (!link.hello.wheels.length) {
+    return html`<div class="column"><${StateCard} link=${link} /><${Card}><p>${TEXT.noBase}</p><//></div>`;
+  }
+  const { now } = link;
+  const powered = ["armed", "moving", "stopping"].includes(now.state);
+  const notice = TEXT.releasedBy[pilot.released] ?? pilot.released;
+  const wanted = pilot.wanted;
+  const limits = link.hello.limits;
+  return html`<div class="grid drive">
+    <${Card} className="pad-card">
+      <${Pad} pilot=${pilot} sideways=${sideways} />
+      <p class="notice" role="status">
+        ${!link.mayCommand ? TEXT.watching : pilot.held ? (powered ? TEXT.driving : TEXT.armFirst) : notice || TEXT.notDriving}
+      </p>
+      <label class="slider"><span>${TEXT.limiter}</span>
+        <input type="range" min="5" max="100" step="5" value=${Math.round(pilot.limiter * 100)}
+          onInput=${(event) => { pilot.limiter = event.target.value / 100; link.version += 1; }} />
+        <output>${Math.round(pilot.limiter * 100)} %: ${measure(pilot.limiter * limits.linear_m_s, 2, "m_s")},
+          ${" "}${measure(pilot.limiter * limits.angular_rad_s, 2, "rad_s")}</output></label>
+      ${lateral && html`<label class="check"><input type="checkbox" checked=${sideways}
+        onChange=${(event) => setSideways(event.target.checked)} /> ${TEXT.strafe}</label>`}
+    <//>
+    <div class="column">
+      <${StateCard} link=${link} />
+      <${Card}>
+        <${Rows} rows=${[
+          [TEXT.requested, `${measure(wanted.linear, 2, "m_s")}, ${measure(wanted.angular, 2, "rad_s")}`],
+          [TEXT.setpoint, `${measure(now.setpoint_linear_m_s, 2, "m_s")}, ${measure(now.setpoint_angular_rad_s, 2, "rad_s")}`],
+          [TEXT.measured, `${measure(now.linear_m_s, 2, "m_s")}, ${measure(now.angular_rad_s, 2, "rad_s")}`],
+          [TEXT.commander, commander(link)],
+          [TEXT.gamepad, gamepad || TEXT.gamepadNone],
+        ]} />
+        <p class="muted">${TEXT.keys}. ${TEXT.gamepadHint}</p>
+        <p class="muted">${TEXT.deadMan}</p>
+      <//>
+    </div>
+    <${Card} className="map"><${BaseView} link=${link} trail=${trail} /><//>
+  </div>`;
+}

@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+// Several robots, each with its state and its emergency stop.
+
+import { html, useEffect, useState } from "../vendor/htm-preact.js";
+import { TEXT } from "../text.js";
+import { Link } from "../link.js";
+import { Card, measure, Rows, useCall, useLink } from "../parts/parts.js";
+import { battery, commander } from "./overview.js";
+
+const RATE_HZ = 2;
+
+function Robot({ link, own }) {
+  useLink(link);
+  const [call, problem] = useCall(link);
+  const [token, setToken] = useState("");
+  const state = link.phase !== "open" || link.stale ? "unknown" : link.now?.state ?? "unknown";
+  const name = link.hello?.robot ?? link.address;
+  const { now } = link;
+  const connect = (event) => {
+    event.preventDefault();
+    link.setToken(token.trim() || null);
+  };
+  return html`<${Card} title=${name} className="robot"
+      extra=${html`<span class="chip state-${state}">${TEXT.states[state]}</span>`}>
+    <p class="muted">${own ? TEXT.thisRobot : html`<a href=${link.address}>${link.address}</a>`}</p>
+    ${link.phase === "lost" && html`<p class="why">${TEXT.lost}</p>`}
+    ${link.phase === "refused" || (link.phase === "open" && !link.mayCommand && link.hello.takes_commands) ? html`
+      <form onSubmit=${connect}>
+        ${link.why && html`<p class="problem" role="alert">${link.why}</p>`}<label><span>${TEXT.tokenFor(name)}</span>
+        <input type="password" value=${token} onInput=${(event) => setToken(event.target.value)} /></label>
+        <button type="submit">${TEXT.tokenSend}</button></form>` : null}
+    ${now && html`<${Rows} rows=${[
+      [TEXT.speed, `${measure(now.linear_m_s, 2, "m_s")}, ${measure(now.angular_rad_s, 2, "rad_s")}`],
+      [TEXT.commander, commander(link)], [TEXT.battery, battery(link)],
+    ]} />`}
+    ${now?.faults.length > 0 && html`<p class="faults">${now.faults.join(", ").replaceAll("_", " ")}</p>`}
+    <button class="estop" disabled=${!link.mayCommand} onClick=${() => call("estop", TEXT.estop)}>${TEXT.estop}</button>
+    ${problem}
+  <//>`;
+}
+
+export function Fleet({ link }) {
+  useLink(link);
+  const fleet = link.hello?.fleet ?? [];
+  const addresses = fleet.join(" ");
+  const [others, setOthers] = useState([]);
+  useEffect(() => {
+    const made = fleet.filter((address) => address !== link.address).map((address) => new Link(address, RATE_HZ));
+    setOthers(made);
+    return () => made.forEach((one) => one.end());
+  }, [addresses]);
+  const links = [link, ...others];
+  const all = () => links.filter((one) => one.mayCommand).forEach((one) => one.call("estop").catch(() => {}));
+  return html`<div>
+    <div class="toolbar"><p class="muted">${TEXT.fleetHelp}</p>
+      ${others.length > 0 && html`<button class="estop" onClick=${all}>${TEXT.estopAll}</button>`}</div>
+    <div class="grid robots">${links.map((one) =>
+      html`<${Robot} key=${one.address} link=${one} own=${one === link} />`)}</div>
+  </div>`;
+}

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What becomes of a drive in every mode after every event, by
+tests/c/drive/drive_walk_table.h; and lines in asyncio that are brought into each mode."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+import re
+from pathlib import Path
+
+from can_rig import TURN
+from can_rig import spec_of as can_spec_of
+from loop_side import GENEROUS_S, PATIENT_S, running, until
+from modbus_rig import CONTROL, MODE, OFF, RPM, TARGET_1, VELOCITY_1, hub_servo, registers_of
+from modbus_rig import spec_of as modbus_spec_of
+from scripted_odrive import IDLE, STATE, Peer, living
+from scripted_slave import ScriptedSlave, Unit
+from slcan_adapter import SlcanAdapter
+
+from motord_hal.base.clock import now_ns
+from motord_hal.base.errors import HalError
+from motord_hal.fieldbus.ports import DriveState
+
+TABLE = Path(__file__).parents[2] / "c/drive/drive_walk_table.h"
+FROM = ("OFF", "READY", "ARMED", "STOPPING", "UNRESPONSIVE")
+MODES = {
+    "OFF": DriveState.UNKNOWN,
+    "READY": DriveState.READY,
+    "ARMED": DriveState.ARMED,
+    "UNRESPONSIVE": DriveState.UNRESPONSIVE,
+}
+CYCLES = 10
+"""More than what a line needs in order to do what an event demands."""
+MEASURING = 2
+"""ODrive, axis state: neither idle nor in control."""
+
+
+def rows_of(kind):
+    """The words in each row's parentheses."""
+    for found in re.findall(rf"^{kind}\((.*)\)$", TABLE.read_text(encoding="utf-8"), re.MULTILINE):
+        yield [word.strip() for word in found.split('"')[0].split(",") if word.strip()]
+
+
+def cells():
+    """event → from → the mode that a drive of a line in asyncio is in then."""
+    leads = {event: dict(zip(FROM, modes, strict=True)) for event, *modes in rows_of("LEADS_TO")}
+    for medium, event, begin, mode in rows_of("DIFFERS"):
+        if medium == "ASYNCIO":
+            leads[event][begin] = mode
+    for medium, event, begin in rows_of("CANNOT_OCCUR"):
+        if medium == "ASYNCIO":
+            del leads[event][begin]
+    return leads
+
+
+def _patient(joint):
+    """Its set-up waits until the drive lets it go on."""
+    steps = tuple(
+        step if step.value is not None else dataclasses.replace(step, within_s=GENEROUS_S)
+        for step in joint.profile.configure
+    )
+    return dataclasses.replace(joint, profile=dataclasses.replace(joint.profile, configure=steps))
+
+
+class ModbusMedium:
+    """A hub servo on a pty."""
+
+    def __init__(self, folder):
+        self.peer = ScriptedSlave(folder / "port")
+        self.unit = self.peer.units[1] = Unit(registers_of("zlac8015d"))
+        joints = [_patient(joint) for joint in hub_servo()]
+        self.spec = modbus_spec_of(self.peer, joints)
+        self.velocity_rad_s = 60 * RPM
+
+    @contextlib.asynccontextmanager
+    async def life(self):
+        try:
+            yield
+        finally:
+            self.peer.pull()
+
+    def hold_set_up(self):
+        def forget_mode(address, _):
+            if address == MODE:
+                self.unit.registers[MODE] = 0
+
+        self.unit.on_write = forget_mode
+
+    def go_on_with_set_up(self):
+        self.unit.on_write = None
+        self.unit.registers[MODE] = 3
+
+    def turn(self):
+        self.unit.registers[VELOCITY_1] = 600
+
+    def fall_silent(self):
+        self.unit.silent = True
+
+    def lose(self):
+        self.peer.pull()
+
+    def motion_count(self):
+        return sum(value != 0 for value in self.peer.written(TARGET_1))
+
+    def has_power_off(self):
+        return self.peer.written(CONTROL)[-1] == OFF
+
+
+class CanMedium:
+    """An ODrive behind an slcan adapter on a pty."""
+
+    def __init__(self, folder):
+        self.adapter = SlcanAdapter(folder / "adapter")
+        self.peer = Peer("slcan", (0,), self.adapter.address, self.adapter)
+        self.axis = self.peer.axes[0]
+        spec = can_spec_of(self.peer, 0)
+        joints = tuple(_patient(joint) for joint in spec.joints)
+        self.spec = dataclasses.replace(spec, joints=joints)
+        self.velocity_rad_s = TURN
+
+    def life(self):
+        return living(self.peer)
+
+    def hold_set_up(self):
+        self.axis.state, self.axis.stuck = MEASURING, True
+
+    def go_on_with_set_up(self):
+        self.axis.state, self.axis.stuck = IDLE, False
+
+    def turn(self):
+        self.axis.velocity_turns_s = 1.0
+
+    def fall_silent(self):
+        self.axis.silent = True
+
+    def lose(self):
+        self.adapter.pull()
+
+    def motion_count(self):
+        return sum(value != 0.0 for value in self.axis.velocities())
+
+    def has_power_off(self):
+        return int.from_bytes(self.axis.sent(STATE)[-1], "little") == IDLE
+
+
+class Walk:
+    """One cell: a line of its own, brought into a mode, an event, and what comes of it."""
+
+    def __init__(self, medium, rig):
+        self.medium = medium
+        self.rig = rig
+
+    async def go(self, begin, event, mode):
+        await self._to(begin)
+        await getattr(self, f"_{event.lower()}")(mode)
+        await until(lambda: self.rig.states() == {MODES[mode]}, f"{event} from {begin}: {mode}")
+        motion = self.medium.motion_count()
+        if mode == "ARMED":
+            await until(lambda: self.medium.motion_count() > motion, f"{event} from {begin}: moves")
+            return
+        await self._cycles()
+        assert self.rig.states() == {MODES[mode]}, (begin, event)
+        assert self.medium.motion_count() == motion, (begin, event)
+
+    async def _cycles(self):
+        """Time for the line, where it is open."""
+        before = self.rig.line.stats().cycles
+        is_over = self.rig.task.done
+        await until(
+            lambda: self.rig.line.stats().cycles > before + CYCLES or self.rig.states()
+            == {DriveState.UNKNOWN} or is_over()
+        )  # fmt: skip
+
+    async def _to(self, begin):
+        rig = self.rig
+        rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: self.medium.velocity_rad_s}
+        if begin == "OFF":
+            await until(lambda: rig.line.stats().cycles > CYCLES)
+            assert rig.states() == {DriveState.UNKNOWN}
+            return
+        self.medium.go_on_with_set_up()
+        await rig.ready()
+        if begin in ("ARMED", "STOPPING"):
+            await rig.drive(self.medium.motion_count, "it is sent motion")
+        if begin == "STOPPING":
+            self.medium.turn()
+            rig.loop.running = False
+            await until(lambda: rig.line.is_stopping(rig.line.spec.joints[0].name))
+            rig.loop.running = True
+            await until(lambda: now_ns() - rig.loop.put_ns < PATIENT_S * 1e9)
+        elif begin == "UNRESPONSIVE":
+            await self._falls_silent("UNRESPONSIVE")
+            await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
+
+    async def _setpoints_old(self, _):
+        self.rig.loop.running = False
+        await until(lambda: now_ns() - self.rig.loop.put_ns > PATIENT_S * 1e9)
+        await self._cycles()
+
+    async def _setpoints_not_enabled(self, _):
+        self.rig.loop.enabled = False
+        self.rig.loop.put()
+        await self._cycles()
+
+    async def _requested_off(self, _):
+        self.medium.lose()
+
+    async def _requested_ready(self, _):
+        self.medium.go_on_with_set_up()
+
+    async def _requested_armed(self, mode):
+        if mode == "ARMED" and self.rig.states() == {DriveState.READY}:
+            await self.rig.arm()
+            return
+        if mode == "ARMED":
+            await self.rig.line.arm()
+            return
+        try:
+            await self.rig.line.arm()
+        except HalError:
+            return
+        raise AssertionError("it was armed")
+
+    async def _requested_stand_down(self, _):
+        await self.rig.line.disarm()
+
+    async def _falls_silent(self, _):
+        self.medium.fall_silent()
+
+    async def _line_ends(self, _):
+        self.rig.task.cancel()
+        await asyncio.wait([self.rig.task])
+        await until(self.medium.has_power_off)
+
+
+async def walk(make, folder, event, leads):
+    """All cells of an event at once, each on a line of its own."""
+
+    async def cell(begin, mode):
+        place = folder / begin.lower()
+        place.mkdir()
+        medium = make(place)
+        medium.hold_set_up()
+        async with medium.life(), running(medium.spec) as rig:
+            await Walk(medium, rig).go(begin, event, mode)
+
+    async with asyncio.TaskGroup() as group:
+        for begin, mode in leads.items():
+            group.create_task(cell(begin, mode))

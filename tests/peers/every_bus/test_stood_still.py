@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The second process stands still while a program commands without a stamp, and goes on when
+none does any more: nothing that waited in a queue meanwhile moves the robot."""
+
+import contextlib
+import json
+import os
+import signal
+import threading
+import time
+
+import pytest
+from tests.peers.mqtt.mosquitto import free_port
+from tests.peers.ros2.ros2_stage import (
+    LEASE_S,
+    NAMESPACE,
+    inputs,
+    nobody_commands,
+    peer,
+    ros2_stage,
+)
+from tests.sim.daemon_stage import becomes_idle, wait_until
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+TOKEN = "a-token-of-sixteen-and-more"
+SPEED_M_S = 0.3
+TWIST = {"linear": {"x": SPEED_M_S}, "angular": {"z": 0.0}}
+
+
+@pytest.fixture(scope="module")
+def port():
+    return free_port()
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory, port):
+    folder = tmp_path_factory.mktemp("still")
+    token = folder / "token"
+    token.write_text(TOKEN, encoding="ascii")
+    token.chmod(0o600)
+    settings = (
+        "input.ros2.stamped=false",
+        "input.web.kind=rosbridge", f"input.web.port={port}", "input.web.stamped=false",
+        f"input.web.token_file={token}", f"input.web.lease_s={LEASE_S}",
+    )  # fmt: skip
+    with ros2_stage(folder, *settings) as stage:
+        wait_until(lambda: inputs(stage).get("web", {}).get("lease"), "a lease")
+        yield stage
+
+
+def by_dds(_):
+    return peer("twist", f"rt{NAMESPACE}/cmd_vel", SPEED_M_S, 0.0)
+
+
+@contextlib.contextmanager
+def by_rosbridge(port):
+    ended = threading.Event()
+    message = json.dumps({"op": "publish", "topic": "/cmd_vel", "msg": TWIST})
+
+    def drive():
+        with contextlib.suppress(ConnectionClosed, OSError), client:
+            while not ended.wait(0.05):
+                client.send(message)
+
+    client = connect(f"ws://127.0.0.1:{port}/?token={TOKEN}", close_timeout=0.1)
+    driving = threading.Thread(target=drive)
+    driving.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        driving.join()
+
+
+def arms(stage):
+    """Whatever was before: a busy machine may have latched a fault."""
+    becomes_idle(stage)
+    wait_until(lambda: stage.robot.arm(), "armed")
+
+
+def refused(stage, name):
+    return inputs(stage).get(name, {}).get("refused", 0)
+
+
+@pytest.mark.parametrize(("name", "by"), [("ros2", by_dds), ("web", by_rosbridge)])
+def test_what_waited_while_it_stood_still_moves_nothing(stage, port, name, by):
+    arms(stage)
+    pid, before = stage.robot.status()["bus"]["pid"], refused(stage, name)
+    with by(port):
+        stage.wait_for("moving")
+        stopped_s = time.monotonic()
+        os.kill(pid, signal.SIGSTOP)
+        nobody_commands(stage)
+        wait_until(lambda: time.monotonic() > stopped_s + 2.0 * LEASE_S, "a long gap")
+    wait_until(lambda: stage.robot.status()["at_rest"], "rest")
+    accepted = stage.robot.status()["commands"]["accepted"]
+    os.kill(pid, signal.SIGCONT)
+    wait_until(lambda: refused(stage, name) > before, "what waited is refused")
+    status = stage.robot.status()
+    assert status["commands"]["accepted"] == accepted
+    assert status["at_rest"]
+    assert status["bus"]["pid"] == pid
+    with by(port):
+        stage.wait_for("moving")
+    nobody_commands(stage)
+    stage.robot.disarm()
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, 3600.0, -3600.0])
+def test_what_waited_at_the_sender_moves_nothing_whatever_its_clock_reports(stage, ahead_s):
+    arms(stage)
+    with peer("twist", f"rt{NAMESPACE}/cmd_vel", SPEED_M_S, 0.0, ahead_s) as sender:
+        stage.wait_for("moving")
+        sender.say("held")
+        nobody_commands(stage)
+        sent = inputs(stage)["ros2"]["sent"]
+        wait_until(lambda: inputs(stage).get("ros2", {}).get("sent", 0) > sent, "more of them")
+        assert not stage.robot.status()["leases"]
+    stage.robot.disarm()

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""cmd_vel past Python: a thread of C in motord-bus takes it from DDS to the daemon."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from tests.peers.ros2.ros2_stage import NAMESPACE, called, inputs, peer, ros2_stage, settle
+from tests.sim.daemon_stage import wait_until
+
+pytest.importorskip("cyclonedds", reason="needs cyclonedds")
+
+TOPIC = f"rt{NAMESPACE}/cmd_vel"
+HOGS = 4
+BURST, BURSTS = 5, 20
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    environ = {"PYTHONPATH": str(Path(__file__).with_name("hogged")), "HOGS": str(HOGS)}
+    with ros2_stage(tmp_path_factory.mktemp("receiver"), environ=environ) as stage:
+        yield stage
+
+
+@pytest.fixture(autouse=True)
+def settled(stage):
+    settle(stage)
+
+
+def bus(stage):
+    return stage.robot.status()["bus"]["pid"]
+
+
+def threads_of(pid):
+    return [one.read_text().strip() for one in Path(f"/proc/{pid}/task").glob("*/comm")]
+
+
+def judged(stage):
+    """Commands that the daemon's loop has got, and how many of them it refused for their age."""
+    commands = stage.robot.status()["commands"]
+    old = commands["refused"]["age"]
+    return commands["accepted"] + sum(commands["refused"].values()) - old, old
+
+
+def ours(stage):
+    return inputs(stage)["ros2"]
+
+
+def test_a_thread_of_its_own_waits_for_commands(stage):
+    assert "motord-cmd_vel" in threads_of(bus(stage))
+    assert "goes through Python" not in stage.logged()
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("drive", TOPIC, 0.3, 0.0, "zero"), "its stamp is zero"),
+        (("drive", TOPIC, 0.3, 0.0, -3600), "its stamp is in the future"),
+        (("frame", TOPIC, 5000), "it is no geometry_msgs/msg/TwistStamped"),
+    ],
+    ids=["no stamp", "ahead", "too long"],
+)
+def test_what_the_gate_refuses_is_counted_and_moves_nothing(stage, words, why):
+    wait_until(lambda: called("arm")["success"], "armed")
+    before, x_m, sent = ours(stage)["refused"], stage.sim.truth().x_m, ours(stage)["sent"]
+    with peer(*words):
+        wait_until(lambda: ours(stage)["refused"] > before + 5, f"refused: {why}")
+    assert ours(stage)["sent"] == sent
+    assert stage.sim.truth().x_m == x_m
+
+
+@pytest.mark.parametrize(
+    ("speed", "age_s", "reason"),
+    [("nan", 0, "not_finite"), ("-inf", 0, "not_finite"), (1e308, 0, "out_of_range"),
+     (0.3, 60, "age")],
+)  # fmt: skip
+def test_what_the_daemon_refuses_is_counted_there_and_moves_nothing(stage, speed, age_s, reason):
+    def refused():
+        return stage.robot.status()["commands"]["refused"][reason]
+
+    wait_until(lambda: called("arm")["success"], "armed")
+    before, x_m = refused(), stage.sim.truth().x_m
+    with peer("drive", TOPIC, speed, 0.0, age_s):
+        wait_until(lambda: refused() > before + 5, reason)
+    assert stage.sim.truth().x_m == x_m
+
+
+def test_commands_by_dds_and_by_python_go_out_under_one_lease(stage):
+    """Joints by Python, cmd_vel by C: no number is used twice."""
+
+    def out_of_order():
+        return stage.robot.status()["commands"]["refused"]["sequence"]
+
+    wait_until(lambda: called("arm")["success"], "armed")
+    before, sent = out_of_order(), ours(stage)["sent"]
+    with (
+        peer("drive", TOPIC, 0.1, 0.0),
+        peer("joints", f"rt{NAMESPACE}/joint_commands", "right=1.0", "left=1.0"),
+    ):
+        wait_until(lambda: ours(stage)["sent"] > sent + 50, "commands")
+    assert out_of_order() == before
+
+
+def test_commands_end_with_a_python_that_stands_still_and_go_on_with_it(stage):
+    """It would not receive an emergency stop by ROS 2."""
+
+    def accepted():
+        return stage.robot.status()["commands"]["accepted"]
+
+    wait_until(lambda: called("arm")["success"], "armed")
+    lost = ours(stage)["lost"]
+    with peer("drive", TOPIC, 0.3, 0.0):
+        wait_until(lambda: not stage.robot.status()["at_rest"], "it drives")
+        pid = bus(stage)
+        os.kill(pid, signal.SIGWINCH)
+        try:
+            wait_until(lambda: stage.robot.status()["at_rest"], "nobody commands any more")
+            before = accepted()
+        finally:
+            os.kill(pid, signal.SIGUSR2)
+        wait_until(lambda: accepted() > before + 5, "commands go on")
+    assert bus(stage) == pid
+    wait_until(lambda: ours(stage)["lost"] > lost, "what was lost is counted")
+
+
+@pytest.fixture
+def busy(stage):
+    """Pure-Python threads in motord-bus."""
+    pid = bus(stage)
+    before = len(threads_of(pid))
+    os.kill(pid, signal.SIGUSR1)
+    wait_until(lambda: len(threads_of(pid)) >= before + HOGS, "busy threads")
+    yield
+    os.kill(pid, signal.SIGUSR2)
+
+
+def pass_through(stage, writer):
+    """Wait until a command of this writer reaches the daemon. A writer that has found its reader
+    may not be known to the reader yet, and a lease may still be missing. Old commands are sent
+    until one is refused, so those that come late are not counted with the bursts. The reader keeps
+    8 samples, so they must not pile up before a burst."""
+    writer.find(lambda word: word == "heard", "a reader")
+    before, next_s = judged(stage)[1], 0.0
+
+    def arrived():
+        nonlocal next_s
+        if time.monotonic() >= next_s:
+            next_s = time.monotonic() + 1.0
+            writer.say("old")
+        return judged(stage)[1] > before
+
+    wait_until(arrived, "a command that reaches the daemon")
+
+
+def test_busy_python_in_motord_bus_loses_no_command(stage, busy):
+    with peer("bursts", TOPIC, 0.1, BURST) as writer:
+        pass_through(stage, writer)
+        begun, lost = judged(stage)[0], ours(stage)["lost"]
+        for number in range(1, BURSTS + 1):
+            writer.say("go")
+            there = begun + number * BURST
+            wait_until(lambda there=there: judged(stage)[0] >= there, f"burst {number}")
+    assert judged(stage)[0] == begun + BURST * BURSTS
+    assert ours(stage)["lost"] == lost

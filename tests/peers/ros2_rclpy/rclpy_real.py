@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A real rclpy for the tests: that of a ROS 2 which is sourced, or that of the wheels which `make
+build/ros-kilted/made` has installed. `MOTORD_ROS` names another such environment; where it is
+empty, the stand-in is taken.
+
+Programs of such an environment run in its own Python. Its libraries find each other by
+LD_LIBRARY_PATH, which a process reads once, at its start. So that this process is a node too, all
+of them are loaded here before rclpy loads them by name: glibc takes what it has loaded.
+"""
+
+import ctypes
+import importlib.util
+import os
+import re
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[3]
+DISTRIBUTIONS = ("kilted", "jazzy")
+_MISSING = re.compile(r"^(\S+): cannot open shared object file")
+
+
+def made(distribution):
+    """The environment of these wheels, or None."""
+    folder = ROOT / f"build/ros-{distribution}"
+    return folder if (folder / "made").is_file() else None
+
+
+def site_of(folder):
+    """Its Python packages."""
+    return folder / f"lib/python{sys.version_info.major}.{sys.version_info.minor}/site-packages"
+
+
+def environ_of(folder):
+    """What its wheels would set at each start, and then start again."""
+    libraries = [folder / "lib", *site_of(folder).glob("ros_*.libs")]
+    return {
+        "LD_LIBRARY_PATH": os.pathsep.join(map(str, libraries)),
+        "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
+    }
+
+
+def _load(folder):
+    files = {file.name: file for place in [folder / "lib", *site_of(folder).glob("ros_*.libs")]
+             for file in place.glob("*.so*")}  # fmt: skip
+    loaded = set()
+
+    def load(name):
+        while name not in loaded:
+            try:
+                ctypes.CDLL(str(files[name]))
+            except OSError as error:
+                missing = _MISSING.match(str(error))
+                if missing is None or missing[1] not in files:
+                    raise
+                load(missing[1])
+            else:
+                loaded.add(name)
+
+    for name in files:
+        load(name)
+
+
+def _found():
+    if importlib.util.find_spec("rclpy") is not None:
+        return None
+    if (chosen := os.environ.get("MOTORD_ROS")) is not None:
+        return Path(chosen).resolve() if chosen else None
+    folders = (made(distribution) for distribution in DISTRIBUTIONS)
+    return next((folder for folder in folders if folder and site_of(folder).is_dir()), None)
+
+
+FOLDER = _found()
+"""An environment that was made for the tests; None where ROS 2 is sourced, or absent."""
+REAL = FOLDER is not None or importlib.util.find_spec("rclpy") is not None
+PYTHON = sys.executable if FOLDER is None else str(FOLDER / "bin/python")
+ENVIRON = {} if FOLDER is None else environ_of(FOLDER)
+
+if FOLDER is not None:
+    _load(FOLDER)
+    sys.path.append(str(site_of(FOLDER)))

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the daemon says of a latched fault, over the real loop."""
+
+from dataclasses import replace
+
+import pytest
+from tests.rt.small_base import core_config, report_wheels, settings, until
+
+from motord.base.sdnotify import Notifier
+from motord.config import load_robot
+from motord.control.machine import Event, State
+from motord.control.operation import Operation, process_name
+from motord.daemon import procedures
+from motord.local_socket.server import Refused
+from motord.realtime import loop as rt
+from motord_hal.base.paths import config_dir
+from motord_hal.fieldbus.ports import EventKind, LineEvent, LineState
+
+OFF = "left (unit 1) is not enabled any more: set up again, disarmed"
+OVER_CURRENT = "left: fault: over-current"
+
+
+@pytest.fixture
+def operation():
+    robot = load_robot(config_dir() / "robots" / "demo.toml")
+    with rt.Loop(core_config(), settings()) as loop:
+        operation = Operation(robot, loop, Notifier({}))
+        report_wheels()
+        until(lambda: operation.look() or not operation.facts().stale_joints)
+        for event in (Event.START, Event.READY, Event.ARM):
+            operation.take(event)
+        yield operation
+
+
+def say(operation, kind, text):
+    operation.on_line_event(LineEvent(kind, "rs485", ("left",), text))
+
+
+def test_a_drive_that_reports_why_only_after_it_was_seen_to_be_off_is_named_too(operation):
+    operation.fault(OFF)
+    assert operation.state is State.FAULT
+    say(operation, EventKind.DRIVE_FAULT, OVER_CURRENT)
+    assert operation.why == (OFF, OVER_CURRENT)
+
+
+def test_a_reason_that_is_given_already_is_not_given_again(operation):
+    operation.fault(OFF)
+    for _ in range(2):
+        say(operation, EventKind.DRIVE_FAULT, OVER_CURRENT)
+    say(operation, EventKind.DRIVE_WARNING, "left: warning: warm")
+    assert operation.why == (OFF, OVER_CURRENT)
+
+
+def test_a_drive_fault_without_a_latched_fault_is_no_reason_for_one(operation):
+    say(operation, EventKind.DRIVE_FAULT, OVER_CURRENT)
+    assert operation.state is State.ARMED
+    assert operation.why == ()
+
+
+def test_a_stop_is_over_only_when_the_loop_has_seen_it(operation):
+    """Its newest word may be from before the stop was asked for; the robot rests in it."""
+    operation.take(Event.STOP)
+    assert operation.snapshot.at_rest
+    operation.loop.read_state = lambda: operation.snapshot
+    operation.look()
+    assert operation.state is State.STOPPING
+    del operation.loop.read_state
+    until(lambda: operation.look() or operation.state is State.ARMED)
+
+
+def test_the_reason_of_an_emergency_stop_takes_the_place_of_the_cores_bare_word(operation):
+    """The loop reads the request, and its next state may be looked at before the request is."""
+    seen = replace(operation.snapshot, faults=("estop",))
+    operation.loop.read_state = lambda: seen
+    operation.look()
+    assert (operation.state, operation.why) == (State.ESTOP, ("estop",))
+    operation.estop(1)
+    assert operation.why == (f"requested by {process_name(1)}",)
+    operation.estop(1, "the panel")
+    assert operation.why == (f"the panel ({process_name(1)})",)
+
+
+class LineWithAPanel:
+    """A person presses the emergency stop while its drives are cleared."""
+
+    state, drive_states, drive_faults = LineState.READY, {}, {}
+
+    def __init__(self, operation):
+        self.operation = operation
+
+    async def clear_faults(self):
+        self.operation.estop(1, "the panel")
+
+
+async def test_a_reset_does_not_take_back_an_emergency_stop_that_came_meanwhile(operation):
+    operation.fault(OFF)
+    operation.lines.append(LineWithAPanel(operation))
+    with pytest.raises(Refused, match="meanwhile"):
+        await procedures.reset(operation)
+    assert operation.state is State.ESTOP
+    until(lambda: operation.look() or "estop" in operation.snapshot.faults)

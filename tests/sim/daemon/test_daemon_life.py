@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a daemon starts and ends, and what is notified: each test has a daemon of its own."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+from pathlib import Path
+
+import pytest
+from tests.sim.daemon_stage import DEADLINE_S, running, set_off, wait_until
+
+from motord.client import Refused
+
+
+@pytest.fixture
+def supervisor(tmp_path):
+    """A service manager's end of sd_notify."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(tmp_path / "notify"))
+        listener.settimeout(DEADLINE_S)
+        yield listener
+
+
+def received_until(listener, last):
+    received = []
+    while not received or received[-1] != last:
+        received.append(listener.recv(1000).decode())
+    return received
+
+
+def moving(stage):
+    """Armed, and on a lease that outlives the test's own pauses."""
+    stage.wait_for("idle")
+    set_off(stage, 0.5)
+
+
+def test_a_supervisor_receives_ready_life_and_the_end(tmp_path, supervisor):
+    environ = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "200000"}
+    with running(tmp_path, environ=environ) as stage:
+        received = received_until(supervisor, "STATUS=idle")
+        assert "READY=1" in received
+        received_until(supervisor, "WATCHDOG=1")
+        stage.daemon.send_signal(signal.SIGTERM)
+        received = received_until(supervisor, "STATUS=off")
+        assert "STOPPING=1" in received
+        assert stage.daemon.wait(DEADLINE_S) == 0
+
+
+def test_a_daemon_that_hangs_feeds_no_watchdog(tmp_path, supervisor):
+    environ = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "200000"}
+    with running(tmp_path, environ=environ) as stage:
+        received_until(supervisor, "WATCHDOG=1")
+        stage.daemon.send_signal(signal.SIGSTOP)
+        supervisor.settimeout(0.5)
+        with pytest.raises(TimeoutError):
+            while True:  # what had been sent, and then nothing
+                supervisor.recv(1000)
+        stage.daemon.send_signal(signal.SIGCONT)
+        supervisor.settimeout(DEADLINE_S)
+        received_until(supervisor, "WATCHDOG=1")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_it_ends_at_rest_and_without_power(tmp_path, number):
+    with running(tmp_path) as stage:
+        moving(stage)
+        assert stage.end(number) == 0
+        truth = stage.sim.truth()
+        assert truth.at_rest
+        assert not any(joint.enabled for joint in truth.joints.values())
+        assert not stage.socket.exists()
+        log = stage.logged()
+        assert log.index("comes to rest") < log.index("off (shutdown") < log.index("ended")
+
+
+def test_a_second_signal_does_not_wait_for_the_ramp_but_takes_the_power_off(tmp_path):
+    slow = ("limits.linear_deceleration_m_s2=0.06", "limits.linear_m_s3=inf")
+    with running(tmp_path, *slow) as stage:
+        moving(stage)
+        stage.daemon.send_signal(signal.SIGTERM)
+        wait_until(lambda: "comes to rest" in stage.logged(), "the first signal")
+        stage.robot.close()
+        assert stage.end() == 0
+        joints = stage.sim.truth().joints.values()
+        assert not any(joint.enabled for joint in joints)
+        wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+
+
+def test_a_base_that_coasts_when_the_command_ends_is_disarmed_by_it(tmp_path):
+    with running(tmp_path, "safety.on_timeout=coast") as stage:
+        moving(stage)
+        stage.wait_for("idle")
+        wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+        assert not any(joint.enabled for joint in stage.sim.truth().joints.values())
+        assert stage.logged().count("disarmed by itself") == 1
+        assert stage.robot.status()["faults"] == []
+
+
+def test_without_a_port_it_waits_reports_so_once_and_ends_well(tmp_path):
+    with running(tmp_path, simulated=False) as stage:
+        wait_until(lambda: "nothing" in stage.logged(), "the port is missed")
+        with pytest.raises(Refused, match="not ready"):
+            stage.robot.arm()
+        found = stage.robot.status()
+        assert found["state"] == "configuring"
+        assert found["lines"]["rs485"]["state"] == "closed"
+        assert stage.end() == 0
+        assert (
+            len([line for line in stage.logged().splitlines() if "there is no such port" in line])
+            == 1
+        )
+
+
+def test_it_reports_in_one_object_that_it_listens_and_where(tmp_path):
+    with running(tmp_path, simulated=False, stdout=subprocess.PIPE, options=("--json",)) as stage:
+        ready = json.loads(stage.daemon.stdout.readline())
+        assert ready["pid"] == stage.daemon.pid
+        assert ready["socket"] == str(stage.socket)
+        assert Path(ready["state_page"]).exists()
+        assert stage.end() == 0
+        stage.daemon.stdout.close()
+    assert not Path(ready["state_page"]).exists()
+
+
+def test_a_reader_of_its_output_that_hangs_does_not_keep_it_from_driving(tmp_path):
+    reading, writing = os.pipe()
+    settings = ("publish.console.kind=stdout", "publish.console.rate_hz=500", "loop.rate_hz=1000")
+    with (
+        os.fdopen(reading),
+        os.fdopen(writing) as stuck,
+        running(tmp_path, *settings, stdout=stuck) as stage,
+    ):
+        wait_until(lambda: stage.robot.status()["publishers"]["console"]["taken"] > 100, "samples")
+        moving(stage)
+        assert stage.robot.stop() == "armed"
+        assert stage.end() == 0
+
+
+def test_samples_come_on_standard_output_and_by_udp(tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(DEADLINE_S)
+        port = listener.getsockname()[1]
+        radio = ("publish.radio.kind=udp", f"publish.radio.port={port}", "publish.radio.rate_hz=20")
+        console = "publish.console.kind=stdout"
+        with running(tmp_path, *radio, console, stdout=subprocess.PIPE) as stage:
+            datagram = json.loads(listener.recv(65536))
+            line = json.loads(stage.daemon.stdout.readline())
+            assert datagram.keys() == line.keys() >= {"robot", "wall_time_s", "tick", "joints"}
+            assert datagram["robot"] == stage.robot.status()["robot"]
+            stage.daemon.stdout.close()
+            stage.wait_for("idle")
+            assert stage.end() == 0

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A source that sends as many commands as it can, and one of higher priority beside it."""
+
+import asyncio
+import contextlib
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.sim.daemon_stage import running, wait_until
+
+from motord.bus.commands.link import Source
+
+COMMANDS = 30
+EVERY_S = 0.02
+SETTINGS = (
+    "input.flood.kind=rt",
+    "input.flood.priority=10",
+    "input.pad.kind=ros2-rclpy",
+    "input.pad.trust_network=true",
+    "input.pad.priority=500",
+    "input.pad.lease_s=5.0",
+)
+
+
+@contextlib.contextmanager
+def flood(stage):
+    program = [sys.executable, str(Path(__file__).with_name("flooder.py")), str(stage.socket)]
+    with subprocess.Popen(program, stdout=subprocess.PIPE) as flooder:
+        assert flooder.stdout.readline().strip() == b"flooding"
+        try:
+            yield
+        finally:
+            flooder.kill()
+
+
+async def rest(stage):
+    """The pad says: rest, again and again, and at last gives the command back. Who commanded
+    meanwhile, and what was logged of the others."""
+    source, seen = Source(stage.socket, "pad"), []
+    async with asyncio.TaskGroup() as tasks:
+        holding = tasks.create_task(source.run())
+        async with asyncio.timeout(30):
+            while not source.ready:
+                await asyncio.sleep(0.01)
+            for _ in range(COMMANDS):
+                assert source.drive(0.0, 0.0)
+                await asyncio.sleep(EVERY_S)
+                seen.append(await asyncio.to_thread(leases, stage))
+            assert source.release()
+            while (await asyncio.to_thread(leases, stage))[:1] != ["flood"]:
+                await asyncio.sleep(0.01)
+        holding.cancel()
+    assert (source.sent, source.lost) == (COMMANDS + 1, 0)
+    return {owners[0] for owners in seen}
+
+
+def leases(stage):
+    """Their owners, who commands first."""
+    found = stage.robot.status()["leases"]
+    for lease in found[1:]:
+        assert lease["why"] == f"waits: {found[0]['owner']} has a higher priority"
+    return [lease["owner"] for lease in found]
+
+
+def commander(stage):
+    return next(iter(leases(stage)), None)
+
+
+def test_a_flood_keeps_no_command_of_a_higher_priority_from_being_obeyed(tmp_path):
+    with running(tmp_path, *SETTINGS) as stage:
+        stage.wait_for("idle")
+        stage.robot.arm()
+        with flood(stage):
+            wait_until(lambda: commander(stage) == "flood", "the flood commands")
+            assert asyncio.run(rest(stage)) == {"pad"}
+            first = stage.robot.status()["leases"][0]
+            assert first["why"].startswith("in command")
+            assert first["rate_hz"] > 100.0
+
+
+def refused(stage):
+    return stage.robot.status()["commands"]["refused"]["rate"]
+
+
+def test_a_source_commands_no_more_often_than_the_robot_file_allows(tmp_path):
+    with running(tmp_path, *SETTINGS, "input.flood.rate_max_hz=50") as stage:
+        stage.wait_for("idle")
+        with flood(stage):
+            wait_until(lambda: commander(stage) == "flood", "the flood commands")
+            wait_until(lambda: refused(stage) > 1000, "what is too often is refused")
+            # once the few that may come early have come
+            wait_until(
+                lambda: 0.0 < stage.robot.status()["leases"][0]["rate_hz"] < 60.0, "its rate"
+            )

@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the daemon says of pins of safety that are not there."""
+
+import subprocess
+import sys
+
+from tests.sim.daemon_stage import ROBOT, ROOT
+
+DEADLINE_S = 60.0
+
+
+def test_a_robot_whose_emergency_stop_has_no_pin_is_not_started(tmp_path):
+    settings = ("safety.estop.gpio_chip=no-such-chip", "safety.estop.gpio_line=E")
+    ended = subprocess.run(
+        [sys.executable, "-m", "motord", "run", str(ROBOT), "--socket", str(tmp_path / "sock"),
+         *(part for setting in settings for part in ("--set", setting))],
+        capture_output=True, text=True, timeout=DEADLINE_S, cwd=ROOT,
+    )  # fmt: skip
+    assert ended.returncode == 3
+    assert 'no GPIO chip "no-such-chip"' in ended.stderr
+    assert not (tmp_path / "sock").exists()

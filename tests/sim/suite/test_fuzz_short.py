@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fuzz targets in Python, each for a moment. The long run is `make fuzz`."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FUZZ = Path(__file__).resolve().parents[2] / "fuzz/fuzz.py"
+SEED = 3
+
+
+def fuzz(target, runs, seed=SEED):
+    return subprocess.run(
+        [sys.executable, str(FUZZ), "--runs", str(runs), "--seed", str(seed), target],
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("target", "runs"), [("guard", 300), ("socket", 150), ("robot-file", 60)])
+def test_hostile_inputs_end_in_errors_that_are_handled(target, runs):
+    run = fuzz(target, runs)
+    assert run.returncode == 0, run.stderr
+    assert f"seed {SEED}" in run.stderr
+    assert "no problem" in run.stderr
+
+
+def test_a_drive_that_answers_late_and_torn_is_sent_all_of_its_power_off():
+    """The third life of this seed had only time for the half of it."""
+    run = fuzz("guard", 150, seed=2142689052)
+    assert run.returncode == 0, run.stderr
+
+
+def test_a_target_that_there_is_not_is_named():
+    run = fuzz("nothing", 1)
+    assert run.returncode == 2
+    assert "robot-file, socket, guard" in run.stderr

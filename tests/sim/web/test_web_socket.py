@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The dashboard's socket, as a program without a browser sees it."""
+
+import json
+import signal
+import struct
+import subprocess
+import sys
+import urllib.request
+
+import aiohttp
+import pytest
+from tests.sim.daemon_stage import DEADLINE_S, ROOT, becomes_idle
+from tests.sim.web.web_page import ACKNOWLEDGE, free_port, listens, pages, with_dashboard
+
+
+@pytest.fixture(scope="module")
+def port():
+    return free_port()
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory, port):
+    with with_dashboard(tmp_path_factory.mktemp("web"), port) as stage:
+        becomes_idle(stage)
+        yield stage
+
+
+@pytest.fixture
+async def connect(stage, port):
+    async with pages(port) as connected:
+        yield connected
+
+
+def frame(one):
+    """A frame's number."""
+    return one if isinstance(one, int) else None
+
+
+async def test_a_page_that_acknowledges_nothing_is_sent_the_newest_state_when_it_does(connect):
+    page = await connect(acknowledges=False)
+    await page.connection.send_json({"rate_hz": 50})
+    newest = 0
+
+    def dropped(one):
+        nonlocal newest
+        newest = one if isinstance(one, int) else newest
+        return isinstance(one, dict) and one.get("dropped", 0) > 20
+
+    await page.until(dropped)
+    await page.connection.send_bytes(struct.pack("<BI", ACKNOWLEDGE, newest))
+    assert await page.until(frame) > newest + 20
+
+
+async def test_a_wrong_token_is_refused_with_a_reason_and_another_site_without(connect):
+    page = await connect(token="wrong-token-0123456789")
+    assert await page.connection.receive_json() == {"refused": "the token is wrong"}
+    await page.connection.receive()
+    assert page.connection.close_code == 4401
+    with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+        await connect(Origin="https://evil.example")
+    assert refused.value.status == 403
+
+
+CALLS = (
+    *("arm", "estop", "params.set", "params.get", "params.save", "params.diff", "reset"),
+    *("record.start", "record.stop", "replay", "replay.cancel"),
+    *("file.read", "file.check", "file.diff", "file.save"),
+    *("commission.start", "commission.answer", "commission.stop", "commission.take"),
+)
+
+
+@pytest.mark.parametrize("call", CALLS)
+async def test_a_page_without_the_token_can_only_look(stage, connect, call):
+    page = await connect(token=None)
+    assert "token" in (await page.answer(call))["error"]
+    assert "result" in await page.answer("status")
+    assert stage.state() not in ("armed", "moving", "estop")
+
+
+@pytest.mark.parametrize("call", ["drive", "lease", "release", "", 7, None, ["arm"]])
+async def test_a_page_calls_nothing_but_what_is_listed(connect, call):
+    assert "error" in await (await connect()).answer(call)
+
+
+@pytest.mark.parametrize(
+    "junk", [b"", b"\x01", b"\x03\x01", b"\xff" * 45, "[]", "{", '{"rate_hz": "x"}', "{}"]
+)
+async def test_what_is_no_message_of_a_page_ends_nothing(connect, junk):
+    page = await connect()
+    send = page.connection.send_bytes if isinstance(junk, bytes) else page.connection.send_str
+    await send(junk)
+    assert (await page.answer("status"))["result"]["state"] not in ("armed", "moving")
+
+
+async def test_a_page_that_shows_an_old_state_does_not_drive_and_is_given_the_reason(connect):
+    page = await connect()
+    await page.drive(1, 0.3, seen_s=0.0)
+    why = await page.until(lambda one: isinstance(one, dict) and one.get("not_driven"))
+    assert "too slow" in why
+
+
+def test_the_demonstration_prints_the_address_of_its_dashboard_and_ends_with_its_signal():
+    port = free_port()
+    demo = subprocess.Popen(
+        [sys.executable, "-m", "motord", "demo", "--web", "--port", str(port), "--json"],
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=ROOT,
+    )  # fmt: skip
+    try:
+        address = json.loads(demo.stdout.readline())["address"]
+        assert address == f"http://127.0.0.1:{port}"
+        with urllib.request.urlopen(f"{address}/", timeout=DEADLINE_S) as page:
+            assert b"<title>motord</title>" in page.read()
+            assert "default-src 'none'" in page.headers["Content-Security-Policy"]
+        demo.send_signal(signal.SIGTERM)
+        assert demo.wait(DEADLINE_S) == 0
+        assert not listens(port)
+    finally:
+        demo.kill()
+        demo.wait()
+        demo.stdout.close()

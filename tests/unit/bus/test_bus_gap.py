@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A process that stood still: what comes right after that may be old."""
+
+import asyncio
+import contextlib
+import time
+from pathlib import Path
+
+import pytest
+
+from motord.api.motion import Goal
+from motord.bus.commands import gap as gap_module
+from motord.bus.commands.gap import Gap
+from motord.bus.commands.gate import ANY_TIME, METHODS, CommandGate, NotTaken
+from motord.bus.commands.mover import Mover, NotNow
+from motord.bus.parameters import Tunable
+from motord.bus.runtime import Runtime
+from motord.client import ClientError
+from motord.config import Ros2Input, load_robot
+
+DEMO = Path(__file__).resolve().parents[3] / "config/robots/demo.toml"
+LONGEST_S = 0.5
+DEADLINE_S = 30.0
+TWIST = {"linear": {"x": 0.2}, "angular": {"z": 0.0}}
+WHEELS = {"name": ["left"], "velocity": [1.0]}
+
+
+@contextlib.asynccontextmanager
+async def watched(gap):
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(gap.watch())
+        await asyncio.sleep(0)
+        yield
+        task.cancel()
+
+
+def stand_still():
+    time.sleep(1.5 * LONGEST_S)
+
+
+async def over(gap):
+    async with asyncio.timeout(DEADLINE_S):
+        while gap.just_over():
+            await asyncio.sleep(0.01)
+
+
+async def test_what_is_requested_first_after_it_is_sent():
+    gap = Gap(LONGEST_S)
+    async with watched(gap):
+        assert not gap.just_over()
+        stand_still()
+        assert gap.just_over()
+
+
+async def test_it_is_known_also_when_the_watch_looks_first(monkeypatch):
+    gap = Gap(LONGEST_S)
+    async with watched(gap):
+        stand_still()
+        await asyncio.sleep(0)
+        assert gap.just_over()
+        monkeypatch.setattr(gap_module, "DRAINED_AFTER_S", 0.0)
+        await over(gap)
+        assert not gap.just_over()
+
+
+@pytest.mark.parametrize(("message", "method"), [(TWIST, "drive"), (WHEELS, "drive_joints")])
+async def test_a_command_without_a_time_that_may_have_waited_is_refused(
+    message, method, monkeypatch
+):
+    section = Ros2Input(kind="ros2", stamped=False, lease_s=LONGEST_S)
+    runtime = Runtime(load_robot(DEMO), Path("no.sock"))
+    gate = CommandGate("net", section, runtime)
+    async with watched(gate._gap):
+        with pytest.raises(NotTaken, match="there is no lease"):  # it would be passed on
+            getattr(gate, method)(message)
+        stand_still()
+        with pytest.raises(NotTaken, match="stood still"):
+            getattr(gate, method)(message)
+        monkeypatch.setattr(gap_module, "DRAINED_AFTER_S", 0.0)
+        await over(gate._gap)
+        with pytest.raises(NotTaken, match="there is no lease"):
+            getattr(gate, method)(message)
+
+
+async def test_one_that_reports_its_time_is_judged_by_that():
+    section = Ros2Input(kind="ros2", lease_s=LONGEST_S)
+    gate = CommandGate("net", section, Runtime(load_robot(DEMO), Path("no.sock")))
+    async with watched(gate._gap):
+        stand_still()
+        sec, rest = divmod(time.time(), 1.0)
+        stamp = {"sec": int(sec), "nanosec": int(rest * 1e9)}
+        with pytest.raises(NotTaken, match="there is no lease"):
+            gate.drive({"header": {"stamp": stamp}, "twist": TWIST})
+
+
+@pytest.fixture
+def gate():
+    """Stamped: calls have no stamp all the same."""
+    runtime = Runtime(load_robot(DEMO), Path("no.sock"))
+    return CommandGate("net", Ros2Input(kind="ros2", lease_s=0.1), runtime)
+
+
+@pytest.mark.parametrize("method", sorted({*METHODS, *ANY_TIME}))
+async def test_what_waited_is_obeyed_only_where_it_looks_or_ends_at_rest(gate, method):
+    obeyed = method in ("stop", "estop", "disarm", "status", "params.list")
+    async with watched(gate.gap):
+        stand_still()
+        with pytest.raises((NotTaken, ClientError)) as sent:
+            await gate.ask(method)
+    assert ("No such file" in str(sent.value)) == obeyed
+    assert ("stood still" in str(sent.value)) != obeyed
+    assert gate.source.refused == (not obeyed)
+
+
+async def test_an_arm_is_obeyed_again_when_what_waited_is_through(gate, monkeypatch):
+    async with watched(gate.gap):
+        stand_still()
+        with pytest.raises(NotTaken, match="stood still"):
+            await gate.act("arm")
+        monkeypatch.setattr(gap_module, "DRAINED_AFTER_S", 0.0)
+        await over(gate.gap)
+        with pytest.raises(NotTaken, match="No such file"):
+            await gate.act("arm")
+
+
+async def test_a_change_of_limits_that_may_have_waited_is_refused(gate):
+    tunable = Tunable(load_robot(DEMO), gate.ask)
+    async with watched(gate.gap):
+        stand_still()
+        with pytest.raises(NotTaken, match="stood still"):
+            await tunable.change({"limits.linear_m_s": 1.0})
+
+
+async def test_a_goal_that_may_have_waited_is_refused(gate):
+    runtime = Runtime(load_robot(DEMO), Path("no.sock"))
+    mover = Mover(runtime, gate.source, gate.gap, lease_s=0.1)
+    async with watched(gate.gap):
+        with pytest.raises(NotNow, match="No such file"):  # it would be planned
+            await mover.plan(Goal(axis="linear", distance_u=1.0))
+        stand_still()
+        with pytest.raises(NotNow, match="stood still"):
+            await mover.plan(Goal(axis="linear", distance_u=1.0))

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The second process as the daemon receives it, whatever it writes: a real child, in error or
+on purpose a bad one."""
+
+import asyncio
+import contextlib
+import sys
+from pathlib import Path
+
+import pytest
+
+from motord.config import load_robot
+from motord.daemon import bus_supervisor
+from motord.daemon.bus_supervisor import BEAT_BYTES_MAX, BusSupervisor
+
+DEMO = Path(__file__).resolve().parents[3] / "config/robots/demo.toml"
+DEADLINE_S = 30.0
+BEAT = b'{"inputs":{"pad":1}}\n'
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch):
+    """A child that floods does not read that it is to end."""
+    monkeypatch.setattr(bus_supervisor, "END_WITHIN_S", 0.1)
+
+
+@contextlib.asynccontextmanager
+async def child(code):
+    """What that program writes is read until the end of the block."""
+    supervisor = BusSupervisor(load_robot(DEMO), Path("no.sock"))
+    supervisor._command = [sys.executable, "-c", f"import os\n{code}"]
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(supervisor.run())
+        yield supervisor
+        task.cancel()
+
+
+async def until(condition):
+    async with asyncio.timeout(DEADLINE_S):
+        while not condition():
+            await asyncio.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        b"5",
+        b"null",
+        b"[]",
+        b'"x"',
+        b"{",
+        b"\xff{}",
+        b"[" * 5000,
+        b'{"a":NaN}',
+        b'{"a":-1e999}',
+        b"",
+    ],
+)
+async def test_what_are_no_figures_is_passed_over(written, caplog):
+    lines = written + b"\n" + BEAT
+    async with child(f"os.write(1, {lines!r}); os.read(0, 1)") as supervisor:
+        await until(lambda: "inputs" in supervisor.report())
+        assert supervisor.report()["inputs"] == {"pad": 1}
+    async with child(f"os.write(1, {written!r} + b'\\n'); os.read(0, 1)") as supervisor:
+        await until(lambda: "no figures" in caplog.text)
+        assert set(supervisor.report()) == {"pid", "restarts"}
+
+
+async def test_its_word_on_itself_is_the_daemons():
+    written = b'{"pid":1,"restarts":-5}\n' + BEAT.replace(b"{", b'{"pid":1,"restarts":-5,', 1)
+    async with child(f"os.write(1, {written!r}); os.read(0, 1)") as supervisor:
+        await until(lambda: "inputs" in supervisor.report())
+        report = supervisor.report()
+        assert report["restarts"] == 0
+        assert report["pid"] > 1
+
+
+@pytest.mark.parametrize("line", [b"\n", b"{\n", b"[warning] no route\n"])
+async def test_a_flood_is_reported_once_and_the_daemon_does_all_else_meanwhile(line, caplog):
+    flood = f"flood = {line!r} * 3000\nwhile True: os.write(1, flood)"
+    async with child(flood) as supervisor:
+        await until(lambda: "no figures" in caplog.text)
+        for _ in range(100):
+            assert supervisor.report()["pid"] is not None
+            await asyncio.sleep(0.002)
+    assert caplog.text.count("no figures") == 1
+
+
+async def test_a_beat_of_many_figures_is_received_whole():
+    written = f"b'{{\"inputs\":\"' + b'x' * {BEAT_BYTES_MAX // 2} + b'\"}}\\n'"
+    async with child(f"os.write(1, {written}); os.read(0, 1)") as supervisor:
+        await until(lambda: "inputs" in supervisor.report())
+        assert len(supervisor.report()["inputs"]) == BEAT_BYTES_MAX // 2
+
+
+@pytest.mark.parametrize("line", [b"noise\n", b"x"])
+async def test_a_child_that_sends_much_and_no_figures_is_ended_as_one_that_hangs(
+    line, caplog, monkeypatch
+):
+    monkeypatch.setattr(bus_supervisor, "START_WITHIN_S", 1.0)
+    async with child(f"while True: os.write(1, {line!r} * 3000)") as supervisor:
+        await until(lambda: supervisor.report()["restarts"] >= 1)
+    assert "was silent" in caplog.text
+
+
+async def test_a_start_may_take_longer_than_a_silence_later(caplog, monkeypatch):
+    monkeypatch.setattr(bus_supervisor, "SILENT_S", 0.2)
+    late = f"import time; time.sleep(1.0); os.write(1, {BEAT!r}); os.read(0, 1)"
+    async with child(late) as supervisor:
+        await until(lambda: supervisor.report()["restarts"] >= 1)
+    assert "was silent for 0.2 s" in caplog.text
+
+
+async def test_it_runs_the_robot_that_the_daemon_has_checked_whatever_became_of_the_file(tmp_path):
+    path = tmp_path / "robot.toml"
+    path.write_text(DEMO.read_text("utf-8"), "utf-8")
+    supervisor = BusSupervisor(load_robot(path), tmp_path / "no.sock")
+    path.write_text("[half an edi", "utf-8")
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(supervisor.run())
+        await until(lambda: supervisor.report().keys() > {"pid", "restarts"})
+        assert supervisor.report()["restarts"] == 0
+        task.cancel()

@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Publishers: what arrives, at which rate, and that a bad reader costs samples and nothing else."""
+
+import asyncio
+import contextlib
+import dataclasses
+import json
+import math
+import os
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motord.api.snapshot import JointSnapshot, Snapshot
+from motord.bus.publish import KINDS, open_publisher
+from motord.bus.publish.samples import Samples, encode
+from motord.bus.publish.stdout import StdoutPublisher
+from motord.bus.publish.udp import UdpPublisher
+from motord.config import StdoutPublish, UdpPublish
+
+DEADLINE_S = 20.0
+STDOUT = StdoutPublish(kind="stdout")
+MS = 1_000_000
+
+
+def joint(**changes):
+    plain = {field.name: 0.0 for field in dataclasses.fields(JointSnapshot)}
+    return JointSnapshot(**plain | {"enabled": None, "drive_faults": 0, "jumps": 0} | changes)
+
+
+def snapshot(at_ms=0, **changes):
+    plain = {field.name: 0.0 for field in dataclasses.fields(Snapshot)} | {"imu": None}
+    words = {"reasons": ("command_stale",), "faults": (), "joints": (joint(), joint())}
+    rest = {"stamp_ns": at_ms * MS, "tick": at_ms, "pose_covariance": (0.0,) * 6,
+            "twist_covariance": (0.0,) * 3, "lateral_covariance": (0.0,) * 3,
+            "version": 1}  # fmt: skip
+    return Snapshot(**plain | words | rest | changes)
+
+
+async def taken(samples, count):
+    found = []
+    async with asyncio.timeout(DEADLINE_S):
+        async for sample in samples:
+            found.append(json.loads(sample))
+            if len(found) == count:
+                break
+    return found
+
+
+async def test_the_newest_wins_and_the_lost_are_counted():
+    samples = Samples("r2", 1000.0)
+    for at_ms in (1, 2, 3):
+        samples.offer(snapshot(at_ms))
+    (sample,) = await taken(samples, 1)
+    assert (sample["tick"], samples.dropped, samples.taken) == (3, 2, 1)
+
+
+@given(
+    rate_hz=st.floats(0.01, 1000),
+    gaps_ms=st.lists(st.integers(0, 300), min_size=1, max_size=60),
+)
+def test_no_publisher_is_fed_faster_than_its_rate(rate_hz, gaps_ms):
+    samples = Samples("r2", rate_hz)
+    at_ms, kept = 1, 0
+    for gap_ms in gaps_ms:
+        samples.offer(snapshot(at_ms))
+        at_ms += gap_ms
+        kept = samples.dropped + (samples._newest is not None)
+    assert kept >= 1
+    assert kept <= 2 + sum(gaps_ms) / 1000 * rate_hz
+
+
+def test_a_sample_is_the_snapshot_with_its_robot_and_its_wall_time():
+    raw = encode("r2", snapshot(40, x_m=1.5), wall_ns=5_000_000_000, now_ns=140 * MS)
+    sample = json.loads(raw)
+    assert sample["wall_time_s"] == pytest.approx(4.9)
+    assert (sample["robot"], sample["x_m"], sample["reasons"]) == ("r2", 1.5, ["command_stale"])
+    assert b"\n" not in raw
+
+
+@given(value=st.floats())
+def test_a_sample_is_json_whatever_was_measured(value):
+    measured = snapshot(x_m=value, joints=(joint(velocity_rad_s=value),))
+    sample = json.loads(encode("r2", measured, 0, 0), parse_constant=pytest.fail)
+    expected = value if math.isfinite(value) else None
+    assert sample["x_m"] == expected
+    assert sample["joints"][0]["velocity_rad_s"] == expected
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_the_table_can_be_opened(kind):
+    section = {"stdout": STDOUT, "udp": UdpPublish(kind="udp")}[kind]
+    assert type(open_publisher("mine", kind, section)).__name__.lower().startswith(kind)
+
+
+def test_a_kind_that_nothing_offers_is_named_with_those_there_are():
+    with pytest.raises(LookupError, match=r'publish.mine: .*"smoke".*stdout'):
+        open_publisher("mine", "smoke", STDOUT)
+
+
+def test_another_package_may_offer_a_kind(tmp_path, monkeypatch):
+    (tmp_path / "smoke_signals.py").write_text(
+        "class Smoke:\n    def __init__(self, name, section): self.name = name\n", encoding="ascii"
+    )
+    info = tmp_path / "smoke_signals-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Name: smoke-signals\nVersion: 1.0\n", encoding="ascii")
+    (info / "entry_points.txt").write_text(
+        "[motord.publishers]\nsmoke = smoke_signals:Smoke\n", encoding="ascii"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert open_publisher("mine", "smoke", STDOUT).name == "mine"
+
+
+async def feeding(samples, publisher, until):
+    """Offer samples as the daemon does until the condition holds; returns the slowest turn."""
+    slowest_s, at_ms = 0.0, 1
+    async with asyncio.timeout(DEADLINE_S), asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(publisher.run(samples))
+        while not until():
+            before_s = time.monotonic()
+            samples.offer(snapshot(at_ms))
+            at_ms += 1
+            await asyncio.sleep(0.0005)
+            slowest_s = max(slowest_s, time.monotonic() - before_s)
+        running.cancel()
+    return slowest_s
+
+
+async def test_udp_sends_one_datagram_a_sample():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(DEADLINE_S)
+        publisher = UdpPublisher("mine", UdpPublish(kind="udp", port=listener.getsockname()[1]))
+        await feeding(Samples("r2", 1000.0), publisher, lambda: publisher.sent >= 3)
+        ticks = [json.loads(listener.recv(65536))["tick"] for _ in range(3)]
+        assert ticks == sorted(set(ticks))
+
+
+async def test_udp_without_a_listener_goes_on():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as closed:
+        closed.bind(("127.0.0.1", 0))
+        port = closed.getsockname()[1]
+    publisher = UdpPublisher("mine", UdpPublish(kind="udp", port=port))
+    await feeding(Samples("r2", 1000.0), publisher, lambda: publisher.sent >= 5)
+
+
+async def test_udp_reports_once_that_a_sample_cannot_be_sent(caplog):
+    publisher = UdpPublisher("mine", UdpPublish(kind="udp", host="255.255.255.255"))
+    await feeding(Samples("r2", 1000.0), publisher, lambda: publisher.dropped >= 5)
+    assert len([row for row in caplog.records if row.levelname == "WARNING"]) == 1
+
+
+async def test_udp_to_what_is_no_name_at_all_is_reported_and_goes_on(caplog):
+    section = UdpPublish.model_construct(kind="udp", host="broker..example", port=9870, rate_hz=1.0)
+    publisher = UdpPublisher("mine", section)
+    await feeding(Samples("r2", 1000.0), publisher, lambda: bool(caplog.records))
+    assert "broker..example has no address" in caplog.text
+
+
+@pytest.fixture
+def pipe():
+    """A publisher whose standard output is a pipe, and the pipe's reading end."""
+    reader, writer = os.pipe()
+    with os.fdopen(reader, "rb") as reading, os.fdopen(writer, "wb") as writing:
+        with contextlib.redirect_stdout(writing):
+            publisher = StdoutPublisher("mine", STDOUT)
+        yield publisher, reading
+
+
+async def test_stdout_is_a_line_a_sample(pipe):
+    publisher, reading = pipe
+    samples = Samples("r2", 1000.0)
+    await feeding(samples, publisher, lambda: samples.taken >= 20)
+    ticks = [json.loads(reading.readline())["tick"] for _ in range(3)]
+    assert ticks == sorted(set(ticks))
+
+
+async def test_a_reader_that_stops_reading_costs_samples_and_nothing_waits(pipe):
+    publisher, reading = pipe
+    samples = Samples("r2", 1000.0)
+    slowest_s = await feeding(samples, publisher, lambda: publisher.dropped >= 50)
+    assert slowest_s < DEADLINE_S / 2
+    assert samples.taken > publisher.dropped
+    os.set_blocking(reading.fileno(), False)
+    while publisher._lines.qsize():  # let the thread go before the pipe is closed
+        with contextlib.suppress(BlockingIOError):
+            os.read(reading.fileno(), 65536)
+
+
+async def test_a_reader_that_goes_away_ends_the_publisher_and_is_reported(pipe, caplog):
+    publisher, reading = pipe
+    reading.close()
+    await feeding(Samples("r2", 1000.0), publisher, lambda: bool(caplog.records))
+    assert "closed" in caplog.text
+
+
+async def test_without_standard_output_nothing_is_written_anywhere(caplog):
+    with contextlib.redirect_stdout(None):
+        publisher = StdoutPublisher("mine", STDOUT)
+    async with asyncio.timeout(DEADLINE_S):
+        await publisher.run(Samples("r2", 1.0))
+    assert "no standard output" in caplog.text
+
+
+STUCK = """
+import asyncio, sys
+sys.path[:0] = sys.argv[1:]
+from tests.unit.protocols.test_publish import STDOUT, StdoutPublisher, Samples, feeding
+publisher = StdoutPublisher("mine", STDOUT)
+asyncio.run(feeding(Samples("r2", 1000.0), publisher, lambda: publisher.dropped > 5))
+"""
+
+
+def test_a_process_whose_reader_is_stuck_can_end():
+    path = [entry for entry in sys.path if entry]
+    with subprocess.Popen([sys.executable, "-c", STUCK, *path], stdout=subprocess.PIPE) as process:
+        try:
+            assert process.wait(60) == 0
+        finally:
+            process.kill()

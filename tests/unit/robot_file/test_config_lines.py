@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lines of a robot file: kinds, engines, transceivers, and what the hardware layer gets."""
+
+from pathlib import Path
+
+import pytest
+
+from motord.config import ConfigError, load_robot
+from motord.config.wiring import line_specs
+from motord_hal.drives.profile import Gap
+from motord_hal.fieldbus.ports import DirectionKind, DirectionSpec, Echo
+
+ROBOTS = Path(__file__).resolve().parents[3] / "config/robots"
+DEMO = (ROBOTS / "demo.toml").read_text("utf-8")
+SERVOS = (ROBOTS / "two-bus-servos.toml").read_text("utf-8")
+SERIAL = 'kind = "modbus-rtu"\nport = "/dev/ttyUSB0"\nbaudrate = 115200\nengine = "auto"\n'
+GPIO = 'direction = "gpio"\ndirection_gpio_chip = "pinctrl"\ndirection_gpio_line = "RS485_DE"\n'
+
+
+@pytest.fixture
+def load(tmp_path):
+    def read(line=SERIAL, more="", loop="priority = 80", tail=""):
+        assert SERIAL in DEMO
+        text = DEMO.replace("priority = 80", loop, 1).replace(SERIAL, line + more, 1) + tail
+        path = tmp_path / "robot.toml"
+        path.write_text(text, encoding="utf-8")
+        return load_robot(path)
+
+    return read
+
+
+def spec_of(robot):
+    profiles = robot.profiles
+    return line_specs(robot, profiles)[0]
+
+
+def problems(load, **edits):
+    with pytest.raises(ConfigError) as caught:
+        load(**edits)
+    return [f"{row.key}: {row.text}" for row in caught.value.problems]
+
+
+def test_a_serial_line_that_reports_nothing_gets_careful_defaults(load):
+    spec = spec_of(load())
+    assert (spec.kind, spec.port, spec.engine) == ("modbus-rtu", "/dev/ttyUSB0", "auto")
+    assert (spec.gap, spec.gap_s, spec.echo) == (None, None, Echo.AUTO)
+    assert spec.direction == DirectionSpec()
+    assert (spec.priority, spec.cpu) == (70, ())
+
+
+def test_what_a_serial_line_reports_reaches_the_hardware_layer(load):
+    more = 'gap = "3.5char"\necho = "yes"\npriority = 60\ncpu = [2, 3]\n'
+    delays = "direction_before_s = 1e-5\ndirection_after_s = 2e-5\ndirection_active_high = false\n"
+    spec = spec_of(load(more=more + GPIO + delays))
+    assert (spec.gap, spec.echo, spec.priority, spec.cpu) == (
+        Gap.CHARACTERS,
+        Echo.YES,
+        60,
+        (2, 3),
+    )
+    assert spec.direction == DirectionSpec(
+        kind=DirectionKind.GPIO,
+        active_high=False,
+        before_s=1e-5,
+        after_s=2e-5,
+        gpio_chip="pinctrl",
+        gpio_line="RS485_DE",
+    )
+
+
+@pytest.mark.parametrize("kind", ["modbus-tcp", "rtu-over-tcp"])
+def test_a_gateway_is_a_host_and_a_port(load, kind):
+    spec = spec_of(load(line=f'kind = "{kind}"\nhost = "gateway.local"\ntcp_port = 4001\n'))
+    assert (spec.kind, spec.port) == (kind, "gateway.local:4001")
+
+
+def test_the_line_stays_below_a_loop_of_low_priority(load):
+    assert spec_of(load(loop="priority = 50")).priority == 49
+    assert spec_of(load(loop="priority = 0")).priority == 0
+
+
+def test_a_joint_can_have_a_rate_of_its_own(load):
+    robot = load()
+    assert all(joint.cycle_hz is None for joint in spec_of(robot).joints)
+    left = robot.joint["left"].model_copy(update={"cycle_hz": 20.0})
+    robot = robot.model_copy(update={"joint": {**robot.joint, "left": left}})
+    assert [joint.cycle_hz for joint in spec_of(robot).joints] == [20.0, None]
+
+
+TCP = 'kind = "modbus-tcp"\nhost = "10.0.0.7"\n'
+
+
+@pytest.mark.parametrize(
+    ("edits", "row"),
+    [
+        (
+            {"line": TCP + 'engine = "rt"\n'},
+            'line.rs485.engine: "rt" needs a serial port: kind "modbus-tcp" runs on "asyncio"',
+        ),
+        (
+            {"more": 'gap = "spec"\ngap_s = 0.001\n'},
+            "line.rs485.gap_s: the silence is given twice: by gap and by gap_s",
+        ),
+        (
+            {"more": GPIO.replace('direction_gpio_chip = "pinctrl"\n', "")},
+            'line.rs485.direction_gpio_chip: is missing: direction = "gpio" needs it',
+        ),
+        (
+            {"more": 'direction_gpio_line = "17"\n'},
+            'line.rs485.direction_gpio_line: is only for direction = "gpio"',
+        ),
+        (
+            {"more": "direction_before_s = 1e-4\n"},
+            'line.rs485.direction_before_s: is only for direction = "kernel" and "gpio"',
+        ),
+        (
+            {"line": SERIAL.replace('"auto"', '"asyncio"'), "more": GPIO},
+            (
+                'line.rs485.direction: "gpio" needs engine "rt": the line is switched by its '
+                "real-time thread"
+            ),
+        ),
+        (
+            {"more": "priority = 80\n"},
+            "line.rs485.priority: 80 is not below the loop's (80)",
+        ),
+        (
+            {"line": TCP + "tcp_port = 0\n"},
+            "line.rs485.tcp_port: 0 is out of range (1 to 65535)",
+        ),
+        (
+            {"line": TCP + "tcp_port = 502\necho = false\n"},
+            (
+                "line.rs485.echo: unknown key (known: baudrate, parity, stop_bits, engine, "
+                "cycle_hz, host, tcp_port, kind)"
+            ),
+        ),
+    ],
+)
+def test_a_line_that_cannot_be_is_refused(load, edits, row):
+    assert problems(load, **edits) == [row]
+
+
+def test_drives_are_on_a_line_of_their_protocol(load):
+    line = SERIAL.replace("modbus-rtu", "ddsm").replace('"auto"', '"asyncio"')
+    rows = problems(load, line=line)
+    text = 'kind "ddsm" runs on "rt": remove "engine", or write "auto"'
+    assert f"line.rs485.engine: {text}" in rows
+    assert 'joint.left.drive: drive "zlac8015d" speaks modbus-rtu, its line ddsm' in rows
+
+
+def test_datagrams_are_an_input(load):
+    fast = load(tail='[input.fast]\nkind = "rt"\nudp_port = 9900\n').input["fast"]
+    assert (fast.kind, fast.priority, fast.lease_s, fast.udp_port) == ("rt", 100, 0.3, 9900)
+    (row,) = problems(load, tail='[input.fast]\nkind = "rt"\nudp_port = 80\n')
+    assert row == "input.fast.udp_port: 80 is out of range (1024 to 65535)"
+
+
+def test_a_line_is_sent_below_which_speed_a_wheel_rests(tmp_path):
+    path = tmp_path / "robot.toml"
+    text = DEMO.replace("[safety]", "[safety]\nrest_velocity_rad_s = 0.125", 1)
+    path.write_text(text, encoding="utf-8")
+    assert spec_of(load_robot(path)).rest_velocity_rad_s == 0.125
+
+
+@pytest.fixture
+def servos(tmp_path):
+    def read(old, new):
+        assert old in SERVOS
+        path = tmp_path / "servos.toml"
+        path.write_text(SERVOS.replace(old, new), encoding="utf-8")
+        return load_robot(path)
+
+    return read
+
+
+def test_a_unit_that_speaks_to_all_servos_is_no_servo_s(servos):
+    with pytest.raises(ConfigError) as caught:
+        servos("unit = 9", "unit = 254")
+    rows = [f"{row.key}: {row.text}" for row in caught.value.problems]
+    assert any(row.startswith("joint.right.unit: 254 is no servo's: 0 to 252") for row in rows)
+
+
+def test_a_bus_takes_a_baud_rate_that_no_table_has(servos):
+    assert spec_of(servos("baudrate = 1000000", "baudrate = 4500000")).baudrate == 4_500_000

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tests/conftest.py does for tests that run side by side."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def shared():
+    """As a daemon or a browser that a whole file uses."""
+
+
+def test_tests_that_share_a_fixture_of_their_file_stay_in_one_process(shared, request):
+    if not request.config.getoption("loadgroup", default=False):
+        pytest.skip("only one process, or another --dist than loadgroup")
+    assert request.node.nodeid.endswith("@tests/unit/suite/test_groups.py")
+
+
+def test_what_failed_in_a_group_is_all_that_runs_again_without_groups(tmp_path):
+    (tmp_path / "conftest.py").write_text("from tests.conftest import *\n")
+    (tmp_path / "test_two.py").write_text(
+        "import pytest\n\n"
+        "@pytest.fixture(scope='module')\ndef shared():\n    pass\n\n"
+        "def test_fails(shared):\n    assert 0\n\n"
+        "def test_passes(shared):\n    pass\n"
+    )
+
+    def ran(*options):
+        command = [sys.executable, "-m", "pytest", "-v", f"--rootdir={tmp_path}", *options]
+        where = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+        where.pop("PYTEST_XDIST_WORKER", None)
+        return subprocess.run(
+            command, cwd=tmp_path, env=where, capture_output=True, text=True, timeout=300
+        ).stdout
+
+    assert "1 failed, 1 passed" in ran("-n", "1", "--dist", "loadgroup")
+    again = ran("-n", "0", "--last-failed")
+    assert "1 failed" in again
+    assert "passed" not in again

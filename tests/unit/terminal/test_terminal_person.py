@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A person at a terminal who presses Ctrl-C at an awkward moment."""
+
+import os
+import pty
+import signal
+import sys
+import termios
+
+import pytest
+
+from motord.cli.commission.terminal import Terminal
+from motord.commission.person import Aborted
+
+
+@pytest.fixture
+def keyboard(monkeypatch):
+    """Keys typed here are read from sys.stdin."""
+    master, slave = pty.openpty()
+    with open(slave, encoding="utf-8") as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        yield master
+    os.close(master)
+
+
+def test_ctrl_c_between_a_motion_and_the_next_question_ends_the_question(keyboard, monkeypatch):
+    set_modes = termios.tcsetattr
+
+    def interrupted(*modes):
+        signal.raise_signal(signal.SIGINT)
+        set_modes(*modes)
+        os.write(keyboard, b"y\n")
+
+    with Terminal() as person:
+        assert not person.aborted()
+        monkeypatch.setattr(termios, "tcsetattr", interrupted)
+        with pytest.raises(Aborted):
+            person.confirm("Go on?")
+
+
+def test_ctrl_c_whose_exception_a_finalizer_swallows_ends_the_question(keyboard, monkeypatch):
+    class Finalized:
+        def __del__(self):
+            signal.raise_signal(signal.SIGINT)
+
+    def echo(*_words, **_options):
+        Finalized()
+
+    monkeypatch.setattr(sys, "unraisablehook", lambda _: None)
+    with Terminal() as person:
+        monkeypatch.setattr("motord.cli.commission.terminal.click.echo", echo)
+        with pytest.raises(Aborted):
+            person.confirm("Go on?")
