@@ -144,7 +144,7 @@ class Rig:
         if spec.tagged:
             self._tag()
         for text in spec.faults:
-            self.inject(text)
+            self._add(text)
         self.server = ControlServer(control or link_dir / "control.sock", self._methods())
         try:
             self.plug()
@@ -362,7 +362,12 @@ class Rig:
 
     # -------------------------------------------------------------------------------------- faults
     def inject(self, text: str) -> None:
-        """Add a fault to the script, its times counted from now. Raises FaultError."""
+        """Add a fault to the script, its times counted from now; what is due now has happened when
+        this returns. Raises FaultError."""
+        self._add(text)
+        self._do_due(self.plant.time_s)
+
+    def _add(self, text: str) -> None:
         fault = self.script.add(text, self.plant.time_s)
         try:
             self._check(fault)

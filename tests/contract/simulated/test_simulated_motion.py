@@ -208,6 +208,14 @@ def test_a_drive_that_reboots_is_silent_and_comes_back_disabled_with_its_default
     assert counted < bench.wheel().position_rad / 2
 
 
+def test_a_fault_that_is_injected_has_happened_when_that_is_answered(bench):
+    """Else what is sent next may reach a drive that still has its power."""
+    arm(bench)
+    assert bench.drive.enabled(1)
+    bench.rig.inject("reboot:unit=1,for_s=1")
+    assert not bench.drive.enabled(1)
+
+
 def test_counters_near_their_wrap_wrap_within_a_quarter_turn_forward(tmp_path):
     with Bench(tmp_path, faults=("encoder-wrap",)) as bench:
         bench.run_steps(bench.profile.configure)
