@@ -2,7 +2,6 @@
 """A simulated board of one's own: its frames are of the time that they say."""
 
 import math
-import os
 
 import pytest
 from frame_sender import FrameSender
@@ -31,13 +30,14 @@ def test_after_a_standstill_a_board_reports_of_what_time_it_speaks(tmp_path):
             bench.send(sender.setpoints({"watchdog": 2000, **sent}, 0))
             bench.go_on(TICK_S)
         assert bench.wheel().velocity_rad_s == pytest.approx(TURN_RAD_S, rel=0.01)
-        before = list(frames_in(os.read(bench.fd, 65536)))[-1]
+        sent_before = bench.line.wire.bytes_sent
+        before = list(frames_in(bench.receive(sent_before)))[-1]
         late_s = bench.now_s + 0.1
         bench.rig.work_lines(lambda: late_s)  # nothing had run for so long
         bench.rig.work_lines(lambda: late_s + TICK_S)  # its last byte has left
         bench.now_s = late_s + TICK_S
         bench.go_on(5 * TICK_S)
-        for after in frames_in(os.read(bench.fd, 65536)):
+        for after in frames_in(bench.receive(bench.line.wire.bytes_sent - sent_before)):
             check_direction(bench.profile, before, after)
         assert after.time_us > before.time_us + 100_000
 
