@@ -3,8 +3,9 @@
 
 Builds motord_msgs, as `motord ros2-msgs` writes it, into an environment of the wheels of ROS 2.
 They have the generators of rosidl and no ament_cmake: `rosidl generate` writes the sources, and
-what follows compiles them for the one type support that rmw_fastrtps_cpp uses. With an empty
-MOTORD_ROS no library of the environment is loaded while it is made.
+what follows compiles them for the type supports that rmw_fastrtps_cpp uses: its own, and the one
+for introspection, from which that of Jazzy describes a type. With an empty MOTORD_ROS no library of
+the environment is loaded while it is made.
 """
 
 import os
@@ -21,9 +22,10 @@ from tests.peers.ros2_rclpy.rclpy_real import environ_of, site_of
 from motord.tools.ros2_msgs import PACKAGE, write_package
 
 DEADLINE_S = 600.0
-GENERATED = ("c", "cpp", "fastrtps_cpp", "fastrtps_c", "py")
+GENERATED = ("c", "cpp", "fastrtps_cpp", "fastrtps_c", "introspection_c", "py")
 C, PYTHON = "rosidl_generator_c", "rosidl_generator_py"
 FASTRTPS, TYPESUPPORT = "rosidl_typesupport_fastrtps", "rosidl_typesupport_c"
+INTROSPECTION = "rosidl_typesupport_introspection_c"
 
 
 class Build:
@@ -91,6 +93,7 @@ class Build:
         self.library(C, self.sources("c", "*.c"))
         self.library(f"{FASTRTPS}_cpp", self.sources("fastrtps_cpp", "*.cpp"), C)
         self.library(f"{FASTRTPS}_c", self.sources("fastrtps_c", "*.cpp"), C, f"{FASTRTPS}_cpp")
+        self.library(INTROSPECTION, self.sources("introspection_c", "*.c"), C)
         self.library(TYPESUPPORT, self.sources("c", "*.cpp"), C, f"{FASTRTPS}_c")
         self.library(PYTHON, self.sources("py", "_*_s.c"), C, TYPESUPPORT)
         made = self.work / "made/py"

@@ -79,9 +79,7 @@ def test_a_node_reads_odometry_and_drives_the_robot(node, stage):
     settle(stage)
 
 
-def test_a_node_reads_a_message_of_motord_s_own(node, stage, request):
-    if request.node.callspec.params["node"] == "jazzy":
-        pytest.skip("rclpy 7.1.6 refuses motord_msgs as its wheels' generators build it")
+def test_a_node_reads_a_message_of_motord_s_own(node, stage):
     with node("watch", NAMESPACE) as watcher:
         status = watcher.find(lambda sent: sent.get("state") == "idle", "its state")
     assert status["setpoint_rad_s"] == {"left": 0.0, "right": 0.0}
