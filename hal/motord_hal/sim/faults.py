@@ -43,6 +43,12 @@ class Fault:
     def once(self) -> bool:
         return KINDS[self.kind].happens == "once"
 
+    @property
+    def of_drive(self) -> tuple[int, int | None, int | None]:
+        """Channel, bit and code of a drive's fault."""
+        values = self.values
+        return int(values["channel"]), _whole(values.get("bit")), _whole(values.get("code"))
+
     def over(self, now_s: float) -> bool:
         """Whether nothing will come of it any more."""
         if self.once:

@@ -381,7 +381,7 @@ class Rig:
             raise ValueError(f"no unit {fault.values['unit']:g} here")
         if fault.kind == "fault":
             for drive in drives:
-                drive.find_fault(*_which(fault))
+                drive.find_fault(*fault.of_drive)
 
     def _concerned(self, fault: Fault) -> list[SimulatedDrive]:
         unit = fault.values.get("unit")
@@ -406,7 +406,7 @@ class Rig:
                     keeps = bool(fault.values["keep"])
                     drive.reboot(now_s, fault.values["for_s"], keeps_counter=keeps)
                 case "fault":
-                    drive.raise_fault(*_which(fault))
+                    drive.raise_fault(*fault.of_drive)
                 case "encoder-wrap":
                     drive.start_near_wrap()
 
@@ -495,11 +495,3 @@ def new_drive(
 def _free_name(line: LineSpec, unit: int, channel: int) -> str:
     """Of a motor that no joint uses: it turns in the air."""
     return f"{line.name} unit {unit} channel {channel}"
-
-
-def _which(fault: Fault) -> tuple[int, int | None, int | None]:
-    """Channel, bit and code of a drive's fault."""
-    values = fault.values
-    bit, code = values.get("bit"), values.get("code")
-    whole = [None if value is None else int(value) for value in (bit, code)]
-    return int(values["channel"]), whole[0], whole[1]
