@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`make bench`: what motord costs and how late it is, beside what people use instead, in one run.
 
-python tests/bench/run.py [--quick | --smoke] [--json] [--only core,wire,can,servos,board,twist,...]
+python tests/bench/run.py [--quick | --smoke] [--json] [--only core,wire,...] [--skip calibration]
 
 Ends with 1 only where something is wrong (a violation, a page fault, too many instructions), never
 because a machine is slow: the sentences say what was reached. `--smoke` runs every part as briefly
@@ -154,15 +154,23 @@ PARTS = {
 }
 
 
+def parts(text: str) -> list[str]:
+    names = text.split(",")
+    if unknown := [name for name in names if name not in PARTS]:
+        raise argparse.ArgumentTypeError(f"no part {unknown[0]!r}; known: {', '.join(PARTS)}")
+    return names
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     size = parser.add_mutually_exclusive_group()
     size.add_argument("--quick", action="store_true", help="fewer rounds: two minutes")
     size.add_argument("--smoke", action="store_true", help="every part runs; nothing is judged")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
-    parser.add_argument("--only", default=",".join(PARTS), help="parts, with commas between")
+    parser.add_argument("--only", type=parts, default=list(PARTS), help="parts, by commas")
+    parser.add_argument("--skip", type=parts, default=[], help="the same; these are left out")
     asked = parser.parse_args()
-    chosen = [part for part in PARTS if part in asked.only.split(",")]
+    chosen = [part for part in PARTS if part in asked.only and part not in asked.skip]
     how_much = Size.SMOKE if asked.smoke else Size.QUICK if asked.quick else Size.WHOLE
     results: dict[str, Any] = {}
     verdicts: Verdicts = []
