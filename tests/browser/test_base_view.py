@@ -10,7 +10,7 @@ from tests.sim.daemon_stage import ROOT, UNHURRIED, wait_until
 
 from motord.client import Refused
 
-DIRECTION = """([wheel, positions]) => import('/base_view.js').then(view => view.directionOf(
+DIRECTION = """([wheel, positions]) => import('/parts/base_view.js').then(view => view.directionOf(
     wheel, {joints: ['wheel', 'steering']},
     {joints: positions.map(position_rad => ({position_rad}))}))"""
 

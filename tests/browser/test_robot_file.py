@@ -133,7 +133,7 @@ def programs(robot):
 
 
 COMPLETE = """async ([text, cursor]) => {
-    const { complete } = await import("./completion.js");
+    const { complete } = await import("./parts/completion.js");
     const schema = await (await fetch("robot.schema.json")).json();
     return complete(schema, text, cursor);
 }"""
@@ -173,7 +173,7 @@ def test_nothing_is_offered_where_nothing_may_stand(programs, marked):
 
 
 SCANNED = """async texts => {
-    const { scan } = await import("./toml.js");
+    const { scan } = await import("./parts/toml.js");
     return texts.map(text => scan(text).entries.map(({ path }) => path));
 }"""
 
