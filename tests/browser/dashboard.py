@@ -38,6 +38,10 @@ STORAGE = """([origin, key, token, use]) => {
     if (token !== null) localStorage.setItem(key, token);
 }"""
 """Runs before each document's own programs: the first one finds the token and nothing else."""
+SHOWN = """() => [document.body.innerText, ...performance.getEntriesByType('resource').map(
+    ({ name, responseStatus, responseEnd }) => `${name} ${responseStatus} ${responseEnd} ms`,
+)].join("\\n")"""
+"""What a page shows, and what it has loaded."""
 TURNS_RAD_S, RESTS_RAD_S = 1.0, 0.05
 
 
@@ -82,6 +86,7 @@ class Dashboard:
             for event, listener in listeners.items():
                 page.remove_listener(event, listener)
         except BaseException:
+            print(page.url, *problems, page.evaluate(SHOWN), sep="\n")
             page.context.close()
             raise
         self._emptied(page)

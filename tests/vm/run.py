@@ -67,9 +67,9 @@ def make_disk(package: Path, arguments: list[str], folder: Path) -> Path:
     content, disk = folder / "content", folder / "project.ext4"
     shutil.copytree(HERE / "guest", content / "tests/vm/guest",
                     ignore=shutil.ignore_patterns("__pycache__"))  # fmt: skip
-    for path in (ROOT / "tests/contract").rglob("*.py"):
-        if path.name in SHARED:
-            shutil.copy(path, content / "tests/vm/guest")
+    for name in SHARED:
+        (path,) = (ROOT / "tests/contract").rglob(name)
+        shutil.copy(path, content / "tests/vm/guest")
     shutil.copytree(ROOT / "config", content / "config")
     shutil.copy(package, content / "motord.deb")
     (content / "arguments").write_text("".join(f"{each}\n" for each in arguments), "utf-8")

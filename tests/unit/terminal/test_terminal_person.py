@@ -9,7 +9,7 @@ import termios
 
 import pytest
 
-from motord.cli.commission.terminal import Terminal
+from motord.cli.terminal import Terminal
 from motord.commission.person import Aborted
 
 
@@ -48,6 +48,6 @@ def test_ctrl_c_whose_exception_a_finalizer_swallows_ends_the_question(keyboard,
 
     monkeypatch.setattr(sys, "unraisablehook", lambda _: None)
     with Terminal() as person:
-        monkeypatch.setattr("motord.cli.commission.terminal.click.echo", echo)
+        monkeypatch.setattr("motord.cli.terminal.click.echo", echo)
         with pytest.raises(Aborted):
             person.confirm("Go on?")

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from motord.api.geometry_fit import Fit, Measure
-    from motord.cli.commission.terminal import Terminal
+    from motord.cli.terminal import Terminal
     from motord.commission.robot_file_edit import RobotFileEdit
 
 
@@ -116,7 +116,7 @@ def calibrate(what: str | None, log: Path | None, as_json: bool, **options: Any)
 
         raise Failure(f"numpy is not installed: {how_to_install('calibrate')}")
     from motord.api.geometry_fit import BadData
-    from motord.cli.commission.terminal import Terminal, failing
+    from motord.cli.terminal import Terminal, failing
 
     try:
         with failing(), Terminal(yes=options["yes"]) as person:

@@ -95,8 +95,8 @@ def init(robot_file: Path, dry_run: bool, as_json: bool, **options: Any) -> None
              motord robots pi5-bts7960 > robot.toml
              motord check robot.toml
     """
-    from motord.cli.commission.terminal import Terminal, failing
     from motord.cli.files.check_text import understood_rows
+    from motord.cli.terminal import Terminal, failing
     from motord.commission.robot_file_edit import EditError, write_new
     from motord.commission.setup.procedure import Given, set_up, simulated_ports, unit_and_channel
     from motord.commission.setup.robot_text import robot_text

@@ -73,7 +73,7 @@ def spin(
     """
     if bool(joints) == all_joints:
         raise click.UsageError("name the joints, or give --all")
-    from motord.cli.commission.terminal import Terminal, failing
+    from motord.cli.terminal import Terminal, failing
     from motord.commission.robot_file_edit import RobotFileEdit, write_asking
     from motord.commission.spin.findings import findings
     from motord.commission.spin.steered import procedure_for

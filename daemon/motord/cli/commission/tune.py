@@ -26,7 +26,7 @@ from motord.cli.running.talk import talking
 from motord.client import Client
 
 if TYPE_CHECKING:
-    from motord.cli.commission.terminal import Terminal
+    from motord.cli.terminal import Terminal
     from motord.commission.tune.procedure import Tuned
 
 SPEED, STEP = OPTIONS["rim_m_s"], OPTIONS["step_s"]
@@ -76,7 +76,7 @@ def tune(client: Client, joint: str, as_json: bool, **options: Any) -> None:
         from motord.base.extras import how_to_install
 
         raise Failure(f"numpy is not installed: {how_to_install('calibrate')}")
-    from motord.cli.commission.terminal import Terminal, failing
+    from motord.cli.terminal import Terminal, failing
 
     with failing(), Terminal(yes=options["yes"]) as person:
         tuned, backup = _tuned(client, person, joint, options)

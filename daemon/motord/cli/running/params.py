@@ -100,7 +100,7 @@ def params_save(
     \b
     Example: motord params set limits.linear_m_s=0.3 && motord params save
     """
-    from motord.cli.commission.terminal import Terminal, failing
+    from motord.cli.terminal import Terminal, failing
     from motord.commission.params_save import put_in_force
     from motord.commission.robot_file_edit import RobotFileEdit, write_asking
 
