@@ -295,7 +295,7 @@ def test_another_page_sees_that_a_procedure_runs_and_commands_nothing_but_stops(
         press_pad(other)
         wait_until(lambda: "is running" in other.locator(".notice").inner_text(), "it is refused")
         other.mouse.up()
-        assert state_of(other) == "moving"
+        wait_until(lambda: state_of(other) == "moving", "it is shown that the wheel goes on")
         other.evaluate("location.hash = 'commission'")
         other.locator(".halt").click()
         rests_without_power(robot.stage)
