@@ -131,7 +131,8 @@ def test_a_demonstration_that_is_terminated_leaves_no_process_behind(tmp_path):
 
     demo = subprocess.Popen([sys.executable, "-m", "motord", "demo", "--robot", robot], cwd=ROOT)
     try:
-        wait_until(lambda: len(others()) == 2, "the daemon and the drives")
+        for kind in ("run", "simulate"):
+            wait_until(lambda kind=kind: any(kind in words for words in others()), kind)
         demo.terminate()
         demo.wait(DEADLINE_S)
         wait_until(lambda: not others(), "their end")
