@@ -394,3 +394,24 @@ def test_axe_finds_nothing(robot, width):
             assert axe_violations(page) == [], tab
             page.emulate_media(color_scheme="dark")  # other colours, and nothing else
             assert axe_violations(page, "color-contrast") == [], (tab, "dark")
+
+
+TAB_CHOSEN_EARLY = """(() => {
+    const soon = window.requestAnimationFrame.bind(window);
+    window.requestAnimationFrame = (then) => soon(() => {
+        location.hash = "plots";
+        setTimeout(() => then(performance.now()), 20);
+    });
+})()"""
+"""Between what the page draws first and what it does after that."""
+
+
+def test_a_tab_that_is_chosen_as_soon_as_the_page_is_drawn_is_shown(robot):
+    context = robot.browser.new_context()
+    try:
+        page = context.new_page()
+        page.add_init_script(TAB_CHOSEN_EARLY)
+        page.goto(f"http://127.0.0.1:{robot.port}/")
+        page.wait_for_selector('nav a[href="#plots"][aria-current="page"]')
+    finally:
+        context.close()

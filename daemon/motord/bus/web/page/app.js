@@ -36,6 +36,7 @@ function useTab() {
   useEffect(() => {
     const change = () => setTab(read());
     window.addEventListener("hashchange", change);
+    change();  // it may have changed since the first drawing
     return () => window.removeEventListener("hashchange", change);
   }, []);
   return tab;
