@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The robot file in an editor: completion by its schema, what `motord check` says at its lines, saved with a difference.
 
-import { html, useEffect, useRef, useState } from "../vendor/htm-preact.js";
+import { html, useEffect, useLayoutEffect, useRef, useState } from "../vendor/htm-preact.js";
 import { TEXT } from "../text.js";
 import { Card, Difference, save as download, useCall, useLink } from "../parts/parts.js";
 import { complete, explain } from "../parts/completion.js";
@@ -92,7 +92,7 @@ function Editor({ area, schema, marks, edited, compare }) {
     return setFound(now);
   };
   const count = () => setLines(area.current.value.split("\n").length);
-  useEffect(() => {
+  useLayoutEffect(() => {  // before a key reaches the area: its text would be the whole draft
     area.current.value = draft.text;
     count();
   }, []);
