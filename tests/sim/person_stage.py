@@ -114,6 +114,9 @@ def at_terminal(*words):
         with contextlib.suppress(ProcessLookupError):
             process.send_signal(signal.SIGKILL)
         process.wait()
+        while screen.master >= 0 and select.select([master], [], [], 0.0)[0] and screen._read(0.0):
+            pass
+        print(screen.text)  # shown where the test fails
         if screen.master >= 0:
             os.close(master)
 
