@@ -415,3 +415,29 @@ def test_a_tab_that_is_chosen_as_soon_as_the_page_is_drawn_is_shown(robot):
         page.wait_for_selector('nav a[href="#plots"][aria-current="page"]')
     finally:
         context.close()
+
+
+def test_a_tab_that_cannot_be_loaded_shows_why_and_opens_when_it_is_chosen_again(robot, page):
+    scripts = "**/tabs/log.js"
+    page.route(scripts, lambda route: route.abort("connectionrefused"))
+    page.evaluate("location.hash = 'log'")
+    page.get_by_role("alert").filter(has_text="Log cannot be loaded").wait_for()
+    page.unroute(scripts)
+    page.evaluate("location.hash = 'overview'")
+    page.wait_for_selector("main .card")
+    page.evaluate("location.hash = 'log'")
+    page.wait_for_selector(".grid.log .card")
+
+
+SPACE_EARLY = """new MutationObserver((_, observer) => {
+    if (document.querySelector('.estop-place') === null) return;
+    observer.disconnect();
+    window.dispatchEvent(new KeyboardEvent('keydown', {code: 'Space'}));
+}).observe(document, {childList: true, subtree: true})"""
+"""As soon as there is a button, before the page does anything after its first drawing."""
+
+
+def test_the_space_bar_counts_as_soon_as_the_page_is_drawn(robot):
+    with robot.page() as page, page.add_init_script(SPACE_EARLY):
+        page.reload()
+        page.locator(".estop-place .problem", has_text="E-STOP: there is no connection").wait_for()

@@ -42,11 +42,16 @@ function useTab() {
   return tab;
 }
 
+function NotLoaded(tab, error) {
+  return html`<p class="problem" role="alert">${TEXT.notLoaded(TEXT.tabs[tab], error.message)}</p>`;
+}
+
 function Page({ tab }) {
   const [found, setFound] = useState(tab === "overview" ? { tab, Shown: Overview } : { tab: "" });
   useEffect(() => {
     let wanted = true;
-    PAGES[tab]().then((module) => wanted && setFound({ tab, Shown: module.default }));
+    const shown = (Shown) => wanted && setFound({ tab, Shown });
+    PAGES[tab]().then((module) => shown(module.default), (error) => shown(() => NotLoaded(tab, error)));
     link.setRate(tab === "plots" ? PLOT_RATE_HZ : RATE_HZ);
     return () => { wanted = false; };
   }, [tab]);
@@ -71,21 +76,15 @@ function typesText(target) {
   return target.matches?.("textarea, input:not([type=range]):not([type=checkbox]):not([type=radio])");
 }
 
-function useSpaceBar() {
-  useEffect(() => {
-    const press = (event) => {
-      if (event.code !== "Space" || typesText(event.target)) return;
-      event.preventDefault();
-      if (event.type === "keydown" && !event.repeat) estop();
-    };
-    window.addEventListener("keydown", press, true);
-    window.addEventListener("keyup", press, true);
-    return () => {
-      window.removeEventListener("keydown", press, true);
-      window.removeEventListener("keyup", press, true);
-    };
-  }, []);
+function pressSpace(event) {
+  if (event.code !== "Space" || typesText(event.target)) return;
+  event.preventDefault();
+  if (event.type === "keydown" && !event.repeat) estop();
 }
+
+// Not in an effect of the page: the key counts before anything is drawn.
+window.addEventListener("keydown", pressSpace, true);
+window.addEventListener("keyup", pressSpace, true);
 
 const darkSystem = matchMedia("(prefers-color-scheme: dark)");
 const showTheme = () => document.dispatchEvent(new Event("motord-theme"));
@@ -169,7 +168,6 @@ function Estop() {
 
 function App() {
   useLink(link);
-  useSpaceBar();
   const tab = useTab();
   const [asked, ask] = useState(false);
   useEffect(() => link.on("hello", () => ask(false)), []);

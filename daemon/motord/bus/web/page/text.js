@@ -13,6 +13,7 @@ export const TEXT = {
 
   connecting: "Connecting",
   connected: "Connected",
+  notLoaded: (tab, why) => `${tab} cannot be loaded (${why}). Choose it again, or load the page anew.`,
   lost: "Connection lost",
   stale: "No state",
   lostText: "This page has no connection to the robot. It tries again. What is shown below is old.",
