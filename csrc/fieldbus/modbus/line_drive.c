@@ -213,6 +213,7 @@ void line_cycle_begin(line_machine *m, uint32_t number, int64_t now_ns)
     drive->place = 0;
     drive->cycle_motion = false;
     drive->frozen = m->newest;
+    drive->enabled_before = drive->state.enabled;
     drive->extra_due = drive->cycle_count % table->extra_every == 0;
     if (drive->state.enabled == 2 && table->extra_count > 0) {
         drive->extra_due = true; /* whether it is enabled comes first of all: it is in the first range */
@@ -241,6 +242,11 @@ static void end_cycle(line_machine *m, uint32_t number)
     }
     line_begin_stop(m, number, drive_end_stopping(&drive->state, line_at_rest(m, number), drive->cycle_start_ns),
                     drive->cycle_start_ns);
+    /* Why it has disabled itself may stand in a fault that the power-off clears. A cycle reads its faults before its power:
+     * those of the next one are newer. */
+    if (drive->state.enabled == 0 && drive->enabled_before != 0) {
+        return;
+    }
     bool settled = drive->cycle_start_ns >= drive->arming_until_ns;
     line_begin_stop(m, number, drive_check_power(&drive->state, table->tries, settled), drive->cycle_start_ns);
 }

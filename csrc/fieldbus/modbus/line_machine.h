@@ -109,6 +109,7 @@ typedef struct {
     uint32_t probe_place;
     uint32_t probes_at_once;
     uint32_t direction_sent[DRIVE_DIRECTIONS_MAX];
+    uint32_t enabled_before;                       /* state.enabled when its cycle began */
     uint32_t direction_last[DRIVE_DIRECTIONS_MAX]; /* FORWARD or REVERSE, the newest of the two; 0: none yet */
     bool lost_setup;
     bool may_turn; /* armed since it was last set up, before the port was opened or after */

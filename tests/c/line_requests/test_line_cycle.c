@@ -179,7 +179,7 @@ static void the_end_of_a_cycle_judges_what_the_drive_reported(void)
     begin_directions(0.0);
     ends();
     CHECK(drive->state.mode == DRIVE_ARMED && drive->state.stop == STOP_NOTHING);
-    drive->state.enabled = 0;
+    drive->state.enabled = drive->enabled_before = 0;
     ends();
     CHECK(drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == DRIVE_FAULT_DISABLED_ITSELF &&
           drive->state.stop == STOP_POWER_OFF);
@@ -191,6 +191,33 @@ static void the_end_of_a_cycle_judges_what_the_drive_reported(void)
         ends();
         CHECK(drive->state.stop == (how == 0 ? STOP_POWER_OFF : STOP_NOTHING) && drive->state.stopping == (how == 1));
     }
+}
+
+/* The fault came between the two reads: a power-off would clear it before it is read. */
+static void why_a_drive_disabled_itself_is_read_before_it_is_switched_off(void)
+{
+    begin_directions(1.0);
+    drive->direction_sent[0] = DIRECTION_FORWARD;
+    line_drive *table = &w.machine.table.drive[0];
+    table->cyclic[1].field[0] = (line_field){.kind = FIELD_FAULT, .byte = 3, .form = FORM_U16, .si_per_raw = 1.0};
+    table->cyclic[1].field_count = 1;
+    drive->cycle_count = 4;
+    for (uint32_t cycle = 0; cycle < 2; cycle++) {
+        CHECK(drive->state.mode == DRIVE_ARMED && drive->state.stop == STOP_NOTHING);
+        line_cycle_begin(&w.machine, 0, w.now_ns);
+        CHECK(sends() == frame_to(SPEED, 100));
+        answers_with(0);
+        CHECK(sends() == frame_to(STATUS, 1));
+        answers_with(cycle == 0 ? 0 : 8);
+        if (cycle == 0) {
+            CHECK(sends() == frame_to(EXTRA, 1));
+            answers_with(0);
+        }
+        CHECK(sends() == NO_FRAME);
+    }
+    CHECK(w.machine.joint[0].fault_word == 8);
+    CHECK(drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == DRIVE_FAULT_DISABLED_ITSELF &&
+          drive->state.stop == STOP_POWER_OFF);
 }
 
 /* Power that was not requested is taken in each cycle, and reported once. */
@@ -269,6 +296,7 @@ int main(void)
     a_range_is_read_in_its_turn_and_the_one_with_the_power_first();
     cycles_follow_each_other_by_their_period_and_late_ones_are_not_caught_up();
     the_end_of_a_cycle_judges_what_the_drive_reported();
+    why_a_drive_disabled_itself_is_read_before_it_is_switched_off();
     one_that_is_enabled_without_being_armed_is_switched_off();
     the_core_gets_feedback_of_a_cycle_with_the_last_of_what_it_reads();
     what_is_sent_says_nothing_to_the_core_while_something_is_still_to_be_read();
