@@ -31,10 +31,17 @@ if directory := os.environ.get("MOTORD_RT_DIR"):
 
 TESTS = Path(__file__).parent
 CPUS = os.cpu_count() or 1
-LANES = {"page": max(1, CPUS // 2), "robot": CPUS + CPUS // 2}
+LANES = {"page": max(1, CPUS // 2), "robot": 2 * CPUS}
 """So many whole robots, and pages of a browser with their robots, run at once. Each is three to
 seven programs: with more of them every one is late, fails, and runs again."""
 LANE_OF = {"browser": "page", "sim": "robot", "peers": "robot"}
+LONG_S = {
+    "test_partition": 30, "test_calibrate": 28, "test_bus_faults": 11, "test_can_robot": 11,
+    "test_commission": 8, "test_demos": 7, "test_pwm_demo": 6, "test_spin_steered": 5,
+    "test_doubted_feedback": 5, "test_stopping": 5, "test_tune": 4, "test_ros2_package": 4,
+}  # fmt: skip
+"""What one test of these files takes; of all others in a lane it is USUAL_S."""
+USUAL_S = 1.5
 SHORT = ("rt", "unit", "golden")
 """Folders of tests that wait for nothing: they fill the time for which the last of the others, each
 of which may take half a minute, still run."""
@@ -47,14 +54,15 @@ def kind_of(path):
 
 def lanes(items):
     """The lane of each file that starts robots: the longest files first, each to the lane that has
-    the fewest tests."""
+    the least to do."""
     tests = Counter(item.path for item in items if kind_of(item.path) in LANE_OF)
-    loads = {kind: Counter(dict.fromkeys(range(count), 0)) for kind, count in LANES.items()}
+    loads_s = {kind: dict.fromkeys(range(count), 0.0) for kind, count in LANES.items()}
+    files_s = {path: count * LONG_S.get(path.stem, USUAL_S) for path, count in tests.items()}
     found = {}
-    for path, count in sorted(tests.items(), key=lambda row: (-row[1], row[0])):
+    for path, file_s in sorted(files_s.items(), key=lambda row: (-row[1], row[0])):
         kind = LANE_OF[kind_of(path)]
-        number = min(loads[kind], key=loads[kind].__getitem__)
-        loads[kind][number] += count
+        number = min(loads_s[kind], key=loads_s[kind].__getitem__)
+        loads_s[kind][number] += file_s
         found[path] = f"{kind} {number}"
     return found
 
