@@ -65,7 +65,7 @@ demo: $(VENV)/built
 	@$(VENV)/bin/motord demo $(ARGS)
 
 # More workers than processors: most tests wait for simulated motors.
-WORKERS ?= 8
+WORKERS ?= 7
 test: $(VENV)/built $(VENV)/test $(VENV)/collected
 	@$(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup $(ARGS)
 

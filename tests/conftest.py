@@ -31,7 +31,7 @@ if directory := os.environ.get("MOTORD_RT_DIR"):
 
 TESTS = Path(__file__).parent
 CPUS = os.cpu_count() or 1
-LANES = {"page": max(1, CPUS // 2), "robot": 2 * CPUS}
+LANES = {"page": max(1, CPUS // 2), "robot": CPUS + CPUS // 2}
 """So many whole robots, and pages of a browser with their robots, run at once. Each is three to
 seven programs: with more of them every one is late, fails, and runs again."""
 LANE_OF = {"browser": "page", "sim": "robot", "peers": "robot"}

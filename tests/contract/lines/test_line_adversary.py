@@ -97,10 +97,16 @@ async def test_no_drive_is_enabled_with_an_old_set_point_in_its_register(rig, pe
     assert DriveState.ARMED not in rig.states()
 
 
+def set_up_again(peer, watchdog):
+    """Where a busy machine lets an answer come late, it is written once more."""
+    written = peer.written(watchdog)
+    return len(written) > 1 and set(written) == {500}
+
+
 async def test_a_drive_that_has_lost_its_watchdog_unseen_is_set_up_again(rig, peer):
     await rig.ready()
     peer.units[1].registers[WATCHDOG] = 0
-    await until(lambda: peer.written(WATCHDOG) == [500, 500])
+    await until(lambda: set_up_again(peer, WATCHDOG))
     await rig.ready()
     assert EventKind.DRIVE_WARNING in rig.kinds()
 
@@ -112,7 +118,7 @@ async def test_an_armed_drive_that_has_lost_its_watchdog_is_disarmed(peer):
         rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
         await until(lambda: 50 in peer.written(DUTY))
         peer.units[1].registers[DUTY_WATCHDOG] = 0
-        await until(lambda: peer.written(DUTY_WATCHDOG) == [500, 500])
+        await until(lambda: set_up_again(peer, DUTY_WATCHDOG))
         await rig.ready()
         assert peer.written(DUTY)[-1] == 0
 

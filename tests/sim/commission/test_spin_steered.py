@@ -5,7 +5,7 @@ wheels."""
 import math
 
 import pytest
-from tests.sim.daemon_stage import ROBOT, wait_until
+from tests.sim.daemon_stage import ROBOT, TRIES, becomes_idle, wait_until
 from tests.sim.person_stage import at_terminal, copied, robot_of
 
 from motord.config import load_robot
@@ -69,12 +69,23 @@ class Watcher:
         return found
 
 
+HELD_UP = ("no fresh set-points", "drive_disabled")
+"""How it ends where a busy machine lets set-points or positions grow old: without power."""
+
+
 def spun(stage, driven, steering, *words):
-    with at_terminal("spin", *words, *QUICK, "--socket", stage.socket) as screen:
-        status = screen.answers(Watcher(stage, driven, steering).replies())
-        stage.wait_for("idle")
-        wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
-        return status, screen.text
+    """Exit status and text; again where a busy machine held it up, at most TRIES times."""
+    for number in range(TRIES):
+        if number:
+            becomes_idle(stage)
+        with at_terminal("spin", *words, *QUICK, "--socket", stage.socket) as screen:
+            status = screen.answers(Watcher(stage, driven, steering).replies())
+            stage.wait_for("idle", "fault")
+            wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+            if status == 0 or not any(why in screen.text for why in HELD_UP):
+                stage.wait_for("idle")
+                break
+    return status, screen.text
 
 
 def test_a_car_without_a_fault_is_good(tmp_path):
