@@ -42,11 +42,11 @@ static inline double within_span(double raw, double raw_min, double raw_max)
     return fmin(fmax(raw, raw_min), raw_max);
 }
 
-/* The number for what the core commands a joint; where it may not move, that of 0. */
+/* The number for a speed, a duty or a torque that the core commands a joint; where it may not move, 0. */
 static inline double scaled(const setpoints *from, bool may_move, const setpoint_scale *scale)
 {
     double si = may_move ? setpoint_of(from, scale->joint, scale->kind) : 0.0;
-    return within_span(si * scale->raw_per_si + scale->raw_offset, scale->raw_min, scale->raw_max);
+    return within_span(si * scale->raw_per_si, scale->raw_min, scale->raw_max);
 }
 
 static inline uint64_t count_mask(uint32_t counter_bits)

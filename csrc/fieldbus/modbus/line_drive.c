@@ -21,7 +21,7 @@ void line_stop_now(line_machine *m, uint32_t number, uint32_t kind)
     line_drive_state *drive = &m->drive[number];
     drive->state.stop = kind;
     drive->stop_place = drive->stop_done = drive->stop_sent = 0;
-    drive->stop_failures = 0;
+    drive->stop_failures = drive->stop_doubts = 0;
     drive->stop_refused = false;
     drive->stage = STAGE_IDLE;
     memset(drive->direction_sent, 0, sizeof drive->direction_sent);
@@ -136,6 +136,7 @@ bool line_next_stop(line_machine *m, uint32_t number, line_frame *out)
     for (uint32_t i = 0; i < count; i++) {
         uint32_t place = (drive->stop_place + i) % count;
         if ((drive->stop_done >> place & 1) == 0) {
+            drive->stop_doubts = place == drive->stop_place ? drive->stop_doubts : 0;
             drive->stop_place = place;
             *out = frame[place];
             return true;
@@ -336,6 +337,11 @@ static bool is_of_newest_stop(const line_machine *m, uint32_t number)
     uint32_t place = m->drive[number].stop_place;
     return place < count && sent->request_bytes == frame[place].request_bytes &&
            memcmp(sent->request, frame[place].request, sent->request_bytes) == 0;
+}
+
+void line_stop_doubted(line_machine *m, uint32_t number)
+{
+    m->drive[number].stop_doubts += m->work == WORK_STOP && is_of_newest_stop(m, number);
 }
 
 static void stop_frame_done(line_machine *m, uint32_t number)

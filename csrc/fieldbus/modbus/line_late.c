@@ -140,6 +140,16 @@ static bool too_soon(const line_machine *m, uint32_t number, int64_t sample_ns)
     return suspicious && drive->least_ns > 0 && sample_ns < drive->least_ns / 2 - TOO_SOON_NS;
 }
 
+/* The same stop has been answered more often than the drive owed answers of its kind: one of them is the stop's own. It is
+ * sent again at once, so each of them would be doubtful for ever, and no other drive would be asked. */
+static bool is_stop_proven(const line_machine *m, uint32_t number)
+{
+    const line_drive_state *drive = &m->drive[number];
+    line_look look = look_of(&m->transaction.frame);
+    uint32_t place = place_of(drive, &look);
+    return m->work == WORK_STOP && place < drive->owed_count && drive->stop_doubts >= drive->owed[place].count;
+}
+
 bool line_is_doubtful(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
@@ -151,7 +161,7 @@ bool line_is_doubtful(line_machine *m, uint32_t number, int64_t now_ns)
         drive->least_ns = 0; /* once: it may have become quicker */
         return true;
     }
-    return line_may_be_late(m, number, frame, m->start_ns);
+    return line_may_be_late(m, number, frame, m->start_ns) && !is_stop_proven(m, number);
 }
 
 void line_settle(line_machine *m, uint32_t number, int64_t now_ns)

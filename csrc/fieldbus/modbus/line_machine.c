@@ -128,6 +128,7 @@ static void end_exchange(line_machine *m, uint32_t kind, const received *verdict
         }
     }
     if (m->worker < m->table.drive_count && kind == ANSWER_OK && line_is_doubtful(m, m->worker, now_ns)) {
+        line_stop_doubted(m, m->worker);
         line_doubt(m, m->worker, now_ns);
         kind = ANSWER_NO_REPLY;
     } else if (m->worker < m->table.drive_count) {

@@ -105,7 +105,8 @@ typedef struct {
     uint32_t stop_done;  /* bit n: frame n was acknowledged, or is refused for good */
     uint32_t stop_sent;  /* bit n: frame n was sent at the end, and not answered */
     uint32_t stop_failures;
-    bool stop_refused; /* frames of the newest stop count as done though the drive will not do them */
+    uint32_t stop_doubts; /* answers to the frame that may have been those to older requests */
+    bool stop_refused;    /* frames of the newest stop count as done though the drive will not do them */
     uint32_t probe_place;
     uint32_t probes_at_once;
     uint32_t direction_sent[DRIVE_DIRECTIONS_MAX];
@@ -275,6 +276,8 @@ void line_stop_before_setup(line_machine *m, uint32_t drive, int64_t now_ns);
 /* The next frame of its cycle into the transaction; false: the cycle is over. */
 bool line_next_in_cycle(line_machine *m, uint32_t drive, int64_t now_ns, line_frame *out);
 bool line_next_stop(line_machine *m, uint32_t drive, line_frame *out);
+/* The answer that has come may be that to an older request. */
+void line_stop_doubted(line_machine *m, uint32_t drive);
 void line_cycle_begin(line_machine *m, uint32_t drive, int64_t now_ns);
 /* How the exchange for a drive ended. */
 void line_drive_answered(line_machine *m, uint32_t drive, const uint8_t *reply, int64_t now_ns);

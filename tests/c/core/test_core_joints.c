@@ -219,8 +219,10 @@ static void as_many_joints_as_there_may_be_move(void)
     r.input.joints = (joint_command){.named = 0xFF, .value_u = {2.0, 0.5, 3.0, 0.6, 4.0, 0.7, 5.0, 0.8}};
     ticks(&r, 1500);
     CHECK(r.shown.faults == 0 && r.shown.reasons == 0 && r.shown.at_rest == 0 && r.shown.odometry_degraded == 0);
+    CHECK(r.shown.steering.joints == 0xAA);
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         CHECK((j % 2 == 0 ? r.out.joint[j].velocity_rad_s : r.out.position_rad[j]) == r.input.joints.value_u[j]);
+        CHECK(j % 2 == 0 || fabs(r.shown.joint[j].position_rad - r.input.joints.value_u[j]) < 1e-3);
     }
 }
 

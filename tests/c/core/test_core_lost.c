@@ -328,8 +328,29 @@ static void a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on(void)
     }
 }
 
+/* Three wheels are silent; the fourth alone does not say how the base moves, and its set-points may have carried it on. */
+static void a_base_whose_motion_is_not_measured_any_more_grows_uncertain_until_it_rests(void)
+{
+    core_config config = good_config();
+    rig r;
+    start(&r, &config);
+    go(&r, 0.4, 0.3);
+    r.stale = true;
+    double before[6], grown_m2 = 0.0;
+    for (int ms = 0; ms < 800; ms++) {
+        memcpy(before, r.shown.pose_covariance, sizeof before);
+        r.input.feedback[0].stamp_ns = r.input.now_ns + TICK_NS;
+        tick(&r);
+        bool grows = r.shown.pose_covariance[0] > before[0] && r.shown.pose_covariance[5] > before[5];
+        CHECK(!r.state.odometry.blind || grows == (r.state.wheels.joint[0].velocity_rad_s != 0.0));
+        grown_m2 += r.state.odometry.blind ? r.shown.pose_covariance[0] - before[0] : 0.0;
+    }
+    CHECK(r.state.odometry.blind && zero(&r) && grown_m2 > 1e-4);
+}
+
 int main(void)
 {
+    a_base_whose_motion_is_not_measured_any_more_grows_uncertain_until_it_rests();
     a_set_point_that_is_no_number_is_seen_at_once();
     a_twist_that_is_no_number_is_seen_at_once();
     a_command_with_a_part_that_is_no_number_moves_and_arms_nothing();

@@ -55,27 +55,23 @@ static void a_speed_a_duty_and_a_torque_are_those_of_their_joint(void)
     }
 }
 
-static void a_number_is_scaled_moved_and_kept_within_its_ends(void)
+static void a_number_is_scaled_and_kept_within_its_ends(void)
 {
     setpoints from = all_of(4);
-    setpoint_scale scale = {
-        .joint = 2, .kind = SETPOINT_VELOCITY, .raw_per_si = 10.0, .raw_offset = 1500.0, .raw_min = 1000.0, .raw_max = 2000.0};
-    CHECK(scaled(&from, true, &scale) == 1530.0 && scaled(&from, false, &scale) == 1500.0);
+    setpoint_scale scale = {.joint = 2, .kind = SETPOINT_VELOCITY, .raw_per_si = 10.0, .raw_min = -500.0, .raw_max = 600.0};
+    CHECK(scaled(&from, true, &scale) == 30.0 && scaled(&from, false, &scale) == 0.0);
     from.joint[2].velocity_rad_s = -3.0;
-    CHECK(scaled(&from, true, &scale) == 1470.0);
+    CHECK(scaled(&from, true, &scale) == -30.0);
     from.joint[2].velocity_rad_s = 90.0;
-    CHECK(scaled(&from, true, &scale) == 2000.0);
+    CHECK(scaled(&from, true, &scale) == 600.0);
     from.joint[2].velocity_rad_s = -90.0;
-    CHECK(scaled(&from, true, &scale) == 1000.0);
-    scale.kind = SETPOINT_POSITION; /* no angle: the smallest */
-    from.positioned = 0;
-    CHECK(scaled(&from, true, &scale) == 1000.0);
+    CHECK(scaled(&from, true, &scale) == -500.0);
 }
 
 int main(void)
 {
     an_angle_is_that_of_its_joint_where_it_counts();
     a_speed_a_duty_and_a_torque_are_those_of_their_joint();
-    a_number_is_scaled_moved_and_kept_within_its_ends();
+    a_number_is_scaled_and_kept_within_its_ends();
     return checks_report("test_joint_values");
 }

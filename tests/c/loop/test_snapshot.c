@@ -252,6 +252,14 @@ static void every_reason_is_reported_beside_the_others_and_since_when(void)
         shown = tick(r);
     }
     CHECK(since_ns < shown->stamp_ns && shown->reason.since_ns[16] <= since_ns);
+    r->input.control.stop = 0; /* one ends: the others have been there since when they came */
+    all &= ~(uint32_t)REASON_STOP_REQUESTED;
+    shown = tick(r);
+    for (uint32_t bit = 0; bit < REASONS_MAX; bit++) {
+        int64_t since = shown->reason.since_ns[bit];
+        CHECK((all >> bit & 1U) != 0 ? since > 0 && since < shown->stamp_ns : since == 0);
+    }
+    CHECK(shown->reasons == all);
     core_config base = good_config();
     start(r, &base);
     go(r, 0.5, 0.0);

@@ -178,7 +178,8 @@ class RtDrive(abc.ABC):
         if report.cycles:  # else its fault words have not been read
             for joint in self._jobs.joints:
                 self.faults[joint.name].update(fault_words[joint.index])
-        if report.mode is Mode.READY and before in (Mode.OFF, Mode.BACK):
+        # what came between two looks is not seen: it may have been unresponsive in the first
+        if report.mode is Mode.READY and before not in (Mode.READY, Mode.ARMED):
             self._is_ready()
         elif report.mode in (Mode.UNRESPONSIVE, Mode.BACK):
             self._is_unresponsive(self._why_unresponsive(report))
