@@ -184,6 +184,23 @@ static void each_servo_has_a_position_of_its_own(void)
     }
 }
 
+static void as_many_servos_as_there_may_be_have_one_each(void)
+{
+    bench b = servo();
+    b.config.joint_count = b.newest.joint_count = JOINTS_MAX;
+    b.newest.positioned = (1U << JOINTS_MAX) - 1U;
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        b.config.joint[j] = (bridge_joint){.index = j, .sign = 1.0, .full_rad = 0.8, .rest_mode = BRIDGE_COAST};
+        b.newest.position_rad[j] = 0.1 * j;
+    }
+    CHECK(bridge_config_check(&b.config) == 0);
+    requests(&b, PWM_ARMED);
+    CHECK(b.state.holds == b.newest.positioned);
+    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
+        CHECK(is(b.state.held_duty[j], 0.125 * j));
+    }
+}
+
 static void a_servo_without_a_position_holds_the_one_before(void)
 {
     bench b = servo();
@@ -399,6 +416,7 @@ int main(void)
     a_servo_gets_the_pulses_of_its_newest_position();
     a_servo_may_turn_as_far_as_it_likes_and_stands_in_its_middle_at_zero();
     each_servo_has_a_position_of_its_own();
+    as_many_servos_as_there_may_be_have_one_each();
     a_servo_without_a_position_holds_the_one_before();
     a_servo_that_stops_keeps_its_place_and_then_gets_no_pulses();
     each_reason_stays_until_it_is_armed_again();

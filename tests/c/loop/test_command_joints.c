@@ -7,14 +7,21 @@
 static const int64_t NOW_NS = 5000000000;
 static const uint8_t LETTER = 'a';
 
-static arbiter *begun(const core_config *config)
+static arbiter *begun_at(const core_config *config, uint32_t place)
 {
     static arbiter a;
-    lease_permissions permissions = {.lease = {[3] = {.number = 1, .priority = 10, .lifetime_ns = 300 * MS_NS}}};
-    memset(permissions.lease[3].token, LETTER, TOKEN_BYTES);
+    lease_permissions permissions;
+    memset(&permissions, 0, sizeof permissions);
+    permissions.lease[place] = (lease_permission){.number = 1, .priority = 10, .lifetime_ns = 300 * MS_NS};
+    memset(permissions.lease[place].token, LETTER, TOKEN_BYTES);
     arbiter_init(&a, config, &config->limits);
     arbiter_grant(&a, &permissions);
     return &a;
+}
+
+static arbiter *begun(const core_config *config)
+{
+    return begun_at(config, 3);
 }
 
 /* For the head and its belt: pan to 0.5 rad, 2 rad/s of the belt. */
@@ -62,6 +69,16 @@ static void each_joint_takes_what_it_is_sent_for_it(void)
     CHECK(submit(a, &joints) == 0);
     command = commanded(a);
     CHECK(command.named == 5 && command.value_u[0] == 0.5 && command.value_u[1] == 0.0 && command.value_u[2] == -0.3);
+}
+
+static void joints_are_commanded_under_whichever_lease_it_is(void)
+{
+    core_config config = head_and_belt();
+    for (uint32_t place = 0; place < LEASES_MAX; place++) {
+        arbiter *a = begun_at(&config, place);
+        joint_position_datagram joints = datagram_of(1);
+        CHECK(submit(a, &joints) == 0 && commanded(a).named == 3);
+    }
 }
 
 static void what_a_joint_does_not_take_is_refused(void)
@@ -335,6 +352,7 @@ static void a_datagram_has_the_length_of_its_version(void)
 int main(void)
 {
     each_joint_takes_what_it_is_sent_for_it();
+    joints_are_commanded_under_whichever_lease_it_is();
     what_a_joint_does_not_take_is_refused();
     a_twist_but_zero_is_refused_where_there_is_no_base();
     as_many_joints_as_there_may_be_are_commanded();
