@@ -191,6 +191,9 @@ def test_a_paused_program_goes_on_afterwards_and_ours_are_never_paused():
         wait_until(lambda: state.read_text().split()[2] != "T", "goes on")
         child.kill()
     assert not any(may_be_paused(pid) for pid in (1, os.getpid(), os.getppid(), child.pid))
+    with subprocess.Popen(["true"]) as ended:
+        os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)
+        assert not may_be_paused(ended.pid)
     with subprocess.Popen([*COMMAND, "--help"], stdout=subprocess.PIPE, env=ENVIRONMENT) as own:
         assert not may_be_paused(own.pid)
         own.communicate(timeout=DEADLINE_S)

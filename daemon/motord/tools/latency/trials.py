@@ -92,7 +92,8 @@ def _changes(
 
 
 def may_be_paused(process: int) -> bool:
-    """Neither this program, nor one that it descends from, nor init, nor one of motord's."""
+    """Neither this program, nor one that it descends from, nor init, nor one of motord's, nor what
+    has no command line: a thread of the kernel, or a program that has ended."""
     protected, one = {1}, os.getpid()
     while one > 1 and one not in protected:
         protected.add(one)
@@ -101,6 +102,8 @@ def may_be_paused(process: int) -> bool:
         words = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
     except OSError:
         return False  # it has ended
+    if not any(words):
+        return False
     return process not in protected and not any(
         Path(os.fsdecode(word)).name in ("motord", "motord-bus") for word in words
     )
