@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * fuzz_line.c: a line's machine among drives, requests and set-points that do what they like. Whatever comes: motion is
  * sent only to what is armed and only while the core wants it, the silence is kept, no value is taken from another's
- * answer, and the end comes. */
+ * answer, each stop ends, and the end comes. */
 #include <math.h>
 
 #include "line_wire.h"
@@ -162,6 +162,26 @@ static void pass_time(uint8_t choice)
     }
 }
 
+static bool stop_waits(void)
+{
+    bool waits = false;
+    for (uint32_t i = 0; i < UNITS; i++) {
+        waits |= w.machine.drive[i].state.stop != STOP_NOTHING;
+    }
+    return waits && w.machine.end.stage == END_NOT;
+}
+
+/* Every drive answers, and nothing is lost any more (the tape is at its end): each stop ends. */
+static void stops_end(void)
+{
+    put_tape(NULL, 0);
+    for (int64_t good_ns = w.now_ns; stop_waits(); pass_time(2)) {
+        w.machine.newest.stamp_ns = w.now_ns;
+        step();
+        CHECK(w.now_ns <= good_ns + 1000 * MS);
+    }
+}
+
 static void once(const uint8_t *data, size_t size)
 {
     put_tape(data, size);
@@ -180,6 +200,7 @@ static void once(const uint8_t *data, size_t size)
         step();
         pass_time(choice >> 2);
     }
+    stops_end();
     w.machine.control.shut_down = 1;
     int64_t asked_ns = w.now_ns;
     while (w.machine.end.stage != END_SILENT) {

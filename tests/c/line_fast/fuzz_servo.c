@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * fuzz_servo.c: bus servos that do what they like, and a wire that does. Whatever comes: a status is one by another
  * arithmetic than the tested one, what was stuffed is what is unstuffed, motion is sent only to who is armed and only while
- * the core wants it, no value is another servo's, and the end comes. */
+ * the core wants it, no value is another servo's, each stop ends, and the end comes. */
 #include <math.h>
 
 #include "servo_wire.h"
@@ -139,6 +139,25 @@ static void look(uint8_t choice)
     s.now_ns = s.count == 0 && choice % 2 == 0 ? s.machine.until_ns : s.now_ns;
 }
 
+static bool stop_waits(void)
+{
+    bool waits = false;
+    for (uint32_t i = 0; i < SERVOS; i++) {
+        waits |= s.machine.drive[i].state.stop != STOP_NOTHING;
+    }
+    return waits && s.machine.end.stage == END_NOT;
+}
+
+/* Every servo answers, and nothing is lost any more: each stop ends, whatever was late before. */
+static void stops_end(void)
+{
+    s.silent = 0;
+    for (int64_t good_ns = s.now_ns; stop_waits(); look(1)) {
+        s.machine.newest.stamp_ns = s.now_ns;
+        CHECK(s.now_ns <= good_ns + 1000 * STEP_MS);
+    }
+}
+
 static void machine(const uint8_t *data, size_t size)
 {
     put_tape(data, size);
@@ -154,6 +173,7 @@ static void machine(const uint8_t *data, size_t size)
         s.silent = choice & 4 ? next_byte() & 7U : s.silent;
         look(next_byte());
     }
+    stops_end();
     s.machine.control.shut_down = 1;
     int64_t asked_ns = s.now_ns;
     while (s.machine.end.stage != END_SILENT) {
