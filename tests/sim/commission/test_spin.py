@@ -120,6 +120,20 @@ def test_it_may_begin_again_at_once(how, tmp_path):
             rests_without_power(stage)
 
 
+def test_a_wheel_whose_drive_fails_is_not_judged(stage):
+    becomes_idle(stage)
+    with at_terminal("spin", "left", "--seconds", "10", "--socket", stage.socket) as screen:
+        screen.answer(GROUND, "y")
+        wait_until(lambda: fastest_rad_s(stage) > 0.5, "it turns")
+        stage.sim.inject("fault:unit=1,channel=1,bit=2")
+        assert screen.end() == 1
+    assert "the robot stopped by itself: " in screen.text
+    assert "over" in screen.text.partition("stopped by itself: ")[2]
+    assert "did not turn" not in screen.text
+    becomes_idle(stage)
+    rests_without_power(stage)
+
+
 def test_an_armed_robot_is_refused_before_anything_is_asked(stage):
     becomes_idle(stage)
     stage.robot.arm()

@@ -69,7 +69,7 @@ class Watcher:
         return found
 
 
-HELD_UP = ("no fresh set-points", "drive_disabled")
+HELD_UP = ("no fresh set-points", "the robot stopped by itself")
 """How it ends where a busy machine lets set-points or positions grow old: without power."""
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -107,10 +107,17 @@ def turn_wheel(session: Session, wheel: Wheel, speed_rad_s: float, seconds: floa
             turn.linear * rim_m_s, turn.angular * rim_m_s, seconds,
             lateral_m_s=turn.lateral * rim_m_s,
         )  # fmt: skip
+        require_only(DOUBTS, session, held)
         found.append(measured(wheel, joints, held))
         if held.faults:
             break
     return replace(both_times(found), together=together(wheel.turns[: len(found)]))
+
+
+def require_only(faults: Iterable[str], session: Session, held: Held) -> None:
+    """After any other fault, what was counted and seen until then proves nothing. Raises Failed."""
+    if not set(held.faults) <= set(faults):
+        raise Failed(f"{session.stopped_by(held.faults)}; nothing was written")
 
 
 def rim_within_limits(session: Session, twist: tuple[float, float, float], rim_m_s: float) -> float:

@@ -8,15 +8,16 @@ the base has a twist so slow that hardly a wheel rolls.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeAlias
 
 from motord.api.snapshot import Snapshot
 from motord.client import Client
-from motord.commission.person import Failed, Person
+from motord.commission.person import Person
 from motord.commission.session import Held, Session, armed
 from motord.commission.spin.procedure import (
+    DOUBTS,
     OWNER,
     Direction,
     Turned,
@@ -25,6 +26,7 @@ from motord.commission.spin.procedure import (
     known,
     measured,
     require_idle_ground,
+    require_only,
     rim_within_limits,
     spin,
     wheels_of,
@@ -140,11 +142,6 @@ class _Run:
             )  # fmt: skip
 
         held = self._held(hold)
-        if held.faults:
-            raise Failed(
-                f"the robot stopped by itself while it steered ({', '.join(held.faults)}): "
-                "motord status names the joint; nothing was written"
-            )
         return {name: held.snapshots[-1].joints[at].position_rad for name, at in places.items()}
 
     def _off_straight(self, name: str) -> float:
@@ -166,7 +163,7 @@ class _Run:
         if not names:
             return []
         self._person.show("Now all driven wheels turn forward together, pointing straight ahead")
-        held = self._held(lambda session: self._rolled(session, straight(self._modules)))
+        held = self._held(lambda session: self._rolled(session, straight(self._modules)), DOUBTS)
         driven = [one.traction for one in self._modules if one.traction]
         found = []
         for name in names:
@@ -185,9 +182,7 @@ class _Run:
         """The same with the wheel that this joint turns: the one that stands in a turn about it."""
         self._person.show(f"Now the base turns about {turned.joint}, whose wheel is to stand")
         pose = standing(self._modules, turned.joint)
-        held = self._held(lambda session: self._rolled(session, pose))
-        if held.faults:
-            raise Failed(f"the robot stopped by itself ({', '.join(held.faults)}): motord status")
+        self._held(lambda session: self._rolled(session, pose))
         wheel = self._person.choose("Which wheel stood?", [*driven, "none"])
         if wheel == "none":
             return replace(turned, note="no wheel stood in a turn about it: is the steering right?")
@@ -203,9 +198,12 @@ class _Run:
             lateral_m_s=pose.lateral * rim_m_s,
         )  # fmt: skip
 
-    def _held(self, motion: Callable[[Session], Held]) -> Held:
+    def _held(self, motion: Callable[[Session], Held], faults: Iterable[str] = ()) -> Held:
+        """`faults`: which of them may have ended the motion. Raises Failed after any other."""
         with armed(self._client, self._person, OWNER) as session:
-            return motion(session)
+            held = motion(session)
+            require_only(faults, session, held)
+            return held
 
 
 def recognized(
