@@ -24,6 +24,7 @@ from tests.sim.daemon_stage import (
     TRIES,
     becomes_idle,
     running,
+    wait_until,
     was_held_up,
 )
 
@@ -60,6 +61,17 @@ class Screen:
             assert self._read(0.1), f"{pattern}: it ended before\n{self.text}"
         self._seen += found.end()
         return found
+
+    def until(self, condition, what):
+        """Something that the command does comes about, before the command ends."""
+
+        def found():
+            ended = self.process.poll() is not None
+            holds = condition()
+            assert holds or not ended, f"{what}: the command ended before"
+            return holds
+
+        wait_until(found, what)
 
     def type(self, text):
         os.write(self.master, text.encode())

@@ -37,9 +37,8 @@ async def peer(tmp_path, engine):
 
 
 async def set_off(rig, unit):
-    await rig.arm()
-    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 20.0}
-    await until(lambda: unit.registers[TARGET] > 0)
+    rig.loop.velocity_rad_s = {0: 20.0}
+    await rig.drive(lambda: unit.registers[TARGET] > 0, "it drives")
     assert unit.registers[ENABLE] == ON
 
 

@@ -29,6 +29,11 @@ def stage(tmp_path_factory):
         yield stage
 
 
+def released(stage):
+    """By the service; again where a request to stop came after it, as on a busy machine."""
+    wait_until(lambda: called("reset")["success"] and stage.state() == "idle", "idle")
+
+
 @pytest.fixture(autouse=True)
 def settled(stage):
     settle(stage)
@@ -124,8 +129,7 @@ def test_a_topic_stops_as_the_service_does(stage, how):
     with peer("say", f"rt{NAMESPACE}/motord/estop", "a person is too close", *how):
         stage.wait_for("estop")
     assert "estop: a writer is not served" not in stage.logged()
-    assert called("reset")["success"]
-    stage.wait_for("idle")
+    released(stage)
 
 
 def test_who_stopped_the_robot_and_why_is_sent_by_name(stage):
@@ -139,8 +143,7 @@ def test_who_stopped_the_robot_and_why_is_sent_by_name(stage):
         with peer("topic", f"rt{NAMESPACE}/motor_status", "MotorStatus") as ear:
             ear.find(lambda sent: any(why.startswith(reason) for why in sent["why"]), "the reason")
     assert f"emergency stop: {reason}" in stage.logged()
-    assert called("reset")["success"]
-    stage.wait_for("idle")
+    released(stage)
     assert called("estop")["success"]
     assert stage.robot.status()["why"][0].startswith("input.ros2: by endpoint ")
     assert called("reset")["success"]

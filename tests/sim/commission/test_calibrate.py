@@ -130,7 +130,7 @@ def test_a_key_ends_a_run_at_rest_and_a_speed_drive_has_no_dead_band(tmp_path):
             "calibrate", "straight", "--distance-m", "3", "--socket", stage.socket
         ) as screen:
             screen.answer("does it stand on its mark", "y")
-            wait_until(lambda: stage.sim.truth().distance_m > 0.1, "it drives")
+            screen.until(lambda: stage.sim.truth().distance_m > 0.1, "it drives")
             screen.type("q")
             assert screen.end() == 1
         assert "aborted: the robot is at rest and disarmed" in screen.text

@@ -152,7 +152,7 @@ def test_whatever_ends_it_ends_at_rest_and_without_power(tmp_path, how):
         words = ("spin", "drive", "--seconds", "10", "--socket", stage.socket)
         with at_terminal(*words) as screen:
             screen.answer("off the ground, and is nothing in their reach", "y")
-            wait_until(lambda: joints()["drive"].velocity_rad_s > 0.5, "it turns")
+            screen.until(lambda: joints()["drive"].velocity_rad_s > 0.5, "it turns")
             if how == "key":
                 screen.type("x")
                 assert screen.end() == 1

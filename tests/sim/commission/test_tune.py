@@ -68,7 +68,7 @@ def test_whatever_ends_it_leaves_the_robot_at_rest_with_the_gains_that_it_had(st
     before, place = stage.file.read_bytes(), stage.sim.truth().distance_m
     with at_terminal("tune", "left", "--step-s", "4", "--socket", stage.socket) as screen:
         screen.answer("Is the path clear", "y")
-        wait_until(lambda: stage.sim.truth().distance_m > place + 0.02, "it drives")
+        screen.until(lambda: stage.sim.truth().distance_m > place + 0.02, "it drives")
         match how:
             case "key":
                 screen.type("q")
@@ -159,7 +159,7 @@ def test_steps_that_the_computer_was_too_busy_to_see_are_driven_again_after_a_qu
             screen.wait(r"saw only \d+% of these steps")
         place = stage.sim.truth().distance_m
         screen.answer("Is the path clear", "y")
-        wait_until(lambda: stage.sim.truth().distance_m > place + 0.02, "it drives again")
+        screen.until(lambda: stage.sim.truth().distance_m > place + 0.02, "it drives again")
         screen.type("q")
         assert screen.end() == 1
     at_rest_with_its_gains(stage, before)
