@@ -145,9 +145,8 @@ static bool too_soon(const line_machine *m, uint32_t number, int64_t sample_ns)
 static bool is_stop_proven(const line_machine *m, uint32_t number)
 {
     const line_drive_state *drive = &m->drive[number];
-    line_look look = look_of(&m->transaction.frame);
-    uint32_t place = place_of(drive, &look);
-    return m->work == WORK_STOP && place < drive->owed_count && drive->stop_doubts >= drive->owed[place].count;
+    line_look look = look_of(&m->transaction.frame); /* one that is owed: its answer may be late */
+    return m->work == WORK_STOP && drive->stop_doubts >= drive->owed[place_of(drive, &look)].count;
 }
 
 bool line_is_doubtful(line_machine *m, uint32_t number, int64_t now_ns)

@@ -189,6 +189,7 @@ static void as_many_servos_as_there_may_be_have_one_each(void)
     bench b = servo();
     b.config.joint_count = b.newest.joint_count = JOINTS_MAX;
     b.newest.positioned = (1U << JOINTS_MAX) - 1U;
+    b.config.output[0].pumps = 1; /* what lies behind the joints in memory is not zero */
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         b.config.joint[j] = (bridge_joint){.index = j, .sign = 1.0, .full_rad = 0.8, .rest_mode = BRIDGE_COAST};
         b.newest.position_rad[j] = 0.1 * j;
