@@ -225,6 +225,21 @@ static void the_first_target_is_the_place_where_it_is_and_later_ones_move_from_t
     CHECK(newest_target == 1000);
 }
 
+static void a_target_that_has_moved_on_since_it_was_sent_does_not_wait_for_its_cycle(void)
+{
+    begin_at_limited_speed();
+    arm_it();
+    go_to(0.5, 1, 50 * MS);
+    for (uint32_t before = targets; targets == before;) {
+        want(1.0, 1);
+        look();
+    }
+    int64_t later_ns = m->now_ns + 5 * MS;
+    CHECK(m->drive[0].due_ns > later_ns);
+    line_machine_kick(m, later_ns);
+    CHECK(m->drive[0].due_ns == later_ns);
+}
+
 static void a_first_target_far_from_its_place_takes_the_power(void)
 {
     static const struct {
@@ -476,6 +491,7 @@ int main(void)
     what_is_beyond_its_range_old_or_unknown_is_not_armed();
     a_place_that_is_lost_before_the_first_target_takes_the_power();
     each_arming_begins_where_it_is_then();
+    a_target_that_has_moved_on_since_it_was_sent_does_not_wait_for_its_cycle();
     tables_by_which_a_position_could_go_astray_are_refused();
     return checks_report("line position");
 }
