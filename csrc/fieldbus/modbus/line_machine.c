@@ -214,10 +214,11 @@ static void receive(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint3
 }
 
 /* ------------------------------------------------------------------------------------------------- whose turn */
-/* Unresponsive ones do not keep the others waiting, nor one of them the next: 0 comes first. */
+/* Unresponsive ones, and those whose answers are in doubt, do not keep the others waiting, nor one of them the next: 0 comes
+ * first. */
 static uint32_t stop_rank(const line_drive_state *drive)
 {
-    return drive->failures > 0 ? 1 + drive->stop_failures : 0;
+    return drive->stop_doubts + (drive->failures > 0 ? 1 + drive->stop_failures : 0);
 }
 
 static uint32_t first_to_stop(const line_machine *m)

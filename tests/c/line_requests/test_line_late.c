@@ -424,6 +424,34 @@ static void a_stop_whose_acknowledgements_may_be_late_ends_and_keeps_no_neighbou
     }
 }
 
+static void a_stop_is_not_kept_back_by_that_of_a_neighbour_whose_answers_are_in_doubt(void)
+{
+    begin_with(2, 0);
+    line_drive *table = &w.machine.table.drive[0];
+    answer_alike(&table->disarm[0]), answer_alike(&table->disarm[1]);
+    arm(0), arm(1);
+    while (w.machine.work != WORK_NONE) {
+        go_on();
+    }
+    w.machine.transaction.frame = table->disarm[0];
+    w.machine.end_ns = w.now_ns;
+    for (uint32_t owed = 0; owed < 3; owed++) {
+        line_owe(&w.machine, 0);
+    }
+    for (uint32_t i = 0; i < 2; i++) {
+        request(i, DRIVE_STAND_DOWN);
+        line_stop_now(&w.machine, i, STOP_POWER_OFF);
+    }
+    while (w.sent_off[1] < 2) {
+        go_on();
+    }
+    CHECK(w.sent_off[0] == 1);
+    for (int64_t end_ns = w.now_ns + 500 * MS; w.now_ns < end_ns;) {
+        go_on();
+    }
+    CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.sent_off[0] == 8 && w.sent_off[1] == 2);
+}
+
 /* Its first reply after it was set up may be one whose time is not known: then nothing was read. */
 static void a_value_that_was_never_read_has_no_stamp(void)
 {
@@ -475,6 +503,7 @@ int main(void)
     a_late_reply_to_one_read_is_not_the_answer_to_another();
     the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer_one();
     a_stop_whose_acknowledgements_may_be_late_ends_and_keeps_no_neighbour_waiting();
+    a_stop_is_not_kept_back_by_that_of_a_neighbour_whose_answers_are_in_doubt();
     a_value_that_was_never_read_has_no_stamp();
     return checks_report("line late");
 }
