@@ -184,7 +184,7 @@ def test_a_program_that_delays_the_loop_is_among_the_suspects(kind):
 def test_a_paused_program_goes_on_afterwards_and_ours_are_never_paused():
     with subprocess.Popen(["sleep", "60"]) as child:
         state = Path(f"/proc/{child.pid}/stat")
-        assert may_be_paused(child.pid)
+        wait_until(lambda: may_be_paused(child.pid), "it has its command line")
         with pytest.raises(ZeroDivisionError), paused(child.pid):
             wait_until(lambda: state.read_text().split()[2] == "T", "stopped")
             raise ZeroDivisionError
