@@ -113,6 +113,7 @@ void line_obey_request(line_machine *m, uint32_t number, int64_t now_ns)
         set_up(m, number, now_ns);
     } else if (answer.request == REQUEST_ARM) {
         drive->may_turn = true;
+        drive->enabled_before = 2; /* what it reported before it was armed is no loss of power */
         memset(drive->last_sent, 0, sizeof drive->last_sent);
     } else if (answer.request == REQUEST_STAND_DOWN) {
         drive->due_ns = now_ns;
@@ -243,9 +244,11 @@ static void end_cycle(line_machine *m, uint32_t number)
     }
     line_begin_stop(m, number, drive_end_stopping(&drive->state, line_at_rest(m, number), drive->cycle_start_ns),
                     drive->cycle_start_ns);
-    /* Why it has disabled itself may stand in a fault that the power-off clears. A cycle reads its faults before its power:
-     * those of the next one are newer. */
-    if (drive->state.enabled == 0 && drive->enabled_before != 0) {
+    /* Why it has disabled itself may stand in a fault that the power-off clears. A cycle reads its faults before its power, so
+     * it is judged at the end of the next one, also where it has its power back by then. */
+    if (drive->state.mode == DRIVE_ARMED && drive->enabled_before == 0) {
+        drive->state.enabled = 0;
+    } else if (drive->state.mode == DRIVE_ARMED && drive->state.enabled == 0) {
         return;
     }
     bool settled = drive->cycle_start_ns >= drive->arming_until_ns;

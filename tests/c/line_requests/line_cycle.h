@@ -32,7 +32,7 @@ static inline void begin_directions(double wanted_rad_s)
         (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{.velocity_rad_s = wanted_rad_s}}};
     drive = &w.machine.drive[0];
     drive->state.mode = DRIVE_ARMED;
-    drive->state.enabled = 1;
+    drive->state.enabled = drive->enabled_before = 1;
     drive->cycle_count = 1; /* its extra range is read in every fourth cycle, and not in this one */
     drive->answered_ns = w.now_ns;
 }

@@ -220,6 +220,29 @@ static void why_a_drive_disabled_itself_is_read_before_it_is_switched_off(void)
           drive->state.stop == STOP_POWER_OFF);
 }
 
+/* Without power it may have lost its set-up: it is switched off, whatever it reports by then. */
+static void an_armed_drive_that_has_its_power_back_after_a_cycle_is_taken_back_all_the_same(void)
+{
+    for (uint32_t how = 0; how < 2; how++) {
+        begin_directions(0.0);
+        drive->state.mode = how == 0 ? DRIVE_ARMED : DRIVE_READY;
+        drive->enabled_before = 0, drive->state.enabled = 1;
+        drive->arming_until_ns = INT64_MAX;
+        ends();
+        CHECK(drive->state.mode == (how == 0 ? DRIVE_OFF : DRIVE_READY));
+        CHECK(drive->state.stop == (how == 0 ? STOP_POWER_OFF : STOP_NOTHING));
+    }
+    begin_directions(0.0);
+    drive->state.mode = DRIVE_READY, drive->enabled_before = 0; /* without power before it was armed, in the same cycle */
+    request(0, DRIVE_ARMED);
+    w.machine.newest.stamp_ns = w.now_ns;
+    line_obey_request(&w.machine, 0, w.now_ns);
+    CHECK(drive->state.mode == DRIVE_ARMED);
+    drive->state.enabled = 1;
+    ends();
+    CHECK(drive->state.mode == DRIVE_ARMED && drive->state.stop == STOP_NOTHING);
+}
+
 /* Power that was not requested is taken in each cycle, and reported once. */
 static void one_that_is_enabled_without_being_armed_is_switched_off(void)
 {
@@ -297,6 +320,7 @@ int main(void)
     cycles_follow_each_other_by_their_period_and_late_ones_are_not_caught_up();
     the_end_of_a_cycle_judges_what_the_drive_reported();
     why_a_drive_disabled_itself_is_read_before_it_is_switched_off();
+    an_armed_drive_that_has_its_power_back_after_a_cycle_is_taken_back_all_the_same();
     one_that_is_enabled_without_being_armed_is_switched_off();
     the_core_gets_feedback_of_a_cycle_with_the_last_of_what_it_reads();
     what_is_sent_says_nothing_to_the_core_while_something_is_still_to_be_read();
