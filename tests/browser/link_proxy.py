@@ -42,6 +42,12 @@ class LinkProxy:
             one.close()
         self._selector.close()
 
+    def drop(self):
+        """Every connection ends."""
+        for one in list(self._sockets):
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+
     def _run(self):
         while not self._ended.is_set():
             for key, _ in self._selector.select(LOOK_EVERY_S):

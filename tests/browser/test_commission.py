@@ -275,6 +275,19 @@ def test_a_cut_link_ends_a_procedure_at_rest_and_without_power(robot):
         assert "silent" in page.locator(".ended").inner_text()
 
 
+def test_what_was_filled_in_is_kept_while_the_link_is_lost(robot):
+    with LinkProxy(robot.port) as link, robot.page(port=link.port) as page:
+        open_page(page, SPIN)
+        fill(page, Time_for_each_wheel=7)
+        start = page.get_by_role("button", name="Begin", exact=True)
+        link.cut = True
+        link.drop()
+        wait_until(lambda: start.count() and start.is_disabled(), "it cannot be begun")
+        link.cut = False
+        wait_until(start.is_enabled, "it can be begun again")
+        assert page.get_by_label("Time for each wheel").input_value() == "7"
+
+
 def test_the_emergency_stop_ends_a_procedure(robot):
     with robot.page() as page:
         spinning(robot, page)

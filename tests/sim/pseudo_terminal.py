@@ -76,9 +76,9 @@ class PseudoTerminal:
         self.wait_until(lambda: text in self.text, text)
 
     def exit_status(self):
-        return self.wait_until(lambda: self.process.poll() is not None, "its end") and (
-            self.process.returncode
-        )
+        self.wait_until(lambda: self.process.poll() is not None, "its end")
+        self.look()  # its last words may have come after the look before
+        return self.process.returncode
 
     def hang_up(self):
         """The window is closed, or the connection ends."""

@@ -13,6 +13,9 @@ from tests.sim.pseudo_terminal import at_terminal
 
 from motord.client import ClientError
 
+RELEASED_S = 1.5
+"""Longer than a lease, and than a key that was pressed once counts."""
+
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory):
@@ -38,17 +41,22 @@ def teleop(stage, **options):
 
 
 def hold(stage, terminal, key="w"):
-    """Until the wheels turn. A slow machine makes keys too old; then the key is pressed again, and
-    a fault that it latched is reset."""
+    """Until the wheels turn. A slow machine makes keys too old, or latches a fault that is reset
+    here. A key that stays down does not drive after either; then it is pressed again."""
+    seen = {"refusals": 0}
+
+    def refusals():
+        return sum(terminal.text.count(why) for why in ("slow link", "went on requesting"))
 
     def turning():
         if stage.state() == "fault":
             with contextlib.suppress(ClientError):
                 stage.robot.reset()
                 stage.robot.arm()
-        if "slow link" in terminal.text[-300:]:
-            end_s = time.monotonic() + 0.5
+        if refusals() > seen["refusals"] and stage.state() != "fault":
+            end_s = time.monotonic() + RELEASED_S
             terminal.wait_until(lambda: time.monotonic() > end_s, "silence")
+            seen["refusals"] = refusals()
         return not stage.sim.truth().at_rest
 
     terminal.wait_until(turning, "the wheels turn", keys=key)

@@ -14,6 +14,7 @@ import contextlib
 import json
 import logging
 import os
+import secrets
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -57,8 +58,8 @@ class Commissioning:
         self.owner: Viewer | None = None
         """The page that conducts it."""
         self.record: dict[str, Any] | None = None
-        """What pages show: `procedure`, `page`, `shown`, `question`, and `end`, None until it is
-        over. None: there was none."""
+        """What pages show: `run`, which no other has, `procedure`, `page`, `shown`, `question`, and
+        `end`, None until it is over. None: there was none."""
 
     @property
     def running(self) -> str | None:
@@ -86,7 +87,8 @@ class Commissioning:
             "socket": str(self._socket), "procedure": what, "options": numbers, "joints": joints,
         }  # fmt: skip
         self.record = {
-            "procedure": what, "page": viewer.name, "shown": [], "question": None, "end": None,
+            "run": secrets.token_hex(8), "procedure": what, "page": viewer.name, "shown": [],
+            "question": None, "end": None,
         }  # fmt: skip
         self._requested.set()
         self._publish()

@@ -178,8 +178,8 @@ export function Commission({ link, history }) {
   const [closed, close] = useState(null);
   const record = link.commissioning;
   if (!link.hello || !link.now) return html`<p class="muted">${TEXT.staleText}</p>`;
-  if (!link.mayCommand) return html`<${Card} title=${TEXT.tabs.commission}><p>${TEXT.commissionNeedsToken}</p><//>`;
+  if (!link.hello.may_command) return html`<${Card} title=${TEXT.tabs.commission}><p>${TEXT.commissionNeedsToken}</p><//>`;
   if (record && record.end === null) return html`<${Running} link=${link} history=${history} record=${record} />`;
-  if (record && record !== closed) return html`<${Ended} record=${record} close=${() => close(record)} />`;
+  if (record && record.run !== closed) return html`<${Ended} record=${record} close=${() => close(record.run)} />`;
   return html`<${Choose} link=${link} chosen=${chosen} choose=${choose} />`;
 }

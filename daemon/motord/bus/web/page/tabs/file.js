@@ -277,7 +277,7 @@ export function File({ link }) {
   };
 
   if (!link.hello) return html`<p class="muted">${TEXT.connecting}</p>`;
-  if (!link.mayCommand) return html`<${Card} title=${TEXT.tabs.file}><p>${TEXT.fileNeedsToken}</p><//>`;
+  if (!link.hello.may_command) return html`<${Card} title=${TEXT.tabs.file}><p>${TEXT.fileNeedsToken}</p><//>`;
   const marks = new Map([...(report?.warnings ?? []).map(({ line }) => [line, "warning"]), ...(report?.problems ?? []).map(({ line }) => [line, "error"])]
     .filter(([line]) => line > 0));
   return html`<${Card} title=${base?.file ?? TEXT.tabs.file} className="robot-file" extra=${html`
