@@ -86,7 +86,7 @@ class Dashboard:
             for event, listener in listeners.items():
                 page.remove_listener(event, listener)
         except BaseException:
-            print(page.url, *problems, page.evaluate(SHOWN), sep="\n")
+            print(page.url, *problems, page.evaluate(SHOWN), self.stage.logged()[-4000:], sep="\n")
             page.context.close()
             raise
         self._emptied(page)

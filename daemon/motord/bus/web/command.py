@@ -52,7 +52,7 @@ async def answer(*arguments: str, within_s: float) -> Any:
         raise NotTaken(f"motord {arguments[0]} did not end within {within_s:g} s") from None
     if child.returncode and not found:
         raise NotTaken(reason(words, arguments[0]))
-    return json.loads(found)
+    return _decoded(found, f"motord {arguments[0]}")
 
 
 async def asked(module: str, request: Mapping[str, Any], *, within_s: float) -> Any:
@@ -66,7 +66,16 @@ async def asked(module: str, request: Mapping[str, Any], *, within_s: float) -> 
     if child.returncode:
         _log.error("%s: %s", module, words.decode(errors="replace").strip())
         raise NotTaken("the request failed: see the log of motord-bus")
-    return json.loads(found)
+    return _decoded(found, module)
+
+
+def _decoded(found: bytes, what: str) -> Any:
+    """Raises NotTaken: it was killed in the middle, perhaps."""
+    try:
+        return json.loads(found)
+    except (ValueError, RecursionError) as error:
+        _log.error("%s printed what cannot be read: %s", what, error)
+        raise NotTaken(f"{what} did not print its answer to the end: try again") from None
 
 
 def reason(words: bytes, command: str) -> str:

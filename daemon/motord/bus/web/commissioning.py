@@ -154,7 +154,9 @@ class Commissioning:
 
     # ------------------------------------------------------------------------------------ at work
     async def run(self) -> None:
-        """Until cancelled."""
+        """Until cancelled. May be run again."""
+        if self.running is not None:  # when another part of the dashboard failed
+            self._end({"good": False, "text": FAILED})
         while True:
             await self._requested.wait()
             self._requested.clear()
@@ -162,9 +164,12 @@ class Commissioning:
                 end = await self._carry_out()
             except OSError as error:
                 end = {"good": False, "text": f"the procedure cannot be started: {error}"}
-            assert self.record is not None
-            self.record |= {"question": None, "end": end}
-            self._publish()
+            self._end(end)
+
+    def _end(self, end: dict[str, Any]) -> None:
+        assert self.record is not None
+        self.record |= {"question": None, "end": end}
+        self._publish()
 
     async def _carry_out(self) -> dict[str, Any]:
         self._process = process = await asyncio.create_subprocess_exec(
@@ -190,8 +195,7 @@ class Commissioning:
         """What it sends, until it has ended."""
         assert process.stdout is not None
         assert self.record is not None
-        while line := await process.stdout.readline():
-            message = json.loads(line)
+        while message := await _next(process.stdout):
             if "progress" in message:
                 self._progress(message["progress"])
                 continue
@@ -229,13 +233,29 @@ class Commissioning:
             self._process.stdin.write(json.dumps(message).encode() + b"\n")
 
 
+async def _next(output: asyncio.StreamReader) -> dict[str, Any] | None:
+    """What a procedure sends next; None: its end."""
+    try:
+        line = await output.readline()
+        message = json.loads(line) if line else None
+        if message is not None and not isinstance(message, dict):
+            raise ValueError("no object")
+    except (ValueError, RecursionError) as error:  # killed in the middle of a line, perhaps
+        _log.error("a procedure sent what cannot be read: %s", error)
+        return None
+    return message
+
+
 async def _ended(process: asyncio.subprocess.Process) -> None:
-    """The end of its stdin stops it."""
+    """The end of its stdin stops it. What it still sends is read, or it could not end."""
     assert process.stdin is not None
+    assert process.stdout is not None
     process.stdin.close()
     try:
         with contextlib.suppress(TimeoutError):
             async with within(ENDS_WITHIN_S):
+                while await process.stdout.read(LINE_BYTES_MAX):
+                    pass
                 await process.wait()
     finally:
         if process.returncode is None:

@@ -89,6 +89,8 @@ class Traces:
             await self._end(look, child, b"".join(errors))
 
     def _take(self, look: _Look, raw: bytes) -> None:
+        if not raw.endswith(b"\n"):  # it was killed in the middle of a line
+            return
         look.seen += 1
         row = json.loads(raw)
         look.rows.append(row | {"failed": row["result"] not in USUAL})

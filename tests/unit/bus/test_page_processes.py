@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Processes that pages have started, and that fail: a shell script takes their place."""
+
+import asyncio
+import json
+import sys
+
+import pytest
+
+from motord.bus.commands.gate import NotTaken
+from motord.bus.web.command import answer, asked
+from motord.bus.web.commissioning import FAILED, Commissioning
+from motord.bus.web.tracing import Traces
+
+SPIN = {"procedure": "spin"}
+
+
+class Page:
+    """Keeps what it is sent."""
+
+    name, keeps_up = "page 1", True
+
+    def __init__(self):
+        self.sent = asyncio.Queue()
+
+    def say(self, text):
+        self.sent.put_nowait(text)
+
+
+@pytest.fixture
+def carried_out_by(monkeypatch, tmp_path):
+    """Has every process be this script."""
+
+    def replace(script):
+        program = tmp_path / "program"
+        program.write_text(f"#!/bin/sh\nread -r request\n{script}\n", encoding="utf-8")
+        program.chmod(0o700)
+        monkeypatch.setattr(sys, "executable", str(program))
+
+    return replace
+
+
+@pytest.fixture
+def procedure(carried_out_by, tmp_path):
+    """Makes one that this script carries out."""
+
+    def make(script):
+        carried_out_by(script)
+        return Commissioning(tmp_path / "socket", lambda: None, lambda _text: None)
+
+    return make
+
+
+async def ended(commissioning):
+    while commissioning.running is not None:
+        await asyncio.sleep(0.01)
+    return commissioning.record["end"]
+
+
+@pytest.mark.parametrize(
+    "script",
+    [
+        """printf '{"progress": "half of a li'""",
+        "echo no JSON",
+        "echo '[]'",
+        "head -c 3000000 /dev/zero | tr '\\\\0' x; echo",
+        "kill -9 $$",
+        "exit 0",
+    ],
+    ids=["half a line", "no JSON", "no object", "an endless line", "killed", "without an end"],
+)
+async def test_a_process_that_fails_ends_its_procedure_and_the_next_one_begins(procedure, script):
+    commissioning = procedure(script)
+    async with asyncio.timeout(100), asyncio.TaskGroup() as tasks:
+        work = tasks.create_task(commissioning.run())
+        for _ in range(2):
+            commissioning.start(Page(), SPIN)
+            assert await ended(commissioning) == {"good": False, "text": FAILED}
+        work.cancel()
+
+
+async def test_a_procedure_that_was_cut_off_does_not_keep_the_next_from_beginning(procedure):
+    commissioning = procedure("""echo '{"show": "it runs"}'; cat > /dev/null""")
+    async with asyncio.timeout(100), asyncio.TaskGroup() as tasks:
+        work = tasks.create_task(commissioning.run())
+        commissioning.start(Page(), SPIN)
+        while not commissioning.record["shown"]:
+            await asyncio.sleep(0.01)
+        work.cancel()  # as when another part of the dashboard fails, which is then run again
+        await asyncio.wait([work])
+        again = tasks.create_task(commissioning.run())
+        assert await ended(commissioning) == {"good": False, "text": FAILED}
+        commissioning.start(Page(), SPIN)
+        again.cancel()
+
+
+async def test_half_an_answer_is_none(carried_out_by):
+    carried_out_by("""printf '{"half": '""")
+    with pytest.raises(NotTaken, match="did not print its answer to the end"):
+        await answer("check", within_s=100)
+    with pytest.raises(NotTaken, match="did not print its answer to the end"):
+        await asked("motord.config", {}, within_s=100)
+
+
+async def test_a_trace_that_is_cut_off_is_reported_to_its_page(carried_out_by, tmp_path):
+    carried_out_by("""printf '{"result": "o'""")
+    page = Page()
+    traces = Traces(tmp_path / "socket")
+    async with asyncio.timeout(100), asyncio.TaskGroup() as tasks:
+        work = tasks.create_task(traces.run())
+        await asyncio.sleep(0)
+        traces.show(page, "a")
+        trace = json.loads(await page.sent.get())["trace"]
+        assert trace == {"line": "a", "problem": "motord trace failed"}
+        work.cancel()
