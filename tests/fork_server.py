@@ -70,6 +70,8 @@ _NETWORK, _MOUNTS = "/proc/thread-self/ns/net", "/proc/thread-self/ns/mnt"
 _LIMITS = [getattr(resource, name) for name in dir(resource) if name.startswith("RLIMIT_")]
 _libc = ctypes.CDLL(None, use_errno=True)
 _real = subprocess._fork_exec
+_PYTHON = sys.executable
+"""A test may put another program in its place."""
 _read = []
 _worlds = {}
 """Modules of motord by whether they read robot files themselves: motord/base/validation.py."""
@@ -126,7 +128,7 @@ def _request(given):
     plain = close_fds and (gid, gids, uid, umask, preexec) == (None, None, None, -1, None)
     if not plain or words[1:2] != ["-m"] or words[2:3] not in ([name] for name in MODULES):
         return None
-    if programs != [sys.executable] or (cwd and not os.path.isdir(cwd)):
+    if programs != [_PYTHON] or (cwd and not os.path.isdir(cwd)):
         return None
     standard = [number if own < 0 else own for number, own in enumerate((stdin, stdout, stderr))]
     passed = [fd for fd in keep if fd != pipe]

@@ -125,11 +125,12 @@ RAW = st.integers(-1_000_000, 1_000_000)
 @given(FORMATS, RAW, RAW)
 @example("d", 1000, 3000)
 @example("+07.2f", -5, 5)
+@example(".0g", 1, 380)  # 0.95 may become 0.9 or 1
 def test_a_joint_s_number_is_written_as_python_writes_it(form, left, right):
     spec = spec_of(f"{{left:{form}}};{{right:{form}}}\n")
     raw = {"target_1": left, "target_2": right}
     python, c = python_write(spec, raw), c_write(spec, raw)
-    if not any(number == 0.0 for number in numbers(python)):  # C has no -0
+    if numbers(c) == numbers(python) and 0.0 not in numbers(python):  # C has no -0
         assert len(c) == len(python)
     assert c.count(b";") == 1
     last_digit = 10.0 ** -(int(form[-2]) if form[-1] == "f" and "." in form else 0)

@@ -102,8 +102,16 @@ async def test_half_an_answer_is_none(carried_out_by):
         await asked("motord.config", {}, within_s=100)
 
 
-async def test_a_trace_that_is_cut_off_is_reported_to_its_page(carried_out_by, tmp_path):
-    carried_out_by("""printf '{"result": "o'""")
+@pytest.mark.parametrize(
+    ("script", "problem"),
+    [
+        ("""printf '{"result": "o'""", "motord trace failed"),
+        ("""echo '{"error": "no line", "exit_status": 1}'""", "no line"),
+    ],
+    ids=["half a line", "an error"],
+)
+async def test_why_a_trace_has_ended_is_shown(carried_out_by, tmp_path, script, problem):
+    carried_out_by(script)
     page = Page()
     traces = Traces(tmp_path / "socket")
     async with asyncio.timeout(100), asyncio.TaskGroup() as tasks:
@@ -111,5 +119,5 @@ async def test_a_trace_that_is_cut_off_is_reported_to_its_page(carried_out_by, t
         await asyncio.sleep(0)
         traces.show(page, "a")
         trace = json.loads(await page.sent.get())["trace"]
-        assert trace == {"line": "a", "problem": "motord trace failed"}
+        assert trace == {"line": "a", "problem": problem}
         work.cancel()

@@ -38,6 +38,7 @@ class _Look:
     viewers: set[Viewer] = field(default_factory=set)
     rows: deque[Row] = field(default_factory=lambda: deque(maxlen=KEPT_MAX))
     seen: int = 0
+    problem: str = ""
     task: asyncio.Task[None] | None = None
 
 
@@ -91,8 +92,11 @@ class Traces:
     def _take(self, look: _Look, raw: bytes) -> None:
         if not raw.endswith(b"\n"):  # it was killed in the middle of a line
             return
-        look.seen += 1
         row = json.loads(raw)
+        if "result" not in row:  # why it ends
+            look.problem = row.get("error", "")
+            return
+        look.seen += 1
         look.rows.append(row | {"failed": row["result"] not in USUAL})
 
     async def _send(self, look: _Look) -> None:
@@ -115,7 +119,8 @@ class Traces:
         with contextlib.suppress(TimeoutError):  # it is killed then
             async with within(END_WITHIN_S):
                 await child.wait()
-        text = json.dumps({"trace": {"line": look.line, "problem": reason(words, "trace")}})
+        problem = look.problem or reason(words, "trace")
+        text = json.dumps({"trace": {"line": look.line, "problem": problem}})
         for viewer in look.viewers:
             viewer.say(text)
         if self._looks.get(look.line) is look:
