@@ -102,6 +102,12 @@ async def test_half_an_answer_is_none(carried_out_by):
         await asked("motord.config", {}, within_s=100)
 
 
+async def test_the_error_that_a_command_prints_is_no_answer(carried_out_by):
+    carried_out_by("""echo '{"error": "no daemon", "exit_status": 1}'; exit 1""")
+    with pytest.raises(NotTaken, match="no daemon"):
+        await answer("params", "save", within_s=100)
+
+
 @pytest.mark.parametrize(
     ("script", "problem"),
     [

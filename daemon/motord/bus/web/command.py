@@ -16,6 +16,7 @@ from typing import Any
 
 from motord.api.deadline import within
 from motord.bus.commands.gate import NotTaken
+from motord.bus.messages import json_form
 
 NICENESS = 19
 """Every other process runs first."""
@@ -44,7 +45,7 @@ async def running(
 
 async def answer(*arguments: str, within_s: float) -> Any:
     """What `motord ARGUMENTS --json` prints, whatever its exit status. Raises NotTaken where it
-    prints nothing."""
+    prints an error, or nothing that can be read."""
     try:
         async with within(within_s), running(*arguments, "--json") as child:
             found, words = await child.communicate()
@@ -52,7 +53,10 @@ async def answer(*arguments: str, within_s: float) -> Any:
         raise NotTaken(f"motord {arguments[0]} did not end within {within_s:g} s") from None
     if child.returncode and not found:
         raise NotTaken(reason(words, arguments[0]))
-    return _decoded(found, f"motord {arguments[0]}")
+    report = _decoded(found, f"motord {arguments[0]}")
+    if child.returncode and isinstance(report, dict) and "error" in report:
+        raise NotTaken(report["error"])
+    return report
 
 
 async def asked(module: str, request: Mapping[str, Any], *, within_s: float) -> Any:
@@ -70,10 +74,10 @@ async def asked(module: str, request: Mapping[str, Any], *, within_s: float) -> 
 
 
 def _decoded(found: bytes, what: str) -> Any:
-    """Raises NotTaken: it was killed in the middle, perhaps."""
+    """Raises NotTaken for what is no JSON: the process was killed while it printed, perhaps."""
     try:
-        return json.loads(found)
-    except (ValueError, RecursionError) as error:
+        return json_form.decode(found)
+    except ValueError as error:
         _log.error("%s printed what cannot be read: %s", what, error)
         raise NotTaken(f"{what} did not print its answer to the end: try again") from None
 

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 from motord.api.deadline import within
 from motord.api.procedures import PROCEDURES, chosen
 from motord.bus.commands.gate import NotTaken, short
+from motord.bus.messages import json_form
 from motord.bus.web.seat import SEEN_AHEAD_S, SEEN_MAX_S
 
 if TYPE_CHECKING:
@@ -237,10 +238,10 @@ async def _next(output: asyncio.StreamReader) -> dict[str, Any] | None:
     """What a procedure sends next; None: its end."""
     try:
         line = await output.readline()
-        message = json.loads(line) if line else None
+        message = json_form.decode(line) if line else None
         if message is not None and not isinstance(message, dict):
             raise ValueError("no object")
-    except (ValueError, RecursionError) as error:  # killed in the middle of a line, perhaps
+    except ValueError as error:  # killed in the middle of a line, perhaps
         _log.error("a procedure sent what cannot be read: %s", error)
         return None
     return message
