@@ -130,7 +130,8 @@ def test_a_joint_s_number_is_written_as_python_writes_it(form, left, right):
     spec = spec_of(f"{{left:{form}}};{{right:{form}}}\n")
     raw = {"target_1": left, "target_2": right}
     python, c = python_write(spec, raw), c_write(spec, raw)
-    if numbers(c) == numbers(python) and 0.0 not in numbers(python):  # C has no -0
+    tie = form[-1] == "g" and numbers(c) != numbers(python)  # a digit more or less
+    if not tie and 0.0 not in numbers(python):  # C has no -0
         assert len(c) == len(python)
     assert c.count(b";") == 1
     last_digit = 10.0 ** -(int(form[-2]) if form[-1] == "f" and "." in form else 0)

@@ -46,14 +46,17 @@ def procedure(carried_out_by, tmp_path):
 
     def make(script):
         carried_out_by(script)
-        return Commissioning(tmp_path / "socket", lambda: None, lambda _text: None)
+        published = asyncio.Event()
+        commissioning = Commissioning(tmp_path / "socket", published.set, lambda _text: None)
+        return commissioning, published
 
     return make
 
 
-async def ended(commissioning):
+async def ended(commissioning, published):
     while commissioning.running is not None:
-        await asyncio.sleep(0.01)
+        published.clear()
+        await published.wait()
     return commissioning.record["end"]
 
 
@@ -70,26 +73,27 @@ async def ended(commissioning):
     ids=["half a line", "no JSON", "no object", "an endless line", "killed", "without an end"],
 )
 async def test_a_process_that_fails_ends_its_procedure_and_the_next_one_begins(procedure, script):
-    commissioning = procedure(script)
+    commissioning, published = procedure(script)
     async with asyncio.timeout(100), asyncio.TaskGroup() as tasks:
         work = tasks.create_task(commissioning.run())
         for _ in range(2):
             commissioning.start(Page(), SPIN)
-            assert await ended(commissioning) == {"good": False, "text": FAILED}
+            assert await ended(commissioning, published) == {"good": False, "text": FAILED}
         work.cancel()
 
 
 async def test_a_procedure_that_was_cut_off_does_not_keep_the_next_from_beginning(procedure):
-    commissioning = procedure("""echo '{"show": "it runs"}'; cat > /dev/null""")
+    commissioning, published = procedure("""echo '{"show": "it runs"}'; cat > /dev/null""")
     async with asyncio.timeout(100), asyncio.TaskGroup() as tasks:
         work = tasks.create_task(commissioning.run())
         commissioning.start(Page(), SPIN)
         while not commissioning.record["shown"]:
-            await asyncio.sleep(0.01)
+            published.clear()
+            await published.wait()
         work.cancel()  # as when another part of the dashboard fails, which is then run again
         await asyncio.wait([work])
         again = tasks.create_task(commissioning.run())
-        assert await ended(commissioning) == {"good": False, "text": FAILED}
+        assert await ended(commissioning, published) == {"good": False, "text": FAILED}
         commissioning.start(Page(), SPIN)
         again.cancel()
 
@@ -122,7 +126,7 @@ async def test_why_a_trace_has_ended_is_shown(carried_out_by, tmp_path, script, 
     traces = Traces(tmp_path / "socket")
     async with asyncio.timeout(100), asyncio.TaskGroup() as tasks:
         work = tasks.create_task(traces.run())
-        await asyncio.sleep(0)
+        await asyncio.sleep(0)  # it begins
         traces.show(page, "a")
         trace = json.loads(await page.sent.get())["trace"]
         assert trace == {"line": "a", "problem": problem}
