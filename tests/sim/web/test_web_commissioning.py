@@ -7,11 +7,13 @@ import os
 import signal
 import struct
 import time
+from pathlib import Path
 
 import pytest
 from tests.sim.daemon_stage import becomes_idle, wait_until
-from tests.sim.web.web_page import ended, free_port, listens, pages, with_dashboard
+from tests.sim.web.web_page import bus_children, ended, free_port, listens, pages, with_dashboard
 
+from motord.bus.web.commissioning import FAILED
 from motord.client import ClientError
 
 PRESENT = 4
@@ -99,6 +101,21 @@ async def turning(stage, page):
 
 def fastest_rad_s(stage):
     return max(abs(joint.velocity_rad_s) for joint in stage.sim.truth().joints.values())
+
+
+def message_pipe(stage):
+    """What the procedure sends its messages to motord-bus by: its stdout is its log."""
+    (procedure,) = bus_children(stage, "motord.commission.page.procedure")
+    read = {target for _, target in pipes(stage.robot.status()["bus"]["pid"])}
+    (found,) = (one for one, target in pipes(procedure) if target in read and one.name != "0")
+    return found
+
+
+def pipes(pid):
+    for one in Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(OSError):  # it is closed by now
+            if (target := os.readlink(one)).startswith("pipe:"):
+                yield one, target
 
 
 def rests_disarmed(stage):
@@ -191,6 +208,19 @@ async def test_a_page_that_falls_silent_lets_the_wheel_come_to_rest_without_powe
     end = await page.until(lambda one: record(one).get("end"))
     assert "silent" in end["text"]
     rests_disarmed(stage)
+
+
+async def test_a_procedure_that_sends_what_cannot_be_read_ends_at_rest_without_power(
+    stage, connect
+):
+    page = await connect()
+    await turning(stage, page)
+    async with present(page):
+        message_pipe(stage).write_bytes(b"no JSON\n")
+        end = await page.until(lambda one: record(one).get("end"))
+    assert end == {"good": False, "text": FAILED}
+    rests_disarmed(stage)
+    assert "result" in await page.answer("commission.start", **SPIN)
 
 
 async def test_motord_bus_that_is_killed_leaves_the_robot_at_rest_and_disarmed(stage, connect):
