@@ -47,13 +47,13 @@ HEADERS = (
     "api.h",
     "api_loop.h",
     "api_command.h",
-    "api_line.h",
+    "line/api_line.h",
     "api_trace.h",
-    "api_drive.h",
-    "api_can.h",
-    "api_board.h",
+    "line/api_drive.h",
+    "line/api_can.h",
+    "line/api_board.h",
     "api_encoder.h",
-    "api_bridge.h",
+    "line/api_bridge.h",
     "api_journal.h",
 )
 for header in HEADERS:

@@ -16,13 +16,13 @@
 #include "api/api.h"
 #include "api/api_loop.h"
 #include "api/api_command.h"
-#include "api/api_line.h"
+#include "api/line/api_line.h"
 #include "api/api_trace.h"
-#include "api/api_drive.h"
-#include "api/api_can.h"
-#include "api/api_board.h"
+#include "api/line/api_drive.h"
+#include "api/line/api_can.h"
+#include "api/line/api_board.h"
 #include "api/api_encoder.h"
-#include "api/api_bridge.h"
+#include "api/line/api_bridge.h"
 #include "api/api_journal.h"
 
 #endif

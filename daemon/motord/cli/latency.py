@@ -17,7 +17,7 @@ from motord.tools.latency.plot import PlotMissing, plot, require_matplotlib
 from motord.tools.latency.report import FIGURES, LatencyReport
 
 if TYPE_CHECKING:
-    from motord.tools.latency.suspects import Verdict
+    from motord.tools.latency.causes.suspects import Verdict
 
 SUSPECTS_SHOWN = 5
 UNRESPONSIVE_PERIOD_S = 5.0

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from motord.commission.person import Failed
 from motord.commission.robot_file_edit import RobotFileEdit
 from motord.config import Robot
-from motord.config.sections.joint_limits import NUMBERS, JointLimits
-from motord.config.sections.speed_loop import SpeedLoop
+from motord.config.sections.joint.limits import NUMBERS, JointLimits
+from motord.config.sections.joint.speed_loop import SpeedLoop
 
 LIMITS, JOINT = "limits.", "joint."
 _ROUNDS = 2

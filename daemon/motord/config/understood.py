@@ -7,13 +7,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from motord.config.rules.can import bus_load
-from motord.config.rules.wire import budget
+from motord.config.rules.wiring.can import bus_load
+from motord.config.rules.wiring.wire import budget
 from motord.config.sections.bases import JointsBase, wheel_row
+from motord.config.sections.joint.wheels import rad_per_count, takes_position, velocity_range_rad_s
 from motord.config.sections.limits import LATERAL_KEYS
 from motord.config.sections.model import Robot
 from motord.config.sections.section import Section
-from motord.config.sections.wheels import rad_per_count, takes_position, velocity_range_rad_s
 from motord.config.wiring import line_specs
 
 RPM_PER_RAD_S = 60.0 / math.tau

@@ -7,6 +7,13 @@ from dataclasses import replace
 
 from motord.config.sections.bases import side_of
 from motord.config.sections.imu import LineImu
+from motord.config.sections.joint.wheels import (
+    Profiles,
+    counts_per_turn,
+    rad_per_count,
+    takes_position,
+    velocity_range_rad_s,
+)
 from motord.config.sections.line import (
     AnyLine,
     AsciiLine,
@@ -16,13 +23,6 @@ from motord.config.sections.line import (
     SerialLine,
 )
 from motord.config.sections.model import Joint, Robot
-from motord.config.sections.wheels import (
-    Profiles,
-    counts_per_turn,
-    rad_per_count,
-    takes_position,
-    velocity_range_rad_s,
-)
 from motord_hal.drives.profile import DriveProfile, Gap
 from motord_hal.fieldbus.ports import (
     BoardEncoder,

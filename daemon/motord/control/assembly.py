@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 from motord.config.sections.bases import JointsBase, wheel_modules, wheel_row
-from motord.config.sections.derating import PAIRS, Derating
-from motord.config.sections.feedback import FeedbackChecks
 from motord.config.sections.imu import Imu
-from motord.config.sections.joint_limits import JointLimits
-from motord.config.sections.limits import Limits
-from motord.config.sections.model import Joint, Robot
-from motord.config.sections.speed_loop import DUTY_GAINS, SpeedLoop
-from motord.config.sections.wheels import (
+from motord.config.sections.joint.derating import PAIRS, Derating
+from motord.config.sections.joint.feedback import FeedbackChecks
+from motord.config.sections.joint.limits import JointLimits
+from motord.config.sections.joint.speed_loop import DUTY_GAINS, SpeedLoop
+from motord.config.sections.joint.wheels import (
     Profiles,
     counter_bits,
     gains_of,
@@ -23,6 +21,8 @@ from motord.config.sections.wheels import (
     velocity_range_rad_s,
     working_speed_rad_s,
 )
+from motord.config.sections.limits import Limits
+from motord.config.sections.model import Joint, Robot
 from motord.config.wiring import line_specs
 from motord.realtime import loop as rt
 from motord.realtime.types import (

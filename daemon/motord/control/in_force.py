@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from motord.config import Limits, Robot
-from motord.config.sections.joint_limits import JointLimits, limit_keys
-from motord.config.sections.speed_loop import SpeedLoop
-from motord.config.sections.wheels import gains_of
+from motord.config.sections.joint.limits import JointLimits, limit_keys
+from motord.config.sections.joint.speed_loop import SpeedLoop
+from motord.config.sections.joint.wheels import gains_of
 from motord.control.assembly import base_limits, joint_limits, speed_loop_gains
 from motord.realtime.types import SpeedLoopGains
 

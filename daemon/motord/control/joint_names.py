@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from motord.config import Robot
 from motord.config.sections.bases import JointsBase
-from motord.config.sections.wheels import takes_position
+from motord.config.sections.joint.wheels import takes_position
 from motord.local_socket.server import Refused
 
 

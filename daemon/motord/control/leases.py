@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Who may command: leases by connection and owner. Python grants them and ends them; which of them
-is in command, and which is held, is decided by the loop (csrc/loop/arbiter.c), which reports it.
+is in command, and which is held, is decided by the loop (csrc/loop/command/arbiter.c), which
+reports it.
 
 The fresh lease with the highest priority commands; among equals the first one. A source that
 requests motion while nothing may move is held: its lease counts as zero until it has sent zero

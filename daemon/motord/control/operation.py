@@ -22,9 +22,9 @@ from motord.api.snapshot import Snapshot
 from motord.base.log import about
 from motord.base.sdnotify import Notifier
 from motord.config import Limits, Robot
-from motord.config.sections.joint_limits import JointLimits
-from motord.config.sections.speed_loop import SpeedLoop
-from motord.config.sections.wheels import takes_position
+from motord.config.sections.joint.limits import JointLimits
+from motord.config.sections.joint.speed_loop import SpeedLoop
+from motord.config.sections.joint.wheels import takes_position
 from motord.control.battery import BatteryLevel, BatteryWatch
 from motord.control.doubt import doubt_text
 from motord.control.in_force import InForce

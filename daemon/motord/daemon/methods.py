@@ -15,15 +15,12 @@ from motord.control.health import Health
 from motord.control.leases import LEASE_MAX_S, LEASE_MIN_S, Lease
 from motord.control.machine import State
 from motord.control.operation import WHY_CHARS_MAX, Operation
-from motord.daemon import (
-    drive_parameters,
-    gain_parameters,
-    joint_parameters,
-    parameters,
-    procedures,
-    report,
-)
+from motord.daemon import procedures, report
 from motord.daemon.bus_supervisor import BusSupervisor
+from motord.daemon.parameters import drive as drive_parameters
+from motord.daemon.parameters import gain as gain_parameters
+from motord.daemon.parameters import joint as joint_parameters
+from motord.daemon.parameters import robot as parameters
 from motord.daemon.tracing import Tracing
 from motord.local_socket.command_sockets import CommandSockets
 from motord.local_socket.params import Params, names, number, text, values

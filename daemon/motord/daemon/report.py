@@ -11,8 +11,8 @@ from motord.api.commands import CommandReport
 from motord.api.snapshot import Snapshot
 from motord.bus.publish.samples import Samples
 from motord.config.sections.bases import JointsBase, side_of, wheel_modules, wheel_row
+from motord.config.sections.joint.wheels import takes_position
 from motord.config.sections.model import Robot
-from motord.config.sections.wheels import takes_position
 from motord.control.health import Health
 from motord.control.leases import Lease
 from motord.control.operation import Operation

@@ -28,7 +28,7 @@ from motord.client import Client, ClientError, Refused
 from motord.config import Robot
 from motord.config.sections.bases import CarBase
 from motord.config.sections.imu import ChipImu
-from motord.config.sections.wheels import counter_bits, velocity_range_rad_s
+from motord.config.sections.joint.wheels import counter_bits, velocity_range_rad_s
 from motord.tools.course import (
     CAR,
     COURSE,

@@ -13,7 +13,7 @@ from typing import Any
 
 from motord.client import Refused
 from motord.config import Robot
-from motord.config.sections.wheels import counter_bits, takes_position, velocity_range_rad_s
+from motord.config.sections.joint.wheels import counter_bits, takes_position, velocity_range_rad_s
 from motord.tools.demo import (
     COMMAND_PERIOD_S,
     REST_DEADLINE_S,

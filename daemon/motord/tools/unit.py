@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 
 from motord.config import Robot
-from motord.config.sections.encoder import BoardEncoder, GpioEncoder, KernelEncoder
+from motord.config.sections.joint.encoder import BoardEncoder, GpioEncoder, KernelEncoder
 from motord.config.sections.line import CanLine, PwmLine, SerialLine
 
 _ALWAYS = "/dev/cpu_dma_latency"

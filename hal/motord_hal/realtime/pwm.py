@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The interface to the thread that drives motor bridges. The meaning of each field is in
-csrc/api/api_bridge.h."""
+csrc/api/line/api_bridge.h."""
 
 from __future__ import annotations
 

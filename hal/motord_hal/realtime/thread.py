@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the interfaces to the threads of lines in C have in common, whatever the medium.
 
-The meaning of each field is in csrc/api/api_line.h.
+The meaning of each field is in csrc/api/line/api_line.h.
 """
 
 from __future__ import annotations

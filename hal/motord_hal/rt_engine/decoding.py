@@ -71,7 +71,7 @@ def _unit_per_count(joint: JointSpec, profile: DriveProfile, register: Register)
 def setpoint_scale(
     joint: JointSpec, channel: Channel, si_per_raw: float, limits: tuple[float, float]
 ) -> dict[str, Any]:
-    """setpoint_scale of csrc/api/api_line.h."""
+    """setpoint_scale of csrc/api/line/api_line.h."""
     sign = -1.0 if joint.inverted else 1.0
     factor = sign * channel.to_motor(joint.gear_ratio) / si_per_raw
     takes_position = channel.position_setpoint is not None
@@ -95,7 +95,7 @@ def harmless(profile: DriveProfile) -> tuple[int, tuple[int, ...] | None]:
 
 
 def harmless_words(profile: DriveProfile) -> dict[str, Any]:
-    """The same for field_meaning of csrc/api/api_line.h."""
+    """The same for field_meaning of csrc/api/line/api_line.h."""
     bits, codes = harmless(profile)
     listed = codes or ()
     return {

@@ -150,7 +150,8 @@ def test_the_package_reports_of_itself_what_the_project_reports():
 
 
 def test_every_ros_package_that_it_imports_is_a_dependency():
-    from motord.bus.ros2 import commands, lifecycle, parameters
+    from motord.bus.ros2 import commands
+    from motord.bus.ros2.services import lifecycle, parameters
 
     manifest = ET.parse(SOURCE / "package.xml").getroot()
     depends = {found.text for found in manifest.iter("exec_depend")}

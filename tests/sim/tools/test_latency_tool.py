@@ -21,12 +21,12 @@ from tests.sim.daemon_stage import wait_until
 
 from motord.cli import cli
 from motord.realtime.loop import Loop, LoopSettings
+from motord.tools.latency.causes.switches import SwitchesUnknown, SwitchReader
 from motord.tools.latency.load import BURNER
 from motord.tools.latency.measure import LatencyError, LatencyOptions, run_latency
 from motord.tools.latency.other_end import PEER
 from motord.tools.latency.report import FIGURES
 from motord.tools.latency.rig import core_config
-from motord.tools.latency.switches import SwitchesUnknown, SwitchReader
 from motord.tools.latency.trials import may_be_paused, paused, search
 
 ROOT = Path(__file__).resolve().parents[3]

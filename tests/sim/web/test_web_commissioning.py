@@ -13,7 +13,7 @@ import pytest
 from tests.sim.daemon_stage import becomes_idle, wait_until
 from tests.sim.web.web_page import bus_children, ended, free_port, listens, pages, with_dashboard
 
-from motord.bus.web.commissioning import FAILED
+from motord.bus.web.processes.commissioning import FAILED
 from motord.client import ClientError
 
 PRESENT = 4

@@ -7,7 +7,7 @@ import pytest
 from tests.sim.daemon_stage import wait_until
 from tests.sim.web.web_page import bus_children, free_port, pages, with_dashboard
 
-from motord.bus.web.tracing import ROWS_MAX, chosen
+from motord.bus.web.processes.tracing import ROWS_MAX, chosen
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from motord_hal.realtime.board import BoardClock
 
 MS = 1_000_000
 SAMPLES_KEPT = 32
-"""BOARD_CLOCK_SAMPLES: csrc/api/api_board.h."""
+"""BOARD_CLOCK_SAMPLES: csrc/api/line/api_board.h."""
 WRAP_US = 1 << 32
 
 

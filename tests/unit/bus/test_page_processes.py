@@ -8,9 +8,9 @@ import sys
 import pytest
 
 from motord.bus.commands.gate import NotTaken
-from motord.bus.web.command import answer, asked
-from motord.bus.web.commissioning import FAILED, Commissioning
-from motord.bus.web.tracing import Traces
+from motord.bus.web.processes.command import answer, asked
+from motord.bus.web.processes.commissioning import FAILED, Commissioning
+from motord.bus.web.processes.tracing import Traces
 
 SPIN = {"procedure": "spin"}
 

@@ -9,7 +9,7 @@ import pytest
 from motord.config import load_robot
 from motord.config.drives.load import find_profile, load_profile
 from motord.config.problems import ConfigError
-from motord.config.rules.can import bus_load
+from motord.config.rules.wiring.can import bus_load
 from motord.config.wiring import line_specs
 from motord_hal.base.errors import HalError, ProfileError
 from motord_hal.base.paths import config_dir

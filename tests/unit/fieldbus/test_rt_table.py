@@ -71,7 +71,7 @@ def table_of(profile, **changes):
     return frames.plan, drive_table(frames, spec)
 
 
-# What csrc/api/api_line.h says of set-points and fields, once more and plainly.
+# What csrc/api/line/api_line.h says of set-points and fields, once more and plainly.
 def put(exchange, wanted):
     request = bytearray(exchange.frame.request)
     for setpoint in exchange.setpoint:

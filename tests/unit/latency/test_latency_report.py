@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord.tools.latency.machine import (
+from motord.tools.latency.causes.machine import (
     CpuTimes,
     cpu_model,
     is_preempt_rt,

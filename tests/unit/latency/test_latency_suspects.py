@@ -6,9 +6,9 @@ import struct
 import pytest
 
 from motord.realtime.types import LateTick
-from motord.tools.latency.activity import Thread, Threads, counts
-from motord.tools.latency.suspects import Case
-from motord.tools.latency.switches import Switches
+from motord.tools.latency.causes.activity import Thread, Threads, counts
+from motord.tools.latency.causes.suspects import Case
+from motord.tools.latency.causes.switches import Switches
 
 LOOP, HOG, CPU = 100, 200, 1
 US = 1000

@@ -9,7 +9,7 @@ import pytest
 
 from motord.bus.messages.cdr import decode, encode
 from motord.bus.messages.table import TYPES, type_hash
-from motord.bus.ros2.type_description import SERVICE, serve_types
+from motord.bus.ros2.services.type_description import SERVICE, serve_types
 
 
 class Served:

@@ -10,8 +10,9 @@ from motord.bus.parameters import Tunable
 from motord.commission.params_save import put_in_force
 from motord.commission.robot_file_edit import RobotFileEdit
 from motord.config import load_robot
-from motord.config.sections.joint_limits import JointLimits
-from motord.daemon import joint_parameters, parameters
+from motord.config.sections.joint.limits import JointLimits
+from motord.daemon.parameters import joint as joint_parameters
+from motord.daemon.parameters import robot as parameters
 from motord.local_socket.server import RpcError
 
 ROBOTS = Path(__file__).resolve().parents[3] / "config/robots"

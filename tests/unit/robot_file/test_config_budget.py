@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from motord.config import ConfigError, load_robot
-from motord.config.rules.wire import budget, cycle_limit_hz, helps
+from motord.config.rules.wiring.wire import budget, cycle_limit_hz, helps
 from motord.config.wiring import line_specs
 from motord_hal.drives.profile import Gap
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from motord.config import ConfigError, load_robot
-from motord.config.rules.wire import cycle_limit_hz
+from motord.config.rules.wiring.wire import cycle_limit_hz
 from motord.config.wiring import line_specs
 
 ROBOTS = Path(__file__).resolve().parents[3] / "config/robots"

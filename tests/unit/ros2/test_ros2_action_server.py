@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from motord.bus.messages.cdr import encode
-from motord.bus.ros2.actions import GOALS_KEPT, ActionServer, Refused, Status, Turn
+from motord.bus.ros2.services.actions import GOALS_KEPT, ActionServer, Refused, Status, Turn
 
 KIND = "motord_msgs/action/DriveDistance"
 NOTHING = SimpleNamespace(distance_m=0.0, turned_rad=0.0, duration_s=0.0, message="")

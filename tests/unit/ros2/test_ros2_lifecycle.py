@@ -9,7 +9,7 @@ import pytest
 
 from motord.api.snapshot import STATES
 from motord.bus.commands.gate import CommandGate
-from motord.bus.ros2.lifecycle import Lifecycle
+from motord.bus.ros2.services.lifecycle import Lifecycle
 from motord.bus.runtime import Runtime
 from motord.client import ClientError
 from motord.config import Ros2Input, load_robot

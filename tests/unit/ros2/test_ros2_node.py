@@ -178,7 +178,7 @@ published = []
 
 def asked(service, daemon, **request):
     pytest.importorskip("cyclonedds", reason="needs cyclonedds")
-    from motord.bus.ros2.parameters import Parameters
+    from motord.bus.ros2.services.parameters import Parameters
 
     served = {}
     parameters = Parameters(robot(), daemon.call)

@@ -42,7 +42,7 @@ OLD_S = 3600.0
 ZERO_STAMP = "its stamp is zero: when was it given? (or stamped = false)"
 AHEAD = "its stamp is in the future: do the clocks agree?"
 ABSURD = 10.0
-"""Times the limit: OUT_OF_RANGE of csrc/loop/arbiter.c."""
+"""Times the limit: OUT_OF_RANGE of csrc/loop/command/arbiter.c."""
 SAY_AGAIN_S = 10.0
 _SHORT = 40
 _EITHER = ("velocity", "position")

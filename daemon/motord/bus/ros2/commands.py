@@ -23,12 +23,12 @@ from typing import TYPE_CHECKING, Any
 from motord.bus.commands.gate import COMMANDS, TRIGGERS, URGENT, CommandGate, NotTaken
 from motord.bus.commands.mover import Mover
 from motord.bus.commands.urgent import Urgent
-from motord.bus.ros2.lifecycle import Lifecycle
-from motord.bus.ros2.moves import Moves
 from motord.bus.ros2.nodes import Node, node_of
-from motord.bus.ros2.parameters import Parameters
 from motord.bus.ros2.quality import Quality
 from motord.bus.ros2.senders import Contest, asker
+from motord.bus.ros2.services.lifecycle import Lifecycle
+from motord.bus.ros2.services.moves import Moves
+from motord.bus.ros2.services.parameters import Parameters
 
 if TYPE_CHECKING:
     from motord.bus.ros2.dds.receiver import Twists

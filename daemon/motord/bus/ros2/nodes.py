@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from weakref import WeakKeyDictionary
 
 from motord.bus.ros2.quality import Quality
-from motord.bus.ros2.type_description import TypedNode, serve_types
+from motord.bus.ros2.services.type_description import TypedNode, serve_types
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime

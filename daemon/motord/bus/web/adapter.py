@@ -20,19 +20,20 @@ from motord.bus.http_server import HttpServer, tls_context
 from motord.bus.messages import json_form
 from motord.bus.messages.topics import View
 from motord.bus.secret import Token
-from motord.bus.web import robot_file, tape
+from motord.bus.web import tape
 from motord.bus.web.access import PROTOCOL, Access, Right, Stranger
 from motord.bus.web.assets import answer as asset
-from motord.bus.web.commissioning import Commissioning
 from motord.bus.web.description import description
 from motord.bus.web.events import Event, Events
 from motord.bus.web.frames import Packer
+from motord.bus.web.processes import robot_file
+from motord.bus.web.processes.commissioning import Commissioning
+from motord.bus.web.processes.robot_file import FileEditor
+from motord.bus.web.processes.saving import save
+from motord.bus.web.processes.tracing import Traces
 from motord.bus.web.recordings import ADDRESS
-from motord.bus.web.robot_file import FileEditor
-from motord.bus.web.saving import save
 from motord.bus.web.seat import Seat
 from motord.bus.web.tape import Tape
-from motord.bus.web.tracing import Traces
 from motord.bus.web.viewer import Viewer
 from motord.client import ClientError
 from motord.config import WebInput, WebServer

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from aiohttp import web
 
 from motord.bus.commands.gate import NotTaken, short
+from motord.bus.web.processes.replaying import Replays
 from motord.bus.web.recordings import Recordings
-from motord.bus.web.replaying import Replays
 from motord.config import McapPublish
 
 if TYPE_CHECKING:

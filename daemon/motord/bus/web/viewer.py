@@ -20,7 +20,6 @@ from aiohttp import WSMsgType, web
 
 from motord.bus.commands.gate import URGENT, NotTaken, short, tag
 from motord.bus.messages import json_form
-from motord.bus.web.commissioning import Commissioning
 from motord.bus.web.frames import (
     ACKNOWLEDGE,
     DRIVE,
@@ -30,6 +29,7 @@ from motord.bus.web.frames import (
     number_of,
     present_frame,
 )
+from motord.bus.web.processes.commissioning import Commissioning
 from motord.bus.web.seat import Driver, Seat
 from motord.client import ClientError
 

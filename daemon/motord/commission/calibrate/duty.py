@@ -21,7 +21,7 @@ from motord.commission.person import Failed, Person
 from motord.commission.robot_file_edit import KeyPath
 from motord.commission.session import armed
 from motord.config import Robot
-from motord.config.sections.wheels import takes_duty, takes_torque, velocity_range_rad_s
+from motord.config.sections.joint.wheels import takes_duty, takes_torque, velocity_range_rad_s
 
 OWNER = "motord-calibrate"
 LEVELS = (0.15, 0.25, 0.35, 0.5, 0.65, 0.8)

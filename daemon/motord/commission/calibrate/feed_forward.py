@@ -13,8 +13,8 @@ from motord.commission.robot_file_edit import KeyPath
 from motord.commission.tune.fit import Plant, identify
 from motord.commission.tune.procedure import run_of
 from motord.config import Robot
-from motord.config.sections.speed_loop import CoreGain, SpeedLoop
-from motord.config.sections.wheels import gains_of, takes_duty
+from motord.config.sections.joint.speed_loop import CoreGain, SpeedLoop
+from motord.config.sections.joint.wheels import gains_of, takes_duty
 
 FASTEST = 4
 """So many of the runs are looked at: slow ones are mostly friction."""

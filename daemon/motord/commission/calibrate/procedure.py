@@ -25,7 +25,7 @@ from motord.commission.person import Person
 from motord.commission.robot_file_edit import RobotFileEdit
 from motord.commission.tune.fit import Plant
 from motord.config import Robot
-from motord.config.sections.wheels import takes_duty, takes_torque
+from motord.config.sections.joint.wheels import takes_duty, takes_torque
 
 GEOMETRY = ("straight", "rotate", "square")
 

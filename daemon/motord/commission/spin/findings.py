@@ -11,7 +11,12 @@ from typing import Any
 from motord.commission.robot_file_edit import KeyPath
 from motord.commission.spin.procedure import DOUBTS, RATIO_MAX, RATIO_MIN, TURNED_RAD, Turned
 from motord.config import Robot
-from motord.config.sections.wheels import counts_per_turn, rad_per_count, takes_duty, takes_torque
+from motord.config.sections.joint.wheels import (
+    counts_per_turn,
+    rad_per_count,
+    takes_duty,
+    takes_torque,
+)
 
 ADDRESS_KEYS = ("line", "drive", "unit", "channel", "pins", "encoder")
 """Where a joint's motor is; what is swapped when two wheels are."""

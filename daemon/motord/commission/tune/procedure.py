@@ -40,9 +40,9 @@ from motord.commission.tune.fit import (
 )
 from motord.config import Robot
 from motord.config.sections.bases import wheel_row
-from motord.config.sections.speed_loop import CoreGain, SpeedLoop
-from motord.config.sections.wheels import gains_of as gain_keys_of
-from motord.config.sections.wheels import takes_duty, velocity_range_rad_s
+from motord.config.sections.joint.speed_loop import CoreGain, SpeedLoop
+from motord.config.sections.joint.wheels import gains_of as gain_keys_of
+from motord.config.sections.joint.wheels import takes_duty, velocity_range_rad_s
 
 OWNER = "motord-tune"
 LEVELS = (0.5, 1.0)

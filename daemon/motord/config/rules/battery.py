@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from motord.config.finding import Finding
 from motord.config.sections.battery import READING_UNITS, DrivesBattery
+from motord.config.sections.joint.wheels import Profiles
 from motord.config.sections.model import Robot
-from motord.config.sections.wheels import Profiles
 from motord_hal.base.nearest import nearest
 from motord_hal.drives.profile import SI_UNITS
 from motord_hal.i2c.ina import CHIPS

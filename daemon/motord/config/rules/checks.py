@@ -9,10 +9,10 @@ from motord.config.drives.load import find_profile, is_file_name, list_profiles,
 from motord.config.finding import Finding
 from motord.config.rules.bus import BUS_RULES
 from motord.config.rules.drive import drive_rules
-from motord.config.rules.line import LINE_RULES
 from motord.config.rules.robot import ROBOT_RULES
+from motord.config.rules.wiring.line import LINE_RULES
+from motord.config.sections.joint.wheels import Profiles, encoders_of
 from motord.config.sections.model import Joint, Robot
-from motord.config.sections.wheels import Profiles, encoders_of
 from motord_hal.base.errors import ProfileError
 from motord_hal.base.nearest import nearest
 from motord_hal.drives.profile import DriveProfile

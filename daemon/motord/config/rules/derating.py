@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from motord.config.finding import Finding
-from motord.config.sections.derating import PAIRS
+from motord.config.sections.joint.derating import PAIRS
+from motord.config.sections.joint.wheels import Profiles
 from motord.config.sections.model import Robot
-from motord.config.sections.wheels import Profiles
 
 
 def derating(robot: Robot, profiles: Profiles) -> Iterator[Finding]:

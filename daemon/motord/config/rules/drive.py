@@ -14,11 +14,9 @@ from motord.config.rules.derating import derating
 from motord.config.rules.joints import JOINT_DRIVE_RULES
 from motord.config.rules.speed_loop import speed_loops
 from motord.config.rules.steering import STEERING_DRIVE_RULES
-from motord.config.rules.wire import budget, cycle_limit_hz, helps
+from motord.config.rules.wiring.wire import budget, cycle_limit_hz, helps
 from motord.config.sections.bases import JointsBase, OmniBase, SteeredBase, side_of, wheel_row
-from motord.config.sections.line import CanLine, PwmLine, SerialLine
-from motord.config.sections.model import Joint, Robot
-from motord.config.sections.wheels import (
+from motord.config.sections.joint.wheels import (
     Profiles,
     counter_bits,
     counts_per_turn,
@@ -30,6 +28,8 @@ from motord.config.sections.wheels import (
     takes_torque,
     velocity_range_rad_s,
 )
+from motord.config.sections.line import CanLine, PwmLine, SerialLine
+from motord.config.sections.model import Joint, Robot
 from motord.config.toml_lines import Path
 from motord.config.wiring import line_specs
 
@@ -393,7 +393,7 @@ def drive_rules(robot: Robot) -> Iterator[Rule]:
     if any(isinstance(line, CanLine) for line in lines) or any(
         joint.drive_watchdog_s is not None for joint in joints
     ):
-        from motord.config.rules.can import CAN_RULES
+        from motord.config.rules.wiring.can import CAN_RULES
 
         yield from CAN_RULES
     if (
@@ -403,6 +403,6 @@ def drive_rules(robot: Robot) -> Iterator[Rule]:
         or robot.safety.estop is not None
         or robot.safety.watchdog is not None
     ):
-        from motord.config.rules.pin import PIN_RULES
+        from motord.config.rules.wiring.pin import PIN_RULES
 
         yield from PIN_RULES

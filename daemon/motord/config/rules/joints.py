@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator
 from motord.config.finding import Finding
 from motord.config.rules.steering import engine_for_positions
 from motord.config.sections.bases import JointsBase
-from motord.config.sections.joint_limits import JointLimits
+from motord.config.sections.joint.limits import JointLimits
+from motord.config.sections.joint.wheels import Profiles, reference_of, takes_position
 from motord.config.sections.limits import REST_MAX_S
 from motord.config.sections.model import Joint, Robot
-from motord.config.sections.wheels import Profiles, reference_of, takes_position
 from motord.config.toml_lines import Path
 
 _RANGE = ("position_min_rad", "position_max_rad")

@@ -6,15 +6,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from motord.config.finding import Finding
-from motord.config.sections.model import Joint, Robot
-from motord.config.sections.speed_loop import DUTY_KEYS, TORQUE_KEYS
-from motord.config.sections.wheels import (
+from motord.config.sections.joint.speed_loop import DUTY_KEYS, TORQUE_KEYS
+from motord.config.sections.joint.wheels import (
     Profiles,
     measures_speed,
     takes_duty,
     takes_torque,
     torque_max_n_m,
 )
+from motord.config.sections.model import Joint, Robot
 from motord.config.toml_lines import Path
 
 _ROUNDING = 1e-6

@@ -16,9 +16,9 @@ from motord.config.sections.bases import (
     WheelModule,
     wheel_modules,
 )
+from motord.config.sections.joint.wheels import Profiles, reference_of, takes_position
 from motord.config.sections.line import CanLine, GatewayLine
 from motord.config.sections.model import Joint, Robot
-from motord.config.sections.wheels import Profiles, reference_of, takes_position
 from motord.config.toml_lines import Path
 from motord_hal.fieldbus.open_line import RT_CAN_INTERFACES
 

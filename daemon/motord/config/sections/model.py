@@ -41,15 +41,15 @@ from motord.config.sections.bus import (
     ZenohInput,
     ZenohPublish,
 )
-from motord.config.sections.derating import Derating
-from motord.config.sections.encoder import AnyEncoder
-from motord.config.sections.feedback import FeedbackChecks
 from motord.config.sections.guard import EstopInput, WatchdogOutput
 from motord.config.sections.imu import ChipImu, LineImu
+from motord.config.sections.joint.derating import Derating
+from motord.config.sections.joint.encoder import AnyEncoder
+from motord.config.sections.joint.feedback import FeedbackChecks
+from motord.config.sections.joint.speed_loop import SpeedLoop
 from motord.config.sections.limits import Limits
 from motord.config.sections.line import Cpus, LineSection
 from motord.config.sections.section import Field, Name, PrivateAttr, Section, number
-from motord.config.sections.speed_loop import SpeedLoop
 from motord_hal.fieldbus.ports import REST_VELOCITY_RAD_S
 
 if TYPE_CHECKING:

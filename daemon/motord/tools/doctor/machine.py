@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from motord.tools.doctor.finding import Finding, Fix, Root, Verdict, Write
-from motord.tools.latency.machine import is_preempt_rt
+from motord.tools.latency.causes.machine import is_preempt_rt
 
 _CAP_SYS_NICE, _CAP_IPC_LOCK = 23, 14
 LIMITS = "/etc/security/limits.d/motord.conf"

@@ -14,14 +14,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from motord.realtime.loop import Bucket, HistogramKind, Loop, LoopSettings, Percentiles
+from motord.tools.latency.causes.machine import CpuTimes, machine_facts
+from motord.tools.latency.causes.suspects import Verdict
+from motord.tools.latency.causes.watcher import Watcher, late_from_ns
 from motord.tools.latency.cyclictest import CyclictestResult, beside
 from motord.tools.latency.load import load
-from motord.tools.latency.machine import CpuTimes, machine_facts
 from motord.tools.latency.other_end import Answers, LatencyError, OtherEnd, other_end, own_port
 from motord.tools.latency.report import NOTHING, Bar, LatencyReport, Spread, Window
 from motord.tools.latency.rig import Rig, core_config
-from motord.tools.latency.suspects import Verdict
-from motord.tools.latency.watcher import Watcher, late_from_ns
 from motord_hal.base.clock import within
 
 __all__ = ["LatencyError", "LatencyOptions", "Progress", "measure", "run_latency"]

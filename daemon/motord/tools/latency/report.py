@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from motord.tools.latency.suspects import Verdict
+    from motord.tools.latency.causes.suspects import Verdict
     from motord.tools.latency.trials import Trial
 
 FRACTIONS = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from motord.tools.latency.causes.suspects import Suspect
 from motord.tools.latency.load import load
 from motord.tools.latency.measure import LatencyOptions, Progress, run_latency
 from motord.tools.latency.report import LatencyReport
-from motord.tools.latency.suspects import Suspect
 
 TRIAL_MAX_S = 5.0
 PAUSED_MAX, CPUS_MAX = 3, 4

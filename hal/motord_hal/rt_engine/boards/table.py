@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a board and its joints to the table that its thread in C runs: pure; plain values, named as
-in csrc/api/api_board.h.
+in csrc/api/line/api_board.h.
 
 Signs, gears and units are those of `motord_hal.modbus.plan`; here they become one factor a number.
 """

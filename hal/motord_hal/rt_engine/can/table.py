@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From the drives of a CAN bus to the table that its thread in C runs: pure; plain values, named as
-in csrc/api/api_can.h.
+in csrc/api/line/api_can.h.
 
 Signs, gears and units are those of `motord_hal.can.plan`, which the asyncio engine computes with at
 each frame; here they become one factor a number.

@@ -19,7 +19,7 @@ from motord.bus.ros2 import names
 from motord.bus.ros2.dds.participant import Discovery, Participant, Reader, Writer
 from motord.bus.ros2.quality import Distribution, Quality
 from motord.bus.ros2.senders import Graph
-from motord.bus.ros2.service import Service
+from motord.bus.ros2.services.service import Service
 
 _GRAPH_TYPES = {
     "humble": "rmw_dds_common_humble/msg/ParticipantEntitiesInfo",

@@ -7,8 +7,8 @@ import math
 from collections.abc import Mapping
 
 from motord.config.sections.bases import JointsBase, wheel_row
+from motord.config.sections.joint.speed_loop import DUTY_GAINS, TORQUE_GAINS, CoreGain
 from motord.config.sections.model import Joint, Robot
-from motord.config.sections.speed_loop import DUTY_GAINS, TORQUE_GAINS, CoreGain
 from motord_hal.drives.profile import DriveProfile, Register
 
 Profiles = Mapping[str, DriveProfile]

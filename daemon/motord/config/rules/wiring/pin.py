@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from motord.config.finding import Finding
-from motord.config.rules.pin_owners import pins_have_one_owner
-from motord.config.sections.encoder import BoardEncoder, GpioEncoder
+from motord.config.rules.wiring.pin_owners import pins_have_one_owner
+from motord.config.sections.joint.encoder import BoardEncoder, GpioEncoder
+from motord.config.sections.joint.wheels import Profiles
 from motord.config.sections.line import PwmLine
 from motord.config.sections.model import Joint, Robot
-from motord.config.sections.wheels import Profiles
 from motord.config.toml_lines import Path
 from motord.config.wiring import line_specs
 from motord_hal.fieldbus.ports import EdgesEncoder, JointSpec, LineSpec

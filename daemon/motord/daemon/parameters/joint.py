@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from motord.config import Robot
-from motord.config.sections.joint_limits import NUMBERS, JointLimits, limit_keys
+from motord.config.sections.joint.limits import NUMBERS, JointLimits, limit_keys
 from motord.config.sections.limits import REST_MAX_S
 from motord.config.sections.section import Number
 from motord.local_socket.server import INVALID_PARAMS, RpcError, json_number

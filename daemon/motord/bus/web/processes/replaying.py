@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from motord.bus.commands.gate import NotTaken
-from motord.bus.web.command import answer
+from motord.bus.web.processes.command import answer
 
 WITHIN_S = 1800.0
 WAITING_MAX = 4

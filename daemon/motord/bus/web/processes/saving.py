@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from motord.bus.web.command import answer
+from motord.bus.web.processes.command import answer
 
 WITHIN_S = 30.0
 

@@ -15,8 +15,8 @@ from motord.api.snapshot import Snapshot
 from motord.api.state_page import NoPage, StatePage
 from motord.bus.commands.mover import Mover, NotNow
 from motord.bus.messages.calibration import Calibration, Found, Measure, measure
-from motord.bus.ros2.actions import ActionServer, Refused, Report, Status, Turn, Work
 from motord.bus.ros2.nodes import Node
+from motord.bus.ros2.services.actions import ActionServer, Refused, Report, Status, Turn, Work
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from motord.config.finding import Finding
+from motord.config.sections.joint.wheels import Profiles
 from motord.config.sections.line import PwmLine, SerialLine
 from motord.config.sections.model import Robot
-from motord.config.sections.wheels import Profiles
 from motord.config.toml_lines import Path
 from motord.config.wiring import line_specs
 from motord_hal.fieldbus.ports import EdgesEncoder, LineSpec

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from motord.realtime.types import STAGES, LateTick
-from motord.tools.latency.activity import Counts, Thread
-from motord.tools.latency.switches import Switches
+from motord.tools.latency.causes.activity import Counts, Thread
+from motord.tools.latency.causes.switches import Switches
 
 FORKS_PER_S, FAULTS_PER_S = 5.0, 500.0
 """A thread that does more of it is named by it."""

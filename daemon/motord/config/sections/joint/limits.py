@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Self
 
 from motord.config.sections.bases import JointsBase
+from motord.config.sections.joint.wheels import takes_position
 from motord.config.sections.limits import braking_s
 from motord.config.sections.model import Joint, Robot
 from motord.config.sections.section import Number, numbers_of
-from motord.config.sections.wheels import takes_position
 
 
 @dataclass(frozen=True, slots=True)

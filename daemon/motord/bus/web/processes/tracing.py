@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from motord.api.deadline import within
-from motord.bus.web.command import reason, running
+from motord.bus.web.processes.command import reason, running
 from motord.bus.web.viewer import Viewer
 
 SEND_EVERY_S = 0.2

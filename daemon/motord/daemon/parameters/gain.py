@@ -9,8 +9,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from motord.config import Robot
-from motord.config.sections.speed_loop import GAIN_NUMBERS, SpeedLoop
-from motord.config.sections.wheels import gains_of
+from motord.config.sections.joint.speed_loop import GAIN_NUMBERS, SpeedLoop
+from motord.config.sections.joint.wheels import gains_of
 from motord.local_socket.server import INVALID_PARAMS, RpcError
 from motord_hal.base.nearest import nearest
 

@@ -11,9 +11,9 @@ from types import TracebackType
 from typing import Self
 
 from motord.realtime.loop import Loop
-from motord.tools.latency.activity import Counts, Threads, counts
-from motord.tools.latency.suspects import Case, Verdict
-from motord.tools.latency.switches import SwitchesUnknown, SwitchReader
+from motord.tools.latency.causes.activity import Counts, Threads, counts
+from motord.tools.latency.causes.suspects import Case, Verdict
+from motord.tools.latency.causes.switches import SwitchesUnknown, SwitchReader
 
 LATE_FROM_NS = 50_000
 """Later than this is worse than the class "usable"."""

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from motord.bus.commands.gate import NotTaken
-from motord.bus.web.command import asked
+from motord.bus.web.processes.command import asked
 from motord_hal.base.bounded import TOML_BYTES_MAX
 
 if TYPE_CHECKING:
