@@ -8,7 +8,7 @@ from setuptools import setup
 NAME = "motord_ros2"
 LIBRARY = (
     "motord", "motord.api", "motord.base", "motord.bus", "motord.bus.commands",
-    "motord.bus.messages", "motord.bus.ros2", "motord.ros2_rclpy",
+    "motord.bus.messages", "motord.bus.ros2", "motord.bus.ros2.services", "motord.ros2_rclpy",
     "motord_hal", "motord_hal.base",
 )  # fmt: skip
 
