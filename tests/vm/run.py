@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """make vm: builds the guest and the package, boots once, runs tests/vm/guest there, prints what
 they print; then tests/vm/pi on an emulated Raspberry Pi 3. With --smoke only the guest's tests that
-are marked so. Other arguments go to the guest's pytest, and the Pi is left out. Without root,
-Debian 12 on amd64 or QEMU's packages: one line that says why, and status 0.
+are marked so; with --build nothing is booted. Other arguments go to the guest's pytest, and the Pi
+is left out. Without root, Debian 12 on amd64 or QEMU's packages: one line that says why, and
+status 0.
 
 Emulated, not virtualised: time in the guest means nothing, what the kernel does is real. How long
 the tests may take follows from how long the guest takes to boot and to install the package, which
@@ -34,7 +35,7 @@ TESTS_WITHIN_S = 2400.0
 TESTS_PER_SET_UP = 40.0
 """How many times as long as its set-up a guest's tests may take."""
 ADAPTER_SERIAL = "A10K3XYZ"
-SMOKE = "--smoke"
+SMOKE, BUILD_ONLY = "--smoke", "--build"
 SET_UP = "guest: set up"
 STATUS = "guest: status "
 DISK_MB = 120
@@ -187,9 +188,13 @@ def boot(command: list[str], say: Callable[[str], None], *, ends_itself: bool) -
     return status
 
 
+def build_pi() -> None:
+    subprocess.run([HERE / "pi" / "image.sh", BUILD_PI, ROOT], check=True, timeout=600)
+
+
 def on_the_pi(shown: list[str]) -> int:
     """Its tests, what they say kept for later: beside the other guest, which uses one CPU."""
-    subprocess.run([HERE / "pi" / "image.sh", BUILD_PI, ROOT], check=True, timeout=600)
+    build_pi()
     return boot(raspberry_pi(), shown.append, ends_itself=False)
 
 
@@ -209,6 +214,9 @@ def main(arguments: list[str]) -> int:
     made = subprocess.run([ROOT / "systemd" / "deb.sh", ROOT / "build" / "deb"],
                           check=True, timeout=300, stdout=subprocess.PIPE, text=True)  # fmt: skip
     package = Path(made.stdout.strip())
+    if arguments == [BUILD_ONLY]:
+        build_pi()
+        return 0
     if arguments not in ([], [SMOKE]):
         return on_the_guest(package, arguments)
     shown: list[str] = []
