@@ -34,11 +34,11 @@ WORDS = (
     "\N{GREEK SMALL LETTER OMEGA}".encode("utf-16"),
 )  # fmt: skip
 VALUES = (
-    None, True, 0, -1, 10**300, 1e308, float("nan"), float("inf"), "", "socket", "\ud800",
+    None, True, 0, -1, 10**300, 10**400, 1e308, float("nan"), float("inf"), "", "socket", "\ud800",
     "x" * 900, [], {}, [[[]]], "limits.linear_m_s",
 )  # fmt: skip
 KEYS = ("linear_m_s", "angular_rad_s", "owner", "priority", "lease_s", "names", "limits.linear_m_s",
-        "values", "")  # fmt: skip
+        "limits.linear_m_s3", "values", "")  # fmt: skip
 
 
 def run(seed: int, runs: int) -> Iterator[tuple[str, bytes]]:

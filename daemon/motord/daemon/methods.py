@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -267,6 +268,9 @@ def _by_kind(names: Sequence[str]) -> tuple[list[str], ...]:
 
 async def _set(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, float | None]:
     """Limits and gains all or none; or registers of drives, one after the other."""
+    for name, value in wanted.items():
+        if isinstance(value, int) and abs(value) > sys.float_info.max:  # it may have any size
+            raise RpcError(f"{name}: is too large a number", INVALID_PARAMS)
     of_drives, gains, of_joints, limits = (
         {name: wanted[name] for name in names} for names in _by_kind(list(wanted))
     )

@@ -303,6 +303,9 @@ def test_limits_change_under_way_as_one_group_or_not_at_all(stage):
             stage.robot.params_set(**{"limits.linear_m_s2": 0.7, "limits.linear_m_s": -1.0})
         with pytest.raises(ClientError, match=r"did you mean limits\.linear_m_s"):
             stage.robot.params_set(**{"limits.linear_ms": 0.2})
+        for name in ("limits.linear_m_s3", "drive.left.control_word"):
+            with pytest.raises(ClientError, match=f"{name}: is too large a number"):
+                stage.robot.params_set(**{name: 10**400})  # no float, and there is no upper end
         assert stage.robot.params_get() == stage.limits
         slow = {"limits.linear_m_s": 0.2, "limits.linear_m_s3": None}
         assert stage.robot.params_set(**slow) == slow

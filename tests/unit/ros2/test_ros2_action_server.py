@@ -45,13 +45,15 @@ class Bench:
     """A server whose goals last until they are let go or cancelled."""
 
     def __init__(self, name="drive_distance", turn=None):
-        self.node, self.go = Node(), asyncio.Event()
-        self.server = ActionServer(name, KIND, self.accept, NOTHING, turn or Turn())
+        self.node, self.go, self.turn = Node(), asyncio.Event(), turn or Turn()
+        self.server = ActionServer(name, KIND, self.accept, NOTHING, self.turn)
         self.server.serve(self.node)
 
     async def accept(self, goal):
         if goal.distance_m == 0.0:
             raise Refused("a way of 0 is none")
+        if goal.distance_m < 0.0:
+            await asyncio.Event().wait()
 
         async def work(report, cancel):
             report(SimpleNamespace(distance_m=0.0, remaining_m=1.0, speed_m_s=0.0))
@@ -158,6 +160,42 @@ async def test_one_that_is_cancelled_before_it_began_ends_as_cancelled():
     async with running(bench):
         assert await bench.result(number(1)) == Status.CANCELED
     assert Status.EXECUTING not in bench.node.states()
+
+
+async def test_a_goal_whose_node_ends_is_aborted_and_others_may_follow():
+    bench = Bench()
+    async with running(bench):
+        await bench.send(number(1))
+        await becomes(lambda: bench.node.states() == [Status.EXECUTING])
+    async with running(bench):
+        assert await bench.result(number(1)) == Status.ABORTED
+        await becomes(lambda: bench.node.states() == [Status.ABORTED])
+        assert (await bench.send(number(2))).accepted
+
+
+async def test_a_goal_that_was_not_begun_when_the_node_ended_is_never_begun():
+    bench = Bench()
+    await bench.send(number(1))
+    bench.server.serve(bench.node)
+    async with running(bench):
+        assert await bench.result(number(1)) == Status.ABORTED
+        assert "feedback" not in [name for name, _ in bench.node.sent]
+        assert (await bench.send(number(2))).accepted
+
+
+async def test_a_request_that_is_given_up_before_it_is_accepted_leaves_the_turn_to_others():
+    bench = Bench()
+    async with running(bench):
+        sending = asyncio.ensure_future(bench.send(number(1), distance_m=-1.0))
+        await becomes(lambda: bench.turn.holder)
+        sending.cancel()
+        await asyncio.wait([sending])
+        assert (await bench.send(number(2))).accepted
+
+
+async def becomes(true):
+    while not true():
+        await asyncio.sleep(0.0)
 
 
 async def test_only_the_newest_goals_are_remembered():

@@ -31,13 +31,13 @@ class UdpPublisher:
 
     async def run(self, samples: Samples) -> None:
         """As Publisher.run."""
-        family, address = await self._resolved()
-        with socket.socket(family, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as sender:
+        sender, address = await self._opened()
+        with sender:
             async for sample in samples:
                 self._send(sender, sample, address)
 
-    async def _resolved(self) -> tuple[socket.AddressFamily, Address]:
-        """The host's address; resolved again and again, logged once."""
+    async def _opened(self) -> tuple[socket.socket, Address]:
+        """A socket for the host's address; tried again and again, logged once."""
         loop = asyncio.get_running_loop()
         while True:
             try:
@@ -45,10 +45,14 @@ class UdpPublisher:
                     found = await loop.getaddrinfo(
                         self._host, self._port, type=socket.SOCK_DGRAM, proto=socket.IPPROTO_UDP
                     )
-                family, _, _, _, address = found[0]
-                return family, address
             except (OSError, TimeoutError, ValueError) as error:  # the last: no name at all
                 self._say(f"{self._host} has no address: {str(error) or 'no answer'}")
+            else:
+                family, _, _, _, address = found[0]
+                try:
+                    return socket.socket(family, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK), address
+                except OSError as error:  # IPv6 without its driver, or out of descriptors
+                    self._say(f"no socket for {address[0]}: {error.strerror}")
             await asyncio.sleep(RESOLVE_AGAIN_S)
 
     def _send(self, sender: socket.socket, sample: bytes, address: Address) -> None:

@@ -99,7 +99,11 @@ class ActionServer:
         self._voices: dict[str, RateLimitedLog] = {}
 
     def serve(self, node: Node) -> None:
-        """Be there. Raises DdsError."""
+        """Be there. When called again, with another node: a goal that was accepted before and has
+        not begun never begins. Raises DdsError."""
+        while not self._next.empty():
+            self._abort(self._next.get_nowait())
+            self._turn.holder = None
         below = f"{self._name}/_action"
         node.serve(f"{below}/send_goal", f"{self._kind}_SendGoal", self._send)
         node.serve(f"{below}/cancel_goal", "action_msgs/srv/CancelGoal", self._cancel)
@@ -118,6 +122,7 @@ class ActionServer:
             try:
                 await self._execute(goal)
             finally:
+                self._abort(goal)
                 self._turn.holder = None
 
     async def _execute(self, goal: _Goal) -> None:
@@ -138,6 +143,12 @@ class ActionServer:
         self._become(goal, status)
         goal.ended.set()
 
+    def _abort(self, goal: _Goal) -> None:
+        """End one that has not ended; `run` publishes it the next time."""
+        if not goal.ended.is_set():
+            goal.status, goal.result = Status.ABORTED, self._nothing
+            goal.ended.set()
+
     def _become(self, goal: _Goal, status: Status) -> None:
         goal.status = status
         self._say_status()
@@ -157,12 +168,14 @@ class ActionServer:
             return self._no(refused, "a goal of that number is known already")
         if self._turn.holder is not None:
             return self._no(refused, f"{self._turn.holder} is running")
-        self._turn.holder = self._name
+        self._turn.holder, work = self._name, None
         try:
             work = await self._accept(request.goal)
         except Refused as error:
-            self._turn.holder = None
             return self._no(refused, str(error))
+        finally:
+            if work is None:
+                self._turn.holder = None
         goal = _Goal(number=number, stamp_ns=time.time_ns(), work=work)
         self._goals[number] = goal
         for old in list(itertools.islice(self._goals, max(0, len(self._goals) - GOALS_KEPT))):
