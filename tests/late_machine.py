@@ -20,7 +20,7 @@ LATE_S = 0.05
 CROWD = 2.0
 """So many processes for each processor that want to run, on average."""
 RUNS_MAX = 4
-AGAIN_MAX_S = 60.0
+AGAIN_MAX_S = 130.0
 CALM_LOOK_S, CALM_WITHIN_S = 0.5, 10.0
 """The next run begins when the machine was in time for so long, and after this at the latest."""
 _NAME = "late machine"

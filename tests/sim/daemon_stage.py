@@ -47,6 +47,7 @@ RETRIED = tuple(
 """Nor is a reply that it delays, of two joints called left and right."""
 SURE = (*UNHURRIED, *RETRIED)
 POLL_S = 0.03
+LATCHED_S = 15.0
 
 
 HELD_TORQUE = (
@@ -94,7 +95,18 @@ class Stage:
         return self.robot.status()["state"]
 
     def wait_for(self, *states):
-        return wait_until(lambda: self.state() in states, f"state {states}\n{self.logged()}")
+        """A fault is latched: when it has been there so long, nothing else will come."""
+        latched_s = None
+
+        def there():
+            nonlocal latched_s
+            now_s, state = time.monotonic(), self.state()
+            latched_s = (latched_s or now_s) if state == "fault" else None
+            held = latched_s is not None and now_s - latched_s > LATCHED_S
+            assert state in states or not held, f"a fault, not {states}\n{self.logged()}"
+            return state in states
+
+        return wait_until(there, f"state {states}\n{self.logged()}")
 
     def logged(self):
         return self.log.read_text(encoding="utf-8")
