@@ -183,7 +183,7 @@ async def serve(
         async with asyncio.TaskGroup() as tasks:
             while True:
                 await _readable(listener)
-                if (peer := await _accepted(listener)) is not None:
+                if (peer := await _accepted(listener, connections, stays)) is not None:
                     number = next(numbers)
                     _make_room(connections, stays)
                     connections[number] = _Connection(number, peer, methods, on_close)
@@ -202,24 +202,40 @@ async def _readable(listener: socket.socket) -> None:
         loop.remove_reader(listener)
 
 
-async def _accepted(listener: socket.socket) -> socket.socket | None:
+async def _accepted(
+    listener: socket.socket, connections: Mapping[int, _Connection], stays: Callable[[int], bool]
+) -> socket.socket | None:
     """Not loop.sock_accept: cancelled in the wrong moment, it loses the connection."""
-    try:
-        peer, _ = listener.accept()
-    except BlockingIOError:
-        return None
-    except OSError as error:  # out of file descriptors: the robot goes on without
-        _log.warning("no new connection: %s", error.strerror)
-        await asyncio.sleep(1.0)
-        return None
-    peer.settimeout(0.0)
-    return peer
+    for tried in (False, True):
+        try:
+            peer, _ = listener.accept()
+        except BlockingIOError:
+            return None
+        except OSError as error:  # out of file descriptors: the robot goes on without
+            if not tried and error.errno == errno.EMFILE and _dropped_one(connections, stays):
+                await asyncio.sleep(0)  # its descriptor is closed
+                continue
+            _log.warning("no new connection: %s", error.strerror)
+            await asyncio.sleep(1.0)
+            return None
+        peer.settimeout(0.0)
+        return peer
+    return None
 
 
 def _make_room(connections: Mapping[int, _Connection], stays: Callable[[int], bool]) -> None:
-    if len(connections) >= CONNECTIONS_MAX:
-        idle = [one for number, one in connections.items() if not stays(number)]
+    """A dropped connection stays here while a call of it goes on, and has no descriptor."""
+    while sum(not one.dropped for one in connections.values()) >= CONNECTIONS_MAX:
+        if not _dropped_one(connections, stays):
+            return
+
+
+def _dropped_one(connections: Mapping[int, _Connection], stays: Callable[[int], bool]) -> bool:
+    """Drop the one that has been silent for longest. False: there is none that may be dropped."""
+    idle = [one for number, one in connections.items() if not one.dropped and not stays(number)]
+    if idle:
         min(idle, key=lambda one: one.received_s).drop("room for another")
+    return bool(idle)
 
 
 async def _attend(number: int, connections: dict[int, _Connection]) -> None:
@@ -246,9 +262,11 @@ class _Connection:
         self._calls = 0
         self._writer: asyncio.StreamWriter | None = None
         self.received_s = asyncio.get_running_loop().time()
+        self.dropped = False
 
     def drop(self, why: str) -> None:
         """End it without waiting for anything."""
+        self.dropped = True
         _log.warning("connection of process %d dropped: %s", self._caller.pid, why)
         if self._writer is not None:
             self._writer.transport.abort()
@@ -259,6 +277,8 @@ class _Connection:
         reader, self._writer = await asyncio.open_unix_connection(
             sock=self._peer, limit=LINE_BYTES_MAX
         )
+        if self.dropped:  # meanwhile
+            self._writer.transport.abort()
         try:
             async with asyncio.TaskGroup() as calls:
                 while (line := await self._read(reader)) is not None:

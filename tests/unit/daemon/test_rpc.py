@@ -3,12 +3,10 @@
 
 import asyncio
 import contextlib
-import errno
 import json
 import os
 import resource
 import socket
-import stat
 import subprocess
 import sys
 import tempfile
@@ -20,11 +18,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from motord.client import Client, ClientError
-from motord.config import load_robot
 from motord.local_socket import server as rpc
-from motord.local_socket.command_sockets import open_stop_socket
 from motord.local_socket.params import Params, number
-from motord.local_socket.server import Method, Refused, SocketInUse, listening, serve, socket_path
+from motord.local_socket.server import Method, Refused, listening, serve
 
 DEADLINE_S = 20.0
 
@@ -107,9 +103,6 @@ class Peer:
 
     def close(self):
         self.writer.close()
-
-
-DEMO = Path(__file__).resolve().parents[3] / "config/robots/demo.toml"
 
 
 @pytest.fixture
@@ -305,6 +298,23 @@ async def test_a_connection_that_stays_makes_room_for_nothing(path):
             server.cancel()
 
 
+async def test_connections_are_bounded_though_calls_of_dropped_ones_go_on(path):
+    async with hosted(path) as host:
+        waiting = [await Peer.at(path) for _ in range(3)]
+        for peer in waiting:
+            peer.ask("wait")
+        assert (await waiting[-1].call("add", a=1))["result"] == 1
+        crowd = [await Peer.at(path) for _ in range(3 * rpc.CONNECTIONS_MAX)]
+        assert (await crowd[-1].call("add", a=1))["result"] == 1
+        both = (*waiting, *crowd)
+        await until(lambda: sum(not one.reader.at_eof() for one in both) <= rpc.CONNECTIONS_MAX)
+        assert all(one.reader.at_eof() for one in waiting)
+        host.gate.set()
+        await until(lambda: len(host.done) == len(waiting))
+        for peer in both:
+            peer.close()
+
+
 async def test_what_ends_motion_gets_through_though_the_connection_made_room(path):
     async with hosted(path):
         panel = await asyncio.to_thread(Client, path)
@@ -346,6 +356,30 @@ async def test_without_a_free_file_descriptor_it_tries_again(path, caplog):
             loop = asyncio.get_running_loop()
             await loop.sock_sendall(late, b'{"jsonrpc":"2.0","id":1,"method":"who"}\n')
             assert json.loads(await loop.sock_recv(late, 1000))["id"] == 1
+
+
+async def test_without_a_free_file_descriptor_who_has_been_silent_longest_makes_room(path):
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    async with hosted(path):
+        silent, busy = await Peer.at(path), await Peer.at(path)
+        for peer in (silent, busy):
+            await peer.call("add", a=1)
+        with socket.socket(socket.AF_UNIX) as late:
+            late.settimeout(0)
+            free = os.dup(0)
+            os.close(free)
+            try:
+                resource.setrlimit(resource.RLIMIT_NOFILE, (free, limits[1]))
+                late.connect(str(path))
+                loop = asyncio.get_running_loop()
+                await loop.sock_sendall(late, b'{"jsonrpc":"2.0","id":1,"method":"who"}\n')
+                assert json.loads(await loop.sock_recv(late, 1000))["id"] == 1
+            finally:
+                resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+        assert await silent.reader.read() == b""
+        assert (await busy.call("add", a=1))["result"] == 1
+        for peer in (silent, busy):
+            peer.close()
 
 
 async def test_the_caller_is_who_the_kernel_reports(path):
@@ -396,81 +430,3 @@ async def test_a_stranger_may_look_and_a_member_of_the_sockets_group_may_command
             assert move["result"] == "moved"
         else:
             assert move["error"]["code"] == -32001
-
-
-def test_the_socket_is_for_user_and_group_and_goes_with_its_daemon(path):
-    with listening(path):
-        assert stat.S_IMODE(path.stat().st_mode) == 0o660
-    assert not path.exists()
-
-
-def test_the_socket_of_a_dead_daemon_is_replaced(path):
-    code = "import socket,sys; socket.socket(socket.AF_UNIX).bind(sys.argv[1])"
-    subprocess.run([sys.executable, "-c", code, str(path)], check=True, timeout=30)
-    assert path.is_socket()
-    with listening(path), socket.socket(socket.AF_UNIX) as peer:
-        peer.connect(str(path))
-
-
-def test_the_socket_of_a_live_daemon_is_left_alone(path):
-    with listening(path):
-        with pytest.raises(SocketInUse, match="already"), listening(path):
-            pass
-        with socket.socket(socket.AF_UNIX) as peer:
-            peer.connect(str(path))
-
-
-@pytest.mark.parametrize(
-    "opened", [listening, lambda path: open_stop_socket(load_robot(DEMO), path)]
-)
-def test_a_path_that_is_longer_than_the_kernel_takes_is_named_with_the_reason(path, opened):
-    far = path.with_name("x" * 110)
-    with pytest.raises(OSError, match=f"too long: '{path.parent}") as raised, opened(far):
-        pass
-    assert raised.value.errno == errno.ENAMETOOLONG
-
-
-def test_a_file_that_is_no_socket_is_left_alone(path):
-    path.write_text("precious", encoding="ascii")
-    with pytest.raises(SocketInUse, match="no socket"), listening(path):
-        pass
-    assert path.read_text(encoding="ascii") == "precious"
-
-
-def test_a_path_that_cannot_be_is_named(path):
-    with pytest.raises(FileNotFoundError) as error, listening(path / "below.sock"):
-        pass
-    assert error.value.filename == str(path / "below.sock")
-
-
-def test_a_socket_that_replaced_ours_is_not_removed(path):
-    with listening(path):
-        path.unlink()
-        path.write_text("another's", encoding="ascii")
-    assert path.exists()
-
-
-@pytest.fixture
-def folders(tmp_path):
-    """The system's folder cannot be made; there is the user's, and the last resort."""
-    (tmp_path / "file").touch()
-    (tmp_path / "tmp").mkdir()
-    return [tmp_path / "file/motord", tmp_path / "run/motord", tmp_path / "tmp/motord-1"]
-
-
-def test_the_systems_folder_is_taken_where_it_can_be_had(folders, tmp_path):
-    assert socket_path("r2", [tmp_path, *folders]) == tmp_path / "r2.sock"
-
-
-def test_without_any_other_the_folder_is_private(folders):
-    path = socket_path("r2", folders)
-    assert path == folders[2] / "r2.sock"
-    assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
-    assert socket_path("r2", folders) == path
-
-
-def test_a_link_in_the_place_of_the_folder_is_not_followed(folders, tmp_path):
-    (tmp_path / "elsewhere").mkdir()
-    folders[2].symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(PermissionError):
-        socket_path("r2", folders)
