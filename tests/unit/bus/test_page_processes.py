@@ -2,7 +2,11 @@
 """Processes that pages have started, and that fail: a shell script takes their place."""
 
 import asyncio
+import contextlib
+import errno
 import json
+import os
+import resource
 import sys
 
 import pytest
@@ -10,6 +14,7 @@ import pytest
 from motord.bus.commands.gate import NotTaken
 from motord.bus.web.processes.command import answer, asked
 from motord.bus.web.processes.commissioning import FAILED, Commissioning
+from motord.bus.web.processes.replaying import Replays
 from motord.bus.web.processes.tracing import Traces
 
 SPIN = {"procedure": "spin"}
@@ -131,3 +136,72 @@ async def test_why_a_trace_has_ended_is_shown(carried_out_by, tmp_path, script, 
         trace = json.loads(await page.sent.get())["trace"]
         assert trace == {"line": "a", "problem": problem}
         work.cancel()
+
+
+@contextlib.contextmanager
+def no_descriptors():
+    """None is left for a process, as where too many connections are open."""
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with open(os.devnull, "rb") as free:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (free.fileno(), before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+@contextlib.asynccontextmanager
+async def running(part):
+    """A part of a dashboard: one that fails ends all of it."""
+    async with asyncio.timeout(100), asyncio.TaskGroup() as tasks:
+        work = tasks.create_task(part.run())
+        await asyncio.sleep(0)  # it begins
+        yield
+        assert not work.done()
+        work.cancel()
+
+
+NO_MORE = os.strerror(errno.EMFILE)
+
+
+async def test_a_trace_that_cannot_be_started_gives_its_page_the_reason_and_ends_nothing(
+    carried_out_by, tmp_path
+):
+    traces, page = Traces(tmp_path / "socket"), Page()
+    async with running(traces):
+        with no_descriptors():
+            traces.show(page, "a")
+            trace = json.loads(await page.sent.get())["trace"]
+        assert trace == {"line": "a", "problem": f"motord trace cannot be started: {NO_MORE}"}
+        carried_out_by("""echo '{"error": "no line", "exit_status": 1}'""")
+        traces.show(page, "a")  # again, where there are some
+        assert json.loads(await page.sent.get())["trace"]["problem"] == "no line"
+
+
+async def test_a_replay_that_cannot_be_started_is_a_problem_and_ends_nothing(tmp_path):
+    changed, key = asyncio.Event(), ("tape", "a.mcap")
+    replays = Replays(changed.set)
+    async with running(replays):
+        with no_descriptors():
+            replays.start(key, tmp_path / "a.mcap")
+            while "problem" not in replays.found[key]:
+                changed.clear()
+                await changed.wait()
+        assert replays.found[key] == {"problem": f"motord replay cannot be started: {NO_MORE}"}
+
+
+async def test_a_request_whose_process_cannot_be_started_is_refused():
+    with no_descriptors():
+        with pytest.raises(NotTaken, match=f"motord params cannot be started: {NO_MORE}"):
+            await answer("params", "save", within_s=100)
+        with pytest.raises(NotTaken, match=f"for the request cannot be started: {NO_MORE}"):
+            await asked("motord.config", {}, within_s=100)
+
+
+async def test_a_procedure_that_cannot_be_started_ends_and_ends_nothing(procedure):
+    commissioning, published = procedure("exit 1")
+    async with running(commissioning):
+        with no_descriptors():
+            commissioning.start(Page(), SPIN)
+            end = await ended(commissioning, published)
+        assert end == {"good": False, "text": f"the procedure cannot be started: {NO_MORE}"}

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import logging
 import math
 import time
 from collections import deque
@@ -42,6 +43,8 @@ CALLS_HZ, COMMANDS_HZ = 20.0, 100.0
 COMPLAIN_AGAIN_S = 0.5
 NEVER_TOO_MANY = (*URGENT, "commission.stop")
 BUSY = "too many requests: try again"
+
+_log = logging.getLogger(__name__)
 
 Serve = Callable[["Viewer", str, Mapping[str, Any]], Awaitable[Any]]
 """Answers a call of a page. Raises NotTaken and ClientError."""
@@ -242,6 +245,9 @@ class Viewer:
             self._answer(request, {"result": await self._serve(self, method, params)})
         except (NotTaken, ClientError) as error:
             self._answer(request, {"error": str(error)})
+        except OSError as error:  # out of descriptors, perhaps: no reason to cut the page off
+            _log.warning("%s: %s failed: %s", self.name, method, error)
+            self._answer(request, {"error": f"the robot's computer: {error.strerror or error}"})
         finally:
             self._calls -= 1
 

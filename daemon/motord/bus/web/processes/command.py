@@ -24,15 +24,25 @@ NICENESS = 19
 _log = logging.getLogger(__name__)
 
 
+async def started(what: str, module: str, *arguments: str, **options: Any) -> Process:
+    """`python -m MODULE ARGUMENTS`, with `options` of create_subprocess_exec. Raises NotTaken,
+    which names `what`, where this machine has no process, memory or descriptor left for it."""
+    command = (sys.executable, "-m", module, *arguments)
+    try:
+        return await asyncio.create_subprocess_exec(*command, **options)
+    except OSError as error:
+        _log.warning("%s cannot be started: %s", what, error)
+        raise NotTaken(f"{what} cannot be started: {error.strerror or error}") from error
+
+
 @contextlib.asynccontextmanager
 async def running(
     *arguments: str, module: str = "motord", stdin: int = DEVNULL
 ) -> AsyncIterator[Process]:
     """`python -m MODULE ARGUMENTS`, with pipes from its output; killed at the end if it still
-    runs."""
-    child = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", module, *arguments, stdin=stdin, stdout=PIPE, stderr=PIPE
-    )
+    runs. Raises NotTaken where it cannot be started."""
+    what = f"motord {arguments[0]}" if arguments else "a process for the request"
+    child = await started(what, module, *arguments, stdin=stdin, stdout=PIPE, stderr=PIPE)
     try:
         with contextlib.suppress(OSError):  # it has ended
             os.setpriority(os.PRIO_PROCESS, child.pid, NICENESS)
@@ -45,7 +55,7 @@ async def running(
 
 async def answer(*arguments: str, within_s: float) -> Any:
     """What `motord ARGUMENTS --json` prints, whatever its exit status. Raises NotTaken where it
-    prints an error, or nothing that can be read."""
+    cannot be started, and where it prints an error or nothing that can be read."""
     try:
         async with within(within_s), running(*arguments, "--json") as child:
             found, words = await child.communicate()

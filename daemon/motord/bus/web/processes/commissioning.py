@@ -15,7 +15,6 @@ import json
 import logging
 import os
 import secrets
-import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -25,6 +24,7 @@ from motord.api.deadline import within
 from motord.api.procedures import PROCEDURES, chosen
 from motord.bus.commands.gate import NotTaken, short
 from motord.bus.messages import json_form
+from motord.bus.web.processes.command import started
 from motord.bus.web.seat import SEEN_AHEAD_S, SEEN_MAX_S
 
 if TYPE_CHECKING:
@@ -163,8 +163,8 @@ class Commissioning:
             self._requested.clear()
             try:
                 end = await self._carry_out()
-            except OSError as error:
-                end = {"good": False, "text": f"the procedure cannot be started: {error}"}
+            except NotTaken as error:
+                end = {"good": False, "text": str(error)}
             self._end(end)
 
     def _end(self, end: dict[str, Any]) -> None:
@@ -173,8 +173,9 @@ class Commissioning:
         self._publish()
 
     async def _carry_out(self) -> dict[str, Any]:
-        self._process = process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "motord.commission.page.procedure"),
+        """Raises NotTaken where it cannot be started."""
+        self._process = process = await started(
+            "the procedure", "motord.commission.page.procedure",
             stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, process_group=0,
             limit=LINE_BYTES_MAX, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
         )  # fmt: skip

@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-from asyncio.subprocess import Process
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from motord.api.deadline import within
+from motord.bus.commands.gate import NotTaken
 from motord.bus.web.processes.command import reason, running
 from motord.bus.web.viewer import Viewer
 
@@ -79,7 +79,20 @@ class Traces:
                     look.task.cancel()
 
     async def _follow(self, look: _Look) -> None:
-        """Until no page shows it, or the command ends."""
+        """Until no page shows it, or the command ends though pages show the line: the daemon is
+        gone, the line has nothing to trace, or no process can be started."""
+        try:
+            problem = await self._run(look)
+        except NotTaken as error:
+            problem = str(error)
+        text = json.dumps({"trace": {"line": look.line, "problem": problem}})
+        for viewer in look.viewers:
+            viewer.say(text)
+        if self._looks.get(look.line) is look:
+            del self._looks[look.line]
+
+    async def _run(self, look: _Look) -> str:
+        """Returns why the command has ended. Raises NotTaken."""
         async with running("trace", look.line, "--json", *self._place) as child:
             async with asyncio.TaskGroup() as tasks:
                 errors: deque[bytes] = deque(maxlen=1)
@@ -87,7 +100,10 @@ class Traces:
                 sending = tasks.create_task(self._send(look))
                 await _read(child.stdout, lambda raw: self._take(look, raw))
                 sending.cancel()
-            await self._end(look, child, b"".join(errors))
+            with contextlib.suppress(TimeoutError):  # it is killed then
+                async with within(END_WITHIN_S):
+                    await child.wait()
+        return look.problem or reason(b"".join(errors), "trace")
 
     def _take(self, look: _Look, raw: bytes) -> None:
         if not raw.endswith(b"\n"):  # it was killed in the middle of a line
@@ -112,19 +128,6 @@ class Traces:
             for viewer in look.viewers:
                 if viewer.keeps_up:
                     viewer.say(text)
-
-    async def _end(self, look: _Look, child: Process, words: bytes) -> None:
-        """The command has ended though pages show the line: the daemon is gone, or the line has
-        nothing to trace."""
-        with contextlib.suppress(TimeoutError):  # it is killed then
-            async with within(END_WITHIN_S):
-                await child.wait()
-        problem = look.problem or reason(words, "trace")
-        text = json.dumps({"trace": {"line": look.line, "problem": problem}})
-        for viewer in look.viewers:
-            viewer.say(text)
-        if self._looks.get(look.line) is look:
-            del self._looks[look.line]
 
 
 def chosen(rows: deque[Row]) -> list[Row]:
