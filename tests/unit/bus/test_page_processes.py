@@ -205,3 +205,23 @@ async def test_a_procedure_that_cannot_be_started_ends_and_ends_nothing(procedur
             commissioning.start(Page(), SPIN)
             end = await ended(commissioning, published)
         assert end == {"good": False, "text": f"the procedure cannot be started: {NO_MORE}"}
+
+
+async def test_a_replay_that_is_cancelled_as_soon_as_it_was_requested_leaves_nothing(
+    carried_out_by, tmp_path
+):
+    carried_out_by("""echo '{"identical": true}'""")
+    changed, key = asyncio.Event(), ("tape", "a.mcap")
+    replays = Replays(changed.set)
+    async with running(replays):
+        replays.start(key, tmp_path / "a.mcap")
+        replays.cancel(key)
+        async with asyncio.timeout(20):
+            while key in replays.found:
+                changed.clear()
+                await changed.wait()
+        replays.start(key, tmp_path / "a.mcap")  # again
+        async with asyncio.timeout(20):
+            while "outcome" not in replays.found[key]:
+                changed.clear()
+                await changed.wait()

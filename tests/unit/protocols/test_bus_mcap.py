@@ -371,6 +371,25 @@ async def test_a_recorder_that_is_started_and_stopped_writes_only_between_the_tw
         task.cancel()
 
 
+async def test_a_recorder_that_is_stopped_as_soon_as_it_was_started_does_not_record(tmp_path):
+    runtime = Runtime(load_robot(DEMO), tmp_path / "no.sock")
+    section = McapPublish(kind="mcap", folder=str(tmp_path), mode="manual", free_min_mb=0)
+    made = recorder("tape", section, runtime)
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(made.run())
+        await asyncio.sleep(0)  # it begins
+        made.start()
+        made.stop()
+        for _ in range(10):
+            await asyncio.sleep(0)
+            assert (runtime.feeds, made.state.recording) == ({}, False)
+        made.start()
+        while not runtime.feeds:
+            await asyncio.sleep(0)
+        assert made.state.recording
+        task.cancel()
+
+
 def test_a_recorder_that_records_by_itself_is_neither_started_nor_stopped(tmp_path):
     stage = Stage(tmp_path)
     for act in (stage.recorder.start, stage.recorder.stop):

@@ -53,6 +53,8 @@ class ManualRecorder:
         """As Adapter.run."""
         while True:
             await self._started.wait()
+            if not self._started.is_set():  # stopped before this task had its turn
+                continue
             self._recorder = McapRecorder(self._name, self._section, self._runtime)
             try:
                 await self._recorder.run()

@@ -29,7 +29,7 @@ class Replays:
         """{"state": "waits" or "runs"}, {"outcome": ...} or {"problem": why}."""
         self._changed = changed
         self._one = asyncio.Lock()
-        self._running: dict[Key, asyncio.Task[None]] = {}
+        self._running: dict[Key, asyncio.Task[dict[str, Any]]] = {}
         self._tasks: asyncio.TaskGroup | None = None
 
     async def run(self) -> None:
@@ -47,24 +47,27 @@ class Replays:
         if len(self._running) >= WAITING_MAX:
             raise NotTaken("too many recordings wait for a replay: try again")
         self._note(key, {"state": "waits"})
-        self._running[key] = self._tasks.create_task(self._replay(key, path))
+        task = self._running[key] = self._tasks.create_task(self._replay(key, path))
+        # not in the task itself: one that is cancelled before its first step does nothing at all
+        task.add_done_callback(lambda task: self._ended(key, task))
 
     def cancel(self, key: Key) -> None:
         """Nothing where it is not replayed."""
         if (task := self._running.get(key)) is not None:
             task.cancel()
 
-    async def _replay(self, key: Key, path: Path) -> None:
-        found: dict[str, Any] = {}
+    async def _replay(self, key: Key, path: Path) -> dict[str, Any]:
         try:
             async with self._one:
                 self._note(key, {"state": "runs"})
-                found = {"outcome": await answer("replay", str(path), within_s=WITHIN_S)}
+                return {"outcome": await answer("replay", str(path), within_s=WITHIN_S)}
         except NotTaken as error:
-            found = {"problem": str(error)}
-        finally:
-            del self._running[key]
-            self._note(key, found)
+            return {"problem": str(error)}
+
+    def _ended(self, key: Key, task: asyncio.Task[dict[str, Any]]) -> None:
+        del self._running[key]
+        failed = task.cancelled() or task.exception() is not None
+        self._note(key, {} if failed else task.result())
 
     def _note(self, key: Key, found: dict[str, Any]) -> None:
         self.found.pop(key, None)
