@@ -265,6 +265,21 @@ def test_each_end_of_a_procedure_ends_at_rest_and_without_power(robot, ending):
     assert robot.file.read_bytes() == before
 
 
+TAKEN = {
+    "a menu": lambda page: page.locator("h1").click(button="right"),
+    "a drag": lambda page: page.evaluate("window.dispatchEvent(new Event('dragstart'))"),
+}
+
+
+@pytest.mark.parametrize("taken", TAKEN.values(), ids=TAKEN)
+def test_what_would_take_the_keys_that_stop_a_procedure_stops_it(robot, page, taken):
+    spinning(robot, page)
+    taken(page)
+    wait_until(lambda: page.locator(".ended").count(), "the end, not the next question")
+    assert "stopped on a page" in page.locator(".ended").inner_text()
+    rests_without_power(robot.stage)
+
+
 def test_a_cut_link_ends_a_procedure_at_rest_and_without_power(robot):
     with LinkProxy(robot.port) as link, robot.page(port=link.port) as page:
         spinning(robot, page)

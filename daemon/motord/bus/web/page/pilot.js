@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sends commands while something is held, and ends that as soon as it may be held no more. What
-// guarantees the stop is the lease in the daemon; this page only makes it quicker.
+// guarantees the stop where this page sends nothing any more is the lease in the daemon. What takes
+// the keyboard or the mouse from a page that is shown and has the focus has to end a hold here: the
+// browser tells the page of no release then, and the page would send for ever.
 
 const EVERY_MS = 50;
 
@@ -13,6 +15,10 @@ export class Pilot {
     this.limiter = 0.4;
     this.released = "";      // why the last hold ended by itself
     this.onEnd = new Set();  // keys that are still down must not begin another hold
+    // Not in the capturing phase: the pad lets no menu open, so a long touch does not end its hold.
+    window.addEventListener("contextmenu", (event) => event.defaultPrevented || this.end("taken"));
+    window.addEventListener("dragstart", () => this.end("taken"), true);
+    window.addEventListener("beforeprint", () => this.end("taken"));
     window.addEventListener("blur", () => this.end("blur"));
     window.addEventListener("pagehide", () => this.end("hidden"));
     document.addEventListener("visibilitychange", () => document.hidden && this.end("hidden"));
@@ -52,6 +58,7 @@ export class Pilot {
   }
 
   end(why) {
+    for (const listener of this.onEnd) listener();  // also where nothing holds: keys may be down
     if (this.holder === null) return;
     clearInterval(this._timer);
     this.holder = null;
@@ -60,7 +67,6 @@ export class Pilot {
     this.released = why;
     this.link.release(this.press);
     this.link.version += 1;
-    for (const listener of this.onEnd) listener();
   }
 
   _refused(why) {

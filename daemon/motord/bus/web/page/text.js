@@ -95,6 +95,7 @@ export const TEXT = {
     blur: "Released: the page lost the focus.",
     hidden: "Released: the page was hidden.",
     lost: "Released: the connection is silent.",
+    taken: "Released: another key or button, a menu or a drag may keep the release from this page.",
   },
   requested: "Requested",
   driving: "Driving",

@@ -25,6 +25,8 @@ function usePresence(link) {
       [window, "blur", () => stop("hidden")],
       [window, "pagehide", () => stop("hidden")],
       [window, "keydown", (event) => !NO_STOP.includes(event.key) && stop("key")],
+      [window, "contextmenu", () => stop("key")],  // a menu gets the keys: none of them would stop it
+      [window, "dragstart", () => stop("key")],
     ];
     for (const [target, kind, listener] of listeners) target.addEventListener(kind, listener);
     const timer = setInterval(present, PRESENT_EVERY_MS);

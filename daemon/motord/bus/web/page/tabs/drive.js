@@ -27,8 +27,14 @@ function useKeys(pilot) {
       if (held.size) pilot.hold("keys", share);
       else pilot.letGo("keys");
     };
+    const take = () => {
+      held.clear();
+      if (pilot.holder === "keys") pilot.end("taken");
+    };
     const down = (event) => {
-      if (!(event.code in KEYS) || typing(event.target) || event.ctrlKey || event.metaKey || event.altKey) return;
+      // It may open a menu of the browser or of the system, which gets the keyup. macOS sends none while Meta is down.
+      if (!(event.code in KEYS) || event.ctrlKey || event.metaKey || event.altKey) return take();
+      if (typing(event.target)) return;
       if (event.target.matches?.("input[type=range]") && event.code.startsWith("Arrow")) return;
       event.preventDefault();
       if (event.repeat) return;
@@ -36,19 +42,16 @@ function useKeys(pilot) {
       hold();
     };
     const up = (event) => {
-      if (held.delete(event.code)) hold();
+      if (event.metaKey) take();
+      else if (held.delete(event.code)) hold();
     };
+    const button = (event) => event.button !== 0 && take();  // Firefox: with Shift, its menu opens without an event
     const forget = () => held.clear();
-    window.addEventListener("keydown", down);
-    window.addEventListener("keyup", up);
-    window.addEventListener("blur", forget);
-    document.addEventListener("visibilitychange", forget);
+    const listeners = { keydown: down, keyup: up, mousedown: button, contextmenu: take };
+    for (const [kind, listener] of Object.entries(listeners)) window.addEventListener(kind, listener, true);
     pilot.onEnd.add(forget);
     return () => {
-      window.removeEventListener("keydown", down);
-      window.removeEventListener("keyup", up);
-      window.removeEventListener("blur", forget);
-      document.removeEventListener("visibilitychange", forget);
+      for (const [kind, listener] of Object.entries(listeners)) window.removeEventListener(kind, listener, true);
       pilot.onEnd.delete(forget);
       pilot.letGo("keys");
     };
@@ -57,6 +60,7 @@ function useKeys(pilot) {
 
 function Pad({ pilot, sideways }) {
   const pad = useRef(null);
+  const pointer = useRef(null);  // the one that was put on the pad last
   const share = (event) => {
     const box = pad.current.getBoundingClientRect();
     const radius = box.width / 2;
@@ -69,19 +73,26 @@ function Pad({ pilot, sideways }) {
   const down = (event) => {
     if (event.button !== 0) return;
     pad.current.setPointerCapture(event.pointerId);
+    pointer.current = event.pointerId;
     pilot.hold("pad", share(event));
     event.preventDefault();
   };
   const move = (event) => {
-    if (pilot.holder === "pad") pilot.hold("pad", share(event));
+    if (pilot.holder !== "pad" || event.pointerId !== pointer.current) return;
+    if (event.buttons === 1) pilot.hold("pad", share(event));
+    else pilot.end("taken");  // the release was lost, or another button may open a menu
   };
   const up = () => pilot.letGo("pad");
-  useEffect(() => () => pilot.letGo("pad"), [pilot]);
+  useEffect(() => {
+    // Not as onLostPointerCapture: Preact takes the "Capture" off, and the listener is never called.
+    pad.current.addEventListener("lostpointercapture", up);
+    return up;
+  }, [pilot]);
   const { linear, angular, lateral } = pilot.share;
   const [x, y] = [100 - 78 * (sideways ? lateral : angular), 100 - 78 * linear];
   return html`<div class="pad ${pilot.held ? "held" : ""}" ref=${pad} role="img" aria-label=${TEXT.pad}
       onPointerDown=${down} onPointerMove=${move} onPointerUp=${up} onPointerCancel=${up}
-      onLostPointerCapture=${up} onContextMenu=${(event) => event.preventDefault()}>
+      onContextMenu=${(event) => event.preventDefault()}>
     <svg viewBox="0 0 200 200" aria-hidden="true">
       <circle class="rim" cx="100" cy="100" r="97" />
       <circle class="ring" cx="100" cy="100" r="48" />
