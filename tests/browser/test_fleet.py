@@ -87,6 +87,37 @@ def test_each_robot_has_its_state_its_token_and_its_emergency_stop(robots, page)
         robot.stage.wait_for("estop")
 
 
+def test_the_emergency_stop_of_all_names_each_robot_that_it_did_not_reach(robots, page):
+    here, there, (_, second, closed) = robots
+    other = card(page, second)
+    shows(other, "Ready, no power")
+    shows(card(page, closed), "Connection lost")
+    missed = page.locator(".toolbar [role=alert]")
+
+    def press(*whys):
+        page.get_by_role("button", name="E-STOP for all robots").click()
+        here.stage.wait_for("estop")
+        for why in whys:
+            shows(missed, why)
+        here.ready()
+
+    press(f":{second}): needs its token", f":{closed}): not connected")
+    assert there.stage.state() == "idle"
+    give_token(other, OTHER_TOKEN)
+    wait_until(other.locator(".estop").is_enabled, "it may command")
+    assert "needs its token" in missed.inner_text()  # until the next press
+    os.kill(there.stage.daemon.pid, signal.SIGSTOP)
+    try:
+        press(f":{second}): no answer", f":{closed}): not connected")
+    finally:
+        os.kill(there.stage.daemon.pid, signal.SIGCONT)
+    there.stage.wait_for("estop")
+    there.ready()
+    press(f":{closed}): not connected")
+    there.stage.wait_for("estop")
+    assert f":{second}" not in missed.inner_text()
+
+
 def test_a_robot_that_is_gone_is_shown_as_unknown_and_the_other_one_as_before(robots, page):
     _, there, (_, second, _) = robots
     shows(card(page, second), "Ready, no power")

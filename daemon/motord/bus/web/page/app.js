@@ -3,7 +3,7 @@
 
 import { html, render, useEffect, useState } from "./vendor/htm-preact.js";
 import { TEXT } from "./text.js";
-import { Link } from "./link.js";
+import { ESTOP_WITHIN_MS, Link } from "./link.js";
 import { History } from "./history.js";
 import { Pilot } from "./pilot.js";
 import { useLink } from "./parts/parts.js";
@@ -64,7 +64,7 @@ let estopProblem = "";
 async function estop() {
   pilot.end("");
   try {
-    await link.call("estop");
+    await link.call("estop", {}, ESTOP_WITHIN_MS);
     estopProblem = "";
   } catch (error) {
     estopProblem = TEXT.failed(TEXT.estop, error.message);

@@ -9,6 +9,7 @@ const AGAIN_MIN_MS = 300;
 const AGAIN_MAX_MS = 5000;
 const CALL_WITHIN_MS = 15000;
 const EVENTS_MAX = 1000;
+export const ESTOP_WITHIN_MS = 3000;  // it is latched within milliseconds
 export const STALE_MS = 1500;
 export const SILENT_MS = 300;
 

@@ -227,7 +227,9 @@ export const TEXT = {
   time: "Time", result: "Result", reply: "Reply after", meaning: "Meaning", bytes: "Bytes",
 
   estopAll: "E-STOP for all robots",
-  open: "Open",
+  notReached: "This e-stop has not reached every robot. Stop these at the robot:",
+  notConnected: "not connected", needsToken: "needs its token",
+  open: "Open", robot: "Robot",
   tokenFor: (robot) => `Token of ${robot}`,
   thisRobot: "this robot",
 };

@@ -3,11 +3,33 @@
 
 import { html, useEffect, useState } from "../vendor/htm-preact.js";
 import { TEXT } from "../text.js";
-import { Link } from "../link.js";
+import { ESTOP_WITHIN_MS, Link } from "../link.js";
 import { Card, measure, Rows, useCall, useLink } from "../parts/parts.js";
 import { battery, commander } from "./overview.js";
 
 const RATE_HZ = 2;
+
+let pressed = 0;
+let missed = [];  // by the newest e-stop for all: robot, and why. It stays when another page is shown.
+
+async function estop(one) {
+  if (one.phase === "refused") throw new Error(TEXT.needsToken);
+  if (one.phase !== "open") throw new Error(TEXT.notConnected);
+  if (!one.mayCommand && one.hello.takes_commands) throw new Error(TEXT.needsToken);
+  await one.call("estop", {}, ESTOP_WITHIN_MS);
+}
+
+/** `changed` is called for each robot that was not reached, at once. */
+function estopAll(links, changed) {
+  const press = (pressed += 1);
+  missed = [];
+  links.forEach((one) => estop(one).catch((error) => {
+    if (press !== pressed) return;
+    missed = [...missed, TEXT.failed(`${one.hello?.robot ?? TEXT.robot} (${one.address})`, error.message)];
+    changed();
+  }));
+  changed();
+}
 
 function Robot({ link, own }) {
   useLink(link);
@@ -34,7 +56,7 @@ function Robot({ link, own }) {
       [TEXT.commander, commander(link)], [TEXT.battery, battery(link)],
     ]} />`}
     ${now?.faults.length > 0 && html`<p class="faults">${now.faults.join(", ").replaceAll("_", " ")}</p>`}
-    <button class="estop" disabled=${!link.mayCommand} onClick=${() => call("estop", TEXT.estop)}>${TEXT.estop}</button>
+    <button class="estop" disabled=${!link.mayCommand} onClick=${() => call("estop", TEXT.estop, {}, ESTOP_WITHIN_MS)}>${TEXT.estop}</button>
     ${problem}
   <//>`;
 }
@@ -50,10 +72,12 @@ export function Fleet({ link }) {
     return () => made.forEach((one) => one.end());
   }, [addresses]);
   const links = [link, ...others];
-  const all = () => links.filter((one) => one.mayCommand).forEach((one) => one.call("estop").catch(() => {}));
+  const all = () => estopAll(links, () => { link.version += 1; });
   return html`<div>
     <div class="toolbar"><p class="muted">${TEXT.fleetHelp}</p>
-      ${others.length > 0 && html`<button class="estop" onClick=${all}>${TEXT.estopAll}</button>`}</div>
+      ${others.length > 0 && html`<button class="estop" onClick=${all}>${TEXT.estopAll}</button>`}
+      <div class="problem missed" role="alert">${missed.length > 0 && html`<p>${TEXT.notReached}</p>
+        <ul>${missed.map((text) => html`<li>${text}</li>`)}</ul>`}</div></div>
     <div class="grid robots">${links.map((one) =>
       html`<${Robot} key=${one.address} link=${one} own=${one === link} />`)}</div>
   </div>`;
