@@ -2,13 +2,17 @@
 """A port of the second process that speaks HTTP: figures and WebSockets, by aiohttp.
 
 A client that has connected and sent no request yet is a stranger: there are at most STRANGERS_MAX
-of them, each for at most ANSWER_WITHIN_S. What is no WebSocket ends with its answer."""
+of them, each for at most ANSWER_WITHIN_S. What is no WebSocket ends with its answer, and one whose
+client takes nothing of that for STANDS_MAX_S is cut off, as is a WebSocket that has ended."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
+import socket
 import ssl
+import struct
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
@@ -19,7 +23,10 @@ from aiohttp.web_protocol import RequestHandler
 STRANGERS_MAX = 32
 """One more, and the oldest has to go: each costs a descriptor."""
 ANSWER_WITHIN_S = 5.0
+STANDS_MAX_S = 30.0
 LISTEN_AGAIN_S = 5.0
+_ACKNOWLEDGED = struct.Struct("120x Q")
+"""tcpi_bytes_acked of struct tcp_info: include/uapi/linux/tcp.h, since Linux 4.1"""
 
 Answer = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]
 
@@ -104,6 +111,7 @@ class _Protocols(web.Server):
         )  # fmt: skip
         self._asked = answer
         self._strangers: dict[RequestHandler, asyncio.Transport] = {}
+        self._watches: dict[RequestHandler, asyncio.TimerHandle] = {}
 
     def connection_made(self, handler: RequestHandler, transport: asyncio.Transport) -> None:
         super().connection_made(handler, transport)
@@ -114,6 +122,8 @@ class _Protocols(web.Server):
 
     def connection_lost(self, handler: RequestHandler, exc: BaseException | None = None) -> None:
         self._strangers.pop(handler, None)
+        if (watch := self._watches.pop(handler, None)) is not None:
+            watch.cancel()
         super().connection_lost(handler, exc)
 
     def end(self) -> None:
@@ -129,4 +139,33 @@ class _Protocols(web.Server):
 
     async def _known(self, request: web.BaseRequest) -> web.StreamResponse:
         self._strangers.pop(request.protocol, None)
-        return await self._asked(request)
+        try:
+            return await self._asked(request)
+        finally:
+            self._watch(request.protocol, None)
+
+    def _watch(self, handler: RequestHandler, before: tuple[int, int] | None) -> None:
+        """Until its connection has ended; `before`: its progress at the look before."""
+        transport = handler.transport
+        if transport is None:  # it has ended
+            return
+        now = progress(transport)
+        if now == before:
+            # Not transport.abort(): what sends a file by the kernel would wait for ever.
+            with contextlib.suppress(OSError):
+                transport.get_extra_info("socket").shutdown(socket.SHUT_RDWR)
+        later = asyncio.get_running_loop().call_later
+        self._watches[handler] = later(STANDS_MAX_S, self._watch, handler, now)
+
+
+def progress(transport: asyncio.Transport) -> tuple[int, int]:
+    """What changes while a client takes what it is sent: bytes that wait here, and bytes that it
+    has acknowledged, as the kernel sends files past the transport."""
+    try:
+        info = transport.get_extra_info("socket").getsockopt(
+            socket.IPPROTO_TCP, socket.TCP_INFO, _ACKNOWLEDGED.size
+        )
+        acknowledged: int = _ACKNOWLEDGED.unpack(info)[0]
+    except (AttributeError, OSError, struct.error):  # it has ended, or the kernel does not say
+        acknowledged = 0
+    return transport.get_write_buffer_size(), acknowledged

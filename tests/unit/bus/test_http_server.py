@@ -3,6 +3,7 @@
 
 import asyncio
 import contextlib
+import os
 import socket
 
 import pytest
@@ -12,12 +13,26 @@ from motord.bus import http_server
 from motord.bus.http_server import HttpServer
 
 DEADLINE_S = 60.0
+LARGE_BYTES = 8_000_000
+FILES = {}
 
 
 async def greet(request):
     if request.path == "/broken":
         raise LookupError("no such figure")
+    if request.path == "/large":
+        return web.Response(body=bytes(LARGE_BYTES))
+    if request.path == "/file":
+        return web.FileResponse(FILES["large"])  # sent by the kernel
     return web.Response(text=f"hello {request.path}")
+
+
+@pytest.fixture
+def large_file(tmp_path):
+    FILES["large"] = tmp_path / "large"
+    FILES["large"].write_bytes(bytes(LARGE_BYTES))
+    yield
+    FILES.clear()
 
 
 @pytest.fixture
@@ -90,3 +105,56 @@ async def test_the_oldest_of_too_many_who_ask_nothing_makes_room(monkeypatch, po
     assert await asked(port, "/d") == (200, "hello /d")
     for _, writer in strangers:
         writer.close()
+
+
+@contextlib.contextmanager
+def asking(port, path, received_bytes):
+    """A client that has sent its request, and takes about so much of the answer unless it reads."""
+    with socket.socket() as client:
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, received_bytes)
+        client.connect(("127.0.0.1", port))
+        client.sendall(f"GET {path} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+        client.settimeout(0)
+        yield client
+
+
+def descriptors():
+    return len(os.listdir("/proc/self/fd"))
+
+
+async def until(condition):
+    async with asyncio.timeout(DEADLINE_S):
+        while not condition():
+            await asyncio.sleep(0.01)
+
+
+def answered(client):
+    with contextlib.suppress(BlockingIOError):
+        return client.recv(1, socket.MSG_PEEK)
+    return b""
+
+
+@pytest.mark.usefixtures("large_file")
+@pytest.mark.parametrize("path", ["/large", "/file"])
+async def test_a_client_that_does_not_read_its_answer_keeps_no_descriptor(monkeypatch, port, path):
+    monkeypatch.setattr(http_server, "STANDS_MAX_S", 0.05)
+    assert (await asked(port, "/a"))[0] == 200
+    before = descriptors()
+    with asking(port, path, 4096) as client:
+        await until(lambda: answered(client))
+        await until(lambda: descriptors() == before + 1)  # that of the client
+    assert (await asked(port, "/b"))[0] == 200
+
+
+@pytest.mark.usefixtures("large_file")
+@pytest.mark.parametrize("path", ["/large", "/file"])
+async def test_a_client_that_reads_slowly_gets_its_whole_answer(monkeypatch, port, path):
+    monkeypatch.setattr(http_server, "STANDS_MAX_S", 0.2)
+    taken = 0
+    with asking(port, path, 1 << 18) as client:
+        while taken < LARGE_BYTES:  # for many times as long
+            await asyncio.sleep(0.01)
+            with contextlib.suppress(BlockingIOError):
+                found = client.recv(1 << 16)
+                assert found
+                taken += len(found)
