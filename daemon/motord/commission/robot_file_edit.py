@@ -4,17 +4,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import hashlib
+import json
 import os
 import stat
 import time
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import tomlkit
 from tomlkit.container import Container, OutOfOrderTableProxy
+from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import InlineTable, Table
 
 from motord.commission.person import Person
@@ -134,14 +138,31 @@ class RobotFileEdit(RobotFileText):
 
     def set(self, path: KeyPath, value: Any) -> None:
         """Give a key this value, in the table where it belongs. A value that is there already
-        keeps its spelling."""
+        keeps its spelling. Raises EditError, and changes nothing, where that cannot be done without
+        a change of something else."""
         if self.get(path) == value:
             return
+        before = self.text
+        for new_table in (tomlkit.table, tomlkit.inline_table):
+            # tomlkit's own errors, and those of values that are no tables
+            with contextlib.suppress(TOMLKitError, LookupError, TypeError, ValueError):
+                wanted = _with(tomllib.loads(before), path, value)
+                self._put(path, value, new_table)
+                if _meaning(tomllib.loads(self.text)) == _meaning(wanted):
+                    return
+            self._document = tomlkit.parse(before)
+        where = ".".join(path[:-1])
+        raise EditError(
+            f"{self.path}: {'.'.join(path)}: cannot be set as the file is written: give {where} a "
+            f"table of its own, [{where}], by hand, and run this again"
+        )
+
+    def _put(self, path: KeyPath, value: Any, new_table: Callable[[], Table | InlineTable]) -> None:
         *parents, key = path
         table: _AnyTable = self._document
         for part in parents:
             if part not in table:
-                table[part] = tomlkit.table()
+                table[part] = new_table()
             table = table[part]
         if key in table or not isinstance(table, Table):
             table[key] = value
@@ -154,6 +175,20 @@ class RobotFileEdit(RobotFileText):
         """`set` for each."""
         for path, value in values.items():
             self.set(path, value)
+
+
+def _with(values: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:
+    """The same with that value."""
+    table = values
+    for part in path[:-1]:
+        table = table.setdefault(part, {})
+    table[path[-1]] = value
+    return values
+
+
+def _meaning(values: dict[str, Any]) -> str:
+    """Equal for files that mean the same, whatever the order of their keys; NaN is itself."""
+    return json.dumps(values, sort_keys=True, default=str)
 
 
 def replace_file(path: Path, content: bytes) -> None:

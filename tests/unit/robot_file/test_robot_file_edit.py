@@ -3,6 +3,7 @@
 
 import os
 import stat
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -128,6 +129,46 @@ def test_a_folder_of_another_user_is_an_error_with_a_cure(file):
             edit.save()
     finally:
         file.parent.chmod(0o755)
+
+
+GAIN = ("joint", "right", "speed_loop", "gain_s_per_rad")
+INTEGRAL = (*GAIN[:-1], "integral_per_rad")
+
+
+def spelled(file, layout):
+    """The joint on the right, spelled otherwise: it means the same."""
+    text = file.read_text("utf-8")
+    start = text.index("[joint.right]")
+    rows, rest = [], text[start:].splitlines()[1:]
+    while rest and "=" in rest[0]:
+        rows.append(rest.pop(0))
+    file.write_text(f"{text[:start]}{layout(rows)}\n" + "\n".join(rest) + "\n", "utf-8")
+
+
+SPELLINGS = {
+    "inline": lambda rows: f"[joint]\nright = {{ {', '.join(rows)} }}",
+    "dotted": lambda rows: "[joint]\n" + "\n".join(f"right.{row}" for row in rows),
+}
+
+
+@pytest.mark.parametrize("layout", SPELLINGS.values(), ids=SPELLINGS)
+def test_a_new_table_comes_into_a_table_however_that_is_spelled(file, layout):
+    spelled(file, layout)
+    edit = RobotFileEdit(file)
+    wanted = tomllib.loads(edit.text)
+    wanted["joint"]["right"]["speed_loop"] = {GAIN[-1]: 1.5, INTEGRAL[-1]: 2.5}
+    edit.update({GAIN: 1.5, INTEGRAL: 2.5})
+    assert tomllib.loads(edit.text) == wanted
+
+
+def test_a_key_that_cannot_be_put_where_it_belongs_is_an_error_and_changes_nothing(file):
+    edit = RobotFileEdit(file)
+    before = edit.text
+    with pytest.raises(EditError, match=r"limits.linear_m_s.a: .* by hand"):
+        edit.set(("limits", "linear_m_s", "a"), 1.0)
+    assert edit.text == before
+    edit.set(("base", "track_m"), 0.5)  # it goes on
+    assert edit.get(("base", "track_m")) == 0.5
 
 
 def test_a_new_file_does_not_replace_another(file):
