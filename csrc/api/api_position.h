@@ -68,6 +68,7 @@ typedef struct {
 bool position_follows(position_following *following, const position_config *config, double apart_rad, double velocity_rad_s,
                       int64_t now_ns);
 
-/* One step towards a goal, within velocity and acceleration, so that it ends at rest there and does not pass it. A goal that
- * comes nearer than it can brake is passed, and returned to. A goal that is not finite: it brakes. dt_s > 0. */
+/* One step towards a goal, within velocity and acceleration, so that it ends at rest there and does not pass it, whatever time
+ * this step and the next ones take. A goal that comes nearer than it can brake is passed, and returned to. A goal that is not
+ * finite: it brakes. dt_s > 0. */
 void position_step(position_profile *profile, const position_config *config, double goal_rad, double dt_s);

@@ -1,21 +1,20 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * position.c: the motion of a joint to an angle, exact in whole steps: the fastest within velocity and acceleration that ends
- * at rest on the goal.
+ * position.c: the motion of a joint to an angle: the fastest within velocity and acceleration that ends at rest on the goal,
+ * whatever time its steps take.
  */
 #include "core.h"
 
 #include <math.h>
 
-static const double ROUNDING = 1e-9; /* of a step: no limit was in the way */
-
-/* The largest speed that can still be let go, by `step` each step, before `gap` is used up; gap is what is left, over dt.
- * Falling from v, n steps cover n v - step n (n - 1) / 2, and the fewest that reach zero are the smallest n with
- * gap <= step n (n + 1) / 2. */
-static double braking(double gap_rad_s, double step_rad_s)
+/* The largest speed after which, at the end of this step, the joint can still come to rest before the goal: v dt + v^2 / 2 a
+ * is no more than what is left. A step that brakes by a dt covers less than v^2 / 2 a does in that time, whether it is as long
+ * as this one or not: the next one may be late, or early. The root in the form that holds near the goal, too, where v is small
+ * beside a dt. */
+static double braking(double left_rad, double acceleration_rad_s2, double dt_s)
 {
-    double steps = fmax(ceil((sqrt(1.0 + 8.0 * gap_rad_s / step_rad_s) - 1.0) * 0.5), 1.0);
-    return gap_rad_s / steps + 0.5 * step_rad_s * (steps - 1.0);
+    double step_rad_s = acceleration_rad_s2 * dt_s, twice_rad2_s2 = 2.0 * acceleration_rad_s2 * left_rad;
+    return twice_rad2_s2 / (step_rad_s + sqrt(step_rad_s * step_rad_s + twice_rad2_s2));
 }
 
 void position_step(position_profile *profile, const position_config *config, double goal_rad, double dt_s)
@@ -29,15 +28,13 @@ void position_step(position_profile *profile, const position_config *config, dou
     double left_rad = goal_rad - from_rad;
     double wanted_rad_s = 0.0;
     if (isfinite(left_rad) && left_rad != 0.0) {
-        wanted_rad_s = copysign(fmin(config->velocity_rad_s, braking(fabs(left_rad) / dt_s, step_rad_s)), left_rad);
+        double fastest_rad_s = braking(fabs(left_rad), config->acceleration_rad_s2, dt_s);
+        wanted_rad_s = copysign(fmin(config->velocity_rad_s, fastest_rad_s), left_rad);
     }
-    double change_rad_s = fmin(fmax(wanted_rad_s - before_rad_s, -step_rad_s), step_rad_s);
-    double next_rad_s = before_rad_s + change_rad_s;
+    double next_rad_s = fmin(fmax(wanted_rad_s, before_rad_s - step_rad_s), before_rad_s + step_rad_s);
     double moved_rad = next_rad_s * dt_s;
-    /* rounded, a last step could pass the goal; the next one lets go of what is left of the speed */
-    bool there = fabs(moved_rad) >= fabs(left_rad) || (goal_rad - (from_rad + moved_rad)) * left_rad <= 0.0;
-    bool free = fabs(change_rad_s - (wanted_rad_s - before_rad_s)) <= ROUNDING * step_rad_s;
-    bool arrives = free && there && left_rad != 0.0 && wanted_rad_s != 0.0;
+    /* rounded, the last step is the whole way, or passes the goal; the next one lets go of what is left of the speed */
+    bool arrives = next_rad_s == wanted_rad_s && fabs(moved_rad) >= fabs(left_rad);
     profile->position_rad = arrives ? goal_rad : from_rad + moved_rad;
     profile->velocity_rad_s = next_rad_s;
 }

@@ -161,7 +161,7 @@ static uint32_t step_position(joints_state *joints, steer_state *steer, const co
         position_step(profile, &own, sure ? goal_rad : (double)NAN, input->dt_s);
     }
     if (from_rad >= own.position_min_rad && from_rad <= own.position_max_rad) {
-        /* braking from full speed, it ends at the edge or, by rounding, beyond it */
+        /* rounded, the last step could pass the end */
         profile->position_rad = within(profile->position_rad, own.position_min_rad, own.position_max_rad);
     }
     return reasons;

@@ -74,6 +74,29 @@ static void a_late_tick_of_joints_is_a_step_of_a_tenth_of_a_second(void)
     }
 }
 
+/* Its end is not where the set-point is cut off: it moves there as its speed says. */
+static void a_late_tick_takes_no_set_point_past_its_goal(void)
+{
+    const core_config config = head_and_belt();
+    for (int at = 1; at < 1200; at += 7) {
+        rig r;
+        ready(&r, &config);
+        r.input.control.armed = 1;
+        tick(&r);
+        ask(&r, 1, 2.0, 0.0);
+        for (int i = 0; i < 1300; i++) {
+            double before_rad = r.out.position_rad[0], before_rad_s = r.out.joint[0].velocity_rad_s;
+            double dt_s = i == at ? 0.09 : i % 3 == 0 ? 0.0003 : 0.001;
+            prepare(&r);
+            core_step(&r.state, &r.input, dt_s, &r.out, &r.shown);
+            double speed_rad_s = r.out.joint[0].velocity_rad_s;
+            CHECK(r.out.position_rad[0] <= 2.0 && close_to(r.out.position_rad[0], before_rad + speed_rad_s * dt_s));
+            CHECK(fabs(speed_rad_s - before_rad_s) <= 40.0 * dt_s + 1e-12);
+        }
+        CHECK(r.out.position_rad[0] == 2.0 && r.shown.faults == 0);
+    }
+}
+
 static void a_target_needs_power_a_finite_command_and_the_lease_that_gave_it(void)
 {
     core_config config = head_and_belt();
@@ -295,6 +318,7 @@ int main(void)
     joints_move_each_for_itself_and_no_base_is_measured();
     every_stop_of_joints_ends_at_rest_and_leaves_no_target();
     a_late_tick_of_joints_is_a_step_of_a_tenth_of_a_second();
+    a_late_tick_takes_no_set_point_past_its_goal();
     a_target_needs_power_a_finite_command_and_the_lease_that_gave_it();
     joints_of_which_one_begins_to_move_are_not_at_rest();
     joints_are_armed_without_a_command_that_moves_one();

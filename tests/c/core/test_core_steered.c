@@ -70,6 +70,32 @@ static void a_base_that_begins_to_roll_is_not_at_rest(void)
     }
 }
 
+/* A late tick while it brakes, and the ticks that commands bring between. */
+static void a_steering_joint_stays_within_its_range_whenever_ticks_come(void)
+{
+    static const int64_t LATE_NS[] = {2000000, 10000000, 30000000, 90000000};
+    const core_config config = bicycle();
+    for (int late = 0; late < COUNT_OF(LATE_NS); late++) {
+        for (int at = 1; at < 300; at += 3) {
+            rig r;
+            ready(&r, &config);
+            r.input.control.armed = 1;
+            tick(&r);
+            r.input.command.linear_m_s = 0.5, r.input.command.angular_rad_s = 2.0;
+            for (int i = 0; i < 400; i++) {
+                double before_rad_s = r.out.joint[1].velocity_rad_s;
+                int64_t dt_ns = i == at ? LATE_NS[late] : i % 3 == 0 ? 300000 : 1000000;
+                prepare(&r);
+                r.input.now_ns += dt_ns - TICK_NS;
+                core_step(&r.state, &r.input, (double)dt_ns * 1e-9, &r.out, &r.shown);
+                double change_rad_s = fabs(r.out.joint[1].velocity_rad_s - before_rad_s);
+                CHECK(r.out.position_rad[1] <= 0.6 + 1e-12 && change_rad_s <= 40.0 * (double)dt_ns * 1e-9 + 1e-12);
+            }
+            CHECK(close_to(r.out.position_rad[1], 0.6) && r.shown.faults == 0);
+        }
+    }
+}
+
 /* Of whichever joint; and it ends with it. */
 static void a_duty_at_its_limit_is_reported(void)
 {
@@ -402,6 +428,7 @@ int main(void)
     a_bicycle_points_its_wheel_drives_and_measures_its_curve();
     each_wheel_of_a_swerve_base_rolls_as_the_floor_under_it();
     a_base_that_begins_to_roll_is_not_at_rest();
+    a_steering_joint_stays_within_its_range_whenever_ticks_come();
     a_duty_at_its_limit_is_reported();
     a_steered_base_waits_for_a_duty_that_grows_slowly_and_names_its_joint();
     a_duty_that_is_no_number_is_seen_at_once();
