@@ -76,7 +76,7 @@ enum { FAULTS_OF_FEEDBACK = 0x3E00 };
 typedef enum { STOP_RAMP = 0, STOP_BRAKE = 1, STOP_HOLD = 2, STOP_COAST = 3 } stop_action;
 /* RAMP  through the deceleration limit (no jerk limit on faults), drives off when at rest after a fault
  * BRAKE set-points zero at once; the drive does the stopping; drives off when at rest after a fault
- * HOLD  as RAMP, but the drives stay enabled at zero speed, also in a fault (a robot on a slope)
+ * HOLD  as RAMP, but the drives stay enabled at zero speed, also in a fault until it is disarmed (a robot on a slope)
  * COAST drives off at once; the core disarms */
 
 typedef struct {
@@ -114,8 +114,7 @@ typedef struct {
     double velocity_min_rad_s; /* <= 0: 0 for a joint that cannot reverse */
     double velocity_max_rad_s; /* > 0 */
     double rad_per_count;      /* signed, not 0: gear and inversion are in it. Unused without a counter */
-    uint32_t counter_bits;     /* 8, 12, 15, 16, 24, 32, 64; 0: no counter, odometry from measured velocity, or
-                                   from the set-point where the drive measures none */
+    uint32_t counter_bits;     /* 8, 12, 15, 16, 24, 32, 64; 0: no counter: odometry from measured velocity or set-point */
     uint32_t line;             /* 0..LINES_MAX-1: the line of this joint */
     pwm_config pwm;
     speed_loop_config speed_loop;
@@ -145,8 +144,7 @@ typedef struct {
     gyro_config gyro;
     uint32_t module_count; /* 0: a base without steering, whose joints' rows count; else 1..JOINTS_MAX */
     uint32_t independent;  /* 1: no base: each joint moves for itself, also a single one; rows and modules do not count */
-    wheel_module
-        module[JOINTS_MAX]; /* each joint is named once: as a traction joint, or as a steering joint that takes positions */
+    wheel_module module[JOINTS_MAX]; /* each joint once: as a traction joint, or as a steering joint that takes positions */
     joint_config joint[JOINTS_MAX];
 } core_config;
 
@@ -170,9 +168,11 @@ typedef struct {
     uint32_t odometry_reset_count; /* a change sets the pose to the origin */
     uint32_t machine_state;        /* the daemon's state, copied to the state page; the core does not read it */
     uint32_t owner;                /* the lease in command (its number), copied likewise */
-    base_limits limits;            /* replace the configured ones as a group; refused by base_limits_check: kept */
-    uint32_t gains_count;          /* a change puts `gains` in force, of all joints or, where one is out of range, of none */
-    uint32_t joint_limits_count;   /* the same of `joint_limits` */
+    uint32_t release;              /* level: a disarm is requested, so a hold after a fault (STOP_HOLD) ends at rest as well */
+    uint32_t reserved;
+    base_limits limits;          /* replace the configured ones as a group; refused by base_limits_check: kept */
+    uint32_t gains_count;        /* a change puts `gains` in force, of all joints or, where one is out of range, of none */
+    uint32_t joint_limits_count; /* the same of `joint_limits` */
     speed_loop_gains gains[JOINTS_MAX];
     axis_limits joint_limits[JOINTS_MAX]; /* of joints without a base; those that take positions brake as they accelerate */
 } core_control;
@@ -472,7 +472,7 @@ typedef struct {
     uint32_t gains_seen;
     uint32_t joint_limits_seen;
     uint32_t faults;
-    uint32_t holding;      /* the drives stay enabled until rest (or for ever: STOP_HOLD) after a fault */
+    uint32_t holding;      /* the drives stay enabled until rest (or until control.release or a reset: STOP_HOLD) after a fault */
     uint32_t commanded;    /* a fresh command has come since arming */
     uint32_t silent;       /* a joint is stale */
     uint32_t slow;         /* no wheel with feedback turned faster than rest_velocity_rad_s */

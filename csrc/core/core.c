@@ -372,12 +372,12 @@ static void guard(core_state *state, tick *t)
     watch_latch(state, FAULT_STATE);
 }
 
-/* When a fault has brought the base to rest, the power goes off. Feedback that is not trusted proves no rest: then it is
- * time alone that counts. */
+/* When a fault has brought the base to rest, the power goes off; where it is to hold, on request. Feedback that is not trusted
+ * proves no rest: then it is time alone that counts. */
 static void release(core_state *state, const tick *t)
 {
     int64_t now_ns = t->input->now_ns;
-    if (watch_fault_action(state) == STOP_HOLD) {
+    if (watch_fault_action(state) == STOP_HOLD && !t->input->control.release) {
         return;
     }
     if (t->moving) {

@@ -164,6 +164,7 @@ static void take_control(loop_work *work)
     }
     control->estop |= pending[STOP_REQUEST_ESTOP];
     control->estop |= guard_read_estop(&work->guard);
+    control->release |= pending[STOP_REQUEST_DISARM];
     control->stop |= pending[STOP_REQUEST_STOP] || pending[STOP_REQUEST_DISARM];
     work->disarmed = pending[STOP_REQUEST_DISARM] && (work->disarmed || work->core.at_rest);
     control->armed = work->disarmed ? 0 : control->armed;

@@ -103,6 +103,8 @@ class Operation:
         """A procedure is taking the power off: STOPPING ends with it."""
         self._notifier = notifier
         self._armed = False
+        self._release = False
+        """Disarmed on request: drives that hold in a fault get their power taken off, too."""
         self._estop = False
         self.estops = 0
         """How often an emergency stop came."""
@@ -200,6 +202,7 @@ class Operation:
                 stop=self.state is State.STOPPING,
                 estop=self._estop,
                 fault=self._broken is not None,
+                release=self._release,
                 reset_count=self._reset_count,
                 odometry_reset_count=self._odometry_reset_count,
                 machine_state=self.state.number,
@@ -210,6 +213,7 @@ class Operation:
     def set_armed(self, armed: bool) -> None:
         """The level that the core arms on, or disarms."""
         self._armed = armed
+        self._release = not armed
         self.put_control()
 
     def ask_reset(self) -> None:

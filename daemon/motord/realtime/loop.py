@@ -299,6 +299,7 @@ class Loop:
         raw.stop = control.stop
         raw.estop = control.estop
         raw.fault = control.fault
+        raw.release = control.release
         raw.reset_count = control.reset_count
         raw.odometry_reset_count = control.odometry_reset_count
         raw.machine_state = control.machine_state

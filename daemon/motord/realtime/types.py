@@ -301,6 +301,7 @@ class Control:
     stop: bool = False
     estop: bool = False
     fault: bool = False
+    release: bool = False
     reset_count: int = 0
     odometry_reset_count: int = 0
     machine_state: int = 0

@@ -87,6 +87,32 @@ static void a_fault_of_direction_or_runaway_outranks_the_configured_action(void)
     }
 }
 
+static void a_requested_release_ends_a_hold_as_any_other_stop_ends(void)
+{
+    static const uint32_t FAULTS[] = {FAULT_EXTERNAL, FAULT_ESTOP, FAULT_STALL};
+    for (int i = 0; i < COUNT_OF(FAULTS) * 2; i++) {
+        bool before = i % 2 == 0; /* requested before the fault, which it does not keep from holding until rest */
+        rig r;
+        core_config config = good_config();
+        config.on_fault = config.on_estop = STOP_HOLD;
+        start(&r, &config);
+        go(&r, 0.4, 0.0);
+        r.input.control.release = before;
+        CHECK(tick(&r)->armed == 1 && r.out.enabled == 1);
+        r.state.faults = FAULTS[i / 2];
+        r.input.control.estop = FAULTS[i / 2] == FAULT_ESTOP;
+        r.input.control.fault = 1;
+        CHECK(tick(&r)->enabled == 1 && !zero(&r));
+        r.input.control.release = 1;
+        bool trusted = FAULTS[i / 2] != FAULT_STALL;
+        CHECK(ticks(&r, 100)->enabled == 1 && !zero(&r));
+        CHECK(ticks(&r, 400)->enabled == !trusted && zero(&r));
+        CHECK(ticks(&r, 2000)->enabled == 0 && r.shown.faults != 0); /* unseen rest: after two seconds */
+        r.input.control.release = 0;
+        CHECK(ticks(&r, 10)->enabled == 0);
+    }
+}
+
 static void a_stop_or_a_lost_command_coasts_only_where_it_is_to_coast_and_once_commanded(void)
 {
     for (int action = STOP_RAMP; action <= STOP_COAST; action++) {
@@ -218,6 +244,7 @@ int main(void)
 {
     the_power_goes_off_at_rest_or_when_the_set_points_have_been_zero_for_two_seconds();
     a_fault_of_direction_or_runaway_outranks_the_configured_action();
+    a_requested_release_ends_a_hold_as_any_other_stop_ends();
     a_stop_or_a_lost_command_coasts_only_where_it_is_to_coast_and_once_commanded();
     at_rest_is_slower_than_the_configured_speed_with_set_points_of_zero();
     a_torque_ends_with_its_power_its_feedback_or_its_runaway();

@@ -36,6 +36,14 @@ def loop(wire):
         yield started
 
 
+@pytest.fixture
+def holding(wire):
+    """A loop whose drives keep their power in a fault."""
+    config = rt.CoreConfig(**{**core_config(), "on_fault": rt.StopAction.HOLD})
+    with rt.Loop(config, dataclasses.replace(settings(), stop_fd=wire[1].fileno())) as started:
+        yield started
+
+
 def driving(loop):
     """Armed, at speed, by a command that lasts."""
     lease = arm(loop)
@@ -104,6 +112,18 @@ def test_a_disarm_comes_to_rest_first_and_arms_never_again_by_itself(loop, wire)
     for armed in (True, False, True):
         loop.put_control(control(armed=armed))
         assert not later(loop).armed
+
+
+def test_a_disarm_takes_the_power_off_also_in_a_fault_that_holds(holding, wire):
+    driving(holding)
+    holding.put_control(control(armed=True, fault=True))
+    until(lambda: rests(holding))
+    report_wheels()
+    assert later(holding).enabled
+    wire[0].send(datagram("disarm"))
+    until(lambda: not holding.read_state().enabled)
+    holding.acknowledge_stops(holding.stop_requests())
+    assert not later(holding).enabled
 
 
 def test_what_came_before_an_acknowledgement_of_less_stays_in_force(loop, wire):

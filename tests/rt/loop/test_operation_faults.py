@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the daemon says of a latched fault, over the real loop."""
 
+import asyncio
 from dataclasses import replace
 
 import pytest
@@ -21,9 +22,10 @@ OVER_CURRENT = "left: fault: over-current"
 
 
 @pytest.fixture
-def operation():
+def operation(request):
     robot = load_robot(config_dir() / "robots" / "demo.toml")
-    with rt.Loop(core_config(), settings()) as loop:
+    on_fault = getattr(request, "param", rt.StopAction.RAMP)
+    with rt.Loop(rt.CoreConfig(**{**core_config(), "on_fault": on_fault}), settings()) as loop:
         operation = Operation(robot, loop, Notifier({}))
         report_wheels()
         until(lambda: operation.look() or not operation.facts().stale_joints)
@@ -80,6 +82,20 @@ def test_the_reason_of_an_emergency_stop_takes_the_place_of_the_cores_bare_word(
     assert operation.why == (f"the panel ({process_name(1)})",)
 
 
+def ticks(operation, count):
+    last = operation.snapshot.tick + count
+    until(lambda: operation.look() or operation.snapshot.tick > last)
+
+
+async def looking(operation, procedure):
+    """What it returns, while the newest state is looked at."""
+    running = asyncio.ensure_future(procedure)
+    while not running.done():
+        operation.look()
+        await asyncio.sleep(0)
+    return await running
+
+
 class LineWithAPanel:
     """A person presses the emergency stop while its drives are cleared."""
 
@@ -99,3 +115,18 @@ async def test_a_reset_does_not_take_back_an_emergency_stop_that_came_meanwhile(
         await procedures.reset(operation)
     assert operation.state is State.ESTOP
     until(lambda: operation.look() or "estop" in operation.snapshot.faults)
+
+
+@pytest.mark.parametrize("operation", [rt.StopAction.HOLD], indirect=True)
+async def test_a_disarm_ends_a_hold_and_an_arming_afterwards_holds_again(operation):
+    for _ in range(2):
+        operation.set_armed(True)
+        until(lambda: operation.loop.read_state().armed)
+        operation.fault(OFF)
+        until(lambda: operation.look() or operation.snapshot.faults)
+        ticks(operation, 20)
+        assert operation.snapshot.enabled
+        assert await looking(operation, procedures.disarm(operation)) is State.FAULT
+        until(lambda: operation.look() or not operation.snapshot.enabled)
+        await looking(operation, procedures.reset(operation))
+        operation.take(Event.ARM)
