@@ -74,6 +74,8 @@ typedef struct {
 } gyro_state;
 
 void gyro_init(gyro_state *state);
+/* What it turns from its last sample to the next one is not known. */
+void gyro_lose(gyro_state *state);
 /* Takes in a sample if it is a new one. wheels_rest: by feedback, of all wheels. */
 void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *sample, int64_t now_ns, bool wheels_rest);
 /* How far the base has turned from the moment asked for last to this one, and with which variance. false: the gyro does

@@ -289,6 +289,9 @@ static inline void watch(core_state *state, const core_input *input, double dt_s
     if (t->calm) {
         return;
     }
+    if (input->suspended) {
+        gyro_lose(&state->odometry.gyro);
+    }
     obey_counters(state, t);
     watch_latch(state, causes(state, t));
     arm_or_disarm(state, t);

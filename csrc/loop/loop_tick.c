@@ -196,6 +196,7 @@ static void take_inputs(loop_work *work, int64_t now_ns)
         feedback->stamp_ns = stamp_since(feedback->stamp_ns, resumed_ns);
     }
     exchange_take_imu(&work->exchange, &input->imu);
+    input->imu.stamp_ns = stamp_since(input->imu.stamp_ns, resumed_ns);
 }
 
 /* Why it stands, not why it is slower than asked: a ramp changes the latter in every other tick. */

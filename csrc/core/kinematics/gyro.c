@@ -51,6 +51,13 @@ static void break_integral(gyro_state *state)
     state->still_since_ns = 0;
 }
 
+void gyro_lose(gyro_state *state)
+{
+    if (state->stamp_ns != 0) {
+        break_integral(state);
+    }
+}
+
 static bool is_number(const imu_sample *sample)
 {
     return fabs(sample->angular_rad_s[2]) <= RATE_MAX_RAD_S; /* NaN is not */

@@ -294,6 +294,46 @@ static void samples_that_come_fast_are_looked_at_together(void)
     }
 }
 
+/* A person pushed the base meanwhile: the counters of its wheels have measured it, the gyro has not. */
+static void a_turn_during_a_suspend_is_that_of_the_wheels(void)
+{
+    core_config config = good_config();
+    config.gyro = (gyro_config){.used = 1,
+                                .timeout_s = 0.1,
+                                .bias_max_rad_s = 0.5,
+                                .still_variance_rad2_s2 = 1e-4,
+                                .heading_variance_rad2_per_s = 1e-7,
+                                .turn_variance_rad2_per_rad = 1e-4};
+    for (int sampled = 0; sampled < 3; sampled++) {
+        rig r;
+        start(&r, &config);
+        for (int ms = 0; ms < 2200; ms++) {
+            bool suspended = ms == 2100;
+            if (suspended) {
+                r.input.now_ns += 60 * MS_NS; /* of which CLOCK_MONOTONIC counts so much */
+                for (int j = 0; j < 4; j++) {
+                    r.position_rad[j] += j % 2 == 0 ? -0.5 : 0.5;
+                }
+            }
+            if (!suspended || sampled == 0) {
+                r.input.imu = (imu_sample){.stamp_ns = r.input.now_ns + TICK_NS, .angular_rad_s = {0.0, 0.0, 0.01}};
+            } else if (sampled == 1) { /* by the loop: a sample that is from before */
+                r.input.imu.stamp_ns = 0;
+            }
+            r.input.suspended = suspended;
+            tick(&r);
+            CHECK(ms < 1800 || suspended || ms == 2101 || r.shown.imu.heading_by_gyro == 1);
+        }
+        CHECK(fabs(r.shown.heading_rad - 0.2) < 2e-3 && r.shown.odometry_degraded == 0);
+        CHECK(r.shown.imu.refused == (sampled == 1)); /* once, however often the loop hands it on */
+        CHECK(r.shown.imu.state == GYRO_USED && r.shown.imu.still == 0);
+    }
+    rig r;
+    start(&r, &config);
+    r.input.suspended = 1;
+    CHECK(tick(&r)->imu.state == GYRO_NONE);
+}
+
 /* Its zero is what a gyro says of a base that stands: all wheels report, and none turns. */
 static void a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on(void)
 {
@@ -362,6 +402,7 @@ int main(void)
     a_base_without_power_may_be_pushed();
     a_runaway_ends_all_set_points_in_its_tick();
     samples_that_come_fast_are_looked_at_together();
+    a_turn_during_a_suspend_is_that_of_the_wheels();
     a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on();
     return checks_report("test_core_lost");
 }

@@ -189,8 +189,10 @@ static void what_was_stamped_before_a_suspend_is_not_fresh_after_it(void)
                                                .sequence = UINT64_MAX / 4,
                                                .stamp_ns = now_ns,
                                                .linear_m_s = 0.5};
+    exchange_put_imu(&work.exchange, &(imu_sample){.stamp_ns = now_ns});
     wake_up(10 * MS);
     loop_tick(&work, now_ns, now_ns);
+    CHECK(work.input.imu.stamp_ns == 0);
     CHECK((work.core.snapshot.reasons & REASON_COMMAND_STALE) != 0);
     CHECK(work.core.snapshot.joint[0].stale == 1 && work.core.snapshot.joint[1].stale == 1);
     CHECK(work.input.control.heartbeat_ns == 0);
@@ -198,7 +200,9 @@ static void what_was_stamped_before_a_suspend_is_not_fresh_after_it(void)
     CHECK(arbiter_submit(&work.arbiter, &on_its_direction, sizeof on_its_direction, now_ns, true) == 1 + REFUSED_AGE);
     now_ns = clock_now_ns();
     receive_drives();
+    exchange_put_imu(&work.exchange, &(imu_sample){.stamp_ns = now_ns});
     loop_tick(&work, now_ns, now_ns);
+    CHECK(work.input.imu.stamp_ns == now_ns);
     CHECK(work.core.snapshot.joint[0].stale == 0 && work.core.snapshot.joint[1].stale == 0);
 }
 
