@@ -2,8 +2,11 @@
  * Every line of mailbox.c, exchange.c, page.c, journal.c, histogram.c and schedule.c, in one thread. */
 #include <errno.h>
 #include <math.h>
+#include <signal.h>
+#include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include <unistd.h>
 
 #include "check.h"
@@ -160,6 +163,37 @@ static void a_line_is_sent_how_often_its_set_points_became_enabled(void)
     }
     CHECK(exchange_enabled_count(&x, 0) == 0 && exchange_enabled_count(&x, LINES_MAX) == 0);
     CHECK(exchange_enabled_count(&x, LINES_MAX + 1) == 0);
+}
+
+/* What a line's thread finds at the moment in which the set-points are copied: their second half lies in a page that cannot be
+ * read before it has looked. */
+static exchange looked_at;
+static uint8_t *second_half;
+static volatile uint64_t count_meanwhile;
+
+static void look_meanwhile(int signal)
+{
+    (void)signal;
+    count_meanwhile = exchange_enabled_count(&looked_at, 0);
+    CHECK(mprotect(second_half, (size_t)sysconf(_SC_PAGESIZE), PROT_READ | PROT_WRITE) == 0);
+}
+
+static void no_count_is_ahead_of_its_set_points(void)
+{
+    size_t page_bytes = (size_t)sysconf(_SC_PAGESIZE);
+    uint8_t *pages = mmap(NULL, 2 * page_bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+    CHECK(pages != MAP_FAILED);
+    second_half = pages + page_bytes;
+    setpoints *value = (setpoints *)(void *)(second_half - offsetof(setpoints, joint)), out;
+    struct sigaction before, look = {.sa_handler = look_meanwhile};
+    exchange_init(&looked_at);
+    *value = (setpoints){.enabled = 1};
+    count_meanwhile = 9;
+    CHECK(sigaction(SIGSEGV, &look, &before) == 0 && mprotect(second_half, page_bytes, PROT_NONE) == 0);
+    CHECK(exchange_put_setpoints(&looked_at, 0, value) == 0);
+    CHECK(sigaction(SIGSEGV, &before, NULL) == 0 && munmap(pages, 2 * page_bytes) == 0);
+    CHECK(count_meanwhile == 0 && exchange_enabled_count(&looked_at, 0) == 1);
+    CHECK(exchange_take_setpoints(&looked_at, 0, &out) == 1 && out.enabled == 1);
 }
 
 /* Offsets as docs/state-page.md gives them, not as page.c has them. */
@@ -430,6 +464,7 @@ int main(void)
     each_value_has_a_box_of_its_own();
     an_exchange_begins_empty_in_memory_that_was_used_before();
     a_line_is_sent_how_often_its_set_points_became_enabled();
+    no_count_is_ahead_of_its_set_points();
     a_page_is_read_as_it_was_written(page);
     a_page_that_cannot_be_trusted_is_refused(page);
     a_slot_is_marked_while_it_is_written(page);
