@@ -61,8 +61,10 @@ enum { NONE = 0, BELIEVED = 1, REFUSED = 2 };
 
 /* Where a joint is that takes positions. */
 void modules_take_angle(odometry_state *state, const core_config *config, uint32_t j);
-/* The same for all, and what follows for these joints from the angles in the middle of the arc. */
+/* The same for all, and what follows for these joints from the angles in the middle of the arc that ends now. */
 void modules_look(odometry_state *state, const core_config *config, uint32_t joints);
+/* The next one begins at the angles that are known now. */
+void modules_end_arc(odometry_state *state);
 /* What no motion of the base explains of an arc. */
 void modules_slip(odometry_state *state, const core_config *config, uint32_t joints, const double *rim_m, const double *twist_u,
                   double elapsed_s);

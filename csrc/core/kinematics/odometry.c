@@ -436,10 +436,12 @@ static void integrate(odometry_state *state, const core_config *config, const ui
     collect(state, config, stale, &found);
     int64_t before_ns = state->stamp_ns;
     state->degraded = found.degraded;
-    if (found.stamp_ns > before_ns) {
-        state->stamp_ns = found.stamp_ns;
+    state->stamp_ns = found.stamp_ns > before_ns ? found.stamp_ns : before_ns;
+    bool known = found.joints != 0 && determined(state, config, found.joints);
+    if (config->module_count != 0) {
+        modules_end_arc(state);
     }
-    if (found.joints == 0 || !determined(state, config, found.joints)) {
+    if (!known) {
         /* some have only just been seeded: what the others have gone alone is no arc */
         state->degraded |= found.joints != 0;
         state->spread.stamp_ns = state->spread.stamp_ns == 0 ? state->stamp_ns : state->spread.stamp_ns;

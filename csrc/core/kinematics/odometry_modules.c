@@ -6,6 +6,7 @@
 #include "core.h"
 
 #include <math.h>
+#include <string.h>
 
 /* Smoothed as spread.c smooths the slip of other bases. */
 static const double SLIP_TIME_S = 0.2;
@@ -26,9 +27,13 @@ void modules_look(odometry_state *state, const core_config *config, uint32_t joi
         modules_take_angle(state, config, j);
         double begin_rad = isnan(state->arc_rad[j]) ? state->angle_rad[j] : state->arc_rad[j];
         middle_rad[j] = 0.5 * (begin_rad + state->angle_rad[j]);
-        state->arc_rad[j] = state->angle_rad[j];
     }
     kinematics_modules(config, middle_rad, joints, &state->used);
+}
+
+void modules_end_arc(odometry_state *state)
+{
+    memcpy(state->arc_rad, state->angle_rad, sizeof state->arc_rad);
 }
 
 void modules_slip(odometry_state *state, const core_config *config, uint32_t joints, const double *rim_m, const double *twist_u,

@@ -398,13 +398,43 @@ static void an_arc_has_the_angles_of_its_middle(void)
         modules_look(&state, &config, 3);
         angle_rad[1] = MIDDLE_RAD[i];
         kinematics_modules(&config, angle_rad, 3, &expected);
-        CHECK(close_to(state.arc_rad[1], COUNTS[i] * 1e-5) && close_to(state.angle_rad[1], COUNTS[i] * 1e-5));
+        CHECK(close_to(state.angle_rad[1], COUNTS[i] * 1e-5));
+        modules_end_arc(&state);
+        CHECK(close_to(state.arc_rad[1], COUNTS[i] * 1e-5));
         for (int a = 0; a < AXES; a++) {
             CHECK(close_to(state.used.inverse[a][0], expected.inverse[a][0]));
         }
     }
     modules_look(&state, &config, 2); /* what rolls sends nothing */
     CHECK(state.used.determined == 0);
+}
+
+/* Of a swerve base with a silent joint too, whose arc begins where the last one ended, not at the last look. */
+static void an_arc_begins_where_the_last_one_ended_also_while_a_joint_is_silent(void)
+{
+    core_config config = swerve_of_four();
+    const joint_setpoint setpoint[JOINTS_MAX] = {0};
+    for (int silent = 0; silent < 2; silent++) {
+        const uint32_t stale[JOINTS_MAX] = {[7] = (uint32_t)silent};
+        joint_feedback feedback[JOINTS_MAX] = {0};
+        odometry_state state;
+        odometry_init(&state, &config);
+        for (int i = 0; i < 3; i++) {
+            double before_x_m = state.x_m, before_y_m = state.y_m;
+            for (int half = 0; half < 2; half++) { /* lines do not answer all at once */
+                for (int j = 4 * half; j < 4 * half + 4; j++) {
+                    feedback[j].stamp_ns = (i + 1) * 10 * MS_NS;
+                    feedback[j].count = j % 2 == 0 ? (uint64_t)(i * 2000) : (uint64_t)(i * 20000);
+                    feedback[j].velocity_rad_s = j % 2 == 0 ? 2.0 : 20.0;
+                }
+                odometry_step(&state, &config, feedback, stale, setpoint);
+            }
+            double middle_rad = 0.02 * (i - 0.5), moved_m = 0.2 * RADIUS_M;
+            CHECK(i == 0 || close_to(state.x_m - before_x_m, moved_m * cos(middle_rad)));
+            CHECK(i == 0 || close_to(state.y_m - before_y_m, moved_m * sin(middle_rad)));
+        }
+        CHECK(state.blind == 0 && state.degraded == (uint32_t)silent);
+    }
 }
 
 static void the_slip_of_an_arc_is_smoothed(void)
@@ -443,6 +473,7 @@ int main(void)
     a_steering_that_measures_nothing_counts_as_where_its_set_point_is();
     an_angle_is_its_counters_distance_from_zero();
     an_arc_has_the_angles_of_its_middle();
+    an_arc_begins_where_the_last_one_ended_also_while_a_joint_is_silent();
     the_slip_of_an_arc_is_smoothed();
     return checks_report("test_core_steered");
 }
