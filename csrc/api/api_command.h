@@ -125,9 +125,9 @@ void arbiter_init(arbiter *a, const core_config *base, const base_limits *limits
 void arbiter_grant(arbiter *a, const lease_permissions *permissions);
 /* 0, or 1 + command_refusal. */
 int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_ns, bool may_move);
-/* Once a tick, after what came was submitted: which lease commands, and what. */
 /* The computer was suspended: no command from before lives on. */
 void arbiter_resume(arbiter *a, int64_t resumed_ns);
+/* Once a tick, after what came was submitted: which lease commands, and what. */
 void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *out);
 /* After it, of a robot without a base: what that lease commands its joints to do. */
 void arbiter_joints(const arbiter *a, joint_command *out);
