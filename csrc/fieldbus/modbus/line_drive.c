@@ -134,12 +134,17 @@ bool line_next_stop(line_machine *m, uint32_t number, line_frame *out)
     line_drive_state *drive = &m->drive[number];
     uint32_t count;
     const line_frame *frame = stop_frames(m, number, &count);
-    for (uint32_t i = 0; i < count; i++) {
-        uint32_t place = (drive->stop_place + i) % count;
+    uint32_t places = count + line_reads_power(m, number);
+    for (uint32_t i = 0; i < places; i++) {
+        uint32_t place = (drive->stop_place + i) % places;
         if ((drive->stop_done >> place & 1) == 0) {
             drive->stop_doubts = place == drive->stop_place ? drive->stop_doubts : 0;
             drive->stop_place = place;
-            *out = frame[place];
+            if (place == count) {
+                line_build_power_read(m, number, out);
+            } else {
+                *out = frame[place];
+            }
             return true;
         }
     }
@@ -338,6 +343,9 @@ static bool is_of_newest_stop(const line_machine *m, uint32_t number)
     uint32_t count;
     const line_frame *frame = stop_frames(m, number, &count);
     uint32_t place = m->drive[number].stop_place;
+    if (place == count && line_reads_power(m, number)) {
+        return true; /* the frames before it are through */
+    }
     return place < count && sent->request_bytes == frame[place].request_bytes &&
            memcmp(sent->request, frame[place].request, sent->request_bytes) == 0;
 }
@@ -353,6 +361,22 @@ static void stop_frame_done(line_machine *m, uint32_t number)
     drive->stop_failures = 0;
     if (is_of_newest_stop(m, number)) {
         drive->stop_done |= 1U << drive->stop_place;
+    }
+}
+
+static void stop_frame_answered(line_machine *m, uint32_t number, const uint8_t *reply, int64_t now_ns)
+{
+    line_drive_state *drive = &m->drive[number];
+    bool reads = line_reads_power(m, number) && is_of_newest_stop(m, number);
+    if (reads && m->transaction.frame.reply_bytes == 0) { /* it has left, and nothing says that it was received */
+        drive->state.enabled = 2;
+        drive->stop_sent |= 1U << drive->stop_place++;
+    } else if (reads && drive->stop_place == m->table.drive[number].disarm_count) {
+        drive->stop_failures = 0;
+        drive->stop_done = line_is_off(m, number, reply, now_ns) ? ~0U : drive->stop_done;
+        drive->stop_place++;
+    } else {
+        stop_frame_done(m, number);
     }
 }
 
@@ -393,7 +417,7 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     } else if (m->work == WORK_GROUP) {
         line_group_answered(m, number, reply, stamp_ns);
     } else if (m->work == WORK_STOP) {
-        stop_frame_done(m, number);
+        stop_frame_answered(m, number, reply, now_ns);
     } else if (m->work == WORK_PROBE) {
         line_begin_stop(m, number, drive_answers(&drive->state), now_ns);
     }

@@ -10,8 +10,63 @@ static bool was_sent_its_power_off(const line_machine *m, uint32_t number)
     const line_drive_state *drive = &m->drive[number];
     uint32_t all = (1U << m->table.drive[number].disarm_count) - 1;
     return drive->state.stop == STOP_NOTHING ||
-           (drive->state.stop == STOP_POWER_OFF && (drive->stop_sent | drive->stop_done) == all);
+           (drive->state.stop == STOP_POWER_OFF && ((drive->stop_sent | drive->stop_done) & all) == all);
 }
+
+/* ------------------------------------------------------------------------ a power-off that nothing acknowledges */
+bool line_reads_power(const line_machine *m, uint32_t number)
+{
+    const line_drive *table = &m->table.drive[number];
+    bool unanswered = false;
+    for (uint32_t i = 0; i < table->disarm_count; i++) {
+        unanswered |= table->disarm[i].reply_bytes == 0;
+    }
+    return unanswered && m->end.stage == END_POWER_OFF && m->drive[number].state.stop == STOP_POWER_OFF;
+}
+
+static bool tells_power(const line_exchange *turn)
+{
+    for (uint32_t i = 0; i < turn->field_count; i++) {
+        if (turn->field[i].kind == FIELD_ENABLED) {
+            return true;
+        }
+    }
+    return false;
+}
+
+/* The first exchange that says whether it has power; where none does, any: that it hears is all that can be known. One of
+ * the cycle, or, behind these, an extra one. */
+static uint32_t power_read(const line_drive *table)
+{
+    for (uint32_t i = 0; i < table->cyclic_count + table->extra_count; i++) {
+        if (tells_power(i < table->cyclic_count ? &table->cyclic[i] : &table->extra[i - table->cyclic_count])) {
+            return i;
+        }
+    }
+    return table->probe > 0 ? table->probe - 1 : 0;
+}
+
+void line_build_power_read(line_machine *m, uint32_t number, line_frame *out)
+{
+    const line_drive *table = &m->table.drive[number];
+    uint32_t place = power_read(table);
+    if (place < table->cyclic_count) {
+        (void)line_build(m, number, place, out); /* with zeros: it is not armed */
+    } else {
+        *out = table->extra[place - table->cyclic_count].frame;
+    }
+}
+
+bool line_is_off(line_machine *m, uint32_t number, const uint8_t *reply, int64_t stamp_ns)
+{
+    const line_drive *table = &m->table.drive[number];
+    uint32_t place = power_read(table);
+    const line_exchange *turn = place < table->cyclic_count ? &table->cyclic[place] : &table->extra[place - table->cyclic_count];
+    line_read(m, number, turn, reply, stamp_ns);
+    return !tells_power(turn) || m->drive[number].state.enabled == 0;
+}
+
+/* ----------------------------------------------------------------------------------------------------- the end */
 
 void line_shut_down(line_machine *m, int64_t now_ns)
 {

@@ -103,7 +103,7 @@ typedef struct {
     uint32_t extra_next;
     uint32_t stop_place; /* the frame that is sent next, or has been sent */
     uint32_t stop_done;  /* bit n: frame n was acknowledged, or is refused for good */
-    uint32_t stop_sent;  /* bit n: frame n was sent at the end, and not answered */
+    uint32_t stop_sent;  /* bit n: frame n was sent at the end, and not answered; behind the last one, the read of its power */
     uint32_t stop_failures;
     uint32_t stop_doubts; /* answers to the frame that may have been those to older requests */
     bool stop_refused;    /* frames of the newest stop count as done though the drive will not do them */
@@ -344,5 +344,10 @@ void line_fast_end(line_machine *m, bool all);
 
 /* -------------------------------------------------------------------------- line_end.c */
 void line_shut_down(line_machine *m, int64_t now_ns);
+/* Its last power-off has frames that it does not acknowledge: what is read behind them decides. */
+bool line_reads_power(const line_machine *m, uint32_t drive);
+/* That read, and what it says; true: it has no power, or cannot tell. */
+void line_build_power_read(line_machine *m, uint32_t drive, line_frame *out);
+bool line_is_off(line_machine *m, uint32_t drive, const uint8_t *reply, int64_t stamp_ns);
 
 #endif

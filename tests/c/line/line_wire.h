@@ -28,6 +28,8 @@ typedef struct {
     uint32_t motion_sent;  /* frames with a speed that is not zero */
     bool echoes;
     bool babbles;                         /* a device sends a byte a millisecond, unasked */
+    bool powered_by_turning;              /* a power-off is not answered: what turns has power, and has none after it */
+    bool keeps_power;                     /* ... but for one that does not do it */
     uint32_t power_offs[LINE_DRIVES_MAX]; /* frames of `disarm` received by each */
     uint32_t released[LINE_DRIVES_MAX];   /* of them the last frame */
     uint32_t sent_off[LINE_DRIVES_MAX];   /* sent to each, received or not, as the next one */
@@ -125,7 +127,8 @@ static inline void answer_on_the_wire(const uint8_t *request)
     if (request[1] == WRITE && request[3] == CONTROL && request[5] == QUICK_STOP && w.quick_stop_ns[number] == 0) {
         w.quick_stop_ns[number] = w.now_ns;
     }
-    if ((w.mute >> number & 1) != 0) {
+    w.turning &= power_off && w.powered_by_turning && !w.keeps_power ? ~(1U << number) : ~0U;
+    if ((w.mute >> number & 1) != 0 || (power_off && w.powered_by_turning)) {
         return;
     }
     if (request[1] == WRITE && request[3] == w.refused && w.refused != 0) {
