@@ -6,6 +6,7 @@
 #include "fresh.h"
 
 static const int64_t PROBE_LAST_NS = 2000 * CAN_MS;
+static const int64_t OFF_AGAIN_NS = 10 * CAN_MS;        /* at the end: how often a power-off is repeated */
 static const int64_t HELLO_GOOD_FOR_NS = 5000 * CAN_MS; /* until it is set up */
 
 /* --------------------------------------------------------------------------------------------------- sending */
@@ -16,6 +17,13 @@ bool can_send(can_machine *m, const can_packet *packet)
     m->tx_full += !went;
     m->clogged &= !went;
     return went;
+}
+
+void can_sync(can_machine *m)
+{
+    for (uint32_t i = 0; i < m->table.sync_count; i++) {
+        (void)can_send(m, &m->table.sync[i]);
+    }
 }
 
 bool can_write_out(can_machine *m, uint32_t drive, const can_write *write)
@@ -127,22 +135,75 @@ void can_begin_stop(can_machine *m, uint32_t number, drive_stop stop)
     }
 }
 
-void can_send_stop(can_machine *m, uint32_t number)
+static bool send_stop(can_machine *m, uint32_t number, bool quick)
 {
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
-    bool quick = drive->state.stop == STOP_QUICK;
     const can_write *write = quick ? table->quick_stop : table->disarm;
     uint32_t count = quick ? table->quick_stop_count : table->disarm_count;
     for (; drive->stop_place < count; drive->stop_place++) {
         if (!can_write_out(m, number, &write[drive->stop_place])) {
-            return; /* sent again with the next look */
+            return false; /* sent again with the next look */
         }
     }
-    if (!quick && m->table.drive[number].idle_setpoints == 0) {
+    if (!quick && table->idle_setpoints == 0) {
         drive->state.sent_motion = false; /* set-points would switch it on again */
     }
-    m->notify |= drive_stop_done(&drive->state);
+    return true;
+}
+
+/* --------------------------------------------------------------------------------- the last power-off of a line */
+void can_note_power(can_machine *m, uint32_t number, int64_t now_ns)
+{
+    can_drive_state *drive = &m->drive[number];
+    bool rests = drive->state.mode == DRIVE_READY && !drive->state.stopping && drive->state.stop == STOP_NOTHING;
+    bool settled = now_ns >= m->control.drive[number].arming_until_ns && drive->power_ns > drive->order_ns;
+    drive->off_suffices = rests && settled && !drive->state.sent_motion && drive->missing == 0 && drive->state.enabled == 0;
+}
+
+/* That the bus has taken it says nothing: a cable may be cut, and the queue behind it has room. */
+bool can_is_off(const can_machine *m, uint32_t number)
+{
+    const can_drive_state *drive = &m->drive[number];
+    bool heard = drive->newest_ns > drive->off_first_ns && drive->off_newest_ns >= drive->newest_ns;
+    if (drive->off_first_ns == 0 || drive->stop_place > 0) {
+        return false;
+    }
+    return drive->off_suffices || (m->table.drive[number].reports_enabled != 0 ? drive->state.enabled == 0 : heard);
+}
+
+/* What does not come by itself is asked for behind it. */
+static void send_last_power_off(can_machine *m, uint32_t number)
+{
+    can_drive_state *drive = &m->drive[number];
+    const can_drive *table = &m->table.drive[number];
+    bool due = drive->off_newest_ns == 0 || m->now_ns >= drive->off_newest_ns + OFF_AGAIN_NS;
+    if ((due || drive->stop_place > 0) && !can_is_off(m, number) && send_stop(m, number, false)) {
+        if (drive->off_first_ns == 0) {
+            drive->off_first_ns = m->now_ns;
+            drive->off_suffices |= table->reports_enabled == 0 && drive->missing == 0;
+            drive->state.enabled = 2;
+        }
+        drive->off_newest_ns = m->now_ns;
+        drive->stop_place = 0;
+        if (!can_is_off(m, number)) {
+            can_sync(m);
+            send_all(m, table->poll, table->poll_count);
+            send_all(m, table->probe, table->hello == 0 ? table->probe_count : 0);
+        }
+    }
+    if (can_is_off(m, number)) {
+        m->notify |= drive_stop_done(&drive->state);
+    }
+}
+
+void can_send_stop(can_machine *m, uint32_t number)
+{
+    if (m->end.stage == END_POWER_OFF) {
+        send_last_power_off(m, number);
+    } else if (send_stop(m, number, m->drive[number].state.stop == STOP_QUICK)) {
+        m->notify |= drive_stop_done(&m->drive[number].state);
+    }
 }
 
 void can_check_power(can_machine *m, uint32_t number, int64_t now_ns)

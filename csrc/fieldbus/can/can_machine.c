@@ -7,6 +7,8 @@
 
 /* Adapters on USB take milliseconds to say that a frame has left. */
 static const int64_t LEAVES_WITHIN_NS = 5 * CAN_MS;
+/* Beyond the end's time: until a drive that is there has reported that it has no power. */
+static const int64_t REPORT_EXTRA_NS = 500 * CAN_MS;
 
 /* -------------------------------------------------------------------------------------------------- beginning */
 static bool has_power(const can_input *input)
@@ -99,6 +101,7 @@ static void take_input(can_machine *m, uint32_t number, uint32_t place, const ca
     }
     drive->sample_ns[place] = stamp_ns;
     drive->known |= 1U << place;
+    drive->power_ns = (drive->powers >> place & 1) != 0 ? now_ns : drive->power_ns;
     can_read(m, number, input, packet->data, stamp_ns);
     bool cyclic = drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED;
     if (cyclic && (drive->fast >> place & 1) != 0) {
@@ -186,6 +189,7 @@ static void send_orders(can_machine *m, int64_t now_ns)
             m->drive[order->drive].orders_dropped++;
         } else if (can_write_out(m, order->drive, &order->write)) {
             m->drive[order->drive].orders_sent++;
+            m->drive[order->drive].order_ns = now_ns;
         } else {
             break;
         }
@@ -198,21 +202,24 @@ static void send_orders(can_machine *m, int64_t now_ns)
 /* ---------------------------------------------------------------------------------------------------- the end */
 static void shut_down(can_machine *m, int64_t now_ns)
 {
-    bool stopping = false;
+    bool stopping = false, reports = false;
     if (end_begins(&m->end, m->control.shut_down != 0, now_ns)) {
         for (uint32_t i = 0; i < m->table.drive_count; i++) {
+            can_note_power(m, i, now_ns);
             can_begin_stop(m, i, end_stop(&m->end, &m->drive[i].state, now_ns));
         }
     }
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
-        stopping |= m->drive[i].state.stopping || m->drive[i].state.stop != STOP_NOTHING;
+        const can_drive_state *drive = &m->drive[i];
+        stopping |= drive->state.stopping || drive->state.stop != STOP_NOTHING;
+        reports |= drive->state.stop != STOP_NOTHING && drive->off_first_ns > 0 && drive->missing == 0;
     }
     if (end_takes_power(&m->end, stopping, now_ns)) {
         for (uint32_t i = 0; i < m->table.drive_count; i++) {
             can_begin_stop(m, i, drive_power_off(&m->drive[i].state));
         }
     } else {
-        m->notify |= end_is_over(&m->end, stopping, 0, now_ns);
+        m->notify |= end_is_over(&m->end, stopping, reports ? REPORT_EXTRA_NS : 0, now_ns);
     }
 }
 
@@ -239,13 +246,6 @@ static void look_at_queue(can_machine *m, int64_t now_ns)
     m->motion_stays = m->receives_own && (m->clogged || waits);
 }
 
-static void sync_all(can_machine *m)
-{
-    for (uint32_t i = 0; i < m->table.sync_count; i++) {
-        (void)can_send(m, &m->table.sync[i]); /* the drives do now, all at once, what they got */
-    }
-}
-
 static void cycle(can_machine *m, int64_t now_ns)
 {
     m->tx_full += m->motion_stays;
@@ -254,7 +254,7 @@ static void cycle(can_machine *m, int64_t now_ns)
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         can_cycle(m, i, now_ns);
     }
-    sync_all(m);
+    can_sync(m);
     m->clogged |= m->sent == sent && m->tx_full > refused;
 }
 
@@ -284,7 +284,7 @@ static void send_early(can_machine *m, int64_t now_ns)
             can_send_setpoints(m, i, now_ns);
         }
     }
-    sync_all(m);
+    can_sync(m);
 }
 
 void can_machine_kick(can_machine *m, int64_t now_ns)

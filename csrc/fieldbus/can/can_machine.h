@@ -36,6 +36,11 @@ typedef struct {
     uint32_t last_fault_joint;
     uint32_t missing;
     uint32_t stop_place;
+    bool off_suffices;    /* its last power-off has but to go out */
+    int64_t off_first_ns; /* its last power-off went out; 0: not yet */
+    int64_t off_newest_ns;
+    int64_t order_ns;     /* the newest order went out */
+    int64_t power_ns;     /* its newest word of its power */
     bool may_turn;        /* armed since it was last set up, before the bus was opened or after */
     int64_t last_sent_ns; /* set-points went out last */
     int64_t unresponsive_since_ns;
@@ -148,6 +153,8 @@ bool can_at_rest(const can_machine *m, uint32_t drive);
 
 /* ------------------------------------------------------------------------- can_drive.c */
 bool can_send(can_machine *m, const can_packet *packet);
+/* The drives do now, all at once, what they got. */
+void can_sync(can_machine *m);
 bool can_write_out(can_machine *m, uint32_t drive, const can_write *write);
 void can_hold_nothing(can_machine *m, uint32_t drive);
 void can_obey_request(can_machine *m, uint32_t drive, int64_t now_ns);
@@ -158,6 +165,10 @@ void can_check_power(can_machine *m, uint32_t drive, int64_t now_ns);
 void can_begin_stop(can_machine *m, uint32_t drive, drive_stop stop);
 void can_stop_now(can_machine *m, uint32_t drive, uint32_t kind);
 void can_send_stop(can_machine *m, uint32_t drive);
+/* The line's end begins. */
+void can_note_power(can_machine *m, uint32_t drive, int64_t now_ns);
+/* It has got its last power-off: it says so, or, where it cannot, it is there. Else it gets it again. */
+bool can_is_off(const can_machine *m, uint32_t drive);
 void can_send_setpoints(can_machine *m, uint32_t drive, int64_t now_ns);
 /* Its set-point frames would differ from the last ones. */
 bool can_differs(const can_machine *m, uint32_t drive);

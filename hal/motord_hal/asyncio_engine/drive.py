@@ -294,9 +294,14 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         await self._send_now("disarm", self.plan.profile.disarm)
 
     async def send_power_off(self) -> bool:
-        """As power_off, but only once. False: not all of it got through."""
+        """As power_off, but only once. False: not all of it is known to have got through."""
         self._powerless()
         return not await self._write_now(self.plan.profile.disarm)
+
+    @property
+    def may_report(self) -> bool:
+        """It has been sent its last power-off, and is there to report that it has no power."""
+        return False
 
     async def _send_now(self, name: str, steps: Sequence[Step]) -> None:
         """What does not get through becomes a job, but for a drive that is silent: that one is

@@ -31,6 +31,8 @@ SHUTDOWN_STOPPING_S = 0.35
 POWER_OFF_WITHIN_S = 2.5
 """So long it may take until each drive was sent its whole power-off once, also beyond
 SHUTDOWN_WITHIN_S: a silent one may still receive."""
+REPORT_WITHIN_S = 0.5
+"""Beyond SHUTDOWN_WITHIN_S: until a drive that is there has reported that it has no power."""
 STOPPING_CYCLE_S = 0.01
 LOOK_EVERY_S = 0.02
 """Between cycles: how often it is looked whether the wheels have to stop."""
@@ -160,16 +162,24 @@ class AsyncioLine(DriveLine[AnyDrive]):
         try:
             async with within(POWER_OFF_WITHIN_S):
                 await self._switch_each_off(left)
-            async with within(end_s - now_s()):
-                while left:
-                    await asyncio.sleep(STOPPING_CYCLE_S)
-                    await self._switch_each_off(left)
+            with contextlib.suppress(TimeoutError):
+                async with within(end_s - now_s()):
+                    while left:
+                        await self._switch_off_again(left)
+            async with within(end_s + REPORT_WITHIN_S - now_s()):
+                while any(drive.may_report for drive in left):
+                    await self._switch_off_again(left)
         except TimeoutError:
             pass  # the drives that are left are reported
         except PortError as error:
             why = str(error)
         finally:
             self._say_left_on(left, why)
+
+    async def _switch_off_again(self, left: list[AnyDrive]) -> None:
+        await asyncio.sleep(STOPPING_CYCLE_S)
+        self._look()
+        await self._switch_each_off(left)
 
     async def _switch_each_off(self, left: list[AnyDrive]) -> None:
         """Once; all of them, also where a mistake with one ends it. Raises PortError."""

@@ -78,6 +78,12 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._unresponsive_since_s = 0.0
         self._probe_at_s = 0.0
         self._cycles = 0
+        self._job_s = 0.0
+        """When a job has written or asked last."""
+        self._off_first_s = self._off_newest_s = 0.0
+        """When its power-off went out at the end of the line."""
+        self._off_suffices = False
+        """It has but to go out."""
 
     def __str__(self) -> str:
         return f"{', '.join(self.names)} (node {self.plan.node})"
@@ -304,6 +310,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
             return
         try:
             if job.step is not None:
+                self._job_s = now_s()
                 self._runner.run(job, str(self))
             if job.step is None:
                 self._drop(job)
@@ -334,6 +341,53 @@ class CanDrive(AsyncioDrive[CanPlan]):
         """As AsyncioDrive._powerless. What has no power gets no zero either."""
         super()._powerless()
         self.sent_motion = False
+
+    async def send_power_off(self) -> bool:
+        """As AsyncioDrive.send_power_off. That the bus has taken it says nothing, for its queue has
+        room behind a cut cable: a drive has to report that it has no power. One that cannot has to
+        be there."""
+        if self._is_off():
+            return True
+        suffices = self._needs_no_report()
+        self._powerless()
+        if await self._write_now(self.plan.profile.disarm):
+            return False
+        self._off_newest_s = now_s()
+        if not self._off_first_s:
+            self._off_first_s, self._off_suffices = self._off_newest_s, suffices
+            self._forget_enabled()
+        if self._is_off():
+            return True
+        for frame in (*self.plan.asked_fast, *(() if self.plan.hello else self.plan.probed)):
+            self._ask(frame)
+        return False
+
+    def _needs_no_report(self) -> bool:
+        place = self.plan.profile.enabled
+        if self.state is DriveState.UNRESPONSIVE or self._missing() is not None:
+            return False
+        if place is None:
+            return True
+        reported_s = self._received_s.get(self.plan.read_frame_of(place.register).name, 0.0)
+        off = self.plan.enabled(self._values) is False and reported_s > self._job_s
+        return off and not self.sent_motion
+
+    def _is_off(self) -> bool:
+        if not self._off_first_s:
+            return False
+        if self._off_suffices or self.plan.profile.enabled is not None:
+            return self._off_suffices or self.plan.enabled(self._values) is False
+        heard_s = max(self._received_s.values(), default=0.0)
+        return self._off_first_s < heard_s <= self._off_newest_s
+
+    @property
+    def may_report(self) -> bool:
+        """As AsyncioDrive.may_report."""
+        return self._off_first_s > 0 and self._missing() is None
+
+    def _forget_enabled(self) -> None:
+        if self.plan.profile.enabled is not None:
+            self._values.pop(self.plan.profile.enabled.register, None)
 
     @property
     def has_stopped_itself(self) -> bool:

@@ -31,7 +31,7 @@ STEADY_S = 1.0
 class CanLine(AsyncioLine[CanDrive]):
     """ports.Line for `kind = "can"`, engine "asyncio"."""
 
-    unresponsive_text = "the bus takes no frames"
+    unresponsive_text = "the bus takes no frames, or it was not confirmed"
 
     def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
         super().__init__(spec, exchange, listener, 1.0 / spec.cycle_hz)
@@ -129,6 +129,12 @@ class CanLine(AsyncioLine[CanDrive]):
             drive.cycle({})
         self._synchronise()
         await asyncio.sleep(STOPPING_CYCLE_S)
+
+    async def _switch_each_off(self, left: list[CanDrive]) -> None:
+        """As AsyncioLine._switch_each_off."""
+        await super()._switch_each_off(left)
+        if left:
+            self._synchronise()
 
     def _synchronise(self) -> None:
         """The drives do now, all at once, what they got in this cycle. Raises PortError."""

@@ -50,8 +50,20 @@ async def halt_line(spec: LineSpec) -> list[str]:
             running.cancel()
     if events.lost and not events.opened:
         raise PortError(events.lost)
-    problems |= {names: text for names, text in events.left_on.items() if names not in problems}
+    for names, text in events.left_on.items():
+        if names not in _drives_that_report(spec):  # what such a drive was read to say counts
+            problems.setdefault(names, text)
     return list(problems.values())
+
+
+def _drives_that_report(spec: LineSpec) -> set[tuple[str, ...]]:
+    """The names of each drive's joints. Its end knows less: it reads nothing but what comes by
+    itself, and a node that is not operational sends nothing."""
+    return {
+        tuple(joint.name for joint in joints)
+        for joints in joints_by_unit(spec)
+        if joints[0].profile.enabled is not None or joints[0].profile.power_off is not None
+    }
 
 
 def _left_running(spec: LineSpec) -> LineSpec:

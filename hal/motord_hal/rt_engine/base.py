@@ -22,7 +22,8 @@ from motord_hal.rt_engine.notifier import Notifier
 from motord_hal.rt_engine.rs485.drive import AnyDriveReport, RtDrive
 
 SHUTDOWN_WITHIN_S = 3.1
-"""The thread itself needs 0.5 s, and 3 s at most where drives do not answer."""
+"""The thread itself needs 0.5 s, 1 s where drives report that they have power still, and 3 s at
+most where they do not answer."""
 
 
 class AnyLineReport(Protocol):
@@ -142,7 +143,8 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
         done = report.shut_down
         pairs = zip(self._drives, report.drives, strict=True)
         self._say_left_on(
-            [drive for drive, drive_report in pairs if drive_report.stop_waits or not done]
+            [drive for drive, drive_report in pairs if drive_report.stop_waits or not done],
+            "it was not confirmed",
         )
 
     # ---------------------------------------------------------------------------------- its orders

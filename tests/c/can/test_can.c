@@ -324,7 +324,9 @@ static void shutting_down_stops_and_then_takes_the_power_within_half_a_second(vo
     forget_sent();
     int64_t asked_ns = w.now_ns;
     w.machine.control.shut_down = 1;
-    go_on(500 * MS);
+    go_on(360 * MS);
+    w.powered = false;
+    go_on(140 * MS);
     CHECK(w.machine.end.stage == END_SILENT);
     CHECK(last_sent_ns(0, QUICK_STOP) == asked_ns && last_sent_ns(1, QUICK_STOP) == 0);
     CHECK(last_sent_ns(0, DISABLE) >= asked_ns + 350 * MS && last_sent_ns(1, DISABLE) >= asked_ns + 350 * MS);

@@ -239,6 +239,8 @@ static void a_bus_with_as_much_as_a_table_holds_is_driven_to_its_last_entry(void
     CHECK(state_of(last)->state.enabled == 1 && w.machine.joint[last].feedback.temperature_c == 8.0);
     w.machine.control.shut_down = 1;
     forget_sent();
+    step();
+    w.powered = false;
     go_on(400 * MS);
     CHECK(count_sent(CONTROL + 8 * last + CAN_STOP_MAX - 1) == 1 && w.machine.end.stage == END_SILENT);
     for (uint32_t n = 0; n < CAN_DRIVES_MAX; n++) {
@@ -275,6 +277,11 @@ static void eight_drives_are_all_there_are(void)
         CHECK(memcmp(behind, w.machine.joint, sizeof behind) == 0);
     }
     w.machine.control.shut_down = 1;
+    step();
+    for (uint32_t n = 0; n < CAN_DRIVES_MAX; n++) {
+        report_state(n, 1);
+    }
+    w.now_ns = w.wake_ns;
     step();
     CHECK(w.machine.end.stage == END_SILENT && memcmp(behind, w.machine.joint, sizeof behind) == 0);
 }
@@ -438,6 +445,10 @@ static void the_end_sends_each_drive_its_power_off_once_and_is_over_with_the_las
     CHECK(w.machine.end.stage == END_POWER_OFF);
     w.full = false;
     forget_sent();
+    step();
+    CHECK(w.machine.end.stage == END_POWER_OFF && count_sent(OFF_WORD) == 1 && count_sent(OFF_WORD + 1) == 1);
+    report_state(0, 1);
+    report_state(1, 1);
     step();
     CHECK(w.machine.end.stage == END_SILENT && count_sent(OFF_WORD) == 1 && count_sent(OFF_WORD + 1) == 1);
     CHECK(!state_of(0)->state.stopping && !state_of(1)->state.stopping);

@@ -72,6 +72,11 @@ static void the_end_waits_until_the_last_of_them_is_at_rest(void)
     go_on(100 * MS);
     CHECK(w.machine.end.stage == END_RESTING && last_sent_ns(2, DISABLE) == 0);
     report_motion(2, 1.0F, 0.0F);
+    go_on(12 * MS);
+    CHECK(w.machine.end.stage == END_POWER_OFF);
+    for (uint32_t i = 0; i < 3; i++) {
+        report_state(i, 1);
+    }
     w.machine.notify = false;
     go_on(12 * MS);
     CHECK(w.machine.end.stage == END_SILENT && w.machine.notify);
@@ -112,7 +117,7 @@ static void the_report_says_what_the_bus_has_done(void)
     CHECK(report.sent == w.sent_count && report.tx_full >= 2 && report.bad_frames == 1 && report.shut_down == 0);
     CHECK(report.setpoints_ns == w.machine.newest.stamp_ns && report.drive[1].received_ns == state_of(1)->newest_ns);
     CHECK(report.drive[1].received_ns > 0 && report.drive[1].mode == DRIVE_ARMED && report.drive[0].mode == DRIVE_OFF);
-    w.full = false;
+    w.full = w.powered = false;
     w.machine.control.shut_down = 1;
     go_on(500 * MS);
     can_machine_report(&w.machine, &report);

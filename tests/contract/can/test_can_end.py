@@ -7,7 +7,7 @@ import pytest
 from can_rig import TURN, joints, spec_of
 from can_rt_rig import Bus, arm, lively
 from loop_side import running, until
-from scripted_odrive import BUSES, IDLE, INPUT_VELOCITY, STATE, Peer, living
+from scripted_odrive import BUSES, IDLE, INPUT_VELOCITY, MODE, STATE, Peer, living
 
 from motord_hal.fieldbus.ports import DriveState, EventKind
 
@@ -93,3 +93,50 @@ async def test_a_wheel_that_is_being_stopped_goes_on_being_braked_before_it_lose
         await until(lambda: axis.state == IDLE)
         sent = [command for command, _ in axis.received[mark:]]
         assert sent[: sent.index(STATE)].count(INPUT_VELOCITY) > 5
+
+
+def cut(axis):
+    axis.silent, axis.ignored = True, {STATE, INPUT_VELOCITY, MODE}
+
+
+async def turning(rig, axis):
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
+    await until(lambda: any(axis.velocities()))
+
+
+@pytest.mark.parametrize("kind", BUSES)
+@pytest.mark.parametrize("unresponsive", [False, True])
+async def test_a_power_off_that_went_into_a_cut_cable_is_sent_again(kind, unresponsive):
+    """The bus has taken it: that says nothing."""
+
+    async def mend(axis):
+        await until(lambda: not axis.ignored or len(axis.received) > mark + 10)
+        axis.silent, axis.ignored = False, set()
+
+    async with living(Peer(kind, nodes=(0,))) as peer, asyncio.TaskGroup() as group:
+        axis = peer.axes[0]
+        async with running(spec_of(peer, 0)) as rig:
+            await turning(rig, axis)
+            cut(axis)
+            if unresponsive:
+                await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
+            mark = len(axis.received)
+            group.create_task(mend(axis))
+        await until(lambda: axis.state == IDLE)
+    assert warnings_at_the_end(rig) == []
+
+
+@pytest.mark.parametrize("kind", BUSES)
+@pytest.mark.parametrize("unresponsive", [False, True])
+async def test_a_drive_behind_a_cut_cable_is_reported(kind, unresponsive):
+    async with living(Peer(kind, nodes=(0,))) as peer:
+        axis = peer.axes[0]
+        async with running(spec_of(peer, 0)) as rig:
+            await turning(rig, axis)
+            cut(axis)
+            if unresponsive:
+                await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
+        (warning,) = warnings_at_the_end(rig)
+        assert "wheel0 not switched off at the end" in warning.text
+        assert "not confirmed" in warning.text

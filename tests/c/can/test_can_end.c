@@ -1,0 +1,181 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * How a bus ends: a power-off that the bus has taken is not one that the drive has got. */
+#include "can_wire.h"
+
+static const int64_t END_NS = 480 * 1000000, REPORT_END_NS = 980 * 1000000;
+static int64_t begun_ns;
+
+/* Until the line is silent: the drives say each 10 ms what they do, but while they are cut off. `obeys_ns`: so long a drive
+ * takes to lose its power. */
+static can_report ends(int64_t cut_until_ns, int64_t obeys_ns)
+{
+    can_report report;
+    int64_t off_ns = 0;
+    begun_ns = w.now_ns;
+    w.machine.control.shut_down = 1;
+    forget_sent();
+    uint32_t looked = 0;
+    while (w.machine.end.stage != END_SILENT) {
+        CHECK(w.now_ns < begun_ns + 5000 * MS);
+        w.silent = w.now_ns < cut_until_ns;
+        go_on(MS);
+        for (; looked < w.sent_count; looked++) {
+            bool off = w.sent[looked].id == SPEED && w.sent[looked].data[0] == DISABLE && !w.silent;
+            off_ns = off && off_ns == 0 ? w.now_ns + obeys_ns : off_ns;
+        }
+        w.powered &= off_ns == 0 || w.now_ns < off_ns;
+        w.reported_rad_s = w.powered ? w.reported_rad_s : 0.0;
+    }
+    can_machine_report(&w.machine, &report);
+    return report;
+}
+
+static void turn(void)
+{
+    arm_and_go();
+    w.reported_rad_s = 1.0;
+    go_on(30 * MS);
+}
+
+static uint32_t power_offs(void)
+{
+    uint32_t count = 0;
+    for (uint32_t i = 0; i < w.sent_count; i++) {
+        count += w.sent[i].id == SPEED && w.sent[i].data[0] == DISABLE;
+    }
+    return count;
+}
+
+static void a_drive_that_was_seen_without_power_gets_one_power_off_and_is_not_waited_for(void)
+{
+    begin_with(1);
+    arm(0);
+    w.powered = false;
+    request(0, DRIVE_STAND_DOWN);
+    go_on(50 * MS);
+    can_report report = ends(0, 0);
+    CHECK(report.drive[0].stop_waits == 0 && power_offs() == 1 && w.now_ns <= begun_ns + 10 * MS);
+}
+
+/* It has just been ordered to take its power: what it said before proves nothing. */
+static void one_that_was_given_an_order_since_has_to_say_it_again(void)
+{
+    begin_with(1);
+    arm(0);
+    w.powered = false;
+    request(0, DRIVE_STAND_DOWN);
+    go_on(50 * MS);
+    can_order order = {.drive = 0, .expires_ns = INT64_MAX, .write = w.table.drive[0].disarm[0]};
+    CHECK(can_machine_order(&w.machine, &order));
+    step();
+    can_report report = ends(0, 0);
+    CHECK(report.drive[0].stop_waits == 0 && w.now_ns > begun_ns);
+    begin_with(1);
+    arm(0);
+    w.powered = false;
+    request(0, DRIVE_STAND_DOWN);
+    go_on(50 * MS);
+    CHECK(can_machine_order(&w.machine, &order));
+    step();
+    report = ends(INT64_MAX, 0);
+    CHECK(report.drive[0].stop_waits == 1);
+}
+
+static void one_that_turns_gets_it_until_it_says_that_it_has_no_power(void)
+{
+    begin_with(1);
+    turn();
+    can_report report = ends(0, 0);
+    CHECK(report.drive[0].stop_waits == 0 && !w.powered && w.now_ns < begun_ns + END_NS);
+    begin_with(1);
+    turn();
+    report = ends(0, 300 * MS); /* it takes its time, and is there: it is waited for */
+    CHECK(report.drive[0].stop_waits == 0 && !w.powered && power_offs() > 5 && w.now_ns > begun_ns + END_NS);
+}
+
+static void one_that_is_cut_off_for_a_while_gets_it_when_it_is_back(void)
+{
+    for (int before = 0; before < 2; before++) {
+        begin_with(1);
+        turn();
+        if (before) {
+            become_unresponsive();
+        }
+        can_report report = ends(w.now_ns + 250 * MS, 0);
+        CHECK(report.drive[0].stop_waits == 0 && !w.powered && w.now_ns >= begun_ns + 250 * MS && w.now_ns < begun_ns + END_NS);
+    }
+}
+
+static void one_that_is_cut_off_is_reported_and_so_is_one_that_keeps_its_power(void)
+{
+    for (int before = 0; before < 2; before++) {
+        begin_with(1);
+        turn();
+        if (before) {
+            become_unresponsive();
+        }
+        can_report report = ends(INT64_MAX, 0);
+        CHECK(report.drive[0].stop_waits == 1 && w.powered && power_offs() > 10 && power_offs() < 60);
+        CHECK(w.now_ns >= begun_ns + END_NS && w.now_ns < begun_ns + END_NS + 20 * MS);
+    }
+    begin_with(1);
+    turn();
+    can_report report = ends(0, INT64_MAX / 2);
+    CHECK(report.drive[0].stop_waits == 1 && w.now_ns >= begun_ns + REPORT_END_NS &&
+          w.now_ns < begun_ns + REPORT_END_NS + 20 * MS);
+}
+
+static void mute_about_power(void)
+{
+    begin_with(1);
+    w.table.drive[0].reports_enabled = 0;
+    w.table.drive[0].input[0].field_count = 0;
+    restart();
+    turn();
+}
+
+static void one_that_cannot_say_it_has_to_be_there(void)
+{
+    mute_about_power();
+    can_report report = ends(0, 0);
+    CHECK(report.drive[0].stop_waits == 0);
+    mute_about_power();
+    become_unresponsive();
+    report = ends(w.now_ns + 100 * MS, 0);
+    CHECK(report.drive[0].stop_waits == 0 && !w.powered);
+    mute_about_power();
+    become_unresponsive();
+    report = ends(INT64_MAX, 0);
+    CHECK(report.drive[0].stop_waits == 1 && w.now_ns >= begun_ns + END_NS);
+}
+
+/* Behind each power-off: what is asked for, and the synchronisation that makes drives obey and speak. */
+static void what_does_not_come_by_itself_is_asked_for(void)
+{
+    for (uint32_t hello = 0; hello < 2; hello++) {
+        begin_with(1);
+        w.table.drive[0].poll_count = w.table.drive[0].probe_count = w.table.sync_count = 1;
+        w.table.drive[0].poll[0] = packet_of(0x601, 0);
+        w.table.drive[0].probe[0] = packet_of(0x602, 0);
+        w.table.sync[0] = packet_of(0x80, 0);
+        w.table.drive[0].hello = hello;
+        restart();
+        turn();
+        become_unresponsive();
+        (void)ends(INT64_MAX, 0);
+        uint32_t count = power_offs();
+        CHECK(count > 10 && count_sent(0x601) == count && count_sent(0x602) == (hello ? 0 : count) && count_sent(0x80) == count);
+    }
+}
+
+int main(void)
+{
+    a_drive_that_was_seen_without_power_gets_one_power_off_and_is_not_waited_for();
+    one_that_was_given_an_order_since_has_to_say_it_again();
+    one_that_turns_gets_it_until_it_says_that_it_has_no_power();
+    one_that_is_cut_off_for_a_while_gets_it_when_it_is_back();
+    one_that_is_cut_off_is_reported_and_so_is_one_that_keeps_its_power();
+    one_that_cannot_say_it_has_to_be_there();
+    what_does_not_come_by_itself_is_asked_for();
+    return checks_report("CAN end");
+}
