@@ -37,6 +37,50 @@ void board_take_over(board_machine *m, int64_t now_ns)
     board_begin_stop(m, drive_quick_stop(&m->state, 0, now_ns), now_ns);
 }
 
+/* --------------------------------------------------------------------------------- the last power-off of a line */
+static bool reports_power(const board_machine *m)
+{
+    for (uint32_t i = 0; i < m->table.field_count; i++) {
+        if (m->table.field[i].meaning.kind == FIELD_ENABLED) {
+            return true;
+        }
+    }
+    return false;
+}
+
+void board_note_power(board_machine *m, int64_t now_ns)
+{
+    bool rests = m->state.mode == DRIVE_READY && !m->state.stopping && m->state.stop == STOP_NOTHING && !m->state.sent_motion;
+    bool settled = now_ns >= m->control.request.arming_until_ns && !m->has_order && m->knows_ns >= m->written_ns;
+    m->off_suffices = m->table.answers == 0 || (rests && settled && (!reports_power(m) || m->state.enabled == 0));
+}
+
+void board_last_power_off(board_machine *m, int64_t now_ns)
+{
+    board_power_off(m, now_ns);
+    m->off_waits = !m->off_suffices;
+}
+
+/* It goes out in every cycle of the end. */
+static void note_last_power_off(board_machine *m, int64_t now_ns)
+{
+    if (m->end.stage != END_POWER_OFF) {
+        return;
+    }
+    m->off_first_ns = m->off_first_ns == 0 ? now_ns : m->off_first_ns;
+    m->off_again_ns = m->off_again_ns == 0 && m->off_heard_ns > 0 ? now_ns : m->off_again_ns;
+}
+
+/* Frames say which of ours the board has received. A word of another kind says nothing of that, and may have been in transit
+ * before a wire was cut: two of them, and the power-off between. */
+void board_look_for_proof(board_machine *m)
+{
+    bool frames = m->table.dialect == BOARD_FRAMES, reports = reports_power(m);
+    bool between = m->off_again_ns > 0 && m->off_heard_ns > m->off_again_ns;
+    bool knows = m->off_first_ns > 0 && (frames ? m->knows_ns >= m->off_first_ns : reports ? m->off_heard_ns > 0 : between);
+    m->off_waits &= !knows || (reports && m->state.enabled != 0);
+}
+
 /* -------------------------------------------------------------------------------------------------- presence */
 static void becomes_unresponsive(board_machine *m, int64_t now_ns)
 {
@@ -59,6 +103,7 @@ void board_sent(board_machine *m, int64_t now_ns)
     if (stopped) {
         m->notify |= drive_stop_done(&m->state);
     }
+    note_last_power_off(m, now_ns);
     if (m->table.answers == 0) { /* the port has taken its bytes: that is all there is to know */
         m->stamp_ns = m->knows_ns = now_ns;
         board_received(m, now_ns);
@@ -80,6 +125,7 @@ void board_received(board_machine *m, int64_t now_ns)
 {
     m->received_ns = now_ns;
     bool kept = board_read(m);
+    m->off_heard_ns = m->off_first_ns > 0 ? now_ns : 0;
     if (drive_is_cycled(&m->state)) {
         board_publish(m);
     }

@@ -8,6 +8,8 @@
 static const int64_t NS_PER_US = 1000, HELD_UNIT_NS = 100000;
 /* Received earlier than sent: the number is that of set-points of an earlier program. */
 static const int64_t HELD_TOLERANCE_NS = 2 * BOARD_MS;
+/* Beyond the end's time: until a board that speaks has said that it has no power. */
+static const int64_t REPORT_EXTRA_NS = 500 * BOARD_MS;
 static const board_place RECEIVED_SEQUENCE = {.byte = 6, .bytes = 2}, RECEIVED_AGO = {.byte = 8, .bytes = 2};
 
 int board_machine_init(board_machine *m, const board_table *table, uint32_t epoch, uint16_t sequence, int64_t now_ns)
@@ -222,17 +224,22 @@ static void cycle(board_machine *m, int64_t now_ns)
 }
 
 /* ---------------------------------------------------------------------------------------------------- the end */
-/* Silent only when the last frame has had the time to leave the port. */
+/* Silent only when the last frame has had the time to leave the port, and the board has said that it has no power. One that
+ * is there is given longer for that. */
 static void shut_down(board_machine *m, int64_t now_ns)
 {
     if (end_begins(&m->end, m->control.shut_down != 0, now_ns)) {
+        board_note_power(m, now_ns);
         board_begin_stop(m, end_stop(&m->end, &m->state, now_ns), now_ns);
     }
-    bool stopping = m->state.stopping || m->state.stop != STOP_NOTHING;
+    board_look_for_proof(m);
+    bool stopping = m->state.stopping || m->state.stop != STOP_NOTHING || m->off_waits;
+    bool speaks = m->off_waits && m->off_first_ns > 0 && now_ns - m->received_ns <= m->table.silence_ns;
     if (end_takes_power(&m->end, stopping, now_ns)) {
-        board_power_off(m, now_ns);
+        board_last_power_off(m, now_ns);
     } else {
-        m->notify |= end_is_over(&m->end, stopping || now_ns < m->last_sent_ns + m->table.period_ns, 0, now_ns);
+        bool leaves = now_ns < m->last_sent_ns + m->table.period_ns;
+        m->notify |= end_is_over(&m->end, stopping || leaves, speaks ? REPORT_EXTRA_NS : 0, now_ns);
     }
 }
 
@@ -281,7 +288,7 @@ void board_machine_report(const board_machine *m, board_report *report)
     report->enabled = m->state.enabled;
     report->stopping = m->state.stopping;
     report->sent_motion = m->state.sent_motion;
-    report->stop_waits = m->state.stop != STOP_NOTHING;
+    report->stop_waits = m->state.stop != STOP_NOTHING || m->off_waits;
     report->stops = m->stops;
     report->epoch = m->state.epoch;
     report->orders_sent = m->orders_sent;

@@ -63,6 +63,11 @@ typedef struct {
     uint32_t orders_sent;
     uint32_t orders_dropped;
     line_ending end;
+    bool off_suffices;                    /* when the end began: its last power-off has but to go out */
+    bool off_waits;                       /* it has not proved that it has got that */
+    int64_t off_first_ns;                 /* that went out; 0: not yet */
+    int64_t off_heard_ns;                 /* a word came behind it, ... */
+    int64_t off_again_ns;                 /* ... and then it went out again; 0: not yet */
     uint32_t feedback_mask;               /* joints whose feedback is new since it was taken */
     imu_sample imu;                       /* the newest */
     bool imu_is_new;                      /* since it was taken */
@@ -141,6 +146,10 @@ void board_imu_read(board_machine *m);
 /* ----------------------------------------------------------------------- board_drive.c */
 void board_hold(board_machine *m, const board_write *write, uint32_t count, int64_t now_ns);
 void board_power_off(board_machine *m, int64_t now_ns);
+/* The line's end begins; it takes the power; whether the board has proved that it has none. */
+void board_note_power(board_machine *m, int64_t now_ns);
+void board_last_power_off(board_machine *m, int64_t now_ns);
+void board_look_for_proof(board_machine *m);
 /* What the rules of drive_state.h have decided. */
 void board_begin_stop(board_machine *m, drive_stop stop, int64_t now_ns);
 void board_obey_request(board_machine *m, int64_t now_ns);

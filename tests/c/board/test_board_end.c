@@ -81,8 +81,104 @@ static void the_end_waits_no_longer_than_it_may(void)
     CHECK(w.machine.end.stage == END_SILENT);
 }
 
+/* Until the line is silent; cut off until then. */
+static board_report ends(int64_t cut_until_ns)
+{
+    board_report report;
+    w.machine.control.shut_down = 1;
+    while (w.machine.end.stage != END_SILENT) {
+        w.mute = w.receives_nothing = w.now_ns < cut_until_ns;
+        go_on(MS);
+    }
+    board_machine_report(&w.machine, &report);
+    return report;
+}
+
+static void a_board_that_was_seen_without_power_is_not_waited_for(void)
+{
+    begin();
+    set_up();
+    go_on(100 * MS);
+    CHECK(w.machine.state.enabled == 0);
+    int64_t asked_ns = w.now_ns;
+    CHECK(ends(INT64_MAX).stop_waits == 0 && w.now_ns < asked_ns + 2 * w.table.period_ns + 10 * MS);
+}
+
+static void a_board_that_is_cut_off_for_a_while_is_sent_its_power_off_until_it_knows_it(void)
+{
+    for (int unresponsive = 0; unresponsive < 2; unresponsive++) {
+        begin();
+        arm_and_turn();
+        w.mute = w.receives_nothing = true;
+        while (unresponsive && w.machine.state.mode != DRIVE_UNRESPONSIVE) {
+            go_on(MS);
+        }
+        int64_t asked_ns = w.now_ns;
+        CHECK(ends(asked_ns + 150 * MS).stop_waits == 0 && w.peer.enabled == 0);
+        CHECK(w.now_ns > asked_ns + 150 * MS && w.now_ns < asked_ns + END_OFF_NS);
+    }
+}
+
+static void a_board_that_does_not_confirm_it_is_reported(void)
+{
+    for (int unresponsive = 0; unresponsive < 2; unresponsive++) {
+        begin();
+        arm_and_turn();
+        w.mute = w.receives_nothing = true;
+        while (unresponsive && w.machine.state.mode != DRIVE_UNRESPONSIVE) {
+            go_on(MS);
+        }
+        int64_t asked_ns = w.now_ns;
+        CHECK(ends(INT64_MAX).stop_waits == 1);
+        CHECK(w.now_ns >= asked_ns + END_OFF_NS && w.now_ns < asked_ns + END_OFF_NS + 30 * MS);
+    }
+}
+
+static void one_that_speaks_and_hears_nothing_is_waited_for_a_little_longer_and_reported(void)
+{
+    begin();
+    arm_and_turn();
+    w.stuck = true;
+    w.receives_nothing = true;
+    int64_t asked_ns = w.now_ns;
+    w.machine.control.shut_down = 1;
+    while (w.machine.end.stage != END_SILENT) {
+        go_on(MS);
+    }
+    CHECK(w.machine.off_waits && w.now_ns >= asked_ns + END_OFF_NS + 500 * MS && w.now_ns < asked_ns + END_OFF_NS + 530 * MS);
+}
+
+/* A word that says neither what the board has received nor whether it has power. */
+static void two_words_with_a_power_off_between_prove_it_where_words_say_nothing_of_it(void)
+{
+    begin();
+    board_machine *m = &w.machine;
+    m->table.dialect = BOARD_TEXT;
+    m->table.field_count = 0;
+    m->off_first_ns = 10, m->off_heard_ns = 20;
+    for (int again = 0; again < 2; again++) {
+        m->off_waits = true;
+        m->off_again_ns = again ? 30 : 0;
+        m->off_heard_ns = again ? 30 : 20;
+        board_look_for_proof(m);
+        CHECK(m->off_waits);
+    }
+    m->off_heard_ns = 31;
+    board_look_for_proof(m);
+    CHECK(!m->off_waits);
+    m->off_waits = true;
+    m->off_first_ns = 0;
+    board_look_for_proof(m);
+    CHECK(m->off_waits);
+}
+
 int main(void)
 {
+    a_board_that_was_seen_without_power_is_not_waited_for();
+    a_board_that_is_cut_off_for_a_while_is_sent_its_power_off_until_it_knows_it();
+    a_board_that_does_not_confirm_it_is_reported();
+    one_that_speaks_and_hears_nothing_is_waited_for_a_little_longer_and_reported();
+    two_words_with_a_power_off_between_prove_it_where_words_say_nothing_of_it();
     the_end_is_braked_switched_off_and_silent();
     the_end_waits_for_the_wheels_and_for_its_last_frame();
     the_end_comes_also_where_wheels_turn_and_nothing_goes_out();
