@@ -388,6 +388,7 @@ static void stop_frame_failed(line_machine *m, uint32_t number, uint32_t failure
     if (failure == ANSWER_REFUSED && drive->stop_failures >= m->table.drive[number].tries) {
         drive->stop_refused |= is_of_newest_stop(m, number);
         stop_frame_done(m, number); /* it is there and will not: the next frame may do */
+        drive->failures = 0;
     } else if (m->end.stage != END_NOT && is_of_newest_stop(m, number)) {
         drive->stop_sent |= 1U << drive->stop_place++;
     }
@@ -453,6 +454,7 @@ void line_drive_failed(line_machine *m, uint32_t number, uint32_t failure, uint3
         stop_frame_failed(m, number, failure);
     }
     bool counts = drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED || drive->state.stop != STOP_NOTHING;
+    counts &= m->work != WORK_STOP || failure != ANSWER_REFUSED; /* it is there, and shall get the rest of its stop */
     if (counts && drive->failures >= table->tries) {
         line_becomes_unresponsive(m, number, now_ns);
     }

@@ -33,6 +33,8 @@ class Job:
         """What the newest wait has read."""
         self.wait_until_s: float | None = None
         """Deadline of the wait that is the current step; None: it has not begun."""
+        self.refused: HalError | None = None
+        """What the drive said of a step that it refused, where the others were done all the same."""
         self._index = 0
 
     @property
@@ -51,7 +53,9 @@ class Job:
         self.wait_until_s = None
 
     def finish(self) -> None:
-        if not self.done.done():
+        if self.refused is not None:
+            self.fail(self.refused)
+        elif not self.done.done():
             self.done.set_result(None)
 
     def fail(self, error: HalError) -> None:

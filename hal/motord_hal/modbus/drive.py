@@ -220,8 +220,18 @@ class Drive(AsyncioDrive[DrivePlan]):
                 self._failed(error)
             elif job.failures >= self.tries:
                 self._job_failed(job, error)
-        except (Refused, DriveFault) as error:
+        except Refused as error:
+            self._job_refused(job, error)
+        except DriveFault as error:
             self._job_failed(job, error)
+
+    def _job_refused(self, job: Job, error: Refused) -> None:
+        """It is there and will not: of a stop, the next write may do."""
+        if not job.urgent:
+            self._job_failed(job, error)
+            return
+        job.refused = job.refused or error
+        job.advance()
 
     def _job_failed(self, job: Job, error: HalError) -> None:
         self._drop(job)
@@ -325,22 +335,32 @@ class Drive(AsyncioDrive[DrivePlan]):
         """As AsyncioDrive.send_power_off: all of it, whatever is not answered, for the drive may
         receive though it sends nothing. The next time only what was not answered."""
         self._powerless()
-        left, unanswered = self._power_off_left or self.plan.profile.disarm, []
-        while left := await self._write_now(left):
-            unanswered.append(left[0])
-            left = left[1:]
-        self._power_off_left = unanswered
-        return not unanswered
+        steps = self._power_off_left or self.plan.profile.disarm
+        self._power_off_left = [step for step in steps if await self._write_step(step) is not None]
+        return not self._power_off_left
 
     async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
-        """As AsyncioDrive._write_now: from the one on that was not answered."""
+        """As AsyncioDrive._write_now: from the one on that was not answered, and those before it
+        that were refused."""
+        refused: list[Step] = []
         for number, step in enumerate(steps):
-            if step.value is None:
-                continue
-            try:
-                for request in self.plan.writes({step.register: step.value}):
-                    await self._ask(request, urgent=True, others_wait=True)
-            except (NoReply, BadReply, Refused) as error:
-                self._failed(error)
-                return steps[number:]
-        return ()
+            error = await self._write_step(step)
+            if isinstance(error, Refused):
+                refused.append(step)
+            elif error is not None:
+                return (*refused, *steps[number:])
+        return refused
+
+    async def _write_step(self, step: Step) -> HalError | None:
+        """Returns why it has not got through. A drive that refuses a write is there, and gets the
+        others: only what it does not answer counts as a failure."""
+        raw = {} if step.value is None else {step.register: step.value}
+        try:
+            for request in self.plan.writes(raw):
+                await self._ask(request, urgent=True, others_wait=True)
+        except (NoReply, BadReply) as error:
+            self._failed(error)
+            return error
+        except Refused as error:
+            return error
+        return None

@@ -167,8 +167,39 @@ static void a_new_stop_has_all_of_its_tries(void)
     CHECK(w.refusals >= 3 && w.released[0] >= 1);
 }
 
+/* Two drives; after so many failures the first one refuses a register, and loses its power otherwise. */
+static void run_refusing(uint32_t failures, uint32_t unanswered)
+{
+    begin_with(2, 0);
+    arm(0);
+    arm(1);
+    for (uint32_t i = 0; i < 60; i++) {
+        go_on();
+    }
+    w.refused = CONTROL;
+    w.machine.drive[0].failures = failures;
+    request(0, DRIVE_STAND_DOWN);
+    request(0, DRIVE_OFF);
+    go_on();
+    for (uint32_t lost = 0; w.machine.drive[0].state.stop != STOP_NOTHING; lost += w.mute) {
+        w.mute = w.refusals == 3 && lost < unanswered; /* the frame behind the refused one, the first times */
+        go_on();
+    }
+}
+
+static void a_drive_that_refuses_one_frame_of_its_power_off_gets_the_others_while_the_line_runs(void)
+{
+    for (uint32_t failures = 0; failures < 3; failures++) {
+        run_refusing(failures, 0);
+        CHECK(w.refusals == 3 && w.released[0] == 1 && w.machine.drive[0].count.unresponsive == 0);
+    }
+    run_refusing(0, 1); /* a refusal is an answer: the frame behind it has all of its tries */
+    CHECK(w.refusals == 3 && w.released[0] >= 1 && w.machine.drive[0].count.unresponsive == 0);
+}
+
 int main(void)
 {
+    a_drive_that_refuses_one_frame_of_its_power_off_gets_the_others_while_the_line_runs();
     what_may_wait_is_read_by_turns();
     until_a_drive_has_reported_whether_it_is_enabled_only_that_is_read();
     a_deadline_doubles_with_each_reply_that_is_missing_up_to_the_drive_s_bound();

@@ -78,6 +78,43 @@ async def test_a_drive_that_refuses_its_set_points_is_sent_to_stop(rig, peer):
     assert peer.written(TARGET_1)[-1] == 0
 
 
+async def stopped_while_it_refuses(rig, peer, stop):
+    """Its power-off begins with a register that it refuses."""
+    refused, command = 8602, 8501
+    peer.units[1].refuses = {refused}
+    mark = len(peer.written(command))
+    await stop(rig)
+    await until(lambda: 0 in peer.written(command)[mark:], "it loses its power")
+
+
+async def disarmed(rig):
+    with pytest.raises(HalError):
+        await rig.line.disarm()
+
+
+async def not_enabled(rig):
+    rig.loop.enabled = False
+
+
+@pytest.mark.parametrize("stop", [disarmed, not_enabled])
+async def test_a_drive_that_refuses_one_write_of_its_power_off_gets_the_others(peer, stop):
+    registers = registers_of("altivar")
+    states = {0: 0x40, 6: 0x21, 7: 0x23, 15: 0x27, 11: 0x07}
+
+    def on_write(address, value):
+        if address == 8501:
+            registers[3201] = states.get(value & 0xFF, 0x40)
+
+    registers[7121] = 0
+    peer.units = {1: Unit(registers, on_write)}
+    async with running(spec_of(peer, [single("altivar")])) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 50.0}
+        await until(lambda: any(peer.written(8602)))
+        await stopped_while_it_refuses(rig, peer, stop)
+        assert registers[3201] == 0x40
+
+
 async def test_an_unresponsive_drive_that_was_never_armed_is_only_asked(rig, peer):
     await rig.ready()
     mute(peer)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from motord_hal.base.clock import now_s
-from motord_hal.base.errors import BadReply, DriveFault, NoReply
+from motord_hal.base.errors import BadReply, DriveFault, NoReply, Refused
 from motord_hal.drives.profile import Step
 from motord_hal.realtime.table import LineFrame
 from motord_hal.rt_engine.rs485.frames import DriveFrames
@@ -39,7 +39,9 @@ class DriveJobs:
         urgent: bool = False,
         check: Check = always,
     ) -> None:
-        """Step by step; `check` is made right before each request. Raises HalError."""
+        """Step by step; `check` is made right before each request. What is urgent takes the power:
+        a write that the drive refuses does not keep back those behind it. Raises HalError."""
+        refused: Refused | None = None
         for step in steps:
             if step.value is None:
                 await self._wait_for(name, step, check)
@@ -48,7 +50,14 @@ class DriveJobs:
             if step.if_different and await self.read(step.register, check=check) == value:
                 continue
             for frame in self.frames.writes({step.register: value}):
-                await self.send(frame, urgent=urgent, check=check)
+                try:
+                    await self.send(frame, urgent=urgent, check=check)
+                except Refused as error:
+                    if not urgent:
+                        raise
+                    refused = refused or error
+        if refused is not None:
+            raise refused
 
     async def _copied(self, step: Step, check: Check) -> int:
         registers = self.profile.registers
