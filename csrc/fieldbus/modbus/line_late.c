@@ -20,9 +20,10 @@ static uint32_t smaller(uint32_t a, uint32_t b)
 
 static line_look look_of(const line_frame *frame)
 {
-    line_look look = {.reply_bytes = frame->reply_bytes, .reply_seal = frame->reply_seal, .repeats = frame->echo_bytes > 0};
-    look.head_bytes = smaller(look.repeats ? frame->echo_bytes : frame->match_bytes, FRAME_MATCH_MAX);
-    memcpy(look.head, look.repeats ? frame->request : frame->match, look.head_bytes);
+    line_look look = {.reply_bytes = frame->reply_bytes, .reply_seal = frame->reply_seal, .writes = frame->echo_bytes > 0};
+    look.repeats = look.writes && frame->echo_bytes + rtu_seal_bytes(frame->request_seal) >= frame->request_bytes;
+    look.head_bytes = smaller(look.writes ? frame->echo_bytes : frame->match_bytes, FRAME_MATCH_MAX);
+    memcpy(look.head, look.writes ? frame->request : frame->match, look.head_bytes);
     return look;
 }
 
@@ -113,13 +114,13 @@ void line_owe(line_machine *m, uint32_t number)
     drive->failed_ns = m->end_ns;
 }
 
-/* What only repeats its request says the same whichever of two equal requests it answers, as long as no other write may
+/* What repeats all of its request says the same whichever of two equal requests it answers, as long as no other write may
  * have come between them. */
 static bool is_same_reply(const line_drive_state *drive, uint32_t place)
 {
     bool same = drive->owed[place].look.repeats;
     for (uint32_t i = place + 1; i < drive->owed_count; i++) {
-        same = same && !drive->owed[i].look.repeats;
+        same = same && !drive->owed[i].look.writes;
     }
     return same;
 }

@@ -34,7 +34,8 @@ typedef struct {
     uint32_t reply_bytes;
     uint32_t reply_seal;
     uint32_t head_bytes;
-    bool repeats; /* it says nothing but its request again */
+    bool writes;  /* it says the beginning of its request again, */
+    bool repeats; /* ... or all of it, with the value */
     uint8_t head[FRAME_MATCH_MAX];
 } line_look;
 

@@ -90,7 +90,7 @@ static void only_the_reply_to_a_known_request_is_doubted(void)
 static void a_reply_that_repeats_its_request_may_be_an_older_one_s_after_another_write(void)
 {
     line_frame write = frame_of(1, WRITE, CONTROL, 1), other = frame_of(1, WRITE, SPEED, 1), read = frame_of(1, READ, STATUS, 1);
-    write.echo_bytes = 1, write.reply_bytes = 9; /* the shortest that there is */
+    write.echo_bytes = 1, write.request_bytes = 3, write.reply_bytes = 9; /* the shortest that there is */
     for (uint32_t between = 0; between < 3; between++) {
         begin_asking();
         w.machine.transaction.frame = write;
