@@ -48,14 +48,19 @@ class LoopPort(Serial):
             super().__init__(
                 path, baudrate, 8, _PARITY[parity], stop_bits, timeout=0, exclusive=True
             )
+            # it configures the port once more: a driver may refuse then what it took before
+            self.transport = SerialTransport(asyncio.get_running_loop(), protocol, self)
         except SerialException as error:
+            self.close()
             why = "it is no serial port"
             if error.errno:  # of the kind that an errno has in Python
                 why = reason(path, OSError(error.errno, os.strerror(error.errno)))
             raise PortError(f"{path} cannot be opened: {why}") from error
         except (ValueError, termios.error) as error:
-            raise PortError(f"{path} does not take {baudrate} baud: {error}") from error
-        self.transport = SerialTransport(asyncio.get_running_loop(), protocol, self)
+            self.close()
+            raise PortError(
+                f"{path} does not take {baudrate} baud, parity {parity}: {error}"
+            ) from error
 
     @property
     def is_usable(self) -> bool:

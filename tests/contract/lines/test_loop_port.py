@@ -12,6 +12,7 @@ import tty
 import pytest
 from loop_side import GENEROUS_S, until
 from scripted_slave import ScriptedSlave, Unit
+from serial import SerialException
 from serial_asyncio_fast import SerialTransport
 
 from motord_hal.base.errors import NoReply, PortError
@@ -40,6 +41,26 @@ def ends(tmp_path):
 
 def client_on(tmp_path):
     return GuardedClient(str(tmp_path / "port"), 115200, "none", 1, None)
+
+
+async def test_a_parity_that_the_driver_refuses_later_is_a_port_that_cannot_be_had(tmp_path, ends):
+    """A pty has none: the port opens, and fails when it is configured once more."""
+    descriptors = len(os.listdir("/proc/self/fd"))
+    client = GuardedClient(str(tmp_path / "port"), 19200, "even", 1, None)
+    with pytest.raises(PortError, match="port"):
+        await client.open()
+    assert len(os.listdir("/proc/self/fd")) == descriptors
+
+
+async def test_an_adapter_that_goes_away_while_it_is_opened_is_a_port_that_cannot_be_had(
+    tmp_path, ends, monkeypatch
+):
+    def gone(*_):
+        raise SerialException(5, "Input/output error")
+
+    monkeypatch.setattr("motord_hal.serial.loop_port.SerialTransport", gone)
+    with pytest.raises(PortError, match="cannot be opened"):
+        await client_on(tmp_path).open()
 
 
 def fill(slave):
