@@ -152,9 +152,17 @@ async def _report(line: DriveLine[Any], joint: JointSpec) -> str:
         return "is unresponsive"
     if line.is_stopping(joint.name):
         return "is still stopping"
-    if joint.profile.can is not None:  # a frame that was sent is no acknowledgement
+    # a frame that was sent is no acknowledgement
+    if joint.profile.can is not None or _nothing_answers(line.spec):
         return "the stop was sent; the drive cannot report whether it has power"
     return ""
+
+
+def _nothing_answers(spec: LineSpec) -> bool:
+    """All that is known of such a line is that its port has taken the bytes."""
+    return spec.kind == "sabertooth" or (
+        spec.kind == "ascii" and spec.text is not None and not spec.text.feedback
+    )
 
 
 async def _holds(line: DriveLine[Any], joint: JointSpec, place: Enabled) -> bool:
