@@ -68,7 +68,7 @@ static void note_last_power_off(board_machine *m, int64_t now_ns)
         return;
     }
     m->off_first_ns = m->off_first_ns == 0 ? now_ns : m->off_first_ns;
-    m->off_again_ns = m->off_again_ns == 0 && m->off_heard_ns > 0 ? now_ns : m->off_again_ns;
+    m->off_again_ns = m->off_again_ns == 0 && m->off_word_ns > 0 ? now_ns : m->off_again_ns;
 }
 
 /* Frames say which of ours the board has received. A word of another kind says nothing of that, and may have been in transit
@@ -76,8 +76,8 @@ static void note_last_power_off(board_machine *m, int64_t now_ns)
 void board_look_for_proof(board_machine *m)
 {
     bool frames = m->table.dialect == BOARD_FRAMES, reports = reports_power(m);
-    bool between = m->off_again_ns > 0 && m->off_heard_ns > m->off_again_ns;
-    bool knows = m->off_first_ns > 0 && (frames ? m->knows_ns >= m->off_first_ns : reports ? m->off_heard_ns > 0 : between);
+    bool between = m->off_again_ns > 0 && m->off_word_ns > m->off_again_ns;
+    bool knows = m->off_first_ns > 0 && (frames ? m->knows_ns >= m->off_first_ns : reports ? m->off_word_ns > 0 : between);
     m->off_waits &= !knows || (reports && m->state.enabled != 0);
 }
 
@@ -125,7 +125,7 @@ void board_received(board_machine *m, int64_t now_ns)
 {
     m->received_ns = now_ns;
     bool kept = board_read(m);
-    m->off_heard_ns = m->off_first_ns > 0 ? now_ns : 0;
+    m->off_word_ns = m->off_first_ns > 0 ? now_ns : 0;
     if (drive_is_cycled(&m->state)) {
         board_publish(m);
     }

@@ -8,7 +8,7 @@
 static const int64_t NS_PER_US = 1000, HELD_UNIT_NS = 100000;
 /* Received earlier than sent: the number is that of set-points of an earlier program. */
 static const int64_t HELD_TOLERANCE_NS = 2 * BOARD_MS;
-/* Beyond the end's time: until a board that speaks has said that it has no power. */
+/* Beyond the end's time: until a board that speaks has reported that it has no power. */
 static const int64_t REPORT_EXTRA_NS = 500 * BOARD_MS;
 static const board_place RECEIVED_SEQUENCE = {.byte = 6, .bytes = 2}, RECEIVED_AGO = {.byte = 8, .bytes = 2};
 
@@ -224,7 +224,7 @@ static void cycle(board_machine *m, int64_t now_ns)
 }
 
 /* ---------------------------------------------------------------------------------------------------- the end */
-/* Silent only when the last frame has had the time to leave the port, and the board has said that it has no power. One that
+/* Silent only when the last frame has had the time to leave the port, and the board has reported that it has no power. One that
  * is there is given longer for that. */
 static void shut_down(board_machine *m, int64_t now_ns)
 {

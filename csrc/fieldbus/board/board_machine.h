@@ -66,7 +66,7 @@ typedef struct {
     bool off_suffices;                    /* when the end began: its last power-off has but to go out */
     bool off_waits;                       /* it has not proved that it has got that */
     int64_t off_first_ns;                 /* that went out; 0: not yet */
-    int64_t off_heard_ns;                 /* a word came behind it, ... */
+    int64_t off_word_ns;                  /* a word came behind it, ... */
     int64_t off_again_ns;                 /* ... and then it went out again; 0: not yet */
     uint32_t feedback_mask;               /* joints whose feedback is new since it was taken */
     imu_sample imu;                       /* the newest */

@@ -165,11 +165,11 @@ void can_note_power(can_machine *m, uint32_t number, int64_t now_ns)
 bool can_is_off(const can_machine *m, uint32_t number)
 {
     const can_drive_state *drive = &m->drive[number];
-    bool heard = drive->newest_ns > drive->off_first_ns && drive->off_newest_ns >= drive->newest_ns;
+    bool spoke = drive->newest_ns > drive->off_first_ns && drive->off_newest_ns >= drive->newest_ns;
     if (drive->off_first_ns == 0 || drive->stop_place > 0) {
         return false;
     }
-    return drive->off_suffices || (m->table.drive[number].reports_enabled != 0 ? drive->state.enabled == 0 : heard);
+    return drive->off_suffices || (m->table.drive[number].reports_enabled != 0 ? drive->state.enabled == 0 : spoke);
 }
 
 /* What does not come by itself is asked for behind it. */

@@ -24,7 +24,7 @@ bool line_reads_power(const line_machine *m, uint32_t number)
     return unanswered && m->end.stage == END_POWER_OFF && m->drive[number].state.stop == STOP_POWER_OFF;
 }
 
-static bool tells_power(const line_exchange *turn)
+static bool reports_power(const line_exchange *turn)
 {
     for (uint32_t i = 0; i < turn->field_count; i++) {
         if (turn->field[i].kind == FIELD_ENABLED) {
@@ -34,12 +34,12 @@ static bool tells_power(const line_exchange *turn)
     return false;
 }
 
-/* The first exchange that says whether it has power; where none does, any: that it hears is all that can be known. One of
+/* The first exchange that says whether it has power; where none does, any: that it receives is all that can be known. One of
  * the cycle, or, behind these, an extra one. */
 static uint32_t power_read(const line_drive *table)
 {
     for (uint32_t i = 0; i < table->cyclic_count + table->extra_count; i++) {
-        if (tells_power(i < table->cyclic_count ? &table->cyclic[i] : &table->extra[i - table->cyclic_count])) {
+        if (reports_power(i < table->cyclic_count ? &table->cyclic[i] : &table->extra[i - table->cyclic_count])) {
             return i;
         }
     }
@@ -63,7 +63,7 @@ bool line_is_off(line_machine *m, uint32_t number, const uint8_t *reply, int64_t
     uint32_t place = power_read(table);
     const line_exchange *turn = place < table->cyclic_count ? &table->cyclic[place] : &table->extra[place - table->cyclic_count];
     line_read(m, number, turn, reply, stamp_ns);
-    return !tells_power(turn) || m->drive[number].state.enabled == 0;
+    return !reports_power(turn) || m->drive[number].state.enabled == 0;
 }
 
 /* ----------------------------------------------------------------------------------------------------- the end */

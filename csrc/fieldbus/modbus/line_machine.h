@@ -347,7 +347,7 @@ void line_fast_end(line_machine *m, bool all);
 void line_shut_down(line_machine *m, int64_t now_ns);
 /* Its last power-off has frames that it does not acknowledge: what is read behind them decides. */
 bool line_reads_power(const line_machine *m, uint32_t drive);
-/* That read, and what it says; true: it has no power, or cannot tell. */
+/* That read, and what it says; true: it has no power, or cannot report it. */
 void line_build_power_read(line_machine *m, uint32_t drive, line_frame *out);
 bool line_is_off(line_machine *m, uint32_t drive, const uint8_t *reply, int64_t stamp_ns);
 

@@ -377,8 +377,8 @@ class CanDrive(AsyncioDrive[CanPlan]):
             return False
         if self._off_suffices or self.plan.profile.enabled is not None:
             return self._off_suffices or self.plan.enabled(self._values) is False
-        heard_s = max(self._received_s.values(), default=0.0)
-        return self._off_first_s < heard_s <= self._off_newest_s
+        newest_s = max(self._received_s.values(), default=0.0)
+        return self._off_first_s < newest_s <= self._off_newest_s
 
     @property
     def may_report(self) -> bool:

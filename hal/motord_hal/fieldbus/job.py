@@ -34,7 +34,7 @@ class Job:
         self.wait_until_s: float | None = None
         """Deadline of the wait that is the current step; None: it has not begun."""
         self.refused: HalError | None = None
-        """What the drive said of a step that it refused, where the others were done all the same."""
+        """Why the drive refused a step, where the others were done all the same."""
         self._index = 0
 
     @property

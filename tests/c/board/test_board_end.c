@@ -134,7 +134,7 @@ static void a_board_that_does_not_confirm_it_is_reported(void)
     }
 }
 
-static void one_that_speaks_and_hears_nothing_is_waited_for_a_little_longer_and_reported(void)
+static void one_that_speaks_and_receives_nothing_is_waited_for_a_little_longer_and_reported(void)
 {
     begin();
     arm_and_turn();
@@ -155,15 +155,15 @@ static void two_words_with_a_power_off_between_prove_it_where_words_say_nothing_
     board_machine *m = &w.machine;
     m->table.dialect = BOARD_TEXT;
     m->table.field_count = 0;
-    m->off_first_ns = 10, m->off_heard_ns = 20;
+    m->off_first_ns = 10, m->off_word_ns = 20;
     for (int again = 0; again < 2; again++) {
         m->off_waits = true;
         m->off_again_ns = again ? 30 : 0;
-        m->off_heard_ns = again ? 30 : 20;
+        m->off_word_ns = again ? 30 : 20;
         board_look_for_proof(m);
         CHECK(m->off_waits);
     }
-    m->off_heard_ns = 31;
+    m->off_word_ns = 31;
     board_look_for_proof(m);
     CHECK(!m->off_waits);
     m->off_waits = true;
@@ -177,7 +177,7 @@ int main(void)
     a_board_that_was_seen_without_power_is_not_waited_for();
     a_board_that_is_cut_off_for_a_while_is_sent_its_power_off_until_it_knows_it();
     a_board_that_does_not_confirm_it_is_reported();
-    one_that_speaks_and_hears_nothing_is_waited_for_a_little_longer_and_reported();
+    one_that_speaks_and_receives_nothing_is_waited_for_a_little_longer_and_reported();
     two_words_with_a_power_off_between_prove_it_where_words_say_nothing_of_it();
     the_end_is_braked_switched_off_and_silent();
     the_end_waits_for_the_wheels_and_for_its_last_frame();

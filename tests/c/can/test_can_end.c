@@ -57,7 +57,7 @@ static void a_drive_that_was_seen_without_power_gets_one_power_off_and_is_not_wa
     CHECK(report.drive[0].stop_waits == 0 && power_offs() == 1 && w.now_ns <= begun_ns + 10 * MS);
 }
 
-/* It has just been ordered to take its power: what it said before proves nothing. */
+/* It has just been ordered to take its power: what it reported before proves nothing. */
 static void one_that_was_given_an_order_since_has_to_say_it_again(void)
 {
     begin_with(1);

@@ -64,7 +64,7 @@ static void a_drive_that_says_it_has_no_power_ends_the_line_after_one_power_off(
     CHECK(w.turning == 0);
 }
 
-static void one_that_is_deaf_for_a_while_gets_it_again_until_it_says_so(void)
+static void one_that_receives_nothing_for_a_while_gets_it_again_until_it_says_so(void)
 {
     begin_unanswered(1, true);
     turn();
@@ -109,7 +109,7 @@ static void one_that_cannot_say_it_has_to_answer_a_read(void)
 int main(void)
 {
     a_drive_that_says_it_has_no_power_ends_the_line_after_one_power_off();
-    one_that_is_deaf_for_a_while_gets_it_again_until_it_says_so();
+    one_that_receives_nothing_for_a_while_gets_it_again_until_it_says_so();
     one_that_never_says_so_is_reported_at_the_end_of_the_time();
     one_that_says_it_still_has_power_is_reported();
     one_that_cannot_say_it_has_to_answer_a_read();
