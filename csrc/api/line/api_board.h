@@ -156,7 +156,7 @@ typedef struct {
     uint32_t orders_sent;    /* they have gone out */
     uint32_t orders_dropped; /* guarded, and it was stopped; or it is unresponsive */
     uint32_t feedback_bytes; /* of feedback_payload[]; 0: nothing since it was unresponsive, or ever */
-    uint32_t stop_waits;     /* the port has not taken its newest stop */
+    uint32_t stop_waits;     /* the port has not taken its newest stop; at the end: the board has not proved that it has it */
     uint32_t reserved;
     uint64_t cycles;
     uint64_t sent;

@@ -176,7 +176,7 @@ typedef struct {
     uint32_t last_fault;     /* and the newest such word: a stop may have made the drive forget it by now */
     uint32_t last_fault_joint;
     uint32_t may_turn;   /* armed since it was last set up, also before the bus was opened */
-    uint32_t stop_waits; /* the bus has not taken all of its newest stop */
+    uint32_t stop_waits; /* the bus has not taken all of its newest stop; at the end: it has not confirmed that it has no power */
 } can_drive_report;
 
 typedef struct {
