@@ -1,54 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * test_independent: joints without a base, one step of each by its own limits. */
-#include "independent.h"
-#include "steer.h"
-#include "steered_bases.h"
-
-enum { PAN, BELT, TILT };
-static const double DT_S = 0.01;
-
-/* The joints, as they are after a halt. */
-typedef struct {
-    core_config config;
-    joints_state joints;
-    steer_state steer;
-    joint_command command;
-    joints_input input;
-    double velocity_rad_s[JOINTS_MAX];
-    reasons_shown named;
-    axis_limits limits[JOINTS_MAX];
-} joints_rig;
-
-static void begin(joints_rig *r)
-{
-    memset(r, 0, sizeof *r);
-    r->config = head_and_belt();
-    independent_own_limits(r->limits, &r->config);
-    r->input = (joints_input){.command = &r->command, .limits = r->limits, .factor = 1.0, .dt_s = DT_S};
-    steer_init(&r->steer, &r->config);
-    independent_halt(&r->joints, &r->steer, &r->config);
-    r->velocity_rad_s[TILT] = r->velocity_rad_s[3] = 9.0;
-}
-
-static void command(joints_rig *r, uint32_t j, double value_u)
-{
-    r->command.named |= 1U << j;
-    r->command.value_u[j] = value_u;
-}
-
-static uint32_t step_joints(joints_rig *r, int count)
-{
-    uint32_t reasons = 0;
-    for (int i = 0; i < count; i++) {
-        reasons = independent_step(&r->joints, &r->steer, &r->config, &r->input, r->velocity_rad_s, &r->named);
-    }
-    return reasons;
-}
-
-static double angle(const joints_rig *r, int j)
-{
-    return r->steer.profile[j].position_rad;
-}
+#include "joints_rig.h"
 
 /* --- what is requested */
 static void a_command_counts_where_it_names_a_joint(void)
