@@ -146,8 +146,9 @@ void board_imu_read(board_machine *m);
 /* ----------------------------------------------------------------------- board_drive.c */
 void board_hold(board_machine *m, const board_write *write, uint32_t count, int64_t now_ns);
 void board_power_off(board_machine *m, int64_t now_ns);
-/* The line's end begins; it takes the power; whether the board has proved that it has none. */
+/* Called when the line's end begins: keeps whether the board is known to have no power. */
 void board_note_power(board_machine *m, int64_t now_ns);
+/* Begins the last power-off, which goes out until board_look_for_proof has found that the board has got it. */
 void board_last_power_off(board_machine *m, int64_t now_ns);
 void board_look_for_proof(board_machine *m);
 /* What the rules of drive_state.h have decided. */

@@ -165,7 +165,7 @@ void can_check_power(can_machine *m, uint32_t drive, int64_t now_ns);
 void can_begin_stop(can_machine *m, uint32_t drive, drive_stop stop);
 void can_stop_now(can_machine *m, uint32_t drive, uint32_t kind);
 void can_send_stop(can_machine *m, uint32_t drive);
-/* The line's end begins. */
+/* Called when the line's end begins: keeps whether the drive is known to have no power. */
 void can_note_power(can_machine *m, uint32_t drive, int64_t now_ns);
 /* It has got its last power-off: it says so, or, where it cannot, it is there. Else it gets it again. */
 bool can_is_off(const can_machine *m, uint32_t drive);

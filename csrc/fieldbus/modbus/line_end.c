@@ -34,12 +34,17 @@ static bool reports_power(const line_exchange *turn)
     return false;
 }
 
-/* The first exchange that says whether it has power; where none does, any: that it receives is all that can be known. One of
- * the cycle, or, behind these, an extra one. */
+/* Those of the cycle, and behind them the extra ones. */
+static const line_exchange *exchange_at(const line_drive *table, uint32_t place)
+{
+    return place < table->cyclic_count ? &table->cyclic[place] : &table->extra[place - table->cyclic_count];
+}
+
+/* The first exchange that says whether it has power. Where none does, any: that it receives is all that can be known. */
 static uint32_t power_read(const line_drive *table)
 {
     for (uint32_t i = 0; i < table->cyclic_count + table->extra_count; i++) {
-        if (reports_power(i < table->cyclic_count ? &table->cyclic[i] : &table->extra[i - table->cyclic_count])) {
+        if (reports_power(exchange_at(table, i))) {
             return i;
         }
     }
@@ -53,15 +58,14 @@ void line_build_power_read(line_machine *m, uint32_t number, line_frame *out)
     if (place < table->cyclic_count) {
         (void)line_build(m, number, place, out); /* with zeros: it is not armed */
     } else {
-        *out = table->extra[place - table->cyclic_count].frame;
+        *out = exchange_at(table, place)->frame;
     }
 }
 
 bool line_is_off(line_machine *m, uint32_t number, const uint8_t *reply, int64_t stamp_ns)
 {
     const line_drive *table = &m->table.drive[number];
-    uint32_t place = power_read(table);
-    const line_exchange *turn = place < table->cyclic_count ? &table->cyclic[place] : &table->extra[place - table->cyclic_count];
+    const line_exchange *turn = exchange_at(table, power_read(table));
     line_read(m, number, turn, reply, stamp_ns);
     return !reports_power(turn) || m->drive[number].state.enabled == 0;
 }

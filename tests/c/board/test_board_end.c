@@ -104,16 +104,22 @@ static void a_board_that_was_seen_without_power_is_not_waited_for(void)
     CHECK(ends(INT64_MAX).stop_waits == 0 && w.now_ns < asked_ns + 2 * w.table.period_ns + 10 * MS);
 }
 
+/* A board that turns, and whose wire is cut. Returns the time. */
+static int64_t cut_off(bool unresponsive)
+{
+    begin();
+    arm_and_turn();
+    w.mute = w.receives_nothing = true;
+    while (unresponsive && w.machine.state.mode != DRIVE_UNRESPONSIVE) {
+        go_on(MS);
+    }
+    return w.now_ns;
+}
+
 static void a_board_that_is_cut_off_for_a_while_is_sent_its_power_off_until_it_knows_it(void)
 {
     for (int unresponsive = 0; unresponsive < 2; unresponsive++) {
-        begin();
-        arm_and_turn();
-        w.mute = w.receives_nothing = true;
-        while (unresponsive && w.machine.state.mode != DRIVE_UNRESPONSIVE) {
-            go_on(MS);
-        }
-        int64_t asked_ns = w.now_ns;
+        int64_t asked_ns = cut_off(unresponsive != 0);
         CHECK(ends(asked_ns + 150 * MS).stop_waits == 0 && w.peer.enabled == 0);
         CHECK(w.now_ns > asked_ns + 150 * MS && w.now_ns < asked_ns + END_OFF_NS);
     }
@@ -122,13 +128,7 @@ static void a_board_that_is_cut_off_for_a_while_is_sent_its_power_off_until_it_k
 static void a_board_that_does_not_confirm_it_is_reported(void)
 {
     for (int unresponsive = 0; unresponsive < 2; unresponsive++) {
-        begin();
-        arm_and_turn();
-        w.mute = w.receives_nothing = true;
-        while (unresponsive && w.machine.state.mode != DRIVE_UNRESPONSIVE) {
-            go_on(MS);
-        }
-        int64_t asked_ns = w.now_ns;
+        int64_t asked_ns = cut_off(unresponsive != 0);
         CHECK(ends(INT64_MAX).stop_waits == 1);
         CHECK(w.now_ns >= asked_ns + END_OFF_NS && w.now_ns < asked_ns + END_OFF_NS + 30 * MS);
     }
