@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # deb.sh DIR: makes DIR/motord_VERSION_ARCH.deb for the Debian that this runs on, and prints its path. The package
 # carries its Python packages in an environment of its own, /usr/lib/motord: installing it takes nothing from a network.
+# A package that is there is kept as long as none of its sources has changed.
 set -euo pipefail
 
 here=$(dirname "$(realpath "$0")")
@@ -23,6 +24,15 @@ pip=("$python" -m pip --quiet --disable-pip-version-check install --no-compile -
     exit 1
 }
 
+package=$dir/motord_${version}_$architecture.deb
+sources=("$project"/{config,csrc,daemon,hal,systemd,setup.py,pyproject.toml,README.md,LICENSE})
+state=$(find "${sources[@]}" -type f -not -name '*.pyc' -not -name '*.so' -not -path '*.egg-info/*' \
+    -printf '%p %s %T@\n' | LC_ALL=C sort)
+if [ -f "$package" ] && [ "$(cat "$dir/made.txt" 2>/dev/null)" = "$state" ]; then
+    echo "$package"
+    exit
+fi
+
 # The dependencies take longest and change least: kept as long as pyproject.toml asks for the same.
 wanted=$("$python" -c 'import sys, tomllib; print(*tomllib.load(open(sys.argv[1], "rb"))["project"]["dependencies"], sep="\n")' "$project/pyproject.toml")
 if [ "$(cat "$dir/others.txt" 2>/dev/null)" != "$wanted" ]; then
@@ -32,7 +42,7 @@ if [ "$(cat "$dir/others.txt" 2>/dev/null)" != "$wanted" ]; then
     echo "$wanted" >"$dir/others.txt"
 fi
 
-rm -rf "$root"
+rm -rf "$root" "$dir/made.txt"
 install -d "$root"/{DEBIAN,etc/motord} "$root"/usr/{bin,lib/sysusers.d,share/{doc/motord,motord/robots}} \
     "$home/bin" "${packages%/*}" "$root"/lib/{systemd/system,udev/rules.d}
 cp -a "$dir/others" "$packages"
@@ -66,6 +76,6 @@ size=$(du -sk --exclude=DEBIAN "$root" | cut -f 1)
 sed -e "s/@VERSION@/$version/; s/@ARCHITECTURE@/$architecture/; s/@SIZE@/$size/; s/@PYTHON@/$minor/; s/@NEXT@/$next/" \
     "$here/deb/control" >"$root/DEBIAN/control"
 find "$root" -type d -exec chmod 755 {} +
-package=$dir/motord_${version}_$architecture.deb
 dpkg-deb --build --root-owner-group -Zgzip -z1 "$root" "$package" >&2
+echo "$state" >"$dir/made.txt"
 echo "$package"

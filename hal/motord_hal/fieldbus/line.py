@@ -26,6 +26,11 @@ from motord_hal.realtime.exchange import is_fresh
 
 REOPEN_FIRST_S = 0.1
 REOPEN_LIMIT_S = 2.0
+SETPOINT_LOOK_EVERY_S = 0.02
+SETPOINT_LOOKS = 50
+"""Before arming is refused: a number, not a time, because what holds up the loop may hold up this
+process, too."""
+NO_SETPOINTS = "no fresh set-points: is the loop running?"
 PRESENT = (DriveState.READY, DriveState.ARMED)
 """Set up, and responsive."""
 
@@ -141,11 +146,6 @@ class LineTask(abc.ABC):
         if not self._is_open:
             raise PortError(f"{self.spec.name} is not open on {self.spec.port}")
 
-    def _check_fresh(self, stamp_ns: int) -> None:
-        """Nothing is armed without a loop that commands it. Raises HalError."""
-        if not fresh(stamp_ns, self.spec.setpoint_timeout_s):
-            raise HalError(f"{self.spec.name}: no fresh set-points: is the loop running?")
-
 
 AnyDrive = TypeVar("AnyDrive", bound=DriveOnLine)
 
@@ -206,7 +206,7 @@ class DriveLine(LineTask, Generic[AnyDrive]):
     # ---------------------------------------------------------------------------------- its orders
     async def arm(self) -> None:
         """As ports.Line.arm. Whatever keeps one drive from being armed disarms all."""
-        self._check_ready_to_arm()
+        await self._be_ready_to_arm()
         armed = False
         try:
             await self._arm([one for one in self._drives if one.state is not DriveState.ARMED])
@@ -216,9 +216,20 @@ class DriveLine(LineTask, Generic[AnyDrive]):
                 for drive in self._drives:
                     drive.stand_down()
 
-    def _check_ready_to_arm(self) -> None:
-        self._check_open()
-        setpoints_ns = self._setpoints_ns()
+    async def _be_ready_to_arm(self) -> None:
+        """Nothing is armed without a loop that commands it; one that is held up goes on soon.
+        Raises HalError."""
+        for _ in range(SETPOINT_LOOKS):
+            self._check_open()
+            setpoints_ns = self._setpoints_ns()
+            self._check_drives()
+            if fresh(setpoints_ns, self.spec.setpoint_timeout_s):
+                return
+            await asyncio.sleep(SETPOINT_LOOK_EVERY_S)
+        raise HalError(f"{self.spec.name}: {NO_SETPOINTS}")
+
+    def _check_drives(self) -> None:
+        """Raises HalError, for a drive that cannot be armed."""
         for drive in self._drives:
             if drive.state not in PRESENT:
                 raise NoReply(f"{drive} is {drive.state.value}: it cannot be armed")
@@ -227,7 +238,6 @@ class DriveLine(LineTask, Generic[AnyDrive]):
             for name, watch in drive.faults.items():
                 if watch.stopping:
                     raise DriveFault(f"{name} reports {', '.join(watch.words)}")
-        self._check_fresh(setpoints_ns)
 
     async def disarm(self) -> None:
         """As ports.Line.disarm. From the call on, every set-point is zero."""

@@ -12,7 +12,12 @@ from motord_hal.base.clock import now_s, within
 from motord_hal.base.errors import DriveFault, HalError, NoReply, PortError
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.encoder.board import CountingBoard
-from motord_hal.fieldbus.line import LineTask
+from motord_hal.fieldbus.line import (
+    NO_SETPOINTS,
+    SETPOINT_LOOK_EVERY_S,
+    SETPOINT_LOOKS,
+    LineTask,
+)
 from motord_hal.fieldbus.ports import (
     BoardEncoder,
     DriveState,
@@ -240,6 +245,17 @@ class PwmLine(LineTask):
                 raise DriveFault(f"{name} reports {', '.join(words)}")
         if self._thread.report().stopping:
             raise HalError(f"{self.spec.name} is still stopping: it cannot be armed")
+        for _ in range(SETPOINT_LOOKS):
+            report = await self._try_to_arm()
+            if report.armed:
+                return
+            # The thread alone reads set-points: their mailbox has one reader.
+            if not report.fault_reasons & FaultReason.SETPOINTS_OLD:
+                raise HalError(f"{self.spec.name}: stopped: arm it again")
+            await asyncio.sleep(SETPOINT_LOOK_EVERY_S)
+        raise HalError(f"{self.spec.name}: {NO_SETPOINTS}")
+
+    async def _try_to_arm(self) -> BridgeReport:
         armed = False
         try:
             report = await self._obeyed(BridgeMode.ARMED)
@@ -248,10 +264,7 @@ class PwmLine(LineTask):
             self._was_armed = armed
             if not armed:
                 self._thread.request_mode(BridgeMode.OFF)
-        if not armed:  # the thread alone reads set-points: their mailbox has one reader
-            old = report.fault_reasons & FaultReason.SETPOINTS_OLD
-            why = "no fresh set-points: is the loop running?" if old else "stopped: arm it again"
-            raise HalError(f"{self.spec.name}: {why}")
+        return report
 
     async def disarm(self) -> None:
         """As ports.Line.disarm. From the call on, no pin gives power."""

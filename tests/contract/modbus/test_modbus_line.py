@@ -2,12 +2,11 @@
 """Modbus lines of both engines and over all media against scripted slaves: who is armed, who is
 unresponsive, what is reported."""
 
-import asyncio
 import math
 from itertools import pairwise
 
 import pytest
-from loop_side import PATIENT_S, running, until
+from loop_side import running, until
 from modbus_rig import (
     CLEAR,
     CONTROL,
@@ -29,11 +28,9 @@ from modbus_rig import (
     single_writes,
     spec_of,
 )
-from scripted_gateway import GATEWAYS, peer_on
 from scripted_slave import Unit
 
 from motord.config.drives.load import find_profile
-from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import DriveFault, HalError, NoReply, PortError, ProfileError
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import (
@@ -44,20 +41,6 @@ from motord_hal.fieldbus.ports import (
 )
 from motord_hal.modbus.codec import Function
 from motord_hal.realtime.exchange import Exchange
-
-
-@pytest.fixture(params=[*ENGINES, *GATEWAYS])
-async def peer(tmp_path, request):
-    peer = peer_on(request.param, tmp_path)
-    peer.units = {1: Unit(registers_of("zlac8015d")), 2: Unit(registers_of("zlac8015d"))}
-    yield peer
-    peer.pull()
-
-
-@pytest.fixture
-async def rig(peer):
-    async with running(spec_of(peer, hub_servo())) as rig:
-        yield rig
 
 
 # ------------------------------------------------------------------------------------ configuring
@@ -203,43 +186,7 @@ async def test_cancelling_the_line_stops_and_disarms_every_drive(peer):
     assert rig.line.state is LineState.CLOSED
 
 
-# ----------------------------------------------------------------------------------------- arming
-async def test_arming_fails_when_a_drive_does_not_report_it_is_enabled(peer):
-    def stay_off(address, value):
-        if (address, value) == (CONTROL, ENABLE):
-            peer.units[2].registers[CONTROL] = OFF
-
-    peer.units[2].on_write = stay_off
-    async with running(spec_of(peer, (*hub_servo(1), *hub_servo(2, first=2)))) as rig:
-        await rig.ready()
-        with pytest.raises(DriveFault, match="control_word"):
-            await rig.line.arm()
-        await until(lambda: peer.written(CONTROL, 1)[-1] == peer.written(CONTROL, 2)[-1] == OFF)
-        assert DriveState.ARMED not in rig.states()
-
-
-async def test_arming_that_is_given_up_leaves_nothing_armed(rig, peer):
-    await rig.ready()
-    peer.units[1].on_write = lambda address, value: peer.units[1].registers.update({CONTROL: OFF})
-    task = asyncio.ensure_future(rig.line.arm())
-    await until(lambda: ENABLE in peer.written(CONTROL))
-    peer.units[1].on_write = None
-    task.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await task
-    await until(lambda: peer.written(CONTROL)[-1] == OFF)
-    await rig.ready()
-
-
-async def test_arming_without_fresh_set_points_is_refused(rig, peer):
-    await rig.ready()
-    rig.loop.running = False
-    await until(lambda: now_ns() - rig.loop.put_ns > PATIENT_S * 1e9)
-    with pytest.raises(HalError, match="no fresh set-points"):
-        await rig.line.arm()
-    assert DriveState.ARMED not in rig.states()
-
-
+# -------------------------------------------------------------------------------------- disarming
 async def test_disarming_is_zero_and_power_off(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
@@ -407,20 +354,6 @@ async def test_a_duty_goes_out_in_per_cent_and_never_backward(peer):
         await until(lambda: peer.written(0x0100)[-1] == 0)
         assert set(peer.written(0x0100)) == {0, 38}
         assert rig.loop.exchange.take_feedback(0).enabled is None
-
-
-async def test_a_slow_line_is_given_the_time_it_needs_to_arm(peer):
-    peer.units = {n: Unit(registers_of("bld-305s")) for n in (1, 2, 3)}
-    profile = find_profile("bld-305s")
-    joints = [JointSpec(index=n, name=f"mill{n}", profile=profile, unit=n) for n in (1, 2, 3)]
-
-    def slow(request, honest):
-        peer.tricks.append(slow)
-        return [(0.019, honest)]
-
-    peer.tricks.append(slow)
-    async with running(spec_of(peer, joints, baudrate=9600, cycle_hz=1000.0)) as rig:
-        await rig.arm()
 
 
 async def test_a_magnitude_goes_out_with_its_direction(peer):

@@ -107,9 +107,23 @@ async def test_it_cannot_be_armed_without_fresh_set_points(chip):
     async with running(spec_of(chip)) as rig:
         await rig.ready()
         rig.loop.running = False
+        await until(lambda: now_ns() - rig.loop.put_ns > PATIENT_S * 1e9)
         with pytest.raises(HalError, match="no fresh set-points"):
-            while True:
-                await rig.line.arm()
+            await rig.line.arm()
+
+
+async def test_arming_waits_for_a_loop_that_is_held_up(chip):
+    async with running(spec_of(chip)) as rig:
+        await rig.ready()
+        rig.loop.running = False
+        await until(lambda: now_ns() - rig.loop.put_ns > PATIENT_S * 1e9)
+        arming = asyncio.ensure_future(rig.line.arm())
+        looks = rig.line.stats().cycles + 2 * WATCH_EVERY_S * rig.line.spec.cycle_hz
+        await until(lambda: rig.line.stats().cycles > looks)
+        assert not arming.done()
+        rig.loop.running = True
+        await arming
+        assert rig.states() == {DriveState.ARMED}
 
 
 async def test_a_line_that_could_not_be_armed_does_not_report_that_it_was_stopped(chip):
