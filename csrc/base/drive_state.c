@@ -65,6 +65,14 @@ bool drive_stop_done(drive_state *drive)
     return back;
 }
 
+bool drive_is_off(const drive_last_off *off, bool reports_enabled, uint32_t enabled, int64_t received_ns)
+{
+    if (off->first_ns == 0 || off->suffices) {
+        return off->first_ns != 0;
+    }
+    return reports_enabled ? enabled == 0 : received_ns > off->first_ns && received_ns <= off->newest_ns;
+}
+
 /* -------------------------------------------------------------------------------------------------- guarding */
 bool drive_left_alone(int64_t last_ns, int64_t now_ns, int64_t watchdog_ns)
 {

@@ -46,6 +46,17 @@ typedef struct {
     bool overtaken; /* one before it was never seen: it may have been a stop */
 } drive_answer;
 
+/* The last power-off of a line whose medium confirms nothing: that a bus has taken it says nothing, for a cable may be cut
+ * and the queue before it has room. */
+typedef struct {
+    bool suffices;     /* it has but to go out */
+    int64_t first_ns;  /* it went out; 0: not yet */
+    int64_t newest_ns; /* and went out again */
+} drive_last_off;
+
+/* A drive that reports whether it is enabled (`enabled` as drive_state has it) is off by its report; one that does not, by
+ * having spoken between two of them: its newest word came at `received_ns`. */
+bool drive_is_off(const drive_last_off *off, bool reports_enabled, uint32_t enabled, int64_t received_ns);
 /* It last got something at `last_ns`, and its watchdog has bitten since: it may have stopped by itself. watchdog_ns 0: it has
  * none. */
 bool drive_left_alone(int64_t last_ns, int64_t now_ns, int64_t watchdog_ns);

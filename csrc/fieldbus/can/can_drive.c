@@ -158,18 +158,14 @@ void can_note_power(can_machine *m, uint32_t number, int64_t now_ns)
     can_drive_state *drive = &m->drive[number];
     bool rests = drive->state.mode == DRIVE_READY && !drive->state.stopping && drive->state.stop == STOP_NOTHING;
     bool settled = now_ns >= m->control.drive[number].arming_until_ns && drive->power_ns > drive->order_ns;
-    drive->off_suffices = rests && settled && !drive->state.sent_motion && drive->missing == 0 && drive->state.enabled == 0;
+    drive->last_off.suffices = rests && settled && !drive->state.sent_motion && drive->missing == 0 && drive->state.enabled == 0;
 }
 
-/* That the bus has taken it says nothing: a cable may be cut, and the queue behind it has room. */
 bool can_is_off(const can_machine *m, uint32_t number)
 {
     const can_drive_state *drive = &m->drive[number];
-    bool spoke = drive->newest_ns > drive->off_first_ns && drive->off_newest_ns >= drive->newest_ns;
-    if (drive->off_first_ns == 0 || drive->stop_place > 0) {
-        return false;
-    }
-    return drive->off_suffices || (m->table.drive[number].reports_enabled != 0 ? drive->state.enabled == 0 : spoke);
+    bool reports = m->table.drive[number].reports_enabled != 0;
+    return drive->stop_place == 0 && drive_is_off(&drive->last_off, reports, drive->state.enabled, drive->newest_ns);
 }
 
 /* What does not come by itself is asked for behind it. */
@@ -177,14 +173,14 @@ static void send_last_power_off(can_machine *m, uint32_t number)
 {
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
-    bool due = drive->off_newest_ns == 0 || m->now_ns >= drive->off_newest_ns + OFF_AGAIN_NS;
+    bool due = drive->last_off.newest_ns == 0 || m->now_ns >= drive->last_off.newest_ns + OFF_AGAIN_NS;
     if ((due || drive->stop_place > 0) && !can_is_off(m, number) && send_stop(m, number, false)) {
-        if (drive->off_first_ns == 0) {
-            drive->off_first_ns = m->now_ns;
-            drive->off_suffices |= table->reports_enabled == 0 && drive->missing == 0;
+        if (drive->last_off.first_ns == 0) {
+            drive->last_off.first_ns = m->now_ns;
+            drive->last_off.suffices |= table->reports_enabled == 0 && drive->missing == 0;
             drive->state.enabled = 2;
         }
-        drive->off_newest_ns = m->now_ns;
+        drive->last_off.newest_ns = m->now_ns;
         drive->stop_place = 0;
         if (!can_is_off(m, number)) {
             can_sync(m);

@@ -36,9 +36,7 @@ typedef struct {
     uint32_t last_fault_joint;
     uint32_t missing;
     uint32_t stop_place;
-    bool off_suffices;    /* its last power-off has but to go out */
-    int64_t off_first_ns; /* its last power-off went out; 0: not yet */
-    int64_t off_newest_ns;
+    drive_last_off last_off;
     int64_t order_ns;     /* the newest order went out */
     int64_t power_ns;     /* its newest word of its power */
     bool may_turn;        /* armed since it was last set up, before the bus was opened or after */

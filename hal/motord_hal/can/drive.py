@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 from motord_hal.asyncio_engine.drive import AsyncioDrive
-from motord_hal.base.clock import now_s
+from motord_hal.base.clock import now_ns, now_s
 from motord_hal.base.errors import DriveFault, HalError, NoReply, Refused
 from motord_hal.base.retry import Backoff
 from motord_hal.can.job_step import StepRunner, merged_writes
@@ -22,7 +22,7 @@ from motord_hal.fieldbus.job import Job, configure_steps
 from motord_hal.fieldbus.line import PRESENT
 from motord_hal.fieldbus.plan import Wanted
 from motord_hal.fieldbus.ports import DriveState, LineSpec
-from motord_hal.realtime.drive_state import STOPPING_WITHIN_S, left_alone
+from motord_hal.realtime.drive_state import STOPPING_WITHIN_S, LastPowerOff, left_alone
 from motord_hal.realtime.exchange import Exchange
 
 PROBE_FIRST_S = 0.1
@@ -80,10 +80,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._cycles = 0
         self._job_s = 0.0
         """When a job has written or asked last."""
-        self._off_first_s = self._off_newest_s = 0.0
-        """When its power-off went out at the end of the line."""
-        self._off_suffices = False
-        """It has but to go out."""
+        self._last_off = LastPowerOff()
 
     def __str__(self) -> str:
         return f"{', '.join(self.names)} (node {self.plan.node})"
@@ -352,10 +349,9 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._powerless()
         if await self._write_now(self.plan.profile.disarm):
             return False
-        self._off_newest_s = now_s()
-        if not self._off_first_s:
-            self._off_first_s, self._off_suffices = self._off_newest_s, suffices
+        if not self._last_off.is_sent:
             self._forget_enabled()
+        self._last_off.sent(now_ns(), suffices=suffices)
         if self._is_off():
             return True
         for frame in (*self.plan.asked_fast, *(() if self.plan.hello else self.plan.probed)):
@@ -373,17 +369,16 @@ class CanDrive(AsyncioDrive[CanPlan]):
         return off and not self.sent_motion
 
     def _is_off(self) -> bool:
-        if not self._off_first_s:
-            return False
-        if self._off_suffices or self.plan.profile.enabled is not None:
-            return self._off_suffices or self.plan.enabled(self._values) is False
-        newest_s = max(self._received_s.values(), default=0.0)
-        return self._off_first_s < newest_s <= self._off_newest_s
+        return self._last_off.is_confirmed(
+            reports_enabled=self.plan.profile.enabled is not None,
+            enabled=self.plan.enabled(self._values),
+            received_ns=round(max(self._received_s.values(), default=0.0) * 1e9),
+        )
 
     @property
     def may_report(self) -> bool:
         """As AsyncioDrive.may_report."""
-        return self._off_first_s > 0 and self._missing() is None
+        return self._last_off.is_sent and self._missing() is None
 
     def _forget_enabled(self) -> None:
         if self.plan.profile.enabled is not None:

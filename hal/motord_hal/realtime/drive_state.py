@@ -50,6 +50,30 @@ def left_alone(last_s: float, now_s: float, watchdog_s: float) -> bool:
     return bool(lib.drive_left_alone(round(last_s * 1e9), round(now_s * 1e9), watchdog_ns))
 
 
+class LastPowerOff:
+    """Of a line whose medium confirms nothing. Monotonic times."""
+
+    def __init__(self) -> None:
+        self._off: Any = ffi.new("drive_last_off *")
+
+    @property
+    def is_sent(self) -> bool:
+        return bool(self._off.first_ns)
+
+    def sent(self, now_ns: int, *, suffices: bool) -> None:
+        """It went out. `suffices`: of the first one, that nothing has to confirm it."""
+        if not self._off.first_ns:
+            self._off.first_ns, self._off.suffices = now_ns, suffices
+        self._off.newest_ns = now_ns
+
+    def is_confirmed(
+        self, *, reports_enabled: bool, enabled: bool | None, received_ns: int
+    ) -> bool:
+        """By what the drive reports; where it does not report its power, by its newest word."""
+        number = 2 if enabled is None else int(enabled)
+        return bool(lib.drive_is_off(self._off, reports_enabled, number, received_ns))
+
+
 class DriveRules:
     """The state of one drive of a line in asyncio, judged by the rules in C. Each method that
     returns a Stop leaves it to the caller to send that."""

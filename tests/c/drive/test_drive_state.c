@@ -138,6 +138,27 @@ static void an_armed_drive_is_taken_back_for_each_reason_in_its_order(void)
     }
 }
 
+static void a_last_power_off_counts_by_what_the_drive_reports(void)
+{
+    drive_last_off off = {0};
+    CHECK(!drive_is_off(&off, true, 0, NOW_NS) && !drive_is_off(&off, false, 2, NOW_NS)); /* it has not gone out */
+    off.suffices = true;
+    CHECK(!drive_is_off(&off, true, 0, NOW_NS));
+    off.first_ns = off.newest_ns = NOW_NS;
+    CHECK(drive_is_off(&off, true, 1, 0) && drive_is_off(&off, false, 2, 0));
+    off.suffices = false;
+    CHECK(drive_is_off(&off, true, 0, 0) && !drive_is_off(&off, true, 1, NOW_NS) && !drive_is_off(&off, true, 2, NOW_NS));
+}
+
+static void without_a_report_a_drive_has_to_speak_between_two_power_offs(void)
+{
+    drive_last_off off = {.first_ns = NOW_NS, .newest_ns = NOW_NS + 10};
+    CHECK(!drive_is_off(&off, false, 2, NOW_NS) && drive_is_off(&off, false, 2, NOW_NS + 1));
+    CHECK(drive_is_off(&off, false, 2, NOW_NS + 10) && !drive_is_off(&off, false, 2, NOW_NS + 11));
+    off.newest_ns = NOW_NS;
+    CHECK(!drive_is_off(&off, false, 2, NOW_NS) && !drive_is_off(&off, false, 2, NOW_NS + 1)); /* once alone */
+}
+
 static void a_drive_is_left_alone_when_it_got_nothing_for_longer_than_its_watchdog_waits(void)
 {
     CHECK(!drive_left_alone(NOW_NS - 5, NOW_NS, 5) && drive_left_alone(NOW_NS - 6, NOW_NS, 5));
@@ -249,6 +270,8 @@ int main(void)
     a_request_that_was_overtaken_counts_as_a_stop();
     an_armed_drive_is_taken_back_for_each_reason_in_its_order();
     a_drive_is_left_alone_when_it_got_nothing_for_longer_than_its_watchdog_waits();
+    a_last_power_off_counts_by_what_the_drive_reports();
+    without_a_report_a_drive_has_to_speak_between_two_power_offs();
     only_an_armed_drive_moves_by_fresh_set_points_that_are_enabled();
     one_without_a_place_to_begin_from_gets_no_power();
     the_power_goes_off_at_rest_or_in_time_but_not_before_the_stop_has_arrived();
