@@ -27,11 +27,14 @@ help:
 	@echo "make clean     all that make made" >&2
 
 # ------------------------------------------------------------------------------------------- environment
+# Without csrc, which is compiled once, by $(VENV)/built.
+INSTALL = MOTORD_COMPILED=1 $(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable
+
 $(VENV)/made: pyproject.toml setup.py bootstrap.sh
 	@echo "making $(VENV) ..." >&2
 	@python=$$(./bootstrap.sh) && $$python -m venv --clear $(VENV) >&2
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check "setuptools>=77" "cffi>=2.0" >&2
-	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable '.[plot]' >&2
+	@$(INSTALL) '.[plot]' >&2
 	@touch $@
 
 $(VENV)/built: $(VENV)/made $(shell find csrc -name '*.[ch]' -o -name '*.py')
@@ -40,11 +43,11 @@ $(VENV)/built: $(VENV)/made $(shell find csrc -name '*.[ch]' -o -name '*.py')
 	@touch $@
 
 $(VENV)/test: $(VENV)/made
-	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable '.[test]' >&2
+	@$(INSTALL) '.[test]' >&2
 	@touch $@
 
 $(VENV)/check: $(VENV)/made
-	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable '.[test,check]' >&2
+	@$(INSTALL) '.[test,check]' >&2
 	@touch $@
 
 # The tests are compiled here once, not once in each of the workers.
@@ -101,7 +104,7 @@ coverage: $(VENV)/built $(VENV)/test
 	@$(PYTHON) -m coverage report
 
 $(VENV)/bench: $(VENV)/made
-	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable '.[test,bench]' >&2
+	@$(INSTALL) '.[test,bench]' >&2
 	@touch $@
 
 walk: $(VENV)/built $(VENV)/test

@@ -115,8 +115,8 @@ def test_swapped_wheels_are_found_and_put_right_in_the_file(browser, tmp_path):
 @pytest.mark.parametrize(
     ("title", "fields"),
     [
-        (RADII, {"Length_of_the_line": 1.5, "Top_speed": 0.4}),
-        (TRACK, {"Turns_on_the_spot": 1, "Fastest_turn": 1.0}),
+        (RADII, {"Length_of_the_line": 1.5, "Top_speed": 0.8}),
+        (TRACK, {"Turns_on_the_spot": 1, "Fastest_turn": 2.0}),
     ],
 )
 def test_a_calibration_recovers_what_was_planted(browser, tmp_path, title, fields):
@@ -207,7 +207,7 @@ def test_the_scale_of_a_gyro_is_measured_and_its_variance_written(browser, tmp_p
         for _ in range(TRIES):
             wait_until(used, "the zero of the gyro")
             open_page(page, GYRO)
-            fill(page, Turns_on_the_spot=2, Fastest_turn=1.0)
+            fill(page, Turns_on_the_spot=2, Fastest_turn=2.0)
             begin(page)
             answers(page, Floor(robot).replies())
             shown = page.locator(".ended").inner_text()

@@ -155,7 +155,7 @@ async def test_a_port_that_takes_no_bytes_any_more_leaves_the_event_loop_alive(t
             rig.loop.enabled = False
             refused = rig.line.stats().errors["no_room"]
             await until(lambda: rig.line.stats().errors["no_room"] > refused + 10)
-            assert DriveState.ARMED not in rig.states()
+            await until(lambda: DriveState.ARMED not in rig.states())
         assert rig.events[-1].kind is EventKind.DRIVE_LEFT_ON
         assert "left, right not switched off at the end" in rig.events[-1].text
     finally:

@@ -20,8 +20,8 @@ TRUTH = (
     f"base.track_m={TRUE_TRACK_M}",
 )
 SMALL = (
-    "--distance-m", "1.5", "--turns", "1", "--side-m", "1", "--speed-m-s", "0.4",
-    "--speed-rad-s", "1.0",
+    "--distance-m", "1.5", "--turns", "1", "--side-m", "1", "--speed-m-s", "0.8",
+    "--speed-rad-s", "2.0",
 )  # fmt: skip
 
 
@@ -93,7 +93,7 @@ def test_the_scale_and_the_offset_of_a_gyro_are_measured(tmp_path, scale):
     options = ("--gyro-scale", str(scale), "--seed", "5")
     with robot_of(tmp_path, file, *imu, simulator=options) as stage:
         wait_until(lambda: (stage.robot.status()["imu"] or {}).get("state") == "used", "the zero")
-        status, text = calibrated(stage, "gyro", "--turns", "2", "--speed-rad-s", "1.0")
+        status, text = calibrated(stage, "gyro", "--turns", "2", "--speed-rad-s", "2.0")
         assert status == 0, text
         true_rad_s = stage.robot.status()["imu"]["bias_rad_s"]
     found = re.search(r"offset ([-+.\d]+) rad/s, scale ([.\d]+) ± ([.\d]+)", text)
@@ -109,7 +109,7 @@ def test_the_scale_and_the_offset_of_a_gyro_are_measured(tmp_path, scale):
 def test_the_paths_before_and_after_are_drawn(tmp_path):
     pytest.importorskip("matplotlib")
     file, picture = copied(tmp_path), tmp_path / "paths.png"
-    words = ("rotate", "--turns", "1", "--speed-rad-s", "1.0", "--plot", picture, "--dry-run")
+    words = ("rotate", "--turns", "1", "--speed-rad-s", "2.0", "--plot", picture, "--dry-run")
     before = file.read_bytes()
     with robot_of(tmp_path, file, truth=TRUTH) as stage:
         status, text = calibrated(stage, *words)
