@@ -32,13 +32,16 @@ if directory := os.environ.get("MOTORD_RT_DIR"):
 TESTS = Path(__file__).parent
 CPUS = os.cpu_count() or 1
 LANES = {"page": max(1, CPUS // 2), "robot": CPUS + CPUS // 2}
-"""So many whole robots, and pages of a browser with their robots, run at once. Each is three to
-seven programs: with more of them every one is late, fails, and runs again."""
-LANE_OF = {"browser": "page", "sim": "robot", "peers": "robot"}
+"""So many whole robots run at once, so many of them with pages of a browser. Each is three to seven
+programs: with more of them every one is late, fails, and runs again."""
+OPEN_TO = {"browser": ("page",), "sim": ("page", "robot"), "peers": ("page", "robot")}
 LONG_S = {
-    "test_partition": 30, "test_calibrate": 28, "test_bus_faults": 11, "test_can_robot": 11,
-    "test_commission": 8, "test_demos": 7, "test_pwm_demo": 6, "test_spin_steered": 5,
-    "test_doubted_feedback": 5, "test_stopping": 5, "test_tune": 4, "test_ros2_package": 4,
+    "test_partition": 32, "test_calibrate": 24, "test_can_robot": 13, "test_bus_faults": 12,
+    "test_demos": 9, "test_commission": 8, "test_ros2_rclpy": 7, "test_pwm_demo": 6,
+    "test_fleet": 5, "test_stopping": 5, "test_stood_still": 5, "test_doubted_feedback": 5,
+    "test_tune": 5, "test_ros2_fastdds": 5, "test_init": 5, "test_spin_steered": 4,
+    "test_stop_under_flood": 4, "test_ros2_package": 4, "test_fuzz_short": 4, "test_dashboard": 4,
+    "test_strafe": 3, "test_bus_process": 3, "test_ros2_actions": 3,
 }  # fmt: skip
 """What one test of these files takes; of all others in a lane it is USUAL_S."""
 USUAL_S = 1.5
@@ -53,16 +56,18 @@ def kind_of(path):
 
 
 def lanes(items):
-    """The lane of each file that starts robots: the longest files first, each to the lane that has
-    the least to do."""
-    tests = Counter(item.path for item in items if kind_of(item.path) in LANE_OF)
-    loads_s = {kind: dict.fromkeys(range(count), 0.0) for kind, count in LANES.items()}
+    """The lane of each file that starts robots: pages first, which have the fewest to go to, then
+    the longest files, each to the lane that has the least to do."""
+    tests = Counter(item.path for item in items if kind_of(item.path) in OPEN_TO)
     files_s = {path: count * LONG_S.get(path.stem, USUAL_S) for path, count in tests.items()}
+    kinds = {path: OPEN_TO[kind_of(path)] for path in tests}
+    loads_s = {kind: dict.fromkeys(range(count), 0.0) for kind, count in LANES.items()}
     found = {}
-    for path, file_s in sorted(files_s.items(), key=lambda row: (-row[1], row[0])):
-        kind = LANE_OF[kind_of(path)]
-        number = min(loads_s[kind], key=loads_s[kind].__getitem__)
-        loads_s[kind][number] += file_s
+    for path in sorted(tests, key=lambda path: (len(kinds[path]), -files_s[path], path)):
+        places = [(loads_s[kind][number], kind, number)
+                  for kind in kinds[path] for number in loads_s[kind]]  # fmt: skip
+        _, kind, number = min(places)
+        loads_s[kind][number] += files_s[path]
         found[path] = f"{kind} {number}"
     return found
 
