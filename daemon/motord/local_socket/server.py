@@ -35,6 +35,8 @@ LINE_BYTES_MAX = 16384
 UNREAD_BYTES_MAX = 1 << 20
 CALLS_MAX = 4
 CONNECTIONS_MAX = 32
+CALLS_IN_ALL_MAX = 2 * CALLS_MAX * CONNECTIONS_MAX
+"""Of all connections, with those that ended while a call of theirs goes on."""
 SOCKET_MODE = 0o660
 _SO_PEERGROUPS = 59
 """include/uapi/asm-generic/socket.h, since Linux 4.13"""
@@ -179,6 +181,10 @@ async def serve(
     dropped to make room; that must be so for fewer than CONNECTIONS_MAX."""
     connections: dict[int, _Connection] = {}
     numbers = itertools.count(1)
+
+    def is_full() -> bool:
+        return sum(one.calls for one in connections.values()) >= CALLS_IN_ALL_MAX
+
     try:
         async with asyncio.TaskGroup() as tasks:
             while True:
@@ -186,7 +192,7 @@ async def serve(
                 if (peer := await _accepted(listener, connections, stays)) is not None:
                     number = next(numbers)
                     _make_room(connections, stays)
-                    connections[number] = _Connection(number, peer, methods, on_close)
+                    connections[number] = _Connection(number, peer, methods, on_close, is_full)
                     tasks.create_task(_attend(number, connections))
     finally:
         for connection in connections.values():  # cancelled before their task began
@@ -254,12 +260,15 @@ class _Connection:
         peer: socket.socket,
         methods: Mapping[str, Method],
         on_close: Callable[[int], None],
+        is_full: Callable[[], bool],
     ) -> None:
         self._caller = _caller(number, peer)
         self._peer = peer
         self._methods = methods
         self._on_close = on_close
-        self._calls = 0
+        self._is_full = is_full
+        self.calls = 0
+        """That are running."""
         self._writer: asyncio.StreamWriter | None = None
         self.received_s = asyncio.get_running_loop().time()
         self.dropped = False
@@ -341,10 +350,15 @@ class _Connection:
         return method.call(self._caller, params)
 
     def _admit(self, call: Coroutine[Any, Any, Any], *, urgent: bool) -> None:
-        if self._calls >= CALLS_MAX and not urgent:
+        why = ""
+        if self.calls >= CALLS_MAX:
+            why = f"{CALLS_MAX} of your calls are running: wait for them"
+        elif self._is_full():
+            why = f"{CALLS_IN_ALL_MAX} calls of all programs are running: try again"
+        if why and not urgent:
             call.close()
-            raise Refused(f"{CALLS_MAX} of your calls are running: wait for them")
-        self._calls += 1
+            raise Refused(why)
+        self.calls += 1
 
     async def _finish(self, number: Any, call: Coroutine[Any, Any, Any]) -> None:
         try:
@@ -352,7 +366,7 @@ class _Connection:
         except RpcError as error:
             self._fail(number, str(error), error.code)
         finally:
-            self._calls -= 1
+            self.calls -= 1
 
     def _fail(self, number: Any, message: str, code: int) -> None:
         self._answer(number, {"error": {"code": code, "message": message}})

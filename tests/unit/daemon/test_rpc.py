@@ -223,6 +223,29 @@ async def test_open_calls_are_bounded(path):
         peer.close()
 
 
+async def test_calls_of_connections_that_have_ended_are_bounded_and_an_urgent_one_gets_through(
+    path,
+):
+    async with hosted(path) as host:
+        host.methods["halt"] = Method(host.wait, urgent=True)
+        connections = rpc.CALLS_IN_ALL_MAX // rpc.CALLS_MAX
+        for _ in range(connections):
+            peer = await Peer.at(path)
+            for number in range(rpc.CALLS_MAX):
+                peer.ask("wait", number)
+            await peer.call("add", a=1)
+            peer.close()
+        late = await Peer.at(path)
+        assert "calls of all programs are running" in (await late.call("wait"))["error"]["message"]
+        assert (await late.call("add", a=1))["result"] == 1
+        late.ask("halt")
+        host.gate.set()
+        assert (await late.receive())["result"] == "waited"
+        await until(lambda: len(host.done) == rpc.CALLS_IN_ALL_MAX + 1)
+        assert (await late.call("wait"))["result"] == "waited"
+        late.close()
+
+
 async def test_a_connection_that_ends_is_sent_at_once_while_a_call_of_it_goes_on(path):
     async with hosted(path) as host:
         peer = await Peer.at(path)
