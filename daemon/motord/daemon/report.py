@@ -87,6 +87,11 @@ def description(operation: Operation) -> dict[str, Any]:
         "wheel_rows": {name: wheel_row(robot.base, joint) for name, joint in robot.joint.items()},
         "modules": modules(robot),
         "strafes": robot.base.strafes,
+        "limits": {
+            "linear_m_s": robot.limits.linear_m_s,
+            "angular_rad_s": robot.limits.angular_rad_s,
+            "lateral_m_s": robot.limits.lateral_m_s,
+        },
         "drives": not isinstance(robot.base, JointsBase),
         "takes_position": [
             name

@@ -100,6 +100,7 @@ def _robot(description: Mapping[str, Any]) -> Robot:
         kind="" if description.get("drives", True) else "joints",
         track_m=description["track_m"],
         wheel_radius_m=description["wheel_radius_m"],
+        strafes=description["strafes"],
     )
     positions = description.get("takes_position", ())
     joints = {
@@ -110,9 +111,16 @@ def _robot(description: Mapping[str, Any]) -> Robot:
         robot=SimpleNamespace(name=description["robot"]),
         joint=joints,
         base=base,
+        limits=SimpleNamespace(**description["limits"]),
         safety=SimpleNamespace(feedback_timeout_s=description["feedback_timeout_s"]),
     )
     return cast("Robot", made)
+
+
+def _shape(description: Mapping[str, Any]) -> dict[str, Any]:
+    """What a robot that is served on has to keep. The limits of its file may change: the daemon
+    keeps to them, and a command far beyond the old ones is called so."""
+    return {key: value for key, value in description.items() if key != "limits"}
 
 
 class BridgeRuntime(Runtime):
@@ -160,7 +168,7 @@ class BridgeSource(Source):
 
     async def _grant(self, call_daemon: Call) -> dict[str, Any]:
         """As Source._grant. Raises Wrong."""
-        if await call_daemon("robot", {}) != self._description:
+        if _shape(await call_daemon("robot", {})) != _shape(self._description):
             raise Wrong("the robot file is another than at the start of this bridge: start it anew")
 
         async def on_this_connection(method: str, **params: Any) -> Any:

@@ -185,6 +185,7 @@ def bridged(folder, *settings):
         stage.wait_for("idle")
         stage.operator.call("motord/stop", Trigger)  # the bridge is there
         yield stage
+        assert "Traceback" not in stage.bridge.logged()
 
 
 def again(stage, *settings):

@@ -5,7 +5,8 @@ import math
 import uuid
 
 import pytest
-from tests.peers.ros2_rclpy.rclpy_stage import LATCHED, answered, bridged
+from tests.peers.ros2_rclpy.rclpy_rig import T, drive_until, twist
+from tests.peers.ros2_rclpy.rclpy_stage import BEST_EFFORT, LATCHED, answered, bridged
 from tests.sim.daemon_stage import wait_until
 
 actions = pytest.importorskip(
@@ -153,6 +154,22 @@ def test_a_source_of_higher_priority_ends_the_goal(armed):
     wait_until(taken_over, "a result")
     assert future.result().result.message == "another source commands"
     at_rest(armed)
+
+
+def test_a_command_of_the_same_input_ends_the_goal(armed):
+    publisher = armed.operator.publisher("cmd_vel", T.TwistStamped, BEST_EFFORT)
+    future = Goal(armed, "drive_distance", distance_m=20.0).asked()
+    wait_for_motion(armed)
+    drive_until(armed, publisher, lambda: twist(0.0), future.done, "a result")
+    assert future.result().status == ABORTED
+    at_rest(armed)
+
+
+def test_a_base_that_cannot_move_sideways_takes_no_goal_that_asks_for_it(armed):
+    goal = Goal(armed, "drive_distance", distance_m=1.0, direction_rad=math.pi / 2)
+    assert not goal.accepted
+    assert armed.sim.truth().at_rest
+    assert armed.operator.call("motord/stop", Trigger).success  # the bridge serves on
 
 
 def test_a_measure_moves_nothing_and_ends_when_it_is_cancelled(armed):

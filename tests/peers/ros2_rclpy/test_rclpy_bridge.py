@@ -97,6 +97,30 @@ def test_a_speed_sideways_reaches_the_daemon_which_counts_that_the_base_cannot(s
     assert stage.logged().count("asks this base to move sideways") == 1
 
 
+def test_a_command_far_beyond_the_limit_is_logged_by_the_bridge_and_moves_nothing(stage):
+    armed(stage)
+    publisher = stage.operator.publisher("cmd_vel", T.TwistStamped, BEST_EFFORT)
+
+    def logged():
+        return "requests 1000 m/s" in stage.bridge.logged()
+
+    drive_until(stage, publisher, partial(twist, 1000.0), logged, "the speed in the log")
+    assert stage.sim.truth().at_rest
+
+
+def test_nodes_that_command_against_each_other_are_reported(stage):
+    armed(stage)
+    publisher = stage.operator.publisher("cmd_vel", T.TwistStamped, BEST_EFFORT)
+    with operator("rival") as rival:
+        other = rival.publisher("cmd_vel", T.TwistStamped, BEST_EFFORT)
+
+        def reported():
+            other.publish(twist(-0.1))
+            return "against each other" in stage.bridge.logged()
+
+        drive_until(stage, publisher, partial(twist, 0.1), reported, "both in the log")
+
+
 def test_wheels_are_commanded_by_their_names(stage):
     armed(stage)
     publisher = stage.operator.publisher("joint_commands", T.JointState)
