@@ -65,11 +65,12 @@ def demo(
 ) -> None:
     """Drive a simulated robot over a test course and measure how well it does.
 
-    The demo simulates the drives in a second process: real Modbus RTU on a pseudo-terminal, paced
-    at the baud rate, with motors, wheels and ground. It starts the daemon on them and drives as any
-    program does. Then it compares the odometry with the true position of the simulated robot. You
-    need no hardware and no root. Without position counters the odometry is an estimate, and the
-    demo only reports its error.
+    The demo simulates the drives in a second process, with motors, wheels and ground. They speak
+    the protocol of their line: Modbus RTU on a pseudo-terminal, paced at the baud rate, unless you
+    choose another robot. The demo starts the daemon on them and drives as any program does. Then it
+    compares the odometry with the true position of the simulated robot. You need no hardware and no
+    root. Without position counters the odometry is an estimate, and the demo only reports its
+    error. On a robot without a base the demo moves the joints.
 
     \b
     Example: motord demo

@@ -50,7 +50,8 @@ def replay(
     """Run the core again on a recording and compare the results bit by bit.
 
     The recording must come from [publish.NAME] with kind = "mcap" and journal = true. No line is
-    opened and no motor moves. The exit status is 1 if a result differs.
+    opened and no motor moves. The exit status is 1 if a result differs, and 2 if the file cannot be
+    used.
 
     \b
     Example: motord replay recordings/base-20260101T120000-000000000-all.mcap

@@ -43,8 +43,8 @@ def stop_all(robot_file: Path, overrides: tuple[str, ...], within_s: float, as_j
     Use it after a crash. It opens the lines itself, so it refuses while the daemon runs. It sends
     quick stop, zero and power-off to each drive, even if the drive does not answer. It uses the
     robot file as it was when the daemon started, unless you pass --set. The exit status is 3 if a
-    drive did not acknowledge everything, or cannot: a board that sends nothing, or a CAN drive that
-    does not report its power, gets the same stop.
+    drive did not acknowledge everything. A board that sends nothing and a CAN drive that does not
+    report its power get the same stop, but cannot acknowledge it: then the exit status is 3, too.
 
     \b
     Example: motord stop-all robot.toml

@@ -102,7 +102,7 @@ def calibrate(what: str | None, log: Path | None, as_json: bool, **options: Any)
     straight: both radii. rotate: track. square: ratio of the radii, and track (UMBmark). all: these
     three together, then dead band and feed-forward where motord holds the speed. feedforward:
     static, viscous and acceleration part of a duty or a torque. gyro: offset, scale and variance of
-    the gyro. Of bases without two sides straight measures the radius of all wheels.
+    the gyro. On bases without two sides, straight measures the radius of all wheels.
 
     \b
     Example: motord calibrate all

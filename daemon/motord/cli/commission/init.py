@@ -34,7 +34,7 @@ KINDS = ("differential", "skid", "mecanum", "omni", "ackermann", "tricycle", "sw
     "--wheel-count", type=click.IntRange(2, 8), help="Omni: number of wheels. Swerve: of modules."
 )
 @click.option("--linear-m-s", type=POSITIVE, help="Top speed.")
-@click.option("--lateral-m-s", type=POSITIVE, help="Top speed sideways (mecanum, omni).")
+@click.option("--lateral-m-s", type=POSITIVE, help="Top speed sideways (mecanum, omni, swerve).")
 @click.option("--angular-rad-s", type=POSITIVE, help="Fastest turn.")
 @click.option("--gear-ratio", type=POSITIVE, help="Motor turns for a wheel turn.")
 @click.option(

@@ -35,7 +35,7 @@ def _units(_context: click.Context, _option: click.Parameter, text: str) -> rang
     "--unit",
     callback=_units,
     default="1-16",
-    help="Units to look for, such as 1-16 or 7.",
+    help="Units to look for on a serial line, such as 7 or 1-32. Default: 1-16.",
 )
 @click.option(
     "--baudrate", type=click.IntRange(300, 4_000_000),
@@ -68,9 +68,10 @@ def scan(
     """Find the drives on the line at PORT: baud rate, parity, units and matching profiles.
 
     The scan only reads. PORT is a device file or usb:SERIAL, which no other program may have open,
-    or a CAN interface: can0, or KIND:CHANNEL of another adapter. On CAN it listens first, and asks
-    only where no drive speaks by itself, or in the protocol that they speak. The exit status is 0
-    if a drive answered, 1 if none did, and 3 if the port cannot be opened.
+    or a CAN interface: can0, or KIND:CHANNEL of another adapter. On CAN it listens first. If
+    nothing comes, it tries one protocol after the other; otherwise it sends requests only of the
+    protocols that it has recognised. The exit status is 0 if a drive answered, 1 if none did, and 3
+    if the port cannot be opened.
 
     \b
     Example: motord scan /dev/ttyUSB0

@@ -63,9 +63,9 @@ def spin(
     time with another one, and is the wheel that turns both times. What cannot be turned is refused
     before anything is asked.
 
-    Of a base with steered wheels all wheels move at once: they are pointed straight ahead and to
-    the sides, then they roll. You say where each one points, and what rolls; inverted, zero_count
-    and swapped drives are put right.
+    On a base with steered wheels all wheels move at once: the command points them straight ahead
+    and to the sides, then rolls them. You say where each one points, and what rolls. The command
+    puts inverted, zero_count and swapped drives right.
 
     \b
     Example: motord spin --all

@@ -48,7 +48,7 @@ def _near(unit: str, usual: str) -> Callable[[Any], Any]:
 @click.option(
     "--direction-rad",
     type=FINITE,
-    help="Where to, on a mecanum or omni base: 0 is forward, positive to the left. Default: 0.",
+    help="Where to, on a mecanum, omni or swerve base: 0 is forward, positive is left. Default: 0.",
 )
 @_at_most("m-s")
 @_near("m", "0.01 m")

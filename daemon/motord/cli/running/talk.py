@@ -260,7 +260,7 @@ def drive(
 ) -> None:
     """Drive at VX m/s, turn at WZ rad/s (positive is left) until Ctrl-C.
 
-    VY, in m/s to the left, is for mecanum and omni bases. The robot must be armed.
+    VY, in m/s to the left, is for mecanum, omni and swerve bases. The robot must be armed.
 
     \b
     Example: motord drive 0.3 0
