@@ -125,7 +125,7 @@ class _WheelType(click.ParamType[tuple[str, str, float]]):
     metavar="INTERFACE:CHANNEL",
     default="",
     help="Interface of the CAN lines: socketcan:vcan0. Default: the line's own if it is of kind "
-    "unix, else UDP datagrams.",
+    "unix, a unix socket if drives go to positions, else UDP datagrams.",
 )
 @click.option(
     "--units",
