@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 
 from motord.config import Robot
+from motord.config.sections.bus import JoystickInput
 from motord.config.sections.joint.encoder import BoardEncoder, GpioEncoder, KernelEncoder
 from motord.config.sections.line import CanLine, PwmLine, SerialLine
 
@@ -25,6 +26,9 @@ def drop_in(robot: Robot) -> str:
     if _writes_sysfs(robot):
         rows += ["# the files of PWM channels and counters; the rest of /sys stays read-only"]
         rows += ["ReadWritePaths=/sys/devices"]
+    if _reads_joystick(robot):
+        rows += ["# a joystick; the members of this group can read keyboards, too"]
+        rows += ["SupplementaryGroups=input"]
     return "\n".join(rows) + "\n"
 
 
@@ -43,6 +47,8 @@ def devices(robot: Robot) -> list[str]:
         found.append("char-gpiochip")
     if any(hasattr(part, "bus") for part in (robot.imu, robot.battery)):
         found.append("char-i2c")
+    if _reads_joystick(robot):
+        found.append("char-input")
     return list(dict.fromkeys(found))
 
 
@@ -68,6 +74,10 @@ def _uses_gpio(robot: Robot) -> bool:
     pins = any(isinstance(one, PwmLine) and one.gpio_chip for one in lines)
     edges = any(isinstance(one.encoder, GpioEncoder) for one in robot.joint.values())
     return turned or pins or edges or bool(robot.safety.estop or robot.safety.watchdog)
+
+
+def _reads_joystick(robot: Robot) -> bool:
+    return any(isinstance(one, JoystickInput) for one in robot.input.values())
 
 
 def _writes_sysfs(robot: Robot) -> bool:

@@ -67,3 +67,22 @@ def test_a_format_that_cannot_be_written_is_named_with_what_can(tmp_path):
     path.write_text(TEXT.replace(TEMPLATE, r'template = "{left:5},{right:5}\n"'), encoding="utf-8")
     with pytest.raises(ConfigError, match=r"has no letter d, f or g: write \{left:d\}"):
         load_robot(path)
+
+
+@pytest.mark.parametrize(
+    ("feedback", "source"),
+    [
+        ("", "the wheel's set-point"),
+        ('feedback = "{left_rad_s},{right_rad_s}\\n"', "the measured speed"),
+        ('feedback = "{left_m_s},{right_m_s}\\n"', "the measured speed"),
+        ('feedback = "{voltage_v}\\n"', "the wheel's set-point"),
+    ],
+)
+def test_the_check_names_what_odometry_comes_from_without_counts(tmp_path, feedback, source):
+    path = tmp_path / "robot.toml"
+    text = TEXT.replace("counts_per_turn = 1320\n", "")
+    path.write_text(
+        text.replace(r'feedback = "{left_count},{right_count}\n"', feedback), encoding="utf-8"
+    )
+    found = [problem.text for problem in load_robot(path).warnings]
+    assert f"without a position counter: odometry comes from {source}, and is less exact" in found

@@ -58,6 +58,15 @@ def test_a_robot_without_pins_keeps_sysfs_read_only():
     assert "char-gpiochip" not in printed
 
 
+def test_a_joystick_is_allowed_and_readable_where_the_robot_file_has_one():
+    pad = ("input.pad.kind=joystick", "input.pad.device=pad")
+    assert devices("demo", *pad) == ["char-ttyUSB", "char-input"]
+    options = [word for setting in pad for word in ("--set", setting)]
+    printed = CliRunner().invoke(unit, [str(ROBOTS / "demo.toml"), *options]).stdout
+    assert printed.splitlines()[-1] == "SupplementaryGroups=input"
+    assert "input" not in CliRunner().invoke(unit, [str(ROBOTS / "demo.toml")]).stdout
+
+
 def test_the_pin_that_turns_a_transceiver_and_those_of_safety_need_their_chip():
     turned = ("direction=gpio", "direction_gpio_chip=pinctrl-rp1", "direction_gpio_line=GPIO4")
     settings = [f"line.rs485.{setting}" for setting in turned]

@@ -42,7 +42,7 @@ KINDS = ("differential", "skid", "mecanum", "omni", "ackermann", "tricycle", "sw
 )
 @click.option("--full-duty-rad-s", type=POSITIVE, help="A wheel's speed at full duty.")
 @click.option(
-    "--baudrate", type=click.IntRange(300, 4_000_000), help="Baud rate, or bit rate of CAN."
+    "--baudrate", type=click.IntRange(300, 4_500_000), help="Baud rate, or bit rate of CAN."
 )
 @click.option("--parity", type=click.Choice(["none", "even", "odd"]), help="Of a serial port.")
 @click.option("--left", metavar="UNIT[.CHANNEL]", help="Drive of the left wheel.")

@@ -38,7 +38,7 @@ def _units(_context: click.Context, _option: click.Parameter, text: str) -> rang
     help="Units to look for on a serial line, such as 7 or 1-32. Default: 1-16.",
 )
 @click.option(
-    "--baudrate", type=click.IntRange(300, 4_000_000),
+    "--baudrate", type=click.IntRange(300, 4_500_000),
     help="Try only this one. Bit rate of a CAN adapter that is not the kernel's.",
 )  # fmt: skip
 @click.option("--parity", type=click.Choice(["none", "even", "odd"]), help="Try only this one.")

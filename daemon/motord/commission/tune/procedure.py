@@ -39,7 +39,7 @@ from motord.commission.tune.fit import (
     seen_part,
 )
 from motord.config import Robot
-from motord.config.sections.bases import wheel_row
+from motord.config.sections.bases import JointsBase, wheel_row
 from motord.config.sections.joint.speed_loop import CoreGain, SpeedLoop
 from motord.config.sections.joint.wheels import gains_of as gain_keys_of
 from motord.config.sections.joint.wheels import takes_duty, velocity_range_rad_s
@@ -97,6 +97,11 @@ def tunable(robot: Robot, name: str) -> None:
     """Raises Failed where motord does not hold the speed of this wheel, and says what does."""
     if name not in robot.joint:
         raise Failed(f'no joint "{name}": known are {", ".join(robot.joint)}')
+    if isinstance(robot.base, JointsBase):
+        raise Failed(
+            f"{name}: tune drives a base, and this robot has none: set the gains of "
+            f"[joint.{name}.speed_loop] by motord params set, and keep them by motord params save"
+        )
     joint = robot.joint[name]
     profile = robot.profiles[joint.drive]
     if gain_keys_of(joint, profile):
@@ -225,12 +230,12 @@ class Tuning:
         return 0.0, rim_m_s / row.lever_m
 
     def _steps(self, what: str) -> tuple[Run, ...]:
-        for _ in range(TRIES):
+        for tries_left in reversed(range(TRIES)):
             runs = self._driven(what)
             part = seen_part(runs)
             if part >= SEEN_PART_MIN:
                 return runs
-            if not self._person.confirm(
+            if tries_left and not self._person.confirm(
                 f"This computer was held up and saw only {part:.0%} of these steps. The robot "
                 "drives them once more, from where it stands. Is the path clear?"
             ):

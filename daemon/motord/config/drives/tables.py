@@ -223,7 +223,7 @@ class PowerOffWhen(EnabledWhen):
     """[power_off]: the motor has no power when (register & mask) = equals. For a drive that is not
     enabled any more while it brakes with power."""
 
-    equals: int = number("its value then", 0, 0xFFFFFFFF, "0")
+    equals: int = number("its value then", 0, 0xFFFFFFFF, "1")
 
 
 class HomedWhen(EnabledWhen):

@@ -28,7 +28,7 @@ from motord.config.sections.joint.wheels import (
     takes_torque,
     velocity_range_rad_s,
 )
-from motord.config.sections.line import CanLine, PwmLine, SerialLine
+from motord.config.sections.line import AnyLine, AsciiLine, CanLine, PwmLine, SerialLine
 from motord.config.sections.model import Joint, Robot
 from motord.config.toml_lines import Path
 from motord.config.wiring import line_specs
@@ -162,10 +162,18 @@ def _counter(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             yield Finding((path, drive), f'drive "{joint.drive}" has no position counter')
         elif not counts_per_turn(joint, profile) and joint.drive not in reported:
             reported.add(joint.drive)
-            measures = profile.channels[joint.channel].velocity is not None
+            has_velocity = profile.channels[joint.channel].velocity is not None
+            measures = has_velocity and _may_report_speed(robot.line[joint.line], name)
             source = "the measured speed" if measures else "the wheel's set-point"
             text = f"without a position counter: odometry comes from {source}, and is less exact"
             yield Finding((drive, path), text, warning=True)
+
+
+def _may_report_speed(line: AnyLine, joint: str) -> bool:
+    """A board that sends text reports what its template names, whatever its drives could."""
+    if not isinstance(line, AsciiLine):
+        return True
+    return any(f"{{{joint}_{unit}" in (line.feedback or "") for unit in ("rad_s", "m_s"))
 
 
 def _resolution(robot: Robot, profiles: Profiles) -> Iterator[Finding]:

@@ -142,7 +142,7 @@ class CanLine(Section):
         None,
     )
     engine: Literal["auto", "asyncio", "rt"] = "auto"
-    """What does the cyclic exchange; auto: rt on socketcan, asyncio on other adapters."""
+    """What does the cyclic exchange; auto: rt on socketcan and unix, asyncio on other adapters."""
     cycle_hz: float = number("set-points a second for every drive", 1, 1000, "Hz", 100.0)
     priority: int = number(
         "SCHED_FIFO priority of the bus's thread (rt), below the loop's; 0: ordinary scheduling",
