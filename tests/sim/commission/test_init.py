@@ -4,7 +4,7 @@
 import re
 
 import pytest
-from tests.sim.daemon_stage import DEADLINE_S, ROBOT
+from tests.sim.daemon_stage import DEADLINE_S, ROBOT, armed
 from tests.sim.person_stage import at_terminal, robot_of
 
 from motord.config import load_robot
@@ -141,6 +141,5 @@ def test_a_swerve_base_on_simulated_servos_is_asked_for_and_arms(tmp_path):
             screen.answer(rf"\[{unit}\.1\] ", "")
         screen.wait("Next: motord run .*calibrate straight")
         assert screen.end() == 0
-    with robot_of(tmp_path, file) as stage:
-        stage.robot.arm()
-        stage.wait_for("armed")
+    with robot_of(tmp_path, file) as stage, armed(stage):
+        assert stage.robot.status()["armed"]
