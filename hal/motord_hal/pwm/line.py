@@ -239,13 +239,8 @@ class PwmLine(LineTask):
     # ---------------------------------------------------------------------------------------- jobs
     async def arm(self) -> None:
         """As ports.Line.arm."""
-        self._check_open()
-        for name, words in self._faults.items():
-            if words:
-                raise DriveFault(f"{name} reports {', '.join(words)}")
-        if self._thread.report().stopping:
-            raise HalError(f"{self.spec.name} is still stopping: it cannot be armed")
         for _ in range(SETPOINT_LOOKS):
+            self._check_bridges()
             report = await self._try_to_arm()
             if report.armed:
                 return
@@ -254,6 +249,15 @@ class PwmLine(LineTask):
                 raise HalError(f"{self.spec.name}: stopped: arm it again")
             await asyncio.sleep(SETPOINT_LOOK_EVERY_S)
         raise HalError(f"{self.spec.name}: {NO_SETPOINTS}")
+
+    def _check_bridges(self) -> None:
+        """Raises HalError, for bridges that cannot be armed."""
+        self._check_open()
+        for name, words in self._faults.items():
+            if words:
+                raise DriveFault(f"{name} reports {', '.join(words)}")
+        if self._thread.report().stopping:
+            raise HalError(f"{self.spec.name} is still stopping: it cannot be armed")
 
     async def _try_to_arm(self) -> BridgeReport:
         armed = False

@@ -5,13 +5,13 @@ import asyncio
 
 import pytest
 from loop_side import PATIENT_S, running, until
-from modbus_rig import CONTROL, ENABLE, OFF, hub_servo, registers_of, spec_of
+from modbus_rig import CONTROL, ENABLE, FAULT_1, OFF, hub_servo, registers_of, spec_of
 from scripted_slave import Unit
 
 from motord.config.drives.load import find_profile
 from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import DriveFault, HalError
-from motord_hal.fieldbus.ports import DriveState, JointSpec
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
 
 
 async def test_arming_fails_when_a_drive_does_not_report_it_is_enabled(peer):
@@ -60,6 +60,20 @@ async def test_arming_waits_for_a_loop_that_is_held_up(rig, peer):
     rig.loop.running = True
     await arming
     assert rig.states() == {DriveState.ARMED}
+
+
+async def test_a_drive_that_reports_a_fault_while_arming_waits_is_not_armed(rig, peer):
+    await rig.ready()
+    rig.loop.running = False
+    await until(lambda: now_ns() - rig.loop.put_ns > PATIENT_S * 1e9)
+    arming = asyncio.ensure_future(rig.line.arm())
+    await asyncio.sleep(0)
+    peer.units[1].registers[FAULT_1] = 2
+    await until(lambda: EventKind.DRIVE_FAULT in rig.kinds() or arming.done())
+    rig.loop.running = True
+    with pytest.raises(HalError):
+        await arming
+    assert ENABLE not in peer.written(CONTROL)
 
 
 async def test_a_line_that_is_lost_while_arming_waits_is_not_armed(rig, peer):

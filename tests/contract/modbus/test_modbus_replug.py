@@ -29,12 +29,6 @@ async def peer(tmp_path, request):
     peer.pull()
 
 
-@pytest.fixture
-async def rig(peer):
-    async with running(spec_of(peer, hub_servo())) as rig:
-        yield rig
-
-
 async def test_a_pulled_port_is_reported_once_and_comes_back_disarmed(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
