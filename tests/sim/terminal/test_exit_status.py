@@ -24,12 +24,15 @@ def stage(tmp_path_factory):
 @pytest.fixture
 def idle(stage):
     def rests():
-        with contextlib.suppress(ClientError):
-            stage.robot.reset()
-            stage.robot.disarm()
+        for call in (stage.robot.reset, stage.robot.disarm):
+            with contextlib.suppress(ClientError):
+                call()
         return stage.state() == "idle"
 
     wait_until(rests, "idle")
+    # A command that ended while it requested motion in vain bars its name until it has sent zero.
+    stage.robot.drive(0.0, 0.0, owner="motord-drive")
+    stage.robot.release("motord-drive")
     return stage
 
 
@@ -106,7 +109,9 @@ def test_a_fault_that_ends_a_drive_is_sent_by_its_status(idle):
 
     wait_until(armed, "armed")
     with command(idle, "drive", "0.2", "0") as process:
-        wait_until(lambda: not idle.sim.truth().at_rest, "the wheels turn")
+        wait_until(
+            lambda: not idle.sim.truth().at_rest or process.poll() is not None, "the wheels turn"
+        )
         idle.robot.estop()
         status, found = ended(process)
         process.send_signal(signal.SIGKILL)
