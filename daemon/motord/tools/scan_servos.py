@@ -23,7 +23,7 @@ from motord_hal.servo.packets import (
 
 BAUDRATES = {
     "feetech": (1_000_000, 500_000, 115_200),
-    "dynamixel": (1_000_000, 57_600, 115_200, 2_000_000, 3_000_000, 4_000_000),
+    "dynamixel": (1_000_000, 57_600, 115_200, 2_000_000, 3_000_000, 4_000_000, 4_500_000),
 }
 """As delivered first; then what is usual."""
 REPLY_WITHIN_S = 0.05

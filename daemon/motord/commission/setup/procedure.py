@@ -54,7 +54,7 @@ class Given:
     radius_m: float | None = None
     """Of an omni base: from its middle to its wheels."""
     wheel_count: int | None = None
-    """Of an omni base."""
+    """Of an omni base, and of a swerve base."""
     linear_m_s: float | None = None
     lateral_m_s: float | None = None
     angular_rad_s: float | None = None

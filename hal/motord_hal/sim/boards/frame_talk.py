@@ -28,7 +28,7 @@ US_PER_S = 1e6
 
 
 class FrameTalk:
-    """board_line.Talk of a board with motord_mcu.c."""
+    """line.Talk of a board with motord_mcu.c."""
 
     def __init__(
         self, profile: DriveProfile, true_s: Callable[[], float], gyro: SimulatedGyro | None = None

@@ -27,7 +27,7 @@ from motord_hal.sim.rs485.content import NamedContent
 
 
 class TextTalk:
-    """board_line.Talk of a board that reads text."""
+    """line.Talk of a board that reads text."""
 
     def __init__(self, spec: LineSpec, gyro: SimulatedGyro | None = None) -> None:
         """`gyro`: a sensor on the board."""
