@@ -107,10 +107,9 @@ class Terminal:
     def aborted(self) -> bool:
         if self._keys and not self._stopped:
             self._uncook()
-            ready = select.select([sys.stdin], [], [], 0.0)[0]
             # a key, or the end of a terminal that is gone
-            self._stopped = bool(ready)
-            if ready:
+            if select.select([sys.stdin], [], [], 0.0)[0]:
+                self._stopped = True  # and never False: a signal may have set it meanwhile
                 with contextlib.suppress(OSError):
                     os.read(sys.stdin.fileno(), 1024)
         return self._stopped
@@ -124,8 +123,8 @@ class Terminal:
     def _ask(self, prompt: str) -> str:
         self._asking = True  # before the look at `_stopped`: a signal between them would be lost
         try:
-            if self._stopped:
-                raise Aborted(ABORTED_TEXT)
+            if self._stopped or (self._cooked is not None and self.aborted()):
+                raise Aborted(ABORTED_TEXT)  # a key since the last look is no answer
             self._cook()
             self._end_line()
             click.echo(prompt, nl=False, err=True)

@@ -3,6 +3,7 @@
 
 import os
 import pty
+import select
 import signal
 import sys
 import termios
@@ -11,6 +12,8 @@ import pytest
 
 from motord.cli.terminal import Terminal
 from motord.commission.person import Aborted
+
+DEADLINE_S = 60.0
 
 
 @pytest.fixture
@@ -49,5 +52,29 @@ def test_ctrl_c_whose_exception_a_finalizer_swallows_ends_the_question(keyboard,
     monkeypatch.setattr(sys, "unraisablehook", lambda _: None)
     with Terminal() as person:
         monkeypatch.setattr("motord.cli.terminal.click.echo", echo)
+        with pytest.raises(Aborted):
+            person.confirm("Go on?")
+
+
+def test_ctrl_c_while_it_looks_for_a_key_is_not_lost(keyboard, monkeypatch):
+    look = select.select
+
+    def interrupted(*files):
+        found = look(*files)
+        signal.raise_signal(signal.SIGINT)
+        return found
+
+    with Terminal() as person:
+        assert not person.aborted()
+        monkeypatch.setattr(select, "select", interrupted)
+        assert person.aborted()
+
+
+def test_a_key_after_the_last_look_of_a_motion_ends_the_next_question(keyboard):
+    with Terminal() as person:
+        assert not person.aborted()
+        os.write(keyboard, b"y")
+        assert select.select([sys.stdin], [], [], DEADLINE_S)[0]
+        os.write(keyboard, b"\n")
         with pytest.raises(Aborted):
             person.confirm("Go on?")
