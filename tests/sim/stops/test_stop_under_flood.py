@@ -15,7 +15,7 @@ from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, set_off, wait_unti
 
 CONNECTOR = str(Path(__file__).with_name("connector.py"))
 HOGGED = ("-m", "tests.sim.hogged_daemon")
-IDLE_CONNECTIONS = 500
+IDLE_CONNECTIONS = 2000
 STORMERS = 2
 FAULT_LATCHED = 3
 """Exit status."""

@@ -14,6 +14,7 @@ from tests.sim.daemon_stage import RETRIED, ROBOT, ROOT, running, wait_until
 
 from motord.api.commands import RELEASE, datagram
 from motord.client import ClientError, Refused
+from motord.local_socket.server import CONNECTIONS_MAX
 from motord_hal.realtime.exchange import now_ns
 
 
@@ -70,6 +71,30 @@ def test_the_lease_ends_with_its_connection(armed):
         token = bytes.fromhex(source.lease["token"])
         late.send(datagram(token, 10**6, now_ns(), 0.3, 0.0))
     wait_until(lambda: refused(armed)["token"] == before + 1, "it is refused")
+
+
+def test_idle_connections_do_not_push_out_a_source_that_sends_datagrams(armed):
+    with Source(armed, owner="old") as source, contextlib.ExitStack() as cleanup:
+        wait_until(lambda: source.send(0.3) or wheels_turn(armed), "the wheels turn")
+        idle = []
+        for _ in range(CONNECTIONS_MAX + 8):
+            opened = cleanup.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+            opened.connect(str(armed.socket))
+            opened.settimeout(0.0)
+            idle.append(opened)
+            source.send(0.3)
+        wait_until(lambda: source.send(0.3) or sum(map(is_closed, idle)) > 8, "others make room")
+        place_m = armed.sim.truth().distance_m
+        wait_until(
+            lambda: source.send(0.3) or armed.sim.truth().distance_m > place_m + 0.1, "it drives on"
+        )
+
+
+def is_closed(connection):
+    try:
+        return connection.recv(1, socket.MSG_PEEK) == b""
+    except BlockingIOError:
+        return False
 
 
 def test_who_goes_on_sending_through_a_stop_is_held_until_he_sends_zero(armed):
