@@ -253,10 +253,12 @@ class PwmLine(LineTask):
     def _check_bridges(self) -> None:
         """Raises HalError, for bridges that cannot be armed."""
         self._check_open()
+        report = self._thread.report()
+        self._note(report)
         for name, words in self._faults.items():
             if words:
                 raise DriveFault(f"{name} reports {', '.join(words)}")
-        if self._thread.report().stopping:
+        if report.stopping:
             raise HalError(f"{self.spec.name} is still stopping: it cannot be armed")
 
     async def _try_to_arm(self) -> BridgeReport:

@@ -16,9 +16,10 @@ from bridge_rig import laid_out, places, spec_of
 from pin_rig import LABEL, LINES, PWM, pins, wait_until
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "contract"))
-from loop_side import GENEROUS_S, running, until
+from loop_side import GENEROUS_S, PATIENT_S, running, until
 
 from motord.config.drives.load import find_profile, list_profiles
+from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import DriveFault, HalError, PortError
 from motord_hal.fieldbus.halt import halt_line
 from motord_hal.fieldbus.ports import (
@@ -188,6 +189,22 @@ async def test_a_fault_pin_is_seen_reported_and_keeps_it_from_being_armed(rig):
         rig.drive("PIN11", 1)
         await until(lambda: EventKind.DRIVE_FAULT_GONE in line.kinds())
         await line.line.arm()
+
+
+async def test_a_fault_that_comes_while_arming_waits_keeps_a_bridge_from_it(rig):
+    rig.drive("PIN11", 1)
+    async with running(spec_of(rig, "drv8871", fault=True)) as line:
+        await line.ready()
+        line.loop.running = False
+        await until(lambda: now_ns() - line.loop.put_ns > PATIENT_S * 1e9)
+        arming = asyncio.ensure_future(line.line.arm())
+        await asyncio.sleep(0)
+        rig.drive("PIN11", 0)
+        await until(lambda: EventKind.DRIVE_FAULT in line.kinds() or arming.done())
+        line.loop.running = True
+        with pytest.raises(HalError):
+            await arming
+        assert line.states() == {DriveState.READY}
 
 
 async def test_a_pump_pin_changes_for_as_long_as_the_motor_may_move(rig):
