@@ -41,21 +41,30 @@ async def test_arming_that_is_given_up_leaves_nothing_armed(rig, peer):
     await rig.ready()
 
 
-async def test_arming_without_fresh_set_points_is_refused(rig, peer):
+async def held_up(rig):
+    """The loop puts no set-points, and the last ones are old."""
     await rig.ready()
     rig.loop.running = False
     await until(lambda: now_ns() - rig.loop.put_ns > PATIENT_S * 1e9)
+
+
+async def arming_while_held_up(rig):
+    """A task that has begun to arm, and waits."""
+    await held_up(rig)
+    arming = asyncio.ensure_future(rig.line.arm())
+    await asyncio.sleep(0)
+    return arming
+
+
+async def test_arming_without_fresh_set_points_is_refused(rig, peer):
+    await held_up(rig)
     with pytest.raises(HalError, match="no fresh set-points"):
         await rig.line.arm()
     assert DriveState.ARMED not in rig.states()
 
 
 async def test_arming_waits_for_a_loop_that_is_held_up(rig, peer):
-    await rig.ready()
-    rig.loop.running = False
-    await until(lambda: now_ns() - rig.loop.put_ns > PATIENT_S * 1e9)
-    arming = asyncio.ensure_future(rig.line.arm())
-    await asyncio.sleep(0)
+    arming = await arming_while_held_up(rig)
     assert not arming.done()
     rig.loop.running = True
     await arming
@@ -63,11 +72,7 @@ async def test_arming_waits_for_a_loop_that_is_held_up(rig, peer):
 
 
 async def test_a_drive_that_reports_a_fault_while_arming_waits_is_not_armed(rig, peer):
-    await rig.ready()
-    rig.loop.running = False
-    await until(lambda: now_ns() - rig.loop.put_ns > PATIENT_S * 1e9)
-    arming = asyncio.ensure_future(rig.line.arm())
-    await asyncio.sleep(0)
+    arming = await arming_while_held_up(rig)
     peer.units[1].registers[FAULT_1] = 2
     await until(lambda: EventKind.DRIVE_FAULT in rig.kinds() or arming.done())
     rig.loop.running = True
@@ -77,11 +82,7 @@ async def test_a_drive_that_reports_a_fault_while_arming_waits_is_not_armed(rig,
 
 
 async def test_a_line_that_is_lost_while_arming_waits_is_not_armed(rig, peer):
-    await rig.ready()
-    rig.loop.running = False
-    await until(lambda: now_ns() - rig.loop.put_ns > PATIENT_S * 1e9)
-    arming = asyncio.ensure_future(rig.line.arm())
-    await asyncio.sleep(0)
+    arming = await arming_while_held_up(rig)
     rig.task.cancel()
     with pytest.raises(HalError):
         await arming
