@@ -49,6 +49,7 @@ from motord_hal.modbus.codec import (
     reply_bytes,
     silent_interval_s,
 )
+from motord_hal.modbus.late import LateReplies
 from motord_hal.serial.counters import Traffic, Witness
 from motord_hal.serial.sysfs import device_file
 
@@ -95,9 +96,16 @@ class Strict(FramerBase):
         self.accepted_s = 0.0
         self.refused = ""
         """Why the bytes that came are no answer; empty when none came."""
+        self._kept = b""
+        """Left over for the next call: pymodbus hands it over once more, with what came then."""
 
     def arm(self, request: Request) -> None:
         self._request, self.reply, self.refused = request, None, ""
+        self._kept = b""  # pymodbus forgets it when it sends
+
+    def unseen(self, data: bytes) -> bytes:
+        """What was not seen before of the bytes that the next call of handleFrame gets."""
+        return data.removeprefix(self._kept)
 
     def disarm(self) -> None:
         self._request = None
@@ -134,6 +142,11 @@ class StrictFramer(Strict, FramerRTU):
     ) -> tuple[int, ModbusPDU | None]:
         """Called by pymodbus with all bytes not yet used; returns how many are used up."""
         del exp_devid, exp_tid  # the armed request says more
+        used, pdu = self._judge(data)
+        self._kept = data[used:]
+        return used, pdu
+
+    def _judge(self, data: bytes) -> tuple[int, ModbusPDU | None]:
         request = self._request
         if request is None or request.unit == BROADCAST_UNIT:
             return len(data), None
@@ -192,6 +205,7 @@ class GuardedClient:
         self._unit_silent_until_s: dict[int, float] = {}
         self.trace = PythonTrace()
         self._witness = Witness()
+        self._late = LateReplies()
         self._received_bytes = 0
         self._frames = 0
         self._noise_bytes = 0
@@ -229,6 +243,7 @@ class GuardedClient:
         protocol.connection_made(self._port.transport)
         self._client, self._lost = client, "went away"
         self._witness.forget()
+        self._late.forget()
         self._noise_bytes = 0
         self._last_byte_s = now_s()
         self._unit_silent_until_s.clear()
@@ -244,12 +259,17 @@ class GuardedClient:
 
     def _trace_packet(self, sending: bool, data: bytes) -> bytes:
         self._last_byte_s = now_s()
+        unseen = data if sending else self._framer.unseen(data)
         if self.trace.on:
-            self.trace.put(round(self._last_byte_s * 1e9), data, outward=sending)
-        self._received_bytes = 0 if sending else self._received_bytes + len(data)
+            self.trace.put(round(self._last_byte_s * 1e9), unseen, outward=sending)
         if sending:
+            self._late.sent()
+            self._received_bytes = 0
             self._sent_s = self._last_byte_s
             self._last_byte_s += self.wire_time_s(len(data))
+        else:
+            self._late.came(unseen)
+            self._received_bytes += len(unseen)
         return data
 
     async def exchange(
@@ -277,7 +297,9 @@ class GuardedClient:
                 self._frames += answered
             finally:
                 self._framer.disarm()
-                if not answered:
+                if answered:
+                    self._late.answered(request)
+                else:
                     self._leave_alone(request, within_s)
             return self._answer(request)
 
@@ -352,6 +374,7 @@ class GuardedClient:
         if self._port is not None and self._port.is_stuck:
             self.close()  # a set-point that goes out later must not move anything
             self._lost = "takes no bytes"
+        self._late.failed(request)
         self._noise_bytes += self._received_bytes
         now = now_s()
         sent = self._sent_s + self.wire_time_s(len(build_request(request)))
@@ -384,7 +407,7 @@ class GuardedClient:
 
     @property
     def _traffic(self) -> Traffic:
-        return Traffic(noise_bytes=self._noise_bytes, frames=self._frames)
+        return Traffic(noise_bytes=self._noise_bytes, frames=self._frames, late=self._late.count)
 
     def unresponsive_hint(self) -> str:
         """What the UART's driver has to say of a drive that is unresponsive; empty: nothing."""
@@ -398,8 +421,11 @@ class GuardedClient:
             raise PortError(f"{self.port} is not open")
         self._witness.look(self._port.fileno(), self._traffic)
         try:
-            if self._port.drain():
+            if drained := self._port.drain():
                 self._last_byte_s = now_s()
+                self.trace.put(round(self._last_byte_s * 1e9), drained, outward=False)
+                self._late.came(drained)
+            self._late.look()
         except PortError:
             self.close()
             raise

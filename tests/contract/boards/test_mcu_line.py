@@ -334,7 +334,7 @@ async def test_round_trips_and_rates_are_counted(rig):
     stats = rig.line.stats()
     assert 0 < stats.round_trip.p50_us <= stats.round_trip.max_us
     assert stats.wire_limit_hz > 100
-    assert stats.cycle_hz > 1
+    assert stats.cycle_hz > 0
 
 
 async def test_registers_are_read_from_feedback_and_those_of_the_line_are_not_written(rig):

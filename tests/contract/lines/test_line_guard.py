@@ -249,3 +249,25 @@ async def test_failing_tries_write_no_log(client, peer, caplog):
         with pytest.raises(NoReply):
             await client.exchange(READ, 0.005)
     assert [r for r in caplog.records if r.name.startswith("pymodbus") and r.levelno > 10] == []
+
+
+async def test_what_is_received_in_pieces_is_traced_once(client, peer):
+    honest = build_reply(READ, (0x1111,))
+    client.trace.switch(on=True)
+    peer.tricks.append(instead(honest[:3]))
+    async with asyncio.TaskGroup() as group:
+        group.create_task(client.exchange(READ, LONG_S))
+        await until(lambda: client.trace.newest >= 2, "the first piece")
+        peer.send(honest[3:])
+    received = [entry.data for entry in client.trace.after(0) if not entry.outward]
+    assert received == [honest[:3], honest[3:]]
+
+
+async def test_what_comes_after_its_time_is_traced(client, peer):
+    client.trace.switch(on=True)
+    peer.tricks.append(lambda request, honest: [(SHORT_S * 1.6, honest)])
+    with pytest.raises(NoReply):
+        await client.exchange(READ, SHORT_S)
+    await client.exchange(read(0x11), LONG_S)
+    received = b"".join(entry.data for entry in client.trace.after(0) if not entry.outward)
+    assert received == build_reply(READ, (0x1111,)) + build_reply(READ, (0x2222,))

@@ -116,8 +116,6 @@ async def test_replies_that_are_torn_among_good_ones_are_reported_to_be_so(peer)
         assert "bytes came, but no frame" not in text
 
 
-# the other engine does not distinguish them
-@pytest.mark.parametrize("peer", ["rt"], indirect=True)
 async def test_a_drive_that_answers_late_is_reported_to_be_slow(peer):
     async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
         await rig.ready()

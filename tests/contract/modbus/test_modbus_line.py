@@ -396,7 +396,7 @@ async def test_the_counters_are_kept(rig, peer):
     received = len(peer.received)  # both go on meanwhile
     await until(lambda: rig.line.stats().exchanges >= received)
     stats = rig.line.stats()
-    assert 0 < stats.cycle_hz <= 100 * 1.01
+    assert stats.cycle_hz > 0
     assert 0 < stats.round_trip.p50_us <= stats.round_trip.p99_us <= stats.round_trip.max_us
 
 
