@@ -279,17 +279,9 @@ class Client:
         over a connection of its own, which no other call can block."""
         with contextlib.suppress(OSError, TimeoutError):  # no such socket, or the daemon is gone
             async with within(STOP_WITHIN_S):
-                await self._send(method)
+                await _send(self.path, method)
         async with Client(self.path, timeout_s=self.timeout_s) as own:
             return str((await own.call(method))["state"])
-
-    async def _send(self, method: str) -> None:
-        """Again while the receive queue is full. Raises OSError."""
-        with stop_request.open_sender() as sender:
-            while not stop_request.try_send(  # noqa: ASYNC110  nothing says when it has room
-                sender, self.path, method
-            ):
-                await asyncio.sleep(stop_request.AGAIN_S)
 
     async def reset(self) -> str:
         """Clear a fault or an emergency stop. Stays disarmed."""
@@ -318,3 +310,12 @@ class Client:
         """The loop's histograms since its start, as percentiles and as buckets."""
         result: dict[str, Any] = await self.call("latency")
         return result
+
+
+async def _send(path: Path, method: str) -> None:
+    """Again while the receive queue is full. Raises OSError."""
+    with stop_request.open_sender() as sender:
+        while not stop_request.try_send(  # noqa: ASYNC110  nothing says when it has room
+            sender, path, method
+        ):
+            await asyncio.sleep(stop_request.AGAIN_S)
