@@ -53,7 +53,6 @@ double angle_of(double y, double x)
     } else if (x < 0.0) {
         rough += copysign(2.0 * HALF_PI, y);
     }
-    rough = angle_wrap(rough);
     direction d = angle_direction(rough);
     double t = (y * d.cosine - x * d.sine) / (x * d.cosine + y * d.sine), q = t * t;
     return angle_wrap(rough + t * (1.0 - q * (1.0 / 3.0 - q * (1.0 / 5.0))));

@@ -44,6 +44,30 @@ static void sine_and_cosine_have_the_same_bits_everywhere(void)
     CHECK(digest == UINT64_C(9666664522745705617));
 }
 
+static void the_angle_of_a_vector_is_right_to_the_last_bits_whatever_its_length(void)
+{
+    const double length[] = {1.0, 1e-9, 7e6};
+    for (int n = 0; n < 3; n++) {
+        for (int i = -31416; i <= 31416; i++) {
+            double y = length[n] * sin(i * 1e-4), x = length[n] * cos(i * 1e-4);
+            long double off_rad = fabsl((long double)angle_of(y, x) - atan2l((long double)y, (long double)x));
+            CHECK(off_rad < 4.6e-16L && fabs(angle_of(y, x)) <= PI);
+        }
+    }
+}
+
+static void on_the_axes_the_angle_is_exact_and_nearly_so_on_the_diagonals(void)
+{
+    for (int i = 0; i < 2; i++) {
+        double sign = i == 0 ? 1.0 : -1.0;
+        CHECK(angle_of(0.0, 2.0) == 0.0 && angle_of(sign * 2.0, 0.0) == sign * 0.5 * PI);
+        CHECK(fabs(angle_of(sign * 2.0, 2.0) - sign * 0.25 * PI) < 2e-16);
+        CHECK(fabs(angle_of(sign * 2.0, -2.0) - sign * 0.75 * PI) < 5e-16);
+        CHECK(fabs(angle_of(sign * 0.0, -2.0)) == PI);
+    }
+    CHECK(angle_of(0.0, 0.0) == 0.0 && angle_of(-0.0, 0.0) == 0.0 && angle_of(0.0, -0.0) == 0.0);
+}
+
 /* -------------------------------------------------------------------------------------------------------- PWM */
 static void no_speed_that_is_a_number_or_no_time_is_no_duty(void)
 {
@@ -262,6 +286,8 @@ int main(void)
     an_angle_is_wrapped_into_half_a_turn_to_both_sides();
     sine_and_cosine_are_right_to_the_last_bits_and_zero_is_exact();
     sine_and_cosine_have_the_same_bits_everywhere();
+    the_angle_of_a_vector_is_right_to_the_last_bits_whatever_its_length();
+    on_the_axes_the_angle_is_exact_and_nearly_so_on_the_diagonals();
     no_speed_that_is_a_number_or_no_time_is_no_duty();
     the_torque_is_the_error_s_share_and_its_integral();
     the_integral_is_held_where_it_would_drive_the_torque_beyond_its_limit();
