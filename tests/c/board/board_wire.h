@@ -111,6 +111,37 @@ static inline board_table frames_table(void)
     return table;
 }
 
+/* Two numbers out, one velocity in. */
+static inline board_table text_table(bool answers)
+{
+    board_table table = {.dialect = BOARD_TEXT,
+                         .answers = answers,
+                         .tries = 3,
+                         .payload_bytes = 8,
+                         .setpoint_count = 2,
+                         .feedback_bytes = answers ? 6 : 0,
+                         .period_ns = 20 * MS,
+                         .silence_ns = 150 * MS,
+                         .setpoint_timeout_ns = 100 * MS,
+                         .rest_velocity_rad_s = 0.1,
+                         .written = {.part_count = 3, .literal = ",\n"}};
+    for (uint32_t j = 0; j < 2; j++) {
+        table.setpoint[j] = (board_setpoint){.place = at(4 * j, 4, 1),
+                                             .scale = {.joint = j, .raw_per_si = 1000.0, .raw_min = -1e6, .raw_max = 1e6}};
+        table.written.part[j] = (board_part){.literal_bytes = j, .form = NUMBER_INTEGER};
+        table.written.part[j].number_per_raw[j] = 0.255;
+    }
+    table.written.part[2].literal_bytes = 1;
+    if (answers) {
+        table.read = (board_text){.part_count = 2, .literal = "v \n"};
+        table.read.part[0] =
+            (board_part){.literal_bytes = 2, .form = NUMBER_FIXED, .place = at(0, 6, 1), .raw_per_number = 1000.0};
+        table.read.part[1].literal_bytes = 1;
+        table.field[table.field_count++] = field_of(0, FIELD_VELOCITY, at(0, 6, 1), 0.001);
+    }
+    return table;
+}
+
 static inline void restart(void)
 {
     CHECK(board_machine_init(&w.machine, &w.table, w.machine.state.epoch, w.machine.sequence, w.now_ns) == 0);
@@ -146,6 +177,11 @@ static inline void step(void)
     }
     w.wake_ns = board_machine_step(&w.machine, w.now_ns);
     CHECK(w.wake_ns > w.now_ns); /* it never asks to be woken at once for nothing */
+}
+
+static inline void receive(const char *text)
+{
+    board_machine_receive(&w.machine, (const uint8_t *)text, (uint32_t)strlen(text), w.now_ns);
 }
 
 static inline void speak(void)

@@ -148,28 +148,38 @@ static void one_that_speaks_and_receives_nothing_is_waited_for_a_little_longer_a
     CHECK(w.machine.off_waits && w.now_ns >= asked_ns + END_OFF_NS + 500 * MS && w.now_ns < asked_ns + END_OFF_NS + 530 * MS);
 }
 
-/* A word that says neither what the board has received nor whether it has power. */
-static void two_words_with_a_power_off_between_prove_it_where_words_say_nothing_of_it(void)
+/* Its power-off has gone out, and nothing has come for so long when the end's time is over. */
+static void ends_after_a_silence_of(int64_t silent_ns)
 {
     begin();
-    board_machine *m = &w.machine;
-    m->table.dialect = BOARD_TEXT;
-    m->table.field_count = 0;
-    m->off_first_ns = 10, m->off_word_ns = 20;
-    for (int again = 0; again < 2; again++) {
-        m->off_waits = true;
-        m->off_again_ns = again ? 30 : 0;
-        m->off_word_ns = again ? 30 : 20;
-        board_look_for_proof(m);
-        CHECK(m->off_waits);
-    }
-    m->off_word_ns = 31;
-    board_look_for_proof(m);
-    CHECK(!m->off_waits);
-    m->off_waits = true;
-    m->off_first_ns = 0;
-    board_look_for_proof(m);
-    CHECK(m->off_waits);
+    arm_and_turn();
+    w.stuck = w.receives_nothing = true;
+    w.machine.control.shut_down = 1;
+    step();
+    go_on(END_REST_NS + 20 * MS);
+    CHECK(w.machine.end.stage == END_POWER_OFF && w.machine.off_first_ns > 0);
+    w.now_ns = w.machine.end.off_by_ns;
+    w.machine.received_ns = w.now_ns - silent_ns;
+    step();
+}
+
+static void a_board_speaks_as_long_as_it_is_not_unresponsive(void)
+{
+    ends_after_a_silence_of(150 * MS);
+    CHECK(w.machine.end.stage == END_POWER_OFF && w.machine.state.mode == DRIVE_READY);
+    ends_after_a_silence_of(150 * MS + 1);
+    CHECK(w.machine.end.stage == END_SILENT && w.machine.state.mode == DRIVE_UNRESPONSIVE);
+}
+
+static void one_that_speaks_is_waited_for_half_a_second_longer_and_no_more(void)
+{
+    ends_after_a_silence_of(0);
+    w.now_ns = w.machine.received_ns = w.machine.end.off_by_ns + 500 * MS - 1;
+    step();
+    CHECK(w.machine.end.stage == END_POWER_OFF);
+    w.now_ns++;
+    step();
+    CHECK(w.machine.end.stage == END_SILENT && w.machine.off_waits);
 }
 
 int main(void)
@@ -178,7 +188,8 @@ int main(void)
     a_board_that_is_cut_off_for_a_while_is_sent_its_power_off_until_it_knows_it();
     a_board_that_does_not_confirm_it_is_reported();
     one_that_speaks_and_receives_nothing_is_waited_for_a_little_longer_and_reported();
-    two_words_with_a_power_off_between_prove_it_where_words_say_nothing_of_it();
+    a_board_speaks_as_long_as_it_is_not_unresponsive();
+    one_that_speaks_is_waited_for_half_a_second_longer_and_no_more();
     the_end_is_braked_switched_off_and_silent();
     the_end_waits_for_the_wheels_and_for_its_last_frame();
     the_end_comes_also_where_wheels_turn_and_nothing_goes_out();

@@ -115,36 +115,6 @@ static void what_was_reported_before_a_write_was_received_is_not_believed(void)
 }
 
 /* ------------------------------------------------------------------------------------------------------- text */
-static board_table text_table(bool answers)
-{
-    board_table table = {.dialect = BOARD_TEXT,
-                         .answers = answers,
-                         .tries = 3,
-                         .payload_bytes = 8,
-                         .setpoint_count = 2,
-                         .feedback_bytes = answers ? 6 : 0,
-                         .period_ns = 20 * MS,
-                         .silence_ns = 150 * MS,
-                         .setpoint_timeout_ns = 100 * MS,
-                         .rest_velocity_rad_s = 0.1,
-                         .written = {.part_count = 3, .literal = ",\n"}};
-    for (uint32_t j = 0; j < 2; j++) {
-        table.setpoint[j] = (board_setpoint){.place = at(4 * j, 4, 1),
-                                             .scale = {.joint = j, .raw_per_si = 1000.0, .raw_min = -1e6, .raw_max = 1e6}};
-        table.written.part[j] = (board_part){.literal_bytes = j, .form = NUMBER_INTEGER};
-        table.written.part[j].number_per_raw[j] = 0.255;
-    }
-    table.written.part[2].literal_bytes = 1;
-    if (answers) {
-        table.read = (board_text){.part_count = 2, .literal = "v \n"};
-        table.read.part[0] =
-            (board_part){.literal_bytes = 2, .form = NUMBER_FIXED, .place = at(0, 6, 1), .raw_per_number = 1000.0};
-        table.read.part[1].literal_bytes = 1;
-        table.field[table.field_count++] = field_of(0, FIELD_VELOCITY, at(0, 6, 1), 0.001);
-    }
-    return table;
-}
-
 static bool newest_line_is(const char *line)
 {
     return w.sent_bytes == strlen(line) && memcmp(w.sent, line, w.sent_bytes) == 0;
@@ -167,11 +137,6 @@ static void text_without_feedback_lives_on_its_port(void)
     w.full = false;
     go_on(60 * MS);
     CHECK(w.machine.state.mode == DRIVE_BACK && newest_line_is("0,0\n"));
-}
-
-static void receive(const char *text)
-{
-    board_machine_receive(&w.machine, (const uint8_t *)text, (uint32_t)strlen(text), w.now_ns);
 }
 
 static void half_a_line_is_not_read_and_one_without_end_is_thrown_away(void)

@@ -107,6 +107,9 @@ static void one_without_a_place_to_begin_from_gets_no_power(void)
     mode_request request = {.count = 1, .mode = DRIVE_ARMED};
     CHECK(drive_obey(&drive, &request, &view).request == REQUEST_SEEN && drive.mode == DRIVE_READY);
     CHECK(drive.fault_reasons == DRIVE_FAULT_POSITION_UNKNOWN && drive_guard(&drive, &view) == STOP_NOTHING);
+    drive = (drive_state){.mode = DRIVE_READY, .fault_reasons = DRIVE_FAULT_LEFT_ALONE};
+    CHECK(drive_obey(&drive, &request, &view).request == REQUEST_SEEN);
+    CHECK(drive.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_POSITION_UNKNOWN)); /* it is not forgotten */
     drive = (drive_state){.mode = DRIVE_ARMED, .enabled = 1};
     CHECK(drive_guard(&drive, &view) == STOP_POWER_OFF && drive.mode == DRIVE_READY && !drive.stopping);
     CHECK(drive.fault_reasons == DRIVE_FAULT_POSITION_UNKNOWN && drive.enabled == 2);

@@ -1,0 +1,262 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * When the last power-off of a board's line counts as received: by what the board reports, in frames and in text. */
+#include "board_wire.h"
+
+/* ------------------------------------------------------------------------------------------- before the end begins */
+/* A board that rests, has received all that was written, and reports no power; and one thing against that. */
+static bool suffices(int against, bool reports_it)
+{
+    begin();
+    board_machine *m = &w.machine;
+    m->table.field_count -= reports_it ? 0 : 1; /* the last one is its power */
+    m->state = (drive_state){.mode = against == 1 ? DRIVE_OFF : DRIVE_READY, .stopping = against == 2};
+    m->state.stop = against == 3 ? STOP_POWER_OFF : STOP_NOTHING;
+    m->state.sent_motion = against == 4;
+    m->control.request.arming_until_ns = w.now_ns + (against == 5);
+    m->has_order = against == 6;
+    m->written_ns = w.now_ns - 5;
+    m->knows_ns = m->written_ns - (against == 7);
+    m->state.enabled = against >= 8 ? (uint32_t)against - 7 : 0;
+    board_note_power(m, w.now_ns);
+    return m->off_suffices;
+}
+
+static void a_board_is_known_to_have_no_power_while_nothing_is_against_that(void)
+{
+    for (int against = 0; against < 10; against++) {
+        CHECK(suffices(against, true) == (against == 0));
+        CHECK(suffices(against, false) == (against == 0 || against >= 8)); /* there is no word of its power */
+    }
+    (void)suffices(2, true);
+    w.machine.table.answers = 0;
+    board_note_power(&w.machine, w.now_ns);
+    CHECK(w.machine.off_suffices); /* there is no word at all */
+}
+
+/* ----------------------------------------------------------------------------------------------------------- frames */
+static bool line_is_silent(void)
+{
+    return w.machine.end.stage == END_SILENT;
+}
+
+/* It is silent, after so long. */
+static int64_t ends_after(void)
+{
+    int64_t from_ns = w.now_ns;
+    while (!line_is_silent()) {
+        go_on(MS);
+    }
+    return w.now_ns - from_ns;
+}
+
+static bool is_reported(void)
+{
+    board_report report;
+    board_machine_report(&w.machine, &report);
+    return report.stop_waits != 0;
+}
+
+/* The first power-off of a board that turned has just gone out. */
+static void goes_out_first(void)
+{
+    begin();
+    arm_and_turn();
+    w.machine.control.shut_down = 1;
+    while (w.machine.off_first_ns == 0) {
+        go_on(MS);
+    }
+    CHECK(w.machine.end.stage == END_POWER_OFF && w.machine.off_waits);
+}
+
+static void a_board_needs_to_have_received_no_more_than_the_first_of_its_power_offs(void)
+{
+    goes_out_first();
+    w.receives_nothing = true;
+    CHECK(ends_after() < 40 * MS && !is_reported() && w.peer.enabled == 0);
+    CHECK(w.machine.knows_ns == w.machine.off_first_ns && w.machine.last_sent_ns > w.machine.off_first_ns);
+}
+
+static void a_board_that_has_received_it_and_still_has_power_is_reported(void)
+{
+    goes_out_first();
+    while (!line_is_silent()) {
+        w.peer.enabled = 1; /* its switch is stuck */
+        go_on(MS);
+    }
+    CHECK(w.machine.knows_ns > w.machine.off_first_ns && is_reported());
+    CHECK(w.now_ns >= w.machine.end.off_by_ns + 500 * MS);
+}
+
+/* ------------------------------------------------------------------------------------------------------------- text */
+static const char *const NO_POWER = "v 0\n", *const HAS_POWER = "v 0.001\n";
+
+/* Of both joints: the same number. */
+static board_table one_that_says_only_its_velocity(void)
+{
+    board_table table = text_table(true);
+    table.field[table.field_count++] = field_of(1, FIELD_VELOCITY, at(0, 6, 1), 0.001);
+    table.field[table.field_count] = level_of(FIELD_ENABLED, at(0, 6, 1), 1, 1); /* there is no such field */
+    return table;
+}
+
+static board_table one_that_says_its_power_first(void)
+{
+    board_table table = one_that_says_only_its_velocity();
+    table.field[table.field_count++] = table.field[0];
+    table.field[0] = level_of(FIELD_ENABLED, at(0, 6, 1), 1, 1);
+    return table;
+}
+
+/* Then the line sends once. */
+static void hears(const char *word)
+{
+    receive(word);
+    go_on(20 * MS);
+}
+
+/* The first power-off of a text board that turned has just gone out; no word has come since. */
+static void goes_out_first_to(board_table table)
+{
+    begin_with(table);
+    hears("\n");
+    request(DRIVE_READY);
+    hears(NO_POWER);
+    request(DRIVE_ARMED);
+    hears(HAS_POWER);
+    CHECK(w.machine.state.mode == DRIVE_ARMED && w.machine.state.sent_motion);
+    w.machine.control.shut_down = 1;
+    step();
+    CHECK(w.machine.end.stage == END_RESTING);
+    receive(HAS_POWER);
+    while (w.machine.off_first_ns == 0) {
+        w.now_ns += MS;
+        step();
+    }
+    CHECK(w.machine.end.stage == END_POWER_OFF && w.machine.off_first_ns == w.now_ns && w.machine.off_waits);
+    w.now_ns += MS;
+}
+
+static void one_that_does_not_speak_of_its_power_has_to_speak_twice_with_a_power_off_between(void)
+{
+    for (int words = 0; words < 3; words++) {
+        goes_out_first_to(one_that_says_only_its_velocity());
+        for (int i = 0; i < words; i++) {
+            hears(HAS_POWER); /* or so it would be, if that were a field of it */
+        }
+        (void)ends_after();
+        CHECK(is_reported() == (words < 2) && (w.now_ns < w.machine.end.off_by_ns) == (words == 2));
+    }
+}
+
+static void two_words_in_a_row_may_both_have_been_under_way(void)
+{
+    goes_out_first_to(one_that_says_only_its_velocity());
+    receive(NO_POWER);
+    hears(NO_POWER);
+    (void)ends_after();
+    CHECK(is_reported());
+}
+
+static void one_that_speaks_of_its_power_is_believed_at_its_first_word(void)
+{
+    goes_out_first_to(one_that_says_its_power_first());
+    hears(NO_POWER);
+    CHECK(ends_after() < 40 * MS && !is_reported());
+}
+
+static void one_that_says_that_it_has_power_is_reported_however_often_it_speaks(void)
+{
+    goes_out_first_to(one_that_says_its_power_first());
+    while (!line_is_silent()) {
+        hears(HAS_POWER);
+    }
+    CHECK(is_reported() && w.now_ns >= w.machine.end.off_by_ns + 500 * MS);
+}
+
+/* ---------------------------------------------------------------------------------------------------------- the rule */
+/* A word that says neither what the board has received nor whether it has power. */
+static void two_words_with_a_power_off_between_prove_it_where_words_say_nothing_of_it(void)
+{
+    begin();
+    board_machine *m = &w.machine;
+    m->table.dialect = BOARD_TEXT;
+    m->table.field_count = 0;
+    m->off_first_ns = 10, m->off_word_ns = 20;
+    for (int again = 0; again < 2; again++) {
+        m->off_waits = true;
+        m->off_again_ns = again ? 30 : 0;
+        m->off_word_ns = again ? 30 : 20;
+        board_look_for_proof(m);
+        CHECK(m->off_waits);
+    }
+    m->off_word_ns = 31;
+    board_look_for_proof(m);
+    CHECK(!m->off_waits);
+    m->off_waits = true;
+    m->off_first_ns = 0;
+    board_look_for_proof(m);
+    CHECK(m->off_waits);
+    m->off_first_ns = m->off_again_ns = 1, m->off_word_ns = 2; /* only 0 is no time */
+    board_look_for_proof(m);
+    CHECK(!m->off_waits);
+}
+
+static void what_a_board_said_before_it_proves_nothing(void)
+{
+    begin_with(one_that_says_its_power_first());
+    board_machine *m = &w.machine;
+    m->state.enabled = 0;
+    m->off_waits = true;
+    m->off_first_ns = 10;
+    board_look_for_proof(m);
+    CHECK(m->off_waits);
+    m->off_word_ns = 11;
+    board_look_for_proof(m);
+    CHECK(!m->off_waits);
+}
+
+/* A line whose clock begins with it: its first power-off goes out at 1 ns, and a word comes at once. */
+static void begins_and_ends_at_the_first_nanosecond(board_table table, const char *word)
+{
+    begin_with(table);
+    w.now_ns = 1;
+    restart();
+    w.machine.control.shut_down = 1;
+    step();
+    receive("\n");
+    receive(word);
+    CHECK(w.machine.off_first_ns == 1 && w.machine.off_word_ns == 1 && w.machine.off_waits);
+    go_on(20 * MS);
+}
+
+static void the_first_nanosecond_is_a_time_like_all_others(void)
+{
+    begins_and_ends_at_the_first_nanosecond(one_that_says_its_power_first(), NO_POWER);
+    (void)ends_after();
+    CHECK(!is_reported());
+    begins_and_ends_at_the_first_nanosecond(one_that_says_only_its_velocity(), NO_POWER);
+    go_on(20 * MS);
+    hears(NO_POWER);
+    (void)ends_after();
+    CHECK(!is_reported());
+    begins_and_ends_at_the_first_nanosecond(one_that_says_its_power_first(), HAS_POWER);
+    while (!line_is_silent()) {
+        hears(HAS_POWER);
+    }
+    CHECK(is_reported() && w.now_ns >= END_OFF_NS + 500 * MS);
+}
+
+int main(void)
+{
+    a_board_is_known_to_have_no_power_while_nothing_is_against_that();
+    a_board_needs_to_have_received_no_more_than_the_first_of_its_power_offs();
+    a_board_that_has_received_it_and_still_has_power_is_reported();
+    one_that_does_not_speak_of_its_power_has_to_speak_twice_with_a_power_off_between();
+    two_words_in_a_row_may_both_have_been_under_way();
+    one_that_speaks_of_its_power_is_believed_at_its_first_word();
+    one_that_says_that_it_has_power_is_reported_however_often_it_speaks();
+    two_words_with_a_power_off_between_prove_it_where_words_say_nothing_of_it();
+    what_a_board_said_before_it_proves_nothing();
+    the_first_nanosecond_is_a_time_like_all_others();
+    return checks_report("board proof");
+}
