@@ -40,7 +40,8 @@ static const line_exchange *exchange_at(const line_drive *table, uint32_t place)
     return place < table->cyclic_count ? &table->cyclic[place] : &table->extra[place - table->cyclic_count];
 }
 
-/* The first exchange that says whether it has power. Where none does, any: that it receives is all that can be known. */
+/* The first exchange that says whether it has power. Where none does, the one that probes it: that it receives is all that can
+ * be known. */
 static uint32_t power_read(const line_drive *table)
 {
     for (uint32_t i = 0; i < table->cyclic_count + table->extra_count; i++) {
@@ -48,7 +49,10 @@ static uint32_t power_read(const line_drive *table)
             return i;
         }
     }
-    return table->probe > 0 ? table->probe - 1 : 0;
+    if (table->probe > 0) {
+        return table->probe - 1;
+    }
+    return table->extra_count > 0 ? table->cyclic_count : 0; /* as in read_probe(): the first one may hold a position */
 }
 
 void line_build_power_read(line_machine *m, uint32_t number, line_frame *out)

@@ -28,13 +28,13 @@ typedef struct {
     uint32_t motion_sent;  /* frames with a speed that is not zero */
     bool echoes;
     bool babbles;                         /* a device sends a byte a millisecond, unasked */
-    bool powered_by_turning;              /* a power-off is not answered: what turns has power, and has none after it */
+    uint32_t unacknowledged;              /* bit n: frame n of a power-off is not answered: what turns loses its power by it */
     bool keeps_power;                     /* ... but for one that does not do it */
     uint32_t power_offs[LINE_DRIVES_MAX]; /* frames of `disarm` received by each */
     uint32_t released[LINE_DRIVES_MAX];   /* of them the last frame */
     uint32_t sent_off[LINE_DRIVES_MAX];   /* sent to each, received or not, as the next one */
     uint32_t quick_stop_sent[LINE_DRIVES_MAX];
-    uint8_t refused; /* a register that cannot be written; 0: none */
+    uint8_t refused; /* a register that is refused; 0: none */
     uint32_t refusals;
     uint8_t bytes[2 * FRAME_BYTES_MAX];
     uint32_t count;
@@ -127,12 +127,13 @@ static inline void answer_on_the_wire(const uint8_t *request)
     if (request[1] == WRITE && request[3] == CONTROL && request[5] == QUICK_STOP && w.quick_stop_ns[number] == 0) {
         w.quick_stop_ns[number] = w.now_ns;
     }
-    w.turning &= power_off && w.powered_by_turning && !w.keeps_power ? ~(1U << number) : ~0U;
-    if ((w.mute >> number & 1) != 0 || (power_off && w.powered_by_turning)) {
+    bool unacknowledged = power_off && (w.unacknowledged >> (request[3] == RELEASE) & 1) != 0;
+    w.turning &= unacknowledged && !w.keeps_power ? ~(1U << number) : ~0U;
+    if ((w.mute >> number & 1) != 0 || unacknowledged) {
         return;
     }
-    if (request[1] == WRITE && request[3] == w.refused && w.refused != 0) {
-        uint8_t refusal[5] = {request[0], WRITE | 0x80, 4};
+    if (request[3] == w.refused && w.refused != 0) {
+        uint8_t refusal[5] = {request[0], request[1] | 0x80, 4};
         rtu_seal(refusal, 5, SEAL_CRC16);
         memcpy(w.bytes + w.count, refusal, 5);
         w.count += 5;

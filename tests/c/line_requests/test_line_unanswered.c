@@ -4,27 +4,47 @@
 
 static const int64_t END_NS = 480 * 1000000;
 
-/* Drives whose status says whether they have power; `reports` false: it says nothing of it. */
-static void begin_unanswered(uint32_t drives, bool reports)
+enum { FIRST = 1 << 0, LAST = 1 << 1, OTHER_STATUS = 0x21, EXTRA = 0x50 };
+
+static void leave_unanswered(line_frame *frame)
+{
+    frame->reply_bytes = frame->echo_bytes = frame->has_exceptions = 0;
+    frame->reply_seal = SEAL_NONE;
+}
+
+static line_field power_field(uint32_t joint)
+{
+    return (line_field){.joint = joint,
+                        .kind = FIELD_ENABLED,
+                        .byte = 3,
+                        .form = FORM_U16,
+                        .equals_mask = 0xffff,
+                        .equals = 200,
+                        .si_per_raw = 1.0};
+}
+
+/* Drives whose status says whether they have power; `reports` false: it says nothing of it. `frames`: of their power-off
+ * those that they do not acknowledge. */
+static void begin_frames(uint32_t drives, bool reports, uint32_t frames)
 {
     begin_with(drives, 0);
-    w.powered_by_turning = true;
+    w.unacknowledged = frames;
     for (uint32_t i = 0; i < drives; i++) {
         line_drive *table = &w.table.drive[i];
         for (uint32_t f = 0; f < table->disarm_count; f++) {
-            table->disarm[f].reply_bytes = table->disarm[f].echo_bytes = table->disarm[f].has_exceptions = 0;
-            table->disarm[f].reply_seal = SEAL_NONE;
+            if ((frames >> f & 1) != 0) {
+                leave_unanswered(&table->disarm[f]);
+            }
         }
-        table->cyclic[1].field[1] = (line_field){.joint = i,
-                                                 .kind = FIELD_ENABLED,
-                                                 .byte = 3,
-                                                 .form = FORM_U16,
-                                                 .equals_mask = 0xffff,
-                                                 .equals = 200,
-                                                 .si_per_raw = 1.0};
+        table->cyclic[1].field[1] = power_field(i);
         table->cyclic[1].field_count = reports ? 2 : 1;
     }
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
+}
+
+static void begin_unanswered(uint32_t drives, bool reports)
+{
+    begin_frames(drives, reports, FIRST | LAST);
 }
 
 static void turn(void)
@@ -106,8 +126,159 @@ static void one_that_cannot_say_it_has_to_answer_a_read(void)
     }
 }
 
+static void one_frame_that_it_does_not_acknowledge_suffices_whichever_it_is(void)
+{
+    for (uint32_t frame = 0; frame < 2; frame++) {
+        begin_frames(1, true, 1U << frame);
+        turn();
+        line_report report = ends(w.now_ns + 150 * MS);
+        CHECK(w.turning == 0 && report.drive[0].stop_waits == 0);
+    }
+}
+
+/* The next frame of the end that is no power-off is in transit. */
+static const uint8_t *next_read(void)
+{
+    for (uint32_t looks = 0; looks < 200; looks++) {
+        go_on();
+        const uint8_t *request = w.machine.transaction.frame.request;
+        if (w.out.send != NULL && w.machine.work == WORK_STOP && request[3] != CONTROL && request[3] != RELEASE) {
+            return request;
+        }
+    }
+    CHECK(false);
+    return w.bytes;
+}
+
+/* Also a frame that comes before one that it has acknowledged. */
+static void as_long_as_it_says_that_it_has_power_it_gets_each_unanswered_frame_again(void)
+{
+    for (uint32_t frame = 0; frame < 2; frame++) {
+        begin_frames(1, true, 1U << frame);
+        turn();
+        w.keeps_power = true;
+        w.machine.control.shut_down = 1;
+        (void)next_read();
+        go_on();
+        CHECK(w.turning == 1);
+        w.keeps_power = false;
+        line_report report = ends(0);
+        CHECK(w.turning == 0 && report.drive[0].stop_waits == 0);
+    }
+}
+
+static void while_the_line_goes_on_an_unanswered_power_off_is_sent_once(void)
+{
+    begin_unanswered(1, true);
+    turn();
+    uint32_t before = w.sent_off[0];
+    request(0, DRIVE_OFF);
+    for (int64_t end_ns = w.now_ns + 500 * MS; w.now_ns < end_ns;) {
+        go_on();
+    }
+    CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.sent_off[0] == before + w.table.drive[0].disarm_count);
+}
+
+static void what_it_said_before_it_got_another_power_off_is_not_reported_any_more(void)
+{
+    line_report report;
+    begin_unanswered(1, true);
+    turn();
+    w.keeps_power = true;
+    w.machine.control.shut_down = 1;
+    (void)next_read();
+    go_on();
+    line_machine_report(&w.machine, &report);
+    CHECK(report.drive[0].enabled == 1);
+    (void)next_read();
+    line_machine_report(&w.machine, &report);
+    CHECK(report.drive[0].enabled == 2);
+}
+
+/* It refuses the read twice, says that it has power, and so on: only refusals in a row are counted. */
+static void a_read_that_is_refused_now_and_then_is_made_again(void)
+{
+    begin_unanswered(1, true);
+    w.turning = 1;
+    w.machine.control.shut_down = 1;
+    for (uint32_t reads = 1; reads <= 6; reads++) {
+        w.keeps_power = reads < 6;
+        w.refused = reads % 3 != 0 ? STATUS : 0;
+        (void)next_read();
+    }
+    line_report report = ends(0);
+    CHECK(w.refusals == 4 && w.turning == 0 && report.drive[0].stop_waits == 0);
+}
+
+/* Read, write, read, and two extra reads, each of a register of its own. `place`: of the one that reports power, numbered in
+ * this order; 5: none does. */
+static void begin_reads(uint32_t place, uint32_t probe, uint32_t extra_count)
+{
+    begin_unanswered(1, false);
+    line_drive *table = &w.table.drive[0];
+    line_exchange write = table->cyclic[0], read = table->cyclic[1];
+    line_exchange *turns[] = {&table->cyclic[0], &table->cyclic[1], &table->cyclic[2], &table->extra[0], &table->extra[1]};
+    const uint8_t registers[] = {STATUS, SPEED, OTHER_STATUS, EXTRA, EXTRA + 1};
+    for (uint32_t i = 0; i < 5; i++) {
+        *turns[i] = registers[i] == SPEED ? write : read;
+        turns[i]->frame = frame_of(1, registers[i] == SPEED ? WRITE : READ, registers[i], registers[i] == SPEED ? 77 : 1);
+        if (i == place) {
+            turns[i]->field[0] = power_field(0);
+        }
+    }
+    table->cyclic_count = 3;
+    table->extra_count = extra_count;
+    table->probe = probe;
+    CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
+    w.turning = 1;
+    w.machine.control.shut_down = 1;
+}
+
+static void the_first_that_reports_its_power_is_read_else_the_one_that_probes_it(void)
+{
+    const struct {
+        uint32_t place, probe, extra_count, reads;
+    } cases[] = {{0, 3, 2, STATUS},       {2, 1, 2, OTHER_STATUS}, {3, 1, 2, EXTRA},
+                 {4, 1, 2, EXTRA + 1},    {4, 3, 1, OTHER_STATUS}, /* it stands behind the last one: it is none */
+                 {5, 3, 2, OTHER_STATUS}, {5, 1, 2, STATUS},       {5, 2, 2, SPEED},
+                 {5, 0, 2, EXTRA},        {5, 0, 0, STATUS}};
+    for (uint32_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        for (int keeps = 0; keeps < 2; keeps++) {
+            begin_reads(cases[i].place, cases[i].probe, cases[i].extra_count);
+            w.keeps_power = keeps != 0;
+            bool says = cases[i].reads != SPEED && i < 4;
+            const uint8_t *request = next_read();
+            CHECK(request[3] == cases[i].reads && request[1] == (cases[i].reads == SPEED ? WRITE : READ));
+            line_report report = ends(0);
+            CHECK(report.drive[0].stop_waits == (says && keeps) && w.motion_sent == 0);
+        }
+    }
+}
+
+/* A target is nothing that could be sent for its answer: it is not known where the joint stands. */
+static void no_position_is_sent_to_find_out_whether_a_drive_receives(void)
+{
+    begin_reads(5, 0, 1);
+    line_drive *table = &w.table.drive[0];
+    table->cyclic[0] = table->cyclic[1];
+    table->cyclic[0].setpoint[0].kind = SETPOINT_POSITION;
+    table->cyclic[0].setpoint[0].raw_per_s = 1000.0;
+    table->cyclic_count = 1;
+    CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
+    w.machine.control.shut_down = 1;
+    CHECK(next_read()[3] == EXTRA);
+    CHECK(ends(0).drive[0].stop_waits == 0 && w.motion_sent == 0);
+}
+
 int main(void)
 {
+    one_frame_that_it_does_not_acknowledge_suffices_whichever_it_is();
+    as_long_as_it_says_that_it_has_power_it_gets_each_unanswered_frame_again();
+    while_the_line_goes_on_an_unanswered_power_off_is_sent_once();
+    what_it_said_before_it_got_another_power_off_is_not_reported_any_more();
+    a_read_that_is_refused_now_and_then_is_made_again();
+    the_first_that_reports_its_power_is_read_else_the_one_that_probes_it();
+    no_position_is_sent_to_find_out_whether_a_drive_receives();
     a_drive_that_says_it_has_no_power_ends_the_line_after_one_power_off();
     one_that_receives_nothing_for_a_while_gets_it_again_until_it_says_so();
     one_that_never_says_so_is_reported_at_the_end_of_the_time();
