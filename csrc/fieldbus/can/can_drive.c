@@ -168,13 +168,14 @@ bool can_is_off(const can_machine *m, uint32_t number)
     return drive->stop_place == 0 && drive_is_off(&drive->last_off, reports, drive->state.enabled, drive->newest_ns);
 }
 
-/* What does not come by itself is asked for behind it. */
+/* What does not come by itself is asked for behind it. One that the bus took in part stays due: its rest goes out with the
+ * next look. */
 static void send_last_power_off(can_machine *m, uint32_t number)
 {
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
     bool due = drive->last_off.newest_ns == 0 || m->now_ns >= drive->last_off.newest_ns + OFF_AGAIN_NS;
-    if ((due || drive->stop_place > 0) && !can_is_off(m, number) && send_stop(m, number, false)) {
+    if (due && !can_is_off(m, number) && send_stop(m, number, false)) {
         if (drive->last_off.first_ns == 0) {
             drive->last_off.first_ns = m->now_ns;
             drive->last_off.suffices |= table->reports_enabled == 0 && drive->missing == 0;

@@ -212,7 +212,7 @@ static void shut_down(can_machine *m, int64_t now_ns)
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         const can_drive_state *drive = &m->drive[i];
         stopping |= drive->state.stopping || drive->state.stop != STOP_NOTHING;
-        reports |= drive->state.stop != STOP_NOTHING && drive->last_off.first_ns > 0 && drive->missing == 0;
+        reports |= drive->state.stop != STOP_NOTHING && drive->last_off.first_ns != 0 && drive->missing == 0;
     }
     if (end_takes_power(&m->end, stopping, now_ns)) {
         for (uint32_t i = 0; i < m->table.drive_count; i++) {

@@ -46,39 +46,120 @@ static uint32_t power_offs(void)
     return count;
 }
 
-static void a_drive_that_was_seen_without_power_gets_one_power_off_and_is_not_waited_for(void)
+/* Set up and at rest; the drives say that they have no power. */
+static void rest_without_power(void)
 {
-    begin_with(1);
     arm(0);
     w.powered = false;
     request(0, DRIVE_STAND_DOWN);
     go_on(50 * MS);
-    can_report report = ends(0, 0);
-    CHECK(report.drive[0].stop_waits == 0 && power_offs() == 1 && w.now_ns <= begun_ns + 10 * MS);
+}
+
+/* The end begins, and nothing has come since; true: that was it. */
+static bool ends_at_once(void)
+{
+    begun_ns = w.now_ns;
+    w.silent = true;
+    w.machine.control.shut_down = 1;
+    forget_sent();
+    step();
+    CHECK(power_offs() == 1);
+    return w.machine.end.stage == END_SILENT;
+}
+
+static void order_something(void)
+{
+    can_order order = {.drive = 0, .expires_ns = INT64_MAX, .write = w.table.drive[0].disarm[0]};
+    CHECK(can_machine_order(&w.machine, &order));
+    step();
+    CHECK(state_of(0)->orders_sent == 1);
+}
+
+/* Whichever of its frames says it. */
+static void a_drive_that_was_seen_without_power_gets_one_power_off_and_is_not_waited_for(void)
+{
+    for (int second = 0; second < 2; second++) {
+        begin_with(1);
+        if (second) {
+            can_input says = table_of(0)->input[0];
+            table_of(0)->input[0] = table_of(0)->input[1];
+            table_of(0)->input[1] = says;
+            table_of(0)->match[0].input = 2;
+            table_of(0)->match[1].input = 1;
+            restart();
+        }
+        rest_without_power();
+        CHECK(ends_at_once() && state_of(0)->state.stop == STOP_NOTHING);
+    }
+}
+
+static void nor_is_one_whose_arming_is_over_just_now_but_one_that_is_being_armed_is(void)
+{
+    for (int64_t left_ns = 0; left_ns < 2; left_ns++) {
+        begin_with(1);
+        rest_without_power();
+        w.machine.control.drive[0].arming_until_ns = w.now_ns + left_ns;
+        CHECK(ends_at_once() == (left_ns == 0));
+    }
+}
+
+static void one_that_nobody_has_set_up_has_to_say_it_behind_its_power_off(void)
+{
+    begin_with(1);
+    go_on(50 * MS);
+    CHECK(state_of(0)->state.mode == DRIVE_OFF && state_of(0)->state.enabled == 0);
+    CHECK(!ends_at_once());
+    go_on(100 * MS);
+    CHECK(w.machine.end.stage == END_POWER_OFF && power_offs() > 1);
+    w.silent = false;
+    go_on(12 * MS);
+    CHECK(w.machine.end.stage == END_SILENT);
 }
 
 /* It has just been ordered to take its power: what it reported before proves nothing. */
 static void one_that_was_given_an_order_since_has_to_say_it_again(void)
 {
+    for (int speaks = 0; speaks < 2; speaks++) {
+        begin_with(1);
+        rest_without_power();
+        order_something();
+        can_report report = ends(speaks ? 0 : INT64_MAX, 0);
+        CHECK(report.drive[0].stop_waits == !speaks && w.now_ns > begun_ns);
+    }
+}
+
+static void what_it_says_at_the_time_of_the_order_or_of_its_motion_behind_it_is_not_that(void)
+{
+    for (int moves = 0; moves < 2; moves++) {
+        begin_with(1);
+        rest_without_power();
+        report_state(0, 1);
+        order_something();
+        w.now_ns += 10 * MS;
+        if (moves) {
+            report_motion(0, 1.0F, 0.0F);
+        }
+        CHECK(!ends_at_once());
+    }
     begin_with(1);
-    arm(0);
-    w.powered = false;
-    request(0, DRIVE_STAND_DOWN);
-    go_on(50 * MS);
-    can_order order = {.drive = 0, .expires_ns = INT64_MAX, .write = w.table.drive[0].disarm[0]};
-    CHECK(can_machine_order(&w.machine, &order));
-    step();
-    can_report report = ends(0, 0);
-    CHECK(report.drive[0].stop_waits == 0 && w.now_ns > begun_ns);
-    begin_with(1);
-    arm(0);
-    w.powered = false;
-    request(0, DRIVE_STAND_DOWN);
-    go_on(50 * MS);
-    CHECK(can_machine_order(&w.machine, &order));
-    step();
-    report = ends(INT64_MAX, 0);
-    CHECK(report.drive[0].stop_waits == 1);
+    rest_without_power();
+    order_something();
+    w.now_ns += MS;
+    report_state(0, 1);
+    CHECK(ends_at_once());
+}
+
+static void what_was_known_of_its_power_is_not_known_behind_its_power_off(void)
+{
+    for (uint8_t had = 0; had < 2; had++) {
+        begin_with(1);
+        go_on(50 * MS);
+        report_state(0, had ? 8 : 1);
+        CHECK(state_of(0)->state.enabled == had && !ends_at_once());
+        can_report report;
+        can_machine_report(&w.machine, &report);
+        CHECK(report.drive[0].enabled == 2 && report.drive[0].stop_waits == 1);
+    }
 }
 
 static void one_that_turns_gets_it_until_it_says_that_it_has_no_power(void)
@@ -121,8 +202,50 @@ static void one_that_is_cut_off_is_reported_and_so_is_one_that_keeps_its_power(v
     begin_with(1);
     turn();
     can_report report = ends(0, INT64_MAX / 2);
-    CHECK(report.drive[0].stop_waits == 1 && w.now_ns >= begun_ns + REPORT_END_NS &&
-          w.now_ns < begun_ns + REPORT_END_NS + 20 * MS);
+    CHECK(report.drive[0].stop_waits == 1 && w.now_ns == begun_ns + REPORT_END_NS + MS); /* a look each MS */
+}
+
+/* The second cannot say that it has lost its power: it is done with its power-off. */
+static void one_that_keeps_its_power_is_waited_for_whatever_the_others_do(void)
+{
+    begin_with(2);
+    table_of(1)->reports_enabled = 0;
+    table_of(1)->input[0].field_count = 0;
+    restart();
+    turn();
+    can_report report = ends(0, INT64_MAX / 2);
+    CHECK(report.drive[0].stop_waits == 1 && report.drive[1].stop_waits == 0);
+    CHECK(w.now_ns == begun_ns + REPORT_END_NS + MS);
+}
+
+static void asyncio_hears_of_the_end_though_one_drive_is_off_at_once(void)
+{
+    begin_with(2);
+    rest_without_power();
+    w.machine.notify = false;
+    CHECK(!ends_at_once()); /* the second was never set up */
+    CHECK(state_of(0)->state.stop == STOP_NOTHING && state_of(1)->state.stop == STOP_POWER_OFF && w.machine.notify);
+}
+
+/* Two frames, of which the bus does not take the second at first. */
+static void a_power_off_is_repeated_10_ms_after_its_last_frame_has_gone_out(void)
+{
+    begin_with(1);
+    table_of(0)->disarm_count = 2;
+    table_of(0)->disarm[1] = (can_write){.packet = packet_of(CONTROL, 1)};
+    restart();
+    w.silent = true;
+    w.not_taken = CONTROL;
+    CHECK(!ends_at_once());
+    go_on(15 * MS);
+    CHECK(power_offs() == 1 && count_sent(CONTROL) == 0);
+    w.not_taken = 0;
+    int64_t taken_ns = w.now_ns;
+    go_on(25 * MS);
+    CHECK(w.sent_count == 6 && power_offs() == 3);
+    for (uint32_t i = 1; i < w.sent_count; i++) {
+        CHECK(w.sent[i].id == (i % 2 ? CONTROL : SPEED) && w.sent_ns[i] == taken_ns + i / 2 * 10 * MS);
+    }
 }
 
 static void mute_about_power(void)
@@ -136,6 +259,12 @@ static void mute_about_power(void)
 
 static void one_that_cannot_say_it_has_to_be_there(void)
 {
+    begin_with(1);
+    w.table.drive[0].reports_enabled = 0;
+    w.table.drive[0].input[0].field_count = 0;
+    restart();
+    rest_without_power();
+    CHECK(ends_at_once());
     mute_about_power();
     can_report report = ends(0, 0);
     CHECK(report.drive[0].stop_waits == 0);
@@ -171,10 +300,17 @@ static void what_does_not_come_by_itself_is_asked_for(void)
 int main(void)
 {
     a_drive_that_was_seen_without_power_gets_one_power_off_and_is_not_waited_for();
+    nor_is_one_whose_arming_is_over_just_now_but_one_that_is_being_armed_is();
+    one_that_nobody_has_set_up_has_to_say_it_behind_its_power_off();
     one_that_was_given_an_order_since_has_to_say_it_again();
+    what_it_says_at_the_time_of_the_order_or_of_its_motion_behind_it_is_not_that();
+    what_was_known_of_its_power_is_not_known_behind_its_power_off();
     one_that_turns_gets_it_until_it_says_that_it_has_no_power();
     one_that_is_cut_off_for_a_while_gets_it_when_it_is_back();
     one_that_is_cut_off_is_reported_and_so_is_one_that_keeps_its_power();
+    one_that_keeps_its_power_is_waited_for_whatever_the_others_do();
+    asyncio_hears_of_the_end_though_one_drive_is_off_at_once();
+    a_power_off_is_repeated_10_ms_after_its_last_frame_has_gone_out();
     one_that_cannot_say_it_has_to_be_there();
     what_does_not_come_by_itself_is_asked_for();
     return checks_report("CAN end");

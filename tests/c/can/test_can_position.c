@@ -360,8 +360,30 @@ static void each_target_that_left_is_where_the_next_ones_begin_and_no_other(void
     }
 }
 
+/* The time since its newest target counts up to the kick: without it no target would be new. */
+static void a_new_target_goes_out_at_once_as_far_as_the_joint_may_have_come_by_then(void)
+{
+    begin();
+    w.machine.table.drive[0].output[0].setpoint[0].scale.raw_per_s = 10.0;
+    make_armed();
+    wanted_rad = 0.5, positioned = 1;
+    run(2.25F, 50 * MS);
+    w.now_ns = w.machine.cycle.due_ns;
+    put();
+    step();
+    CHECK(target_in(newest_of(0)) == 2.25F && m->joint[0].place.sent_ns == w.now_ns);
+    w.now_ns += MS;
+    forget_sent();
+    wanted_rad = 1.0;
+    put();
+    can_machine_kick(&w.machine, w.now_ns);
+    step();
+    CHECK(w.sent_count == 1 && target_in(newest_of(0)) == 2.26F);
+}
+
 int main(void)
 {
+    a_new_target_goes_out_at_once_as_far_as_the_joint_may_have_come_by_then();
     each_target_of_each_frame_needs_its_place_and_no_other();
     each_target_of_each_frame_begins_anew_while_it_is_not_armed_and_no_other();
     each_target_that_left_is_where_the_next_ones_begin_and_no_other();
