@@ -34,42 +34,27 @@ static bool reports_power(const line_exchange *turn)
     return false;
 }
 
-/* Those of the cycle, and behind them the extra ones. */
-static const line_exchange *exchange_at(const line_drive *table, uint32_t place)
-{
-    return place < table->cyclic_count ? &table->cyclic[place] : &table->extra[place - table->cyclic_count];
-}
-
 /* The first exchange that says whether it has power. Where none does, the one that probes it: that it receives is all that can
  * be known. */
 static uint32_t power_read(const line_drive *table)
 {
     for (uint32_t i = 0; i < table->cyclic_count + table->extra_count; i++) {
-        if (reports_power(exchange_at(table, i))) {
+        if (reports_power(line_exchange_at(table, i))) {
             return i;
         }
     }
-    if (table->probe > 0) {
-        return table->probe - 1;
-    }
-    return table->extra_count > 0 ? table->cyclic_count : 0; /* as in read_probe(): the first one may hold a position */
+    return line_probe_place(table);
 }
 
 void line_build_power_read(line_machine *m, uint32_t number, line_frame *out)
 {
-    const line_drive *table = &m->table.drive[number];
-    uint32_t place = power_read(table);
-    if (place < table->cyclic_count) {
-        (void)line_build(m, number, place, out); /* with zeros: it is not armed */
-    } else {
-        *out = exchange_at(table, place)->frame;
-    }
+    line_build_read(m, number, power_read(&m->table.drive[number]), out);
 }
 
 bool line_is_off(line_machine *m, uint32_t number, const uint8_t *reply, int64_t stamp_ns)
 {
     const line_drive *table = &m->table.drive[number];
-    const line_exchange *turn = exchange_at(table, power_read(table));
+    const line_exchange *turn = line_exchange_at(table, power_read(table));
     line_read(m, number, turn, reply, stamp_ns);
     return !reports_power(turn) || m->drive[number].state.enabled == 0;
 }

@@ -48,15 +48,27 @@ void line_becomes_unresponsive(line_machine *m, uint32_t number, int64_t now_ns)
     }
 }
 
-static void read_probe(line_machine *m, uint32_t number, line_frame *out)
+const line_exchange *line_exchange_at(const line_drive *table, uint32_t place)
+{
+    return place < table->cyclic_count ? &table->cyclic[place] : &table->extra[place - table->cyclic_count];
+}
+
+/* The first exchange of the cycle may hold a position: only where there is no other. */
+uint32_t line_probe_place(const line_drive *table)
+{
+    if (table->probe > 0) {
+        return table->probe - 1;
+    }
+    return table->extra_count > 0 ? table->cyclic_count : 0;
+}
+
+void line_build_read(line_machine *m, uint32_t number, uint32_t place, line_frame *out)
 {
     const line_drive *table = &m->table.drive[number];
-    if (table->probe > 0) {
-        (void)line_build(m, number, table->probe - 1, out);
-    } else if (table->extra_count > 0) {
-        *out = table->extra[0].frame;
+    if (place < table->cyclic_count) {
+        (void)line_build(m, number, place, out); /* with zeros: it is not armed */
     } else {
-        (void)line_build(m, number, 0, out); /* with zeros: it is not armed */
+        *out = line_exchange_at(table, place)->frame;
     }
 }
 
@@ -71,7 +83,7 @@ void line_next_probe(line_machine *m, uint32_t number, int64_t now_ns, line_fram
     } else if (place < stops) {
         (void)line_build(m, number, place - table->quick_stop_count, out);
     } else {
-        read_probe(m, number, out);
+        line_build_read(m, number, line_probe_place(table), out);
     }
     drive->probe_place = (place + 1) % (stops + 1);
     if (drive->probes_at_once > 1) {

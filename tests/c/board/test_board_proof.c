@@ -108,7 +108,7 @@ static board_table one_that_says_its_power_first(void)
 }
 
 /* Then the line sends once. */
-static void hears(const char *word)
+static void receives(const char *word)
 {
     receive(word);
     go_on(20 * MS);
@@ -118,11 +118,11 @@ static void hears(const char *word)
 static void goes_out_first_to(board_table table)
 {
     begin_with(table);
-    hears("\n");
+    receives("\n");
     request(DRIVE_READY);
-    hears(NO_POWER);
+    receives(NO_POWER);
     request(DRIVE_ARMED);
-    hears(HAS_POWER);
+    receives(HAS_POWER);
     CHECK(w.machine.state.mode == DRIVE_ARMED && w.machine.state.sent_motion);
     w.machine.control.shut_down = 1;
     step();
@@ -141,18 +141,18 @@ static void one_that_does_not_speak_of_its_power_has_to_speak_twice_with_a_power
     for (int words = 0; words < 3; words++) {
         goes_out_first_to(one_that_says_only_its_velocity());
         for (int i = 0; i < words; i++) {
-            hears(HAS_POWER); /* or so it would be, if that were a field of it */
+            receives(HAS_POWER); /* or so it would be, if that were a field of it */
         }
         (void)ends_after();
         CHECK(is_reported() == (words < 2) && (w.now_ns < w.machine.end.off_by_ns) == (words == 2));
     }
 }
 
-static void two_words_in_a_row_may_both_have_been_under_way(void)
+static void two_reports_in_a_row_may_both_have_been_in_transit(void)
 {
     goes_out_first_to(one_that_says_only_its_velocity());
     receive(NO_POWER);
-    hears(NO_POWER);
+    receives(NO_POWER);
     (void)ends_after();
     CHECK(is_reported());
 }
@@ -160,7 +160,7 @@ static void two_words_in_a_row_may_both_have_been_under_way(void)
 static void one_that_speaks_of_its_power_is_believed_at_its_first_word(void)
 {
     goes_out_first_to(one_that_says_its_power_first());
-    hears(NO_POWER);
+    receives(NO_POWER);
     CHECK(ends_after() < 40 * MS && !is_reported());
 }
 
@@ -168,7 +168,7 @@ static void one_that_says_that_it_has_power_is_reported_however_often_it_speaks(
 {
     goes_out_first_to(one_that_says_its_power_first());
     while (!line_is_silent()) {
-        hears(HAS_POWER);
+        receives(HAS_POWER);
     }
     CHECK(is_reported() && w.now_ns >= w.machine.end.off_by_ns + 500 * MS);
 }
@@ -201,7 +201,7 @@ static void two_words_with_a_power_off_between_prove_it_where_words_say_nothing_
     CHECK(!m->off_waits);
 }
 
-static void what_a_board_said_before_it_proves_nothing(void)
+static void what_a_board_reported_before_it_proves_nothing(void)
 {
     begin_with(one_that_says_its_power_first());
     board_machine *m = &w.machine;
@@ -236,12 +236,12 @@ static void the_first_nanosecond_is_a_time_like_all_others(void)
     CHECK(!is_reported());
     begins_and_ends_at_the_first_nanosecond(one_that_says_only_its_velocity(), NO_POWER);
     go_on(20 * MS);
-    hears(NO_POWER);
+    receives(NO_POWER);
     (void)ends_after();
     CHECK(!is_reported());
     begins_and_ends_at_the_first_nanosecond(one_that_says_its_power_first(), HAS_POWER);
     while (!line_is_silent()) {
-        hears(HAS_POWER);
+        receives(HAS_POWER);
     }
     CHECK(is_reported() && w.now_ns >= END_OFF_NS + 500 * MS);
 }
@@ -252,11 +252,11 @@ int main(void)
     a_board_needs_to_have_received_no_more_than_the_first_of_its_power_offs();
     a_board_that_has_received_it_and_still_has_power_is_reported();
     one_that_does_not_speak_of_its_power_has_to_speak_twice_with_a_power_off_between();
-    two_words_in_a_row_may_both_have_been_under_way();
+    two_reports_in_a_row_may_both_have_been_in_transit();
     one_that_speaks_of_its_power_is_believed_at_its_first_word();
     one_that_says_that_it_has_power_is_reported_however_often_it_speaks();
     two_words_with_a_power_off_between_prove_it_where_words_say_nothing_of_it();
-    what_a_board_said_before_it_proves_nothing();
+    what_a_board_reported_before_it_proves_nothing();
     the_first_nanosecond_is_a_time_like_all_others();
     return checks_report("board proof");
 }

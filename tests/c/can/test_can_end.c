@@ -218,7 +218,7 @@ static void one_that_keeps_its_power_is_waited_for_whatever_the_others_do(void)
     CHECK(w.now_ns == begun_ns + REPORT_END_NS + MS);
 }
 
-static void asyncio_hears_of_the_end_though_one_drive_is_off_at_once(void)
+static void asyncio_is_notified_of_the_end_though_one_drive_is_off_at_once(void)
 {
     begin_with(2);
     rest_without_power();
@@ -309,7 +309,7 @@ int main(void)
     one_that_is_cut_off_for_a_while_gets_it_when_it_is_back();
     one_that_is_cut_off_is_reported_and_so_is_one_that_keeps_its_power();
     one_that_keeps_its_power_is_waited_for_whatever_the_others_do();
-    asyncio_hears_of_the_end_though_one_drive_is_off_at_once();
+    asyncio_is_notified_of_the_end_though_one_drive_is_off_at_once();
     a_power_off_is_repeated_10_ms_after_its_last_frame_has_gone_out();
     one_that_cannot_say_it_has_to_be_there();
     what_does_not_come_by_itself_is_asked_for();

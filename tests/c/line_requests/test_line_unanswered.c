@@ -179,7 +179,7 @@ static void while_the_line_goes_on_an_unanswered_power_off_is_sent_once(void)
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.sent_off[0] == before + w.table.drive[0].disarm_count);
 }
 
-static void what_it_said_before_it_got_another_power_off_is_not_reported_any_more(void)
+static void what_it_reported_before_it_got_another_power_off_is_not_reported_any_more(void)
 {
     line_report report;
     begin_unanswered(1, true);
@@ -239,7 +239,7 @@ static void the_first_that_reports_its_power_is_read_else_the_one_that_probes_it
     const struct {
         uint32_t place, probe, extra_count, reads;
     } cases[] = {{0, 3, 2, STATUS},       {2, 1, 2, OTHER_STATUS}, {3, 1, 2, EXTRA},
-                 {4, 1, 2, EXTRA + 1},    {4, 3, 1, OTHER_STATUS}, /* it stands behind the last one: it is none */
+                 {4, 1, 2, EXTRA + 1},    {4, 3, 1, OTHER_STATUS}, /* behind the last one: not looked at */
                  {5, 3, 2, OTHER_STATUS}, {5, 1, 2, STATUS},       {5, 2, 2, SPEED},
                  {5, 0, 2, EXTRA},        {5, 0, 0, STATUS}};
     for (uint32_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
@@ -275,7 +275,7 @@ int main(void)
     one_frame_that_it_does_not_acknowledge_suffices_whichever_it_is();
     as_long_as_it_says_that_it_has_power_it_gets_each_unanswered_frame_again();
     while_the_line_goes_on_an_unanswered_power_off_is_sent_once();
-    what_it_said_before_it_got_another_power_off_is_not_reported_any_more();
+    what_it_reported_before_it_got_another_power_off_is_not_reported_any_more();
     a_read_that_is_refused_now_and_then_is_made_again();
     the_first_that_reports_its_power_is_read_else_the_one_that_probes_it();
     no_position_is_sent_to_find_out_whether_a_drive_receives();
