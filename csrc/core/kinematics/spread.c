@@ -146,11 +146,8 @@ void spread_look(odometry_state *state, const core_config *config, int64_t now_n
         take_slip(spread, config, used, moved_u, elapsed_s);
     }
     errors found = errors_of(spread, config, used, elapsed_s);
-    double scrub_rad2 = config->turn_variance_rad2_per_rad * fabs(moved_u[AXIS_ANGULAR]);
-    if (config->module_count > 0) {
-        scrub_rad2 += estimated_rad2(
-            config, sqrt(moved_u[AXIS_LINEAR] * moved_u[AXIS_LINEAR] + moved_u[AXIS_LATERAL] * moved_u[AXIS_LATERAL]));
-    }
+    double distance_m = sqrt(moved_u[AXIS_LINEAR] * moved_u[AXIS_LINEAR] + moved_u[AXIS_LATERAL] * moved_u[AXIS_LATERAL]);
+    double scrub_rad2 = config->turn_variance_rad2_per_rad * fabs(moved_u[AXIS_ANGULAR]) + estimated_rad2(config, distance_m);
     if (spread->by_gyro) {
         found.angular2 = spread->gyro_rad2;
         found.linear_angular = found.lateral_angular = scrub_rad2 = 0.0;
@@ -168,10 +165,25 @@ void spread_look(odometry_state *state, const core_config *config, int64_t now_n
     }
 }
 
+/* The inverse of all joints. Wheels that are steered point where they pointed last: by as much they turn the base. */
+static void invert_all(const odometry_state *state, const core_config *config, twist_inverse *all)
+{
+    uint32_t joints = (1U << config->joint_count) - 1U;
+    if (config->module_count == 0) {
+        kinematics_invert(config, joints, all);
+        return;
+    }
+    double angle_rad[JOINTS_MAX];
+    for (int j = 0; j < JOINTS_MAX; j++) {
+        angle_rad[j] = isnan(state->angle_rad[j]) ? 0.0 : state->angle_rad[j];
+    }
+    kinematics_modules(config, angle_rad, joints, all);
+}
+
 void odometry_drift(odometry_state *state, const core_config *config, const joint_setpoint *setpoint, double dt_s)
 {
     twist_inverse all;
-    kinematics_invert(config, (1U << config->joint_count) - 1U, &all);
+    invert_all(state, config, &all);
     double farthest_m = 0.0, far_u[AXES] = {0.0}; /* as if all had gone as far as the fastest, and all of it added up */
     for (uint32_t j = 0; j < config->joint_count; j++) {
         farthest_m = larger(farthest_m, fabs(setpoint[j].velocity_rad_s) * config->joint[j].wheel_radius_m * dt_s);

@@ -1,10 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_spread: pose and covariances of a base with mecanum wheels by the formulas of the textbook, written out anew. */
-#include <math.h>
-#include <string.h>
-
-#include "check.h"
-#include "core.h"
+ * test_spread: pose and covariances of a base with mecanum wheels by the formulas of the textbook, written out anew; what
+ * steering that measures nothing adds, and how uncertain a base becomes whose wheels are not seen. */
+#include "steered_bases.h"
 
 enum { WHEELS = 4 };
 
@@ -174,10 +171,200 @@ static void a_curve_sideways_ends_where_the_textbook_says(void)
     CHECK(fabs(s.angular_rad_s - turn / 0.05) < 1e-5 && s.degraded == 0);
 }
 
+/* One that is left out has its own no longer: it begins anew when it is back. */
+static void only_wheels_that_determine_the_motion_have_a_part_in_the_slip(void)
+{
+    static const uint32_t JOINTS[] = {0xB, 0xD, 0x7, 0xE, 0xF};
+    static const double LEVER_M[WHEELS] = {-0.4, 0.3, 0.35, -0.2}, BEFORE_M_S[WHEELS] = {0.02, -0.03, 0.7, 0.05};
+    for (int i = 0; i < COUNT_OF(JOINTS); i++) {
+        static odometry_state s;
+        core_config config = mecanum();
+        for (int j = 0; j < WHEELS; j++) {
+            config.joint[j].row = (wheel_row){1.0, 0.0, LEVER_M[j]};
+        }
+        odometry_init(&s, &config);
+        kinematics_invert(&config, JOINTS[i], &s.used);
+        memcpy(s.spread.rim_m, RIM_M, sizeof RIM_M);
+        memcpy(s.spread.residual_m_s, BEFORE_M_S, sizeof BEFORE_M_S);
+        s.spread.stamp_ns = BEFORE_NS;
+        double moved_m = 0.0, turn_rad = 0.0, sum = 0.0, count = 0.0;
+        for (int j = 0; j < WHEELS; j++) {
+            moved_m += s.used.inverse[AXIS_LINEAR][j] * RIM_M[j], turn_rad += s.used.inverse[AXIS_ANGULAR][j] * RIM_M[j];
+        }
+        spread_look(&s, &config, BEFORE_NS + STEP_NS);
+        for (int j = 0; j < WHEELS; j++) {
+            double left_m = RIM_M[j] - moved_m - LEVER_M[j] * turn_rad - BEFORE_M_S[j] * 0.05;
+            double expected_m_s = JOINTS[i] >> j & 1U ? BEFORE_M_S[j] + left_m / (SMOOTHED_S + 0.05) : 0.0;
+            CHECK(near(s.spread.residual_m_s[j], expected_m_s));
+            sum += expected_m_s * expected_m_s, count += JOINTS[i] >> j & 1U;
+        }
+        CHECK(near(s.spread.slip_m_s, sqrt(sum / count)));
+    }
+}
+
+/* --- steering that measures nothing */
+
+/* The variance of the heading after a way of the rims with these angles, of a base that has no other errors. */
+static double steered_rad2(core_config config, const double *angle_rad, double rim_m)
+{
+    static odometry_state s;
+    config.distance_variance_m2_per_m = config.turn_variance_rad2_per_rad = 0.0;
+    config.pose_variance_floor_m2 = config.heading_variance_floor_rad2 = 0.0;
+    odometry_init(&s, &config);
+    kinematics_modules(&config, angle_rad, (1U << config.joint_count) - 1U, &s.used);
+    for (uint32_t j = 0; j < config.joint_count; j++) {
+        s.spread.rim_m[j] = rim_m;
+    }
+    s.spread.stamp_ns = BEFORE_NS;
+    spread_look(&s, &config, BEFORE_NS + STEP_NS);
+    CHECK(s.used.determined && near(s.spread.angular2_rad2_s, s.pose_covariance[5] / 0.05));
+    return s.pose_covariance[5];
+}
+
+/* It may point beside it by 0.03 rad for a metre, which turns the base by as much over its lever. */
+static double beside_rad2(double distance_m, double lever2_m2)
+{
+    return 0.03 * 0.03 * 1.0 * distance_m / lever2_m2;
+}
+
+static void a_wheel_whose_angle_is_estimated_turns_the_base_by_its_error_over_its_lever(void)
+{
+    const double straight_rad[JOINTS_MAX] = {0.0};
+    core_config base = bicycle();
+    CHECK(steered_rad2(base, straight_rad, 0.5) == 0.0);
+    base.joint[1].position.reference = REFERENCE_ESTIMATED;
+    base.module[2].x_m = 0.1, base.module[2].y_m = 0.0; /* no module of it */
+    CHECK(near(steered_rad2(base, straight_rad, 0.5), beside_rad2(0.5, 0.3 * 0.3)));
+    CHECK(near(steered_rad2(base, straight_rad, -0.8), beside_rad2(0.8, 0.3 * 0.3)));
+    CHECK(steered_rad2(base, straight_rad, 0.0) == 0.0);
+    base.module[0].y_m = -0.15;
+    CHECK(near(steered_rad2(base, straight_rad, 0.5), beside_rad2(0.5, 0.3 * 0.3 + 0.15 * 0.15)));
+}
+
+static void of_more_wheels_that_are_estimated_the_worst_counts(void)
+{
+    const double straight_rad[JOINTS_MAX] = {0.0, 0.0, -0.3};
+    for (uint32_t estimated = 0; estimated < 4; estimated++) {
+        for (int farther = 0; farther < 2; farther++) {
+            core_config base = swerve();
+            base.module[1].x_m = farther ? -0.4 : -0.2;
+            double first_m2 = 0.3 * 0.3 + 0.1 * 0.1, second_m2 = farther ? 0.4 * 0.4 + 0.2 * 0.2 : 2.0 * 0.2 * 0.2;
+            base.joint[0].position.reference = estimated & 1U ? REFERENCE_ESTIMATED : REFERENCE_ABSOLUTE;
+            base.joint[2].position.reference = estimated & 2U ? REFERENCE_ESTIMATED : REFERENCE_ABSOLUTE;
+            double first_rad2 = estimated & 1U ? beside_rad2(0.5, first_m2) : 0.0;
+            double second_rad2 = estimated & 2U ? beside_rad2(0.5, second_m2) : 0.0;
+            CHECK(near(steered_rad2(base, straight_rad, 0.5), fmax(first_rad2, second_rad2)));
+        }
+    }
+}
+
+static void the_error_of_a_wheel_that_is_estimated_grows_with_the_distance_in_any_direction(void)
+{
+    core_config base = swerve();
+    base.joint[0].position.reference = REFERENCE_ESTIMATED;
+    for (int i = -3; i <= 3; i++) {
+        double angle_rad[JOINTS_MAX] = {0.5 * i, 0.0, 0.5 * i - 0.3}; /* all point there */
+        CHECK(near(steered_rad2(base, angle_rad, 0.4), beside_rad2(0.4, 0.3 * 0.3 + 0.1 * 0.1)));
+    }
+}
+
+/* It has no lever. */
+static void a_wheel_in_the_middle_that_is_estimated_turns_nothing(void)
+{
+    const double straight_rad[JOINTS_MAX] = {0.0, 0.0, -0.3};
+    core_config base = swerve();
+    base.joint[0].position.reference = REFERENCE_ESTIMATED;
+    base.module[0].x_m = base.module[0].y_m = 0.0;
+    CHECK(steered_rad2(base, straight_rad, 0.5) == 0.0 && steered_rad2(base, straight_rad, 0.0) == 0.0);
+}
+
+/* --- wheels that are not seen */
+static double all_of(const double *inverse)
+{
+    double sum = 0.0;
+    for (int j = 0; j < JOINTS_MAX; j++) {
+        sum += fabs(inverse[j]);
+    }
+    return sum;
+}
+
+static void a_blind_base_that_strafes_may_have_gone_ahead_and_sideways(void)
+{
+    static odometry_state s;
+    core_config config = mecanum();
+    config.twist_variance_floor_m2_s2 = 1e-3;
+    odometry_init(&s, &config);
+    s.pose_covariance[0] = 0.04, s.pose_covariance[3] = 0.09, s.pose_covariance[5] = 0.01;
+    s.lateral_m_s = -0.3;
+    s.lateral_covariance[0] = 0.02, s.lateral_covariance[1] = 0.0, s.lateral_covariance[2] = 0.03;
+    const joint_setpoint wheels[JOINTS_MAX] = {{.velocity_rad_s = 1.0}, {.velocity_rad_s = -2.0}, {.velocity_rad_s = 1.5}};
+    odometry_drift(&s, &config, wheels, 0.1); /* the fastest 0.02 m */
+    double distance_m = 0.02 * (all_of(s.used.inverse[AXIS_LINEAR]) + all_of(s.used.inverse[AXIS_LATERAL]));
+    CHECK(distance_m > 0.03 && near(s.pose_covariance[0], pow(0.2 + distance_m, 2.0)));
+    CHECK(near(s.pose_covariance[3], pow(0.3 + distance_m, 2.0)));
+    CHECK(near(s.pose_covariance[5], pow(0.1 + 0.02 * all_of(s.used.inverse[AXIS_ANGULAR]), 2.0)));
+    CHECK(s.lateral_covariance[0] == 0.02 && near(s.lateral_covariance[1], 1e-3 + 0.09) && s.lateral_covariance[2] == 0.03);
+    s.lateral_covariance[1] = 7.0; /* it was more uncertain before */
+    odometry_drift(&s, &config, wheels, 0.1);
+    CHECK(s.lateral_covariance[0] == 0.02 && s.lateral_covariance[1] == 7.0 && s.lateral_covariance[2] == 0.03);
+}
+
+/* As uncertain as one wheel of each side: neither is left out. */
+static void a_blind_base_that_does_not_strafe_has_no_variance_sideways(void)
+{
+    static odometry_state s;
+    core_config config = mecanum();
+    config.joint_count = 2;
+    config.twist_variance_floor_m2_s2 = 1e-3;
+    config.joint[0].row = (wheel_row){1.0, 0.0, -0.25}, config.joint[1].row = (wheel_row){1.0, 0.0, 0.25};
+    odometry_init(&s, &config);
+    odometry_drift(&s, &config, (const joint_setpoint[JOINTS_MAX]){{.velocity_rad_s = 2.0}}, 0.1);
+    CHECK(near(s.pose_covariance[0], 0.02 * 0.02) && near(s.pose_covariance[5], 0.08 * 0.08));
+    CHECK(s.lateral_covariance[0] == 0.0 && s.lateral_covariance[1] == 0.0 && s.lateral_covariance[2] == 0.0);
+}
+
+static double blind_turn_rad(const core_config *config, const double *angle_rad)
+{
+    static odometry_state s;
+    odometry_init(&s, config);
+    memcpy(s.angle_rad, angle_rad, sizeof s.angle_rad);
+    s.pose_covariance[5] = 0.0;
+    joint_setpoint wheels[JOINTS_MAX];
+    for (int j = 0; j < JOINTS_MAX; j++) {
+        wheels[j] = (joint_setpoint){.velocity_rad_s = config->joint[j].position.used ? 0.0 : -2.0};
+    }
+    odometry_drift(&s, config, wheels, 0.5); /* 0.05 m */
+    return sqrt(s.pose_covariance[5]);
+}
+
+static void a_blind_base_with_steered_wheels_may_have_turned_as_they_point(void)
+{
+    const core_config two = bicycle(), four = swerve_of_four();
+    for (int i = -6; i <= 6; i += 3) {
+        double angle_rad[JOINTS_MAX] = {NAN, 0.1 * i};
+        CHECK(fabs(blind_turn_rad(&two, angle_rad) - 0.05 * tan(0.1 * abs(i)) / WHEELBASE_M) < 1e-12);
+    }
+    const double unknown_rad[JOINTS_MAX] = {NAN, NAN}; /* as if straight ahead */
+    CHECK(blind_turn_rad(&two, unknown_rad) == 0.0);
+    double spot_rad = atan2(0.3, 0.2), angle_rad[JOINTS_MAX];
+    for (int j = 0; j < JOINTS_MAX; j++) {
+        angle_rad[j] = j % 2 == 0 ? spot_rad * (j == 0 || j == 6 ? -1.0 : 1.0) : NAN;
+    }
+    CHECK(fabs(blind_turn_rad(&four, angle_rad) - 0.05 / hypot(0.3, 0.2)) < 1e-12);
+}
+
 int main(void)
 {
     a_curve_sideways_ends_where_the_textbook_says();
     a_look_carries_the_wheels_errors_and_their_slip_into_pose_and_twist();
     the_first_look_adds_errors_without_a_time();
+    only_wheels_that_determine_the_motion_have_a_part_in_the_slip();
+    a_wheel_whose_angle_is_estimated_turns_the_base_by_its_error_over_its_lever();
+    of_more_wheels_that_are_estimated_the_worst_counts();
+    the_error_of_a_wheel_that_is_estimated_grows_with_the_distance_in_any_direction();
+    a_wheel_in_the_middle_that_is_estimated_turns_nothing();
+    a_blind_base_that_strafes_may_have_gone_ahead_and_sideways();
+    a_blind_base_that_does_not_strafe_has_no_variance_sideways();
+    a_blind_base_with_steered_wheels_may_have_turned_as_they_point();
     return checks_report("test_spread");
 }
