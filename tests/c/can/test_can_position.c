@@ -360,6 +360,24 @@ static void each_target_that_left_is_where_the_next_ones_begin_and_no_other(void
     }
 }
 
+/* Three of its cycles are longer than the time-out: its place is looked at no more often. */
+static void on_a_slow_bus_a_place_counts_for_three_cycles(void)
+{
+    static const int64_t AGES_NS[] = {201 * 1000000, 299 * 1000000, 301 * 1000000, 399 * 1000000};
+    for (uint32_t i = 0; i < 4; i++) {
+        begin();
+        w.table.period_ns = w.table.setpoint_timeout_ns = 100 * MS;
+        restart();
+        run(2.25F, 20 * MS);
+        ask_for(DRIVE_READY);
+        run(2.25F, 20 * MS);
+        w.machine.joint[0].place.measured_ns = w.now_ns - AGES_NS[i];
+        ask_for(DRIVE_ARMED);
+        CHECK((state_of(0)->state.mode == DRIVE_ARMED) == (i < 2));
+        CHECK(((state_of(0)->state.fault_reasons & DRIVE_FAULT_POSITION_UNKNOWN) != 0) == (i >= 2));
+    }
+}
+
 /* The time since its newest target counts up to the kick: without it no target would be new. */
 static void a_new_target_goes_out_at_once_as_far_as_the_joint_may_have_come_by_then(void)
 {
@@ -372,9 +390,11 @@ static void a_new_target_goes_out_at_once_as_far_as_the_joint_may_have_come_by_t
     put();
     step();
     CHECK(target_in(newest_of(0)) == 2.25F && m->joint[0].place.sent_ns == w.now_ns);
+    wanted_rad = 1.0;
+    put();
+    CHECK(!can_differs(m, 0)); /* in no time it has come nowhere */
     w.now_ns += MS;
     forget_sent();
-    wanted_rad = 1.0;
     put();
     can_machine_kick(&w.machine, w.now_ns);
     step();
@@ -383,6 +403,7 @@ static void a_new_target_goes_out_at_once_as_far_as_the_joint_may_have_come_by_t
 
 int main(void)
 {
+    on_a_slow_bus_a_place_counts_for_three_cycles();
     a_new_target_goes_out_at_once_as_far_as_the_joint_may_have_come_by_then();
     each_target_of_each_frame_needs_its_place_and_no_other();
     each_target_of_each_frame_begins_anew_while_it_is_not_armed_and_no_other();

@@ -224,7 +224,7 @@ static void set_points(void)
     scale->joint = 0;
     scale->kind = SETPOINT_POSITION;
     CHECK(refused("drive[1].setpoint.raw_per_s"));
-    scale->raw_per_s = 1.0;
+    scale->raw_per_s = 0.01; /* slow, but it moves */
     CHECK(is_good());
     scale->kind = SETPOINT_TORQUE;
     CHECK(refused("drive[1].setpoint.raw_per_s"));

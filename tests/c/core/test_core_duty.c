@@ -311,6 +311,31 @@ static void gains_that_are_there_at_the_first_tick_count(void)
     }
 }
 
+/* Also as what the core began with, and as the largest number. */
+static void a_loop_runs_on_whatever_its_gains_are_counted_as(void)
+{
+    static const uint32_t COUNTS[] = {5, UINT32_MAX, 7, 0, 1};
+    for (uint32_t loops_at_first = 0; loops_at_first < 2; loops_at_first++) {
+        rig r;
+        core_config config = with_loops(loops_at_first != 0 ? PI : (speed_loop_gains){0});
+        start(&r, &config);
+        go(&r, 0.4, 0.0);
+        for (int i = 0; i < COUNT_OF(COUNTS); i++) {
+            speed_loop_gains gains = PI;
+            gains.gain_u_s_per_rad += 1e-3 * i;
+            put_gains(&r, gains);
+            r.input.control.gains_count = COUNTS[i];
+            turned(&r, 0.9);
+            CHECK(r.state.gains[0].gain_u_s_per_rad == gains.gain_u_s_per_rad);
+            for (int ms = 0; ms < 5; ms++) {
+                double before_u = r.out.joint[0].duty;
+                turned(&r, 0.9);
+                CHECK(r.out.joint[0].duty > before_u);
+            }
+        }
+    }
+}
+
 static void a_state_that_is_no_number_is_no_duty_of_any_loop(void)
 {
     rig r;
@@ -340,6 +365,7 @@ int main(void)
     a_loop_without_gains_ends_when_its_integral_is_gone();
     gains_alone_move_nothing();
     gains_that_are_there_at_the_first_tick_count();
+    a_loop_runs_on_whatever_its_gains_are_counted_as();
     a_state_that_is_no_number_is_no_duty_of_any_loop();
     return checks_report("test_core_duty");
 }

@@ -144,6 +144,20 @@ static void each_wheel_whose_duty_is_clamped_is_named(void)
     }
 }
 
+/* One forwards, another one backwards: what was named before is not. */
+static void a_wheel_is_named_only_while_its_own_duty_is_clamped(void)
+{
+    core_config config = good_config();
+    config.joint[0].pwm.duty_max = 0.1;
+    config.joint[1].pwm.duty_min = -0.1;
+    rig r;
+    start(&r, &config);
+    go(&r, 0.3, 0.0);
+    CHECK(r.shown.reasons == REASON_DUTY_CLAMPED && r.shown.reason.duty_clamped == 1U << 0);
+    go(&r, -0.3, 0.0);
+    CHECK(r.shown.reasons == REASON_DUTY_CLAMPED && r.shown.reason.duty_clamped == 1U << 1);
+}
+
 static void set_points_say_when_and_for_how_many_they_were_made(void)
 {
     core_config config = good_config();
@@ -284,6 +298,7 @@ int main(void)
     a_duty_that_is_behind_grows_by_its_slew_and_is_named();
     what_a_twist_makes_of_the_wheels_is_worked_out_once();
     each_wheel_whose_duty_is_clamped_is_named();
+    a_wheel_is_named_only_while_its_own_duty_is_clamped();
     set_points_say_when_and_for_how_many_they_were_made();
     a_core_begins_with_its_own_limits_in_whatever_memory();
     a_base_of_as_many_wheels_as_there_can_be();

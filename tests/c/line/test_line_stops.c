@@ -24,6 +24,28 @@ static void drives_that_are_off_are_sent_one_gap_apart(void)
     }
 }
 
+/* Drives that are ready have their cycles until then; behind its power-off each one is left as it is. */
+static void once_the_power_goes_off_nothing_else_is_sent(void)
+{
+    begin_with(2, 0);
+    arm(0);
+    request(1, DRIVE_READY);
+    for (int64_t end_ns = w.now_ns + 100 * MS; w.now_ns < end_ns;) {
+        go_on();
+    }
+    w.machine.control.shut_down = 1;
+    uint32_t frames = 0, power_offs = 0;
+    for (int64_t limit_ns = w.now_ns + 2000 * MS; w.machine.end.stage != END_SILENT && w.now_ns < limit_ns;) {
+        uint32_t before = w.sent_off[0] + w.sent_off[1];
+        go_on();
+        if (w.machine.end.stage == END_POWER_OFF) {
+            frames += w.out.send != NULL;
+            power_offs += w.sent_off[0] + w.sent_off[1] - before;
+        }
+    }
+    CHECK(w.machine.end.stage == END_SILENT && power_offs == 4 && frames == power_offs);
+}
+
 static void missing_drives_do_not_keep_the_power_of_the_others_on(void)
 {
     begin_with(4, 0);
@@ -393,6 +415,7 @@ static void a_reply_that_may_take_long_does_not_keep_the_stops_of_the_others_bac
 
 int main(void)
 {
+    once_the_power_goes_off_nothing_else_is_sent();
     a_reply_that_may_take_long_does_not_keep_the_stops_of_the_others_back();
     a_pending_power_off_is_not_forgotten_when_it_is_set_up_again();
     one_that_waits_for_its_power_off_is_not_armed();

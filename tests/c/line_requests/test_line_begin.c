@@ -120,8 +120,32 @@ static void nothing_behind_a_list_is_looked_at(void)
     CHECK(w.machine.drive[1].due_ns == 0);
 }
 
+/* Its targets say whether a place has a sign: without one, the upper half of its range is not below zero. */
+static void a_place_has_a_sign_where_its_targets_have_one(void)
+{
+    for (uint32_t has_sign = 0; has_sign < 2; has_sign++) {
+        begin_with(1, 0);
+        line_drive *drive = &w.table.drive[0];
+        drive->cyclic[0].setpoint[0] = (line_setpoint){.kind = SETPOINT_POSITION,
+                                                       .byte = 4,
+                                                       .form = has_sign != 0 ? FORM_I16 : FORM_U16,
+                                                       .raw_per_si = 1000.0,
+                                                       .raw_max = 30000.0,
+                                                       .raw_per_s = 1000.0};
+        drive->cyclic[1].field[0] = (line_field){.kind = FIELD_COUNT, .byte = 3, .form = FORM_U16, .si_per_raw = 1.0};
+        CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
+        w.place = -1536;
+        request(0, DRIVE_READY);
+        for (int64_t end_ns = w.now_ns + 50 * MS; w.now_ns < end_ns;) {
+            go_on();
+        }
+        CHECK(w.machine.joint[0].place.measured == (has_sign != 0 ? -1536.0 : 64000.0));
+    }
+}
+
 int main(void)
 {
+    a_place_has_a_sign_where_its_targets_have_one();
     a_line_begins_with_nothing_of_before();
     a_table_that_is_wrong_begins_nothing();
     each_drive_that_may_turn_is_sent_to_stop_and_no_other();
