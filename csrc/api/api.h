@@ -484,7 +484,6 @@ typedef struct {
     uint32_t extras;       /* not 0: it has positions, a gyro or speed loops */
     uint32_t loops;        /* bit n: joint n has a speed loop, and with its gains one that does something */
     uint32_t derates;      /* 1: a joint may derate the base */
-    uint32_t gains_idle;   /* the gains_count with which no loop has anything to do; another one while loops run */
     int64_t armed_ns;      /* the tick that armed */
     int64_t zero_since_ns; /* holding: the tick from which on the set-points have been zero; 0: they are not */
 } core_state;

@@ -9,7 +9,7 @@
  * the core's whole state, so that a replay may begin there. One writer, any number of readers; a reader that is slower
  * than the ring loses records, and no other reader anything. docs/replay.md */
 enum {
-    JOURNAL_LAYOUT_VERSION = 11,
+    JOURNAL_LAYOUT_VERSION = 12,
     JOURNAL_RECORDS = 4096,
     JOURNAL_CHECKPOINTS = 4,
     JOURNAL_CHECKPOINT_EVERY = 1024 /* records */

@@ -438,7 +438,6 @@ static void note_extras(core_state *state)
         state->gains[j] = joint->speed_loop.gains;
         state->loops |= (uint32_t)loop_is_on(state, j) << j;
     }
-    state->gains_idle = state->loops != 0 ? ~0U : 0;
     state->extras = state->positions | state->config.gyro.used | state->loops;
 }
 
@@ -480,7 +479,7 @@ void core_step(core_state *state, const core_input *input, double dt_s, setpoint
     watch(state, input, dt_s, &t);
     drive(state, &t);
     measure(state, &t);
-    if (input->control.gains_count != state->gains_idle) {
+    if ((state->loops | (input->control.gains_count ^ state->gains_seen)) != 0) { /* one comparison */
         set_loops(state, &t);
     }
     guard(state, &t);

@@ -124,7 +124,6 @@ __attribute__((noinline)) static void set_loops(core_state *state, const tick *t
     if (control->gains_count != state->gains_seen) {
         take_gains(state, control);
     }
-    state->gains_idle = state->loops != 0 ? ~control->gains_count : control->gains_count;
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
         if (!(state->loops & 1U << j)) {
             continue;

@@ -314,7 +314,7 @@ static void gains_that_are_there_at_the_first_tick_count(void)
 /* Also as what the core began with, and as the largest number. */
 static void a_loop_runs_on_whatever_its_gains_are_counted_as(void)
 {
-    static const uint32_t COUNTS[] = {5, UINT32_MAX, 7, 0, 1};
+    static const uint32_t COUNTS[] = {UINT32_MAX, 5, UINT32_MAX, 7, 0, 1, INT32_MAX, INT32_MAX + 1U, UINT32_MAX, 0};
     for (uint32_t loops_at_first = 0; loops_at_first < 2; loops_at_first++) {
         rig r;
         core_config config = with_loops(loops_at_first != 0 ? PI : (speed_loop_gains){0});
