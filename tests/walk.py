@@ -152,7 +152,7 @@ def cloned(walk, folder):
 
 ANSWERS = {
     r"Which drive profile\? \[.*?\] ": "", r"robot's name\? \[.*?\] ": "",
-    r"\[differential/skid/mecanum/omni\] ": "differential",
+    r"\[differential/.*?\] ": "differential",
     r"Radius of a loaded wheel.*?\[m\] ": f"{RADIUS_M}",
     r"Distance from the middle.*?\[m\] ": f"{TRACK_M}",
     r"Top speed.*?\[m/s\] ": "0.5", r"Fastest turn.*?\[rad/s\] ": "1",
