@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records docs/first-drive.md: a new robot from its packing to a calibrated base, on simulated
+"""Records docs/first-drive.md: a robot from new parts to a calibrated base, on simulated
 drives whose wheels and track differ from what the person believes. Run: make walk."""
 
 import contextlib
@@ -40,7 +40,7 @@ TRUTH = {
 TRIES = 4
 """A busy machine may hold up the simulated robot for too long."""
 HEAD = """\
-# From its packing to a calibrated base
+# From new parts to a calibrated base
 
 A recorded walk: `make walk` made this page, on simulated drives that speak their real protocols.
 The first robot has a ZLAC8015D on a serial port (Modbus). Its left wheel is truly 3 % larger than

@@ -6,6 +6,7 @@ import re
 import pytest
 from tests.sim.daemon_stage import DEADLINE_S, ROBOT, armed
 from tests.sim.person_stage import at_terminal, robot_of
+from tests.walk import ANSWERS
 
 from motord.config import load_robot
 from motord.tools.simulator import start_simulator
@@ -40,6 +41,12 @@ def test_the_drive_is_found_and_the_file_is_written(port, tmp_path):
     assert (robot.line["main"].port, robot.line["main"].baudrate) == (str(port), 115200)
     assert robot.joint["left"].drive == "zlac8015d"
     assert not robot.publish
+
+
+def test_the_recorded_walk_answers_each_question(port, tmp_path):
+    with at_terminal("init", tmp_path / "cart.toml", "--at", port) as screen:
+        assert screen.answers(ANSWERS) == 0
+    assert load_robot(tmp_path / "cart.toml").base.kind == "differential"
 
 
 def test_drives_on_a_can_bus_are_found_and_a_mecanum_base_is_written(tmp_path):
