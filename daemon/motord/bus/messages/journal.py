@@ -17,7 +17,7 @@ from motord.bus.messages.cdr import HEADER
 
 TOPIC, TYPE_NAME = "core_journal", "motord_msgs/msg/CoreJournal"
 _MAGIC = b"MOTORDJ\1"
-_LAYOUT_VERSION = 11
+_LAYOUT_VERSION = 12
 _HEADER = struct.Struct("=8s10I2Q")
 """magic; layout version; records: count, stride, offset, bytes; checkpoints: the same four; the
 writer's process; records and checkpoints so far."""
