@@ -313,9 +313,11 @@ int64_t line_stamp(const line_machine *m, uint32_t drive, int64_t now_ns);
 /* ------------------------------------------------------------------------ line_unresponsive.c */
 void line_becomes_unresponsive(line_machine *m, uint32_t drive, int64_t now_ns);
 void line_next_probe(line_machine *m, uint32_t drive, int64_t now_ns, line_frame *out);
-/* Those of the cycle, and behind them the extra ones; which of them probes whether it answers; and its request, with zeros. */
+/* The exchanges of the cycle, and behind them the extra ones. */
 const line_exchange *line_exchange_at(const line_drive *table, uint32_t place);
+/* Which of them finds out whether the drive answers. */
 uint32_t line_probe_place(const line_drive *table);
+/* The request of one of them for a drive that is not armed. */
 void line_build_read(line_machine *m, uint32_t drive, uint32_t place, line_frame *out);
 /* The first unresponsive drive that may be asked now, of those that may turn or of all; LINE_DRIVES_MAX: none. */
 uint32_t line_due_probe(const line_machine *m, bool may_turn, int64_t now_ns);

@@ -39,7 +39,7 @@ class LateReplies:
         self._bytes = b""
 
     def came(self, data: bytes) -> None:
-        """Bytes, whosever they are."""
+        """Bytes of any drive, or noise."""
         self._bytes = (self._bytes + data)[-KEPT_BYTES:]
 
     def answered(self, request: Request) -> None:
