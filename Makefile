@@ -9,12 +9,12 @@ MAKEFLAGS += --no-print-directory
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast check san bench soak fuzz mutants coverage wheel deb vm arm64 walk clean
+.PHONY: help demo test test-all test-fast check san bench soak fuzz mutants coverage wheel deb vm arm64 walk clean
 
 help:
 	@echo "make demo      drive a simulated robot         make demo ARGS=\"--json --seconds 20\"" >&2
-	@echo "make test      all tests                       make test ARGS=\"tests/unit -k wrap\"" >&2
-	@echo "make test-fast the inner loop: a minute        make test-fast ARGS=\"-k wrap\"" >&2
+	@echo "make test      all but the long tests: 5 min   make test ARGS=\"tests/unit -k wrap\"" >&2
+	@echo "make test-all  the long ones, too: 12 min      make test-fast  the inner loop: a minute" >&2
 	@echo "make check     format, lint, types, arrows     make san    sanitizers" >&2
 	@echo "make coverage  the tests, and what they miss   make bench  the wire, rivals, latency (ARGS=--quick, --smoke)" >&2
 	@echo "make soak      faults on a moving robot        make soak ARGS=\"--faults 500 --seed 7\"" >&2
@@ -69,8 +69,14 @@ demo: $(VENV)/built
 
 # More workers than processors: most tests wait for simulated motors.
 WORKERS ?= 7
+PYTEST = $(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup
 test: $(VENV)/built $(VENV)/test $(VENV)/collected
-	@$(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup $(ARGS)
+	@$(PYTEST) --without-long $(ARGS)
+	$(if $(ARGS),,@echo "Left out: long tests, and those with other programs. make test-all runs them, too." >&2)
+
+# Also what the mark `long` is at, and the tests with programs of other people: tests/conftest.py.
+test-all: $(VENV)/built $(VENV)/test $(VENV)/collected
+	@$(PYTEST) $(ARGS)
 
 # For the inner loop: no other process, no simulated robot.
 test-fast: $(VENV)/built $(VENV)/test

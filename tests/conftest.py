@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every test folder shares. `MOTORD_RT_DIR` puts another build of the C core first (make
-san). Property tests have no deadline: a busy machine is no bug. Each run draws other cases, half
-as many in `make test` as in `make san`, and few in `make test-fast`. Programs that tests start read
+san). Property tests have no deadline: a busy machine is no bug. Each run draws other cases, a
+quarter of those of `make san`, and few in `make test-fast`. Programs that tests start read
 their modules from bytecode: without it, each of some thousand starts compiles a hundred modules
 anew."""
 
@@ -17,7 +17,7 @@ from hypothesis import settings
 from tests import fork_server
 from tests.late_machine import pytest_runtest_protocol, pytest_terminal_summary  # noqa: F401  hooks
 
-EXAMPLES = 100 if os.environ.get("MOTORD_RT_DIR") else 10 if os.environ.get("FAST") else 50
+EXAMPLES = 100 if os.environ.get("MOTORD_RT_DIR") else 10 if os.environ.get("FAST") else 25
 
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # as containers set it
 sys.dont_write_bytecode = False
@@ -34,6 +34,9 @@ CPUS = os.cpu_count() or 1
 LANES = {"page": max(1, CPUS // 2), "robot": CPUS + CPUS // 2}
 """So many whole robots run at once, so many of them with pages of a browser. Each is three to seven
 programs: with more of them every one is late, fails, and runs again."""
+OTHERS = ("browser", "peers")
+"""Folders of tests that need programs of other people. They are long, and so is what is marked so:
+the machine works on all of it for longer than on all the rest."""
 OPEN_TO = {"browser": ("page",), "sim": ("page", "robot"), "peers": ("page", "robot")}
 LONG_S = {
     "test_partition": 32, "test_calibrate": 24, "test_can_robot": 13, "test_bus_faults": 12,
@@ -72,10 +75,27 @@ def lanes(items):
     return found
 
 
+def pytest_addoption(parser):
+    parser.addoption("--without-long", action="store_true", help="as in make test")
+
+
+def without_long(items, config):
+    """Leaves out what only `make test-all` runs; what a person names is run."""
+    if config.option.without_long and not config.option.file_or_dir:
+        left_out = [item for item in items if is_long(item)]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if not is_long(item)]
+
+
+def is_long(item):
+    return kind_of(item.path) in OTHERS or item.get_closest_marker("long") is not None
+
+
 @pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_collection_modifyitems(items):
+def pytest_collection_modifyitems(items, config):
     """Tests of a lane, and tests that share a fixture of their file, stay in one process of `--dist
     loadgroup`, which looks for the mark in this hook; all others go wherever one is free."""
+    without_long(items, config)
     lane_of = lanes(items)
     for item in items:
         definitions = item._fixtureinfo.name2fixturedefs.values()

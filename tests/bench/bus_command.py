@@ -22,6 +22,8 @@ from typing import Any
 from datagram import PAUSE_S, _until, daemon, percentile
 from wire import ROOT, SPEC_GAP_US, slave
 
+from motord.bus.ros2.dds.priority import PRIORITY, give
+
 sys.path.insert(0, str(ROOT))
 DOMAIN = 91
 INPUT = f"""
@@ -85,6 +87,15 @@ def _hogs_of_bus(count: int) -> Iterator[None]:
             os.environ["PYTHONPATH"] = before
 
 
+def _pty_like_a_uart() -> None:
+    """A kernel worker of ordinary priority hands on what is written to a pty; a UART has none. As
+    root it goes before the busy threads; else what is found has its delay, up to 4 ms, in it."""
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if (process / "comm").read_text(encoding="ascii").startswith("kworker/u"):
+                os.sched_setscheduler(int(process.name), os.SCHED_FIFO, os.sched_param(1))
+
+
 def delays_ms(hogs: int, bus_hogs: int, count: int, seed: int) -> tuple[list[float], int]:
     """Of each command, as datagram.delays_us, and how many the daemon did not accept. A fault
     ends it. The daemon's hogs have its CPU; motord-bus keeps the others."""
@@ -99,10 +110,12 @@ def delays_ms(hogs: int, bus_hogs: int, count: int, seed: int) -> tuple[list[flo
         pid = _until(lambda: robot.status()["bus"]["pid"], "motord-bus")
         for thread in os.listdir(f"/proc/{pid}/task"):
             os.sched_setaffinity(int(thread), os.sched_getaffinity(0))
+        _pty_like_a_uart()
         _until(
             lambda: robot.status()["bus"].get("inputs", {}).get("ros2", {}).get("lease"), "lease"
         )
         _until(lambda: write(0.0), "reader of cmd_vel")
+        give(os.SCHED_FIFO, PRIORITY, pid)  # as LimitRTPRIO of the unit does
         if hogs or bus_hogs:
             os.kill(robot.status()["pid"] if hogs else pid, signal.SIGUSR1)
         time.sleep(max(PAUSE_S))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the second process gives up at its start, so that nothing in it can cost the robot anything:
-capabilities, real-time priority, memory without end, and its turn before others."""
+capabilities, all but the lowest real-time priority, memory without end, and its turn before
+others."""
 
 from __future__ import annotations
 
@@ -14,6 +15,8 @@ from pathlib import Path
 DATA_BYTES_MAX = 512 << 20
 """Private memory, stacks of threads too: a leak ends here, and the daemon starts it again."""
 NICENESS = 5
+REALTIME_PRIORITY_MAX = 1
+"""The lowest there is, for what motord.bus.ros2.dds.priority names; where it is granted at all."""
 _OOM_SCORE_ADJ = 500
 """proc_pid_oom_score_adj(5): before the daemon, when the machine is out of memory."""
 _PR_SET_NO_NEW_PRIVS, _PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL = 38, 47, 4
@@ -25,8 +28,9 @@ _CAPABILITY_VERSION_3 = 0x20080522
 def confine() -> None:
     """Once, before anything else. What the kernel does not grant is done without: all of it is less
     than we have."""
+    with contextlib.suppress(OSError, ValueError):  # not granted: it is 0
+        resource.setrlimit(resource.RLIMIT_RTPRIO, (REALTIME_PRIORITY_MAX, REALTIME_PRIORITY_MAX))
     _drop_capabilities()
-    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     limit = DATA_BYTES_MAX if hard == resource.RLIM_INFINITY else min(DATA_BYTES_MAX, hard)
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))

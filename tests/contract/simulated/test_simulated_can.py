@@ -4,6 +4,7 @@
 import pytest
 from loop_side import running, until
 from sim_bench import RT, folder_of, simulated, spec_of, with_rt, without_power
+from tests.long_cases import long_but
 from tests.shipped import shipped_profile
 
 from motord_hal.fieldbus.ports import DriveState, EventKind
@@ -12,9 +13,10 @@ SPEED_RAD_S = 3.0
 LOSSY = ["odrive-0.6", "vesc", "rmd", "dbc-example", "moteus"]
 """Those that bear lost frames while they are set up; an SDO transfer is not tried again at once."""
 DRIVES = [*LOSSY, "cia402-csv", "cia402-torque"]
+FEW = with_rt(["odrive-0.6", "cia402-csv"])
 
 
-@pytest.fixture(params=with_rt(DRIVES))
+@pytest.fixture(params=long_but(FEW, with_rt(DRIVES)))
 def variant(request):
     return request.param
 
@@ -91,7 +93,7 @@ async def test_bus_off_ends_the_drive_and_it_comes_back_disarmed(rig, sim):
     assert rig.line.stats().errors["bus_off"] == 1
 
 
-@pytest.mark.parametrize("variant", with_rt(LOSSY), indirect=True)
+@pytest.mark.parametrize("variant", long_but(FEW, with_rt(LOSSY)), indirect=True)
 async def test_lost_frames_both_ways_are_borne(rig, sim):
     sim.inject("drop:p=0.03")
     sim.inject("unheard:p=0.05")

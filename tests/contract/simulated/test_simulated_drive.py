@@ -21,6 +21,7 @@ from sim_bench import (
     with_rt,
     without_power,
 )
+from tests.long_cases import long_but
 from tests.shipped import NAMES, shipped_profile
 
 from motord_hal.fieldbus.ports import DriveState, EventKind
@@ -54,10 +55,16 @@ def one_of_each_protocol(names):
     return list(found.values())
 
 
+def each_that(have_it):
+    """Of these, `make test` runs one of each protocol."""
+    names = profiles_that(have_it)
+    return long_but(one_of_each_protocol(names), names)
+
+
 SERIAL = profiles_that(lambda profile: profile.can is None)
 
 
-@pytest.fixture(params=profiles_that(lambda _: True))
+@pytest.fixture(params=each_that(lambda _: True))
 def variant(request):
     return request.param
 
@@ -167,7 +174,7 @@ async def test_armed_wheels_turn_as_sent_and_feedback_agrees_with_the_plant(rig,
             await until(agrees, f"{joint.name} says how fast it is")
 
 
-@pytest.mark.parametrize("variant", profiles_that(can_reverse), indirect=True)
+@pytest.mark.parametrize("variant", each_that(can_reverse), indirect=True)
 async def test_a_drive_that_can_reverse_reverses(rig, sim, profile):
     await set_off(rig, sim, sign=-1.0)
     for joint in rig.line.spec.joints:
@@ -178,7 +185,7 @@ async def test_a_drive_that_can_reverse_reverses(rig, sim, profile):
     assert sim.truth().joints["left"].velocity_rad_s > 0
 
 
-@pytest.mark.parametrize("variant", profiles_that(lambda p: p.counter_bits), indirect=True)
+@pytest.mark.parametrize("variant", each_that(lambda p: p.counter_bits), indirect=True)
 async def test_counters_count_what_the_wheels_turned(rig, sim, profile):
     await rig.ready()
     joints = rig.line.spec.joints
@@ -222,7 +229,7 @@ async def test_dead_set_points_stop_the_wheels(rig, sim):
     await rig.ready()
 
 
-@pytest.mark.parametrize("variant", profiles_that(lambda p: p.faults), indirect=True)
+@pytest.mark.parametrize("variant", each_that(lambda p: p.faults), indirect=True)
 async def test_a_fault_is_reported_stops_its_wheel_and_is_cleared_disarmed(rig, sim, profile):
     await set_off(rig, sim)
     fault = next(fault for fault in profile.faults if fault.severity == "fault")
@@ -251,7 +258,7 @@ def watchdog_bites(sim):
     return [unit["watchdog_bites"] for unit in sim.stats()["lines"]["bus"]["units"].values()]
 
 
-@pytest.mark.parametrize("variant", SERIAL, indirect=True)
+@pytest.mark.parametrize("variant", each_that(lambda profile: profile.can is None), indirect=True)
 async def test_a_pulled_plug_lets_the_watchdog_bite_and_the_line_comes_back_disarmed(rig, sim):
     await set_off(rig, sim)
     left = rig.line.spec.joints[0]
@@ -271,7 +278,7 @@ async def test_a_pulled_plug_lets_the_watchdog_bite_and_the_line_comes_back_disa
     assert feedback(rig, left).epoch != epoch  # it may have been switched off meanwhile
 
 
-@pytest.mark.parametrize("variant", profiles_that(reports), indirect=True)
+@pytest.mark.parametrize("variant", each_that(reports), indirect=True)
 async def test_a_drive_that_reboots_comes_back_disarmed_with_a_new_epoch(rig, sim):
     await set_off(rig, sim)
     left = rig.line.spec.joints[0]

@@ -10,6 +10,8 @@ import pytest
 from tests.peers.ros2.ros2_stage import NAMESPACE, called, inputs, peer, ros2_stage, settle
 from tests.sim.daemon_stage import wait_until
 
+from motord.bus.ros2.dds.priority import PRIORITY, give
+
 pytest.importorskip("cyclonedds", reason="needs cyclonedds")
 
 TOPIC = f"rt{NAMESPACE}/cmd_vel"
@@ -51,6 +53,20 @@ def ours(stage):
 def test_a_thread_of_its_own_waits_for_commands(stage):
     assert "motord-cmd_vel" in threads_of(bus(stage))
     assert "goes through Python" not in stage.logged()
+
+
+def test_what_receives_goes_before_python(stage):
+    """By the unit's LimitRTPRIO, or as here from outside."""
+    give(os.SCHED_FIFO, PRIORITY, bus(stage))
+    tasks = Path(f"/proc/{bus(stage)}/task").iterdir()
+    found = {
+        ((task / "comm").read_text().strip(), os.sched_getscheduler(int(task.name)))
+        for task in tasks
+    }
+    before_python = {name for name, policy in found if policy != os.SCHED_OTHER}
+    if not before_python:
+        pytest.skip("needs the right to SCHED_FIFO")
+    assert before_python == {"recv", "motord-cmd_vel"}
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ SMALL = (
 )  # fmt: skip
 
 
+@pytest.mark.long
 def test_radii_and_track_are_recovered_and_written(tmp_path):
     file = copied(tmp_path)
     with robot_of(tmp_path, file, truth=TRUTH) as stage:
@@ -54,6 +55,7 @@ def test_the_radius_of_a_base_without_two_sides_is_found(tmp_path, name, rolling
     assert load_robot(file).base.wheel_radius_m == pytest.approx(true_m, rel=0.003)
 
 
+@pytest.mark.long
 def test_the_feed_forward_of_a_duty_is_found(tmp_path):
     """The simulated motor stalls at 8 N·m, turns 0.07 kg·m², and rubs with 0.48 N·m: it begins to
     turn at 6 %."""
@@ -71,6 +73,7 @@ def test_the_feed_forward_of_a_duty_is_found(tmp_path):
     assert "rad/s)" in text
 
 
+@pytest.mark.long
 def test_the_feed_forward_of_a_torque_is_found_under_its_speed_loop(tmp_path):
     file = patient_on_can(tmp_path, "cia402-torque", "cia402-torque")
     with robot_of(tmp_path, file, *HELD_TORQUE) as stage:
@@ -86,6 +89,7 @@ def test_the_feed_forward_of_a_torque_is_found_under_its_speed_loop(tmp_path):
         assert loop.gain_n_m_s_per_rad == 1.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scale", [1.0, 1.03])
 def test_the_scale_and_the_offset_of_a_gyro_are_measured(tmp_path, scale):
     file = copied(tmp_path, ROOT / "config/robots/esp32-imu.toml")
@@ -106,6 +110,7 @@ def test_the_scale_and_the_offset_of_a_gyro_are_measured(tmp_path, scale):
     assert variance == pytest.approx((measured - 1.0) ** 2 * math.tau, rel=0.1, abs=2e-6)
 
 
+@pytest.mark.long
 def test_the_paths_before_and_after_are_drawn(tmp_path):
     pytest.importorskip("matplotlib")
     file, picture = copied(tmp_path), tmp_path / "paths.png"

@@ -184,6 +184,7 @@ MECANUM_SWAPPED = (
 )  # fmt: skip
 
 
+@pytest.mark.long
 def test_diagonally_swapped_mecanum_wheels_are_found(tmp_path):
     """Each wheel turns twice; the person names the one that turned both times."""
     file = copied(tmp_path, ROBOT.parent / "mecanum4.toml")

@@ -116,6 +116,7 @@ def test_steering_of_a_car_that_is_inverted_and_crooked_is_put_right(tmp_path):
     assert abs(joint.zero_count - 2048) <= EXACT_COUNTS
 
 
+@pytest.mark.long
 def test_modules_of_a_swerve_base_whose_drives_are_swapped_are_put_right(tmp_path):
     """The front ones steer and drive each other's wheel, one is inverted, one is crooked."""
     file = crooked(tmp_path, "swerve4-servos")

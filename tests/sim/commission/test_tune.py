@@ -177,6 +177,7 @@ def test_a_drive_that_holds_the_speed_by_itself_is_named(tmp_path):
         assert 'no joint "lift": known are left, right' in screen.text
 
 
+@pytest.mark.long
 def test_a_drive_that_takes_a_torque_gets_feed_forward_too(tmp_path):
     file = patient_on_can(tmp_path, "cia402-torque", "cia402-torque")
     slack = (("gain_n_m_s_per_rad = 1.0", "gain_n_m_s_per_rad = 0.3"),)

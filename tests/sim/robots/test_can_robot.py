@@ -8,6 +8,7 @@ from motord.config import load_robot
 from motord.tools.demo import run_demo
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "profile", "line"),
     [

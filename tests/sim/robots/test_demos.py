@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from tests.long_cases import long_but
 from tests.sim.daemon_stage import ROOT
 
 from motord.config import load_robot
@@ -67,7 +68,7 @@ def demo(name, *options):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", long_but(("demo", "asyncio-rs485", "esp32"), ROBOTS))
 def test_a_shipped_robot_drives_the_course_and_reports_what_its_odometry_is_worth(name):
     run = demo(name, "--json")
     assert run.returncode == 0, run.stdout + run.stderr

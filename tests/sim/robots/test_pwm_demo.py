@@ -9,6 +9,7 @@ import subprocess
 import sys
 
 import pytest
+from tests.long_cases import long_but
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, set_off, wait_until
 
 ROBOT = ROOT / "config/robots/pi5-bts7960.toml"
@@ -55,7 +56,7 @@ def blind_robot(drive):
     return text.replace('"tb6612fng"', f'"{drive}"') + PATIENT
 
 
-@pytest.mark.parametrize("drive", BY_GPIO)
+@pytest.mark.parametrize("drive", long_but(("l298n",), BY_GPIO))
 def test_a_bridge_with_its_direction_on_gpio_lines_drives_and_its_odometry_is_an_estimate(
     tmp_path, drive
 ):

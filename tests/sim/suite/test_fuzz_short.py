@@ -18,6 +18,7 @@ def fuzz(target, runs, seed=SEED):
     )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("target", "runs"), [("guard", 300), ("socket", 150), ("robot-file", 60)])
 def test_hostile_inputs_end_in_errors_that_are_handled(target, runs):
     run = fuzz(target, runs)

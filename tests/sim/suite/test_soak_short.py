@@ -32,6 +32,7 @@ def outcomes():
         return dict(zip(ENGINES, ran, strict=True))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_moving_robot_gets_through_every_kind_of_fault(outcomes, engine):
     outcome = outcomes[engine]

@@ -30,6 +30,7 @@ def top(stage):
         yield terminal
 
 
+@pytest.mark.long
 def test_it_shows_the_robot_and_its_keys_act(stage):
     with top(stage) as terminal:
         for text in ("IDLE", "left", "right", "rs485", "cycles/s", "loop", "no source", "socket"):

@@ -168,6 +168,7 @@ def searched(kind, **more):
 KINDS = {"fork": "fork", "faults": "page faults"}
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("recorded")
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_program_that_delays_the_loop_is_among_the_suspects(kind):

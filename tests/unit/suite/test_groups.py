@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tests/conftest.py does for tests that run side by side."""
+"""What tests/conftest.py does for tests that run side by side, and for long ones."""
 
 import os
 import subprocess
@@ -19,14 +19,10 @@ def test_tests_that_share_a_fixture_of_their_file_stay_in_one_process(shared, re
     assert request.node.nodeid.endswith("@tests/unit/suite/test_groups.py")
 
 
-def test_what_failed_in_a_group_is_all_that_runs_again_without_groups(tmp_path):
+@pytest.fixture
+def ran(tmp_path):
+    """Runs pytest on what is in the folder, and gives what it printed."""
     (tmp_path / "conftest.py").write_text("from tests.conftest import *\n")
-    (tmp_path / "test_two.py").write_text(
-        "import pytest\n\n"
-        "@pytest.fixture(scope='module')\ndef shared():\n    pass\n\n"
-        "def test_fails(shared):\n    assert 0\n\n"
-        "def test_passes(shared):\n    pass\n"
-    )
 
     def ran(*options):
         command = [sys.executable, "-m", "pytest", "-v", f"--rootdir={tmp_path}", *options]
@@ -36,7 +32,33 @@ def test_what_failed_in_a_group_is_all_that_runs_again_without_groups(tmp_path):
             command, cwd=tmp_path, env=where, capture_output=True, text=True, timeout=300
         ).stdout
 
+    return ran
+
+
+def test_what_failed_in_a_group_is_all_that_runs_again_without_groups(tmp_path, ran):
+    (tmp_path / "test_two.py").write_text(
+        "import pytest\n\n"
+        "@pytest.fixture(scope='module')\ndef shared():\n    pass\n\n"
+        "def test_fails(shared):\n    assert 0\n\n"
+        "def test_passes(shared):\n    pass\n"
+    )
+
     assert "1 failed, 1 passed" in ran("-n", "1", "--dist", "loadgroup")
     again = ran("-n", "0", "--last-failed")
     assert "1 failed" in again
     assert "passed" not in again
+
+
+def test_long_tests_are_left_out_unless_their_file_is_named(tmp_path, ran):
+    (tmp_path / "test_two.py").write_text(
+        "import pytest\n\n"
+        "@pytest.mark.long\ndef test_long():\n    pass\n\n"
+        "def test_short():\n    pass\n"
+    )
+    mark = ("-o", "markers=long: as in pyproject.toml")
+    assert "1 passed, 1 deselected" in ran(*mark, "--without-long")
+    side_by_side = ran(*mark, "--without-long", "-n", "1")
+    assert "1 passed" in side_by_side
+    assert "::test_long" not in side_by_side
+    assert "2 passed" in ran(*mark, "--without-long", "test_two.py")
+    assert "2 passed" in ran(*mark)

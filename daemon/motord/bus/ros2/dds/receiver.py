@@ -18,6 +18,7 @@ from typing import Any, Protocol
 from motord.api.deadline import within
 from motord.bus.commands.gate import AHEAD, ZERO_STAMP, CommandGate
 from motord.bus.commands.link import NO_LEASE, SOCKET_FULL
+from motord.bus.ros2.dds.priority import before_python
 from motord.bus.ros2.quality import Quality
 
 TYPE = "geometry_msgs/msg/TwistStamped"
@@ -157,6 +158,7 @@ class Twists:
         with self._receiver.open() as fd:
             loop.add_reader(fd, arrived.set)
             source.lend(self._receiver)
+            before_python()
             try:
                 while True:
                     self._receiver.alive()

@@ -1,0 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cases of a parametrized test, of which `make test` runs few and `make test-all` runs all."""
+
+import pytest
+
+
+def long_but(few, cases):
+    """Marks each of `cases` long that is not among `few`."""
+    return [pytest.param(case, marks=() if case in few else pytest.mark.long) for case in cases]
