@@ -68,7 +68,7 @@ demo: $(VENV)/built
 	@$(VENV)/bin/motord demo $(ARGS)
 
 # More workers than processors: most tests wait for simulated motors.
-WORKERS ?= 7
+WORKERS ?= 9
 PYTEST = $(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup
 test: $(VENV)/built $(VENV)/test $(VENV)/collected
 	@$(PYTEST) --without-long $(ARGS)

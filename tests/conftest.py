@@ -48,7 +48,7 @@ LONG_S = {
 }  # fmt: skip
 """What one test of these files takes; of all others in a lane it is USUAL_S."""
 USUAL_S = 1.5
-SHORT = ("rt", "unit", "golden")
+SHORT = ("unit", "golden")
 """Folders of tests that wait for nothing: they fill the time for which the last of the others, each
 of which may take half a minute, still run."""
 

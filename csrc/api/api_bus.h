@@ -28,10 +28,10 @@ int twist_parse(const uint8_t *raw, size_t bytes, stamped_twist *out);
 int stamp_age(double stamp_s, double wall_s, double *age_s);
 
 /* ------------------------------------------------------------------------------------------------------ receivers
- * Each is a thread that waits for one DDS reader, and the sender of one lease: its own commands and Python's go out
- * under the same token, numbered by it. */
+ * Each takes what one DDS reader receives, in the thread of Cyclone that received it, and is the sender of one lease:
+ * its own commands and Python's go out under the same token, numbered by it. */
 typedef struct {
-    uint64_t taken; /* commands that the daemon's socket took from the thread */
+    uint64_t taken; /* commands that the daemon's socket took from it */
     uint64_t refused[TWIST_REFUSALS];
     uint64_t unleased; /* lost: there was no lease */
     uint64_t hung;     /* lost: Python's event loop stood still */
@@ -59,19 +59,19 @@ int receiver_claim(void);
 void receiver_release(int number);
 /* `reader`: the DDS entity. `event_fd`: written for what has come. 0, -errno, or what DDS says, negative. */
 int receiver_start(int number, int32_t reader, int event_fd);
-/* Joins. 0, -ESRCH: it does not run; -ETIMEDOUT: it does not end, and is lost. */
+/* Nothing is taken any more when it returns. 0, -ESRCH: it does not run. */
 int receiver_stop(int number);
 void receiver_read(int number, receiver_report *out);
 /* The oldest commands that were sent and not read yet, at most `room`. Returns how many. A full ring drops new ones. */
 int receiver_take_received(int number, received_twist *out, int room);
 
-/* A sign of life of Python's event loop: without one for 2 s the thread sends nothing. */
+/* A sign of life of Python's event loop: without one for 2 s no command is sent from DDS. */
 void receiver_alive(int number);
 /* A lease: its connected socket, its token, and the number of its newest command. */
 void receiver_hold(int number, int fd, const uint8_t *token, uint64_t sequence);
 /* It is over; the number of its newest command. The socket is not used any more. */
 uint64_t receiver_let_go(int number);
-/* Commands of the thread that were sent under any lease so far. */
+/* Commands from DDS that were sent under any lease so far. */
 uint64_t receiver_direct(int number);
 /* A datagram of docs/commands.md; its token and its sequence are filled in. `seen` >= 0: only if receiver_direct() is that
  * still. 0, -ENOTCONN: no lease, -ESTALE: no, -EAGAIN: full, -errno. */

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * bus_receiver.c: a thread that waits for a DDS reader and hands its commands to the daemon. It never needs Python: what
- * Python wants to know lies in a report and in a ring.
+ * bus_receiver.c: hands the commands of a DDS reader to the daemon, in the thread of Cyclone that received them. It never
+ * needs Python: what Python wants to know lies in a report and in a ring.
  *
  * The C library is the one that the Cyclone DDS binding has loaded. Its headers are no part of its package; what is used of
  * it is declared here, as dds/dds.h and dds/ddsi/ddsi_serdata.h of version 11 have it. */
@@ -19,10 +19,9 @@
 enum { TAKEN_AT_ONCE = 8 };
 
 static const uint32_t ANY_STATE = 0x7f; /* DDS_ANY_STATE */
-static const int64_t NS_PER_S = 1000000000, WAIT_NS = INT64_C(2000000000);
-static const time_t JOIN_WITHIN_S = 2;
 
 struct ddsi_serdata;
+struct dds_listener;
 
 typedef struct {
     uint32_t sample_state;
@@ -40,15 +39,11 @@ typedef struct {
 } dds_sample_info;
 
 static struct {
-    int32_t (*get_participant)(int32_t entity);
-    int32_t (*create_waitset)(int32_t participant);
-    int32_t (*create_guardcondition)(int32_t participant);
-    int32_t (*create_readcondition)(int32_t reader, uint32_t mask);
-    int32_t (*waitset_attach)(int32_t waitset, int32_t entity, intptr_t x);
-    int32_t (*waitset_wait)(int32_t waitset, intptr_t *xs, size_t xs_count, int64_t timeout_ns);
-    int32_t (*set_guardcondition)(int32_t guard, bool triggered);
+    struct dds_listener *(*create_listener)(void *arg);
+    void (*lset_data_available)(struct dds_listener *listener, void (*call)(int32_t reader, void *arg));
+    int32_t (*set_listener)(int32_t reader, const struct dds_listener *listener);
+    void (*delete_listener)(struct dds_listener *listener);
     int32_t (*takecdr)(int32_t reader, struct ddsi_serdata **data, uint32_t count, dds_sample_info *info, uint32_t mask);
-    int32_t (*delete_entity)(int32_t entity);
     uint32_t (*serdata_size)(const struct ddsi_serdata *data);
     void (*serdata_to_ser)(const struct ddsi_serdata *data, size_t offset, size_t bytes, void *to);
     void (*serdata_unref)(struct ddsi_serdata *data);
@@ -59,13 +54,10 @@ typedef struct {
     ring received;
     received_twist received_place[RECEIVED_TWISTS_MAX];
     uint8_t raw[TWIST_RAW_MAX];
-    pthread_t thread;
-    int32_t reader, waitset, guard, condition;
+    int32_t reader;
     int event_fd;
-    bool joinable;
+    bool running;
     _Atomic bool claimed;
-    _Atomic bool stop_requested;
-    _Atomic bool running;
     _Atomic int32_t error;
     _Atomic uint64_t taken;
     _Atomic uint64_t refused[TWIST_REFUSALS];
@@ -86,15 +78,11 @@ int receiver_library(const char *path)
         void *place;
         const char *name;
     } wanted[] = {
-        {&dds.get_participant, "dds_get_participant"},
-        {&dds.create_waitset, "dds_create_waitset"},
-        {&dds.create_guardcondition, "dds_create_guardcondition"},
-        {&dds.create_readcondition, "dds_create_readcondition"},
-        {&dds.waitset_attach, "dds_waitset_attach"},
-        {&dds.waitset_wait, "dds_waitset_wait"},
-        {&dds.set_guardcondition, "dds_set_guardcondition"},
+        {&dds.create_listener, "dds_create_listener"},
+        {&dds.lset_data_available, "dds_lset_data_available"},
+        {&dds.set_listener, "dds_set_listener"},
+        {&dds.delete_listener, "dds_delete_listener"},
         {&dds.takecdr, "dds_takecdr"},
-        {&dds.delete_entity, "dds_delete"},
         {&dds.serdata_size, "ddsi_serdata_size"},
         {&dds.serdata_to_ser, "ddsi_serdata_to_ser"},
         {&dds.serdata_unref, "ddsi_serdata_unref"},
@@ -109,7 +97,7 @@ int receiver_library(const char *path)
     return 0;
 }
 
-/* ------------------------------------------------------------------------------------------------------- the thread */
+/* ------------------------------------------------------------------------------------------------ in Cyclone's thread */
 static double wall_s(void)
 {
     struct timespec now;
@@ -176,39 +164,28 @@ static void notify(const receiver *r)
     }
 }
 
-static int32_t take_all(receiver *r)
+/* Cyclone calls it for one thread at a time. */
+static void take_all(int32_t reader, void *arg)
 {
+    receiver *r = arg;
     struct ddsi_serdata *data[TAKEN_AT_ONCE];
     dds_sample_info info[TAKEN_AT_ONCE];
     int32_t count = TAKEN_AT_ONCE;
-    while (count == TAKEN_AT_ONCE && !r->stop_requested) {
-        count = dds.takecdr(r->reader, data, TAKEN_AT_ONCE, info, ANY_STATE);
+    while (count == TAKEN_AT_ONCE) {
+        count = dds.takecdr(reader, data, TAKEN_AT_ONCE, info, ANY_STATE);
         for (int32_t i = 0; i < count; i++) {
             if (info[i].valid_data) {
                 take_sample(r, data[i], info[i].publication_handle);
             }
             dds.serdata_unref(data[i]);
         }
-        if (count > 0) {
+        if (count < 0) {
+            r->error = count;
+        }
+        if (count != 0) {
             notify(r);
         }
     }
-    return count;
-}
-
-static void *run(void *arg)
-{
-    receiver *r = arg;
-    int32_t error = 0;
-    (void)pthread_setname_np(pthread_self(), "motord-cmd_vel");
-    while (!r->stop_requested && error >= 0) {
-        error = dds.waitset_wait(r->waitset, NULL, 0, WAIT_NS);
-        error = error > 0 ? take_all(r) : error;
-    }
-    r->error = error < 0 ? error : 0;
-    r->running = false;
-    notify(r);
-    return NULL;
 }
 
 /* --------------------------------------------------------------------------------------------------------- its life */
@@ -238,29 +215,21 @@ int receiver_claim(void)
 void receiver_release(int number)
 {
     receiver *r = numbered(number);
-    if (r != NULL && !r->joinable) {
+    if (r != NULL && !r->running) {
         r->claimed = false;
     }
 }
 
-static int32_t make_entities(receiver *r)
+static int32_t listen(receiver *r)
 {
-    int32_t participant = dds.get_participant(r->reader);
-    r->waitset = participant > 0 ? dds.create_waitset(participant) : participant;
-    r->guard = r->waitset > 0 ? dds.create_guardcondition(participant) : r->waitset;
-    r->condition = r->guard > 0 ? dds.create_readcondition(r->reader, ANY_STATE) : r->guard;
-    int32_t error = r->condition > 0 ? dds.waitset_attach(r->waitset, r->guard, 0) : r->condition;
-    return error == 0 ? dds.waitset_attach(r->waitset, r->condition, 0) : error;
-}
-
-static void drop_entities(const receiver *r)
-{
-    const int32_t made[] = {r->waitset, r->guard, r->condition};
-    for (size_t i = 0; i < sizeof made / sizeof made[0]; i++) {
-        if (made[i] > 0) {
-            (void)dds.delete_entity(made[i]);
-        }
+    struct dds_listener *listener = dds.create_listener(r);
+    if (listener == NULL) {
+        return -ENOMEM;
     }
+    dds.lset_data_available(listener, take_all);
+    int32_t error = dds.set_listener(r->reader, listener); /* of a copy */
+    dds.delete_listener(listener);
+    return error;
 }
 
 int receiver_start(int number, int32_t reader, int event_fd)
@@ -269,39 +238,25 @@ int receiver_start(int number, int32_t reader, int event_fd)
     if (r == NULL || dds.serdata_unref == NULL) {
         return -EINVAL;
     }
-    if (r->joinable) {
+    if (r->running) {
         return -EBUSY;
     }
     r->reader = reader;
     r->event_fd = event_fd;
-    r->stop_requested = false;
     r->error = 0;
-    r->running = true;
-    int error = make_entities(r);
-    error = error == 0 ? -pthread_create(&r->thread, NULL, run, r) : error;
-    r->joinable = error == 0;
+    int32_t error = listen(r);
     r->running = error == 0;
-    if (error != 0) {
-        drop_entities(r);
-    }
     return error;
 }
 
 int receiver_stop(int number)
 {
     receiver *r = numbered(number);
-    if (r == NULL || !r->joinable) {
+    if (r == NULL || !r->running) {
         return -ESRCH;
     }
-    r->stop_requested = true;
-    (void)dds.set_guardcondition(r->guard, true);
-    int64_t now_ns = clock_now_ns();
-    struct timespec until = {.tv_sec = now_ns / NS_PER_S + JOIN_WITHIN_S, .tv_nsec = now_ns % NS_PER_S};
-    if (pthread_clockjoin_np(r->thread, NULL, CLOCK_MONOTONIC, &until) != 0) {
-        return -ETIMEDOUT;
-    }
-    r->joinable = false;
-    drop_entities(r);
+    (void)dds.set_listener(r->reader, NULL); /* waits for a call that goes on */
+    r->running = false;
     return 0;
 }
 
@@ -310,7 +265,7 @@ void receiver_read(int number, receiver_report *out)
     const receiver *r = numbered(number);
     *out = (receiver_report){.running = 0};
     if (r != NULL) {
-        *out = (receiver_report){.running = r->running,
+        *out = (receiver_report){.running = r->running && r->error == 0,
                                  .error = r->error,
                                  .taken = r->taken,
                                  .taken_ns = r->taken_ns,

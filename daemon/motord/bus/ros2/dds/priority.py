@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a cmd_vel passes between the network and the daemon runs before Python: the receiving thread
-of Cyclone DDS and that of csrc/bus/bus_receiver.c get SCHED_FIFO at the lowest priority there is,
-where the system grants it. The daemon's threads have higher ones.
+"""The thread that takes a cmd_vel from the network to the daemon runs before Python: the receiving
+thread of Cyclone DDS gets SCHED_FIFO at the lowest priority there is, where the system grants it.
+The daemon's threads have higher ones.
 
-Without it either thread, once woken, waits for a busy Python thread to use up its slice: up to one
+Without it the thread, once woken, waits for a busy Python thread to use up its slice: up to one
 tick of the kernel, 4 ms at 250 Hz, in one of ten commands (docs/performance.md).
 
 A thread that runs for RUNS_MAX_US without a pause is flooded: it takes turns with the others
@@ -23,8 +23,8 @@ from pathlib import Path
 
 PRIORITY = 1
 RUNS_MAX_US, KILLED_AFTER_US = 50_000, 2_000_000
-_BEFORE_PYTHON = ("recv", "motord-cmd_vel")
-"""How the names of the threads begin; Cyclone has recv, or recvMC and recvUC."""
+_BEFORE_PYTHON = "recv"
+"""How the names of the threads begin: recv, or recvMC and recvUC."""
 
 _log = logging.getLogger(__name__)
 

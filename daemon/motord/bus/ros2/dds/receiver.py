@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands from DDS to the daemon without Python between them: the thread of `_motord_bus` waits
-for cmd_vel, judges it as the command gate does, and sends it under the input's lease
-(csrc/bus/bus_receiver.c). Python learns of it afterwards, for the log, the figures and the motions.
+"""Commands from DDS to the daemon without Python between them: the thread of Cyclone DDS that
+receives a cmd_vel calls `_motord_bus`, which judges it as the command gate does, and sends it under
+the input's lease (csrc/bus/bus_receiver.c). Python learns of it afterwards, for the log, the
+figures and the motions.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ import logging
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from errno import ETIMEDOUT
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Protocol
 
@@ -70,18 +70,17 @@ class Receiver:
 
     @contextmanager
     def open(self) -> Iterator[int]:
-        """Its thread runs; yields what becomes readable when a command has come. Raises
-        OSError."""
+        """It takes commands; yields what becomes readable when one has come. Raises OSError."""
         self._number = self._checked(self._lib.receiver_claim(), "no receiver is left")
         self._event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         try:
             reader = self._entity._ref  # noqa: SLF001  the binding has no name for it
             start = self._lib.receiver_start(self._number, reader, self._event_fd)
-            self._checked(start, "no thread for cmd_vel")
+            self._checked(start, "cmd_vel cannot be listened to")
             yield self._event_fd
         finally:
-            if self._lib.receiver_stop(self._number) != -ETIMEDOUT:  # else it may still write to it
-                os.close(self._event_fd)
+            self._lib.receiver_stop(self._number)
+            os.close(self._event_fd)
             self._lib.receiver_release(self._number)
             self._number = self._event_fd = -1
 
@@ -190,7 +189,7 @@ class Twists:
         for why, count in zip((not_one, ZERO_STAMP, AHEAD), report.refused, strict=True):
             self._gate.refuse(why, self._more(why, count))
         if not report.running:
-            raise OSError(f"DDS does not wait for cmd_vel any more ({report.error})")
+            raise OSError(f"DDS does not give cmd_vel any more ({report.error})")
 
     def _more(self, what: str, count: int) -> int:
         before, self._counts[what] = self._counts.get(what, 0), count
