@@ -3,6 +3,7 @@
 elsewhere."""
 
 import importlib.util
+import itertools
 import json
 import os
 import signal
@@ -86,7 +87,8 @@ BRIDGE = """#!{python}
 import json, os, signal, sys
 from pathlib import Path
 words = sys.argv[1:]
-files = [Path(after).read_text() for word, after in zip(words, words[1:]) if word == "--params-file"]
+options = zip(words, words[1:])
+files = [Path(after).read_text() for word, after in options if word == "--params-file"]
 found = Path(os.environ["FOUND"])
 found.with_suffix(".new").write_text(json.dumps([words, files]))
 found.with_suffix(".new").rename(found)
@@ -135,7 +137,7 @@ def launched(tmp_path):
 
 
 def pairs(words, option):
-    return [after for word, after in zip(words, words[1:], strict=False) if word == option]
+    return [after for word, after in itertools.pairwise(words) if word == option]
 
 
 def test_launch_starts_the_bridge_with_its_namespace_remaps_and_parameters(launched):
