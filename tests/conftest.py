@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every test folder shares. `MOTORD_RT_DIR` puts another build of the C core first (make
-san). Property tests have no deadline: a busy machine is no bug. Each run draws other cases, a
-quarter of those of `make san`, and few in `make test-fast`. Programs that tests start read
-their modules from bytecode: without it, each of some thousand starts compiles a hundred modules
-anew."""
+san). Property tests have no deadline: a busy machine is no bug. Each run draws other cases,
+most of them in `make san`. Programs that tests start read their modules from bytecode: without it,
+each of some thousand starts compiles a hundred modules anew."""
 
+import functools
 import gc
 import os
 import re
@@ -17,13 +17,8 @@ from hypothesis import settings
 from tests import fork_server
 from tests.late_machine import pytest_runtest_protocol, pytest_terminal_summary  # noqa: F401  hooks
 
-EXAMPLES = 100 if os.environ.get("MOTORD_RT_DIR") else 10 if os.environ.get("FAST") else 25
-
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # as containers set it
 sys.dont_write_bytecode = False
-
-settings.register_profile("motord", deadline=None, max_examples=EXAMPLES)
-settings.load_profile("motord")
 
 if directory := os.environ.get("MOTORD_RT_DIR"):
     sys.path.insert(0, os.path.abspath(directory))
@@ -53,6 +48,7 @@ SHORT = ("unit", "golden")
 of which may take half a minute, still run."""
 
 
+@functools.cache
 def kind_of(path):
     """The folder of tests/ that it is in, at any depth."""
     return path.relative_to(TESTS).parts[0] if path.is_relative_to(TESTS) else ""
@@ -79,23 +75,29 @@ def pytest_addoption(parser):
     parser.addoption("--without-long", action="store_true", help="as in make test")
 
 
-def without_long(items, config):
-    """Leaves out what only `make test-all` runs; what a person names is run."""
-    if config.option.without_long and not config.option.file_or_dir:
-        left_out = [item for item in items if is_long(item)]
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if not is_long(item)]
+def is_without_long(config):
+    """What only `make test-all` runs is left out; what a person names is run."""
+    return config.option.without_long and not config.option.file_or_dir
 
 
-def is_long(item):
-    return kind_of(item.path) in OTHERS or item.get_closest_marker("long") is not None
+def pytest_ignore_collect(collection_path, config):
+    if is_without_long(config) and kind_of(collection_path) in OTHERS:
+        return True
+    return None
+
+
+def leave_out_long(items, config):
+    left_out = [item for item in items if item.get_closest_marker("long")]
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = [item for item in items if not item.get_closest_marker("long")]
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_collection_modifyitems(items, config):
     """Tests of a lane, and tests that share a fixture of their file, stay in one process of `--dist
     loadgroup`, which looks for the mark in this hook; all others go wherever one is free."""
-    without_long(items, config)
+    if is_without_long(config):
+        leave_out_long(items, config)
     lane_of = lanes(items)
     for item in items:
         definitions = item._fixtureinfo.name2fixturedefs.values()
@@ -136,5 +138,9 @@ def pytest_collection_finish():
     gc.freeze()
 
 
-def pytest_configure():
+def pytest_configure(config):
+    san, fast = os.environ.get("MOTORD_RT_DIR"), os.environ.get("FAST")
+    examples = 100 if san else 10 if fast else 15 if config.option.without_long else 25
+    settings.register_profile("motord", deadline=None, max_examples=examples)
+    settings.load_profile("motord")
     fork_server.install()

@@ -55,7 +55,7 @@ def exchanges(stage):
     return sum(line["exchanges"] for line in stage.robot.status()["lines"].values())
 
 
-@pytest.mark.parametrize("fault", long_but(("SIGKILL", "loop"), FAULTS))
+@pytest.mark.parametrize("fault", long_but(("SIGKILL",), FAULTS))
 def test_its_lease_lapses_the_robot_rests_and_all_else_goes_on(stage, planted, fault):
     pid = leasing(stage)
     obeying(stage, lambda may: planted.order("drive") if may else planted.rest())
