@@ -43,9 +43,6 @@ LONG_S = {
 }  # fmt: skip
 """What one test of these files takes; of all others in a lane it is USUAL_S."""
 USUAL_S = 1.5
-SHORT = ("unit", "golden")
-"""Folders of tests that wait for nothing: they fill the time for which the last of the others, each
-of which may take half a minute, still run."""
 
 
 @functools.cache
@@ -106,7 +103,7 @@ def pytest_collection_modifyitems(items, config):
         elif any(found[-1].scope == "module" for found in definitions if found):
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
     yield  # they are shuffled
-    items.sort(key=lambda item: kind_of(item.path) in SHORT)
+    items.sort(key=lambda item: item.path not in lane_of)  # the longest begin first
 
 
 GROUP = re.compile(rf"@({'|'.join(LANES)}) \d+$")

@@ -277,7 +277,7 @@ def test_junk_in_a_line_is_refused_in_that_line_or_is_a_finite_number(tmp_path_f
         return
     assert min(robot.limits.linear_m_s3, robot.limits.angular_rad_s3) > 0
     infinite = {
-        "limits": {"linear_m_s3", "angular_rad_s3"},
+        "limits": {"linear_m_s3", "angular_rad_s3", "lateral_m_s3"},
         "joint": {"__all__": {"duty_slew_per_s", "jerk_max_rad_s3"}},
     }
     assert all(math.isfinite(number) for number in numbers(robot.model_dump(exclude=infinite)))
