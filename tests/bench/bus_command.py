@@ -15,6 +15,7 @@ import signal
 import sys
 import tempfile
 import time
+import tty
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from datagram import PAUSE_S, _until, daemon, percentile
 from wire import ROOT, SPEC_GAP_US, slave
 
 from motord.bus.ros2.dds.priority import PRIORITY, give
+from motord_hal.modbus.codec import seal
 
 sys.path.insert(0, str(ROOT))
 DOMAIN = 91
@@ -133,16 +135,42 @@ def delays_ms(hogs: int, bus_hogs: int, count: int, seed: int) -> tuple[list[flo
     return [(came - given) / 1e6 for given, came in found if came > given > 0], lost
 
 
+def pty_delays_ms(count: int, seed: int) -> list[float]:
+    """From the write of a request that changes a register to its first byte at the slave: the part
+    of each row that a UART does not have."""
+    chance, found = random.Random(seed), []
+    with slave(SPEC_GAP_US) as judge:
+        _pty_like_a_uart()
+        port = os.open(judge.port, os.O_RDWR | os.O_NOCTTY)
+        try:
+            tty.setraw(port)
+            for value in range(1, count + 1):
+                request = bytes((1, 6, 0, 0, value >> 8, value & 0xFF))
+                judge.ask("changed")
+                given_ns = time.monotonic_ns()
+                os.write(port, seal(request))
+                time.sleep(chance.uniform(*PAUSE_S))
+                found.append(judge.ask("changed")["changed_ns"] - given_ns)
+        finally:
+            os.close(port)
+    return [delay / 1e6 for delay in found]
+
+
 def measure(count: int) -> Found:
-    """A row for each of WHERE."""
-    rows: Found = {}
+    """A row for each of WHERE, and one of the pty."""
+    alone = pty_delays_ms(count, seed=count)
+    rows: Found = {"pty alone": _row(alone, 0)}
     for where, (hogs, bus_hogs) in WHERE.items():
         print(f"  {where}", file=sys.stderr, flush=True)
-        delays, lost = delays_ms(hogs, bus_hogs, count, seed=count)
-        rows[where] = {"lost": lost, "samples": len(delays)}
-        if delays:
-            rows[where] |= {"p50_ms": percentile(delays, 0.5), "p99_ms": percentile(delays, 0.99)}
+        rows[where] = _row(*delays_ms(hogs, bus_hogs, count, seed=count))
     return rows
+
+
+def _row(delays: list[float], lost: int) -> dict[str, float]:
+    found: dict[str, float] = {"lost": lost, "samples": len(delays)}
+    if delays:
+        found |= {"p50_ms": percentile(delays, 0.5), "p99_ms": percentile(delays, 0.99)}
+    return found
 
 
 def table(found: Found) -> str:

@@ -16,7 +16,7 @@ typedef struct {
     int32_t fd;        /* of a duty_cycle file; -1: a GPIO line */
     uint32_t bit;      /* GPIO: of the request's lines */
     uint32_t inverted; /* the pin is active low */
-    uint32_t pumps;    /* 1: it changes with every cycle while the motor may move, else it is low. The levels do not
+    uint32_t pumps;    /* 1: it changes with every cycle of the period while the motor may move, else it is low. The levels do not
                                    count. A charge pump or watchdog behind it drops out when any thread hangs */
     uint32_t reserved;
     uint64_t period_ns; /* of the channel */
@@ -101,6 +101,6 @@ int bridge_config_check(const bridge_config *config); /* 0 or -EINVAL */
 int pwm_line_start(uint32_t line, const bridge_config *config);
 int pwm_line_stop(uint32_t line);
 void pwm_line_put_control(uint32_t line, const bridge_control *control);
-/* What a board has counted of a joint whose encoder is ENCODER_TOLD, by its place on the line. From one thread. */
+/* What a board has counted of a joint whose encoder is ENCODER_REPORTED, by its place on the line. From one thread. */
 void pwm_line_put_sample(uint32_t line, uint32_t joint, const encoder_sample *sample);
 int pwm_line_read_report(uint32_t line, bridge_report *out);

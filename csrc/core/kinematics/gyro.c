@@ -144,7 +144,7 @@ void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *s
         break_integral(state);
     }
     state->sensor_epoch = sample->epoch;
-    bool in_order = sample->stamp_ns > state->stamp_ns && sample->stamp_ns - STAMP_AHEAD_NS <= now_ns;
+    bool in_order = sample->stamp_ns > state->stamp_ns && fresh_within(now_ns, sample->stamp_ns, INT64_MAX);
     if (!in_order || sample->saturated != 0 || !is_number(sample)) {
         state->refused++;
         return;

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The guarded port with its books: every exchange is counted, every failure by its kind."""
+"""The guarded port with its line counters: every exchange is counted, every failure by its
+kind."""
 
 from __future__ import annotations
 

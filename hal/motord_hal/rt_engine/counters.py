@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The books of a line over all its threads: each starts with empty ones."""
+"""The line counters over all threads that a line has had: each starts with zeros."""
 
 from __future__ import annotations
 

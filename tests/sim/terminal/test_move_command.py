@@ -73,6 +73,13 @@ def ended_in_time(stage, *words):
     return before, sent
 
 
+def test_a_speed_above_the_limit_is_limited_and_reported(armed):
+    with command(armed, "move", "0.05", "--speed-m-s", "9") as process:
+        status, _, text = ended(process)
+    assert status == 0, text
+    assert "9 m/s is above what the robot may do: limited to 1 m/s" in text
+
+
 def test_a_distance_and_a_turn_are_driven(armed):
     before, sent = ended_in_time(armed, "move", "0.3")
     assert sent["end"] == "succeeded"

@@ -62,6 +62,30 @@ def test_it_reaches_the_devices_of_motors_and_no_other(unit):
     assert "0 bytes copied" in done
 
 
+CONFINED = """
+import os
+from motord.bus.confine import confine
+confine()
+for priority in (1, 2):
+    try:
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
+        print(priority)
+    except PermissionError as error:
+        print(error.strerror)
+"""
+
+
+def test_the_second_process_may_have_the_lowest_real_time_priority_and_no_other(drives):
+    rules = ("User=", "Limit", "Capability", "NoNewPrivileges", "SystemCall")
+    unit_file = Path(properties(UNIT, "FragmentPath")["FragmentPath"]).read_text()
+    kept = [line for line in unit_file.splitlines() if line.startswith(rules)]
+    options = [word for line in kept for word in ("-p", line)]
+    program = ("env", f"PYTHONPATH={os.environ['PYTHONPATH']}", "python3", "-c", CONFINED)
+    done = output("systemd-run", "--quiet", "--pipe", "--wait", *options, *program)
+    assert done.splitlines() == ["1", "Operation not permitted"]
+
+
 def test_members_of_its_group_command_it_and_nothing_else(unit):
     output("useradd", "--groups", "motord", "driver")
     output("useradd", "visitor")
