@@ -55,7 +55,7 @@ typedef struct {
     int64_t reported_ns;
     uint32_t number;
     int wake_fd; /* in static storage: the loop may write to it at any time, so it stays open for good */
-    bool made, joinable;
+    bool has_wake_fd, made, joinable;
     _Atomic bool stop_requested;
 } pwm_thread;
 
@@ -387,13 +387,13 @@ int pwm_line_start(uint32_t line, const bridge_config *config)
     if (t->joinable) {
         return -EBUSY;
     }
-    int wake_fd = t->made ? t->wake_fd : eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
+    int wake_fd = t->has_wake_fd ? t->wake_fd : eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
     if (wake_fd < 0) {
         return -errno;
     }
     memset(t, 0, sizeof *t);
     t->wake_fd = wake_fd;
-    t->made = true;
+    t->has_wake_fd = true;
     t->config = *config;
     t->number = line;
     t->exchange = config->exchange != NULL ? config->exchange : loop_exchange();
@@ -409,7 +409,7 @@ int pwm_line_start(uint32_t line, const bridge_config *config)
     }
     mailbox_put(&t->report.mailbox, t->report.slot, &t->out, sizeof t->out);
     int error = loop_thread_create(&t->thread, &(loop_config){.priority = config->priority}, &t->grant, run, t);
-    t->joinable = error == 0;
+    t->made = t->joinable = error == 0;
     return error;
 }
 
