@@ -8,6 +8,7 @@ import math
 import pytest
 from loop_side import running, until
 from sim_bench import GEAR, RT, folder_of, simulated, spec_of, without_power
+from tests.long_cases import long_but
 from tests.shipped import NAMES, shipped_profile
 
 from motord_hal.fieldbus.ports import DriveState, EventKind
@@ -23,7 +24,7 @@ FAR_RAD = 15.0
 """A first target is at most as far as a joint gets in PATIENT_S."""
 
 
-@pytest.fixture(params=PROFILES)
+@pytest.fixture(params=long_but(PROFILES[:1], PROFILES))
 def profile(request):
     return shipped_profile(request.param)
 

@@ -8,6 +8,7 @@ import pytest
 from _motord_rt import ffi, lib
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.long_cases import long_but
 from tests.rt import bases_oracle
 from tests.rt.bases_oracle import KINDS, RADIUS_M, STRAFING
 from tests.rt.core_rig import (
@@ -143,7 +144,7 @@ def rig_of(kind, **joint):
     return rig
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", long_but(("differential", "mecanum"), KINDS))
 @settings(max_examples=8, deadline=None)
 @given(st.lists(TWIST, min_size=1, max_size=3), st.sampled_from([6.0, 100.0]))
 def test_no_limit_is_exceeded_in_any_tick_and_a_stop_ends_at_rest(kind, twists, fastest_rad_s):

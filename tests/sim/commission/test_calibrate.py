@@ -40,6 +40,7 @@ def test_radii_and_track_are_recovered_and_written(tmp_path):
     assert len(list(tmp_path.glob("*.bak"))) == 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "rolling", "settings"),
     [("ackermann-servo", ["drive"], ("joint.drive.drive_watchdog_s=2.0",)),

@@ -161,6 +161,7 @@ def test_swapped_wheels_are_found_and_put_right_in_the_file(tmp_path):
 FORWARD = "wheel turn forward"
 
 
+@pytest.mark.long
 def test_omni_wheels_turn_one_by_one(tmp_path):
     file = copied(tmp_path, ROBOT.parent / "omni3.toml")
     with robot_of(tmp_path, file) as stage:

@@ -110,6 +110,7 @@ def test_gains_that_are_not_written_are_put_back(stage):
     at_rest_with_its_gains(stage, before)
 
 
+@pytest.mark.long
 def test_the_wheel_is_identified_and_follows_better_with_its_gains(stage, tmp_path):
     plot = tmp_path / "left.png"
     status, text = tuned(stage, "left", "--plot", str(plot), "--json")

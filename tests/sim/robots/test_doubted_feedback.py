@@ -6,6 +6,7 @@ import math
 import time
 
 import pytest
+from tests.long_cases import long_but
 from tests.sim.daemon_stage import DEADLINE_S, running, set_off, wait_until
 
 from motord.client import Refused
@@ -22,7 +23,7 @@ DEFECTS = {
 
 
 @pytest.mark.parametrize("defect", DEFECTS)
-@pytest.mark.parametrize("engine", ["rt", "asyncio"])
+@pytest.mark.parametrize("engine", long_but(["rt"], ["rt", "asyncio"]))
 def test_feedback_that_breaks_at_speed_is_a_fault_that_names_the_wheel_and_stops_the_drives(
     tmp_path, engine, defect
 ):

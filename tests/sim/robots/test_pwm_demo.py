@@ -56,7 +56,7 @@ def blind_robot(drive):
     return text.replace('"tb6612fng"', f'"{drive}"') + PATIENT
 
 
-@pytest.mark.parametrize("drive", long_but(("l298n",), BY_GPIO))
+@pytest.mark.parametrize("drive", long_but((), BY_GPIO))
 def test_a_bridge_with_its_direction_on_gpio_lines_drives_and_its_odometry_is_an_estimate(
     tmp_path, drive
 ):

@@ -140,6 +140,7 @@ def test_a_demonstration_that_is_terminated_leaves_no_process_behind(tmp_path):
         demo.kill()
 
 
+@pytest.mark.long
 def test_the_demonstration_ends_well_and_prints_what_the_contract_reports(tmp_path):
     patient = tmp_path / "demo.toml"  # a busy machine is no fault
     text = ROBOT.read_text(encoding="utf-8")
