@@ -138,7 +138,7 @@ def pytest_collection_finish():
 
 def pytest_configure(config):
     san, fast = os.environ.get("MOTORD_RT_DIR"), os.environ.get("FAST")
-    examples = 100 if san else 10 if fast else 15 if config.option.without_long else 25
+    examples = 100 if san else 10 if fast else 15 if config.option.without_long else 50
     settings.register_profile("motord", deadline=None, max_examples=examples)
     settings.load_profile("motord")
     fork_server.install()

@@ -76,7 +76,7 @@ class Receiver:
         try:
             reader = self._entity._ref  # noqa: SLF001  the binding has no name for it
             start = self._lib.receiver_start(self._number, reader, self._event_fd)
-            self._checked(start, "cmd_vel cannot be listened to")
+            self._checked(start, "DDS takes no listener for cmd_vel")
             yield self._event_fd
         finally:
             self._lib.receiver_stop(self._number)
@@ -189,7 +189,7 @@ class Twists:
         for why, count in zip((not_one, ZERO_STAMP, AHEAD), report.refused, strict=True):
             self._gate.refuse(why, self._more(why, count))
         if not report.running:
-            raise OSError(f"DDS does not give cmd_vel any more ({report.error})")
+            raise OSError(f"reading cmd_vel from DDS failed ({report.error})")
 
     def _more(self, what: str, count: int) -> int:
         before, self._counts[what] = self._counts.get(what, 0), count
