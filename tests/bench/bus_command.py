@@ -23,7 +23,8 @@ from typing import Any
 from datagram import PAUSE_S, _until, daemon, percentile
 from wire import ROOT, SPEC_GAP_US, slave
 
-from motord.bus.ros2.dds.priority import PRIORITY, give
+from motord.bus.confine import REALTIME_PRIORITY_MAX
+from motord.bus.ros2.dds.priority import set_policy
 from motord_hal.modbus.codec import seal
 
 sys.path.insert(0, str(ROOT))
@@ -117,7 +118,7 @@ def delays_ms(hogs: int, bus_hogs: int, count: int, seed: int) -> tuple[list[flo
             lambda: robot.status()["bus"].get("inputs", {}).get("ros2", {}).get("lease"), "lease"
         )
         _until(lambda: write(0.0), "reader of cmd_vel")
-        give(os.SCHED_FIFO, PRIORITY, pid)  # as LimitRTPRIO of the unit does
+        set_policy(os.SCHED_FIFO, REALTIME_PRIORITY_MAX, pid)  # as LimitRTPRIO of the unit does
         if hogs or bus_hogs:
             os.kill(robot.status()["pid"] if hogs else pid, signal.SIGUSR1)
         time.sleep(max(PAUSE_S))

@@ -17,6 +17,9 @@ DATA_BYTES_MAX = 512 << 20
 NICENESS = 5
 REALTIME_PRIORITY_MAX = 1
 """The lowest there is, for what motord.bus.ros2.dds.priority names; where it is granted at all."""
+REALTIME_RUNS_MAX_US, REALTIME_KILLED_AFTER_US = 50_000, 2_000_000
+"""So long a real-time thread may run without a pause: then SIGXCPU, which ends the process where
+nothing handles it, and at last SIGKILL. Source: RLIMIT_RTTIME in getrlimit(2)."""
 _OOM_SCORE_ADJ = 500
 """proc_pid_oom_score_adj(5): before the daemon, when the machine is out of memory."""
 _PR_SET_NO_NEW_PRIVS, _PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL = 38, 47, 4
@@ -28,8 +31,7 @@ _CAPABILITY_VERSION_3 = 0x20080522
 def confine() -> None:
     """Once, before anything else. What the kernel does not grant is done without: all of it is less
     than we have."""
-    with contextlib.suppress(OSError, ValueError):  # not granted: it is 0
-        resource.setrlimit(resource.RLIMIT_RTPRIO, (REALTIME_PRIORITY_MAX, REALTIME_PRIORITY_MAX))
+    limit_realtime()
     _drop_capabilities()
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     limit = DATA_BYTES_MAX if hard == resource.RLIM_INFINITY else min(DATA_BYTES_MAX, hard)
@@ -38,6 +40,17 @@ def confine() -> None:
         os.nice(NICENESS)
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(str(_OOM_SCORE_ADJ), encoding="ascii")
+
+
+def limit_realtime() -> None:
+    """The lowest priority, and never for long: in no adapter can it cost the daemon its turn."""
+    with contextlib.suppress(OSError, ValueError):  # not granted: it is 0
+        resource.setrlimit(resource.RLIMIT_RTPRIO, (REALTIME_PRIORITY_MAX, REALTIME_PRIORITY_MAX))
+    _, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
+    killed_us = REALTIME_KILLED_AFTER_US
+    killed_us = killed_us if hard == resource.RLIM_INFINITY else min(hard, killed_us)
+    runs_us = min(REALTIME_RUNS_MAX_US, killed_us)
+    resource.setrlimit(resource.RLIMIT_RTTIME, (runs_us, killed_us))
 
 
 def _drop_capabilities() -> None:

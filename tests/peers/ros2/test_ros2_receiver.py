@@ -10,7 +10,8 @@ import pytest
 from tests.peers.ros2.ros2_stage import NAMESPACE, called, inputs, peer, ros2_stage, settle
 from tests.sim.daemon_stage import wait_until
 
-from motord.bus.ros2.dds.priority import PRIORITY, give
+from motord.bus.confine import REALTIME_PRIORITY_MAX
+from motord.bus.ros2.dds.priority import set_policy
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds")
 
@@ -56,7 +57,7 @@ def test_c_takes_the_commands(stage):
 
 def test_what_receives_goes_before_python(stage):
     """By the unit's LimitRTPRIO, or as here from outside."""
-    give(os.SCHED_FIFO, PRIORITY, bus(stage))
+    set_policy(os.SCHED_FIFO, REALTIME_PRIORITY_MAX, bus(stage))
     tasks = Path(f"/proc/{bus(stage)}/task").iterdir()
     found = {
         ((task / "comm").read_text().strip(), os.sched_getscheduler(int(task.name)))

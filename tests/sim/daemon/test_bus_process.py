@@ -113,6 +113,8 @@ def test_it_has_no_privileges_and_less_than_all_memory(stage):
     assert words["NoNewPrivs"] == "1"
     limits = (process / "limits").read_text(encoding="ascii")
     assert f"Max data size             {512 << 20}" in limits
+    (realtime,) = (line for line in limits.splitlines() if line.startswith("Max realtime timeout"))
+    assert realtime.split()[3:5] == ["50000", "2000000"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])

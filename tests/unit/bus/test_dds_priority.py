@@ -11,7 +11,8 @@ import pytest
 CHILD = """
 import asyncio, hashlib, json, os, sys, threading
 from pathlib import Path
-from motord.bus.ros2.dds.priority import PRIORITY, before_python
+from motord.bus.confine import REALTIME_PRIORITY_MAX as PRIORITY, limit_realtime
+from motord.bus.ros2.dds.priority import before_python
 
 def granted():
     try:
@@ -38,6 +39,7 @@ async def main():
     thread.start()
     other.start()
     named.wait()
+    limit_realtime()
     before_python()
     threads = {"recv": thread.native_id, "other": other.native_id, "main": os.getpid()}
     found = {"granted": granted(), "policies": {k: policy(v) for k, v in threads.items()}}

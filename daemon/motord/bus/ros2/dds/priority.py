@@ -6,8 +6,8 @@ The daemon's threads have higher ones.
 Without it the thread, once woken, waits for a busy Python thread to use up its slice: up to one
 tick of the kernel, 4 ms at 250 Hz, in one of ten commands (docs/performance.md).
 
-A thread that runs for RUNS_MAX_US without a pause is flooded: it takes turns with the others
-again. Source: RLIMIT_RTTIME in getrlimit(2), sched(7).
+A thread that runs for REALTIME_RUNS_MAX_US without a pause is flooded: it takes turns with the
+others again. Sources: motord.bus.confine, sched(7).
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-import resource
 import signal
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-PRIORITY = 1
-RUNS_MAX_US, KILLED_AFTER_US = 50_000, 2_000_000
+from motord.bus.confine import REALTIME_PRIORITY_MAX, REALTIME_RUNS_MAX_US
+
 _BEFORE_PYTHON = "recv"
 """How the names of the threads begin: recv, or recvMC and recvUC."""
 
@@ -36,7 +35,7 @@ def _threads(process: int | str) -> Iterator[int]:
                 yield int(task.name)
 
 
-def give(policy: int, priority: int, process: int | str = "self") -> None:
+def set_policy(policy: int, priority: int, process: int | str = "self") -> None:
     """To these threads of a process; what is not granted stays as it is."""
     for thread in _threads(process):
         with suppress(OSError):
@@ -44,18 +43,15 @@ def give(policy: int, priority: int, process: int | str = "self") -> None:
 
 
 def _flooded() -> None:
-    give(os.SCHED_OTHER, 0)
+    set_policy(os.SCHED_OTHER, 0)
     _log.warning(
         "DDS brings so much that a thread did not pause for %d ms: commands from it take turns"
         " with Python from now on, until motord-bus starts again",
-        RUNS_MAX_US // 1000,
+        REALTIME_RUNS_MAX_US // 1000,
     )
 
 
 def before_python() -> None:
     """For the threads that there are now. The event loop that calls it handles a flood."""
     asyncio.get_running_loop().add_signal_handler(signal.SIGXCPU, _flooded)
-    _, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
-    longest = KILLED_AFTER_US if hard == resource.RLIM_INFINITY else min(hard, KILLED_AFTER_US)
-    resource.setrlimit(resource.RLIMIT_RTTIME, (min(RUNS_MAX_US, longest), longest))
-    give(os.SCHED_FIFO, PRIORITY)
+    set_policy(os.SCHED_FIFO, REALTIME_PRIORITY_MAX)
