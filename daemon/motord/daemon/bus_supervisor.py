@@ -199,7 +199,8 @@ async def _end(process: Process) -> None:
         async with within(END_WITHIN_S):
             await process.wait()
     except TimeoutError:
-        process.kill()
+        with contextlib.suppress(ProcessLookupError):  # it has just ended
+            process.kill()
         await process.wait()
 
 

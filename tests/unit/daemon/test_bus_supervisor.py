@@ -4,7 +4,9 @@ on purpose a bad one."""
 
 import asyncio
 import contextlib
+import os
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,7 @@ from motord.daemon import bus_supervisor
 from motord.daemon.bus_supervisor import BEAT_BYTES_MAX, BusSupervisor
 
 DEMO = Path(__file__).resolve().parents[3] / "config/robots/demo.toml"
-DEADLINE_S = 30.0
+DEADLINE_S = 5.0
 BEAT = b'{"inputs":{"pad":1}}\n'
 
 
@@ -121,3 +123,32 @@ async def test_it_runs_the_robot_that_the_daemon_has_checked_whatever_became_of_
         await until(lambda: supervisor.report().keys() > {"pid", "restarts"})
         assert supervisor.report()["restarts"] == 0
         task.cancel()
+
+
+@pytest.mark.parametrize("turns", range(4))
+async def test_a_child_that_ends_as_its_time_is_over_does_not_keep_the_daemon_from_ending(
+    turns, monkeypatch
+):
+    """A cancelled supervisor that waits for its child. Its time is over so many turns of the event
+    loop after the child has ended."""
+    monkeypatch.setattr(bus_supervisor, "END_WITHIN_S", 0.5)
+    ends = f"import time; os.write(1, {BEAT!r}); os.read(0, 1); time.sleep(0.1)"
+    async with asyncio.timeout(DEADLINE_S), child(ends) as supervisor:
+        await until(lambda: "inputs" in supervisor.report())
+        _in_turns(10, _wait_for_the_end_of, supervisor.report()["pid"], turns)
+
+
+def _in_turns(turns, call, *arguments):
+    """Call it when the event loop has come round so often."""
+    if turns == 0:
+        call(*arguments)
+    else:
+        asyncio.get_running_loop().call_soon(_in_turns, turns - 1, call, *arguments)
+
+
+def _wait_for_the_end_of(pid, turns):
+    ended_by_s = time.monotonic() + DEADLINE_S
+    while not os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+        assert time.monotonic() < ended_by_s
+        time.sleep(0.01)
+    _in_turns(turns, time.sleep, bus_supervisor.END_WITHIN_S)

@@ -219,7 +219,8 @@ class Commissioning:
                 self.stop("no page came back")
             if self._stopped_s is not None and now_s - self._stopped_s > ENDS_WITHIN_S:
                 _log.error("a procedure did not end within %g s: killed", ENDS_WITHIN_S)
-                process.kill()  # its dead man disarms the robot
+                with contextlib.suppress(ProcessLookupError):  # it has just ended
+                    process.kill()  # its dead man disarms the robot
                 return
 
     def _show(self, message: dict[str, Any]) -> None:
@@ -261,4 +262,5 @@ async def _ended(process: asyncio.subprocess.Process) -> None:
                 await process.wait()
     finally:
         if process.returncode is None:
-            process.kill()
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
