@@ -34,7 +34,7 @@ $(VENV)/made: pyproject.toml setup.py bootstrap.sh
 	@echo "making $(VENV) ..." >&2
 	@python=$$(./bootstrap.sh) && $$python -m venv --clear $(VENV) >&2
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check "setuptools>=77" "cffi>=2.0" >&2
-	@$(INSTALL) '.[plot]' >&2
+	@$(INSTALL) '.[plot,tui]' >&2
 	@touch $@
 
 $(VENV)/built: $(VENV)/made $(shell find csrc -name '*.[ch]' -o -name '*.py')
