@@ -75,6 +75,17 @@ def test_it_ends_at_rest_and_without_power(tmp_path, number):
         assert log.index("comes to rest") < log.index("off (shutdown") < log.index("ended")
 
 
+def test_a_daemon_that_could_not_switch_its_drives_off_does_not_claim_it(tmp_path):
+    with running(tmp_path) as stage:
+        stage.wait_for("idle")
+        stage.robot.arm()
+        stage.sim.pull("rs485")
+        assert stage.end() == 0
+        log = stage.logged()
+        assert "ended, but not all drives are known to be without power: " in log
+        assert "at rest and disarmed" not in log
+
+
 def test_a_second_signal_does_not_wait_for_the_ramp_but_takes_the_power_off(tmp_path):
     slow = ("limits.linear_deceleration_m_s2=0.06", "limits.linear_m_s3=inf")
     with running(tmp_path, *slow) as stage:

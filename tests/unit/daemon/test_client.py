@@ -160,8 +160,16 @@ def test_an_answer_without_end_is_cut_off(tmp_path, monkeypatch):
 
 
 def test_a_missing_daemon_is_sent_with_its_path(tmp_path):
-    with pytest.raises(ClientError, match="absent"):
+    with pytest.raises(ClientError, match=r"absent.sock: no daemon has this socket: motord run"):
         Client(tmp_path / "absent.sock")
+
+
+def test_of_a_daemon_that_was_killed_it_is_reported_that_a_wheel_may_still_turn(tmp_path):
+    path = tmp_path / "r2.sock"
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+    with pytest.raises(ClientError, match=r"has ended without closing it: .*motord stop-all"):
+        Client(path)
 
 
 def test_the_only_robot_is_found(path):
