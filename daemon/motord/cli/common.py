@@ -12,6 +12,8 @@ from typing import IO, TYPE_CHECKING, Any
 
 import click
 
+from motord.cli import INTERRUPTED
+
 if TYPE_CHECKING:
     from motord.config import Robot
 
@@ -25,6 +27,8 @@ class Exit(enum.IntEnum):
     """Wrong usage, or a file that cannot be used."""
     FAULT = 3
     """A fault is latched, or hardware is missing."""
+    INTERRUPTED = INTERRUPTED
+    """By Ctrl-C, before what was asked for was done."""
 
 
 class Failure(click.ClickException):

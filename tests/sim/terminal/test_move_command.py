@@ -99,7 +99,7 @@ def test_interrupted_it_comes_to_rest_and_reports_so(armed):
         process.send_signal(signal.SIGINT)
         code, sent, err = ended(process)
     assert "canceled" in err
-    assert (code, sent["end"]) == (1, "canceled")
+    assert (code, sent["end"]) == (130, "canceled")
     assert armed.sim.truth().at_rest
 
 

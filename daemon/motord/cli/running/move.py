@@ -103,7 +103,10 @@ def _carry_out(client: Client, goal: Goal, *, as_json: bool) -> None:
     except MoveFailed as error:
         if error.moved is not None and not as_json:
             click.echo(_words(goal, error.moved))
-        status = Exit.FAULT if error.latched else status_of_refusal(client)
+        if error.latched:
+            status = Exit.FAULT
+        else:
+            status = Exit.INTERRUPTED if interrupts else status_of_refusal(client)
         result = _plain(error.moved) if error.moved else None
         raise Failure(str(error), status, result) from error
     if as_json:
