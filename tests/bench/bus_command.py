@@ -180,8 +180,20 @@ def table(found: Found) -> str:
         f" ms  {row['samples']:g} samples, lost {row['lost']:g}"
         for where, row in found.items()
     ]
-    goal = (
-        f"goal: p50 {GOAL_P50_MS:g} ms, p99 {GOAL_P99_MS:g} ms idle; busy {GOAL_RATIO:g} times "
-        "that, and none lost"
-    )
-    return "\n".join(["from a Twist on DDS to its first byte, four busy threads:", *rows, goal])
+    return "\n".join(["from a Twist on DDS to its first byte, four busy threads:", *rows])
+
+
+def verdicts(found: Found) -> list[tuple[str, bool, bool]]:
+    """As wire.verdicts."""
+    made = []
+    for where in WHERE:
+        row, ratio = found[where], 1.0 if where == "idle" else GOAL_RATIO
+        p50_ms, p99_ms = row.get("p50_ms", math.inf), row.get("p99_ms", math.inf)
+        goals_ms = GOAL_P50_MS * ratio, GOAL_P99_MS * ratio
+        text = (
+            f"from Twist to byte, {where}: p50 {p50_ms:.2f} ms ({goals_ms[0]:g}), "
+            f"p99 {p99_ms:.2f} ms ({goals_ms[1]:g})"
+        )
+        made.append((text, p50_ms <= goals_ms[0] and p99_ms <= goals_ms[1], False))
+        made.append((f"and {row['lost']:g} commands lost (0)", row["lost"] == 0, True))
+    return made

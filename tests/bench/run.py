@@ -97,7 +97,7 @@ def second_process(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
 
 def from_twist(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
     found = bus_command.measure({Size.SMOKE: 2, Size.QUICK: 40, Size.WHOLE: 200}[size])
-    return bus_command.table(found), found, []
+    return bus_command.table(found), found, bus_command.verdicts(found)
 
 
 def in_a_browser(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
