@@ -15,7 +15,7 @@ from typing import TypeVar
 
 from motord_hal.asyncio_engine.drive import AsyncioDrive
 from motord_hal.asyncio_engine.tally import CycleTally
-from motord_hal.base.clock import now_s, sleep_until_s, within
+from motord_hal.base.clock import now_s, within
 from motord_hal.base.errors import NoReply, PortError
 from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.job import Job, clear_steps
@@ -34,8 +34,12 @@ SHUTDOWN_WITHIN_S: a silent one may still receive."""
 REPORT_WITHIN_S = 0.5
 """Beyond SHUTDOWN_WITHIN_S: until a drive that is there has reported that it has no power."""
 STOPPING_CYCLE_S = 0.01
+EARLY_AT_ONCE = 4
+"""New set-points begin a cycle of their own: in the long run no more of them than there are others,
+and so many at once, as on the lines in C (csrc/fieldbus/pace.h)."""
 LOOK_EVERY_S = 0.02
-"""Between cycles: how often it is looked whether the wheels have to stop."""
+"""Between cycles: how often it is looked whether the wheels have to stop, where nothing wakes the
+line: the loop has died, or asyncio has disarmed a drive."""
 JOB_ALLOWANCE_S = 1.0
 """A caller that waits for jobs waits so much longer than they can take on the wire: the event loop
 may be late. Nothing moves meanwhile: a drive that is not armed gets zero, or nothing."""
@@ -56,6 +60,11 @@ class AsyncioLine(DriveLine[AnyDrive]):
         self._exchange = exchange
         self._period_s = period_s
         self._cycles = CycleTally()
+        self._woken = asyncio.Event()
+        self._early_s = 0.0
+        """Until then the early cycles are more than their share."""
+        self._handed: dict[AnyDrive, Wanted] = {}
+        """What the newest cycle was to send."""
 
     @property
     def engine(self) -> str:
@@ -98,27 +107,54 @@ class AsyncioLine(DriveLine[AnyDrive]):
             else:
                 drive.opened()
         due_s = now_s()
-        while True:
-            self._look()
-            self._cycles.begin()
-            await self._obey_setpoints()
-            await self._cycle()
-            due_s = max(due_s + self._period_s, now_s())
-            await self._wait_for_cycle(due_s)
-            due_s = min(due_s, now_s())
+        with contextlib.ExitStack() as block:
+            try:
+                block.enter_context(self._exchange.waking(self.spec.index, self._woken.set))
+            except OSError as error:
+                raise PortError(f"{self.spec.name}: no eventfd: {error.strerror}") from error
+            while True:
+                self._look()
+                self._cycles.begin()
+                await self._obey_setpoints()
+                await self._cycle()
+                if now_s() >= due_s:
+                    due_s = max(due_s + self._period_s, now_s())
+                await self._wait_for_cycle(due_s)
 
     async def _wait_for_cycle(self, due_s: float) -> None:
-        """A stop does not wait for the next cycle of a slow line."""
+        """Until it is due. New set-points and a stop do not wait for it on a slow line."""
         await asyncio.sleep(0)  # however late the next one is: the event loop has a turn
         while now_s() < due_s and not any(self._has_to_stop(drive) for drive in self._drives):
-            await sleep_until_s(min(due_s, now_s() + LOOK_EVERY_S))
+            if self._woken.is_set() and self._begins_early():
+                return
+            with contextlib.suppress(TimeoutError):
+                async with within(min(due_s - now_s(), LOOK_EVERY_S)):
+                    await self._woken.wait()
             self._look()
 
+    def _begins_early(self) -> bool:
+        """Something new is to be sent to a drive that may move."""
+        self._woken.clear()
+        if not any(
+            drive.state is DriveState.ARMED and self._newest(drive) != self._handed.get(drive)
+            for drive in self._drives
+        ):
+            return False
+        if self._early_s - now_s() > (EARLY_AT_ONCE - 1) * self._period_s:
+            return False
+        self._early_s = max(self._early_s, now_s()) + self._period_s
+        return True
+
     def _has_to_stop(self, drive: AnyDrive) -> bool:
-        return drive.has_to_rest(self._wanted(drive))
+        return drive.has_to_rest(self._newest(drive))
 
     # ------------------------------------------------------------------------------------- safety
     def _wanted(self, drive: AnyDrive) -> Wanted:
+        """What a cycle sends."""
+        self._handed[drive] = self._newest(drive)
+        return self._handed[drive]
+
+    def _newest(self, drive: AnyDrive) -> Wanted:
         """The newest set-points, or nothing at all: the drive then gets zero."""
         newest = self._exchange.take_setpoints(self.spec.index)
         good = fresh(newest.stamp_ns, self.spec.setpoint_timeout_s)

@@ -110,9 +110,9 @@ class CanLine(AsyncioLine[CanDrive]):
         self._gate.handed(taken=taken)
         return taken
 
-    def _wanted(self, drive: CanDrive) -> Wanted:
-        """As AsyncioLine._wanted."""
-        return {} if self._gate.is_shut(now_s()) else super()._wanted(drive)
+    def _newest(self, drive: CanDrive) -> Wanted:
+        """As AsyncioLine._newest."""
+        return {} if self._gate.is_shut(now_s()) else super()._newest(drive)
 
     async def _cycle(self) -> None:
         if self._gate.is_shut(now_s()):

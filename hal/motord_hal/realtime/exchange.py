@@ -7,9 +7,11 @@ or not. The meaning of each field is in csrc/api/api.h.
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from _motord_rt import ffi, lib
@@ -22,6 +24,8 @@ _U64 = 0xFFFF_FFFF_FFFF_FFFF
 _UNKNOWN = 2
 """Of what a drive may say of itself: csrc/api/api.h."""
 _ALIGNMENT_BYTES = 64
+_WAKE_FDS: dict[tuple[int, int], int] = {}
+"""By exchange and line. They stay open for good: the loop may write to one at any time."""
 
 
 def now_ns() -> int:
@@ -146,6 +150,28 @@ class Exchange:
         """How often a line's set-points have become enabled: those of a short while it may never
         see. Read it before the take."""
         return int(lib.exchange_enabled_count(self._exchange, line))
+
+    @contextlib.contextmanager
+    def waking(self, line: int, call: Callable[[], object]) -> Iterator[None]:
+        """For a line in asyncio. Until the end of the block, the event loop makes this call when
+        the line has a new command or a stop to send. Raises OSError without a descriptor left."""
+        place = int(ffi.cast("uintptr_t", self._exchange)), line
+        if (fd := _WAKE_FDS.get(place)) is None:
+            fd = _WAKE_FDS[place] = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+
+        def answer() -> None:
+            with contextlib.suppress(BlockingIOError):
+                os.eventfd_read(fd)
+            call()
+
+        events = asyncio.get_running_loop()
+        events.add_reader(fd, answer)
+        _check(lib.exchange_set_line_wake(self._exchange, line, fd), "line", line)
+        try:
+            yield
+        finally:
+            lib.exchange_set_line_wake(self._exchange, line, -1)
+            events.remove_reader(fd)
 
     def wake_line(self, line: int) -> None:
         """The loop's side, for tests."""

@@ -5,7 +5,7 @@ import asyncio
 import time
 
 import pytest
-from loop_side import running, until
+from loop_side import GENEROUS_S, running, until
 from modbus_rig import (
     CONTROL,
     ENABLE,
@@ -247,6 +247,21 @@ async def test_a_stop_does_not_wait_for_the_next_cycle_of_a_slow_line(peer, how)
             for raw in (50, 0)
         ]
         assert zero[-1] - moving[-1] < 0.8
+
+
+@pytest.mark.parametrize("peer", ["asyncio"], indirect=True)  # the other one: tests/c/line
+async def test_a_new_command_does_not_wait_for_the_next_cycle_of_a_slow_line(peer):
+    """The next cycle would begin after this test has given up."""
+    peer.units[1] = Unit(registers_of("duty-register"))
+    async with running(spec_of(peer, [single("duty-register")])) as rig:
+        await rig.arm()
+        rig.line._period_s = 2.0 * GENEROUS_S
+        rig.loop.enabled = True
+        for percent in (50, 60, 30, 0):
+            rig.loop.duty = {0: percent / 100} if percent else {}
+            rig.loop.put()
+            rig.loop.exchange.wake_line(0)
+            await until(lambda raw=percent: peer.written(DUTY)[-1] == raw)
 
 
 async def test_a_stop_that_was_lost_on_a_slow_line_is_sent_again_at_once(peer):
