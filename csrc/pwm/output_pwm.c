@@ -4,8 +4,10 @@
 #include <errno.h>
 #include <linux/gpio.h>
 #include <math.h>
+#include <poll.h>
 #include <pthread.h>
 #include <string.h>
+#include <sys/eventfd.h>
 #include <sys/ioctl.h>
 #include <time.h>
 #include <unistd.h>
@@ -15,7 +17,7 @@
 
 enum { EPOCH_BITS = 16 }; /* of the encoder's own epochs, below those of openings */
 static const int64_t NS_PER_S = 1000000000;
-static const int64_t REPORT_EVERY_NS = 40 * 1000000;
+static const int64_t REPORT_EVERY_NS = 40 * 1000000, GAP_NS = 1000000;
 static const int32_t AT_GPIO = -1, AT_ENCODER = -2;
 
 typedef struct {
@@ -52,11 +54,20 @@ typedef struct {
     bool bits_known;
     int64_t reported_ns;
     uint32_t number;
-    bool made, joinable;
+    int wake_fd; /* in static storage: the loop may write to it at any time, so it stays open for good */
+    bool has_wake_fd, made, joinable;
     _Atomic bool stop_requested;
 } pwm_thread;
 
 static pwm_thread threads[LINES_MAX];
+
+static void wake(const pwm_thread *t)
+{
+    const uint64_t one = 1;
+    if (write(t->wake_fd, &one, sizeof one) < 0) {
+        return; /* full: it is woken already */
+    }
+}
 
 /* --------------------------------------------------------------------------------------------------- the pins */
 static int write_number(int fd, uint64_t value)
@@ -289,7 +300,8 @@ static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns, u
 }
 
 /* -------------------------------------------------------------------------------------------------- the thread */
-static int cycle(pwm_thread *t, int64_t now_ns)
+/* `is_due`: it is not one that the loop has woken; a pump keeps its frequency. */
+static int cycle(pwm_thread *t, int64_t now_ns, bool is_due)
 {
     double level[PWM_OUTPUTS_MAX];
     uint64_t inputs_before = t->out.active_inputs;
@@ -299,6 +311,7 @@ static int cycle(pwm_thread *t, int64_t now_ns)
     (void)exchange_take_setpoints(t->exchange, t->number, &t->newest);
     t->newest.stamp_ns = stamp_since(t->newest.stamp_ns, clock_resumed_ns());
     (void)mailbox_take(&t->control.mailbox, t->control.slot, &t->request, sizeof t->request);
+    t->state.phase ^= !is_due; /* the step changes it back */
     bridge_step(&t->state, &t->config, &t->request, &t->newest, now_ns, level);
     int wrote = error == 0 ? apply(t, level) : 0;
     error = error != 0 ? error : wrote;
@@ -310,25 +323,52 @@ static int cycle(pwm_thread *t, int64_t now_ns)
     return error;
 }
 
+static void sleep_until(int64_t time_ns)
+{
+    struct timespec until = {.tv_sec = time_ns / NS_PER_S, .tv_nsec = time_ns % NS_PER_S};
+    (void)clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL);
+}
+
+/* Until it is due, or the loop wakes it for a new command or a stop: that leaves at once, but GAP_NS after the cycle
+ * before. 0 or -errno. */
+static int wait_for_turn(const pwm_thread *t, int64_t due_ns, int64_t begun_ns)
+{
+    int64_t left_ns = due_ns - clock_now_ns();
+    if (left_ns <= 0) {
+        return 0;
+    }
+    struct timespec left = {.tv_sec = left_ns / NS_PER_S, .tv_nsec = left_ns % NS_PER_S};
+    struct pollfd wake = {.fd = t->wake_fd, .events = POLLIN};
+    int ready = ppoll(&wake, 1, &left, NULL);
+    if (ready < 0 && errno != EINTR) {
+        return -errno;
+    }
+    uint64_t wakes;
+    if (ready > 0 && read(t->wake_fd, &wakes, sizeof wakes) > 0) {
+        sleep_until(begun_ns + GAP_NS < due_ns ? begun_ns + GAP_NS : due_ns);
+    }
+    return 0;
+}
+
 static void *run(void *arg)
 {
     pwm_thread *t = arg;
     loop_thread_prepare(&(loop_config){.cpu_mask = t->config.cpu_mask}, &t->grant);
     (void)pthread_setname_np(pthread_self(), "motord-pwm");
     int error = rest(t);
-    int64_t due_ns = clock_now_ns();
+    int64_t due_ns = clock_now_ns(), begun_ns = due_ns;
+    (void)exchange_set_line_wake(t->exchange, t->number, t->wake_fd);
     while (!t->stop_requested && error == 0) {
-        struct timespec until = {.tv_sec = due_ns / NS_PER_S, .tv_nsec = due_ns % NS_PER_S};
-        (void)clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL);
-        int64_t now_ns = clock_now_ns();
-        error = cycle(t, now_ns);
-        due_ns += t->config.period_ns;
-        if (due_ns < now_ns) {
-            int64_t missed = (now_ns - due_ns) / t->config.period_ns + 1;
+        error = wait_for_turn(t, due_ns, begun_ns);
+        begun_ns = clock_now_ns();
+        error = error == 0 ? cycle(t, begun_ns, begun_ns >= due_ns) : error;
+        if (begun_ns >= due_ns) {
+            int64_t missed = (begun_ns - due_ns) / t->config.period_ns;
             t->out.late_cycles += (uint64_t)missed;
-            due_ns += missed * t->config.period_ns;
+            due_ns += (missed + 1) * t->config.period_ns;
         }
     }
+    (void)exchange_set_line_wake(t->exchange, t->number, -1);
     int32_t where = t->out.error_output;
     int rested = rest(t);
     t->out.error_output = error != 0 ? where : t->out.error_output;
@@ -347,7 +387,13 @@ int pwm_line_start(uint32_t line, const bridge_config *config)
     if (t->joinable) {
         return -EBUSY;
     }
+    int wake_fd = t->has_wake_fd ? t->wake_fd : eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
+    if (wake_fd < 0) {
+        return -errno;
+    }
     memset(t, 0, sizeof *t);
+    t->wake_fd = wake_fd;
+    t->has_wake_fd = true;
     t->config = *config;
     t->number = line;
     t->exchange = config->exchange != NULL ? config->exchange : loop_exchange();
@@ -373,6 +419,7 @@ int pwm_line_stop(uint32_t line)
         return -ESRCH;
     }
     threads[line].stop_requested = true;
+    wake(&threads[line]);
     int error = pthread_join(threads[line].thread, NULL);
     threads[line].joinable = false;
     return -error;
@@ -382,6 +429,7 @@ void pwm_line_put_control(uint32_t line, const bridge_control *control)
 {
     if (line < LINES_MAX && threads[line].made) {
         mailbox_put(&threads[line].control.mailbox, threads[line].control.slot, control, sizeof *control);
+        wake(&threads[line]);
     }
 }
 

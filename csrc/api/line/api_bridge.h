@@ -16,7 +16,7 @@ typedef struct {
     int32_t fd;        /* of a duty_cycle file; -1: a GPIO line */
     uint32_t bit;      /* GPIO: of the request's lines */
     uint32_t inverted; /* the pin is active low */
-    uint32_t pumps;    /* 1: it changes with every cycle while the motor may move, else it is low. The levels do not
+    uint32_t pumps;    /* 1: it changes with every cycle of the period while the motor may move, else it is low. The levels do not
                                    count. A charge pump or watchdog behind it drops out when any thread hangs */
     uint32_t reserved;
     uint64_t period_ns; /* of the channel */
