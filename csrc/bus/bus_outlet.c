@@ -9,9 +9,15 @@
 
 #include "rt.h"
 
+/* A Python thread that has the lock while the receiver waits for it goes before all others. */
 void outlet_init(outlet *o)
 {
-    (void)pthread_mutex_init(&o->lock, NULL);
+    pthread_mutexattr_t lends;
+    (void)pthread_mutexattr_init(&lends);
+    (void)pthread_mutexattr_setprotocol(&lends, PTHREAD_PRIO_INHERIT);
+    /* the second: on a kernel without such locks */
+    (void)(pthread_mutex_init(&o->lock, &lends) == 0 || pthread_mutex_init(&o->lock, NULL) == 0);
+    (void)pthread_mutexattr_destroy(&lends);
     o->fd = -1;
     o->sequence = 0;
     o->direct = 0;

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Two threads command under one lease while it changes hands: the daemon sees each lease's numbers grow one by one. */
+ * Two threads command under one lease while it changes hands: the daemon sees each lease's numbers grow one by one. A thread
+ * with the lock that one of higher priority waits for goes before all others. */
 #include <errno.h>
 #include <poll.h>
 #include <pthread.h>
@@ -45,8 +46,51 @@ static int received(int lease, uint64_t *sequence)
     return count;
 }
 
+/* As the scheduler sees this thread: below zero with a real-time priority, its own or a lent one. */
+static int priority(void)
+{
+    FILE *file = fopen("/proc/thread-self/stat", "r");
+    int found = 0;
+    CHECK(file != NULL &&
+          fscanf(file, "%*d (%*[^)]) %*c %*d %*d %*d %*d %*d %*u %*u %*u %*u %*u %*u %*u %*d %*d %d", &found) == 1);
+    CHECK(fclose(file) == 0);
+    return found;
+}
+
+static void *waits_for_the_lock(void *of)
+{
+    (void)outlet_direct(of);
+    return NULL;
+}
+
+static void who_has_the_lock_of_a_higher_thread_gets_its_priority(void)
+{
+    outlet o;
+    pthread_t thread;
+    pthread_attr_t attr;
+    outlet_init(&o);
+    CHECK(pthread_attr_init(&attr) == 0 && pthread_attr_setinheritsched(&attr, PTHREAD_EXPLICIT_SCHED) == 0);
+    CHECK(pthread_attr_setschedpolicy(&attr, SCHED_FIFO) == 0);
+    CHECK(pthread_attr_setschedparam(&attr, &(struct sched_param){.sched_priority = 1}) == 0);
+    CHECK(priority() >= 0 && pthread_mutex_lock(&o.lock) == 0);
+    int error = pthread_create(&thread, &attr, waits_for_the_lock, &o);
+    if (error == EPERM) {
+        fprintf(stderr, "bus_threads: no right to real-time priorities: the lent one is not tested\n");
+    } else {
+        CHECK(error == 0);
+        for (int tries = 0; priority() >= 0; tries++) {
+            CHECK(tries < 10000);
+            (void)poll(NULL, 0, 1);
+        }
+    }
+    CHECK(pthread_mutex_unlock(&o.lock) == 0 && priority() >= 0);
+    CHECK(error != 0 || pthread_join(thread, NULL) == 0);
+    (void)pthread_attr_destroy(&attr);
+}
+
 int main(void)
 {
+    who_has_the_lock_of_a_higher_thread_gets_its_priority();
     pthread_t thread[2];
     uint8_t token[LEASE_TOKEN_BYTES] = {0};
     int came = 0;
