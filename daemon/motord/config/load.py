@@ -19,6 +19,8 @@ from motord.config.sections.model import Robot
 from motord.config.toml_lines import Path
 from motord_hal.base import bounded
 
+WHERE_FROM = "motord init writes a robot file, motord robots prints examples"
+
 
 def answer(
     path: str | File, overrides: Sequence[str], text: str | None
@@ -31,7 +33,7 @@ def answer(
 
 
 def _robot(file: File, overrides: Sequence[str], text: str | None) -> Robot:
-    text = read_text(file) if text is None else text
+    text = read_text(file, WHERE_FROM) if text is None else text
     data = parse(file, text)
     places = Places(str(file), text)
     for option in overrides:

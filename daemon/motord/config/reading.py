@@ -19,6 +19,7 @@ from motord.config.schema import Node
 from motord.config.syntax import explain_syntax
 from motord.config.toml_lines import Path, line_of, lines_of
 from motord_hal.base import bounded
+from motord_hal.base.nearest import did_you_mean
 
 _MENDING_ROUNDS = 3  # a renamed key may show a value that needs mending too
 Found = TypeVar("Found")
@@ -52,10 +53,14 @@ class Places:
         return sorted(problems, key=lambda problem: problem.line)
 
 
-def read_text(file: File) -> str:
-    """What is in the file. Raises ConfigError."""
+def read_text(file: File, where_from: str = "") -> str:
+    """What is in the file; `where_from`: how to get one. Raises ConfigError."""
     try:
         return bounded.read(file).decode()
+    except FileNotFoundError as error:
+        near = did_you_mean(file.name, (path.name for path in file.parent.glob("*.toml")))
+        cure = near or (where_from and f": {where_from}")
+        problem = Problem(str(file), 0, "", f"cannot be read: {error.strerror}{cure}")
     except OSError as error:
         problem = Problem(str(file), 0, "", f"cannot be read: {error.strerror}")
     except UnicodeDecodeError as error:

@@ -95,7 +95,13 @@ def test_check_as_json_is_one_object_with_every_problem(motord):
 def test_a_file_that_is_not_there_is_a_problem_like_any_other(motord, tmp_path):
     result = motord("check", tmp_path / "no.toml")
     assert result.exit_code == Exit.USAGE
-    assert result.stdout.endswith("no.toml: cannot be read: No such file or directory\n")
+    assert result.stdout.endswith(
+        "no.toml: cannot be read: No such file or directory: motord init writes a robot file, "
+        "motord robots prints examples\n"
+    )
+    (tmp_path / "my-robot.toml").touch()
+    result = motord("check", tmp_path / "my_robot.toml")
+    assert result.stdout.endswith('No such file or directory (did you mean "my-robot.toml"?)\n')
 
 
 def test_drives_lists_every_profile_with_its_watchdog(motord):
