@@ -2,6 +2,7 @@
 """The line against drives that go on turning, start again or are on when they shall not be."""
 
 import asyncio
+import asyncio
 import time
 
 import pytest
@@ -24,6 +25,7 @@ from modbus_rig import (
 from scripted_slave import ScriptedSlave, Unit
 
 from motord.config.drives.load import find_profile
+from motord_hal.asyncio_engine.line import EARLY_AT_ONCE
 from motord_hal.base.errors import HalError
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
 from motord_hal.modbus.codec import Function
@@ -256,12 +258,39 @@ async def test_a_new_command_does_not_wait_for_the_next_cycle_of_a_slow_line(pee
     async with running(spec_of(peer, [single("duty-register")])) as rig:
         await rig.arm()
         rig.line._period_s = 2.0 * GENEROUS_S
-        rig.loop.enabled = True
-        for percent in (50, 60, 30, 0):
-            rig.loop.duty = {0: percent / 100} if percent else {}
-            rig.loop.put()
-            rig.loop.exchange.wake_line(0)
+        mark = len(peer.written(DUTY))
+        for percent in (50, 60, 30):
+            await send(rig, percent)
             await until(lambda raw=percent: peer.written(DUTY)[-1] == raw)
+            await send(rig, percent)  # nothing is new
+        await send(rig, 0)
+        await until(lambda: peer.written(DUTY)[-1] == 0)
+        sent = peer.written(DUTY)[mark:]
+        assert len(sent) <= 4 + 1  # one cycle was due by the period before
+        assert [raw for raw in dict.fromkeys(sent) if raw] == [50, 60, 30]
+
+
+@pytest.mark.parametrize("peer", ["asyncio"], indirect=True)  # the other ones: tests/c
+async def test_commands_without_end_do_not_fill_a_slow_line_and_a_stop_is_sent_at_once(peer):
+    peer.units[1] = Unit(registers_of("duty-register"))
+    async with running(spec_of(peer, [single("duty-register")])) as rig:
+        await rig.arm()
+        rig.line._period_s = 2.0 * GENEROUS_S
+        mark = len(peer.written(DUTY))
+        for percent in range(1, 5 * EARLY_AT_ONCE):
+            await send(rig, percent)
+        await send(rig, 0)
+        await until(lambda: peer.written(DUTY)[-1] == 0)
+        assert len(peer.written(DUTY)[mark:]) <= EARLY_AT_ONCE + 2  # the stop, and one was due
+
+
+async def send(rig, percent):
+    """A command of the loop, which wakes the line; it has time to look at it."""
+    rig.loop.enabled, rig.loop.duty = True, {0: percent / 100} if percent else {}
+    rig.loop.put()
+    rig.loop.exchange.wake_line(0)
+    for _ in range(20):
+        await asyncio.sleep(0)
 
 
 async def test_a_stop_that_was_lost_on_a_slow_line_is_sent_again_at_once(peer):
