@@ -5,7 +5,7 @@
  */
 
 /* ---------------------------------------------------------------------------------------------- CAN buses
- * One bus under one thread. What is sent in each cycle, what comes, and what stops a drive is a table, made by Python
+ * One CAN bus under one thread. What is sent in each cycle, what comes, and what stops a drive is a table, made by Python
  * from the drive profiles, checked and copied here. Jobs (set up, arm, parameters) stay Python's: their frames go out
  * through a queue, and while a job goes on Python is handed the frames of its drive. */
 enum {
@@ -24,7 +24,7 @@ enum {
     CAN_RECEIVED_MAX = 256
 };
 
-/* A frame on the bus. */
+/* A frame on the CAN bus. */
 typedef struct {
     uint32_t id;    /* as linux/can.h: bit 31 extended, bit 30 remote, bit 29 error frame */
     uint32_t bytes; /* of a remote frame: the length that it requests */
@@ -79,7 +79,7 @@ typedef struct {
 /* A frame of the drive that the cycle lives on. */
 typedef struct {
     int64_t silence_ns; /* so long without it, and the drive is unresponsive; 0: it is not waited for */
-    int64_t spacing_ns; /* one sooner after the other adds nothing new: frames that the bus has held up */
+    int64_t spacing_ns; /* one sooner after the other adds nothing new: frames that the CAN bus has held up */
     uint32_t fast;      /* 1: with all of them the drive's joints are known */
     uint32_t field_count;
     can_field field[CAN_FIELDS_MAX];
@@ -139,7 +139,7 @@ typedef struct {
     uint32_t listen; /* bit n: Python wants what drive n says */
 } can_control;
 
-/* A frame of a job. It waits while the bus takes nothing, until expires_ns. */
+/* A frame of a job. It waits while the CAN bus takes nothing, until expires_ns. */
 typedef struct {
     can_write write;
     int64_t expires_ns;
@@ -175,8 +175,9 @@ typedef struct {
     uint32_t faults;         /* how often a joint's fault word became one that stops, */
     uint32_t last_fault;     /* and the newest such word: a stop may have made the drive forget it by now */
     uint32_t last_fault_joint;
-    uint32_t may_turn;   /* armed since it was last set up, also before the bus was opened */
-    uint32_t stop_waits; /* the bus has not taken all of its newest stop; at the end: it has not confirmed that it has no power */
+    uint32_t may_turn;   /* armed since it was last set up, also before the line was opened */
+    uint32_t stop_waits; /* the CAN bus has not taken all of its newest stop; at the end: the drive has not confirmed that it
+                                   has no power */
 } can_drive_report;
 
 typedef struct {
@@ -186,7 +187,7 @@ typedef struct {
     uint64_t cycles;
     uint64_t received; /* frames of the drives */
     uint64_t sent;
-    uint64_t tx_full;                /* frames that the bus did not take: the next one is newer */
+    uint64_t tx_full;                /* frames that the CAN bus did not take: the next one is newer */
     uint64_t bad_frames;             /* a drive's identifier, and nothing that it says */
     uint64_t dropped;                /* frames for which Python's queue had no place */
     int64_t cycle_ns;                /* smoothed time between two cycles */
@@ -195,7 +196,7 @@ typedef struct {
     can_drive_report drive[CAN_DRIVES_MAX];
 } can_report;
 
-/* What is known of the drives from before the bus was opened; zeros: nothing. */
+/* What is known of the drives from before the line was opened; zeros: nothing. */
 typedef struct {
     uint32_t epoch;        /* of their feedback */
     uint32_t may_turn;     /* bit n: drive n does, so it gets a stop until it responds and is set up */
@@ -212,7 +213,7 @@ typedef struct {
 /* NULL when good; else the name of the first bad field. Static storage of the caller: name[FIELD_NAME_BYTES]. */
 const char *can_table_check(const can_table *table, char *name);
 
-/* One thread a bus, in static memory. 0; -EINVAL; -EBUSY; -errno of what cannot be done without. */
+/* One thread a line, in static memory. 0; -EINVAL; -EBUSY; -errno of what cannot be done without. */
 int can_start(uint32_t line, const can_config *config, const can_table *table);
 int can_stop(uint32_t line); /* joins; 0 or -ESRCH */
 void can_put_control(uint32_t line, const can_control *control);

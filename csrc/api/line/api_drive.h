@@ -46,8 +46,8 @@ typedef struct {
     bool overtaken; /* one before it was never seen: it may have been a stop */
 } drive_answer;
 
-/* The last power-off of a line whose medium confirms nothing: that a bus has taken it says nothing, for a cable may be cut
- * and the queue before it has room. */
+/* The last power-off of a line whose medium confirms nothing: that a CAN bus has taken it says nothing, for a cable may be
+ * cut and the queue before it has room. */
 typedef struct {
     bool suffices;     /* it has but to go out */
     int64_t first_ns;  /* it went out; 0: not yet */

@@ -112,8 +112,8 @@ typedef enum {
                                    of can_setpoint.trigger */
 } field_kind;
 
-/* Of buses and boards: the number that says what a joint is to do, as of line_setpoint. A POSITION that must not be sent is
- * left out with the frame that it is in; in frames that are sent all the same it stays as it was written last. */
+/* Of CAN buses and boards: the number that says what a joint is to do, as of line_setpoint. A POSITION that must not be sent
+ * is left out with the frame that it is in; in frames that are sent all the same it stays as it was written last. */
 typedef struct {
     uint32_t joint;    /* place in setpoints.joint */
     uint32_t kind;     /* setpoint_kind */
@@ -124,7 +124,7 @@ typedef struct {
     double raw_per_s;  /* of a POSITION: its target moves no faster: > 0; of other kinds 0 */
 } setpoint_scale;
 
-/* Of buses and boards: what a number that was read says. */
+/* Of CAN buses and boards: what a number that was read says. */
 typedef struct {
     uint32_t joint;       /* place in the core's arrays; not read for ENABLED and KEPT */
     uint32_t kind;        /* field_kind */

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_drive.c: one drive of a bus: what it gets, whether it is there, and when it has to stop. */
+ * can_drive.c: one drive of a CAN line: what it gets, whether it is there, and when it has to stop. */
 #include <string.h>
 
 #include "can_machine.h"
@@ -168,8 +168,8 @@ bool can_is_off(const can_machine *m, uint32_t number)
     return drive->stop_place == 0 && drive_is_off(&drive->last_off, reports, drive->state.enabled, drive->newest_ns);
 }
 
-/* What does not come by itself is asked for behind it. One that the bus took in part stays due: its rest goes out with the
- * next look. */
+/* What does not come by itself is asked for behind it. One that the CAN bus took in part stays due: its rest goes out with
+ * the next look. */
 static void send_last_power_off(can_machine *m, uint32_t number)
 {
     can_drive_state *drive = &m->drive[number];

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_machine.c: the bus: what comes, what is sent and when, and how it ends. */
+ * can_machine.c: the line: what comes, what is sent and when, and how it ends. */
 #include "can_machine.h"
 
 #include <errno.h>
@@ -176,7 +176,7 @@ bool can_machine_order(can_machine *m, const can_order *order)
     return true;
 }
 
-/* In their order; what the bus does not take waits. */
+/* In their order; what the CAN bus does not take waits. */
 static void send_orders(can_machine *m, int64_t now_ns)
 {
     uint32_t done = 0;

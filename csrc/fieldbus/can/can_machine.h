@@ -5,7 +5,7 @@
  * can_table.c    is a table good?
  * can_values.c   set-points into frames, frames into feedback
  * can_drive.c    one drive: its cycle, its stops, its silence
- * can_machine.c  the bus: what comes, what is sent and when, and its end
+ * can_machine.c  the line: what comes, what is sent and when, and its end
  */
 #ifndef MOTORD_CAN_MACHINE_H
 #define MOTORD_CAN_MACHINE_H
@@ -21,7 +21,7 @@ static const uint32_t CAN_ID_EXTENDED = 0x80000000U, CAN_ID_REMOTE = 0x40000000U
 
 enum { CAN_WAITING_MAX = 8, CAN_FOR_NOBODY = CAN_DRIVES_MAX + 1 };
 
-/* Hands a frame to the bus; false: it takes none now. */
+/* Hands a frame to the CAN bus; false: it takes none now. */
 typedef bool (*can_sender)(void *sink, const can_packet *packet);
 
 /* Frames that go before all else. */
@@ -39,7 +39,7 @@ typedef struct {
     drive_last_off last_off;
     int64_t order_ns;     /* the newest order went out */
     int64_t power_ns;     /* its newest word of its power */
-    bool may_turn;        /* armed since it was last set up, before the bus was opened or after */
+    bool may_turn;        /* armed since it was last set up, before the line was opened or after */
     int64_t last_sent_ns; /* set-points went out last */
     int64_t unresponsive_since_ns;
     int64_t probe_at_ns;
@@ -90,9 +90,9 @@ typedef struct {
     uint32_t order_count;
     int64_t now_ns;          /* of this step */
     uint32_t feedback_mask;  /* joints whose feedback is new since it was taken */
-    bool receives_own;       /* the bus says when a set-point frame of ours has left */
+    bool receives_own;       /* the CAN bus says when a set-point frame of ours has left */
     bool clogged;            /* it has taken nothing in a whole cycle, nor since */
-    bool motion_stays;       /* in this step: set-points are zero, for motion would wait for a bus that is dead */
+    bool motion_stays;       /* in this step: set-points are zero, for motion would wait for a CAN bus that is dead */
     int64_t motion_since_ns; /* set-points that are not zero went out, and nothing was seen to leave since; 0: no */
     line_ending end;
     bool notify; /* something that Python wants to know */

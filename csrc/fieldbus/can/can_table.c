@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_table.c: is a bus's table good? Nothing outside it is ever read or written because of what it says. */
+ * can_table.c: is a CAN line's table good? Nothing outside it is ever read or written because of what it says. */
 #include <float.h>
 #include <math.h>
 

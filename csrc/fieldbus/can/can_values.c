@@ -134,7 +134,7 @@ static bool moves(const can_machine *m, uint32_t drive, const can_setpoint *setp
     return takes_position(setpoint) ? !isnan(target_of(m, drive, setpoint)) : raw_of(m, drive, setpoint) != 0;
 }
 
-/* A handshake that needs no memory but the drive's: what the bus loses is sent again with the next cycle. */
+/* A handshake that needs no memory but the drive's: what the CAN bus loses is sent again with the next cycle. */
 static void put_trigger(const can_machine *m, uint32_t drive, const can_setpoint *setpoint, uint8_t *data)
 {
     bool waits = m->joint[setpoint->scale.joint].taken == 0;

@@ -120,7 +120,7 @@ static void take_frame(can_thread *t, const struct canfd_frame *frame, size_t si
     }
 }
 
-/* Frames of a batch; 0: there are none; -errno: the bus is gone. */
+/* Frames of a batch; 0: there are none; -errno: the CAN bus is gone. */
 static int receive_batch(can_thread *t)
 {
     can_inbox *inbox = &t->inbox;
@@ -207,7 +207,7 @@ static void take_orders(can_thread *t)
 }
 
 /* -------------------------------------------------------------------------------------------------- the thread */
-/* Frames, a wake or the time. 0; -errno: the bus is gone. */
+/* Frames, a wake or the time. 0; -errno: the CAN bus is gone. */
 static int wait_for_wakeup(can_thread *t, int64_t until_ns)
 {
     struct pollfd fds[2] = {[1] = {.fd = t->life.at.fd, .events = POLLIN}};

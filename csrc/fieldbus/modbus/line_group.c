@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * line_group.c: the cycle of bus servos: one request carries the set-points of all and asks all, and each answers for
- * itself. Who does not answer costs the others nothing but the wait. Nothing acknowledges a sync write: the next cycle,
- * which comes whatever is answered, says the same again, and stops go to each drive alone. */
+ * itself. A servo that does not answer costs the others nothing but the wait. Nothing acknowledges a sync write: the next
+ * cycle, which comes whatever is answered, says the same again, and stops go to each drive alone. */
 #include <string.h>
 
 #include "line_machine.h"

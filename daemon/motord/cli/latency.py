@@ -64,7 +64,8 @@ UNRESPONSIVE_PERIOD_S = 5.0
 @click.option(
     "--suspects",
     is_flag=True,
-    help="Find what makes ticks late: who had the CPU, and what changes with it. Run it as root.",
+    help="Find what makes ticks late: which program had the CPU, and what changes with it. "
+    "Run it as root.",
 )
 @click.option(
     "--pause",

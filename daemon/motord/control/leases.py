@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may command: leases by connection and owner. Python grants them and ends them; which of them
-is in command, and which is held, is decided by the loop (csrc/loop/command/arbiter.c), which
+"""Which sources may command: leases by connection and owner. Python grants them and ends them. The
+loop (csrc/loop/command/arbiter.c) decides which of them is in command and which is held, and
 reports it.
 
 The fresh lease with the highest priority commands; among equals the first one. A source that

@@ -275,8 +275,8 @@ class Loop:
         self._command_end.send(command)
 
     def commands(self) -> CommandReport:
-        """Who commands, and what became of each lease; of the last tick in which something came or
-        changed."""
+        """Which source commands, and what became of each lease; of the last tick in which something
+        came or changed."""
         raw = self._buffers.commands
         lib.exchange_take_commands(self._exchange, raw)
         return CommandReport(

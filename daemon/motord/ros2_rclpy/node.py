@@ -301,7 +301,7 @@ class _Ear:
         self._take(message, waited_s, self._sender(gid))
 
     def _sender(self, gid: bytes) -> str:
-        """The name of its node; of all who publish the topic where its writer is not known. A
+        """The name of its node; of all that publish the topic where its writer is not known. A
         writer that is new is looked for at once, one that the graph does not name each second."""
         now_s = time.monotonic()
         if now_s - self._named_s >= NAMES_EVERY_S:
@@ -315,7 +315,7 @@ class _Ear:
         if gid:
             return self._names.get(gid) or unnamed(gid)
         found = sorted(set(self._names.values()))
-        return found[0] if len(found) == 1 else f"one of {', '.join(found) or 'those who left'}"
+        return found[0] if len(found) == 1 else f"one of {', '.join(found) or 'those that left'}"
 
     def _publishers(self) -> dict[bytes, str]:
         """Nodes that publish the topic, by writer. Of one that ROS 2 has just met it may not know

@@ -293,7 +293,7 @@ class Scan:
             try:
                 message = self._bus.recv(timeout=min(max(left_s, 0.0), 0.05))
             except (can.CanError, OSError, ValueError) as error:
-                raise PortError(f"the bus cannot be read: {error}") from error
+                raise PortError(f"the CAN bus cannot be read: {error}") from error
             if message is not None:
                 yield message
             elif left_s <= 0.0:

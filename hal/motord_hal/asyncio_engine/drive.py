@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import HalError, NoReply
 from motord_hal.drives.profile import Step
-from motord_hal.fieldbus.faults import FaultWatch, Say
+from motord_hal.fieldbus.faults import STILL_ENABLED_TEXT, FaultWatch, Say
 from motord_hal.fieldbus.job import Job
 from motord_hal.fieldbus.line import PRESENT
 from motord_hal.fieldbus.plan import Plan, Reading, Wanted
@@ -183,7 +183,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
             self.configure(text, stop)
             return
         if FaultReason.STILL_ENABLED in self._rules.fault_reasons & ~before:
-            text = f"{self} stays enabled though it is disarmed: it is held at zero speed"
+            text = f"{self} {STILL_ENABLED_TEXT}"
             self._say(EventKind.DRIVE_WARNING, self.names, text)
         self._take_power()
 

@@ -12,7 +12,7 @@ def why_unfit(interface: str, *, fd_frames: bool) -> str:
     """Why a line cannot use this kind of adapter, in words; "": it can."""
     if interface == "gs_usb":
         # python-can's GsUsbBus.send has no time-out, and the event loop would wait in it
-        text = "python-can's gs_usb driver waits without end where the bus takes nothing"
+        text = "python-can's gs_usb driver waits without end where the CAN bus takes nothing"
         return f'{text}: use the kernel\'s gs_usb driver: interface = "socketcan", channel = "can0"'
     if fd_frames and interface not in (*_FD_KINDS, *FD_ADAPTERS):
         others = ", ".join((*_FD_KINDS, *FD_ADAPTERS))

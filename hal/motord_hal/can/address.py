@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The name of a bus, INTERFACE:CHANNEL, and what python-can wants to know of it."""
+"""The name of a CAN bus, INTERFACE:CHANNEL, and what python-can wants to know of it."""
 
 from __future__ import annotations
 

@@ -50,7 +50,8 @@ _log = logging.getLogger(__name__)
 
 
 class CanBus:
-    """One bus. `errors` counts what went wrong, by kind; with `trouble` set it is to be closed."""
+    """One CAN bus. `errors` counts what went wrong, by kind. It is to be closed once `trouble` is
+    set."""
 
     def __init__(
         self,
@@ -129,7 +130,7 @@ class CanBus:
             asyncio.get_running_loop().remove_reader(self._fd)
             self._fd = None
         if self._reader is not None:
-            self._reader.stop()  # which closes the bus when it has left it
+            self._reader.stop()  # which closes the CAN bus when it has left it
             self._reader = None
         else:
             _shut(bus)
@@ -171,7 +172,7 @@ class CanBus:
             self.trouble = PortError(f"{self.address}: {BUS_OFF_TEXT}")
 
     def _fail(self, error: Exception) -> None:
-        """A read or a write has failed: is it the bus, or one frame?"""
+        """A read or a write has failed: is it the CAN bus, or one frame?"""
         number = _errno_of(error)
         self._bad_in_a_row += 1
         if number is None and self._bad_in_a_row <= BAD_FRAMES_MAX:
@@ -195,8 +196,8 @@ class CanBus:
 
     # ------------------------------------------------------------------------------------- sending
     def send(self, sent: Sent) -> bool:
-        """False: the queue to the bus is full, the frame is lost and counted; the next one will be
-        newer. Raises PortError."""
+        """False: the queue to the CAN bus is full, the frame is lost and counted; the next one will
+        be newer. Raises PortError."""
         self.check()
         assert self._bus is not None  # check
         message = _message(sent)
@@ -216,7 +217,7 @@ class CanBus:
         return True
 
     def check(self) -> None:
-        """Raises PortError where the bus is closed, or has failed."""
+        """Raises PortError where the CAN bus is closed, or has failed."""
         if self.trouble is not None:
             raise self.trouble
         if self._bus is None:

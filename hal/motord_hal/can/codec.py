@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of a drive from values and back, and how long a frame holds the bus. Pure."""
+"""Frames of a drive from values and back, and how long a frame holds the CAN bus. Pure."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def frame_bits(size_bytes: int, *, extended: bool) -> int:
 def frame_time_s(
     frame: Frame, bitrate: int, data_bitrate: int | None, *, remote: bool = False
 ) -> float:
-    """The longest that a frame holds the bus; `remote`: the remote frame that requests it."""
+    """The longest that a frame holds the CAN bus; `remote`: the remote frame that requests it."""
     if not frame.fd:
         size_bytes = 0 if remote else frame.size_bytes
         return frame_bits(size_bytes, extended=frame.extended) / bitrate

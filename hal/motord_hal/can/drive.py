@@ -30,13 +30,13 @@ PROBE_LIMIT_S = 2.0
 HELLO_GOOD_FOR_S = 5.0
 """An answer to the first question counts for so long: until the drive is set up."""
 SAMPLE_PART = 0.5
-"""Frames that the bus has held up come in bunches; one sooner after the other than this part of its
-period adds nothing to the next one."""
+"""Frames that the CAN bus has held up come in bunches; one sooner after the other than this part of
+its period adds nothing to the next one."""
 FIRST_WORD_S = 0.2
 """On top of its longest silence: so long a drive may take for its first frame after opening."""
 
 Send = Callable[[Sent], bool]
-"""False: the bus takes nothing now."""
+"""False: the CAN bus takes nothing now."""
 
 
 class CanDrive(AsyncioDrive[CanPlan]):
@@ -150,8 +150,8 @@ class CanDrive(AsyncioDrive[CanPlan]):
         return questions >= self.tries and now_s() - since_s > self._silence_s(frame)
 
     def _asked_for(self, *frames: Frame) -> None:
-        """They are to come now. The bus need not have taken the question: one that takes nothing
-        has no drives to receive from."""
+        """They are to come now. The CAN bus need not have taken the question: one that takes
+        nothing has no drives to receive from."""
         for frame in frames:
             since_s, questions = self._unanswered.get(frame.name, (now_s(), 0))
             self._unanswered[frame.name] = (since_s, questions + 1)
@@ -255,7 +255,8 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._sent_s = now_s()
 
     def _write(self, frame: Frame, raw: Mapping[str, int]) -> bool:
-        """Send a frame with these signals, and what is held. False: the bus takes nothing now."""
+        """Send a frame with these signals, and what is held. False: the CAN bus takes nothing
+        now."""
         self._held.update({name: raw[name] for name in self.plan.held if name in raw})
         self._asked_for(*self.plan.answering[frame.name])
         return self._send(self.plan.write(frame, {**self._held, **raw}))
@@ -340,9 +341,9 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self.sent_motion = False
 
     async def send_power_off(self) -> bool:
-        """As AsyncioDrive.send_power_off. That the bus has taken it says nothing, for its queue has
-        room behind a cut cable: a drive has to report that it has no power. One that cannot has to
-        be there."""
+        """As AsyncioDrive.send_power_off. That the CAN bus has taken it says nothing, for its queue
+        has room behind a cut cable: a drive has to report that it has no power. One that cannot has
+        to be there."""
         if self._is_off():
             return True
         suffices = self._needs_no_report()
@@ -394,10 +395,10 @@ class CanDrive(AsyncioDrive[CanPlan]):
         return all(one is not None and self._rests_at(one.velocity_rad_s) for one in readings)
 
     def _write_all(self, steps: Sequence[Step]) -> bool:
-        """All writes at once, each of them also where the bus has not taken the one before it."""
+        """All writes at once, each of them also where the CAN bus has not taken the one before."""
         sent = [self._write(*one) for one in merged_writes(self.plan, steps)]
         return all(sent)
 
     async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
-        """As AsyncioDrive._write_now: all of them where the bus does not take one."""
+        """As AsyncioDrive._write_now: all of them where the CAN bus does not take one."""
         return () if self._write_all(steps) else steps

@@ -38,7 +38,7 @@ class BusTrouble(enum.Enum):
 
 
 def error_words(identifier: int, data: bytes) -> tuple[list[str], BusTrouble]:
-    """The kinds of errors that the frame names, and whether the controller has left the bus."""
+    """The kinds of errors that the frame names, and whether the controller has left the CAN bus."""
     kinds = [name for bit, name in _KINDS if identifier & bit]
     if identifier & _CONTROLLER and len(data) > 1:
         if data[1] & _OVERFLOW:

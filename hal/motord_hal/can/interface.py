@@ -62,8 +62,8 @@ def _restart_if_off(channel: str) -> str:
 
 
 class BusOffWatch:
-    """Whether a controller has left the bus unnoticed: the frame that reports it may have been
-    lost."""
+    """Whether a controller has left the CAN bus unnoticed: the frame that reports it may have
+    been lost."""
 
     def __init__(self, address: str) -> None:
         interface, self._channel = split_address(address)

@@ -19,7 +19,7 @@ CONFIRM_WITHIN_S = 0.5
 """For a write that the drive confirms."""
 
 Write = Callable[[Frame, Mapping[str, int]], bool]
-"""False: the bus takes nothing now."""
+"""False: the CAN bus takes nothing now."""
 
 
 class StepRunner:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The CAN line on asyncio: one task sends, for all drives of a bus.
+"""The CAN line on asyncio: one task sends, for all drives of a CAN bus.
 
 A cycle: every drive gets the newest set-points, is asked for what it does not send by itself, and
 goes one step further in its jobs. What drives say is taken in as it comes; nothing is sent then.
@@ -25,13 +25,13 @@ from motord_hal.fieldbus.units import joints_by_unit
 from motord_hal.realtime.exchange import Exchange
 
 STEADY_S = 1.0
-"""A bus that has worked for so long is reopened at once when it fails again."""
+"""A line that has worked for so long is reopened at once when it fails again."""
 
 
 class CanLine(AsyncioLine[CanDrive]):
     """ports.Line for `kind = "can"`, engine "asyncio"."""
 
-    unresponsive_text = "the bus takes no frames, or it was not confirmed"
+    unresponsive_text = "the CAN bus takes no frames, or it was not confirmed"
 
     def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
         super().__init__(spec, exchange, listener, 1.0 / spec.cycle_hz)
@@ -73,7 +73,7 @@ class CanLine(AsyncioLine[CanDrive]):
             wire_limit_hz=max(free, 0.0) / sum(d.plan.cycle_time_s(*wire) for d in self._drives),
         )
 
-    # ------------------------------------------------------------------------------------- its bus
+    # --------------------------------------------------------------------------------- its CAN bus
     def _warn(self, text: str) -> None:
         self._say_all(EventKind.DRIVE_WARNING, f"{self.spec.name}: {text}")
 

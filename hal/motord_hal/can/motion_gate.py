@@ -12,22 +12,22 @@ LEAVES_WITHIN_S = 0.005
 
 
 class MotionGate:
-    """Of one bus. Times are those of clock.now_s."""
+    """Of one CAN bus. Times are those of clock.now_s."""
 
     def __init__(self, cycle_s: float, *, receives_own: bool) -> None:
-        """`receives_own`: the bus says when a set-point frame of ours has left; else the gate is
-        always open."""
+        """`receives_own`: the CAN bus says when a set-point frame of ours has left; else the gate
+        is always open."""
         self.receives_own = receives_own
         self._limit_s = max(cycle_s, LEAVES_WITHIN_S)
         self.opened()
 
     def opened(self) -> None:
-        """The bus is new: nothing waits."""
+        """The CAN bus is new: nothing waits."""
         self._since_s: float | None = None
         self._taken = self._refused = self._clogged = False
 
     def handed(self, *, taken: bool) -> None:
-        """A frame was handed to the bus, which took it or not."""
+        """A frame was handed to the CAN bus, which took it or not."""
         self._taken |= taken
         self._refused |= not taken
         self._clogged &= not taken
@@ -44,7 +44,7 @@ class MotionGate:
         self._since_s = None
 
     def is_shut(self, now_s: float) -> bool:
-        """Set-points are to be zero: the bus took nothing in a whole cycle, nor since, or motion
-        waits for longer than a cycle."""
+        """Set-points are to be zero: the CAN bus took nothing in a whole cycle, nor since, or
+        motion waits for longer than a cycle."""
         waits = self._since_s is not None and now_s - self._since_s > self._limit_s
         return self.receives_own and (self._clogged or waits)

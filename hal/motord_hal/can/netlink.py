@@ -125,7 +125,8 @@ def can_state(interface: str) -> int | None:
 
 
 def bit_rate_in(answer: bytes) -> int | None:
-    """Bits a second in the answer to `state_request`; None: a virtual bus, or none is set.
+    """Bits a second in the answer to `state_request`; None: a virtual CAN bus, or none is
+    set.
     ValueError: it is no such answer. Source: struct can_bittiming of linux/can/netlink.h."""
     data = _data_in(answer)
     timing = data.get(_IFLA_CAN_BITTIMING, b"") if data is not None else b""

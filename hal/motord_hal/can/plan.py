@@ -26,7 +26,7 @@ cycle in less than a thousand."""
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """A frame that is sent to the bus."""
+    """A frame that is sent to the CAN bus."""
 
     identifier: int
     extended: bool
@@ -258,8 +258,8 @@ class CanPlan(Plan):
 
     # ------------------------------------------------------------------------------------ bus load
     def cycle_time_s(self, bitrate: int, data_bitrate: int | None) -> float:
-        """How long the frames of one cycle hold the bus at worst: set-points, what is asked for in
-        every cycle, and one that may wait, now and then."""
+        """How long the frames of one cycle hold the CAN bus at worst: set-points, what is asked for
+        in every cycle, and one that may wait, now and then."""
 
         def time_s(frame: Frame, *, remote: bool = False) -> float:
             return frame_time_s(frame, bitrate, data_bitrate, remote=remote)
@@ -282,7 +282,7 @@ class CanPlan(Plan):
         return cycle_s
 
     def own_load(self, bitrate: int, data_bitrate: int | None) -> float:
-        """The part of the bus that the drive takes by what it sends unasked."""
+        """The part of the CAN bus that the drive takes by what it sends unasked."""
         return sum(
             frame_time_s(frame, bitrate, data_bitrate) / frame.period_s
             for frame in self.table.frames_from(Sender.DRIVE)

@@ -20,10 +20,10 @@ _ANCILLARY_BYTES = socket.CMSG_SPACE(_TIME.size)
 
 
 class UnixClient(can.BusABC):
-    """One program on such a bus."""
+    """One program on such a CAN bus."""
 
     def __init__(self, path: str) -> None:
-        """Raises OSError where no bus is there."""
+        """Raises OSError where no CAN bus is there."""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         try:
             self._socket.connect(path)
@@ -41,7 +41,7 @@ class UnixClient(can.BusABC):
         self._socket.close()
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Raises OSError; BlockingIOError where the bus takes nothing now. Never waits."""
+        """Raises OSError; BlockingIOError where the CAN bus takes nothing now. Never waits."""
         del timeout
         self._socket.send(packed(msg))
 
@@ -53,7 +53,7 @@ class UnixClient(can.BusABC):
         except BlockingIOError:
             return None, False
         if not frame:
-            raise can.CanOperationError("the program that made the bus has ended", errno.ENODEV)
+            raise can.CanOperationError("the program that made the CAN bus has ended", errno.ENODEV)
         ((_, _, stamp),) = ancillary
         seconds, nanoseconds = _TIME.unpack(stamp)
         try:

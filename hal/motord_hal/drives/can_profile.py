@@ -40,7 +40,7 @@ class Frame:
     extended: bool
     """29 bits of identifier, not 11."""
     fd: bool
-    """A frame of CAN FD, its data at the data bit rate where the bus has one."""
+    """A frame of CAN FD, its data at the data bit rate where the CAN bus has one."""
     size_bytes: int
     sender: Sender
     begins: bytes

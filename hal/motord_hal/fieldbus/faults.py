@@ -10,6 +10,9 @@ from motord_hal.fieldbus.ports import EventKind
 
 Say = Callable[[EventKind, tuple[str, ...], str], None]
 
+STILL_ENABLED_TEXT = "stays enabled though it is disarmed: it is held at zero speed"
+"""Of a drive that a power-off has not reached, or that has refused it; its name goes before it."""
+
 
 class FaultWatch:
     """The fault word of one joint and what was last reported of it."""

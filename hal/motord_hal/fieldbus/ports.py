@@ -230,7 +230,7 @@ class LineSpec:
     engine: str
     """"asyncio" | "rt" | "auto": rt where the line has a serial port or SocketCAN, else asyncio."""
     data_baudrate: int | None = None
-    """Of the data of CAN FD frames; None: a bus of classic frames."""
+    """Of the data of CAN FD frames; None: a CAN bus of classic frames."""
     gap: Gap | None = None
     """Rule for the silent interval; None: what the most demanding drive of the line needs."""
     direction: DirectionSpec = DirectionSpec()

@@ -2,7 +2,7 @@
 """Registers of one device on an I2C bus: words of 16 bits, bytes, and rows of bytes.
 
 Each access is one SMBus transfer, which the kernel keeps in one piece: other programs may use the
-same bus, and other drivers other devices on it.
+same I2C bus, and other drivers other devices on it.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ ROW_BYTES_MAX = 32
 _I2C_SLAVE = 0x0703
 """linux/i2c-dev.h."""
 _SILENT = (errno.ENXIO, errno.EREMOTEIO, errno.ETIMEDOUT, errno.EAGAIN)
-"""No acknowledge, or a bus that is held: Documentation/i2c/fault-codes.rst."""
+"""No acknowledge, or an I2C bus that is held: Documentation/i2c/fault-codes.rst."""
 
 
 class Registers(Protocol):
-    """What a chip's driver needs of its bus. All raise HalError."""
+    """What a chip's driver needs of its I2C bus. All raise HalError."""
 
     def read_word(self, register: int) -> int:
         """16 bits, the byte that comes first is the upper one."""
@@ -58,8 +58,8 @@ class ByteRegisters(Protocol):
 
 
 class I2cDevice:
-    """One address of a bus. Its calls block for as long as the transfer takes: some 0.4 ms, and 1 s
-    and more where a device holds the bus."""
+    """One address of an I2C bus. Its calls block for as long as the transfer takes: some 0.4 ms,
+    and 1 s and more where a device holds the I2C bus."""
 
     def __init__(self, bus: SMBus, address: int, where: str) -> None:
         self._bus = bus
@@ -69,7 +69,7 @@ class I2cDevice:
     @classmethod
     def open(cls, path: Path, address: int) -> Self:
         """Raises PortError."""
-        from smbus2 import SMBus  # only here: most robots have no such bus
+        from smbus2 import SMBus  # only here: most robots have no I2C bus
 
         where = f"{path} at 0x{address:02x}"
         try:
@@ -142,7 +142,7 @@ def _error(where: str, error: OSError) -> HalError:
     if error.errno in _SILENT:
         return NoReply(f"{where}: no answer ({error.strerror}): look at power, wires and address")
     if error.errno in (errno.ENODEV, errno.EBADF):
-        return PortError(f"{where}: the bus is gone ({error.strerror})")
+        return PortError(f"{where}: the I2C bus is gone ({error.strerror})")
     return BadReply(f"{where}: {error.strerror}")
 
 
@@ -150,7 +150,7 @@ def _why(error: OSError) -> str:
     if error.errno in (errno.EACCES, errno.EPERM):
         return f"{error.strerror}: put this user into the group i2c"
     if error.errno == errno.ENOENT:
-        return "there is no such bus: switch I2C on, load i2c-dev, or look at ls /dev/i2c-*"
+        return "there is no such I2C bus: switch I2C on, load i2c-dev, or look at ls /dev/i2c-*"
     if error.errno == errno.EBUSY:
         return "a driver of the kernel has this device already: use its hwmon, or unbind it"
     return error.strerror or str(error)

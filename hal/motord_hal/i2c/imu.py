@@ -173,7 +173,7 @@ class ImuChip:
         )
 
     def close(self) -> None:
-        """Lets go of the bus."""
+        """Lets go of the I2C bus."""
         self._registers.close()
 
     def _check(self) -> None:

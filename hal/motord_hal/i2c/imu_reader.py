@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads a chip at an even rate, in a thread of its own: a device that holds the bus blocks for
-seconds, and neither asyncio nor the real-time loop may wait for it."""
+"""Reads a chip at an even rate, in a thread of its own: a device that holds the I2C bus blocks
+for seconds, and neither asyncio nor the real-time loop may wait for it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from motord_hal.realtime.exchange import Exchange
 LATE_NS = 20_000_000
 """A transfer takes some 0.5 ms; what came after so long has no known time."""
 LATE_MAX = 50
-"""So many late ones in a row are no busy machine: the bus is too slow, or it is held."""
+"""So many late ones in a row are no busy machine: the I2C bus is too slow, or it is held."""
 TRIES = 3
 """Failed reads in a row before the chip is given up."""
 

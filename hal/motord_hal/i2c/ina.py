@@ -41,7 +41,7 @@ class Chip:
     """Counts at the end of the scale: what reads more was cut off."""
     bus: Field
     overflow: int = 0
-    """Bit of the bus register: what was computed from it is wrong."""
+    """Bit of the bus voltage register: what was computed from it is wrong."""
     temperature: Field | None = None
     """Of the chip itself."""
     identity: tuple[tuple[int, int, int], ...] = ()
@@ -139,7 +139,7 @@ class Ina:
         return int.from_bytes(self._registers.read_row(field.register, field.register_bytes), "big")
 
     def close(self) -> None:
-        """Lets go of the bus."""
+        """Lets go of the I2C bus."""
         self._registers.close()
 
     def _check_settings(self) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interface to the threads that drive CAN buses: one a bus, its table, its orders, its report.
+"""The interface to the threads that drive CAN buses: one a line, its table, its orders, its report.
 
 The meaning of each field is in api_can.h; tables, frames and orders are plain values named as
 there.
@@ -77,7 +77,7 @@ class Received:
 
 
 def check_table(name: str, table: Plain) -> None:
-    """Raises ProfileError for a table that no bus runs, with the first bad field's name."""
+    """Raises ProfileError for a table that no line runs, with the first bad field's name."""
     field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
 
     def first_bad() -> str:
@@ -88,7 +88,7 @@ def check_table(name: str, table: Plain) -> None:
 
 
 class CanThread(LineThreadHandle):
-    """One bus's thread in C, from `start` to `stop`. One caller's thread at a time."""
+    """One CAN line's thread in C, from `start` to `stop`. One caller's thread at a time."""
 
     def __init__(self, line: int, exchange: Exchange) -> None:
         super().__init__(line, ffi.new("can_control *"), lib.can_put_control, lib.can_stop)
@@ -105,7 +105,7 @@ class CanThread(LineThreadHandle):
         own = config_of(config, self._exchange) | {"before": before}
         raw_config = ffi.new("can_config *", own)
         ffi.memmove(self._control, bytes(ffi.sizeof("can_control")), ffi.sizeof("can_control"))
-        check_code(lib.can_start(self._line, raw_config, raw), "the bus cannot be started")
+        check_code(lib.can_start(self._line, raw_config, raw), "the line cannot be started")
         self._drives = raw.drive_count
         self._ordered = [0] * self._drives
 
@@ -120,7 +120,7 @@ class CanThread(LineThreadHandle):
         code = lib.can_put_order(self._line, ffi.new("can_order *", order))
         if code == -errno.EAGAIN:
             return False
-        check_code(code, "the bus takes no frame")
+        check_code(code, "the line takes no frame")
         self._ordered[order["drive"]] += 1
         return True
 
@@ -137,7 +137,7 @@ class CanThread(LineThreadHandle):
         return Received(raw.drive, packet.id, bytes(ffi.buffer(packet.data, packet.bytes)))
 
     def report(self) -> CanReport:
-        """As the bus has it now."""
+        """As the line has it now."""
         raw = self._report
         lib.can_read_report(self._line, raw)
         return CanReport(

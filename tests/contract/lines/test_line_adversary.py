@@ -2,7 +2,6 @@
 """The line against drives that go on turning, start again or are on when they shall not be."""
 
 import asyncio
-import asyncio
 import time
 
 import pytest

@@ -185,7 +185,7 @@ def test_the_lsm_samples_at_least_twice_as_often_as_it_is_read(rate_hz):
 
 
 def test_a_bus_that_is_not_there_names_the_way_to_it(tmp_path):
-    with pytest.raises(PortError, match="there is no such bus: switch I2C on"):
+    with pytest.raises(PortError, match="there is no such I2C bus: switch I2C on"):
         I2cDevice.open(tmp_path / "i2c-7", 0x68)
 
 

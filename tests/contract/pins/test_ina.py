@@ -151,7 +151,7 @@ def test_a_chip_that_keeps_no_configuration_is_another_one():
 
 
 def test_a_bus_that_is_not_there_is_named_with_what_helps(tmp_path):
-    with pytest.raises(PortError, match=r"i2c-9 at 0x40: there is no such bus: switch I2C on"):
+    with pytest.raises(PortError, match=r"i2c-9 at 0x40: there is no such I2C bus: switch I2C on"):
         I2cDevice.open(tmp_path / "i2c-9", 0x40)
 
 

@@ -112,7 +112,7 @@ def test_a_sensor_that_is_not_there_is_reported_once_and_the_battery_is_unknown(
     missing = ("battery.source=ina226", f"battery.bus={tmp_path / 'i2c'}", *FULL[1:])
     with running(tmp_path, *missing, STOPS) as stage:
         wait_until(lambda: "the battery is unknown" in stage.logged(), "the log's word")
-        assert stage.logged().count("there is no such bus") == 1
+        assert stage.logged().count("there is no such I2C bus") == 1
         assert level(stage) == "unknown"
         stage.wait_for("idle")
         stage.robot.arm()

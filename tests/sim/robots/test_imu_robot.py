@@ -95,11 +95,11 @@ def test_a_chip_that_is_not_there_is_reported_once_and_the_wheels_give_the_headi
     robot = tmp_path / "robot.toml"
     robot.write_text(text + '[imu]\nsource = "mpu6050"\nbus = "/nowhere/i2c-1"\n', encoding="utf-8")
     with running(tmp_path, robot=robot) as stage:
-        wait_until(lambda: "there is no such bus" in stage.logged(), "the log's word")
+        wait_until(lambda: "there is no such I2C bus" in stage.logged(), "the log's word")
         stage.wait_for("idle")
         stage.robot.arm()
         wait_until(lambda: "the imu sends nothing" in stage.logged(), "the log's word")
-        assert stage.logged().count("there is no such bus") == 1
+        assert stage.logged().count("there is no such I2C bus") == 1
         assert stage.robot.status()["imu"] is None
 
 

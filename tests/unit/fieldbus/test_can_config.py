@@ -163,13 +163,13 @@ def test_the_bus_load_is_that_of_the_frames():
 
 def test_a_bus_that_is_too_full_is_an_error_with_what_would_help():
     message = wrong("line.can0.bitrate=50000")
-    assert "load the bus with 1" in message
+    assert "load the CAN bus with 1" in message
     assert "or bitrate = 125000" in message
 
 
 def test_a_bus_that_is_nearly_full_deserves_a_look():
     robot, _ = loaded("line.can0.bitrate=62500", "line.can0.cycle_hz=80")
-    assert any("load the bus" in warning.text for warning in robot.warnings)
+    assert any("load the CAN bus" in warning.text for warning in robot.warnings)
 
 
 def test_a_node_that_the_drive_cannot_have_is_an_error():

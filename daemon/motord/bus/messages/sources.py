@@ -44,7 +44,7 @@ class Body:
 
 
 class Commander(NamedTuple):
-    """Who is in command: a lease's owner, its priority, and why it is that one."""
+    """The source in command: its lease's owner, its priority, and why it is that one."""
 
     owner: str
     priority: int

@@ -39,8 +39,8 @@ class View:
         return None if self.status is None else self.status["loop"]
 
     def commander(self) -> Commander | None:
-        """Who holds the lease that commands. None: there is none, or the daemon has not reported it
-        yet."""
+        """The source whose lease is in command. None: there is none, or the daemon has not reported
+        it yet."""
         for lease in (self.status or {}).get("leases", ()):
             if lease["number"] == self.snapshot.owner:
                 return Commander(owner=lease["owner"], priority=lease["priority"], why=lease["why"])

@@ -71,7 +71,7 @@ KINDS = ("differential", "skid", "mecanum", "omni", "ackermann", "tricycle", "sw
     "--steering-gear-ratio", type=POSITIVE, help="Its drive's turns for one of the wheel."
 )
 @click.option("--zero-count", type=int, help="What its counter shows straight ahead.")
-@click.option("--scan/--no-scan", default=True, help="Look for drives on a port or bus.")
+@click.option("--scan/--no-scan", default=True, help="Look for drives on a port or CAN bus.")
 @click.option(
     "--scan-within-s", type=POSITIVE, default=60.0, show_default=True,
     help="End the scan of a serial port after this time.",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord scan`: who answers on a serial port or a CAN bus, and which drive it may be."""
+"""`motord scan`: which drives answer on a serial port or a CAN bus, at which addresses."""
 
 from __future__ import annotations
 

@@ -22,7 +22,8 @@ def check(robot_file: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     """Check a robot file and print every problem as `file:line: key: problem`.
 
     A file without a problem is explained: top speed, stopping distance, travel per count, load of
-    each line, who may command, what stops the drives after kill -9, and defaults in force.
+    each line, which sources may command, what stops the drives after kill -9, and defaults in
+    force.
 
     A warning (`file:line: key: warning: ...`) marks a setting that works but is probably not what
     you want. The exit status is 2 if there is a problem and 0 if there is none.

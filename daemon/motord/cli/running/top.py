@@ -20,8 +20,8 @@ from motord.client import find_socket
 def top(robot: str | None, path: Path | None) -> None:
     """Watch the robot on a full screen, also over SSH; 80 × 24 characters are enough.
 
-    It shows the state and what to do about it, the joints, the lines, the loop, who commands, and
-    the log. The space bar is an emergency stop, without a question.
+    It shows the state and what to do about it, the joints, the lines, the loop, which source
+    commands, and the log. The space bar is an emergency stop, without a question.
 
     \b
     Example: motord top

@@ -72,7 +72,9 @@ class InaBattery(Battery):
     source: Literal["ina219", "ina226", "ina228", "ina238"]
     bus: str
     """Device file, as /dev/i2c-1."""
-    address: int = number("on the bus, 0x40 to 0x4f by the pins A0 and A1", 0x40, 0x4F, "1", 0x40)
+    address: int = number(
+        "on the I2C bus, 0x40 to 0x4f by the pins A0 and A1", 0x40, 0x4F, "1", 0x40
+    )
     shunt_ohm: float = number("resistance between IN+ and IN-", 1e-5, 10, "Ω", 0.1)
     inverted: bool = False
     """IN- is at the battery."""

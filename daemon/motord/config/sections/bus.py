@@ -304,8 +304,8 @@ class RosNode(Section):
     node_name: str = Field(default="motord", pattern=r"^[A-Za-z]\w*$")
     """Name of the node."""
     distribution: Literal["humble", "jazzy"] = "jazzy"
-    """Of those who are to see the node: Humble has another graph, and over Zenoh other keys. Iron
-    and later are as Jazzy."""
+    """Of the nodes that are to see this one: Humble has another graph, and over Zenoh other keys.
+    Iron and later are as Jazzy."""
     remap: dict[RosName, RosName] = Field(default_factory=dict)
     """Topics and services of this section that have another name: cmd_vel = "/cmd_vel_safe". Names
     as everywhere in ROS 2: below the namespace, below the node (~/), or as they are (/)."""
@@ -315,8 +315,8 @@ class Ros2Node(RosNode):
     """A node on DDS."""
 
     discovery: Literal["localhost", "subnet"] = "localhost"
-    """Who sees us: this machine (others on it with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST), or the
-    networks that it is connected to."""
+    """Where other nodes see this one: on this machine (run them with
+    ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST), or in the networks that it is connected to."""
     interface: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]{1,15}$")
     """The one network interface to use, by name (discovery subnet); where it is not given, what the
     DDS library chooses."""

@@ -54,7 +54,7 @@ class ChipImu(Imu):
     bus: str
     """Device file, as /dev/i2c-1."""
     address: int | None = number(
-        "on the bus; 0x68 (MPU) or 0x6a (LSM6DS, ISM330) where it is not given",
+        "on the I2C bus; 0x68 (MPU) or 0x6a (LSM6DS, ISM330) where it is not given",
         0x08,
         0x77,
         "1",

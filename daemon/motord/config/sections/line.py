@@ -145,14 +145,14 @@ class CanLine(Section):
     """What does the cyclic exchange; auto: rt on socketcan and unix, asyncio on other adapters."""
     cycle_hz: float = number("set-points a second for every drive", 1, 1000, "Hz", 100.0)
     priority: int = number(
-        "SCHED_FIFO priority of the bus's thread (rt), below the loop's; 0: ordinary scheduling",
+        "SCHED_FIFO priority of the line's thread (rt), below the loop's; 0: ordinary scheduling",
         0,
         98,
         "1",
         70,
     )
     cpu: Cpus = Field(default=(), strict=False)
-    """CPUs the bus's thread may run on, each 0 to 63; none: all of them."""
+    """CPUs the line's thread may run on, each 0 to 63; none: all of them."""
 
     @property
     def address(self) -> str:

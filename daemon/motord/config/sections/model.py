@@ -376,7 +376,7 @@ class Robot(Section):
     joint: dict[Name, Joint]
     """The driven wheels; their order is that of the core's joints."""
     input: dict[Name, Annotated[Input, Field(discriminator="kind")]] = Field(default_factory=dict)
-    """Who may command. The local socket may, unless a section of kind "socket" disables it."""
+    """What may command. The local socket may, unless a section of kind "socket" disables it."""
     publish: dict[Name, Annotated[AnyPublish, Field(discriminator="kind")]] = Field(
         default_factory=dict
     )

@@ -28,8 +28,8 @@ UDEV_RULES = "/etc/udev/rules.d/99-motord.rules"
 
 
 def look(root: Root, robot: Robot | None, daemon_pids: Collection[int] = ()) -> Iterator[Finding]:
-    """Of the robot file; without one, the latency timers of all adapters. `daemon_pids`: who may
-    hold the devices."""
+    """Of the robot file; without one, the latency timers of all adapters. `daemon_pids`: the
+    processes that may hold the devices."""
     if robot is None:
         for timer in root.glob("/sys/class/tty/*/device/latency_timer"):
             yield from _timer(root, f"/dev/{timer.parts[-3]}")
@@ -143,7 +143,7 @@ def _can(root: Root, where: str, channel: str, bitrate: int) -> Iterator[Finding
         text = f"{channel} has {found} bit/s, the robot file {bitrate}: no frame gets through"
         yield _device(where, "fail", text, f"sudo ip link set {channel} down; {up}")
         return
-    what = f"{found} bit/s" if found is not None else "a virtual bus without a bit rate"
+    what = f"{found} bit/s" if found is not None else "a virtual CAN bus without a bit rate"
     yield _device(where, "ok", f"{channel} is up, {what}")
 
 

@@ -62,7 +62,7 @@ class Joiner:
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """An exchange for a person: who, what, and how it ended."""
+    """An exchange for a person: which drive, what, and how it ended."""
 
     joint: str
     what: str

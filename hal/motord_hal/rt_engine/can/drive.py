@@ -26,7 +26,7 @@ FIRST_WORD_S = 0.2
 
 
 class CanRtDrive(RtDrive):
-    """Number `index` of the bus's table. Presence is judged by what C has received."""
+    """Number `index` of the line's table. Presence is judged by what C has received."""
 
     def __init__(
         self,

@@ -20,14 +20,14 @@ from motord_hal.rt_engine.can.table import packet, write
 from motord_hal.rt_engine.rs485.request_queue import Check, always
 
 ORDER_WITHIN_S = 0.5
-"""So long a frame may wait while the bus takes nothing."""
+"""So long a frame may wait while the CAN bus takes nothing."""
 SEEN_WITHIN_S = 1.0
 ARM = "arm"
 """Of this job nothing is sent any more once a stop was sent to the drive."""
 
 
 class CanJobs:
-    """What can be done with drive number `index` of the bus's table, one job at a time; an urgent
+    """What can be done with drive number `index` of the line's table, one job at a time; an urgent
     one does not wait for its turn. `take_in` hands on what has come."""
 
     def __init__(
@@ -52,7 +52,7 @@ class CanJobs:
 
     @property
     def request_limit_s(self) -> float:
-        """Longest time until a frame is on the bus, or will never be."""
+        """Longest time until a frame is on the CAN bus, or will never be."""
         return self._cycle_s + ORDER_WITHIN_S
 
     def received(self, frame: Frame, values: dict[str, int]) -> None:
@@ -108,7 +108,9 @@ class CanJobs:
                 break
             if report.orders_sent + report.orders_dropped == self._thread.ordered(self._index):
                 return
-        raise NoReply(f"{self._name}: {name}: a frame was not sent: stopped, or the bus is full")
+        raise NoReply(
+            f"{self._name}: {name}: a frame was not sent: stopped, or the CAN bus is full"
+        )
 
     async def _stops(self) -> int:
         """How often C has stopped the drive, all requests so far included. Raises HalError."""
@@ -119,7 +121,7 @@ class CanJobs:
             if report.request_seen == requested:
                 return report.stops
             await asyncio.sleep(self._cycle_s)
-        raise HalError(f"{self._name}: the bus's thread does not answer")
+        raise HalError(f"{self._name}: the line's thread does not answer")
 
     def _write(self, frame: Frame, raw: Mapping[str, int], stops: int | None) -> bool:
         return self._order(write(self.plan, frame, raw), stops)

@@ -34,7 +34,7 @@ from motord_hal.rt_engine.can.port import open_socket
 from motord_hal.rt_engine.can.table import can_table
 
 STEADY_S = 1.0
-"""A bus that has worked for so long is reopened at once when it fails again."""
+"""A line that has worked for so long is reopened at once when it fails again."""
 _IDENTIFIER = 0x1FFF_FFFF
 
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The socket of a CAN bus for its thread: SocketCAN's, or unix:PATH, a SOCK_SEQPACKET socket that
-carries the same frames (simulators, tests, programs that stand for a bus)."""
+carries the same frames (simulators, tests, programs that stand for a CAN bus)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _ERRORS_ALL = 0x1FFF_FFFF
 def open_socket(
     address: str, identifiers: Iterable[tuple[int, bool]], *, fd_frames: bool
 ) -> socket.socket:
-    """Not blocking, on the bus from now on; SocketCAN's receives frames of its own,
+    """Not blocking, on the CAN bus from now on; SocketCAN's receives frames of its own,
     too, when they have left. Raises PortError."""
     interface, channel = split_address(address)
     try:

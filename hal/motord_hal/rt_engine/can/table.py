@@ -23,8 +23,8 @@ from motord_hal.realtime.table import FieldKind
 from motord_hal.rt_engine.decoding import harmless_words, setpoint_scale, sources_of
 
 SAMPLE_PART = 0.5
-"""As of the asyncio engine: measurements that the bus has bunched are kept apart by this part of
-their period."""
+"""As of the asyncio engine: measurements that the CAN bus has bunched are kept apart by this part
+of their period."""
 _NS_PER_S = 1e9
 _U32 = 0xFFFF_FFFF
 
@@ -32,7 +32,7 @@ Plain = dict[str, Any]
 
 
 def can_table(spec: LineSpec, plans: Sequence[CanPlan]) -> Plain:
-    """The table of a bus. C checks it once more and names the first bad field."""
+    """The table of a CAN line. C checks it once more and names the first bad field."""
     syncs = list(dict.fromkeys(plan.sync for plan in plans if plan.sync))
     return {
         "sync_count": len(syncs),

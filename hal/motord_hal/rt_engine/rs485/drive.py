@@ -17,7 +17,7 @@ from motord_hal.base.clock import NS_PER_S, now_ns, within
 from motord_hal.base.errors import HalError, PortError
 from motord_hal.base.retry import Backoff
 from motord_hal.drives.profile import DriveProfile, Step
-from motord_hal.fieldbus.faults import FaultWatch, Say
+from motord_hal.fieldbus.faults import STILL_ENABLED_TEXT, FaultWatch, Say
 from motord_hal.fieldbus.job import VERIFY_WITHIN_S, clear_steps, configure_steps, kept_steps
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
 from motord_hal.realtime.drive_state import FaultReason, Mode
@@ -46,7 +46,7 @@ _WARNINGS = MappingProxyType(
         FaultReason.DISABLED_ITSELF: "is not enabled any more: set up again, disarmed",
         FaultReason.POSITION_UNKNOWN: "gets no power: where it is is not known, not fresh, out of "
         "its range, or not where its first target is: check zero_count",
-        FaultReason.STILL_ENABLED: "stays enabled though it is disarmed: it is held at zero speed",
+        FaultReason.STILL_ENABLED: STILL_ENABLED_TEXT,
     }
 )
 

@@ -36,12 +36,12 @@ class CanCounters:
     """Of those, for nodes that are not here, or in no frame that they know."""
     sent: int = 0
     lost: int = 0
-    """Frames that the bus did not take, or a fault."""
+    """Frames that the CAN bus did not take, or a fault."""
     plugged: int = 0
 
 
 class SimulatedCanLine:
-    """Drives on a bus that the master shares."""
+    """Drives on a CAN bus that the master shares."""
 
     def __init__(
         self,

@@ -15,7 +15,7 @@ from motord_hal.sim.can.unix_bus import UnixBus
 GROUP = "239.74.163.2"
 """Of python-can's documentation for UDP multicast (IPv4, administratively scoped: RFC 2365)."""
 POLL_S = 0.001
-"""For buses without a descriptor."""
+"""For CAN buses without a descriptor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,14 +25,14 @@ class BusSettings:
 
 
 def free_address() -> str:
-    """A bus of UDP datagrams on this machine, without other users."""
+    """A CAN bus of UDP datagrams on this machine, without other users."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))
         return f"udp_multicast:{GROUP}:{probe.getsockname()[1]}"
 
 
 class CanPort:
-    """One end of a bus. Nothing here waits."""
+    """One end of a CAN bus. Nothing here waits."""
 
     def __init__(self, address: str, settings: BusSettings) -> None:
         self._address = address
@@ -85,7 +85,7 @@ class CanPort:
             return None
 
     def put(self, message: can.Message) -> bool:
-        """False: it was lost, as on a bus that is full."""
+        """False: it was lost, as on a CAN bus that is full."""
         if self._bus is None:
             return False
         try:

@@ -2,7 +2,7 @@
 """A CAN bus on this machine without CAN in the kernel: a SOCK_SEQPACKET socket at a path, whose
 datagrams are struct can_frame and canfd_frame (linux/can.h). Its maker receives all; what one
 sends, all others receive. Nothing waits: a reader whose buffer is full loses the frame, as on a
-bus.
+CAN bus.
 
 One thread receives, any number send, any may close. A socket is closed under the lock that its
 users hold, so no thread ever uses a closed descriptor, or one that another file has got since."""
@@ -26,7 +26,7 @@ _LATEST = 128
 
 
 class UnixBus(can.BusABC):
-    """The bus itself, as the simulator sees it."""
+    """The CAN bus itself, as the simulator sees it."""
 
     def __init__(self, path: str) -> None:
         with contextlib.suppress(FileNotFoundError):
@@ -94,7 +94,7 @@ class UnixBus(can.BusABC):
 
     def _check_open(self) -> None:
         if self._is_shutdown:
-            raise can.CanOperationError(f"the bus at {self._path} is closed")
+            raise can.CanOperationError(f"the CAN bus at {self._path} is closed")
 
     def _accept(self) -> None:
         client, _ = self._listener.accept()
@@ -116,7 +116,7 @@ class UnixBus(can.BusABC):
             return None
         try:
             message = unpacked(frame, time.time())
-        except struct.error:  # not a frame: no node on a bus would see it
+        except struct.error:  # not a frame: no node on a CAN bus would see it
             return None
         self._spread(frame, client)
         return message

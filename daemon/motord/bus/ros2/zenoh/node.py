@@ -42,8 +42,8 @@ class Router:
     key_file: str | None = None
 
     def configuration(self) -> str:
-        """Of the session, in JSON. It does not scout by itself, and stamps messages as those who
-        query latched ones need it."""
+        """Of the session, in JSON. It does not scout by itself, and stamps messages as nodes
+        that query latched ones need it."""
         tls_options = {
             "root_ca_certificate": self.ca_file,
             "connect_certificate": self.cert_file,

@@ -125,7 +125,7 @@ export const TEXT = {
     refused: "The drive refused a request. Its manual explains the exception.",
     port: "The port was lost and opened again. Look at the adapter and its cable.",
     sent: "A frame could not be sent.",
-    bus_off: "The CAN controller left the bus after too many errors. Look at bit rate and termination.",
+    bus_off: "The CAN controller left the CAN bus after too many errors. Look at bit rate and termination.",
     other: "See the log for its cause.",
   },
   registers: "Registers",

@@ -55,7 +55,7 @@ def _load(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         if share <= LOAD_WARNING:
             continue
         most_hz = max(LOAD_WARNING - own, 0.0) / cycle_s
-        text = f"line {spec.name}: {spec.cycle_hz:g} Hz load the bus with {100 * share:.0f} %"
+        text = f"line {spec.name}: {spec.cycle_hz:g} Hz load the CAN bus with {100 * share:.0f} %"
         text += f" ({100 * own:.0f} % is what the drives send by themselves)"
         text += f"; with at most {100 * LOAD_WARNING:.0f} % it is {most_hz:.3g} Hz{_faster(spec)}"
         paths: tuple[Path, ...] = tuple(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What made ticks late: each late tick's time is charged to who had the processor meanwhile, and
-what that thread did is the reason that is given. Pure; docs/latency.md has the rules."""
+"""What made ticks late: each late tick's time is charged to the thread that had the processor
+meanwhile, and what that thread did is the reason that is given. Pure; docs/latency.md has the
+rules."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ INTERRUPTS_RATIO, INTERRUPTS_PER_S = 3.0, 200.0
 """An interrupt that comes so much more often in windows with late ticks is a suspect."""
 SHARE_LEAST = 0.02
 HELD_PART = 0.25
-"""A late tick of whose lateness others had the processor for less is not their doing."""
+"""Other threads that had the processor for a smaller part of a tick's lateness did not cause it."""
 IDLE = 0
 """The thread number of a processor without work."""
 REAL_TIME = ("SCHED_FIFO", "SCHED_RR")
@@ -57,7 +58,7 @@ class Verdict:
     tags: Mapping[str, int]
     suspects: tuple[Suspect, ...]
     note: str = ""
-    """Why it is not known who had the processors."""
+    """Why it is not known which threads had the processors."""
 
     @property
     def culprit(self) -> Suspect | None:
@@ -191,7 +192,7 @@ class Case:
         known = self.threads.get(number)
         name = (known.name if known else "") or (switches.name.get(number, "") if switches else "")
         process = known.process if known else number
-        who = f"{name or 'a program that has ended'} (pid {process})"
+        program = f"{name or 'a program that has ended'} (pid {process})"
         rate = 0.0
         if kind == "fork" and switches is not None:
             rate = switches.forks[number] / seconds
@@ -202,7 +203,7 @@ class Case:
         return Suspect(
             kind=kind,
             name=name,
-            words=words.format(who=who, name=name, rate=rate, policy=policy, thread=number),
+            words=words.format(program=program, name=name, rate=rate, policy=policy, thread=number),
             cure=cure.format(priority=self.priority),
             share=share,
             process=process if kind in _PROGRAMS else None,
@@ -249,15 +250,18 @@ UNKNOWN = -1
 _PROGRAMS = ("real-time thread", "fork", "page faults", "kernel work", "no real-time priority")
 _WORDS = {
     "real-time thread": (
-        "{who}, thread {thread}, runs at {policy} and had the CPU when the loop was due",
+        "{program}, thread {thread}, runs at {policy} and had the CPU when the loop was due",
         "give it a priority below {priority}, or another CPU than the loop (taskset)",
     ),
     "fork": (
-        "{who} starts {rate:.0f} processes a second: the kernel copies and frees their memory",
+        "{program} starts {rate:.0f} processes a second: the kernel copies and frees their memory",
         "let it start fewer processes, or bind it to other CPUs; PREEMPT_RT kernels interrupt this",
     ),
     "page faults": (
-        "{who}, thread {thread}, makes {rate:.0f} page faults a second: the kernel finds it memory",
+        (
+            "{program}, thread {thread}, makes {rate:.0f} page faults a second: "
+            "the kernel finds it memory"
+        ),
         "let it take its memory once, or bind it to other CPUs; PREEMPT_RT kernels interrupt this",
     ),
     "kernel thread": (
@@ -265,11 +269,11 @@ _WORDS = {
         "see which device it serves; move its interrupt to another CPU (/proc/irq/N/smp_affinity)",
     ),
     "kernel work": (
-        "{who} has a lower priority, but was in the kernel, which did not interrupt its work",
+        "{program} has a lower priority, but was in the kernel, which did not interrupt its work",
         "bind it to other CPUs, or the loop to a CPU of its own (isolcpus=); use PREEMPT_RT",
     ),
     "no real-time priority": (
-        "{who} had the CPU: the loop has no real-time priority, so it waits like any program",
+        "{program} had the CPU: the loop has no real-time priority, so it waits like any program",
         "give the loop SCHED_FIFO (--priority 80, rtprio in /etc/security/limits.d)",
     ),
     "unknown": (

@@ -62,7 +62,7 @@ class Switches:
         return shares
 
     def forget(self, before_ns: int) -> None:
-        """But who had each processor then."""
+        """Forget what was before, except which thread had each processor then."""
         for cpu, rows in self.on.items():
             kept = next((i for i, row in enumerate(rows) if row[0] > before_ns), len(rows))
             self.on[cpu] = rows[max(kept - 1, 0) :]

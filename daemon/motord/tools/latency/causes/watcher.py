@@ -47,7 +47,7 @@ class Watcher:
             cpus = range(os.cpu_count() or 1)
             self._reader = self._release.enter_context(SwitchReader(cpus))
         except SwitchesUnknown as error:
-            self._note = f"who had the CPUs is not known: {error}"
+            self._note = f"which threads had the CPUs is not known: {error}"
         self.begin()
         return self
 
