@@ -49,6 +49,7 @@ from motord.client import (
 __all__ = ["Client", "ClientError", "MoveFailed", "Moved", "Refused", "Status"]
 
 CLOSE_WITHIN_S = 1.0
+LOOK_EVERY_S = 10.0
 
 
 class Client:
@@ -119,6 +120,20 @@ class Client:
         with contextlib.suppress(OSError, TimeoutError):
             async with within(CLOSE_WITHIN_S):
                 await streams[1].wait_closed()
+
+    async def ended(self) -> None:
+        """Return when the daemon has closed the connection. No call is made meanwhile. Raises
+        ClientError."""
+        if self._streams is None:
+            raise ClientError(f"the connection to {self.path} is closed")
+        try:
+            while True:
+                with contextlib.suppress(TimeoutError):
+                    async with within(LOOK_EVERY_S):
+                        if not await self._streams[0].read(ANSWER_BYTES_MAX):
+                            return
+        except OSError as error:
+            raise ClientError(f"{self.path}: {error.strerror or error}") from error
 
     async def call(self, method: str, /, **params: Any) -> Any:
         """Any method by name. Raises Refused, or ClientError for everything else."""

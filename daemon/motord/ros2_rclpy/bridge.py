@@ -17,10 +17,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
+from motord.aio import Client
 from motord.api.state_page import NoPage, StatePage
 from motord.bus.adapters import Adapter
 from motord.bus.commands.gate import NotTaken
-from motord.bus.commands.link import Call, Source, call
+from motord.bus.commands.link import Source, call
 from motord.bus.parameters import Tunable
 from motord.bus.ros2.commands import Ros2Commands
 from motord.bus.ros2.nodes import Node
@@ -166,17 +167,13 @@ class BridgeSource(Source):
         super().__init__(path, owner)
         self._robot, self._description, self._limits = robot, description, limits
 
-    async def _grant(self, call_daemon: Call) -> dict[str, Any]:
+    async def _grant(self, daemon: Client) -> dict[str, Any]:
         """As Source._grant. Raises Wrong."""
-        if _shape(await call_daemon("robot", {})) != _shape(self._description):
+        if _shape(await daemon.call("robot")) != _shape(self._description):
             raise Wrong("the robot file is another than at the start of this bridge: start it anew")
-
-        async def on_this_connection(method: str, **params: Any) -> Any:
-            return await call_daemon(method, params)
-
         if self._limits:
             try:
-                await Tunable(self._robot, on_this_connection).change(self._limits)
+                await Tunable(self._robot, daemon.call).change(self._limits)
             except NotTaken as error:
                 _log.error("parameters of this node: %s", error)
-        return await super()._grant(call_daemon)
+        return await super()._grant(daemon)

@@ -48,6 +48,21 @@ def test_it_has_every_method_of_the_blocking_client_with_the_same_parameters():
         assert inspect.signature(twin).parameters == inspect.signature(method).parameters, name
 
 
+async def test_the_end_of_a_daemon_is_noticed(tmp_path):
+    served = asyncio.Event()
+
+    async def attend(_reader, writer):
+        served.set()
+        writer.close()
+
+    async with await asyncio.start_unix_server(attend, str(tmp_path / "sock")):
+        async with asyncio.timeout(DEADLINE_S), Client(tmp_path / "sock") as robot:
+            await robot.ended()
+            assert served.is_set()
+    with pytest.raises(ClientError, match="is closed"):
+        await robot.ended()
+
+
 def test_it_loads_nothing_beside_the_standard_library():
     code = (
         "import sys, motord.aio\n"

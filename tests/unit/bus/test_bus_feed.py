@@ -240,8 +240,8 @@ async def answering(path, answer, *, stay=False):
     [
         ({"error": {"code": -32000, "message": "not now"}}, Refused, "not now"),
         ({"error": {"code": -32601, "message": "no method"}}, ClientError, "no method"),
-        (b"no JSON", ClientError, r"the daemon \(arm\) does not answer in JSON"),
-        (b"x" * (1 << 21), ClientError, "did not answer"),
+        (b"no JSON", ClientError, "sock does not answer in JSON"),
+        (b"x" * (1 << 21), ClientError, "an answer without end"),
     ],
 )
 async def test_what_the_daemon_answers_instead_of_a_result_is_reported(
@@ -253,7 +253,7 @@ async def test_what_the_daemon_answers_instead_of_a_result_is_reported(
 
 
 async def test_nothing_at_the_socket_is_reported(tmp_path):
-    with pytest.raises(ClientError, match="No such file"):
+    with pytest.raises(ClientError, match="no daemon has this socket"):
         await call(tmp_path / "sock", "arm")
 
 

@@ -15,22 +15,20 @@ import logging
 import os
 import socket
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from motord.aio import Client
 from motord.api.commands import RELEASE, TWIST, datagram, joint_datagram, position_datagram
 from motord.api.deadline import within
-from motord.api.local_rpc import ClientError, answer_to, request_line, result_of
+from motord.api.local_rpc import ClientError
 from motord.api.stop_request import AGAIN_S, open_sender, try_send
 
 CALL_WITHIN_S = 10.0
 LEASE_WITHIN_S = 5.0
 LEASE_AGAIN_S = 0.5
 STOP_WITHIN_S = 1.0
-_LOOK_EVERY_S = 10.0
-_ANSWER_BYTES_MAX = 1 << 20
 
 _log = logging.getLogger(__name__)
 
@@ -44,8 +42,6 @@ def reason(text: str) -> dict[str, str]:
     return {"why": text[:REASON_CHARS_MAX]}
 
 
-Call = Callable[[str, dict[str, Any]], Awaitable[Any]]
-"""A method of the daemon with its parameters, on one connection. Raises Refused, ClientError."""
 NO_LEASE = "there is no lease: the daemon does not take commands now"
 SOCKET_FULL = (
     "the daemon's command socket is full: commands come faster than its loop takes them; the next "
@@ -57,46 +53,10 @@ ALL_SEEN = -1
 """Whatever else was commanded meanwhile."""
 
 
-class NotConnected(ClientError):
-    """The daemon was not asked."""
-
-
-@contextlib.asynccontextmanager
-async def _connected(
-    path: Path,
-) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
-    try:
-        reader, writer = await asyncio.open_unix_connection(str(path), limit=_ANSWER_BYTES_MAX)
-    except OSError as error:
-        raise NotConnected(f"{path}: {error.strerror or error}") from error
-    try:
-        yield reader, writer
-    finally:
-        writer.close()
-
-
-async def _ask(
-    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, method: str, params: dict[str, Any]
-) -> Any:
-    try:
-        writer.write(request_line(1, method, params))
-        await writer.drain()
-        line = await reader.readuntil(b"\n")
-    except (OSError, EOFError, asyncio.LimitOverrunError) as error:
-        raise ClientError(f"{method}: the daemon did not answer: {error}") from error
-    answer = answer_to(1, line, f"the daemon ({method})")
-    if answer is None:
-        raise ClientError(f"{method}: the daemon answered another call")
-    return result_of(answer)
-
-
 async def call(path: Path, method: str, **params: Any) -> Any:
-    """Any method of the local socket, by name. Raises Refused, or ClientError for all else."""
-    try:
-        async with within(CALL_WITHIN_S), _connected(path) as (reader, writer):
-            return await _ask(reader, writer, method, params)
-    except TimeoutError:
-        raise ClientError(f"{method}: no answer within {CALL_WITHIN_S:g} s") from None
+    """Call a method, on a connection of its own. Raises Refused and ClientError."""
+    async with Client(path, timeout_s=CALL_WITHIN_S) as daemon:
+        return await daemon.call(method, **params)
 
 
 class StopSender:
@@ -185,20 +145,18 @@ class Source:
         """Keep a lease until cancelled."""
         while True:
             try:
-                async with _connected(self._path) as (reader, writer):
-                    async with within(LEASE_WITHIN_S):
-                        grant = await self._grant(partial(_ask, reader, writer))
-                    await self._hold(grant, reader)
-            except (ClientError, OSError, TimeoutError) as error:
-                self._say(str(error) or "no answer")
+                async with Client(self._path, timeout_s=LEASE_WITHIN_S) as daemon:
+                    await self._hold(await self._grant(daemon), daemon)
+            except (ClientError, OSError) as error:
+                self._say(str(error))
             await asyncio.sleep(LEASE_AGAIN_S)
 
-    async def _grant(self, call_daemon: Call) -> dict[str, Any]:
-        """A lease on the connection that `call_daemon` has. Raises ClientError."""
-        grant: dict[str, Any] = await call_daemon("lease", {"owner": self.owner})
+    async def _grant(self, daemon: Client) -> dict[str, Any]:
+        """A lease on that connection. Raises ClientError."""
+        grant: dict[str, Any] = await daemon.call("lease", owner=self.owner)
         return grant
 
-    async def _hold(self, grant: dict[str, Any], reader: asyncio.StreamReader) -> None:
+    async def _hold(self, grant: dict[str, Any], daemon: Client) -> None:
         """Until the daemon ends the lease."""
         kind = socket.SOCK_DGRAM | socket.SOCK_NONBLOCK
         with socket.socket(socket.AF_UNIX, kind) as sender:
@@ -211,7 +169,7 @@ class Source:
                 self._failing = False
                 _log.info("input.%s: has its lease again", self.owner)
             try:
-                await _ended(reader)
+                await daemon.ended()
             finally:
                 if self._outlet is not None:
                     self._outlet.let_go()
@@ -324,12 +282,3 @@ def _sent(sender: socket.socket, raw: bytes) -> int:
     except OSError as error:
         return error.errno or errno.EIO
     return 0
-
-
-async def _ended(reader: asyncio.StreamReader) -> None:
-    """Until the daemon closes the connection."""
-    while True:
-        with contextlib.suppress(TimeoutError):
-            async with within(_LOOK_EVERY_S):
-                if not await reader.read(4096):
-                    return
