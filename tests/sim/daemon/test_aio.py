@@ -55,10 +55,10 @@ async def test_the_end_of_a_daemon_is_noticed(tmp_path):
         served.set()
         writer.close()
 
-    async with await asyncio.start_unix_server(attend, str(tmp_path / "sock")):
-        async with asyncio.timeout(DEADLINE_S), Client(tmp_path / "sock") as robot:
-            await robot.ended()
-            assert served.is_set()
+    server = await asyncio.start_unix_server(attend, str(tmp_path / "sock"))
+    async with server, asyncio.timeout(DEADLINE_S), Client(tmp_path / "sock") as robot:
+        await robot.ended()
+        assert served.is_set()
     with pytest.raises(ClientError, match="is closed"):
         await robot.ended()
 
