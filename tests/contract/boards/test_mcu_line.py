@@ -231,6 +231,17 @@ async def test_a_board_that_was_restarted_is_set_up_again_disarmed_in_a_new_epoc
     assert not peer.now.enabled
 
 
+@pytest.mark.parametrize("name", ["mcu-velocity", "mcu-duty"])
+async def test_a_board_that_is_restarted_before_it_was_ever_armed_is_set_up_again(peer, name):
+    async with running(spec_of(peer, joints_of(name))) as rig:
+        await rig.ready()
+        epoch = rig.loop.exchange.take_feedback(0).epoch
+        peer.do("r")
+        await until(lambda: EventKind.DRIVE_WARNING in rig.kinds())
+        await until(lambda: rig.states() == {DriveState.READY})
+        await until(lambda: rig.loop.exchange.take_feedback(0).epoch == epoch + 1)
+
+
 async def test_a_port_that_goes_away_is_reported_once_and_comes_back_disarmed(board_of):
     peer = board_of()
     async with running(spec_of(peer)) as rig:
