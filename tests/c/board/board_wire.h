@@ -233,6 +233,7 @@ static inline void set_up(void)
 {
     go_on(150 * MS);
     order(CONTROL, 1, CONTROL_RESTART_NOTED, 0);
+    order(CONTROL, 1, CONTROL_OFF, 0); /* or it would take back the next restart's */
     order(WATCHDOG, 2, WATCHDOG_MS, 0);
     request(DRIVE_READY);
     CHECK(w.machine.state.mode == DRIVE_READY && w.machine.state.fault_reasons == 0 && w.machine.state.enabled == 2);

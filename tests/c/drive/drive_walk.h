@@ -6,11 +6,12 @@
 #include "check.h"
 #include "drive_state.h"
 
-typedef enum { FROM_OFF, FROM_READY, FROM_ARMED, FROM_STOPPING, FROM_UNRESPONSIVE, FROM_COUNT } walk_from;
-typedef enum { ON_RS485, ON_CAN, ON_BOARD, ON_BRIDGE, ON_ASYNCIO } walk_kind;
+typedef enum { FROM_OFF, FROM_READY, FROM_ARMED, FROM_STOPPING, FROM_UNRESPONSIVE, FROM_BACK, FROM_COUNT } walk_from;
+typedef enum { ON_RS485, ON_CAN, ON_BOARD, ON_BRIDGE, ON_ASYNCIO, ON_ASYNCIO_CAN } walk_kind;
 enum { FROM_ANY = -1, ANY = -1 };
 
 #define LEADS_TO(event, ...) event,
+#define SENDS_POWER_OFF(...)
 #define CANNOT_OCCUR(...)
 #define DIFFERS(...)
 typedef enum {
@@ -18,7 +19,8 @@ typedef enum {
     EVENT_COUNT
 } walk_event;
 
-/* One drive whose wheel turns whatever it is sent. The core's set-points are fresh, enabled, and not zero. */
+/* One drive whose wheel turns whatever it is sent. The core's set-points are fresh, enabled, and not zero. What cannot occur on a
+ * medium is NULL. */
 typedef struct {
     walk_kind kind;
     void (*begin)(void); /* OFF, or where there is no set-up READY */
@@ -28,21 +30,33 @@ typedef struct {
     void (*old)(void);
     void (*not_enabled)(void);
     void (*silent)(void);
+    void (*answers)(void);
+    void (*disabled)(void); /* it has no power, and reports it */
+    void (*lost_setup)(void);
+    void (*still_enabled)(void); /* it has power whatever it is sent, and reports it */
     void (*end)(void);
     void (*go_on)(int64_t for_ns);
     const drive_state *(*state)(void);
-    uint64_t (*motion)(void); /* frames with a set-point that is not zero, so far */
+    uint64_t (*motion)(void);     /* frames with a set-point that is not zero, so far */
+    uint64_t (*power_offs)(void); /* that the drive was sent, so far */
 } walk_medium;
 
 #undef LEADS_TO
-#define LEADS_TO(event, off, ready, armed, stopping, unresponsive)                                                               \
-    {DRIVE_##off, DRIVE_##ready, DRIVE_##armed, DRIVE_##stopping, DRIVE_##unresponsive},
+#define LEADS_TO(event, off, ready, armed, stopping, unresponsive, back)                                                         \
+    {DRIVE_##off, DRIVE_##ready, DRIVE_##armed, DRIVE_##stopping, DRIVE_##unresponsive, DRIVE_##back},
 static const uint32_t WALK_LEADS_TO[EVENT_COUNT][FROM_COUNT] = {
 #include "drive_walk_table.h"
 };
 #undef LEADS_TO
-#undef CANNOT_OCCUR
+#undef SENDS_POWER_OFF
 #define LEADS_TO(...)
+#define SENDS_POWER_OFF(event, from) [event][FROM_##from] = true,
+static const bool WALK_SENDS_POWER_OFF[EVENT_COUNT][FROM_COUNT] = {
+#include "drive_walk_table.h"
+};
+#undef SENDS_POWER_OFF
+#undef CANNOT_OCCUR
+#define SENDS_POWER_OFF(...)
 #define CANNOT_OCCUR(medium, event, from, why) {ON_##medium, event, FROM_##from, why},
 typedef struct {
     walk_kind kind;
@@ -69,10 +83,15 @@ static inline void walk_to(const walk_medium *medium, walk_from from)
         medium->old();
         medium->go_on(150 * 1000000LL);
         CHECK(medium->state()->mode == DRIVE_READY && medium->state()->stopping);
-    } else if (from == FROM_UNRESPONSIVE) {
+    } else if (from == FROM_UNRESPONSIVE || from == FROM_BACK) {
         medium->silent();
         medium->go_on(WALK_SETTLES_NS);
         CHECK(medium->state()->mode == DRIVE_UNRESPONSIVE);
+    }
+    if (from == FROM_BACK) {
+        medium->answers();
+        medium->go_on(WALK_SETTLES_NS);
+        CHECK(medium->state()->mode == DRIVE_BACK);
     }
 }
 
@@ -86,6 +105,10 @@ static inline void walk_happens(const walk_medium *medium, walk_event event)
     case REQUESTED_ARMED: medium->arm(); break;
     case REQUESTED_STAND_DOWN: medium->request(DRIVE_STAND_DOWN); break;
     case FALLS_SILENT: medium->silent(); break;
+    case ANSWERS_AGAIN: medium->answers(); break;
+    case DISABLED_ITSELF: medium->disabled(); break;
+    case LOST_SETUP: medium->lost_setup(); break;
+    case STILL_ENABLED: medium->still_enabled(); break;
     default: medium->end(); break;
     }
 }
@@ -112,6 +135,7 @@ static inline int walk_all(const walk_medium *medium, uint32_t cells, const char
             }
             walked++;
             walk_to(medium, (walk_from)from);
+            uint64_t motion = medium->motion(), power_offs = medium->power_offs();
             walk_happens(medium, (walk_event)event);
             medium->go_on(WALK_SETTLES_NS);
             uint32_t mode = WALK_LEADS_TO[event][from];
@@ -119,7 +143,12 @@ static inline int walk_all(const walk_medium *medium, uint32_t cells, const char
                 fprintf(stderr, "%s: from %u by event %u: mode %u, not %u\n", name, from, event, medium->state()->mode, mode);
             }
             CHECK(medium->state()->mode == mode);
-            uint64_t motion = medium->motion();
+            if (WALK_SENDS_POWER_OFF[event][from] && medium->power_offs() == power_offs) {
+                fprintf(stderr, "%s: from %u by event %u: no power-off\n", name, from, event);
+            }
+            CHECK(medium->power_offs() > power_offs || !WALK_SENDS_POWER_OFF[event][from]);
+            CHECK(medium->motion() == motion || from == FROM_ARMED || mode == DRIVE_ARMED);
+            motion = medium->motion();
             medium->go_on(WALK_WATCHED_NS);
             CHECK((medium->motion() > motion) == (mode == DRIVE_ARMED));
         }

@@ -13,7 +13,7 @@ static struct {
     bridge_control control;
     setpoints newest;
     int64_t now_ns;
-    uint64_t motion;
+    uint64_t motion, without_power;
     bool old;
 } b;
 
@@ -57,11 +57,6 @@ static void request_of_bridge(uint32_t mode)
     control_bridge(PWM_OFF);
 }
 
-static void never_silent(void)
-{
-    CHECK(false);
-}
-
 static void setpoints_old(void)
 {
     b.old = true;
@@ -84,6 +79,7 @@ static void go_on_for(int64_t for_ns)
         b.newest.stamp_ns = b.old ? b.newest.stamp_ns : b.now_ns;
         bridge_step(&b.state, &b.config, &b.control, &b.newest, b.now_ns, level);
         b.motion += level[0] > 0.3;
+        b.without_power += level[0] == 0.0;
     }
 }
 
@@ -97,10 +93,26 @@ static uint64_t motion_sent(void)
     return b.motion;
 }
 
+static uint64_t periods_without_power(void)
+{
+    return b.without_power;
+}
+
 int main(void)
 {
-    const walk_medium medium = {ON_BRIDGE,         begin_bridge,  set_up_bridge,         arm_bridge,
-                                request_of_bridge, setpoints_old, setpoints_not_enabled, never_silent,
-                                end_bridge,        go_on_for,     state_of_bridge,       motion_sent};
+    const walk_medium medium = {
+        .kind = ON_BRIDGE,
+        .begin = begin_bridge,
+        .set_up = set_up_bridge,
+        .arm = arm_bridge,
+        .request = request_of_bridge,
+        .old = setpoints_old,
+        .not_enabled = setpoints_not_enabled,
+        .end = end_bridge,
+        .go_on = go_on_for,
+        .state = state_of_bridge,
+        .motion = motion_sent,
+        .power_offs = periods_without_power,
+    };
     return walk_all(&medium, 15, "bridge walk");
 }

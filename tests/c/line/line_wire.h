@@ -8,7 +8,18 @@
 #include "check.h"
 #include "line_machine.h"
 
-enum { WRITE = 6, READ = 3, SPEED = 0x10, STATUS = 0x20, CONTROL = 0x30, RELEASE = 0x31, QUICK_STOP = 5, DISABLE = 7 };
+enum {
+    WRITE = 6,
+    READ = 3,
+    SPEED = 0x10,
+    STATUS = 0x20,
+    CONDITION = 0x21,
+    CONTROL = 0x30,
+    RELEASE = 0x31,
+    QUICK_STOP = 5,
+    DISABLE = 7
+};
+enum { POWERED = 1, SET_UP = 2 }; /* bits of CONDITION */
 
 static const int64_t MS = 1000000, DEVICE_NS = 500000, CHARACTER_NS = 86805, GAP_NS = 1750000;
 
@@ -24,6 +35,7 @@ typedef struct {
     int16_t place;                          /* what it reads as well; 0: 9 */
     int64_t quick_stop_ns[LINE_DRIVES_MAX]; /* when it first got one; 0: never */
     int64_t power_off_ns[LINE_DRIVES_MAX];
+    uint8_t condition;     /* what CONDITION reads as: of a single drive */
     bool old, not_enabled; /* the core's set-points */
     uint32_t motion_sent;  /* frames with a speed that is not zero */
     bool echoes;
@@ -120,6 +132,7 @@ static inline void answer_on_the_wire(const uint8_t *request)
         return;
     }
     w.power_offs[number] += power_off;
+    w.condition &= power_off && !w.keeps_power ? (uint8_t)~POWERED : UINT8_MAX;
     w.released[number] += request[1] == WRITE && request[3] == RELEASE;
     if (power_off && w.power_off_ns[number] == 0) {
         w.power_off_ns[number] = w.now_ns;
@@ -142,7 +155,9 @@ static inline void answer_on_the_wire(const uint8_t *request)
         return;
     }
     uint8_t read_reply[7] = {request[0], READ, 2, 0, (w.turning >> number & 1) != 0 ? 200 : 9};
-    if (w.place != 0) {
+    if (request[3] == CONDITION) {
+        rtu_write(read_reply + 3, FORM_U16, w.condition);
+    } else if (w.place != 0) {
         rtu_write(read_reply + 3, FORM_I16, w.place);
     }
     rtu_seal(read_reply, 7, SEAL_CRC16);

@@ -13,9 +13,20 @@ from pathlib import Path
 from can_rig import TURN
 from can_rig import spec_of as can_spec_of
 from loop_side import GENEROUS_S, PATIENT_S, running, until
-from modbus_rig import CONTROL, MODE, OFF, RPM, TARGET_1, VELOCITY_1, hub_servo, registers_of
+from modbus_rig import (
+    CONTROL,
+    ENABLE,
+    MODE,
+    OFF,
+    RPM,
+    TARGET_1,
+    VELOCITY_1,
+    WATCHDOG,
+    hub_servo,
+    registers_of,
+)
 from modbus_rig import spec_of as modbus_spec_of
-from scripted_odrive import IDLE, STATE, Peer, living
+from scripted_odrive import CLOSED_LOOP, IDLE, STATE, Peer, living
 from scripted_slave import ScriptedSlave, Unit
 from slcan_adapter import SlcanAdapter
 
@@ -24,7 +35,7 @@ from motord_hal.base.errors import HalError
 from motord_hal.fieldbus.ports import DriveState
 
 TABLE = Path(__file__).parents[2] / "c/drive/drive_walk_table.h"
-FROM = ("OFF", "READY", "ARMED", "STOPPING", "UNRESPONSIVE")
+FROM = ("OFF", "READY", "ARMED", "STOPPING", "UNRESPONSIVE", "BACK")
 MODES = {
     "OFF": DriveState.UNKNOWN,
     "READY": DriveState.READY,
@@ -43,16 +54,28 @@ def rows_of(kind):
         yield [word.strip() for word in found.split('"')[0].split(",") if word.strip()]
 
 
-def cells():
-    """event → from → the mode that a drive of a line in asyncio is in then."""
+def cells(media):
+    """event → from → the mode that a drive of a line in asyncio is in then. `media`: the names that
+    the table has for that line."""
     leads = {event: dict(zip(FROM, modes, strict=True)) for event, *modes in rows_of("LEADS_TO")}
     for medium, event, begin, mode in rows_of("DIFFERS"):
-        if medium == "ASYNCIO":
+        if medium in media:
             leads[event][begin] = mode
     for medium, event, begin in rows_of("CANNOT_OCCUR"):
-        if medium == "ASYNCIO":
-            del leads[event][begin]
-    return leads
+        if medium in media:
+            for one in leads if event == "ANY" else (event,):
+                for start in FROM if begin == "ANY" else (begin,):
+                    leads[one].pop(start, None)
+    return {event: modes for event, modes in leads.items() if modes}
+
+
+def _sets_up_again(begin, event):
+    """Whether the line sets it up by itself after this event."""
+    return ["ASYNCIO", event, begin, "READY"] in rows_of("DIFFERS")
+
+
+def _sends_power_off(begin, event):
+    return [event, begin] in rows_of("SENDS_POWER_OFF")
 
 
 def _patient(joint):
@@ -67,12 +90,16 @@ def _patient(joint):
 class ModbusMedium:
     """A hub servo on a pty."""
 
+    names = ("ASYNCIO",)
+
     def __init__(self, folder):
         self.peer = ScriptedSlave(folder / "port")
         self.unit = self.peer.units[1] = Unit(registers_of("zlac8015d"))
         joints = [_patient(joint) for joint in hub_servo()]
         self.spec = modbus_spec_of(self.peer, joints)
         self.velocity_rad_s = 60 * RPM
+        self._holds = self._keeps_power = False
+        self.unit.on_write = self._written
 
     @contextlib.asynccontextmanager
     async def life(self):
@@ -81,15 +108,17 @@ class ModbusMedium:
         finally:
             self.peer.pull()
 
-    def hold_set_up(self):
-        def forget_mode(address, _):
-            if address == MODE:
-                self.unit.registers[MODE] = 0
+    def _written(self, address, _):
+        if address == MODE and self._holds:
+            self.unit.registers[MODE] = 0
+        elif address == CONTROL and self._keeps_power:
+            self.unit.registers[CONTROL] = ENABLE
 
-        self.unit.on_write = forget_mode
+    def hold_set_up(self):
+        self._holds = True
 
     def go_on_with_set_up(self):
-        self.unit.on_write = None
+        self._holds = False
         self.unit.registers[MODE] = 3
 
     def turn(self):
@@ -98,11 +127,27 @@ class ModbusMedium:
     def fall_silent(self):
         self.unit.silent = True
 
+    def answer_again(self):
+        self.unit.silent = False
+
+    def disable_itself(self):
+        self.unit.registers[CONTROL] = OFF
+
+    def lose_setup(self):
+        self.unit.registers[WATCHDOG] = 0
+
+    def stay_enabled(self):
+        self.unit.registers[CONTROL] = ENABLE
+        self._keeps_power = True
+
     def lose(self):
         self.peer.pull()
 
     def motion_count(self):
         return sum(value != 0 for value in self.peer.written(TARGET_1))
+
+    def power_off_count(self):
+        return self.peer.written(CONTROL).count(OFF)
 
     def has_power_off(self):
         return self.peer.written(CONTROL)[-1] == OFF
@@ -110,6 +155,8 @@ class ModbusMedium:
 
 class CanMedium:
     """An ODrive behind an slcan adapter on a pty."""
+
+    names = ("ASYNCIO", "ASYNCIO_CAN")
 
     def __init__(self, folder):
         self.adapter = SlcanAdapter(folder / "adapter")
@@ -135,11 +182,23 @@ class CanMedium:
     def fall_silent(self):
         self.axis.silent = True
 
+    def answer_again(self):
+        self.axis.silent = False
+
+    def disable_itself(self):
+        self.axis.state = MEASURING if self.axis.stuck else IDLE
+
+    def stay_enabled(self):
+        self.axis.state, self.axis.stuck = CLOSED_LOOP, True
+
     def lose(self):
         self.adapter.pull()
 
     def motion_count(self):
         return sum(value != 0.0 for value in self.axis.velocities())
+
+    def power_off_count(self):
+        return self.axis.states().count(IDLE)
 
     def has_power_off(self):
         return int.from_bytes(self.axis.sent(STATE)[-1], "little") == IDLE
@@ -154,7 +213,19 @@ class Walk:
 
     async def go(self, begin, event, mode):
         await self._to(begin)
+        again = _sets_up_again(begin, event)
+        if again:
+            self.medium.hold_set_up()
+        power_offs = self.medium.power_off_count()
         await getattr(self, f"_{event.lower()}")(mode)
+        if _sends_power_off(begin, event):
+            await until(
+                lambda: self.medium.power_off_count() > power_offs + again,  # its set-up writes one
+                f"{event} from {begin}: no power",
+            )
+        if again:
+            await until(lambda: self.rig.states() == {MODES["OFF"]}, f"{event} from {begin}: OFF")
+            self.medium.go_on_with_set_up()
         await until(lambda: self.rig.states() == {MODES[mode]}, f"{event} from {begin}: {mode}")
         motion = self.medium.motion_count()
         if mode == "ARMED":
@@ -228,6 +299,22 @@ class Walk:
 
     async def _falls_silent(self, _):
         self.medium.fall_silent()
+
+    async def _answers_again(self, _):
+        self.medium.answer_again()
+        await self._cycles()
+
+    async def _disabled_itself(self, _):
+        self.medium.disable_itself()
+        await self._cycles()
+
+    async def _lost_setup(self, _):
+        self.medium.lose_setup()
+        await self._cycles()
+
+    async def _still_enabled(self, _):
+        self.medium.stay_enabled()
+        await self._cycles()
 
     async def _line_ends(self, _):
         self.rig.task.cancel()
