@@ -18,8 +18,8 @@ skip() { echo "make arm64: skipped: $*" >&2; exit 0; }
 
 [ "$(id -u)" = 0 ] || skip "needs root, to make a file system of Debian packages"
 grep -q VERSION_CODENAME=bookworm /etc/os-release || skip "needs Debian 12"
-for program in qemu-aarch64-static mmdebstrap; do
-    command -v "$program" >/dev/null || skip "needs $program (apt install qemu-user-static mmdebstrap)"
+for program in qemu-aarch64-static mmdebstrap arch-test; do
+    command -v "$program" >/dev/null || skip "needs $program (apt install qemu-user-static mmdebstrap arch-test)"
 done
 
 # The kernel hands programs of aarch64 to QEMU; F: opened now, so that it need not be in the guest (binfmt-misc.rst).

@@ -20,6 +20,7 @@ HEAVY = ("left.coulomb_n_m=1.2", "right.coulomb_n_m=1.2")
 STALL_N_M, FULL_RAD_S, INERTIA_KG_M2, VISCOUS = 8.0, 18.0, 0.07, 0.02
 REPLIES = {r"Is the path clear\? \[y/n\] ": "y", r"Write \S+cart\.toml\? \[y/n\] ": "y"}
 GAIN = "joint.left.speed_loop.gain_s_per_rad"
+TUNED_TRIES = 4
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +42,15 @@ def as_it_was(stage):
 
 
 def tuned(stage, *words, write="y"):
+    """Its exit status and what it printed. Where this computer was held up, nothing is written: it
+    is tried again then, at most TUNED_TRIES times."""
     replies = REPLIES | {r"Write \S+cart\.toml\? \[y/n\] ": write}
-    with at_terminal("tune", *words, "--socket", stage.socket) as screen:
-        return screen.answers(replies), screen.text
+    for _ in range(TUNED_TRIES):
+        with at_terminal("tune", *words, "--socket", stage.socket) as screen:
+            status, text = screen.answers(replies), screen.text
+        if status == 0 or "held up for too much of the time" not in text:
+            break
+    return status, text
 
 
 def at_rest_with_its_gains(stage, before):
