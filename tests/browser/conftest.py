@@ -43,6 +43,11 @@ def robot(browser, tmp_path_factory):
 
 
 @pytest.fixture
+def idle(robot):
+    robot.ready()
+
+
+@pytest.fixture
 def page(robot):
     """A page that has the token."""
     with robot.page() as page:

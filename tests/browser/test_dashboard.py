@@ -15,11 +15,7 @@ from tests.sim.tools.journal_copy import flipped, rewritten
 
 ESTOP = ".estop-place .estop"
 TABS = ("overview", "drive", "plots", "lines", "parameters", "file", "commission", "log", "fleet")
-
-
-@pytest.fixture(autouse=True)
-def idle(robot):
-    robot.ready()
+pytestmark = pytest.mark.usefixtures("idle")
 
 
 def shows(page, *states):

@@ -6,10 +6,7 @@ import pytest
 from tests.browser.dashboard import held, press_key, press_pad
 from tests.sim.daemon_stage import wait_until
 
-
-@pytest.fixture(autouse=True)
-def idle(robot):
-    robot.ready()
+pytestmark = pytest.mark.usefixtures("idle")
 
 
 def event_at(selector, made):

@@ -6,8 +6,8 @@ import math
 
 import pytest
 from loop_side import running, until
-from mcu_peer import McuPeer, compiled
-from pwm_rig import PERIOD_NS, Chip, armed, spec_of
+from mcu_peer import McuPeer
+from pwm_rig import PERIOD_NS, armed, spec_of
 
 from motord.config.drives.load import find_profile
 from motord_hal.base.clock import now_ns
@@ -15,23 +15,6 @@ from motord_hal.fieldbus.ports import BoardEncoder, DriveState, EventKind, Joint
 
 PER_COUNT = math.tau / 1320
 BY_HAND_RAD_S = 4.0
-
-
-@pytest.fixture(scope="module")
-def program(tmp_path_factory):
-    return compiled(tmp_path_factory.mktemp("board"))
-
-
-@pytest.fixture
-def peer(program, tmp_path):
-    peer = McuPeer(program, tmp_path / "board")
-    yield peer
-    peer.pull()
-
-
-@pytest.fixture
-def chip(tmp_path):
-    return Chip(tmp_path / "chip")
 
 
 @pytest.fixture

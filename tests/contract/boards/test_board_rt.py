@@ -4,10 +4,8 @@ motor."""
 
 import time
 
-import pytest
 from frame_board_rig import spec_of as frames_spec
 from loop_side import PATIENT_S, running, until
-from mcu_peer import McuPeer, compiled
 from text_board_rig import Reader
 from text_board_rig import spec_of as text_spec
 
@@ -18,18 +16,6 @@ from motord_hal.realtime.exchange import JointSetpoint, Setpoints
 TURN_RAD_S = 3.0
 NEVER_S = 60.0
 """Of a watchdog: longer than any test waits."""
-
-
-@pytest.fixture(scope="module")
-def program(tmp_path_factory):
-    return compiled(tmp_path_factory.mktemp("board"))
-
-
-@pytest.fixture
-def peer(program, tmp_path):
-    peer = McuPeer(program, tmp_path / "board")
-    yield peer
-    peer.pull()
 
 
 def sleep_until(condition):

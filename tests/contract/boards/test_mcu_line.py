@@ -8,7 +8,7 @@ import pytest
 from frame_board_rig import joints_of, spec_of
 from frame_sender import FrameSender
 from loop_side import PATIENT_S, running, until
-from mcu_peer import McuPeer, compiled
+from mcu_peer import McuPeer
 
 from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import DriveFault, HalError, NoReply, PortError, ProfileError
@@ -30,22 +30,10 @@ from motord_hal.serial.port import OpenPort, open_port
 COUNTS_PER_RAD = 1320 / math.tau
 
 
-@pytest.fixture(scope="module")
-def program(tmp_path_factory):
-    return compiled(tmp_path_factory.mktemp("board"))
-
-
 @pytest.fixture
 def board_of(program, tmp_path):
     """Plugs the board in."""
     return lambda: McuPeer(program, tmp_path / "board")
-
-
-@pytest.fixture
-def peer(board_of):
-    peer = board_of()
-    yield peer
-    peer.pull()
 
 
 @pytest.fixture

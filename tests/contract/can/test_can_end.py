@@ -5,20 +5,13 @@ import asyncio
 
 import pytest
 from can_rig import TURN, joints, spec_of
-from can_rt_rig import Bus, arm, lively
+from can_rt_rig import arm, lively
 from loop_side import running, until
 from scripted_odrive import BUSES, IDLE, INPUT_VELOCITY, MODE, STATE, Peer, living
 
 from motord_hal.fieldbus.ports import DriveState, EventKind
 
 ENGINES = ["asyncio", "rt"]
-
-
-@pytest.fixture
-def bus(tmp_path):
-    bus = Bus(tmp_path)
-    yield bus
-    bus.close()
 
 
 def rig_on(bus, engine):

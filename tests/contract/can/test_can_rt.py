@@ -6,7 +6,7 @@ import time
 
 import pytest
 from can_rig import TURN, joints, spec_of
-from can_rt_rig import Bus, arm, lively
+from can_rt_rig import arm, lively
 from loop_side import PATIENT_S, running, until
 from scripted_odrive import CLOSED_LOOP, IDLE, Peer, living
 
@@ -15,13 +15,6 @@ from motord_hal.can.socket_frames import unpacked
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import DriveState, EventKind
 from motord_hal.realtime.exchange import Exchange, JointSetpoint, Setpoints
-
-
-@pytest.fixture
-def bus(tmp_path):
-    bus = Bus(tmp_path)
-    yield bus
-    bus.close()
 
 
 @pytest.fixture

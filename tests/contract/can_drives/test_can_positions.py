@@ -7,7 +7,7 @@ import math
 
 import pytest
 from loop_side import running, until
-from sim_bench import GEAR, RT, folder_of, simulated, spec_of, without_power
+from sim_bench import GEAR, RT, folder_of, spec_of, without_power
 from tests.long_cases import long_but
 from tests.shipped import NAMES, shipped_profile
 
@@ -32,12 +32,6 @@ def profile(request):
 @pytest.fixture
 def folder(tmp_path):
     return folder_of(RT, tmp_path)
-
-
-@pytest.fixture
-def sim(profile, folder):
-    with simulated(profile, folder) as control:
-        yield control
 
 
 def line_of(profile, folder, speed_rad_s=FAST_RAD_S):

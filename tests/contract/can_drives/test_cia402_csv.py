@@ -9,7 +9,7 @@ import can
 import pytest
 from cia402_node import OPERATION, SWITCH_ON_DISABLED, Cia402Node
 from loop_side import running, until
-from shared_bus import KINDS, end_of, shared_bus
+from shared_bus import end_of
 
 from motord.config.drives.load import find_profile
 from motord_hal.base.errors import ProfileError
@@ -21,14 +21,6 @@ from motord_hal.realtime.exchange import Exchange
 RPM = 2 * math.pi / 60
 NODES = (5, 6)
 CYCLE_HZ = 100.0
-
-
-@pytest.fixture(params=KINDS, ids=" ".join)
-def bus(request):
-    """Its address, and the engine of the line on it."""
-    kind, engine = request.param
-    with shared_bus(kind) as address:
-        yield address, engine
 
 
 @pytest.fixture

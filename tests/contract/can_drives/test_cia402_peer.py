@@ -12,7 +12,7 @@ from pathlib import Path
 import can
 import pytest
 from loop_side import running, until
-from shared_bus import KINDS, end_of, shared_bus
+from shared_bus import end_of
 
 from motord.config.drives.load import load_profile
 from motord_hal.base.errors import DriveFault
@@ -77,13 +77,6 @@ class Drive:
             frame = can.Message(arbitration_id=message["id"], data=data, is_extended_id=False)
             with contextlib.suppress(BlockingIOError):
                 self._bus.send(frame)
-
-
-@pytest.fixture(params=KINDS, ids=" ".join)
-def bus(request):
-    kind, engine = request.param
-    with shared_bus(kind) as address:
-        yield address, engine
 
 
 @pytest.fixture

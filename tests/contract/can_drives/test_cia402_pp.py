@@ -7,7 +7,7 @@ import math
 import pytest
 from cia402_node import NEW_SETPOINT, OPERATION, TAKEN, Cia402Node
 from loop_side import running, until
-from shared_bus import INTERFACE, end_of, shared_bus
+from shared_bus import end_of
 from tests.shipped import shipped_profile
 
 from motord_hal.fieldbus.ports import DriveState, JointSpec, LineSpec
@@ -15,12 +15,6 @@ from motord_hal.fieldbus.ports import DriveState, JointSpec, LineSpec
 NODE = 5
 HERE = -4321
 COUNTS_PER_RAD = 10000 / math.tau
-
-
-@pytest.fixture
-def address():
-    with shared_bus("socketcan" if INTERFACE else "unix") as address:
-        yield address
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import math
 import pytest
 from cia402_node import OPERATION, SWITCH_ON_DISABLED, Cia402Node
 from loop_side import running, until
-from shared_bus import KINDS, end_of, shared_bus
+from shared_bus import end_of
 
 from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.halt import halt_line
@@ -16,14 +16,6 @@ from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 RPM = 2 * math.pi / 60
 NODE = 5
 SPEED_RPM = 120
-
-
-@pytest.fixture(params=KINDS, ids=" ".join)
-def bus(request):
-    """Its address, and the engine of the line on it."""
-    kind, engine = request.param
-    with shared_bus(kind) as address:
-        yield address, engine
 
 
 @pytest.fixture

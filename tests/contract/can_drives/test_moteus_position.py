@@ -7,7 +7,6 @@ import math
 import pytest
 from loop_side import running, until
 from scripted_moteus import ENABLING, POSITION, STOPPED, TIMEOUT, ZERO_VELOCITY, Moteus
-from shared_bus import INTERFACE, shared_bus
 from tests.shipped import shipped_profile
 
 from motord_hal.fieldbus.ports import DriveState, JointSpec, LineSpec
@@ -17,12 +16,6 @@ HERE_TURNS = -0.3125
 RELATIVE, ROTOR, OUTPUT = 0, 1, 2
 WATCHDOG_S = 2.0
 SPEED_LIMIT_TURNS_S = 4.0
-
-
-@pytest.fixture
-def address():
-    with shared_bus("socketcan" if INTERFACE else "unix") as address:
-        yield address
 
 
 @pytest.fixture

@@ -42,12 +42,6 @@ async def peer(tmp_path, request):
     peer.pull()
 
 
-@pytest.fixture
-async def rig(peer):
-    async with running(spec_of(peer, hub_servo())) as rig:
-        yield rig
-
-
 def single(name):
     return JointSpec(index=0, name="wheel", profile=find_profile(name), unit=1)
 

@@ -15,24 +15,14 @@ from modbus_rig import (
     RPM,
     TARGET_1,
     hub_servo,
-    registers_of,
     spec_of,
 )
-from scripted_gateway import GATEWAYS, peer_on
-from scripted_slave import Unit
+from scripted_gateway import GATEWAYS
 
 from motord_hal.base.errors import NoReply
 from motord_hal.fieldbus.ports import DriveState
 from motord_hal.modbus.codec import Function, Request, build_exception
 from motord_hal.modbus.tcp_guard import GatewayClient
-
-
-@pytest.fixture(params=[*ENGINES, *GATEWAYS])
-async def peer(tmp_path, request):
-    peer = peer_on(request.param, tmp_path)
-    peer.units = {1: Unit(registers_of("zlac8015d"))}
-    yield peer
-    peer.pull()
 
 
 async def set_off(rig, peer):

@@ -8,37 +8,19 @@ from dataclasses import replace
 import pytest
 from loop_side import running, until
 from modbus_rig import (
-    ENGINES,
     FAULT_1,
     RPM,
     TARGET_1,
     TARGET_2,
     VELOCITY_1,
     hub_servo,
-    registers_of,
     spec_of,
 )
-from scripted_gateway import GATEWAYS, peer_on
-from scripted_slave import Unit
 
 from motord_hal.base.errors import DriveFault
 from motord_hal.drives.profile import Register, RegisterType, Step
 from motord_hal.fieldbus.ports import DriveState, EventKind
 from motord_hal.modbus.codec import Function
-
-
-@pytest.fixture(params=[*ENGINES, *GATEWAYS])
-async def peer(tmp_path, request):
-    peer = peer_on(request.param, tmp_path)
-    peer.units = {1: Unit(registers_of("zlac8015d"))}
-    yield peer
-    peer.pull()
-
-
-@pytest.fixture
-async def rig(peer):
-    async with running(spec_of(peer, hub_servo())) as rig:
-        yield rig
 
 
 async def test_a_register_is_read_by_name_in_si_while_the_line_cycles(rig, peer):

@@ -11,7 +11,6 @@ from can_rig import spec_of as can_spec_of
 from loop_side import PATIENT_S, running, until
 from modbus_rig import (
     CONTROL,
-    ENGINES,
     OFF,
     QUICK_STOP,
     RPM,
@@ -21,7 +20,7 @@ from modbus_rig import (
     registers_of,
     spec_of,
 )
-from scripted_gateway import GATEWAYS, peer_on
+from scripted_gateway import GATEWAYS
 from scripted_odrive import BUSES, CLOSED_LOOP, IDLE, INPUT_VELOCITY, STATE, Peer, living
 from scripted_slave import Unit
 
@@ -33,14 +32,6 @@ from motord_hal.realtime.drive_state import DriveRules
 
 CYCLES_SEEN = 5
 """More than what may have been sent when the line was to end."""
-
-
-@pytest.fixture(params=[*ENGINES, *GATEWAYS])
-async def peer(tmp_path, request):
-    peer = peer_on(request.param, tmp_path)
-    peer.units = {1: Unit(registers_of("zlac8015d"))}
-    yield peer
-    peer.pull()
 
 
 @pytest.fixture(params=BUSES)

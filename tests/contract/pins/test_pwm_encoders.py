@@ -7,7 +7,7 @@ import os
 
 import pytest
 from loop_side import running, until
-from pwm_rig import Chip, spec_of
+from pwm_rig import spec_of
 
 from motord.config.drives.load import find_profile
 from motord_hal.base.errors import PortError
@@ -46,11 +46,6 @@ def counter_of(wanted, count=0):
 @pytest.fixture
 def counter(tmp_path):
     return Counter(tmp_path / "counter0")
-
-
-@pytest.fixture
-def chip(tmp_path):
-    return Chip(tmp_path / "chip")
 
 
 def line_with(chip, counter):

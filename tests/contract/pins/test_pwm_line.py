@@ -36,11 +36,6 @@ from motord_hal.realtime.exchange import Exchange
 COMM = Path("/proc/self/comm").read_text().strip()
 
 
-@pytest.fixture
-def chip(tmp_path):
-    return Chip(tmp_path / "chip")
-
-
 async def half_forward(rig, chip):
     """Armed, and the left motor driven."""
     await armed(rig)

@@ -2,8 +2,8 @@
 """CAN lines against simulated drives that are hurt: never a wheel that turns without a command."""
 
 import pytest
-from loop_side import running, until
-from sim_bench import RT, folder_of, simulated, spec_of, with_rt, without_power
+from loop_side import until
+from sim_bench import RT, with_rt, without_power
 from tests.long_cases import long_but
 from tests.shipped import shipped_profile
 
@@ -22,25 +22,8 @@ def variant(request):
 
 
 @pytest.fixture
-def folder(variant, tmp_path):
-    return folder_of(variant, tmp_path)
-
-
-@pytest.fixture
 def profile(variant):
     return shipped_profile(variant.removesuffix(RT))
-
-
-@pytest.fixture
-def sim(profile, folder):
-    with simulated(profile, folder) as control:
-        yield control
-
-
-@pytest.fixture
-async def rig(profile, sim, folder):
-    async with running(spec_of(profile, folder)) as rig:
-        yield rig
 
 
 def speeds(sim):

@@ -14,7 +14,6 @@ from sim_bench import (
     GEAR,
     RT,
     can_reverse,
-    folder_of,
     reports,
     simulated,
     spec_of,
@@ -70,27 +69,10 @@ def variant(request):
 
 
 @pytest.fixture
-def folder(variant, tmp_path):
-    return folder_of(variant, tmp_path)
-
-
-@pytest.fixture
 def profile(variant):
     found = shipped_profile(variant.removesuffix(RT))
     # a pty has no parity
     return replace(found, baudrate=BAUDRATE, turnaround_s=TURNAROUND_S, parity="none")
-
-
-@pytest.fixture
-def sim(profile, folder):
-    with simulated(profile, folder) as control:
-        yield control
-
-
-@pytest.fixture
-async def rig(profile, sim, folder):
-    async with running(spec_of(profile, folder)) as rig:
-        yield rig
 
 
 def speed_of(rig):

@@ -5,18 +5,12 @@ import asyncio
 import json
 
 import pytest
-from tests.peers.mqtt.mosquitto import free_port
 from tests.peers.tokens import TOKEN, token_file
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, armed, rests, running, wait_until
 from websockets.asyncio.client import connect
 
 GOAL_RAD = {"pan": 0.6, "tilt": -0.3}
 ZERO = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
-
-
-@pytest.fixture(scope="module")
-def port():
-    return free_port()
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ import threading
 import time
 
 import pytest
-from tests.peers.mqtt.mosquitto import free_port
 from tests.peers.ros2.ros2_stage import (
     LEASE_S,
     NAMESPACE,
@@ -26,11 +25,6 @@ from websockets.sync.client import connect
 TOKEN = "a-token-of-sixteen-and-more"
 SPEED_M_S = 0.3
 TWIST = {"linear": {"x": SPEED_M_S}, "angular": {"z": 0.0}}
-
-
-@pytest.fixture(scope="module")
-def port():
-    return free_port()
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,6 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 from tests.peers.foxglove.foxglove_wire import MESSAGE_DATA, wired
 from tests.peers.light import LIGHT
-from tests.peers.mqtt.mosquitto import free_port
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
 
 from motord.bus.messages.topics import TOPICS
@@ -23,11 +22,6 @@ MODULES = ROOT / "build/node/node_modules"
 OWN_CLIENT = MODULES / "@foxglove/ws-protocol"
 OFFERED = {name: topic for name, topic in TOPICS.items() if name != "imu"}
 """The demonstration's robot has none."""
-
-
-@pytest.fixture(scope="module")
-def port():
-    return free_port()
 
 
 @pytest.fixture(scope="module")

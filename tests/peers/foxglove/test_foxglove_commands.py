@@ -24,11 +24,6 @@ LIMIT = "limits.linear_m_s"
 
 
 @pytest.fixture(scope="module")
-def port():
-    return free_port()
-
-
-@pytest.fixture(scope="module")
 def stage(tmp_path_factory, port):
     folder = tmp_path_factory.mktemp("foxglove")
     settings = (

@@ -28,12 +28,6 @@ READER = ("mosquitto_sub", "-W", f"{DEADLINE_S:.0f}", "-v",
 
 
 @pytest.fixture(scope="module")
-def peer(tmp_path_factory):
-    with broker(tmp_path_factory.mktemp("broker"), "allow_anonymous true") as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
 def stage(tmp_path_factory, peer):
     folder = tmp_path_factory.mktemp("mqtt")
     settings = (

@@ -8,17 +8,11 @@ import signal
 import cbor2
 import pytest
 from tests.peers.light import LIGHT
-from tests.peers.mqtt.mosquitto import broker, needs_mosquitto, stamp
+from tests.peers.mqtt.mosquitto import needs_mosquitto, stamp
 from tests.peers.tokens import TOKEN, token_file
 from tests.sim.daemon_stage import DEADLINE_S, running, wait_until
 
 pytestmark = needs_mosquitto
-
-
-@pytest.fixture(scope="module")
-def peer(tmp_path_factory):
-    with broker(tmp_path_factory.mktemp("broker"), "allow_anonymous true") as made:
-        yield made
 
 
 @pytest.fixture(scope="module")

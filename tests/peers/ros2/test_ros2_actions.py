@@ -8,10 +8,11 @@ import os
 import signal
 
 import pytest
-from tests.peers.ros2.ros2_stage import NAMESPACE, called, caller, inputs, peer, ros2_stage, settle
+from tests.peers.ros2.ros2_stage import NAMESPACE, called, caller, inputs, peer, ros2_stage
 from tests.sim.daemon_stage import wait_until
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds")
+pytestmark = pytest.mark.usefixtures("settled")
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 NAMES = {"drive_distance": "DriveDistance", "rotate": "Rotate", "calibrate": "Calibrate"}
@@ -30,18 +31,6 @@ def stage(tmp_path_factory):
     precise = ("loop.rate_hz=250", "line.rs485.cycle_hz=50")  # distances are measured
     with ros2_stage(folder, "input.person.kind=socket", *precise) as stage:
         yield stage
-
-
-@pytest.fixture(autouse=True)
-def settled(stage):
-    settle(stage)
-
-
-@pytest.fixture
-def armed(stage, settled):
-    wait_until(lambda: called("arm")["success"], "armed")
-    yield stage
-    settle(stage)
 
 
 @contextlib.contextmanager

@@ -14,13 +14,13 @@ from tests.peers.ros2.ros2_stage import (
     nobody_commands,
     peer,
     ros2_stage,
-    settle,
 )
 from tests.sim.daemon_stage import wait_until
 
 from motord.bus.messages.table import type_hash
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds")
+pytestmark = pytest.mark.usefixtures("settled")
 
 
 @pytest.fixture(scope="module")
@@ -32,18 +32,6 @@ def stage(tmp_path_factory):
 def released(stage):
     """By the service; again where a request to stop came after it, as on a busy machine."""
     wait_until(lambda: called("reset")["success"] and stage.state() == "idle", "idle")
-
-
-@pytest.fixture(autouse=True)
-def settled(stage):
-    settle(stage)
-
-
-@pytest.fixture
-def armed(stage, settled):
-    wait_until(lambda: called("arm")["success"], "armed")
-    yield stage
-    settle(stage)
 
 
 def test_odometry_is_received_and_follows_commands_of_another_node(armed):

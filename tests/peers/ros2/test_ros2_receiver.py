@@ -7,13 +7,14 @@ import time
 from pathlib import Path
 
 import pytest
-from tests.peers.ros2.ros2_stage import NAMESPACE, called, inputs, peer, ros2_stage, settle
+from tests.peers.ros2.ros2_stage import NAMESPACE, called, inputs, peer, ros2_stage
 from tests.sim.daemon_stage import wait_until
 
 from motord.bus.confine import REALTIME_PRIORITY_MAX
 from motord.bus.ros2.dds.priority import set_policy
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds")
+pytestmark = pytest.mark.usefixtures("settled")
 
 TOPIC = f"rt{NAMESPACE}/cmd_vel"
 HOGS = 4
@@ -25,11 +26,6 @@ def stage(tmp_path_factory):
     environ = {"PYTHONPATH": str(Path(__file__).with_name("hogged")), "HOGS": str(HOGS)}
     with ros2_stage(tmp_path_factory.mktemp("receiver"), environ=environ) as stage:
         yield stage
-
-
-@pytest.fixture(autouse=True)
-def settled(stage):
-    settle(stage)
 
 
 def threads(pid):

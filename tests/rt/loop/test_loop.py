@@ -27,12 +27,6 @@ from motord_hal.realtime.exchange import LINES_MAX, Exchange
 LATENESS, STEP, COMMAND = rt.HistogramKind
 
 
-@pytest.fixture
-def loop():
-    with rt.Loop(core_config(), settings()) as running:
-        yield running
-
-
 def readable(loop: rt.Loop) -> bool:
     return bool(select.select([loop], [], [], PATIENCE_S)[0])
 

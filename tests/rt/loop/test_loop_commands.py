@@ -7,18 +7,12 @@ import threading
 
 import pytest
 from _motord_rt import lib
-from tests.rt.small_base import LIMITS, arm, core_config, lease_of, report_wheels, settings, until
+from tests.rt.small_base import LIMITS, arm, lease_of, report_wheels, until
 
 from motord.api.commands import Refusal
 from motord.realtime import loop as rt
 
 LATENESS = rt.HistogramKind.LATENESS
-
-
-@pytest.fixture
-def loop():
-    with rt.Loop(core_config(), settings()) as running:
-        yield running
 
 
 class Line:

@@ -8,7 +8,7 @@ import subprocess
 import sys
 
 import pytest
-from tests.sim.daemon_stage import DEADLINE_S, SURE, TRIES, armed, running, wait_until, was_held_up
+from tests.sim.daemon_stage import DEADLINE_S, SURE, TRIES, running, wait_until, was_held_up
 
 from motord import client
 from motord.aio import Client, ClientError, MoveFailed, Refused
@@ -18,12 +18,6 @@ from motord.aio import Client, ClientError, MoveFailed, Refused
 def stage(tmp_path_factory):
     with running(tmp_path_factory.mktemp("aio"), *SURE) as stage:
         stage.wait_for("idle")
-        yield stage
-
-
-@pytest.fixture(name="armed")
-def _armed(stage):
-    with armed(stage):
         yield stage
 
 

@@ -9,7 +9,7 @@ import subprocess
 import sys
 
 import pytest
-from tests.sim.daemon_stage import DEADLINE_S, ROOT, UNHURRIED, armed, rests, running, wait_until
+from tests.sim.daemon_stage import DEADLINE_S, ROOT, UNHURRIED, rests, running, wait_until
 
 from motord.client import Refused, WrongParams
 from motord.config import load_robot
@@ -29,12 +29,6 @@ def stage(tmp_path_factory):
     robot = ROOT / "config/robots/pan-tilt.toml"
     with running(tmp_path_factory.mktemp("joints"), *SETTINGS, robot=robot) as stage:
         stage.wait_for("idle")
-        yield stage
-
-
-@pytest.fixture(name="armed")
-def _armed(stage):
-    with armed(stage):
         yield stage
 
 

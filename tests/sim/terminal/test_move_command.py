@@ -14,7 +14,6 @@ from tests.sim.daemon_stage import (
     ROOT,
     SURE,
     TRIES,
-    armed,
     in_time,
     running,
     wait_until,
@@ -29,12 +28,6 @@ from motord.client import ClientError, MoveFailed
 def stage(tmp_path_factory):
     with running(tmp_path_factory.mktemp("move"), *SURE) as stage:
         stage.wait_for("idle")
-        yield stage
-
-
-@pytest.fixture(name="armed")
-def _armed(stage):
-    with armed(stage):
         yield stage
 
 

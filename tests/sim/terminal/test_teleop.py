@@ -8,7 +8,7 @@ import sys
 import time
 
 import pytest
-from tests.sim.daemon_stage import ROOT, SURE, UNHURRIED, armed, rests, running, wait_until
+from tests.sim.daemon_stage import ROOT, SURE, UNHURRIED, rests, running, wait_until
 from tests.sim.pseudo_terminal import at_terminal
 
 from motord.client import ClientError
@@ -21,12 +21,6 @@ RELEASED_S = 1.5
 def stage(tmp_path_factory):
     with running(tmp_path_factory.mktemp("teleop"), *SURE) as stage:
         stage.wait_for("idle")
-        yield stage
-
-
-@pytest.fixture(name="armed")
-def _armed(stage):
-    with armed(stage):
         yield stage
 
 

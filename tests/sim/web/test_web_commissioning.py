@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from tests.sim.daemon_stage import becomes_idle, wait_until
-from tests.sim.web.web_page import bus_children, ended, free_port, listens, pages, with_dashboard
+from tests.sim.web.web_page import bus_children, ended, listens, pages, with_dashboard
 
 from motord.bus.web.processes.commissioning import FAILED
 from motord.client import ClientError
@@ -19,11 +19,6 @@ from motord.client import ClientError
 PRESENT = 4
 SPIN = {"procedure": "spin", "options": {"seconds": 10.0}, "joints": ["left"]}
 SILENT = "the connection to the page was interrupted: answer again"
-
-
-@pytest.fixture(scope="module")
-def port():
-    return free_port()
 
 
 @pytest.fixture(scope="module")

@@ -20,11 +20,6 @@ MODULE = "motord.commission.page.robot_file"
 
 
 @pytest.fixture(scope="module")
-def port():
-    return free_port()
-
-
-@pytest.fixture(scope="module")
 def stage(tmp_path_factory, port):
     folder = tmp_path_factory.mktemp("file")
     file = copied(folder)

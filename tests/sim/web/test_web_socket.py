@@ -11,12 +11,7 @@ import urllib.request
 import aiohttp
 import pytest
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, becomes_idle
-from tests.sim.web.web_page import ACKNOWLEDGE, free_port, listens, pages, with_dashboard
-
-
-@pytest.fixture(scope="module")
-def port():
-    return free_port()
+from tests.sim.web.web_page import ACKNOWLEDGE, free_port, listens, with_dashboard
 
 
 @pytest.fixture(scope="module")
@@ -24,12 +19,6 @@ def stage(tmp_path_factory, port):
     with with_dashboard(tmp_path_factory.mktemp("web"), port) as stage:
         becomes_idle(stage)
         yield stage
-
-
-@pytest.fixture
-async def connect(stage, port):
-    async with pages(port) as connected:
-        yield connected
 
 
 def frame(one):

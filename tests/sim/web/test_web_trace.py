@@ -5,26 +5,15 @@ from collections import deque
 
 import pytest
 from tests.sim.daemon_stage import wait_until
-from tests.sim.web.web_page import bus_children, free_port, pages, with_dashboard
+from tests.sim.web.web_page import bus_children, with_dashboard
 
 from motord.bus.web.processes.tracing import ROWS_MAX, chosen
-
-
-@pytest.fixture(scope="module")
-def port():
-    return free_port()
 
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory, port):
     with with_dashboard(tmp_path_factory.mktemp("trace"), port) as stage:
         yield stage
-
-
-@pytest.fixture
-async def connect(stage, port):
-    async with pages(port) as connected:
-        yield connected
 
 
 def tracing(stage):

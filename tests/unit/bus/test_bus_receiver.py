@@ -12,7 +12,6 @@ import pytest
 from _motord_bus import ffi, lib
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from tests.unit.bus.gate_rig import gate
 
 from motord.bus.commands.gate import AHEAD, FUTURE_S, OLD_S, ZERO_STAMP, NotTaken
 from motord.bus.commands.link import Source
@@ -21,11 +20,6 @@ from motord.bus.ros2.commands import _as_mapping
 
 TYPE = "geometry_msgs/msg/TwistStamped"
 TOKENS = b"a" * 16, b"b" * 16
-
-
-@pytest.fixture(scope="module")
-def stamped(tmp_path_factory):
-    return gate(tmp_path_factory)
 
 
 def parsed(raw):

@@ -29,11 +29,6 @@ JSON = st.recursive(
 
 
 @pytest.fixture(scope="module")
-def stamped(tmp_path_factory):
-    return gate(tmp_path_factory)
-
-
-@pytest.fixture(scope="module")
 def unstamped(tmp_path_factory):
     return gate(tmp_path_factory, stamped=False)
 

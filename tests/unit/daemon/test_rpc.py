@@ -105,11 +105,6 @@ class Peer:
         self.writer.close()
 
 
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "robot.sock"
-
-
 async def until(condition):
     async with asyncio.timeout(DEADLINE_S):
         while not condition():

@@ -17,11 +17,6 @@ from motord.local_socket.server import SocketInUse, listening, socket_path
 DEMO = Path(__file__).resolve().parents[3] / "config/robots/demo.toml"
 
 
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "robot.sock"
-
-
 def test_the_socket_is_for_user_and_group_and_goes_with_its_daemon(path):
     with listening(path):
         assert stat.S_IMODE(path.stat().st_mode) == 0o660

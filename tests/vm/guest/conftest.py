@@ -30,3 +30,12 @@ def simulator(tmp_path_factory):
 
     with simulated(ROBOT, link_dir=tmp_path_factory.mktemp("drives")) as it:
         yield it
+
+
+@pytest.fixture(scope="module")
+def rig():
+    """Pins and PWM of the kernel's simulated chips. Tests of lines have rigs of their own."""
+    from pin_rig import pins
+
+    with pins() as found:
+        yield found

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from bridge_rig import places, spec_of
 from loop_side import running, until
-from pin_rig import LABEL, PWM, pins
+from pin_rig import LABEL, PWM
 
 from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import EdgesEncoder, EventKind, JointSpec, LineState
@@ -26,12 +26,6 @@ pytestmark = [
     pytest.mark.skipif(not list(PWM.glob("pwmchip*")), reason="no PWM chip (module pwm-sim)"),
     pytest.mark.skipif(not Path("/sys/kernel/config/gpio-sim").is_dir(), reason="no gpio-sim"),
 ]
-
-
-@pytest.fixture(scope="module")
-def rig():
-    with pins() as found:
-        yield found
 
 
 class Wheel:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from bridge_rig import laid_out, places, spec_of
-from pin_rig import LABEL, LINES, PWM, pins, wait_until
+from pin_rig import LABEL, LINES, PWM, wait_until
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "contract"))
 from loop_side import GENEROUS_S, PATIENT_S, running, until
@@ -41,12 +41,6 @@ pytestmark = [
     pytest.mark.skipif(not list(PWM.glob("pwmchip*")), reason="no PWM chip (module pwm-sim)"),
     pytest.mark.skipif(not Path("/sys/kernel/config/gpio-sim").is_dir(), reason="no gpio-sim"),
 ]
-
-
-@pytest.fixture(scope="module")
-def rig():
-    with pins() as found:
-        yield found
 
 
 def fail_with(number):

@@ -1,0 +1,11 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tests against other people's programs share."""
+
+import pytest
+from tests.peers.mqtt.mosquitto import free_port
+
+
+@pytest.fixture(scope="module")
+def port():
+    """A free one, for what the robot of this file serves."""
+    return free_port()

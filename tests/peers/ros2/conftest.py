@@ -1,0 +1,18 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a test leaves behind does not reach the next one. Each file has a `stage` of its own."""
+
+import pytest
+from tests.peers.ros2.ros2_stage import called, settle
+from tests.sim.daemon_stage import wait_until
+
+
+@pytest.fixture
+def settled(stage):
+    settle(stage)
+
+
+@pytest.fixture
+def armed(stage, settled):
+    wait_until(lambda: called("arm")["success"], "armed")
+    yield stage
+    settle(stage)

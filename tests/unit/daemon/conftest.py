@@ -1,0 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tests of the local socket share."""
+
+import pytest
+
+
+@pytest.fixture
+def path(tmp_path):
+    """Where a daemon makes its socket. Files that need a certain one have their own."""
+    return tmp_path / "robot.sock"
