@@ -165,9 +165,9 @@ class Exchange:
             call()
 
         events = asyncio.get_running_loop()
-        events.add_reader(fd, answer)
         _check(lib.exchange_set_line_wake(self._exchange, line, fd), "line", line)
         try:
+            events.add_reader(fd, answer)
             yield
         finally:
             lib.exchange_set_line_wake(self._exchange, line, -1)
