@@ -95,21 +95,22 @@ class Client:
 
     async def _connect(self, path: Path) -> None:
         """Again while the daemon's queue of connections is full. The deadline is the caller's."""
-        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
-        with contextlib.ExitStack() as unless_kept:
-            unless_kept.callback(connection.close)
-            while True:
-                try:
-                    connection.connect(str(path))
-                    break
-                except BlockingIOError:
-                    await asyncio.sleep(CONNECT_AGAIN_S)
-                except OSError as error:
-                    raise ClientError(why_unreachable(path, error)) from error
-            self._streams = await asyncio.open_unix_connection(
-                sock=connection, limit=ANSWER_BYTES_MAX
-            )
-            unless_kept.pop_all()
+        try:
+            with contextlib.ExitStack() as unless_kept:
+                connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
+                unless_kept.callback(connection.close)
+                while True:
+                    try:
+                        connection.connect(str(path))
+                        break
+                    except BlockingIOError:
+                        await asyncio.sleep(CONNECT_AGAIN_S)
+                self._streams = await asyncio.open_unix_connection(
+                    sock=connection, limit=ANSWER_BYTES_MAX
+                )
+                unless_kept.pop_all()
+        except OSError as error:
+            raise ClientError(why_unreachable(path, error)) from error
 
     async def close(self) -> None:
         """Ends every lease of this connection."""

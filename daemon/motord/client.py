@@ -154,11 +154,12 @@ class Client:
         self.timeout_s = timeout_s
         self._number = 0
         self._buffer = b""
-        self._socket = socket.socket(socket.AF_UNIX)
         try:
-            self._connect(time.monotonic() + timeout_s)
+            with contextlib.ExitStack() as unless_kept:
+                self._socket = unless_kept.enter_context(socket.socket(socket.AF_UNIX))
+                self._connect(time.monotonic() + timeout_s)
+                unless_kept.pop_all()
         except OSError as error:
-            self._socket.close()
             raise ClientError(why_unreachable(self.path, error)) from error
 
     def _connect(self, end_s: float) -> None:

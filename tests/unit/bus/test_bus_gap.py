@@ -107,7 +107,7 @@ async def test_what_waited_is_obeyed_only_where_it_looks_or_ends_at_rest(gate, m
         stand_still()
         with pytest.raises((NotTaken, ClientError)) as sent:
             await gate.ask(method)
-    assert ("No such file" in str(sent.value)) == obeyed
+    assert ("no daemon has this socket" in str(sent.value)) == obeyed
     assert ("stood still" in str(sent.value)) != obeyed
     assert gate.source.refused == (not obeyed)
 
@@ -119,7 +119,7 @@ async def test_an_arm_is_obeyed_again_when_what_waited_is_through(gate, monkeypa
             await gate.act("arm")
         monkeypatch.setattr(gap_module, "DRAINED_AFTER_S", 0.0)
         await over(gate.gap)
-        with pytest.raises(NotTaken, match="No such file"):
+        with pytest.raises(NotTaken, match="no daemon has this socket"):
             await gate.act("arm")
 
 
@@ -135,7 +135,7 @@ async def test_a_goal_that_may_have_waited_is_refused(gate):
     runtime = Runtime(load_robot(DEMO), Path("no.sock"))
     mover = Mover(runtime, gate.source, gate.gap, lease_s=0.1)
     async with watched(gate.gap):
-        with pytest.raises(NotNow, match="No such file"):  # it would be planned
+        with pytest.raises(NotNow, match="no daemon has this socket"):  # it would be planned
             await mover.plan(Goal(axis="linear", distance_u=1.0))
         stand_still()
         with pytest.raises(NotNow, match="stood still"):

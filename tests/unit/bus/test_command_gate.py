@@ -184,7 +184,7 @@ async def test_nothing_but_the_calls_there_are_is_called(stamped, method):
 
 async def test_a_daemon_that_is_not_there_is_the_answer_to_a_call(tmp_path_factory):
     fresh = gate(tmp_path_factory, lease_s=5.0)
-    with pytest.raises(NotTaken, match="No such file"):
+    with pytest.raises(NotTaken, match="no daemon has this socket"):
         await fresh.act("arm")
 
 

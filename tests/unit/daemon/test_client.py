@@ -5,11 +5,13 @@ import asyncio
 import contextlib
 import json
 import os
+import resource
 import socket
 import threading
 
 import pytest
 
+from motord import aio
 from motord import client as client_module
 from motord.client import Client, ClientError, Refused, find_socket, socket_folders
 from motord.local_socket.server import Method, listening, serve
@@ -242,3 +244,23 @@ def test_it_speaks_the_protocol_of_the_page(tmp_path):
             assert robot.arm() == "armed"
         thread.join()
     assert received == [{"jsonrpc": "2.0", "id": 1, "method": "arm", "params": {}}]
+
+
+@contextlib.contextmanager
+def no_descriptor_left():
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_without_a_descriptor_left_it_is_an_error_as_any_other(path):
+    with no_descriptor_left(), pytest.raises(ClientError, match="Too many open files"):
+        Client(path)
+
+
+async def test_so_it_is_in_asyncio(path):
+    with no_descriptor_left(), pytest.raises(ClientError, match="Too many open files"):
+        await aio.Client(path).open()
