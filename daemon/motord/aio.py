@@ -97,7 +97,9 @@ class Client:
         """Again while the daemon's queue of connections is full. The deadline is the caller's."""
         try:
             with contextlib.ExitStack() as unless_kept:
-                connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
+                connection = socket.socket(
+                    socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK
+                )
                 unless_kept.callback(connection.close)
                 while True:
                     try:
