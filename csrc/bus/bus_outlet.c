@@ -9,19 +9,16 @@
 
 #include "rt.h"
 
-/* A Python thread that has the lock while the receiver waits for it goes before all others. */
+/* A Python thread that has the lock while the receiver waits for it goes before all others. Where the kernel has no such lock
+ * it is one of zeros: an ordinary one. */
 void outlet_init(outlet *o)
 {
     pthread_mutexattr_t lends;
+    *o = (outlet){.fd = -1};
     (void)pthread_mutexattr_init(&lends);
     (void)pthread_mutexattr_setprotocol(&lends, PTHREAD_PRIO_INHERIT);
-    /* the second: on a kernel without such locks */
-    (void)(pthread_mutex_init(&o->lock, &lends) == 0 || pthread_mutex_init(&o->lock, NULL) == 0);
+    (void)pthread_mutex_init(&o->lock, &lends);
     (void)pthread_mutexattr_destroy(&lends);
-    o->fd = -1;
-    o->sequence = 0;
-    o->direct = 0;
-    o->alive_ns = 0;
 }
 
 void outlet_hold(outlet *o, int fd, const uint8_t *token, uint64_t sequence)
