@@ -28,58 +28,7 @@ from motord.api.snapshot import (
     derated_by,
     gyro_word,
 )
-
-REASONS = {
-    0: "linear_velocity",
-    1: "linear_acceleration",
-    2: "linear_deceleration",
-    3: "linear_jerk",
-    4: "angular_velocity",
-    5: "angular_acceleration",
-    6: "angular_deceleration",
-    7: "angular_jerk",
-    8: "wheel_saturated",
-    9: "duty_clamped",
-    10: "duty_slew",
-    11: "lateral_velocity",
-    12: "lateral_acceleration",
-    13: "lateral_deceleration",
-    14: "lateral_jerk",
-    15: "lateral_impossible",
-    16: "not_armed",
-    17: "stop_requested",
-    18: "command_stale",
-    19: "command_not_finite",
-    20: "fault",
-    21: "steering",
-    22: "curvature",
-    23: "turn_impossible",
-    24: "position_unknown",
-    25: "derated",
-    26: "joint_velocity",
-    27: "joint_acceleration",
-    28: "joint_position",
-}
-"""By bit: REASON_* of csrc/api/api.h."""
-FAULTS = {
-    0: "estop",
-    1: "heartbeat_lost",
-    2: "feedback_stale",
-    3: "drive",
-    4: "drive_disabled",
-    5: "time_step",
-    6: "external",
-    7: "state",
-    8: "overspeed",
-    9: "direction",
-    10: "stall",
-    11: "following_error",
-    12: "runaway",
-    13: "implausible_feedback",
-    14: "suspended",
-    15: "position_unknown",
-}
-"""By bit: FAULT_* of csrc/api/api.h."""
+from motord.api.words import FAULTS, REASONS
 
 _MAGIC = b"MOTORD\0\1"
 _LAYOUT_VERSION = 1

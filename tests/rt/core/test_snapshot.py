@@ -22,7 +22,7 @@ from motord.api.snapshot import (
     Snapshot,
     SpeedLoopSnapshot,
 )
-from motord.api.state_page import FAULTS, REASONS
+from motord.api.words import FAULTS, REASONS
 from motord.realtime import loop as rt
 
 any_float = st.floats(allow_nan=True, allow_infinity=True)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from motord.api.snapshot import STATES, JointSnapshot, Snapshot
-from motord.api.state_page import FAULTS, REASONS
+from motord.api.words import FAULTS, REASONS
 
 STATE, DRIVE, ACKNOWLEDGE, RELEASE, PRESENT = 1, 1, 2, 3, 4
 """First byte: of frames to the page, and of those from it."""
