@@ -23,7 +23,7 @@ PERIOD_S = 0.5
 REGISTER_WITHIN_S = 1.0
 """For one register of a drive to be read."""
 READ_WITHIN_S = 4.0
-"""The kernel gives up on a bus that is held after a second and some tries."""
+"""The kernel gives up on an I2C bus that is held after a second and some tries."""
 
 _log = logging.getLogger(__name__)
 
@@ -112,7 +112,7 @@ class _Chip:
     async def measure(self) -> Measure | None:
         """None: it cannot be had now."""
         if self._in_progress is None:
-            # a thread: a device that holds the bus blocks for seconds, and the robot must not wait
+            # a thread: a device that holds the I2C bus blocks for seconds; the robot must not wait
             self._in_progress = asyncio.get_running_loop().run_in_executor(None, self._read)
         try:
             async with within(READ_WITHIN_S):

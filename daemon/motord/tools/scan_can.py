@@ -27,7 +27,7 @@ HEARTBEATS_LEAST = 2
 ANSWERS_WITHIN_S = 0.1
 """After the last request; drives take a few milliseconds."""
 BETWEEN_S = 0.001
-"""Two requests: a bus of 125 kbit/s carries them, and their answers."""
+"""Two requests: a CAN bus of 125 kbit/s carries them, and their answers."""
 CIA402_PROFILE = 402
 """Device profile number in the low half of object 1000h (CiA 301, 7.5.2.1)."""
 ODRIVE_STATES = range(15)
@@ -278,7 +278,7 @@ class Scan:
             self.received.nodes["ODrive", node] = next(found, old)
 
     def _put(self, message: can.Message) -> None:
-        # the queue is full where no node acknowledges: it is a bus without an answer
+        # the queue is full where no node acknowledges: it is a CAN bus without an answer
         with contextlib.suppress(can.CanError, OSError):
             self._bus.send(message, timeout=0)
 

@@ -254,7 +254,7 @@ def _require_no_pins(profile: DriveProfile, file: Path) -> None:
 
 
 def name_fits(found: Found, drive: str) -> bool:
-    """Whether it may be such a drive: another device on the bus is no wheel."""
+    """Whether it may be such a drive: another device on the CAN bus is no wheel."""
     return not found.matches or drive in [match.profile for match in found.matches]
 
 

@@ -38,8 +38,8 @@ def _plans(spec: LineSpec) -> list[CanPlan]:
 
 
 def bus_load(spec: LineSpec) -> tuple[float, float]:
-    """The part of the bus that the drives take by themselves, and that a cycle a second takes; at
-    worst, with all stuff bits."""
+    """The part of the CAN bus that the drives take by themselves, and that a cycle a second takes;
+    at worst, with all stuff bits."""
     wire = (spec.baudrate, spec.data_baudrate)
     plans = _plans(spec)
     return (
