@@ -13,7 +13,7 @@ enum {
     READ = 3,
     SPEED = 0x10,
     STATUS = 0x20,
-    CONDITION = 0x21,
+    CONDITION = 0x2f,
     CONTROL = 0x30,
     RELEASE = 0x31,
     QUICK_STOP = 5,
