@@ -16,6 +16,14 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 
+CUT_OFF_LEAST = 1e-9
+
+
+class OnTheEdge(ValueError):
+    """Whether a limit has cut something off, and so whether the integral is held, depends on how
+    the sums are rounded."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gains:
     proportional: float = 0.0
@@ -40,7 +48,8 @@ def filtered(measured: Array, filter_s: float, dt_s: float) -> Array:
 
 
 def outputs(gains: Gains, want: Array, measured: Array, dt_s: float) -> Array:
-    """Of a loop that has begun at rest before the first sample, at a wheel that turned as in it."""
+    """Of a loop that has begun at rest before the first sample, at a wheel that turned as in it.
+    Raises OnTheEdge."""
     rise = np.diff(want, prepend=0.0) / dt_s
     feed = gains.static * np.sign(want) + gains.viscous * want + gains.acceleration * rise
     feed[want == 0.0] = 0.0
@@ -53,10 +62,12 @@ def outputs(gains: Gains, want: Array, measured: Array, dt_s: float) -> Array:
     for step in range(len(want)):
         summed = total + gains.integral * error[step] * dt_s
         summed = np.clip(summed, -gains.correction_max, gains.correction_max)
-        asked = feed[step] + fast[step] + summed
+        asked = feed[step] + (fast[step] + summed)
         correction = np.clip(fast[step] + summed, -gains.correction_max, gains.correction_max)
         found[step] = np.clip(feed[step] + correction, gains.low, gains.high)
         cut_off = asked - found[step]
-        if abs(cut_off) < 1e-12 or np.sign(cut_off) != np.sign(error[step]):
+        if 0.0 < abs(cut_off) < CUT_OFF_LEAST:
+            raise OnTheEdge
+        if cut_off == 0.0 or np.sign(cut_off) != np.sign(error[step]):
             total = summed
     return found

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 from _motord_rt import ffi, lib
-from hypothesis import given
+from hypothesis import given, reject
 from hypothesis import strategies as st
 from tests.rt.core_rig import TICK_S, Rig, core_config, joint_config, torque_loop
-from tests.rt.speed_loop_oracle import Gains, outputs
+from tests.rt.speed_loop_oracle import Gains, OnTheEdge, outputs
 
 TORQUE_MAX_N_M = 8.0
 INERTIA_KG_M2, FRICTION_N_M = 0.07, 0.3
@@ -128,7 +128,11 @@ def test_a_run_is_that_of_the_textbook(run, limits, gains, filter_s, dt_s):
         slow_rad_s=measured[0],
     )  # fmt: skip
     found = [loop.step(w, m, dt_s) for w, m in zip(want, measured, strict=True)]
-    assert found == pytest.approx(outputs(textbook, want, measured, dt_s), rel=1e-9, abs=1e-9)
+    try:
+        expected = outputs(textbook, want, measured, dt_s)
+    except OnTheEdge:
+        reject()
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 @given(run=speeds, most=st.floats(0.1, 10.0), proportional=gain, integral=gain)
