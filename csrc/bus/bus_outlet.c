@@ -9,8 +9,8 @@
 
 #include "rt.h"
 
-/* A Python thread that has the lock while the receiver waits for it goes before all others. Where the kernel has no such lock
- * it is one of zeros: an ordinary one. */
+/* While the receiver waits for the lock, the Python thread that holds it has the receiver's priority. On a kernel without such
+ * locks the zeros make an ordinary one. */
 void outlet_init(outlet *o)
 {
     pthread_mutexattr_t lends;

@@ -300,7 +300,7 @@ static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns, u
 }
 
 /* -------------------------------------------------------------------------------------------------- the thread */
-/* `is_due`: it is not one that the loop has woken; a pump keeps its frequency. */
+/* Not `is_due`: the loop has woken it early. A pump does not change then, and keeps its frequency. */
 static int cycle(pwm_thread *t, int64_t now_ns, bool is_due)
 {
     double level[PWM_OUTPUTS_MAX];

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Two threads command under one lease while it changes hands: the daemon sees each lease's numbers grow one by one. A thread
- * with the lock that one of higher priority waits for goes before all others. */
+ * that holds the lock has the priority of the one that waits for it. */
 #include <errno.h>
 #include <poll.h>
 #include <pthread.h>
@@ -63,7 +63,7 @@ static void *waits_for_the_lock(void *of)
     return NULL;
 }
 
-static void who_has_the_lock_of_a_higher_thread_gets_its_priority(void)
+static void a_thread_that_holds_the_lock_of_a_higher_one_has_its_priority(void)
 {
     outlet o;
     pthread_t thread;
@@ -90,7 +90,7 @@ static void who_has_the_lock_of_a_higher_thread_gets_its_priority(void)
 
 int main(void)
 {
-    who_has_the_lock_of_a_higher_thread_gets_its_priority();
+    a_thread_that_holds_the_lock_of_a_higher_one_has_its_priority();
     pthread_t thread[2];
     uint8_t token[LEASE_TOKEN_BYTES] = {0};
     int came = 0;
