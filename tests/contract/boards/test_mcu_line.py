@@ -223,6 +223,7 @@ async def test_a_board_that_was_restarted_is_set_up_again_disarmed_in_a_new_epoc
 async def test_a_board_that_is_restarted_before_it_was_ever_armed_is_set_up_again(peer, name):
     async with running(spec_of(peer, joints_of(name))) as rig:
         await rig.ready()
+        await until(lambda: rig.loop.exchange.take_feedback(0).epoch > 0, "it measures")
         epoch = rig.loop.exchange.take_feedback(0).epoch
         peer.do("r")
         await until(lambda: EventKind.DRIVE_WARNING in rig.kinds())
