@@ -45,6 +45,7 @@ HEADERS = (
     "api_speed_loop.h",
     "api_derating.h",
     "api.h",
+    "api_core.h",
     "api_loop.h",
     "api_command.h",
     "line/api_line.h",

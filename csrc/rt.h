@@ -14,6 +14,7 @@
 #include "api/api_speed_loop.h"
 #include "api/api_derating.h"
 #include "api/api.h"
+#include "api/api_core.h"
 #include "api/api_loop.h"
 #include "api/api_command.h"
 #include "api/line/api_line.h"

@@ -302,29 +302,6 @@ static void doubt(core_state *state, tick *t)
     }
 }
 
-/* The joint that leaves the base the least of its speed limits. */
-__attribute__((noinline)) static void take_derating(core_state *state, const tick *t)
-{
-    derating_shown now = {.factor = 1.0}, *shown = &state->snapshot.derating;
-    for (uint32_t j = 0; j < state->config.joint_count; j++) {
-        const derating_config *config = &state->config.joint[j].derating;
-        uint32_t by = 0;
-        if (!derating_used(config) || state->stale[j]) {
-            continue;
-        }
-        double factor = derating_factor(&state->derating[j], config, &t->input->feedback[j], &by);
-        if (factor < now.factor) {
-            now = (derating_shown){.factor = factor, .joint = j, .by = by};
-        }
-    }
-    bool same = now.joint == shown->joint && now.by == shown->by && shown->since_ns != 0;
-    now.since_ns = now.factor < 1.0 ? (same ? shown->since_ns : t->input->now_ns) : 0;
-    if (now.factor != shown->factor) {
-        state->goal.known = 0;
-    }
-    *shown = now;
-}
-
 /* Without a new sample and without a joint that has gone silent there is nothing to measure. */
 static void measure(core_state *state, tick *t)
 {

@@ -393,19 +393,6 @@ static void what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns(void)
 }
 
 /* ---------------------------------------------------------------------------------------------------- values */
-static void a_count_of_two_to_the_power_of_62_is_no_position(void)
-{
-    begin_with(1);
-    table_of(0)->input[1].spacing_ns = 0;
-    table_of(0)->input[1].field[0].meaning.si_per_raw = 1.0;
-    table_of(0)->input[1].field[0].meaning.counter_bits = 64;
-    restart();
-    report_motion(0, 4611686018427387904.0F, 0.0F);
-    CHECK(w.machine.joint[0].no_number && w.machine.joint[0].feedback.count == 0);
-    report_motion(0, 4611685743549480960.0F, 0.0F);
-    CHECK(!w.machine.joint[0].no_number && w.machine.joint[0].feedback.count == UINT64_C(4611685743549480960));
-}
-
 static void what_it_says_of_its_power_is_no_sample_of_a_joint(void)
 {
     begin_with(1);
@@ -478,7 +465,6 @@ int main(void)
     a_power_off_that_was_due_is_forgotten_with_a_new_set_up();
     one_that_is_armed_waits_for_the_core_however_often_it_was_enabled_before();
     what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns();
-    a_count_of_two_to_the_power_of_62_is_no_position();
     what_it_says_of_its_power_is_no_sample_of_a_joint();
     all_joints_of_a_drive_are_forgotten_with_it();
     motion_that_only_the_second_frame_wants_waits_for_its_cycle();

@@ -361,47 +361,6 @@ static void motion_may_wait_for_five_milliseconds_where_a_cycle_is_shorter(void)
     CHECK(w.machine.motion_stays);
 }
 
-/* ------------------------------------------------------------------------------------------------------- looks */
-static void one_order_that_waits_is_looked_at_often_and_the_ninth_is_refused(void)
-{
-    begin_with(1);
-    w.table.period_ns = 1000 * MS;
-    restart();
-    step();
-    w.full = true;
-    can_order order = {.write = {.packet = packet_of(CONTROL, 1)}, .expires_ns = w.now_ns + 50 * MS};
-    CHECK(can_machine_order(&w.machine, &order));
-    step();
-    CHECK(w.wake_ns == w.now_ns + MS);
-    for (uint32_t i = 1; i < CAN_WAITING_MAX; i++) {
-        CHECK(can_machine_order(&w.machine, &order));
-    }
-    CHECK(!can_machine_order(&w.machine, &order) && w.machine.order_count == CAN_WAITING_MAX);
-    w.now_ns = order.expires_ns; /* from now on it is too late */
-    w.full = false;
-    step();
-    CHECK(count_sent(CONTROL) == 0 && state_of(0)->orders_dropped == CAN_WAITING_MAX);
-}
-
-static void the_first_drive_of_a_slow_bus_is_looked_at_often_while_it_moves_or_stops(void)
-{
-    begin_with(2);
-    w.table.period_ns = 1000 * MS;
-    table_of(0)->watchdog_ns = 0;
-    restart();
-    arm(0);
-    w.machine.cycle.due_ns = w.now_ns + 500 * MS;
-    step();
-    CHECK(w.wake_ns == w.now_ns + 5 * MS);
-    w.reported_rad_s = 1.0;
-    report_motion(0, 1.0F, 1.0F);
-    w.enabled = 2;
-    w.now_ns += 101 * MS; /* old set-points: it comes to rest, and was sent no motion yet */
-    report_state(0, 8);
-    step();
-    CHECK(state_of(0)->state.stopping && !state_of(0)->state.sent_motion && w.wake_ns == w.now_ns + 5 * MS);
-}
-
 /* --------------------------------------------------------------------------------------------------------- end */
 static void the_cycles_go_on_while_the_end_waits_for_rest_and_end_with_the_power(void)
 {
@@ -489,8 +448,6 @@ int main(void)
     a_bus_that_took_nothing_since_motion_left_it_is_given_zero_first();
     each_cycle_whose_motion_stays_is_counted_as_not_taken();
     motion_may_wait_for_five_milliseconds_where_a_cycle_is_shorter();
-    one_order_that_waits_is_looked_at_often_and_the_ninth_is_refused();
-    the_first_drive_of_a_slow_bus_is_looked_at_often_while_it_moves_or_stops();
     the_cycles_go_on_while_the_end_waits_for_rest_and_end_with_the_power();
     the_end_sends_each_drive_its_power_off_once_and_is_over_with_the_last();
     the_report_has_fault_words_and_stops_that_wait();

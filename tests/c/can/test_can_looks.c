@@ -136,6 +136,46 @@ static void the_time_between_two_cycles_is_smoothed_over_eight(void)
     }
 }
 
+static void one_order_that_waits_is_looked_at_often_and_the_ninth_is_refused(void)
+{
+    begin_with(1);
+    w.table.period_ns = 1000 * MS;
+    restart();
+    step();
+    w.full = true;
+    can_order order = {.write = {.packet = packet_of(CONTROL, 1)}, .expires_ns = w.now_ns + 50 * MS};
+    CHECK(can_machine_order(&w.machine, &order));
+    step();
+    CHECK(w.wake_ns == w.now_ns + MS);
+    for (uint32_t i = 1; i < CAN_WAITING_MAX; i++) {
+        CHECK(can_machine_order(&w.machine, &order));
+    }
+    CHECK(!can_machine_order(&w.machine, &order) && w.machine.order_count == CAN_WAITING_MAX);
+    w.now_ns = order.expires_ns; /* from now on it is too late */
+    w.full = false;
+    step();
+    CHECK(count_sent(CONTROL) == 0 && state_of(0)->orders_dropped == CAN_WAITING_MAX);
+}
+
+static void the_first_drive_of_a_slow_bus_is_looked_at_often_while_it_moves_or_stops(void)
+{
+    begin_with(2);
+    w.table.period_ns = 1000 * MS;
+    table_of(0)->watchdog_ns = 0;
+    restart();
+    arm(0);
+    w.machine.cycle.due_ns = w.now_ns + 500 * MS;
+    step();
+    CHECK(w.wake_ns == w.now_ns + 5 * MS);
+    w.reported_rad_s = 1.0;
+    report_motion(0, 1.0F, 1.0F);
+    w.enabled = 2;
+    w.now_ns += 101 * MS; /* old set-points: it comes to rest, and was sent no motion yet */
+    report_state(0, 8);
+    step();
+    CHECK(state_of(0)->state.stopping && !state_of(0)->state.sent_motion && w.wake_ns == w.now_ns + 5 * MS);
+}
+
 int main(void)
 {
     one_that_moves_is_looked_at_often_and_a_stop_that_waits_more_often();
@@ -144,5 +184,7 @@ int main(void)
     asyncio_is_sent_of_errors_and_of_drives_that_it_listens_to();
     the_report_says_what_the_bus_has_done();
     the_time_between_two_cycles_is_smoothed_over_eight();
+    one_order_that_waits_is_looked_at_often_and_the_ninth_is_refused();
+    the_first_drive_of_a_slow_bus_is_looked_at_often_while_it_moves_or_stops();
     return checks_report("can looks");
 }

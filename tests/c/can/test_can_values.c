@@ -305,6 +305,19 @@ static void only_a_counted_field_says_that_a_drive_has_power(void)
     CHECK(w.machine.drive[0].powers == 3);
 }
 
+static void a_count_of_two_to_the_power_of_62_is_no_position(void)
+{
+    begin_with(1);
+    table_of(0)->input[1].spacing_ns = 0;
+    table_of(0)->input[1].field[0].meaning.si_per_raw = 1.0;
+    table_of(0)->input[1].field[0].meaning.counter_bits = 64;
+    restart();
+    report_motion(0, 4611686018427387904.0F, 0.0F);
+    CHECK(w.machine.joint[0].no_number && w.machine.joint[0].feedback.count == 0);
+    report_motion(0, 4611685743549480960.0F, 0.0F);
+    CHECK(!w.machine.joint[0].no_number && w.machine.joint[0].feedback.count == UINT64_C(4611685743549480960));
+}
+
 int main(void)
 {
     a_range_that_the_place_cannot_hold_is_refused();
@@ -321,5 +334,6 @@ int main(void)
     each_kind_of_set_point_is_sent_to_whom_it_is_for();
     only_a_counted_set_point_moves();
     only_a_counted_field_says_that_a_drive_has_power();
+    a_count_of_two_to_the_power_of_62_is_no_position();
     return checks_report("can values");
 }
