@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Sends one command every 20 ms: cc -o send_command send_command.c
- * ./send_command SOCKET TOKEN V_M_S W_RAD_S COUNT     with socket and token as `lease` has answered (docs/commands.md) */
+ * ./send_command SOCKET TOKEN V_M_S W_RAD_S COUNT     with socket and token as `lease` has
+ *                                                     answered (docs/commands.md) */
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -34,8 +35,11 @@ int main(int argc, char **argv)
         return 2;
     }
     struct sockaddr_un to = {.sun_family = AF_UNIX};
-    struct command command = {
-        .magic = 0x434D544D, .version = 1, .kind = 1, .linear_m_s = atof(argv[3]), .angular_rad_s = atof(argv[4])};
+    struct command command = {.magic = 0x434D544D,
+                              .version = 1,
+                              .kind = 1,
+                              .linear_m_s = atof(argv[3]),
+                              .angular_rad_s = atof(argv[4])};
     strncpy(to.sun_path, argv[1], sizeof to.sun_path - 1);
     for (int i = 0; i < 16; i++) {
         char digits[3] = {argv[2][2 * i], argv[2][2 * i + 1], 0};
@@ -45,7 +49,8 @@ int main(int argc, char **argv)
     for (int left = atoi(argv[5]); left > 0; left--) {
         command.sequence++;
         command.stamp_ns = now_ns();
-        if (sendto(fd, &command, sizeof command, 0, (struct sockaddr *)&to, sizeof to) != sizeof command) {
+        if (sendto(fd, &command, sizeof command, 0, (struct sockaddr *)&to, sizeof to) !=
+            sizeof command) {
             perror(argv[1]);
             return 1;
         }

@@ -40,7 +40,6 @@ PRODUCT = [path for path in PYTHON if path.relative_to(ROOT).parts[0] in ("daemo
 CSRC = [path for path in C if path.is_relative_to(ROOT / "csrc")]
 
 COLUMNS_MAX = 100
-C_COLUMNS_MAX = 130  # prototypes with their comment stay on one line
 FUNCTION_LINES_MAX = 60
 FILE_LINES_MAX = 500
 
@@ -69,9 +68,9 @@ def test_lines_fit_a_screen():
         where(path, number)
         for path in PYTHON + C
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
-        if len(line) > (COLUMNS_MAX if path.suffix == ".py" else C_COLUMNS_MAX)
+        if len(line) > COLUMNS_MAX
     ]
-    report(rows, f"at most {COLUMNS_MAX} columns in Python, {C_COLUMNS_MAX} in C")
+    report(rows, f"at most {COLUMNS_MAX} columns")
 
 
 def prose(path: Path) -> list[tuple[int, str]]:

@@ -1,21 +1,24 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api.h: the border between Python and C; what the core computes with is in api_core.h, the gyro in api_imu.h, what a joint's
- * feedback comes to in api_feedback.h, joints that take positions in api_position.h, speed loops in api_speed_loop.h, derating
- * in api_derating.h, the loop and its exchange in api_loop.h, commands in api_command.h, serial lines in api_line.h.
- * Two readers: the C compiler (through rt.h) and cffi (through build_ffi.py). So all hold typedefs, enums, comments and
- * prototypes, and no preprocessor line.
+ * api.h: the border between Python and C; what the core computes with is in api_core.h, the gyro in
+ * api_imu.h, what a joint's feedback comes to in api_feedback.h, joints that take positions in
+ * api_position.h, speed loops in api_speed_loop.h, derating in api_derating.h, the loop and its
+ * exchange in api_loop.h, commands in api_command.h, serial lines in api_line.h. Two readers: the C
+ * compiler (through rt.h) and cffi (through build_ffi.py). So all hold typedefs, enums, comments
+ * and prototypes, and no preprocessor line.
  *
- * Every physical number wears its unit. Time is CLOCK_MONOTONIC in nanoseconds; a stamp of 0 means "never".
- * Angles and wheel speeds are at the wheel (after the gear), positive when the robot drives forward.
- * The base's frame is that of REP 103: x forward, y to the left, turns counterclockwise. A twist is (linear, lateral, angular):
- * along x, along y, about z. `u` in a name stands for the axis's own unit: m on the first two, rad on the angular one.
+ * Every physical number wears its unit. Time is CLOCK_MONOTONIC in nanoseconds; a stamp of 0 means
+ * "never". Angles and wheel speeds are at the wheel (after the gear), positive when the robot
+ * drives forward. The base's frame is that of REP 103: x forward, y to the left, turns
+ * counterclockwise. A twist is (linear, lateral, angular): along x, along y, about z. `u` in a name
+ * stands for the axis's own unit: m on the first two, rad on the angular one.
  */
 
 enum { LINES_MAX = 4, COMMAND_SOCKETS = 19, FIELD_NAME_BYTES = 64 };
 
-/* ------------------------------------------------------------------------------------------------ reasons
- * Why the set-point is not what was asked for. Bits of robot_state.reasons; true for this tick only. */
+/* ------------------------------------------------------------------------------------- reasons
+ * Why the set-point is not what was asked for. Bits of robot_state.reasons; true for this tick
+ * only. */
 enum {
     REASON_LINEAR_VELOCITY = 1 << 0,     /* [limits] linear_m_s */
     REASON_LINEAR_ACCELERATION = 1 << 1, /* [limits] linear_m_s2 */
@@ -32,51 +35,67 @@ enum {
     REASON_LATERAL_ACCELERATION = 1 << 12,
     REASON_LATERAL_DECELERATION = 1 << 13,
     REASON_LATERAL_JERK = 1 << 14,
-    REASON_LATERAL_IMPOSSIBLE = 1 << 15, /* this base cannot move sideways: the lateral part of the command is left out */
-    REASON_NOT_ARMED = 1 << 16,          /* the state machine has not armed, or the core has disarmed */
-    REASON_STOP_REQUESTED = 1 << 17,     /* control.stop */
-    REASON_COMMAND_STALE = 1 << 18,      /* no command, or older than its lifetime or command_timeout_s */
+    REASON_LATERAL_IMPOSSIBLE = 1 << 15, /* this base cannot move sideways: the lateral part of the
+                                            command is left out */
+    REASON_NOT_ARMED = 1 << 16,      /* the state machine has not armed, or the core has disarmed */
+    REASON_STOP_REQUESTED = 1 << 17, /* control.stop */
+    /* no command, or older than its lifetime or command_timeout_s */
+    REASON_COMMAND_STALE = 1 << 18,
     REASON_COMMAND_NOT_FINITE = 1 << 19, /* NaN or infinity in the command: read as zero */
     REASON_FAULT = 1 << 20,              /* a latched fault: see robot_state.faults */
-    REASON_STEERING = 1 << 21,           /* the wheels do not point there yet: it drives slower, or waits */
-    REASON_CURVATURE = 1 << 22,          /* the range of its steering does not allow so tight a curve: a wider one */
-    REASON_TURN_IMPOSSIBLE = 1 << 23,    /* this base cannot turn on the spot: the angular part of the command is left out */
-    REASON_POSITION_UNKNOWN = 1 << 24,   /* where a joint is is not known: see robot_state.steering.unknown */
-    REASON_DERATED = 1 << 25,            /* [joint] derating: see robot_state.derating */
-    REASON_JOINT_VELOCITY = 1 << 26,     /* the next three of joints without a base: velocity_max_rad_s of one */
+    REASON_STEERING = 1 << 21,  /* the wheels do not point there yet: it drives slower, or waits */
+    REASON_CURVATURE = 1 << 22, /* the range of its steering does not allow so tight a curve: a
+                                   wider one */
+    REASON_TURN_IMPOSSIBLE = 1 << 23,  /* this base cannot turn on the spot: the angular part of the
+                                          command is left out */
+    REASON_POSITION_UNKNOWN = 1 << 24, /* where a joint is is not known: see
+                                          robot_state.steering.unknown */
+    REASON_DERATED = 1 << 25,          /* [joint] derating: see robot_state.derating */
+    REASON_JOINT_VELOCITY = 1 << 26, /* the next three of joints without a base: velocity_max_rad_s
+                                        of one */
     REASON_JOINT_ACCELERATION = 1 << 27, /* its acceleration, deceleration or jerk */
-    REASON_JOINT_POSITION = 1 << 28,     /* position_min_rad or position_max_rad: it goes to that end */
+    REASON_JOINT_POSITION = 1 << 28, /* position_min_rad or position_max_rad: it goes to that end */
 };
 /* It is to rest, whatever was asked for. */
 enum { REASONS_TO_STAND = 0x11F0000 };
 
-/* Faults are latched: cleared only by a rising reset_count with every cause gone and a command of zero. */
+/* Faults are latched: cleared only by a rising reset_count with every cause gone and a command
+ * of zero. */
 enum {
-    FAULT_ESTOP = 1 << 0,                 /* control.estop was seen */
-    FAULT_HEARTBEAT_LOST = 1 << 1,        /* asyncio has not beaten for heartbeat_timeout_s while armed */
-    FAULT_FEEDBACK_STALE = 1 << 2,        /* a joint has sent no feedback for feedback_timeout_s while armed */
-    FAULT_DRIVE = 1 << 3,                 /* a drive reports a fault (joint_feedback.drive_faults) while armed */
-    FAULT_DRIVE_DISABLED = 1 << 4,        /* a drive reports that it is not enabled while armed: not requested */
-    FAULT_TIME_STEP = 1 << 5,             /* dt was NaN, infinite, zero or negative */
-    FAULT_EXTERNAL = 1 << 6,              /* control.fault: raised by the daemon (a line lost, a check failed) */
-    FAULT_STATE = 1 << 7,                 /* a value inside the core was not finite: never expected, always rest */
-    FAULT_OVERSPEED = 1 << 8,             /* a wheel that a torque turns is far beyond its limit: a wrong sign, a slope */
-    FAULT_DIRECTION = 1 << 9,             /* a wheel turns against its set-point */
-    FAULT_STALL = 1 << 10,                /* a wheel does not turn */
-    FAULT_FOLLOWING_ERROR = 1 << 11,      /* a wheel is much slower than its set-point and comes no nearer */
-    FAULT_RUNAWAY = 1 << 12,              /* a wheel is much faster than its set-point: the power goes off at once */
-    FAULT_IMPLAUSIBLE_FEEDBACK = 1 << 13, /* a counter jumps, or its speed is not the one that the drive reports */
-    FAULT_SUSPENDED = 1 << 14,            /* the computer was suspended: set-points are zero at once */
-    FAULT_POSITION_UNKNOWN = 1 << 15,     /* where a joint is that takes positions is no longer known, while armed */
+    FAULT_ESTOP = 1 << 0,          /* control.estop was seen */
+    FAULT_HEARTBEAT_LOST = 1 << 1, /* asyncio has not beaten for heartbeat_timeout_s while armed */
+    FAULT_FEEDBACK_STALE = 1 << 2, /* a joint has sent no feedback for feedback_timeout_s while
+                                      armed */
+    FAULT_DRIVE = 1 << 3, /* a drive reports a fault (joint_feedback.drive_faults) while armed */
+    FAULT_DRIVE_DISABLED = 1 << 4, /* a drive reports that it is not enabled while armed: not
+                                      requested */
+    FAULT_TIME_STEP = 1 << 5,      /* dt was NaN, infinite, zero or negative */
+    FAULT_EXTERNAL = 1 << 6, /* control.fault: raised by the daemon (a line lost, a check failed) */
+    FAULT_STATE = 1 << 7, /* a value inside the core was not finite: never expected, always rest */
+    FAULT_OVERSPEED = 1 << 8, /* a wheel that a torque turns is far beyond its limit: a wrong sign,
+                                 a slope */
+    FAULT_DIRECTION = 1 << 9, /* a wheel turns against its set-point */
+    FAULT_STALL = 1 << 10,    /* a wheel does not turn */
+    FAULT_FOLLOWING_ERROR = 1 << 11, /* a wheel is much slower than its set-point and comes no
+                                        nearer */
+    FAULT_RUNAWAY = 1 << 12, /* a wheel is much faster than its set-point: the power goes off at
+                                once */
+    FAULT_IMPLAUSIBLE_FEEDBACK = 1 << 13, /* a counter jumps, or its speed is not the one that the
+                                             drive reports */
+    FAULT_SUSPENDED = 1 << 14,        /* the computer was suspended: set-points are zero at once */
+    FAULT_POSITION_UNKNOWN = 1 << 15, /* where a joint is that takes positions is no longer known,
+                                         while armed */
 };
 /* DIRECTION to IMPLAUSIBLE_FEEDBACK: what is measured is not trusted; see robot_state.doubt */
 enum { FAULTS_OF_FEEDBACK = 0x3E00 };
 
-/* ------------------------------------------------------------------------------------------ configuration */
+/* ------------------------------------------------------------------------ configuration */
 typedef enum { STOP_RAMP = 0, STOP_BRAKE = 1, STOP_HOLD = 2, STOP_COAST = 3 } stop_action;
-/* RAMP  through the deceleration limit (no jerk limit on faults), drives off when at rest after a fault
+/* RAMP  through the deceleration limit (no jerk limit on faults), drives off when at rest after a
+ *       fault
  * BRAKE set-points zero at once; the drive does the stopping; drives off when at rest after a fault
- * HOLD  as RAMP, but the drives stay enabled at zero speed, also in a fault until it is disarmed (a robot on a slope)
+ * HOLD  as RAMP, but the drives stay enabled at zero speed, also in a fault until it is disarmed (a
+ *       robot on a slope)
  * COAST drives off at once; the core disarms */
 
 typedef struct {
@@ -92,8 +111,9 @@ typedef struct {
     axis_limits lateral; /* u = m; a base that cannot move sideways does not use it */
 } base_limits;
 
-/* How a wheel of a base without modules rolls: the rim's speed is x linear + y lateral + lever_m angular. A wheel of two sides:
- * (1, 0, -+ track / 2). Lynch & Park, Modern Robotics, 2017, 13.2: any wheel at any place, with or without rollers. */
+/* How a wheel of a base without modules rolls: the rim's speed is x linear + y lateral + lever_m
+ * angular. A wheel of two sides: (1, 0, -+ track / 2). Lynch & Park, Modern Robotics, 2017,
+ * 13.2: any wheel at any place, with or without rollers. */
 typedef struct {
     double x;
     double y;
@@ -101,10 +121,10 @@ typedef struct {
 } wheel_row;
 
 typedef struct {
-    double dead_band;       /* 0..1: duty at which the motor just turns; the output jumps over it */
-    double duty_min;        /* -1..0: 0 for an output that cannot reverse */
-    double duty_max;        /*  0..1 */
-    double slew_per_s;      /* > 0; away from zero only, towards zero is never slowed; INFINITY: none */
+    double dead_band;  /* 0..1: duty at which the motor just turns; the output jumps over it */
+    double duty_min;   /* -1..0: 0 for an output that cannot reverse */
+    double duty_max;   /*  0..1 */
+    double slew_per_s; /* > 0; away from zero only, towards zero is never slowed; INFINITY: none */
     double full_duty_rad_s; /* > 0: wheel speed at duty 1 (open-loop map) */
 } pwm_config;
 
@@ -113,19 +133,23 @@ typedef struct {
     double wheel_radius_m;     /* > 0 */
     double velocity_min_rad_s; /* <= 0: 0 for a joint that cannot reverse */
     double velocity_max_rad_s; /* > 0 */
-    double rad_per_count;      /* signed, not 0: gear and inversion are in it. Unused without a counter */
-    uint32_t counter_bits;     /* 8, 12, 15, 16, 24, 32, 64; 0: no counter: odometry from measured velocity or set-point */
-    uint32_t line;             /* 0..LINES_MAX-1: the line of this joint */
+    /* signed, not 0: gear and inversion are in it. Unused without a counter */
+    double rad_per_count;
+    uint32_t counter_bits; /* 8, 12, 15, 16, 24, 32, 64; 0: no counter: odometry from measured
+                              velocity or set-point */
+    uint32_t line;         /* 0..LINES_MAX-1: the line of this joint */
     pwm_config pwm;
     speed_loop_config speed_loop;
     plausible_config plausible;
     position_config position;
     derating_config derating;
-    axis_limits own; /* of a joint without a base that takes velocities: u = rad; velocity_*_rad_s bound its velocity, too */
+    axis_limits own; /* of a joint without a base that takes velocities: u = rad; velocity_*_rad_s
+                        bound its velocity, too */
 } joint_config;
 
 typedef struct {
-    uint32_t joint_count; /* 2..JOINTS_MAX, or 1 without a base; their rows say how it moves: forward, about, sideways */
+    uint32_t joint_count; /* 2..JOINTS_MAX, or 1 without a base; their rows say how it moves:
+                             forward, about, sideways */
     base_limits limits;
     double command_timeout_s;   /* > 0 */
     double feedback_timeout_s;  /* > 0 */
@@ -135,20 +159,25 @@ typedef struct {
     stop_action on_fault;       /* every latched fault but the e-stop */
     stop_action on_estop;
     /* odometry error model, Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4 */
-    double distance_variance_m2_per_m;   /* > 0: variance of a wheel's travel per metre of it; wheels that do the same share it */
-    double turn_variance_rad2_per_rad;   /* > 0: heading variance per radian turned (scrub, track error) */
-    double pose_variance_floor_m2;       /* > 0: x and y start here and never fall below */
-    double heading_variance_floor_rad2;  /* > 0 */
-    double twist_variance_floor_m2_s2;   /* > 0 */
+    double distance_variance_m2_per_m;  /* > 0: variance of a wheel's travel per metre of it; wheels
+                                           that do the same share it */
+    double turn_variance_rad2_per_rad;  /* > 0: heading variance per radian turned (scrub, track
+                                           error) */
+    double pose_variance_floor_m2;      /* > 0: x and y start here and never fall below */
+    double heading_variance_floor_rad2; /* > 0 */
+    double twist_variance_floor_m2_s2;  /* > 0 */
     double twist_variance_floor_rad2_s2; /* > 0 */
     gyro_config gyro;
-    uint32_t module_count; /* 0: a base without steering, whose joints' rows count; else 1..JOINTS_MAX */
-    uint32_t independent;  /* 1: no base: each joint moves for itself, also a single one; rows and modules do not count */
-    wheel_module module[JOINTS_MAX]; /* each joint once: as a traction joint, or as a steering joint that takes positions */
+    uint32_t module_count; /* 0: a base without steering, whose joints' rows count;
+                              else 1..JOINTS_MAX */
+    uint32_t independent;  /* 1: no base: each joint moves for itself, also a single one; rows and
+                              modules do not count */
+    wheel_module module[JOINTS_MAX]; /* each joint once: as a traction joint, or as a steering joint
+                                        that takes positions */
     joint_config joint[JOINTS_MAX];
 } core_config;
 
-/* ------------------------------------------------------------------------------------------------- inputs */
+/* ------------------------------------------------------------------------------- inputs */
 typedef struct {
     int64_t stamp_ns;   /* when the command was given; older than the timeout: rest */
     int64_t expires_ns; /* end of the lease it was given under; later than this: rest */
@@ -159,22 +188,27 @@ typedef struct {
 } twist_command;
 
 typedef struct {
-    int64_t heartbeat_ns;          /* last beat of asyncio */
-    uint32_t armed;                /* level; the core arms on its rising edge and only when all is well */
-    uint32_t stop;                 /* level: come to rest, stay armed */
-    uint32_t estop;                /* level; latched by the core */
-    uint32_t fault;                /* level: raise FAULT_EXTERNAL */
-    uint32_t reset_count;          /* a change requests to clear latched faults */
+    int64_t heartbeat_ns; /* last beat of asyncio */
+    uint32_t armed;       /* level; the core arms on its rising edge and only when all is well */
+    uint32_t stop;        /* level: come to rest, stay armed */
+    uint32_t estop;       /* level; latched by the core */
+    uint32_t fault;       /* level: raise FAULT_EXTERNAL */
+    uint32_t reset_count; /* a change requests to clear latched faults */
     uint32_t odometry_reset_count; /* a change sets the pose to the origin */
-    uint32_t machine_state;        /* the daemon's state, copied to the state page; the core does not read it */
-    uint32_t owner;                /* the lease in command (its number), copied likewise */
-    uint32_t release;              /* level: a disarm is requested, so a hold after a fault (STOP_HOLD) ends at rest as well */
+    uint32_t machine_state; /* the daemon's state, copied to the state page; the core does not read
+                               it */
+    uint32_t owner;         /* the lease in command (its number), copied likewise */
+    uint32_t release; /* level: a disarm is requested, so a hold after a fault (STOP_HOLD) ends at
+                         rest as well */
     uint32_t reserved;
-    base_limits limits;          /* replace the configured ones as a group; refused by base_limits_check: kept */
-    uint32_t gains_count;        /* a change puts `gains` in force, of all joints or, where one is out of range, of none */
+    base_limits limits;   /* replace the configured ones as a group; refused by base_limits_check:
+                             kept */
+    uint32_t gains_count; /* a change puts `gains` in force, of all joints or, where one is out of
+                             range, of none */
     uint32_t joint_limits_count; /* the same of `joint_limits` */
     speed_loop_gains gains[JOINTS_MAX];
-    axis_limits joint_limits[JOINTS_MAX]; /* of joints without a base; those that take positions brake as they accelerate */
+    axis_limits joint_limits[JOINTS_MAX]; /* of joints without a base; those that take positions
+                                             brake as they accelerate */
 } core_control;
 
 /* what a drive may say beside position; a value it does not say is NaN */
@@ -185,10 +219,11 @@ typedef struct {
     double current_a;
     double voltage_v;
     double temperature_c;
-    uint32_t epoch;        /* another number: the counter's origin may have moved; seed again */
-    uint32_t enabled;      /* 1 the drive says it is enabled, 0 it says it is not, 2 it cannot say */
+    uint32_t epoch;   /* another number: the counter's origin may have moved; seed again */
+    uint32_t enabled; /* 1 the drive says it is enabled, 0 it says it is not, 2 it cannot say */
     uint32_t drive_faults; /* the drive's fault word; 0 none */
-    uint32_t referenced;   /* 1 the drive says that its counter has a reference (homed), 0 it says not, 2 it cannot say */
+    uint32_t referenced;   /* 1 the drive says that its counter has a reference (homed), 0 it says
+                              not, 2 it cannot say */
 } joint_feedback;
 
 typedef struct {
@@ -197,16 +232,17 @@ typedef struct {
     core_control control;
     joint_feedback feedback[JOINTS_MAX];
     imu_sample imu;
-    joint_command joints; /* in place of the twist where there is no base; `command` has its stamps */
-    uint32_t suspended;   /* 1: the computer was suspended since the tick before */
+    /* in place of the twist where there is no base; `command` has its stamps */
+    joint_command joints;
+    uint32_t suspended; /* 1: the computer was suspended since the tick before */
     uint32_t reserved;
 } core_input;
 
-/* ------------------------------------------------------------------------------------------------ outputs */
+/* ------------------------------------------------------------------------------ outputs */
 typedef struct {
     double velocity_rad_s; /* 0 unless armed */
     double duty;           /* -1..1, the same set-point through the PWM map; 0 unless armed */
-    double torque_n_m;     /* at the wheel, the same set-point through the speed loop; 0 unless armed */
+    double torque_n_m; /* at the wheel, the same set-point through the speed loop; 0 unless armed */
 } joint_setpoint;
 
 typedef struct {
@@ -215,9 +251,11 @@ typedef struct {
     uint32_t enabled; /* 0: the line takes the power off its drives now */
     uint32_t joint_count;
     joint_setpoint joint[JOINTS_MAX];
-    /* of joints that take positions, in their own frame, within all limits; joint[n].velocity_rad_s is how fast that moves */
+    /* of joints that take positions, in their own frame, within all limits;
+     * joint[n].velocity_rad_s is how fast that moves */
     double position_rad[JOINTS_MAX];
-    uint32_t positioned; /* bit n: position_rad[n] counts; 0, as built: joint n stays where it is, held where it has power */
+    uint32_t positioned; /* bit n: position_rad[n] counts; 0, as built: joint n stays where it is,
+                            held where it has power */
     uint32_t reserved;
 } setpoints;
 
@@ -241,19 +279,22 @@ typedef struct {
     double wanted_m_s; /* the command as it came in, 0 when stale or not finite */
     double setpoint_m_s;
     double measured_m_s;
-    double slip_m_s;      /* of the rims against each other, root mean square: what no motion of the base explains */
+    double slip_m_s; /* of the rims against each other, root mean square: what no motion of the base
+                        explains */
     double covariance[3]; /* of the measured twist: with linear, its own, with angular */
 } lateral_state;
 
 /* Of joints that take positions; zero where there are none. */
 typedef struct {
     double setpoint_rad[JOINTS_MAX]; /* NaN: none */
-    double misaligned_rad;           /* how far the worst wheel does not point to where it is to roll; INFINITY: not known yet */
-    uint32_t joints;                 /* bit n: joint n takes positions; joint[n].position_rad is its angle then */
-    uint32_t unknown;                /* bit n: where joint n is is not known */
+    double misaligned_rad; /* how far the worst wheel does not point to where it is to roll;
+                              INFINITY: not known yet */
+    uint32_t joints;  /* bit n: joint n takes positions; joint[n].position_rad is its angle then */
+    uint32_t unknown; /* bit n: where joint n is is not known */
 } steering_state;
 
-/* The snapshot: what the core knows after a tick; the payload of the state page. Layout version 1, which grows at its end. */
+/* The snapshot: what the core knows after a tick; the payload of the state page. Layout version
+ * 1, which grows at its end. */
 typedef struct {
     int64_t stamp_ns; /* this tick */
     uint64_t tick;
@@ -263,7 +304,8 @@ typedef struct {
     uint32_t faults;  /* FAULT_*, latched */
     uint32_t armed;   /* the core's own word */
     uint32_t enabled; /* what goes to the drives */
-    uint32_t at_rest; /* set-points are zero and every fresh wheel is slower than rest_velocity_rad_s */
+    uint32_t at_rest; /* set-points are zero and every fresh wheel is slower than
+                         rest_velocity_rad_s */
     uint32_t joint_count;
     uint32_t odometry_degraded; /* 1: a wheel is stale, or has no counter */
     uint32_t odometry_epoch;    /* odometry resets so far */

@@ -1,12 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_bus.h: the border of `_motord_bus`, which the second process loads: commands from DDS to the daemon's datagrams,
- * without Python. Like api.h: typedefs, enums, comments and prototypes, no preprocessor line.
+ * api_bus.h: the border of `_motord_bus`, which the second process loads: commands from DDS to the
+ * daemon's datagrams, without Python. Like api.h: typedefs, enums, comments and prototypes, no
+ * preprocessor line.
  */
 
 enum { RECEIVERS_MAX = 4, RECEIVED_TWISTS_MAX = 64, TWIST_RAW_MAX = 4096, LEASE_TOKEN_BYTES = 16 };
 
-/* ------------------------------------------------------------------------------------ geometry_msgs/TwistStamped */
+/* ----------------------------------------------------------- geometry_msgs/TwistStamped */
 typedef struct {
     double stamp_s; /* wall time of its header */
     double linear_m_s;
@@ -21,15 +22,18 @@ typedef enum {
     TWIST_REFUSALS = 3
 } twist_refusal;
 
-/* CDR with its header, of either byte order. 0, or 1 + TWIST_NOT_ONE. NaN and infinity pass: the loop takes them for zero. */
+/* CDR with its header, of either byte order. 0, or 1 + TWIST_NOT_ONE. NaN and infinity pass: the
+ * loop takes them for zero. */
 int twist_parse(const uint8_t *raw, size_t bytes, stamped_twist *out);
-/* Age of what was given at that wall time: 0 to 3600 s, whatever is older is as old. 0, or 1 + twist_refusal. The rule of
- * motord/bus/commands/gate.py, once more: tests/unit/bus/test_bus_receiver.py holds the two together. */
+/* Age of what was given at that wall time: 0 to 3600 s, whatever is older is as old. 0, or 1 +
+ * twist_refusal. The rule of motord/bus/commands/gate.py, once more:
+ * tests/unit/bus/test_bus_receiver.py holds the two together. */
 int stamp_age(double stamp_s, double wall_s, double *age_s);
 
-/* ------------------------------------------------------------------------------------------------------ receivers
- * Each takes what one DDS reader receives, in the thread of Cyclone that received it, and is the sender of one lease:
- * its own commands and Python's go out under the same token, numbered by it. */
+/* ----------------------------------------------------------------------------------- receivers
+ * Each takes what one DDS reader receives, in the thread of Cyclone that received it, and is the
+ * sender of one lease: its own commands and Python's go out under the same token, numbered by
+ * it. */
 typedef struct {
     uint64_t taken; /* commands that the daemon's socket took from it */
     uint64_t refused[TWIST_REFUSALS];
@@ -51,18 +55,21 @@ typedef struct {
     double lateral_m_s;
 } received_twist;
 
-/* The C library of Cyclone DDS, by path. 0 or -ELIBACC: not there, or without a function that is needed. */
+/* The C library of Cyclone DDS, by path. 0 or -ELIBACC: not there, or without a function that is
+ * needed. */
 int receiver_library(const char *path);
 /* Number of a receiver that is free, or -EBUSY. */
 int receiver_claim(void);
 /* One that has been stopped, or was never started. */
 void receiver_release(int number);
-/* `reader`: the DDS entity. `event_fd`: written for what has come. 0, -errno, or what DDS says, negative. */
+/* `reader`: the DDS entity. `event_fd`: written for what has come. 0, -errno, or what DDS says,
+ * negative. */
 int receiver_start(int number, int32_t reader, int event_fd);
 /* Nothing is taken any more when it returns. 0, -ESRCH: it does not run. */
 int receiver_stop(int number);
 void receiver_read(int number, receiver_report *out);
-/* The oldest commands that were sent and not read yet, at most `room`. Returns how many. A full ring drops new ones. */
+/* The oldest commands that were sent and not read yet, at most `room`. Returns how many. A full
+ * ring drops new ones. */
 int receiver_take_received(int number, received_twist *out, int room);
 
 /* A sign of life of Python's event loop: without one for 2 s no command is sent from DDS. */
@@ -73,6 +80,6 @@ void receiver_hold(int number, int fd, const uint8_t *token, uint64_t sequence);
 uint64_t receiver_let_go(int number);
 /* Commands from DDS that were sent under any lease so far. */
 uint64_t receiver_direct(int number);
-/* A datagram of docs/commands.md; its token and its sequence are filled in. `seen` >= 0: only if receiver_direct() is that
- * still. 0, -ENOTCONN: no lease, -ESTALE: no, -EAGAIN: full, -errno. */
+/* A datagram of docs/commands.md; its token and its sequence are filled in. `seen` >= 0: only if
+ * receiver_direct() is that still. 0, -ENOTCONN: no lease, -ESTALE: no, -EAGAIN: full, -errno. */
 int receiver_send(int number, void *datagram, size_t bytes, int64_t seen);

@@ -1,19 +1,26 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_command.h: the part of the border by which commands come in. Read after api.h, and like it: typedefs, enums,
- * comments and prototypes, no preprocessor line.
+ * api_command.h: the part of the border by which commands come in. Read after api.h, and like it:
+ * typedefs, enums, comments and prototypes, no preprocessor line.
  */
 
-/* ------------------------------------------------------------------------------------------------ commands
- * What may command is decided in the loop's thread, for every source alike: a command is a datagram under a lease. Python
- * grants leases and ends them; which of them is in command, and whether it may move anything, is decided here. */
+/* ------------------------------------------------------------------------------------ commands
+ * What may command is decided in the loop's thread, for every source alike: a command is a datagram
+ * under a lease. Python grants leases and ends them; which of them is in command, and whether it
+ * may move anything, is decided here. */
 enum { LEASES_MAX = 16, TOKEN_BYTES = 16, COMMAND_MAGIC = 0x434D544D };
 enum { COMMAND_VERSION = 2, COMMAND_VERSION_PLANE = 1, COMMAND_VERSION_POSITIONS = 3 };
-enum { COMMAND_BYTES = 72, COMMAND_BYTES_PLANE = 64, JOINT_COMMAND_BYTES = 112, JOINT_POSITION_BYTES = 184 };
+enum {
+    COMMAND_BYTES = 72,
+    COMMAND_BYTES_PLANE = 64,
+    JOINT_COMMAND_BYTES = 112,
+    JOINT_POSITION_BYTES = 184
+};
 
 typedef enum { COMMAND_TWIST = 1, COMMAND_RELEASE = 2, COMMAND_JOINTS = 3 } command_kind;
 
-/* One datagram, little-endian as the machine is. docs/commands.md. COMMAND_VERSION_PLANE ends before lateral_m_s, which is 0. */
+/* One datagram, little-endian as the machine is. docs/commands.md. COMMAND_VERSION_PLANE ends
+ * before lateral_m_s, which is 0. */
 typedef struct {
     uint32_t magic;             /* COMMAND_MAGIC: "MTMC" */
     uint16_t version;           /* COMMAND_VERSION, or COMMAND_VERSION_PLANE */
@@ -38,16 +45,19 @@ typedef struct {
     int64_t stamp_ns;
     uint32_t lifetime_ms;
     uint32_t joint_count;              /* the robot's */
-    double velocity_rad_s[JOINTS_MAX]; /* in the order of the robot file; those beyond joint_count do not count */
+    double velocity_rad_s[JOINTS_MAX]; /* in the order of the robot file; those beyond joint_count
+                                          do not count */
 } joint_datagram;
 
-/* COMMAND_JOINTS in COMMAND_VERSION_POSITIONS: the same, and angles of joints that take positions. A robot with a base has none
- * to command; one without takes these for each joint by what it takes. */
+/* COMMAND_JOINTS in COMMAND_VERSION_POSITIONS: the same, and angles of joints that take positions.
+ * A robot with a base has none to command; one without takes these for each joint by what it
+ * takes. */
 typedef struct {
     joint_datagram head;
     double position_rad[JOINTS_MAX];
     uint32_t velocities; /* bit n: velocity_rad_s[n] counts; else joint n comes to rest */
-    uint32_t positions;  /* bit n: position_rad[n] counts; else joint n goes on to the position that this lease gave it */
+    uint32_t positions;  /* bit n: position_rad[n] counts; else joint n goes on to the position that
+                            this lease gave it */
 } joint_position_datagram;
 
 typedef struct {
@@ -55,9 +65,11 @@ typedef struct {
     uint32_t number;           /* grows with each lease of the daemon, from 1; 0: no lease */
     uint32_t priority;         /* the higher one commands; among equals the first */
     int64_t lifetime_ns;       /* of a command under it, at most */
-    int64_t interval_least_ns; /* commands that come more often are refused, but for zero; 0: as often as they like */
-    int64_t barred_until_ns;   /* its owner was held when another lease of its ended: until then it is held here, too,
-                                   when its next command begins with motion. Only a later time is a new bar */
+    int64_t interval_least_ns; /* commands that come more often are refused, but for zero; 0: as
+                                  often as they like */
+    int64_t barred_until_ns; /* its owner was held when another lease of its ended: until then it is
+                                held here, too, when its next command begins with motion. Only a
+                                later time is a new bar */
 } lease_permission;
 
 typedef struct {
@@ -70,9 +82,10 @@ typedef enum {
     REFUSED_SEQUENCE = 2, /* 0, or not greater than the last one's */
     REFUSED_AGE = 3,      /* from the future, or older than its lifetime */
     REFUSED_LIFETIME = 4,
-    REFUSED_NOT_FINITE = 5,   /* and the lease commands zero */
-    REFUSED_JOINTS = 6,       /* another number of them, or nothing that these joints can do: it commands zero, too */
-    REFUSED_RATE = 7,         /* more often than the lease allows; the one before goes on */
+    REFUSED_NOT_FINITE = 5, /* and the lease commands zero */
+    REFUSED_JOINTS = 6, /* another number of them, or nothing that these joints can do: it commands
+                           zero, too */
+    REFUSED_RATE = 7,   /* more often than the lease allows; the one before goes on */
     REFUSED_OUT_OF_RANGE = 8, /* more than ten times the limit: it commands zero, too */
     REFUSAL_KINDS = 9
 } command_refusal;
@@ -104,22 +117,25 @@ typedef struct {
     uint32_t may_move;  /* a source that requests motion now is not held */
     uint64_t accepted;
     uint64_t refused[REFUSAL_KINDS];
-    uint64_t sideways; /* accepted with a lateral part that this base cannot do, which counts as zero */
+    uint64_t sideways; /* accepted with a lateral part that this base cannot do, which counts as
+                          zero */
     uint64_t on_spot;  /* the same of a turn on the spot */
     lease_state lease[LEASES_MAX];
 } command_report;
 
 typedef struct {
     lease_permissions permissions;
-    const core_config *base;   /* whose joints are commanded; none: no command of joints is obeyed */
-    const base_limits *limits; /* in force now, beside those of `base`; none: those of `base` alone */
-    uint64_t comers;           /* leases that have come alive so far */
-    int64_t last_stamp_ns;     /* of the command before */
-    int64_t resumed_ns;        /* a command from before is refused; 0: the computer was never suspended */
+    const core_config *base; /* whose joints are commanded; none: no command of joints is obeyed */
+    /* in force now, beside those of `base`; none: those of `base` alone */
+    const base_limits *limits;
+    uint64_t comers;       /* leases that have come alive so far */
+    int64_t last_stamp_ns; /* of the command before */
+    int64_t resumed_ns; /* a command from before is refused; 0: the computer was never suspended */
     command_report report;
 } arbiter;
 
-/* `base` and `limits` may be none, and else stay the caller's for as long as the arbiter is used. */
+/* `base` and `limits` may be none, and else stay the caller's for as long as the arbiter is
+ * used. */
 void arbiter_init(arbiter *a, const core_config *base, const base_limits *limits);
 /* New leases begin, those that are not named any more end; the others go on. */
 void arbiter_grant(arbiter *a, const lease_permissions *permissions);
@@ -132,20 +148,27 @@ void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *o
 /* After it, of a robot without a base: what that lease commands its joints to do. */
 void arbiter_joints(const arbiter *a, joint_command *out);
 
-/* The twist of wheel speeds, twist_u_s[AXES]. False: there is none, for the wheels turn against each other. A speed that is
- * not finite makes a twist that is not. */
+/* The twist of wheel speeds, twist_u_s[AXES]. False: there is none, for the wheels turn against
+ * each other. A speed that is not finite makes a twist that is not. */
 bool joints_twist(const core_config *base, const double *velocity_rad_s, double *twist_u_s);
 
 /* Mailboxes of the exchange, as those of api.h. */
-void exchange_put_permissions(exchange *x, const lease_permissions *permissions); /* asyncio → loop */
+/* asyncio → loop */
+void exchange_put_permissions(exchange *x, const lease_permissions *permissions);
 int exchange_take_permissions(exchange *x, lease_permissions *out);
 void exchange_put_commands(exchange *x, const command_report *report); /* loop → asyncio */
 int exchange_take_commands(exchange *x, command_report *out);
 
-/* ------------------------------------------------------------------------------------------- stop requests
- * Datagrams on a socket that takes nothing else, read by the loop itself. docs/commands.md. They can only take motion away.
- * Each is in force from the tick that reads it until asyncio has acknowledged it. */
-enum { STOP_REQUEST_MAGIC = 0x5153544D, STOP_REQUEST_VERSION = 1, STOP_REQUEST_BYTES = 8, STOP_REQUEST_KINDS = 3 };
+/* ------------------------------------------------------------------------------- stop requests
+ * Datagrams on a socket that takes nothing else, read by the loop itself. docs/commands.md. They
+ * can only take motion away. Each is in force from the tick that reads it until asyncio has
+ * acknowledged it. */
+enum {
+    STOP_REQUEST_MAGIC = 0x5153544D,
+    STOP_REQUEST_VERSION = 1,
+    STOP_REQUEST_BYTES = 8,
+    STOP_REQUEST_KINDS = 3
+};
 typedef enum {
     STOP_REQUEST_STOP = 0, /* come to rest, stay armed */
     STOP_REQUEST_ESTOP = 1,
@@ -165,6 +188,7 @@ typedef struct {
     uint32_t reserved;
 } stop_request_report;
 
-/* Any thread. Acknowledge after exchange_put_control with levels that hold what was requested: up to these counts. */
+/* Any thread. Acknowledge after exchange_put_control with levels that hold what was requested:
+ * up to these counts. */
 void loop_stop_requests(stop_request_report *out);
 void loop_acknowledge_stops(const uint64_t *count); /* STOP_REQUEST_KINDS of them */

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_core.h: the pure computations of the core, and the state that they keep between two ticks. Read after api.h, and like
- * it: typedefs, enums, comments and prototypes, no preprocessor line.
+ * api_core.h: the pure computations of the core, and the state that they keep between two ticks.
+ * Read after api.h, and like it: typedefs, enums, comments and prototypes, no preprocessor line.
  */
 
 enum { AXIS_LINEAR = 0, AXIS_ANGULAR = 1, AXIS_LATERAL = 2, AXES = 3 };
@@ -11,12 +11,13 @@ typedef struct {
     double acceleration_u_s2; /* of the last step */
 } limit_state;
 
-/* One step of a twist, axis[AXES], along the straight line to goal_u_s[AXES]; returns the REASON bit of the limit that
- * bound it, 0 when it has arrived. The goal is within the limits of velocity; one that is not finite counts as zero.
- * axes: how many of them move, in the order of AXIS_*. slewed: the base whose duty slews bind too, or NULL. urgent: leave out
- * the jerk limits (faults). dt_s > 0. */
-uint32_t ramp_step(limit_state *axis, uint32_t axes, const base_limits *limits, const core_config *slewed, const double *goal_u_s,
-                   double dt_s, bool urgent);
+/* One step of a twist, axis[AXES], along the straight line to goal_u_s[AXES]; returns the REASON
+ * bit of the limit that bound it, 0 when it has arrived. The goal is within the limits of velocity;
+ * one that is not finite counts as zero. axes: how many of them move, in the order of AXIS_*.
+ * slewed: the base whose duty slews bind too, or NULL. urgent: leave out the jerk limits
+ * (faults). dt_s > 0. */
+uint32_t ramp_step(limit_state *axis, uint32_t axes, const base_limits *limits,
+                   const core_config *slewed, const double *goal_u_s, double dt_s, bool urgent);
 
 /* The common factor 0..1 by which all wheels must be scaled so that each is within its limits. */
 double saturate_factor(const double *want_rad_s, const joint_config *joint, uint32_t count);
@@ -24,18 +25,19 @@ double saturate_factor(const double *want_rad_s, const joint_config *joint, uint
 /* wheel speeds of a twist, twist_u_s[AXES] */
 void kinematics_wheels(const core_config *config, const double *twist_u_s, double *wheel_rad_s);
 
-/* The other direction, by least squares: each axis of the twist is the sum over the joints of inverse times rim speed. */
+/* The other direction, by least squares: each axis of the twist is the sum over the joints of
+ * inverse times rim speed. */
 typedef struct {
     double inverse[AXES][JOINTS_MAX]; /* 0 for joints that are not in it */
-    double shared;                    /* joints for each axis that they determine: so many share one error */
-    uint32_t joints;                  /* bit n: joint n is in it */
-    uint32_t determined;              /* 0: these joints do not determine the twist, and all of `inverse` is 0 */
-    uint32_t strafes;                 /* as kinematics_strafes() */
+    double shared;       /* joints for each axis that they determine: so many share one error */
+    uint32_t joints;     /* bit n: joint n is in it */
+    uint32_t determined; /* 0: these joints do not determine the twist, and all of `inverse` is 0 */
+    uint32_t strafes;    /* as kinematics_strafes() */
     uint32_t reserved;
 } twist_inverse;
 
-/* How uncertain the pose becomes: from what the wheels and the base have done since the last look, looked at now and then as
- * plausible_due() is. */
+/* How uncertain the pose becomes: from what the wheels and the base have done since the last look,
+ * looked at now and then as plausible_due() is. */
 typedef struct {
     int64_t stamp_ns;   /* of the last look; 0: begin anew */
     double heading_rad; /* then */
@@ -45,9 +47,10 @@ typedef struct {
     double rim_m[JOINTS_MAX]; /* travel since */
     uint32_t by_gyro;         /* 1: the turn since is the gyro's */
     uint32_t reserved;
-    double residual_m_s[JOINTS_MAX]; /* of each rim, what no motion of the base explains; smoothed */
-    double slip_m_s;                 /* root of their mean square */
-    double linear2_m2_s;             /* growth of the covariance of the motion in the base's frame */
+    /* of each rim, what no motion of the base explains; smoothed */
+    double residual_m_s[JOINTS_MAX];
+    double slip_m_s;     /* root of their mean square */
+    double linear2_m2_s; /* growth of the covariance of the motion in the base's frame */
     double linear_angular_m_rad_s;
     double angular2_rad2_s;
     double lateral2_m2_s;
@@ -61,12 +64,15 @@ bool kinematics_strafes(const core_config *config);
 bool kinematics_spins(const core_config *config);
 /* Of a base with modules: as if all wheels were at the 0 of their steering joints. */
 void kinematics_invert(const core_config *config, uint32_t joints, twist_inverse *out);
-/* Of a base with modules, whose steering joints are at these angles: what rolls has a speed, and nothing slides across its
- * wheel's direction (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3). */
-void kinematics_modules(const core_config *config, const double *angle_rad, uint32_t joints, twist_inverse *out);
-/* Root mean square of what that motion leaves of the equations of these joints, by travel of the rims. */
-double kinematics_residual(const core_config *config, const double *angle_rad, uint32_t joints, const double *rim,
-                           const double *twist_u);
+/* Of a base with modules, whose steering joints are at these angles: what rolls has a speed, and
+ * nothing slides across its wheel's direction (Siegwart & Nourbakhsh, Autonomous Mobile Robots,
+ * 3.2.3). */
+void kinematics_modules(const core_config *config, const double *angle_rad, uint32_t joints,
+                        twist_inverse *out);
+/* Root mean square of what that motion leaves of the equations of these joints, by travel of the
+ * rims. */
+double kinematics_residual(const core_config *config, const double *angle_rad, uint32_t joints,
+                           const double *rim, const double *twist_u);
 
 typedef struct {
     double duty;
@@ -77,7 +83,8 @@ typedef struct {
 pwm_output pwm_step(const pwm_config *config, double last_duty, double velocity_rad_s, double dt_s);
 
 /* Takes a sample; returns 0..1, and what it is by. A measure that is no number changes nothing. */
-double derating_factor(derating_state *state, const derating_config *config, const joint_feedback *feedback, uint32_t *by);
+double derating_factor(derating_state *state, const derating_config *config,
+                       const joint_feedback *feedback, uint32_t *by);
 /* Whether any of it is in use. */
 bool derating_used(const derating_config *config);
 
@@ -89,7 +96,8 @@ typedef struct {
     int64_t stamp_ns; /* of the last integration */
     uint32_t degraded;
     uint32_t epoch;
-    uint32_t blind;   /* 1: the wheels that send feedback do not determine the motion, nothing is integrated */
+    uint32_t blind;   /* 1: the wheels that send feedback do not determine the motion, nothing is
+                         integrated */
     uint32_t by_gyro; /* 1: the last turn was the gyro's */
     double x_m;
     double y_m;
@@ -114,10 +122,11 @@ void odometry_init(odometry_state *state, const core_config *config);
 void odometry_reset(odometry_state *state, const core_config *config);
 /* Take in what is new in feedback[]; stale[j] != 0 leaves joint j out. setpoint[]: for joints that
  * measure nothing. */
-void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback, const uint32_t *stale,
-                   const joint_setpoint *setpoint);
+void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback,
+                   const uint32_t *stale, const joint_setpoint *setpoint);
 
-/* What follows from a command under the limits in force; kept, because commands are rarer than ticks. */
+/* What follows from a command under the limits in force; kept, because commands are rarer than
+ * ticks. */
 typedef struct {
     double command_u_s[AXES]; /* as it came in */
     double wanted_u_s[AXES];  /* as it is understood: 0 when not finite */
@@ -129,7 +138,8 @@ typedef struct {
     uint32_t known; /* 0: goal_u_s, saturation and reasons are not up to date */
 } core_goal;
 
-/* The wheels' part of the last tick: holds as long as the twist is the same and no duty is ramping. */
+/* The wheels' part of the last tick: holds as long as the twist is the same and no duty is
+ * ramping. */
 typedef struct {
     double twist_u_s[AXES]; /* of a base with modules; others have it in core_state.axis alone */
     joint_setpoint joint[JOINTS_MAX];
@@ -143,9 +153,10 @@ typedef struct {
 typedef struct {
     position_profile profile[JOINTS_MAX]; /* by joint */
     double unsure_s[JOINTS_MAX];          /* ESTIMATED: so long it may still come from anywhere */
-    double pace_rad_s;                    /* so fast a wheel's direction changes while the base moves, and no profile lags much */
-    double curvature_min_per_m;           /* what the ranges of all steering joints allow: -INFINITY..0 */
-    double curvature_max_per_m;           /* 0..INFINITY */
+    double pace_rad_s; /* so fast a wheel's direction changes while the base moves, and no profile
+                          lags much */
+    double curvature_min_per_m; /* what the ranges of all steering joints allow: -INFINITY..0 */
+    double curvature_max_per_m; /* 0..INFINITY */
     double misaligned_rad;
     position_following following[JOINTS_MAX];
     uint32_t turns_on_spot;
@@ -181,28 +192,32 @@ typedef struct {
     uint32_t gains_seen;
     uint32_t joint_limits_seen;
     uint32_t faults;
-    uint32_t holding;      /* the drives stay enabled until rest (or until control.release or a reset: STOP_HOLD) after a fault */
-    uint32_t commanded;    /* a fresh command has come since arming */
-    uint32_t silent;       /* a joint is stale */
-    uint32_t slow;         /* no wheel with feedback turned faster than rest_velocity_rad_s */
-    uint32_t at_rest;      /* after the last tick */
-    uint32_t slewed;       /* 1: a joint has a duty slew */
-    uint32_t axes;         /* that the base moves by: AXES, or without the lateral one, which is the last */
-    uint32_t steered;      /* 1: a base with modules */
-    uint32_t positions;    /* 1: a joint takes positions */
-    uint32_t extras;       /* not 0: it has positions, a gyro or speed loops */
-    uint32_t loops;        /* bit n: joint n has a speed loop, and with its gains one that does something */
+    uint32_t holding;   /* the drives stay enabled until rest (or until control.release or a reset:
+                           STOP_HOLD) after a fault */
+    uint32_t commanded; /* a fresh command has come since arming */
+    uint32_t silent;    /* a joint is stale */
+    uint32_t slow;      /* no wheel with feedback turned faster than rest_velocity_rad_s */
+    uint32_t at_rest;   /* after the last tick */
+    uint32_t slewed;    /* 1: a joint has a duty slew */
+    uint32_t axes; /* that the base moves by: AXES, or without the lateral one, which is the last */
+    uint32_t steered;   /* 1: a base with modules */
+    uint32_t positions; /* 1: a joint takes positions */
+    uint32_t extras;    /* not 0: it has positions, a gyro or speed loops */
+    /* bit n: joint n has a speed loop, and with its gains one that does something */
+    uint32_t loops;
     uint32_t derates;      /* 1: a joint may derate the base */
     int64_t armed_ns;      /* the tick that armed */
-    int64_t zero_since_ns; /* holding: the tick from which on the set-points have been zero; 0: they are not */
+    int64_t zero_since_ns; /* holding: the tick from which on the set-points have been zero; 0: they
+                              are not */
 } core_state;
 
-/* NULL when good; else the name of the first bad field, e.g. "joint[2].wheel_radius_m". Static storage of
- * the caller: name[FIELD_NAME_BYTES]. */
+/* NULL when good; else the name of the first bad field, e.g. "joint[2].wheel_radius_m". Static
+ * storage of the caller: name[FIELD_NAME_BYTES]. */
 const char *core_config_check(const core_config *config, char *name);
 const char *base_limits_check(const base_limits *limits, char *name);
 /* 0 or -EINVAL. State is then disarmed, at rest, with no fault. */
 int core_init(core_state *state, const core_config *config);
-/* One tick. Pure and deterministic: the same state, input and dt give the same bytes. snapshot: a copy of
- * state->snapshot; NULL: the caller reads it there. */
-void core_step(core_state *state, const core_input *input, double dt_s, setpoints *out, robot_state *snapshot);
+/* One tick. Pure and deterministic: the same state, input and dt give the same bytes. snapshot: a
+ * copy of state->snapshot; NULL: the caller reads it there. */
+void core_step(core_state *state, const core_input *input, double dt_s, setpoints *out,
+               robot_state *snapshot);

@@ -1,12 +1,20 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_derating.h: how the base becomes slower with what its drives measure, and since when a reason holds. Read before api.h,
- * and like it: typedefs, enums, comments and prototypes, no preprocessor line.
+ * api_derating.h: how the base becomes slower with what its drives measure, and since when a reason
+ * holds. Read before api.h, and like it: typedefs, enums, comments and prototypes, no preprocessor
+ * line.
  */
 
-enum { DERATED_BY_TEMPERATURE = 0, DERATED_BY_CURRENT = 1, DERATED_BY_VOLTAGE = 2, DERATINGS = 3, REASONS_MAX = 32 };
+enum {
+    DERATED_BY_TEMPERATURE = 0,
+    DERATED_BY_CURRENT = 1,
+    DERATED_BY_VOLTAGE = 2,
+    DERATINGS = 3,
+    REASONS_MAX = 32
+};
 
-/* The base's speed limits fall linearly from all of them at `full` to nothing at `none`. `full` == `none`: no such limit. */
+/* The base's speed limits fall linearly from all of them at `full` to nothing at `none`. `full`
+ * == `none`: no such limit. */
 typedef struct {
     double full;
     double none;
@@ -30,14 +38,15 @@ typedef struct {
     uint32_t by; /* DERATED_BY_* */
 } derating_shown;
 
-/* Since when each reason holds, and the joints that it comes from: bit n is joint n. The joints of a reason count only while it
- * holds. */
+/* Since when each reason holds, and the joints that it comes from: bit n is joint n. The joints of
+ * a reason count only while it holds. */
 typedef struct {
     int64_t since_ns[REASONS_MAX]; /* by bit; 0: it does not */
-    uint32_t saturated_joint;      /* of REASON_WHEEL_SATURATED: the joint that has to be slowed down most */
-    uint32_t duty_clamped;         /* of REASON_DUTY_CLAMPED */
-    uint32_t duty_slew;            /* of REASON_DUTY_SLEW: the joint whose slew rate bounds the ramp */
-    uint32_t joint_velocity;       /* of REASON_JOINT_VELOCITY, and so on */
+    uint32_t saturated_joint; /* of REASON_WHEEL_SATURATED: the joint that has to be slowed down
+                                 most */
+    uint32_t duty_clamped;    /* of REASON_DUTY_CLAMPED */
+    uint32_t duty_slew;       /* of REASON_DUTY_SLEW: the joint whose slew rate bounds the ramp */
+    uint32_t joint_velocity;  /* of REASON_JOINT_VELOCITY, and so on */
     uint32_t joint_acceleration;
     uint32_t joint_position;
 } reasons_shown;

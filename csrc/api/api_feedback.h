@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_feedback.h: what the core makes of one joint's feedback, and what makes it doubt. Read before api.h, and like it:
- * typedefs, enums, comments and prototypes, no preprocessor line.
+ * api_feedback.h: what the core makes of one joint's feedback, and what makes it doubt. Read before
+ * api.h, and like it: typedefs, enums, comments and prototypes, no preprocessor line.
  */
 
 /* What follows from a joint's configuration alone. counter_*: 0 without a counter. */
@@ -39,8 +39,10 @@ typedef struct {
     double slow_rad_s;         /* >= 0: a wheel slower than this does not turn */
     double short_rad_s;        /* >= 0: a wheel that lacks more than this does not follow */
     double beyond_rad_s;       /* >= 0: a wheel that is faster by more than this runs away */
-    double apart_rad_s;        /* >= 0: counter and reported velocity may differ by this, and by half of the larger one */
-    double progress_rad_s;     /* >= 0: a wheel that comes nearer to its set-point by this is only slow */
+    double apart_rad_s; /* >= 0: counter and reported velocity may differ by this, and by half of
+                           the larger one */
+    /* >= 0: a wheel that comes nearer to its set-point by this is only slow */
+    double progress_rad_s;
     double direction_s;
     double stall_s;
     double following_s;

@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_imu.h: the inertial measurement unit, and the turn of the base by its gyro. Read before api.h, and like it: typedefs,
- * enums, comments and prototypes, no preprocessor line. Axes are those of the base: x forward, y left, z up (REP-103).
+ * api_imu.h: the inertial measurement unit, and the turn of the base by its gyro. Read before
+ * api.h, and like it: typedefs, enums, comments and prototypes, no preprocessor line. Axes are
+ * those of the base: x forward, y left, z up (REP-103).
  */
 
 /* What a sensor says, turned into the base's axes. NaN: it does not measure that. */
@@ -16,9 +17,10 @@ typedef struct {
 typedef struct {
     uint32_t used; /* 0: there is no gyro, the rest is not looked at */
     uint32_t reserved;
-    double timeout_s;                   /* > 0: a sample that is older says nothing of now */
-    double bias_max_rad_s;              /* > 0: a zero-rate offset beyond it is a turn, or a broken sensor */
-    double still_variance_rad2_s2;      /* > 0: a rate that varies by more is not that of a base that stands */
+    double timeout_s;      /* > 0: a sample that is older says nothing of now */
+    double bias_max_rad_s; /* > 0: a zero-rate offset beyond it is a turn, or a broken sensor */
+    double still_variance_rad2_s2; /* > 0: a rate that varies by more is not that of a base that
+                                      stands */
     double heading_variance_rad2_per_s; /* > 0: of the integrated noise */
     double turn_variance_rad2_per_rad;  /* > 0: of the scale's error */
 } gyro_config;
@@ -29,7 +31,8 @@ enum {
     GYRO_UNBIASED = 1, /* received, but the base has not stood still long enough to know its zero */
     GYRO_USED = 2,     /* the heading follows it */
     GYRO_STALE = 3,    /* its last good sample is too old: the heading follows the wheels */
-    GYRO_REVERSED = 4, /* it turned against the wheels, so it is mounted in another position than configured: not used any more */
+    GYRO_REVERSED = 4, /* it turned against the wheels, so it is mounted in another position than
+                          configured: not used any more */
 };
 
 /* What the core reports of it. NaN: not measured, or not known yet. */
@@ -43,7 +46,7 @@ typedef struct {
     uint32_t state;               /* GYRO_* */
     uint32_t heading_by_gyro;     /* 1: the newest turn in the pose is the gyro's, 0: the wheels' */
     uint32_t still;               /* 1: the base stands, by wheels and gyro: the heading is held */
-    uint32_t refused;             /* samples so far that were no numbers, off the scale or out of order */
+    uint32_t refused; /* samples so far that were no numbers, off the scale or out of order */
 } imu_state;
 
 typedef struct {
@@ -54,7 +57,7 @@ typedef struct {
     double bias_variance_rad2_s2;
     double rate_variance_rad2_s2; /* of single samples while the base stood */
     int64_t bias_stamp_ns;        /* of the newest estimate; 0: none */
-    uint32_t epoch;               /* of the integral: another number, and a part of the turn is not in it */
+    uint32_t epoch; /* of the integral: another number, and a part of the turn is not in it */
     uint32_t sensor_epoch;
     uint32_t refused;        /* samples that were no numbers, off the scale or out of order */
     uint32_t still;          /* 1: the base stands, by wheels and gyro */
@@ -68,8 +71,9 @@ typedef struct {
     int64_t used_ns;
     uint32_t used_epoch;
     uint32_t referenced; /* 1: the last three are up to date */
-    double opposed_rad;  /* how far wheels and gyro have turned against each other, less how far with each other */
-    uint32_t reversed;   /* latched: it was too far */
+    double opposed_rad; /* how far wheels and gyro have turned against each other, less how far with
+                           each other */
+    uint32_t reversed;  /* latched: it was too far */
     uint32_t reserved;
 } gyro_state;
 
@@ -77,10 +81,12 @@ void gyro_init(gyro_state *state);
 /* What it turns from its last sample to the next one is not known. */
 void gyro_lose(gyro_state *state);
 /* Takes in a sample if it is a new one. wheels_rest: by feedback, of all wheels. */
-void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *sample, int64_t now_ns, bool wheels_rest);
-/* How far the base has turned from the moment asked for last to this one, and with which variance. false: the gyro does
- * not know all of it. */
-bool gyro_turn(gyro_state *state, const gyro_config *config, int64_t moment_ns, double *turn_rad, double *variance_rad2);
+void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *sample,
+               int64_t now_ns, bool wheels_rest);
+/* How far the base has turned from the moment asked for last to this one, and with which variance.
+ * false: the gyro does not know all of it. */
+bool gyro_turn(gyro_state *state, const gyro_config *config, int64_t moment_ns, double *turn_rad,
+               double *variance_rad2);
 /* Compares a turn of both; true for good once they have turned against each other for too long. */
 bool gyro_reversed(gyro_state *state, double wheels_rad, double gyro_rad);
 /* GYRO_* */

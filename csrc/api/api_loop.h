@@ -1,11 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_loop.h: the part of the border that the loop is: histograms, mailboxes, the state page, the thread. Read after api.h,
- * and like it: typedefs, enums, comments and prototypes, no preprocessor line.
+ * api_loop.h: the part of the border that the loop is: histograms, mailboxes, the state page, the
+ * thread. Read after api.h, and like it: typedefs, enums, comments and prototypes, no preprocessor
+ * line.
  */
 
-/* ---------------------------------------------------------------------------------------------- histogram
- * Log-linear: 16 buckets an octave (at most 6.25 % wide), 1 ns .. 2^40 ns (18 min); the last one is "more". */
+/* ----------------------------------------------------------------------------------- histogram
+ * Log-linear: 16 buckets an octave (at most 6.25 % wide), 1 ns .. 2^40 ns (18 min); the last one
+ * is "more". */
 enum { HISTOGRAM_SUB_BUCKETS = 16, HISTOGRAM_BUCKETS = 608 };
 typedef struct {
     uint64_t samples;
@@ -17,44 +19,53 @@ typedef struct {
 uint32_t histogram_bucket(int64_t value_ns);        /* negative: 0 */
 int64_t histogram_bucket_floor_ns(uint32_t bucket); /* smallest value that falls into it */
 void histogram_clear(histogram *h);
-void histogram_add(histogram *h, int64_t value_ns); /* one writer; relaxed atomics, so any thread may read */
+/* one writer; relaxed atomics, so any thread may read */
+void histogram_add(histogram *h, int64_t value_ns);
 void histogram_copy(histogram *to, const histogram *from);
-int64_t histogram_percentile_ns(const histogram *h, double fraction); /* 0..1; 0 when empty; never above max_ns */
+/* 0..1; 0 when empty; never above max_ns */
+int64_t histogram_percentile_ns(const histogram *h, double fraction);
 
-/* ------------------------------------------------------------------------------------------------ exchange
- * All mailboxes between asyncio, the line engines and the loop: newest wins, triple buffers, one writer and
- * one reader each, the writer never waits. */
+/* ------------------------------------------------------------------------------------ exchange
+ * All mailboxes between asyncio, the line engines and the loop: newest wins, triple buffers, one
+ * writer and one reader each, the writer never waits. */
 typedef struct exchange exchange;
 size_t exchange_bytes(void);
-void exchange_init(exchange *x);                                                        /* memory aligned to 64 bytes */
-void exchange_put_control(exchange *x, const core_control *control);                    /* asyncio → loop */
-int exchange_put_feedback(exchange *x, uint32_t joint, const joint_feedback *feedback); /* line → loop */
-void exchange_put_imu(exchange *x, const imu_sample *sample);                           /* the sensor's reader → loop */
-int exchange_take_setpoints(exchange *x, uint32_t line, setpoints *out);                /* loop → line */
-/* the loop's side. Each take copies the newest value, new or not, and returns 1 when it is new, 0 when not,
- * -EINVAL for a bad index. Never written: all zero. */
+void exchange_init(exchange *x); /* memory aligned to 64 bytes */
+/* asyncio → loop */
+void exchange_put_control(exchange *x, const core_control *control);
+/* line → loop */
+int exchange_put_feedback(exchange *x, uint32_t joint, const joint_feedback *feedback);
+/* the sensor's reader → loop */
+void exchange_put_imu(exchange *x, const imu_sample *sample);
+/* loop → line */
+int exchange_take_setpoints(exchange *x, uint32_t line, setpoints *out);
+/* the loop's side. Each take copies the newest value, new or not, and returns 1 when it is new, 0
+ * when not, -EINVAL for a bad index. Never written: all zero. */
 int exchange_take_control(exchange *x, core_control *out);
 int exchange_take_feedback(exchange *x, uint32_t joint, joint_feedback *out);
 int exchange_take_imu(exchange *x, imu_sample *out);
 int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value);
-/* How often a line's set-points have become enabled: newest wins, so a line may never see those of a short while. Read it
- * before the take: what is taken is at least as new. */
+/* How often a line's set-points have become enabled: newest wins, so a line may never see those of
+ * a short while. Read it before the take: what is taken is at least as new. */
 uint64_t exchange_enabled_count(const exchange *x, uint32_t line);
-/* An eventfd that wakes a line's thread before its time; -1: none. It stays open as long as the process lives. */
+/* An eventfd that wakes a line's thread before its time; -1: none. It stays open as long as the
+ * process lives. */
 int exchange_set_line_wake(exchange *x, uint32_t line, int fd);
 int exchange_line_wake(const exchange *x, uint32_t line);
 
-/* ---------------------------------------------------------------------------------------------- state page
- * Shared memory, one writer, any number of readers, which need no lock and cannot disturb it. docs/state-page.md */
+/* ---------------------------------------------------------------------------------- state page
+ * Shared memory, one writer, any number of readers, which need no lock and cannot disturb it.
+ * docs/state-page.md */
 enum { PAGE_BYTES = 16384, PAGE_LAYOUT_VERSION = 1 };
 int page_init(void *page); /* PAGE_BYTES, aligned to 64 */
 void page_write(void *page, const robot_state *state);
 /* 0; -EAGAIN overtaken in every try; -EPROTO not a page of this layout; -ENODATA empty */
 int page_read(const void *page, robot_state *out);
 
-/* ------------------------------------------------------------------------------------------- pins of safety
+/* ------------------------------------------------------------------------------ pins of safety
  * Descriptors of GPIO v2 line requests of one line each; they stay the caller's. */
-enum { ESTOP_NONE = 0, ESTOP_CLEAR = 1, ESTOP_ACTIVE = 2, ESTOP_LOST = 3 }; /* the input; LOST stops like ACTIVE */
+/* the input; LOST stops like ACTIVE */
+enum { ESTOP_NONE = 0, ESTOP_CLEAR = 1, ESTOP_ACTIVE = 2, ESTOP_LOST = 3 };
 typedef struct {
     uint32_t estop; /* 1: estop_fd is an input, not blocking, with edges to the level that stops */
     int32_t estop_fd;
@@ -63,11 +74,13 @@ typedef struct {
     int32_t watchdog_fd;
     uint32_t watchdog_every_ticks;
     int64_t heartbeat_timeout_ns;
-    int64_t line_timeout_ns[LINES_MAX]; /* to take set-points again while drives are enabled; 0: there is no such line */
+    int64_t line_timeout_ns[LINES_MAX]; /* to take set-points again while drives are enabled; 0:
+                                           there is no such line */
 } guard_config;
 
-/* ---------------------------------------------------------------------------------------------- late ticks
- * What each tick that was late has to show, for the search of what made it late. Each is a difference to the tick before. */
+/* ---------------------------------------------------------------------------------- late ticks
+ * What each tick that was late has to show, for the search of what made it late. Each is a
+ * difference to the tick before. */
 enum {
     STAGE_WAKE = 0,   /* from the deadline to the thread's wake-up */
     STAGE_INPUT = 1,  /* commands, control and feedback are taken */
@@ -80,32 +93,38 @@ enum { LATE_TICKS_MAX = 1024 }; /* a power of two */
 typedef struct {
     int64_t deadline_ns;
     int64_t stage_ns[TICK_STAGES];
-    int64_t ready_ns;     /* the thread could have run and had no CPU; -1: the kernel does not count it */
+    /* the thread could have run and had no CPU; -1: the kernel does not count it */
+    int64_t ready_ns;
     uint32_t page_faults; /* minor and major */
     uint32_t preemptions; /* involuntary context switches */
     int32_t cpu;          /* at the end of the tick */
     int32_t cpu_before;   /* at the end of the tick before */
 } late_tick;
 
-/* ---------------------------------------------------------------------------------------------------- loop
+/* ---------------------------------------------------------------------------------------- loop
  * One loop a process: its state is static, so that the thread needs no memory. */
 typedef struct {
     double rate_hz;              /* 10..20000 */
     int32_t priority;            /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
-    uint32_t notify_every_ticks; /* eventfd is written every so many ticks, and when a reason to stand, faults, armed or
-                                   at_rest change */
+    uint32_t notify_every_ticks; /* eventfd is written every so many ticks, and when a reason to
+                                   stand, faults, armed or at_rest change */
     uint64_t cpu_mask;           /* bit n: CPU n; 0: no affinity */
-    int32_t page_fd;             /* shared memory of PAGE_BYTES, or -1 for a private page; the loop maps its own */
-    int32_t journal_fd;          /* shared memory of journal_bytes(), or -1: nothing is written; the loop maps its own */
-    int32_t event_fd;            /* an eventfd, or -1 */
-    int32_t command_fd;          /* an epoll of the datagram sockets on which commands come in, COMMAND_SOCKETS of them at
-                                   most, each with itself as data.fd: one for each lease, or a flood on one would keep others
-                                   from being received; -1: none */
-    int32_t stop_fd;             /* a datagram socket for stop requests, with SO_PASSCRED; in that epoll too. -1: none */
-    uint32_t lock_memory;        /* 1: mlockall(MCL_CURRENT | MCL_FUTURE) */
-    uint32_t hold_dma_latency;   /* 1: /dev/cpu_dma_latency open and 0 while the loop runs */
+    /* shared memory of PAGE_BYTES, or -1 for a private page; the loop maps its own */
+    int32_t page_fd;
+    int32_t journal_fd; /* shared memory of journal_bytes(), or -1: nothing is written; the loop
+                           maps its own */
+    int32_t event_fd;   /* an eventfd, or -1 */
+    int32_t command_fd; /* an epoll of the datagram sockets on which commands come in,
+                          COMMAND_SOCKETS of them at most, each with itself as data.fd: one for each
+                          lease, or a flood on one would keep others from being received; -1: none
+                        */
+    int32_t stop_fd;    /* a datagram socket for stop requests, with SO_PASSCRED; in that epoll too.
+                           -1: none */
+    uint32_t lock_memory;      /* 1: mlockall(MCL_CURRENT | MCL_FUTURE) */
+    uint32_t hold_dma_latency; /* 1: /dev/cpu_dma_latency open and 0 while the loop runs */
     guard_config guard;
-    int64_t late_from_ns; /* ticks whose wake-up or end is so late are recorded; 0: none is, and no tick pays for it */
+    int64_t late_from_ns; /* ticks whose wake-up or end is so late are recorded; 0: none is, and no
+                             tick pays for it */
 } loop_config;
 
 typedef struct {
@@ -118,8 +137,9 @@ typedef struct {
     int32_t dma_latency_errno;
     uint32_t reserved;
     uint64_t ticks;
-    uint64_t overruns;      /* periods skipped because the one before was still running or the CPU was away */
-    uint64_t page_faults;   /* of the thread since its first tick, minor and major */
+    uint64_t overruns;    /* periods skipped because the one before was still running or the CPU was
+                             away */
+    uint64_t page_faults; /* of the thread since its first tick, minor and major */
     int64_t tick_stamp_ns;  /* last tick */
     uint32_t estop_input;   /* ESTOP_* */
     uint32_t watchdog_well; /* 1: the watchdog's pin moves */
@@ -143,6 +163,6 @@ int loop_start(const loop_config *loop, const core_config *core);
 int loop_stop(void); /* last set-points zero and not enabled; 0 or -ESRCH */
 void loop_status_read(loop_status *out);
 int loop_histogram_read(uint32_t kind, histogram *out);
-int loop_histogram_clear(void);        /* asked for; done by the loop at its next tick */
-int loop_late_take(late_tick *out);    /* 1: the oldest late tick; 0: there is no more. One reader */
+int loop_histogram_clear(void);     /* asked for; done by the loop at its next tick */
+int loop_late_take(late_tick *out); /* 1: the oldest late tick; 0: there is no more. One reader */
 int loop_state_read(robot_state *out); /* as page_read, on the loop's own page */

@@ -1,10 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_speed_loop.h: how the core holds the speed of a wheel whose drive does not. Read before api.h, and like it: typedefs,
- * enums, comments and prototypes, no preprocessor line.
+ * api_speed_loop.h: how the core holds the speed of a wheel whose drive does not. Read before
+ * api.h, and like it: typedefs, enums, comments and prototypes, no preprocessor line.
  */
 
-/* What the drive takes. TORQUE: the loop is the only path to it. DUTY: without gains the open-loop map alone (pwm_config). */
+/* What the drive takes. TORQUE: the loop is the only path to it. DUTY: without gains the
+ * open-loop map alone (pwm_config). */
 typedef enum { SPEED_LOOP_NONE = 0, SPEED_LOOP_TORQUE = 1, SPEED_LOOP_DUTY = 2 } speed_loop_kind;
 
 /* At the wheel. u is the unit of the output: N m, or 1 for a duty. None is negative. */
@@ -18,8 +19,8 @@ typedef struct {
 } speed_loop_gains;
 
 typedef struct {
-    speed_loop_gains gains;  /* until the control puts others */
-    double filter_s;         /* >= 0: time constant of the measure that the derivative is taken of */
+    speed_loop_gains gains; /* until the control puts others */
+    double filter_s;        /* >= 0: time constant of the measure that the derivative is taken of */
     double correction_max_u; /* >= 0: so much the loop may differ from its feed-forward */
     double output_min_u;     /* <= 0 */
     double output_max_u;     /* >= 0 */
@@ -45,9 +46,10 @@ typedef struct {
     double high_u;     /* >= 0 */
 } speed_loop_input;
 
-/* The output that brings a wheel to a speed, within low_u..high_u. What is not finite: 0. dt_s > 0. */
-double speed_loop_step(speed_loop_state *state, const speed_loop_config *config, const speed_loop_gains *gains,
-                       const speed_loop_input *input, double dt_s);
+/* The output that brings a wheel to a speed, within low_u..high_u. What is not finite: 0. dt_s >
+ * 0. */
+double speed_loop_step(speed_loop_state *state, const speed_loop_config *config,
+                       const speed_loop_gains *gains, const speed_loop_input *input, double dt_s);
 /* All of them finite and in range. */
 bool speed_loop_gains_good(const speed_loop_gains *gains);
 

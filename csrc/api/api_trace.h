@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * api_trace.h: what went over a line, for `motord trace`. As api.h: typedefs, enums, comments and prototypes, no
- * preprocessor line. The thread of the line writes, any thread reads; the oldest entries are overwritten. */
+ * api_trace.h: what went over a line, for `motord trace`. As api.h: typedefs, enums, comments and
+ * prototypes, no preprocessor line. The thread of the line writes, any thread reads; the oldest
+ * entries are overwritten. */
 enum { TRACE_BYTES_MAX = 256, TRACE_ENTRIES = 256 };
 
 typedef struct {
@@ -10,6 +11,7 @@ typedef struct {
     uint8_t data[TRACE_BYTES_MAX];
 } trace_entry;
 
-int line_trace_switch(uint32_t line, int on);                          /* 0 or -EINVAL: no such line */
-uint64_t line_trace_newest(uint32_t line);                             /* number of the newest entry; the first is 1 */
-int line_trace_read(uint32_t line, uint64_t number, trace_entry *out); /* 1; 0: it is overwritten, or not there yet */
+int line_trace_switch(uint32_t line, int on); /* 0 or -EINVAL: no such line */
+uint64_t line_trace_newest(uint32_t line);    /* number of the newest entry; the first is 1 */
+/* 1; 0: it is overwritten, or not there yet */
+int line_trace_read(uint32_t line, uint64_t number, trace_entry *out);

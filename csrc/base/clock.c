@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * clock.c: the clock of every stamp, and whether it has stood still because the computer was suspended. */
+ * clock.c: the clock of every stamp, and whether it has stood still because the computer was
+ * suspended. */
 #include <stdatomic.h>
 #include <time.h>
 
@@ -9,7 +10,8 @@
 enum { LOOKS_MAX = 8 };
 /* Two readings of the clock that lie further apart leave open what lies between them. */
 static const int64_t APART_MAX_NS = 1000000;
-/* CLOCK_BOOTTIME goes on during a suspend: ahead of CLOCK_MONOTONIC by so much more than before, and there was one. */
+/* CLOCK_BOOTTIME goes on during a suspend: ahead of CLOCK_MONOTONIC by so much more than before,
+ * and there was one. */
 static const int64_t SUSPEND_LEAST_NS = 5000000;
 
 static _Atomic int64_t ahead_ns = INT64_MIN; /* of CLOCK_BOOTTIME; INT64_MIN: not known yet */
@@ -27,13 +29,15 @@ int64_t clock_now_ns(void)
     return read_ns(CLOCK_MONOTONIC);
 }
 
-/* The first thread that looks after a resume notes it, before the others can find the clocks as they should be. One that was held
- * up while it looked changes nothing that another has noted since. */
+/* The first thread that looks after a resume notes it, before the others can find the clocks as
+ * they should be. One that was held up while it looked changes nothing that another has noted
+ * since. */
 int64_t clock_resumed_ns(void)
 {
     int64_t noted_ns = atomic_load(&resumed_ns);
     for (int i = 0; i < LOOKS_MAX; i++) {
-        int64_t before_ns = clock_now_ns(), boot_ns = read_ns(CLOCK_BOOTTIME), now_ns = clock_now_ns();
+        int64_t before_ns = clock_now_ns(), boot_ns = read_ns(CLOCK_BOOTTIME),
+                now_ns = clock_now_ns();
         if (now_ns - before_ns > APART_MAX_NS) {
             continue;
         }

@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
- * drive_state.c: when a drive may move, and when it has to stop: the rules of all media. Pure: time is an argument. */
+ * drive_state.c: when a drive may move, and when it has to stop: the rules of all media. Pure:
+ * time is an argument. */
 #include "drive_state.h"
 
-/* -------------------------------------------------------------------------------------------------- stopping */
+/* ----------------------------------------------------------------------------- stopping */
 void drive_take_back(drive_state *drive, uint32_t why, uint32_t mode)
 {
     drive->mode = mode;
@@ -33,7 +34,8 @@ drive_stop drive_power_off(drive_state *drive)
 
 drive_stop drive_end_stopping(drive_state *drive, bool at_rest, int64_t now_ns)
 {
-    bool over = drive->stopping && drive->stop == STOP_NOTHING && (at_rest || now_ns >= drive->off_by_ns);
+    bool over =
+        drive->stopping && drive->stop == STOP_NOTHING && (at_rest || now_ns >= drive->off_by_ns);
     return over ? drive_power_off(drive) : STOP_NOTHING;
 }
 
@@ -65,15 +67,17 @@ bool drive_stop_done(drive_state *drive)
     return back;
 }
 
-bool drive_is_off(const drive_last_off *off, bool reports_enabled, uint32_t enabled, int64_t received_ns)
+bool drive_is_off(const drive_last_off *off, bool reports_enabled, uint32_t enabled,
+                  int64_t received_ns)
 {
     if (off->first_ns == 0 || off->suffices) {
         return off->first_ns != 0;
     }
-    return reports_enabled ? enabled == 0 : received_ns > off->first_ns && received_ns <= off->newest_ns;
+    return reports_enabled ? enabled == 0
+                           : received_ns > off->first_ns && received_ns <= off->newest_ns;
 }
 
-/* -------------------------------------------------------------------------------------------------- guarding */
+/* ----------------------------------------------------------------------------- guarding */
 bool drive_left_alone(int64_t last_ns, int64_t now_ns, int64_t watchdog_ns)
 {
     return watchdog_ns > 0 && now_ns - last_ns > watchdog_ns;
@@ -101,8 +105,8 @@ static uint32_t fault_reason(bool fresh, bool left_alone, bool enabled, bool was
     return !enabled && was_enabled ? DRIVE_FAULT_NOT_ENABLED : 0;
 }
 
-/* Old set-points, or a drive that was left alone and may have stopped by itself: quick stop. Not enabled any
- * more, or no place to begin from: no power. */
+/* Old set-points, or a drive that was left alone and may have stopped by itself: quick stop. Not
+ * enabled any more, or no place to begin from: no power. */
 drive_stop drive_guard(drive_state *drive, const drive_view *view)
 {
     if (drive->mode != DRIVE_ARMED) {
@@ -139,7 +143,7 @@ drive_stop drive_check_power(drive_state *drive, uint32_t tries, bool settled)
     return drive_power_off(drive);
 }
 
-/* -------------------------------------------------------------------------------------------------- requests */
+/* ----------------------------------------------------------------------------- requests */
 static void arm(drive_state *drive, const drive_view *view)
 {
     drive->mode = DRIVE_ARMED;
@@ -163,7 +167,8 @@ static drive_request obey(drive_state *drive, uint32_t mode, bool stops, const d
         drive->back = false;
         return REQUEST_SET_UP;
     }
-    if (mode == DRIVE_ARMED && drive->mode == DRIVE_READY && view->fresh && !view->shut_down && !stops) {
+    if (mode == DRIVE_ARMED && drive->mode == DRIVE_READY && view->fresh && !view->shut_down &&
+        !stops) {
         if (view->position_unknown) {
             drive->fault_reasons |= DRIVE_FAULT_POSITION_UNKNOWN;
             return REQUEST_SEEN;
@@ -188,7 +193,8 @@ drive_answer drive_obey(drive_state *drive, const mode_request *request, const d
     }
     answer.overtaken = request->count - drive->request_seen > 1;
     drive->request_seen = request->count;
-    bool powered = drive->mode == DRIVE_ARMED || drive->stopping || drive->sent_motion || drive->off_due;
+    bool powered =
+        drive->mode == DRIVE_ARMED || drive->stopping || drive->sent_motion || drive->off_due;
     if ((answer.overtaken || request->mode == DRIVE_OFF) && powered) {
         drive->off_due = false;
         answer.stop = drive_power_off(drive);
@@ -197,7 +203,8 @@ drive_answer drive_obey(drive_state *drive, const mode_request *request, const d
         drive->mode = DRIVE_READY;
         drive->enabled = 2;
     }
-    bool stops = drive->stopping || drive->stop != STOP_NOTHING || answer.stop != STOP_NOTHING || drive->off_due;
+    bool stops = drive->stopping || drive->stop != STOP_NOTHING || answer.stop != STOP_NOTHING ||
+                 drive->off_due;
     answer.request = obey(drive, request->mode, stops, view);
     return answer;
 }

@@ -6,9 +6,10 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* The bits that are no warnings; of a word that is a number: itself, or 0 where it is among the harmless ones. */
-static inline uint32_t fault_that_stops(uint32_t word, bool is_code, uint32_t harmless_bits, const uint32_t *harmless,
-                                        uint32_t harmless_codes)
+/* The bits that are no warnings; of a word that is a number: itself, or 0 where it is among the
+ * harmless ones. */
+static inline uint32_t fault_that_stops(uint32_t word, bool is_code, uint32_t harmless_bits,
+                                        const uint32_t *harmless, uint32_t harmless_codes)
 {
     if (!is_code) {
         return word & ~harmless_bits;

@@ -23,16 +23,19 @@ static inline void need(finding *f, bool good, const char *field)
 }
 
 /* Rest is 0; a place to go to may be any. */
-static inline void check_span(finding *f, uint32_t kind, double offset, double raw_min, double raw_max, double raw_per_s)
+static inline void check_span(finding *f, uint32_t kind, double offset, double raw_min,
+                              double raw_max, double raw_per_s)
 {
     bool anywhere = kind == SETPOINT_POSITION;
     need(f, anywhere ? isfinite(offset) : offset == 0.0, "setpoint.raw_offset");
     need(f, raw_min <= (anywhere ? raw_max : 0.0), "setpoint.raw_min");
     need(f, raw_max >= (anywhere ? raw_min : 0.0), "setpoint.raw_max");
-    need(f, anywhere ? raw_per_s > 0.0 && isfinite(raw_per_s) : raw_per_s == 0.0, "setpoint.raw_per_s");
+    need(f, anywhere ? raw_per_s > 0.0 && isfinite(raw_per_s) : raw_per_s == 0.0,
+         "setpoint.raw_per_s");
 }
 
-static inline void check_scale(finding *f, const setpoint_scale *scale, uint32_t last_kind, double least, double most)
+static inline void check_scale(finding *f, const setpoint_scale *scale, uint32_t last_kind,
+                               double least, double most)
 {
     need(f, scale->joint < JOINTS_MAX, "setpoint.joint");
     need(f, scale->kind <= last_kind, "setpoint.kind");
@@ -48,7 +51,8 @@ static inline void check_meaning(finding *f, const field_meaning *meaning, uint3
     need(f, meaning->joint < JOINTS_MAX, "field.joint");
     need(f, meaning->kind <= last_kind, "field.kind");
     need(f, isfinite(meaning->si_per_raw), "field.si_per_raw");
-    need(f, meaning->counter_bits <= 64 && (!counts || meaning->counter_bits >= 1), "field.counter_bits");
+    need(f, meaning->counter_bits <= 64 && (!counts || meaning->counter_bits >= 1),
+         "field.counter_bits");
     need(f, meaning->harmless_codes <= FIELD_HARMLESS_MAX, "field.harmless_codes");
 }
 

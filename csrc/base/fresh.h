@@ -1,12 +1,14 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fresh.h: when a stamp is fresh. The one rule for set-points on every medium and for the core's heartbeat. */
+ * fresh.h: when a stamp is fresh. The one rule for set-points on every medium and for the core's
+ * heartbeat. */
 #ifndef MOTORD_FRESH_H
 #define MOTORD_FRESH_H
 
 #include <stdbool.h>
 #include <stdint.h>
 
-static const int64_t STAMP_AHEAD_NS = 10000000; /* a stamp may be so much ahead of now: it was written meanwhile */
+static const int64_t STAMP_AHEAD_NS = 10000000; /* a stamp may be so much ahead of now: it was
+                                                   written meanwhile */
 
 /* The width of fresh_within(): from STAMP_AHEAD_NS ahead of now to the timeout behind it. */
 static inline uint64_t fresh_window_ns(int64_t timeout_ns)
@@ -14,13 +16,16 @@ static inline uint64_t fresh_window_ns(int64_t timeout_ns)
     return (uint64_t)timeout_ns + (uint64_t)STAMP_AHEAD_NS;
 }
 
-/* In wrapping arithmetic: no stamp, however wrong, is undefined behaviour, and none but a fresh one is in the window. */
+/* In wrapping arithmetic: no stamp, however wrong, is undefined behaviour, and none but a fresh
+ * one is in the window. */
 static inline bool fresh_within(int64_t now_ns, int64_t stamp_ns, uint64_t window_ns)
 {
-    return stamp_ns > 0 && (uint64_t)now_ns - (uint64_t)stamp_ns + (uint64_t)STAMP_AHEAD_NS <= window_ns;
+    return stamp_ns > 0 &&
+           (uint64_t)now_ns - (uint64_t)stamp_ns + (uint64_t)STAMP_AHEAD_NS <= window_ns;
 }
 
-/* CLOCK_MONOTONIC stands still while the computer is suspended: what was stamped before is worth no more than never. */
+/* CLOCK_MONOTONIC stands still while the computer is suspended: what was stamped before is worth
+ * no more than never. */
 static inline int64_t stamp_since(int64_t stamp_ns, int64_t resumed_ns)
 {
     return stamp_ns >= resumed_ns ? stamp_ns : 0;

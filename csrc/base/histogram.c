@@ -1,15 +1,17 @@
 /* SPDX-License-Identifier: Apache-2.0
- * histogram.c: log-linear buckets, as in G. Tene's HdrHistogram: below 16 ns one a nanosecond, above it 16 to
- * each octave, so a bucket is never wider than 1/16 of its value. */
+ * histogram.c: log-linear buckets, as in G. Tene's HdrHistogram: below 16 ns one a nanosecond,
+ * above it 16 to each octave, so a bucket is never wider than 1/16 of its value. */
 #include <math.h>
 
 #include "rt.h"
 
 enum { SUB_BITS = 4 };
 _Static_assert(1 << SUB_BITS == HISTOGRAM_SUB_BUCKETS, "buckets of an octave");
-_Static_assert((40 - SUB_BITS + 2) * HISTOGRAM_SUB_BUCKETS == HISTOGRAM_BUCKETS, "the last octave begins at 2^40 ns");
+_Static_assert((40 - SUB_BITS + 2) * HISTOGRAM_SUB_BUCKETS == HISTOGRAM_BUCKETS,
+               "the last octave begins at 2^40 ns");
 
-/* One writer, so load and store suffice. The types are plain, because cffi reads them: hence the builtins. */
+/* One writer, so load and store suffice. The types are plain, because cffi reads them: hence the
+ * builtins. */
 static void add_one(uint64_t *counter)
 {
     __atomic_store_n(counter, __atomic_load_n(counter, __ATOMIC_RELAXED) + 1, __ATOMIC_RELEASE);
@@ -50,7 +52,8 @@ void histogram_clear(histogram *h)
     }
 }
 
-/* The extremes before the bucket: a reader that sees a sample in a bucket sees extremes that hold it. */
+/* The extremes before the bucket: a reader that sees a sample in a bucket sees extremes that
+ * hold it. */
 void histogram_add(histogram *h, int64_t value_ns)
 {
     int64_t value = value_ns < 0 ? 0 : value_ns;

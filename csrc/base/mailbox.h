@@ -1,9 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
  * mailbox.h: newest value wins, between one writer and one reader: a triple buffer.
  *
- * The writer owns one slot, the reader another; the third lies between them and changes hands by one atomic
- * exchange. So neither ever waits, and neither can see half a value. A sequence lock over plain memory would
- * be smaller, but it is a data race by the language's rules and ThreadSanitizer says so. */
+ * The writer owns one slot, the reader another; the third lies between them and changes hands by
+ * one atomic exchange. So neither ever waits, and neither can see half a value. A sequence lock
+ * over plain memory would be smaller, but it is a data race by the language's rules and
+ * ThreadSanitizer says so. */
 #ifndef MOTORD_MAILBOX_H
 #define MOTORD_MAILBOX_H
 
@@ -13,11 +14,13 @@
 
 enum { MAILBOX_SLOTS = 3, CACHE_LINE_BYTES = 64 };
 
-/* Which side holds which slot. The slots themselves lie beside it, MAILBOX_SLOTS of the same size. */
+/* Which side holds which slot. The slots themselves lie beside it, MAILBOX_SLOTS of the same
+ * size. */
 typedef struct {
-    _Alignas(CACHE_LINE_BYTES) _Atomic uint32_t middle; /* slot between the two, and whether it is new */
-    _Alignas(CACHE_LINE_BYTES) uint32_t back;           /* the writer's slot */
-    _Alignas(CACHE_LINE_BYTES) uint32_t front;          /* the reader's slot */
+    /* slot between the two, and whether it is new */
+    _Alignas(CACHE_LINE_BYTES) _Atomic uint32_t middle;
+    _Alignas(CACHE_LINE_BYTES) uint32_t back;  /* the writer's slot */
+    _Alignas(CACHE_LINE_BYTES) uint32_t front; /* the reader's slot */
 } mailbox;
 
 /* Before either side uses it. The caller zeroes the slots. */

@@ -10,7 +10,8 @@
 
 #include "mailbox.h"
 
-/* Places are taken by position modulo their number, a power of two; head - tail of them are full. */
+/* Places are taken by position modulo their number, a power of two; head - tail of them are
+ * full. */
 typedef struct {
     _Alignas(CACHE_LINE_BYTES) _Atomic uint32_t head; /* the writer's */
     _Alignas(CACHE_LINE_BYTES) _Atomic uint32_t tail; /* the reader's */

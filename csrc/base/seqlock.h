@@ -1,9 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
- * seqlock.h: one writer, any number of readers in any process, which hold no lock and cannot disturb it.
+ * seqlock.h: one writer, any number of readers in any process, which hold no lock and cannot
+ * disturb it.
  *
- * A sequence lock whose data are atomic words. A release store of each word and an acquire load of each word take the
- * place of the fences of H. Boehm, "Can seqlocks get along with programming language memory models?" (MSPC 2012):
- * fences are what ThreadSanitizer cannot see, and on x86-64 both are plain moves. */
+ * A sequence lock whose data are atomic words. A release store of each word and an acquire load of
+ * each word take the place of the fences of H. Boehm, "Can seqlocks get along with programming
+ * language memory models?" (MSPC 2012): fences are what ThreadSanitizer cannot see, and on
+ * x86-64 both are plain moves. */
 #ifndef MOTORD_SEQLOCK_H
 #define MOTORD_SEQLOCK_H
 
@@ -15,8 +17,8 @@
 enum { WORD_BYTES = 8 };
 
 /* sequence is 2 number while `number` (from 1) is whole, and odd while it is being written. */
-static inline void seqlock_write(_Atomic uint64_t *sequence, _Atomic uint64_t *word, uint64_t number, const void *data,
-                                 size_t words)
+static inline void seqlock_write(_Atomic uint64_t *sequence, _Atomic uint64_t *word,
+                                 uint64_t number, const void *data, size_t words)
 {
     atomic_store_explicit(sequence, 2 * number - 1, memory_order_relaxed);
     for (size_t w = 0; w < words; w++) {
@@ -28,8 +30,8 @@ static inline void seqlock_write(_Atomic uint64_t *sequence, _Atomic uint64_t *w
 }
 
 /* false: it is another one, or was overwritten meanwhile */
-static inline bool seqlock_read(const _Atomic uint64_t *sequence, const _Atomic uint64_t *word, uint64_t number, void *data,
-                                size_t words)
+static inline bool seqlock_read(const _Atomic uint64_t *sequence, const _Atomic uint64_t *word,
+                                uint64_t number, void *data, size_t words)
 {
     if (atomic_load_explicit(sequence, memory_order_acquire) != 2 * number) {
         return false;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * bus.h: what the second process has of C: bus_twist.c knows messages, bus_outlet.c sends under a lease, bus_receiver.c
- * waits for DDS. Nothing of them is in the daemon. */
+ * bus.h: what the second process has of C: bus_twist.c knows messages, bus_outlet.c sends under a
+ * lease, bus_receiver.c waits for DDS. Nothing of them is in the daemon. */
 #ifndef MOTORD_BUS_H
 #define MOTORD_BUS_H
 
@@ -31,8 +31,9 @@ uint64_t outlet_direct(outlet *o);
 int outlet_send(outlet *o, void *datagram, size_t bytes, int64_t seen);
 /* Python's event loop runs. */
 void outlet_alive(outlet *o, int64_t now_ns);
-/* A twist of the receiver's own: counted in `direct` when it was sent. -EHOSTDOWN: Python has stood still for OUTLET_ALIVE_NS,
- * so a stop request by ROS 2 would not be handled. The lease lapses then, and the wheels come to rest. */
+/* A twist of the receiver's own: counted in `direct` when it was sent. -EHOSTDOWN: Python has stood
+ * still for OUTLET_ALIVE_NS, so a stop request by ROS 2 would not be handled. The lease lapses
+ * then, and the wheels come to rest. */
 int outlet_send_direct(outlet *o, const stamped_twist *twist, int64_t stamp_ns, int64_t now_ns);
 
 #endif

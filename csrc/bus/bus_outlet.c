@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * bus_outlet.c: sends under a lease, from several threads. The daemon obeys growing numbers only, so a number is taken and
- * sent under one lock; a new lease comes between two commands. */
+ * bus_outlet.c: sends under a lease, from several threads. The daemon obeys growing numbers only,
+ * so a number is taken and sent under one lock; a new lease comes between two commands. */
 #include "bus.h"
 
 #include <errno.h>
@@ -9,8 +9,8 @@
 
 #include "rt.h"
 
-/* While the receiver waits for the lock, the Python thread that holds it has the receiver's priority. On a kernel without such
- * locks the zeros make an ordinary one. */
+/* While the receiver waits for the lock, the Python thread that holds it has the receiver's
+ * priority. On a kernel without such locks the zeros make an ordinary one. */
 void outlet_init(outlet *o)
 {
     pthread_mutexattr_t lends;
@@ -88,7 +88,9 @@ int outlet_send_direct(outlet *o, const stamped_twist *twist, int64_t stamp_ns, 
     };
     (void)pthread_mutex_lock(&o->lock);
     bool hangs = now_ns - o->alive_ns > OUTLET_ALIVE_NS;
-    int error = o->fd < 0 ? -ENOTCONN : hangs ? -EHOSTDOWN : send_numbered(o, &datagram, sizeof datagram);
+    int error = o->fd < 0 ? -ENOTCONN
+                : hangs   ? -EHOSTDOWN
+                          : send_numbered(o, &datagram, sizeof datagram);
     o->direct += error == 0;
     (void)pthread_mutex_unlock(&o->lock);
     return error;

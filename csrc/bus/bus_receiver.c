@@ -1,9 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
- * bus_receiver.c: hands the commands of a DDS reader to the daemon, in the thread of Cyclone that received them. It never
- * needs Python: what Python wants to know lies in a report and in a ring.
+ * bus_receiver.c: hands the commands of a DDS reader to the daemon, in the thread of Cyclone that
+ * received them. It never needs Python: what Python wants to know lies in a report and in a ring.
  *
- * The C library is the one that the Cyclone DDS binding has loaded. Its headers are no part of its package; what is used of
- * it is declared here, as dds/dds.h and dds/ddsi/ddsi_serdata.h of version 11 have it. */
+ * The C library is the one that the Cyclone DDS binding has loaded. Its headers are no part of its
+ * package; what is used of it is declared here, as dds/dds.h and dds/ddsi/ddsi_serdata.h of
+ * version 11 have it. */
 #include "bus.h"
 
 #include <dlfcn.h>
@@ -40,10 +41,12 @@ typedef struct {
 
 static struct {
     struct dds_listener *(*create_listener)(void *arg);
-    void (*lset_data_available)(struct dds_listener *listener, void (*call)(int32_t reader, void *arg));
+    void (*lset_data_available)(struct dds_listener *listener,
+                                void (*call)(int32_t reader, void *arg));
     int32_t (*set_listener)(int32_t reader, const struct dds_listener *listener);
     void (*delete_listener)(struct dds_listener *listener);
-    int32_t (*takecdr)(int32_t reader, struct ddsi_serdata **data, uint32_t count, dds_sample_info *info, uint32_t mask);
+    int32_t (*takecdr)(int32_t reader, struct ddsi_serdata **data, uint32_t count,
+                       dds_sample_info *info, uint32_t mask);
     uint32_t (*serdata_size)(const struct ddsi_serdata *data);
     void (*serdata_to_ser)(const struct ddsi_serdata *data, size_t offset, size_t bytes, void *to);
     void (*serdata_unref)(struct ddsi_serdata *data);
@@ -67,7 +70,7 @@ typedef struct {
 
 static receiver receivers[RECEIVERS_MAX];
 
-/* ------------------------------------------------------------------------------------------------------ the library */
+/* -------------------------------------------------------------------------- the library */
 int receiver_library(const char *path)
 {
     void *library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
@@ -92,12 +95,13 @@ int receiver_library(const char *path)
         if (found == NULL) {
             return -ELIBACC;
         }
-        memcpy(wanted[i].place, &found, sizeof found); /* ISO C converts no object's address into a function's */
+        /* ISO C converts no object's address into a function's */
+        memcpy(wanted[i].place, &found, sizeof found);
     }
     return 0;
 }
 
-/* ------------------------------------------------------------------------------------------------ in Cyclone's thread */
+/* ------------------------------------------------------------------ in Cyclone's thread */
 static double wall_s(void)
 {
     struct timespec now;
@@ -118,7 +122,8 @@ static void count_lost(receiver *r, int error)
     }
 }
 
-/* CLOCK_MONOTONIC is read first: a thread that stands still between the two makes a command older, never newer. */
+/* CLOCK_MONOTONIC is read first: a thread that stands still between the two makes a command
+ * older, never newer. */
 static void take_twist(receiver *r, const uint8_t *raw, size_t bytes, uint64_t writer)
 {
     stamped_twist twist;
@@ -140,7 +145,8 @@ static void take_twist(receiver *r, const uint8_t *raw, size_t bytes, uint64_t w
                                .linear_m_s = twist.linear_m_s,
                                .angular_rad_s = twist.angular_rad_s,
                                .lateral_m_s = twist.lateral_m_s};
-    (void)ring_put(&r->received, r->received_place, RECEIVED_TWISTS_MAX, &received, sizeof received);
+    (void)ring_put(&r->received, r->received_place, RECEIVED_TWISTS_MAX, &received,
+                   sizeof received);
     r->taken_ns = now_ns;
     r->taken++;
 }
@@ -188,10 +194,11 @@ static void take_all(int32_t reader, void *arg)
     }
 }
 
-/* --------------------------------------------------------------------------------------------------------- its life */
+/* ----------------------------------------------------------------------------- its life */
 static receiver *numbered(int number)
 {
-    return number >= 0 && number < RECEIVERS_MAX && receivers[number].claimed ? &receivers[number] : NULL;
+    bool claimed = number >= 0 && number < RECEIVERS_MAX && receivers[number].claimed;
+    return claimed ? &receivers[number] : NULL;
 }
 
 int receiver_claim(void)
@@ -283,14 +290,15 @@ int receiver_take_received(int number, received_twist *out, int room)
 {
     receiver *r = numbered(number);
     int count = 0;
-    while (r != NULL && count < room &&
-           ring_take(&r->received, r->received_place, RECEIVED_TWISTS_MAX, &out[count], sizeof *out)) {
+    while (
+        r != NULL && count < room &&
+        ring_take(&r->received, r->received_place, RECEIVED_TWISTS_MAX, &out[count], sizeof *out)) {
         count++;
     }
     return count;
 }
 
-/* -------------------------------------------------------------------------------------------------------- its lease */
+/* ---------------------------------------------------------------------------- its lease */
 void receiver_alive(int number)
 {
     receiver *r = numbered(number);

@@ -1,9 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
- * bus_twist.c: geometry_msgs/TwistStamped in plain CDR (DDS-XTypes 1.3, 7.4.1: encoding version 1), and how old it is.
+ * bus_twist.c: geometry_msgs/TwistStamped in plain CDR (DDS-XTypes 1.3, 7.4.1: encoding version 1),
+ * and how old it is.
  *
- *   0  int32   stamp.sec       from the end of the header of 4 bytes, which says the byte order (RTPS 2.5, 10.2.1.2)
+ *   0  int32   stamp.sec       from the end of the header of 4 bytes, which says the byte order
+ *      (RTPS 2.5, 10.2.1.2)
  *   4  uint32  stamp.nanosec
- *   8  uint32  length of frame_id, with its end, then its bytes, then up to 7 bytes, so that what follows is aligned
+ *   8  uint32  length of frame_id, with its end, then its bytes, then up to 7 bytes, so that what
+ *      follows is aligned
  *      double  linear x, y, z, angular x, y, z */
 #include <string.h>
 
@@ -45,7 +48,8 @@ int twist_parse(const uint8_t *raw, size_t bytes, stamped_twist *out)
         return 1 + TWIST_NOT_ONE;
     }
     *out = (stamped_twist){
-        .stamp_s = (double)(int32_t)(uint32_t)number_at(body, 4, little) + (double)number_at(body + 4, 4, little) * 1e-9,
+        .stamp_s = (double)(int32_t)(uint32_t)number_at(body, 4, little) +
+                   (double)number_at(body + 4, 4, little) * 1e-9,
         .linear_m_s = double_at(body + twist_at, little),
         .lateral_m_s = double_at(body + twist_at + LINEAR_Y * sizeof(double), little),
         .angular_rad_s = double_at(body + twist_at + ANGULAR_Z * sizeof(double), little),

@@ -7,8 +7,8 @@
 #include <math.h>
 #include <stdio.h>
 
-/* What "greater than zero" and "finite" mean here: wide enough for any machine, narrow enough that no product
- * of two or three such numbers leaves the range of a double. */
+/* What "greater than zero" and "finite" mean here: wide enough for any machine, narrow enough that
+ * no product of two or three such numbers leaves the range of a double. */
 #define LEAST 1e-12
 #define MOST 1e9
 
@@ -26,20 +26,31 @@ typedef struct {
 #define COUNT(rules) (sizeof(rules) / sizeof(rules)[0])
 
 static const rule LIMIT_RULES[] = {
-    RULE(base_limits, linear.velocity_u_s, LEAST, MOST),       RULE(base_limits, linear.acceleration_u_s2, LEAST, MOST),
-    RULE(base_limits, linear.deceleration_u_s2, LEAST, MOST),  RULE(base_limits, linear.jerk_u_s3, LEAST, INFINITY),
-    RULE(base_limits, angular.velocity_u_s, LEAST, MOST),      RULE(base_limits, angular.acceleration_u_s2, LEAST, MOST),
-    RULE(base_limits, angular.deceleration_u_s2, LEAST, MOST), RULE(base_limits, angular.jerk_u_s3, LEAST, INFINITY),
-    RULE(base_limits, lateral.velocity_u_s, LEAST, MOST),      RULE(base_limits, lateral.acceleration_u_s2, LEAST, MOST),
-    RULE(base_limits, lateral.deceleration_u_s2, LEAST, MOST), RULE(base_limits, lateral.jerk_u_s3, LEAST, INFINITY),
+    RULE(base_limits, linear.velocity_u_s, LEAST, MOST),
+    RULE(base_limits, linear.acceleration_u_s2, LEAST, MOST),
+    RULE(base_limits, linear.deceleration_u_s2, LEAST, MOST),
+    RULE(base_limits, linear.jerk_u_s3, LEAST, INFINITY),
+    RULE(base_limits, angular.velocity_u_s, LEAST, MOST),
+    RULE(base_limits, angular.acceleration_u_s2, LEAST, MOST),
+    RULE(base_limits, angular.deceleration_u_s2, LEAST, MOST),
+    RULE(base_limits, angular.jerk_u_s3, LEAST, INFINITY),
+    RULE(base_limits, lateral.velocity_u_s, LEAST, MOST),
+    RULE(base_limits, lateral.acceleration_u_s2, LEAST, MOST),
+    RULE(base_limits, lateral.deceleration_u_s2, LEAST, MOST),
+    RULE(base_limits, lateral.jerk_u_s3, LEAST, INFINITY),
 };
 
 static const rule CONFIG_RULES[] = {
-    RULE(core_config, command_timeout_s, LEAST, MOST),          RULE(core_config, feedback_timeout_s, LEAST, MOST),
-    RULE(core_config, heartbeat_timeout_s, LEAST, MOST),        RULE(core_config, rest_velocity_rad_s, LEAST, MOST),
-    RULE(core_config, distance_variance_m2_per_m, LEAST, MOST), RULE(core_config, turn_variance_rad2_per_rad, LEAST, MOST),
-    RULE(core_config, pose_variance_floor_m2, LEAST, MOST),     RULE(core_config, heading_variance_floor_rad2, LEAST, MOST),
-    RULE(core_config, twist_variance_floor_m2_s2, LEAST, MOST), RULE(core_config, twist_variance_floor_rad2_s2, LEAST, MOST),
+    RULE(core_config, command_timeout_s, LEAST, MOST),
+    RULE(core_config, feedback_timeout_s, LEAST, MOST),
+    RULE(core_config, heartbeat_timeout_s, LEAST, MOST),
+    RULE(core_config, rest_velocity_rad_s, LEAST, MOST),
+    RULE(core_config, distance_variance_m2_per_m, LEAST, MOST),
+    RULE(core_config, turn_variance_rad2_per_rad, LEAST, MOST),
+    RULE(core_config, pose_variance_floor_m2, LEAST, MOST),
+    RULE(core_config, heading_variance_floor_rad2, LEAST, MOST),
+    RULE(core_config, twist_variance_floor_m2_s2, LEAST, MOST),
+    RULE(core_config, twist_variance_floor_rad2_s2, LEAST, MOST),
 };
 
 /* Where there is a gyro. */
@@ -109,9 +120,12 @@ static const rule CHANGED_RULES[] = {
 
 /* Of a joint that takes positions. */
 static const rule POSITION_RULES[] = {
-    RULE(joint_config, position.position_min_rad, -MOST, 0.0), RULE(joint_config, position.position_max_rad, 0.0, MOST),
-    RULE(joint_config, position.velocity_rad_s, LEAST, MOST),  RULE(joint_config, position.acceleration_rad_s2, LEAST, MOST),
-    RULE(joint_config, position.following_rad, 0.0, MOST),     RULE(joint_config, position.following_s, 0.0, MOST),
+    RULE(joint_config, position.position_min_rad, -MOST, 0.0),
+    RULE(joint_config, position.position_max_rad, 0.0, MOST),
+    RULE(joint_config, position.velocity_rad_s, LEAST, MOST),
+    RULE(joint_config, position.acceleration_rad_s2, LEAST, MOST),
+    RULE(joint_config, position.following_rad, 0.0, MOST),
+    RULE(joint_config, position.following_s, 0.0, MOST),
 };
 
 static const rule MODULE_RULES[] = {
@@ -139,7 +153,8 @@ static const char *bad_joint_field(const joint_config *joint)
         return bad;
     }
     uint32_t bits = joint->counter_bits;
-    if (bits != 0 && bits != 8 && bits != 12 && bits != 15 && bits != 16 && bits != 24 && bits != 32 && bits != 64) {
+    if (bits != 0 && bits != 8 && bits != 12 && bits != 15 && bits != 16 && bits != 24 &&
+        bits != 32 && bits != 64) {
         return "counter_bits";
     }
     if (bits != 0 && !(fabs(joint->rad_per_count) >= LEAST && fabs(joint->rad_per_count) <= MOST)) {
@@ -173,8 +188,10 @@ static const char *bad_joint_field(const joint_config *joint)
     return joint->line < LINES_MAX ? NULL : "line";
 }
 
-/* A fixed wheel of a base with modules rolls straight on, on the axle about which the base turns: another one would slide. */
-static const char *bad_module_field(const core_config *config, const wheel_module *module, uint32_t *named)
+/* A fixed wheel of a base with modules rolls straight on, on the axle about which the base
+ * turns: another one would slide. */
+static const char *bad_module_field(const core_config *config, const wheel_module *module,
+                                    uint32_t *named)
 {
     const char *bad = first_bad(module, MODULE_RULES, COUNT(MODULE_RULES));
     if (bad != NULL) {
@@ -187,7 +204,8 @@ static const char *bad_module_field(const core_config *config, const wheel_modul
             return name;
         }
         uint32_t bit = own[i] == 0 ? 0 : 1U << (own[i] - 1);
-        if ((*named & bit) || (own[i] != 0 && (config->joint[own[i] - 1].position.used == 1) != (i == 0))) {
+        if ((*named & bit) ||
+            (own[i] != 0 && (config->joint[own[i] - 1].position.used == 1) != (i == 0))) {
             return name;
         }
         *named |= bit;
@@ -254,7 +272,9 @@ static const char *bad_base_field(const core_config *config)
     if (bad != NULL || config->gyro.used == 0) {
         return bad;
     }
-    return config->gyro.used == 1 && !config->independent ? first_bad(config, GYRO_RULES, COUNT(GYRO_RULES)) : "gyro.used";
+    return config->gyro.used == 1 && !config->independent
+               ? first_bad(config, GYRO_RULES, COUNT(GYRO_RULES))
+               : "gyro.used";
 }
 
 bool joint_limits_good(const axis_limits *limits)
@@ -280,7 +300,8 @@ const char *core_config_check(const core_config *config, char *name)
         return name;
     }
     if (base_limits_check(&config->limits, name) != NULL) {
-        snprintf(name, FIELD_NAME_BYTES, "limits.%s", first_bad(&config->limits, LIMIT_RULES, COUNT(LIMIT_RULES)));
+        snprintf(name, FIELD_NAME_BYTES, "limits.%s",
+                 first_bad(&config->limits, LIMIT_RULES, COUNT(LIMIT_RULES)));
         return name;
     }
     for (uint32_t j = 0; j < config->joint_count; j++) {

@@ -18,7 +18,8 @@
 #include <math.h>
 #include <string.h>
 
-static const int64_t HOLD_AT_ZERO_NS = 2000000000; /* after a fault: zero this long, and the power goes off anyway */
+/* after a fault: zero this long, and the power goes off anyway */
+static const int64_t HOLD_AT_ZERO_NS = 2000000000;
 
 /* not finite when one of them is not */
 static double setpoint_sum(const core_state *state)
@@ -76,8 +77,8 @@ static inline uint32_t ramp(core_state *state, tick *t, const double *goal_u_s, 
     const core_config *slewed = state->slewed ? &state->config : NULL;
     uint32_t slewing = 0;
     t->checksum += axis_sum(state);
-    t->reasons |=
-        ramp_joint_step(state->axis, state->axes, &state->limits, slewed, goal_u_s, dt_s, state->holding != 0, &slewing);
+    t->reasons |= ramp_joint_step(state->axis, state->axes, &state->limits, slewed, goal_u_s, dt_s,
+                                  state->holding != 0, &slewing);
     return slewing;
 }
 
@@ -166,7 +167,8 @@ __attribute__((noinline)) static void drive_steered(core_state *state, tick *t)
         return;
     }
     steer_joints(steer, &state->config, state->wheels.twist_u_s, aim_u_s, dt_s);
-    t->moving |= steer_setpoints(steer, &state->config, state->wheels.joint, state->odometry.angle_rad);
+    t->moving |=
+        steer_setpoints(steer, &state->config, state->wheels.joint, state->odometry.angle_rad);
 }
 
 /* Each by its own limits, those that take positions as steering joints do. */
@@ -184,7 +186,8 @@ static void ramp_independent(core_state *state, tick *t)
         .urgent = state->holding != 0,
     };
     wheels->moving = wheels->reasons = 0;
-    t->reasons |= independent_step(&state->joints, &state->steer, config, &input, velocity_rad_s, &state->snapshot.reason);
+    t->reasons |= independent_step(&state->joints, &state->steer, config, &input, velocity_rad_s,
+                                   &state->snapshot.reason);
     for (uint32_t j = 0; j < config->joint_count; j++) {
         if (!config->joint[j].position.used) {
             t->checksum += wheels->joint[j].duty + velocity_rad_s[j];
@@ -212,7 +215,8 @@ __attribute__((noinline)) static void drive_independent(core_state *state, tick 
     } else {
         zero_at_once(state, t);
     }
-    t->moving |= steer_setpoints(&state->steer, &state->config, state->wheels.joint, state->odometry.angle_rad);
+    t->moving |= steer_setpoints(&state->steer, &state->config, state->wheels.joint,
+                                 state->odometry.angle_rad);
 }
 
 /* goal → limit → kinematics → PWM */
@@ -250,7 +254,8 @@ static bool all_slow(const core_state *state)
 {
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
         /* a wheel that measures nothing (NaN) is as fast as its set-point */
-        if (!state->stale[j] && fabs(state->odometry.joint[j].velocity_rad_s) >= state->config.rest_velocity_rad_s) {
+        if (!state->stale[j] &&
+            fabs(state->odometry.joint[j].velocity_rad_s) >= state->config.rest_velocity_rad_s) {
             return false;
         }
     }
@@ -279,8 +284,9 @@ static void doubt(core_state *state, tick *t)
         if (!plausible_due(joint, odometry) || state->stale[j]) {
             continue;
         }
-        if (plausible(joint, &state->config.joint[j].plausible, odometry, t->input->feedback[j].velocity_rad_s,
-                      state->wheels.joint[j].velocity_rad_s, &why)) {
+        if (plausible(joint, &state->config.joint[j].plausible, odometry,
+                      t->input->feedback[j].velocity_rad_s, state->wheels.joint[j].velocity_rad_s,
+                      &why)) {
             continue;
         }
         why.joint = j;
@@ -309,7 +315,8 @@ static void measure(core_state *state, tick *t)
     if (!t->is_new) {
         return;
     }
-    odometry_step(&state->odometry, &state->config, t->input->feedback, state->stale, state->wheels.joint);
+    odometry_step(&state->odometry, &state->config, t->input->feedback, state->stale,
+                  state->wheels.joint);
     if (state->config.independent) {
         for (uint32_t j = 0; j < state->config.joint_count; j++) {
             modules_take_angle(&state->odometry, &state->config, j);
@@ -349,8 +356,8 @@ static void guard(core_state *state, tick *t)
     watch_latch(state, FAULT_STATE);
 }
 
-/* When a fault has brought the base to rest, the power goes off; where it is to hold, on request. Feedback that is not trusted
- * proves no rest: then it is time alone that counts. */
+/* When a fault has brought the base to rest, the power goes off; where it is to hold, on request.
+ * Feedback that is not trusted proves no rest: then it is time alone that counts. */
 static void release(core_state *state, const tick *t)
 {
     int64_t now_ns = t->input->now_ns;
@@ -371,7 +378,8 @@ static void release(core_state *state, const tick *t)
     }
 }
 
-/* Zero, and only where the drives are enabled in this very tick what the wheels shall do; every byte is written. */
+/* Zero, and only where the drives are enabled in this very tick what the wheels shall do; every
+ * byte is written. */
 static void write_setpoints(const core_state *state, const tick *t, setpoints *out)
 {
     out->stamp_ns = t->input->now_ns;
@@ -393,7 +401,8 @@ static void write_setpoints(const core_state *state, const tick *t, setpoints *o
 __attribute__((noinline)) static void write_extras(core_state *state, const tick *t, setpoints *out)
 {
     if (state->positions) {
-        out->positioned = steer_positions(&state->steer, &state->config, out->enabled != 0, out->position_rad);
+        out->positioned =
+            steer_positions(&state->steer, &state->config, out->enabled != 0, out->position_rad);
         write_steering(state);
     }
     if (state->config.gyro.used) {
@@ -449,14 +458,16 @@ int core_init(core_state *state, const core_config *config)
     return 0;
 }
 
-void core_step(core_state *state, const core_input *input, double dt_s, setpoints *out, robot_state *snapshot)
+void core_step(core_state *state, const core_input *input, double dt_s, setpoints *out,
+               robot_state *snapshot)
 {
     tick t;
     state->tick++;
     watch(state, input, dt_s, &t);
     drive(state, &t);
     measure(state, &t);
-    if ((state->loops | (input->control.gains_count ^ state->gains_seen)) != 0) { /* one comparison */
+    /* one comparison */
+    if ((state->loops | (input->control.gains_count ^ state->gains_seen)) != 0) {
         set_loops(state, &t);
     }
     guard(state, &t);

@@ -21,8 +21,9 @@ static inline double angle_wrap(double angle_rad)
     const double pi = 3.14159265358979323846;
     return fabs(angle_rad) <= pi ? angle_rad : remainder(angle_rad, 2.0 * pi);
 }
-/* Sine and cosine of an angle in -pi..pi, within 1e-15: the same bits on every machine, which the C library
- * does not promise (it picks fused multiply-add where the CPU has it) and a replay needs. */
+/* Sine and cosine of an angle in -pi..pi, within 1e-15: the same bits on every machine, which the C
+ * library does not promise (it picks fused multiply-add where the CPU has it) and a replay
+ * needs. */
 typedef struct {
     double sine;
     double cosine;
@@ -39,19 +40,21 @@ static inline double module_angle(const wheel_module *module, const double *angl
 }
 
 /* ramp_step(), and the joint whose duty slew bound it: its bit, or what was there before. */
-uint32_t ramp_joint_step(limit_state *axis, uint32_t axes, const base_limits *limits, const core_config *slewed,
-                         const double *goal_u_s, double dt_s, bool urgent, uint32_t *slewing);
+uint32_t ramp_joint_step(limit_state *axis, uint32_t axes, const base_limits *limits,
+                         const core_config *slewed, const double *goal_u_s, double dt_s,
+                         bool urgent, uint32_t *slewing);
 
-/* Is it time to look at a joint's newest sample? Those that come faster are taken together. Checks that have not begun
- * have a stamp of 0: so long ago that it is time. */
+/* Is it time to look at a joint's newest sample? Those that come faster are taken together. Checks
+ * that have not begun have a stamp of 0: so long ago that it is time. */
 static inline bool plausible_due(const plausible_state *state, const joint_odometry *joint)
 {
     const int64_t least_ns = 5000000;
     return joint->stamp_ns - state->stamp_ns >= least_ns;
 }
-/* Takes a sample that is due. false: a check was not met, and why. `reported_rad_s` is the drive's own measure. */
-bool plausible(plausible_state *state, const plausible_config *config, const joint_odometry *joint, double reported_rad_s,
-               double setpoint_rad_s, feedback_doubt *why);
+/* Takes a sample that is due. false: a check was not met, and why. `reported_rad_s` is the
+ * drive's own measure. */
+bool plausible(plausible_state *state, const plausible_config *config, const joint_odometry *joint,
+               double reported_rad_s, double setpoint_rad_s, feedback_doubt *why);
 
 /* Are these limits of a joint? Its jerk may be infinite. */
 bool joint_limits_good(const axis_limits *limits);
@@ -61,22 +64,25 @@ enum { NONE = 0, BELIEVED = 1, REFUSED = 2 };
 
 /* Where a joint is that takes positions. */
 void modules_take_angle(odometry_state *state, const core_config *config, uint32_t j);
-/* The same for all, and what follows for these joints from the angles in the middle of the arc that ends now. */
+/* The same for all, and what follows for these joints from the angles in the middle of the arc
+ * that ends now. */
 void modules_look(odometry_state *state, const core_config *config, uint32_t joints);
 /* The next one begins at the angles that are known now. */
 void modules_end_arc(odometry_state *state);
 /* What no motion of the base explains of an arc. */
-void modules_slip(odometry_state *state, const core_config *config, uint32_t joints, const double *rim_m, const double *twist_u,
-                  double elapsed_s);
+void modules_slip(odometry_state *state, const core_config *config, uint32_t joints,
+                  const double *rim_m, const double *twist_u, double elapsed_s);
 
 /* false: a number in it is not finite */
 static inline bool odometry_finite(const odometry_state *state, uint32_t joint_count)
 {
-    const double *p = state->pose_covariance, *q = state->twist_covariance, *r = state->lateral_covariance;
+    const double *p = state->pose_covariance, *q = state->twist_covariance,
+                 *r = state->lateral_covariance;
     /* a sum with an infinity or a NaN in it is one itself */
-    double sum = state->x_m + state->y_m + state->heading_rad + state->distance_m + state->turned_rad + state->linear_m_s +
-                 state->angular_rad_s + state->lateral_m_s + state->spread.slip_m_s + r[0] + r[1] + r[2] + p[0] + p[1] + p[2] +
-                 p[3] + p[4] + p[5] + q[0] + q[1] + q[2] + state->gyro.yaw_rad + state->gyro.bias_rad_s +
+    double sum = state->x_m + state->y_m + state->heading_rad + state->distance_m +
+                 state->turned_rad + state->linear_m_s + state->angular_rad_s + state->lateral_m_s +
+                 state->spread.slip_m_s + r[0] + r[1] + r[2] + p[0] + p[1] + p[2] + p[3] + p[4] +
+                 p[5] + q[0] + q[1] + q[2] + state->gyro.yaw_rad + state->gyro.bias_rad_s +
                  state->gyro.bias_variance_rad2_s2;
     for (uint32_t j = 0; j < joint_count; j++) {
         sum += state->joint[j].position_rad; /* pending_rad is a part of it */
@@ -84,14 +90,16 @@ static inline bool odometry_finite(const odometry_state *state, uint32_t joint_c
     return isfinite(sum);
 }
 
-/* The pose's covariance takes in what has been done since the last look, which is over at `now_ns`. */
+/* The pose's covariance takes in what has been done since the last look, which is over at
+ * `now_ns`. */
 static const int64_t SPREAD_EVERY_NS = 50000000;
 void spread_look(odometry_state *state, const core_config *config, int64_t now_ns);
 void spread_floor(odometry_state *state, const core_config *config);
 
-/* The wheels that send feedback do not determine the motion: let the variance grow as if nothing were known of
- * what the set-points make the wheels do meanwhile. */
-void odometry_drift(odometry_state *state, const core_config *config, const joint_setpoint *setpoint, double dt_s);
+/* The wheels that send feedback do not determine the motion: let the variance grow as if nothing
+ * were known of what the set-points make the wheels do meanwhile. */
+void odometry_drift(odometry_state *state, const core_config *config,
+                    const joint_setpoint *setpoint, double dt_s);
 
 #pragma GCC visibility pop
 

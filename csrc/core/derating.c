@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * derating.c: how much of its speed limits a joint leaves the base. Measures are smoothed by a low pass, so that the current of
- * a ramp, and the voltage that sags under it, do not make the base hunt.
+ * derating.c: how much of its speed limits a joint leaves the base. Measures are smoothed by a low
+ * pass, so that the current of a ramp, and the voltage that sags under it, do not make the base
+ * hunt.
  */
 #include "rt.h"
 
@@ -20,7 +21,8 @@ bool derating_used(const derating_config *config)
 
 static void measure(derating_state *state, const joint_feedback *feedback)
 {
-    const double now[DERATINGS] = {feedback->temperature_c, fabs(feedback->current_a), feedback->voltage_v};
+    const double now[DERATINGS] = {feedback->temperature_c, fabs(feedback->current_a),
+                                   feedback->voltage_v};
     double elapsed_s = (double)(feedback->stamp_ns - state->stamp_ns) * 1e-9;
     for (int by = 0; by < DERATINGS; by++) {
         if (!isfinite(now[by])) {
@@ -28,12 +30,14 @@ static void measure(derating_state *state, const joint_feedback *feedback)
         }
         bool first = !isfinite(state->measured[by]);
         double share = first ? 1.0 : elapsed_s / (SMOOTHING_S + elapsed_s);
-        state->measured[by] = first ? now[by] : state->measured[by] + (now[by] - state->measured[by]) * share;
+        state->measured[by] =
+            first ? now[by] : state->measured[by] + (now[by] - state->measured[by]) * share;
     }
     state->stamp_ns = feedback->stamp_ns;
 }
 
-double derating_factor(derating_state *state, const derating_config *config, const joint_feedback *feedback, uint32_t *by)
+double derating_factor(derating_state *state, const derating_config *config,
+                       const joint_feedback *feedback, uint32_t *by)
 {
     if (state->stamp_ns == 0) {
         for (int i = 0; i < DERATINGS; i++) {

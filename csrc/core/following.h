@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * following.h: whether joints that take positions are where their set-points are. A part of core.c, as snapshot.h is.
+ * following.h: whether joints that take positions are where their set-points are. A part of core.c,
+ * as snapshot.h is.
  */
 #ifndef MOTORD_FOLLOWING_H
 #define MOTORD_FOLLOWING_H
@@ -15,7 +16,8 @@ static inline uint32_t joints_with_power(const core_state *state)
     return state->armed | state->holding ? state->config.joint_count : 0;
 }
 
-/* Is a joint that takes positions where its set-point is? One that measures nothing counts as there. */
+/* Is a joint that takes positions where its set-point is? One that measures nothing counts as
+ * there. */
 __attribute__((noinline)) static void doubt_positions(core_state *state, tick *t)
 {
     steer_state *steer = &state->steer;
@@ -37,12 +39,13 @@ __attribute__((noinline)) static void doubt_positions(core_state *state, tick *t
             continue;
         }
         if (state->snapshot.doubt.fault == 0) {
-            state->snapshot.doubt = (feedback_doubt){.since_ns = since_ns,
-                                                     .setpoint_rad_s = profile->velocity_rad_s,
-                                                     .measured_rad_s = state->odometry.joint[j].velocity_rad_s,
-                                                     .reported_rad_s = NAN,
-                                                     .fault = FAULT_FOLLOWING_ERROR,
-                                                     .joint = j};
+            state->snapshot.doubt =
+                (feedback_doubt){.since_ns = since_ns,
+                                 .setpoint_rad_s = profile->velocity_rad_s,
+                                 .measured_rad_s = state->odometry.joint[j].velocity_rad_s,
+                                 .reported_rad_s = NAN,
+                                 .fault = FAULT_FOLLOWING_ERROR,
+                                 .joint = j};
         }
         watch_latch(state, FAULT_FOLLOWING_ERROR);
         t->calm = false;

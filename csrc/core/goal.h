@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * goal.h: the twist to ramp to: what was commanded, within the limits of the base and its wheels. A part of core.c, as
- * snapshot.h is.
+ * goal.h: the twist to ramp to: what was commanded, within the limits of the base and its wheels. A
+ * part of core.c, as snapshot.h is.
  */
 #ifndef MOTORD_GOAL_H
 #define MOTORD_GOAL_H
@@ -17,7 +17,8 @@ static inline double within(double want, double limit)
     return fabs(want) <= limit ? want : copysign(limit, want);
 }
 
-/* Linear and lateral motion within their limits, by one factor, so that the direction stays. Returns the reasons. */
+/* Linear and lateral motion within their limits, by one factor, so that the direction stays.
+ * Returns the reasons. */
 static inline uint32_t limit_direction(const core_state *state, double *twist_u_s)
 {
     double linear_m_s = twist_u_s[AXIS_LINEAR], lateral_m_s = twist_u_s[AXIS_LATERAL];
@@ -25,7 +26,8 @@ static inline uint32_t limit_direction(const core_state *state, double *twist_u_
     double lateral = within(lateral_m_s, state->limits.lateral.velocity_u_s);
     twist_u_s[AXIS_LINEAR] = linear;
     twist_u_s[AXIS_LATERAL] = lateral;
-    /* which of the two has to fall by the larger part, without a quotient that may be rounded up; not one that is 0 */
+    /* which of the two has to fall by the larger part, without a quotient that may be rounded
+     * up; not one that is 0 */
     if (fabs(linear * lateral_m_s) < fabs(lateral * linear_m_s)) {
         twist_u_s[AXIS_LATERAL] = within(lateral_m_s * (linear / linear_m_s), fabs(lateral));
     } else if (lateral_m_s != 0.0) {
@@ -35,10 +37,12 @@ static inline uint32_t limit_direction(const core_state *state, double *twist_u_
            (lateral != lateral_m_s ? (uint32_t)REASON_LATERAL_VELOCITY : 0);
 }
 
-/* All axes by one factor, so that none exceeds its derated limit and the direction stays. Returns the reasons. */
+/* All axes by one factor, so that none exceeds its derated limit and the direction stays.
+ * Returns the reasons. */
 static inline uint32_t derate(const core_state *state, double *twist_u_s)
 {
-    const axis_limits *limits[AXES] = {&state->limits.linear, &state->limits.angular, &state->limits.lateral};
+    const axis_limits *limits[AXES] = {&state->limits.linear, &state->limits.angular,
+                                       &state->limits.lateral};
     double scale = 1.0;
     if (state->snapshot.derating.since_ns == 0) {
         return 0;
@@ -70,7 +74,8 @@ static inline uint32_t most_saturated(const core_config *config, const double *w
     return worst;
 }
 
-/* The twist to ramp to, scaled to what the wheels can do: the ramp runs straight to it, and nothing is scaled after. */
+/* The twist to ramp to, scaled to what the wheels can do: the ramp runs straight to it, and
+ * nothing is scaled after. */
 static inline void set_goal(core_state *state)
 {
     core_goal *goal = &state->goal;
@@ -83,11 +88,15 @@ static inline void set_goal(core_state *state)
         goal->reasons = REASON_LATERAL_IMPOSSIBLE;
     }
     if (state->steered && state->axes < AXES) {
-        goal->reasons |= steer_within_reach(&state->steer, &state->limits, goal->wanted_u_s, twist_u_s);
+        goal->reasons |=
+            steer_within_reach(&state->steer, &state->limits, goal->wanted_u_s, twist_u_s);
     } else {
         goal->reasons |= limit_direction(state, twist_u_s);
-        twist_u_s[AXIS_ANGULAR] = within(twist_u_s[AXIS_ANGULAR], state->limits.angular.velocity_u_s);
-        goal->reasons |= twist_u_s[AXIS_ANGULAR] != goal->wanted_u_s[AXIS_ANGULAR] ? (uint32_t)REASON_ANGULAR_VELOCITY : 0;
+        twist_u_s[AXIS_ANGULAR] =
+            within(twist_u_s[AXIS_ANGULAR], state->limits.angular.velocity_u_s);
+        goal->reasons |= twist_u_s[AXIS_ANGULAR] != goal->wanted_u_s[AXIS_ANGULAR]
+                             ? (uint32_t)REASON_ANGULAR_VELOCITY
+                             : 0;
     }
     goal->reasons |= derate(state, twist_u_s);
     if (state->steered) {

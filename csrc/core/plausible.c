@@ -2,9 +2,10 @@
  *
  * plausible.c: does a wheel follow its set-point, and can its feedback be true?
  *
- * A check that holds for its time is a fault. None of those that compare with the set-point counts while the wheel comes
- * nearer to it: a drive whose own ramp is slower than the core's lags for as long as it takes. Speeds are smoothed, so that a
- * coarse encoder, or a counter that is renewed slowly, is as good as any other.
+ * A check that holds for its time is a fault. None of those that compare with the set-point counts
+ * while the wheel comes nearer to it: a drive whose own ramp is slower than the core's lags for as
+ * long as it takes. Speeds are smoothed, so that a coarse encoder, or a counter that is renewed
+ * slowly, is as good as any other.
  */
 #include "core.h"
 
@@ -33,8 +34,9 @@ static void begin(plausible_state *state, const joint_odometry *joint)
     };
 }
 
-/* The speed, and that which the drive reports, smoothed alike: what both lag behind is no difference. And how far from its
- * mean the latter is: what is +343 and -343 in turn has a good one. */
+/* The speed, and that which the drive reports, smoothed alike: what both lag behind is no
+ * difference. And how far from its mean the latter is: what is +343 and -343 in turn has a good
+ * one. */
 static void measure(plausible_state *state, const joint_odometry *joint, double reported_rad_s)
 {
     double elapsed_s = (double)(joint->stamp_ns - state->stamp_ns) * 1e-9;
@@ -44,7 +46,8 @@ static void measure(plausible_state *state, const joint_odometry *joint, double 
     if (isfinite(reported_rad_s)) {
         double share = elapsed_s * share_per_s;
         state->reported_rad_s += (reported_rad_s - state->reported_rad_s) * share;
-        state->rough_rad_s += (fabs(reported_rad_s - state->reported_rad_s) - state->rough_rad_s) * share;
+        state->rough_rad_s +=
+            (fabs(reported_rad_s - state->reported_rad_s) - state->rough_rad_s) * share;
     } else {
         state->reported_rad_s = state->measured_rad_s;
     }
@@ -53,11 +56,13 @@ static void measure(plausible_state *state, const joint_odometry *joint, double 
 }
 
 /* Bit n: check n does not hold now. */
-static uint32_t suspicions(const plausible_state *state, const plausible_config *config, double setpoint_rad_s)
+static uint32_t suspicions(const plausible_state *state, const plausible_config *config,
+                           double setpoint_rad_s)
 {
     double wanted_rad_s = fabs(setpoint_rad_s), speed_rad_s = fabs(state->measured_rad_s);
     bool against = setpoint_rad_s * state->measured_rad_s < 0.0;
-    double along_rad_s = against ? -speed_rad_s : speed_rad_s; /* no wheel is too slow for a set-point of zero */
+    /* no wheel is too slow for a set-point of zero */
+    double along_rad_s = against ? -speed_rad_s : speed_rad_s;
     double reported_rad_s = fabs(state->reported_rad_s);
     double allowed_rad_s = APART * (speed_rad_s > reported_rad_s ? speed_rad_s : reported_rad_s);
     bool slow = speed_rad_s < config->slow_rad_s, back = along_rad_s <= -config->slow_rad_s;
@@ -71,15 +76,19 @@ static uint32_t suspicions(const plausible_state *state, const plausible_config 
     if (speed_rad_s - wanted_rad_s > config->beyond_rad_s) {
         found |= 1U << RUNAWAY;
     }
-    if (fabs(state->measured_rad_s - state->reported_rad_s) > config->apart_rad_s + allowed_rad_s /* not the same speed */
-        || state->rough_rad_s > config->beyond_rad_s + allowed_rad_s) {                           /* no speed at all */
+    if (fabs(state->measured_rad_s - state->reported_rad_s) >
+            config->apart_rad_s + allowed_rad_s /* not the same speed */
+        /* no speed at all */
+        || state->rough_rad_s > config->beyond_rad_s + allowed_rad_s) {
         found |= 1U << IMPLAUSIBLE;
     }
     return found;
 }
 
-/* It has come nearer to its set-point than ever since the checks began, or beyond it: it is only slow. */
-static bool comes_nearer(plausible_state *state, const plausible_config *config, double setpoint_rad_s)
+/* It has come nearer to its set-point than ever since the checks began, or beyond it: it is only
+ * slow. */
+static bool comes_nearer(plausible_state *state, const plausible_config *config,
+                         double setpoint_rad_s)
 {
     uint32_t faster = setpoint_rad_s > state->measured_rad_s;
     double gained_rad_s = state->measured_rad_s - state->nearest_rad_s;
@@ -106,7 +115,8 @@ static bool jumps_too_often(plausible_state *state, const plausible_config *conf
 static uint32_t overdue(plausible_state *state, const plausible_config *config, uint32_t found)
 {
     const double limit_s[CHECKS] = {
-        config->direction_s, config->stall_s, config->following_s, config->runaway_s, config->apart_s,
+        config->direction_s, config->stall_s, config->following_s,
+        config->runaway_s,   config->apart_s,
     };
     uint32_t first = CHECKS;
     for (uint32_t check = 0; check < CHECKS; check++) {
@@ -123,8 +133,8 @@ static uint32_t overdue(plausible_state *state, const plausible_config *config, 
     return first;
 }
 
-static void doubt(plausible_state *state, uint32_t check, int64_t since_ns, double setpoint_rad_s, double reported_rad_s,
-                  feedback_doubt *why)
+static void doubt(plausible_state *state, uint32_t check, int64_t since_ns, double setpoint_rad_s,
+                  double reported_rad_s, feedback_doubt *why)
 {
     state->doubted = 1;
     *why = (feedback_doubt){
@@ -136,8 +146,8 @@ static void doubt(plausible_state *state, uint32_t check, int64_t since_ns, doub
     };
 }
 
-bool plausible(plausible_state *state, const plausible_config *config, const joint_odometry *joint, double reported_rad_s,
-               double setpoint_rad_s, feedback_doubt *why)
+bool plausible(plausible_state *state, const plausible_config *config, const joint_odometry *joint,
+               double reported_rad_s, double setpoint_rad_s, feedback_doubt *why)
 {
     if (state->stamp_ns == 0) {
         begin(state, joint);

@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * snapshot.h: what the core reports. The snapshot is kept in the state and handed out as a copy, so that a tick
- * writes only what it changed. A part of core.c: in one piece with it the compiler keeps the tick in registers.
+ * snapshot.h: what the core reports. The snapshot is kept in the state and handed out as a copy, so
+ * that a tick writes only what it changed. A part of core.c: in one piece with it the compiler
+ * keeps the tick in registers.
  */
 #ifndef MOTORD_SNAPSHOT_H
 #define MOTORD_SNAPSHOT_H
@@ -30,7 +31,8 @@ typedef struct {
     bool moving; /* a set-point is not zero */
 } tick;
 
-static inline void write_joint(const core_state *state, const joint_feedback *feedback, uint32_t j, joint_state *to)
+static inline void write_joint(const core_state *state, const joint_feedback *feedback, uint32_t j,
+                               joint_state *to)
 {
     const joint_odometry *odometry = &state->odometry.joint[j];
     to->position_rad = odometry->position_rad;
@@ -113,7 +115,8 @@ static inline void write_steering(core_state *state)
         if (takes) {
             to->joints |= 1U << j;
             state->snapshot.joint[j].position_rad = state->odometry.angle_rad[j];
-            state->snapshot.joint[j].setpoint_rad_s = shown ? state->wheels.joint[j].velocity_rad_s : 0.0;
+            state->snapshot.joint[j].setpoint_rad_s =
+                shown ? state->wheels.joint[j].velocity_rad_s : 0.0;
         }
     }
 }
@@ -187,9 +190,11 @@ _Static_assert(sizeof(speed_loop_shown) == 2 * 8, "padding in speed_loop_shown")
 _Static_assert(sizeof(derating_shown) == 2 * 8 + 2 * 4, "padding in derating_shown");
 _Static_assert(sizeof(reasons_shown) == REASONS_MAX * 8 + 6 * 4, "padding in reasons_shown");
 _Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 32 + 8, "padding in setpoints");
-_Static_assert(sizeof(robot_state) == 8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80 + sizeof(imu_state) +
-                                          sizeof(feedback_doubt) + sizeof(lateral_state) + sizeof(steering_state) +
-                                          JOINTS_MAX * sizeof(speed_loop_shown) + sizeof(derating_shown) + sizeof(reasons_shown),
+_Static_assert(sizeof(robot_state) == 8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80 +
+                                          sizeof(imu_state) + sizeof(feedback_doubt) +
+                                          sizeof(lateral_state) + sizeof(steering_state) +
+                                          JOINTS_MAX * sizeof(speed_loop_shown) +
+                                          sizeof(derating_shown) + sizeof(reasons_shown),
                "padding in robot_state");
 
 #endif

@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * watch.h: whether the base may move. Ages of what was received, faults and their latch, arming. Each comparison that lets
- * something move is written so that NaN does not pass it. A part of core.c, as snapshot.h is.
+ * watch.h: whether the base may move. Ages of what was received, faults and their latch, arming.
+ * Each comparison that lets something move is written so that NaN does not pass it. A part of
+ * core.c, as snapshot.h is.
  */
 #ifndef MOTORD_WATCH_H
 #define MOTORD_WATCH_H
@@ -15,12 +16,15 @@
 #include <math.h>
 #include <string.h>
 
-static const double LEAST_COMMAND = 1e-9; /* m/s, rad/s: less is zero, so that no denormal is ever carried on */
+static const double LEAST_COMMAND = 1e-9; /* m/s, rad/s: less is zero, so that no denormal is ever
+                                             carried on */
 
-/* Seconds since a stamp, in wrapping arithmetic: no stamp, however wrong, is undefined behaviour. */
+/* Seconds since a stamp, in wrapping arithmetic: no stamp, however wrong, is undefined
+ * behaviour. */
 static inline double age_s(int64_t now_ns, int64_t stamp_ns)
 {
-    return stamp_ns > 0 ? (double)(int64_t)((uint64_t)now_ns - (uint64_t)stamp_ns) * 1e-9 : INFINITY;
+    return stamp_ns > 0 ? (double)(int64_t)((uint64_t)now_ns - (uint64_t)stamp_ns) * 1e-9
+                        : INFINITY;
 }
 
 static inline uint64_t window_ns(double timeout_s)
@@ -31,7 +35,8 @@ static inline uint64_t window_ns(double timeout_s)
 /* Another command than the last one. */
 static inline void take_command(core_goal *goal, const twist_command *command)
 {
-    const double twist_u_s[AXES] = {command->linear_m_s, command->angular_rad_s, command->lateral_m_s};
+    const double twist_u_s[AXES] = {command->linear_m_s, command->angular_rad_s,
+                                    command->lateral_m_s};
     bool finite = isfinite(twist_u_s[0]) && isfinite(twist_u_s[1]) && isfinite(twist_u_s[2]);
     bool zero = true;
     for (int i = 0; i < AXES; i++) {
@@ -45,7 +50,8 @@ static inline void take_command(core_goal *goal, const twist_command *command)
     goal->known = 0;
 }
 
-/* The same where there is no base; looked at in each tick, for what a joint shall do may change without its number. */
+/* The same where there is no base; looked at in each tick, for what a joint shall do may change
+ * without its number. */
 static inline void take_joints(core_state *state, const joint_command *command)
 {
     bool finite = joint_command_finite(command, &state->config);
@@ -59,7 +65,8 @@ static inline void read_command(core_state *state, tick *t)
     core_goal *goal = &state->goal;
     int64_t now_ns = t->input->now_ns;
     /* NaN is never the last one */
-    if (command->linear_m_s != goal->command_u_s[AXIS_LINEAR] || command->angular_rad_s != goal->command_u_s[AXIS_ANGULAR] ||
+    if (command->linear_m_s != goal->command_u_s[AXIS_LINEAR] ||
+        command->angular_rad_s != goal->command_u_s[AXIS_ANGULAR] ||
         command->lateral_m_s != goal->command_u_s[AXIS_LATERAL]) {
         take_command(goal, command);
     }
@@ -67,7 +74,8 @@ static inline void read_command(core_state *state, tick *t)
         take_joints(state, &t->input->joints);
     }
     t->command_age_s = age_s(now_ns, command->stamp_ns);
-    t->command_fresh = now_ns <= command->expires_ns && fresh_within(now_ns, command->stamp_ns, state->command_window_ns);
+    t->command_fresh = now_ns <= command->expires_ns &&
+                       fresh_within(now_ns, command->stamp_ns, state->command_window_ns);
     t->command_zero = !t->command_fresh || goal->zero;
     t->reasons = t->command_fresh ? goal->command_reasons : (uint32_t)REASON_COMMAND_STALE;
 }
@@ -102,7 +110,8 @@ static inline void read_feedback(core_state *state, tick *t)
 {
     int64_t now_ns = t->input->now_ns;
     uint32_t faults = 0, enabled = ~0U;
-    uint64_t is_new = state->silent, oldest_ns = 0; /* an age; that of a stamp from the future is the greatest of all */
+    /* an age; that of a stamp from the future is the greatest of all */
+    uint64_t is_new = state->silent, oldest_ns = 0;
     const joint_feedback *feedback = t->input->feedback;
     const joint_odometry *used = state->odometry.joint;
     joint_state *shown = state->snapshot.joint, *end = shown + state->config.joint_count;
@@ -116,12 +125,14 @@ static inline void read_feedback(core_state *state, tick *t)
     }
     /* all of it fresh, as in the tick before: no joint needs a closer look */
     int64_t first_ns = (int64_t)((uint64_t)now_ns - oldest_ns);
-    bool received = state->silent == 0 && now_ns >= first_ns && fresh_within(now_ns, first_ns, state->feedback_window_ns);
+    bool received = state->silent == 0 && now_ns >= first_ns &&
+                    fresh_within(now_ns, first_ns, state->feedback_window_ns);
     if (!received) {
         judge_feedback(state, t);
     }
     if (state->positions) {
-        state->steer.unknown = steer_unknown(&state->config, t->input->feedback, state->stale, state->odometry.angle_rad);
+        state->steer.unknown = steer_unknown(&state->config, t->input->feedback, state->stale,
+                                             state->odometry.angle_rad);
     }
     t->is_new = is_new != 0 || !received;
     t->any_stale = state->silent != 0;
@@ -136,7 +147,8 @@ static inline void look(core_state *state, const core_input *input, double dt_s,
     t->dt_s = dt_s > 0.0 && dt_s <= DBL_MAX ? dt_s : 0.0;
     t->saturation = 1.0;
     t->checksum = 0.0;
-    t->heartbeat_fresh = fresh_within(input->now_ns, input->control.heartbeat_ns, state->heartbeat_window_ns);
+    t->heartbeat_fresh =
+        fresh_within(input->now_ns, input->control.heartbeat_ns, state->heartbeat_window_ns);
     read_command(state, t);
     read_feedback(state, t);
 }
@@ -145,7 +157,8 @@ static inline void look(core_state *state, const core_input *input, double dt_s,
 static inline void reset(core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;
-    bool cause = control->estop || control->fault || t->any_stale || t->drive_fault || state->steer.unknown;
+    bool cause =
+        control->estop || control->fault || t->any_stale || t->drive_fault || state->steer.unknown;
     if (cause || !t->command_zero || !state->at_rest) {
         return;
     }
@@ -173,7 +186,8 @@ static inline void take_limits(core_state *state, const base_limits *limits)
     char name[FIELD_NAME_BYTES];
     /* those of an axis that the base does not have change nothing */
     bool same = memcmp(limits, &state->limits, offsetof(base_limits, lateral)) == 0 &&
-                (state->axes < AXES || memcmp(&limits->lateral, &state->limits.lateral, sizeof limits->lateral) == 0);
+                (state->axes < AXES ||
+                 memcmp(&limits->lateral, &state->limits.lateral, sizeof limits->lateral) == 0);
     if (same || base_limits_check(limits, name) != NULL) {
         return;
     }
@@ -217,12 +231,13 @@ static inline uint32_t causes(const core_state *state, const tick *t)
     return found;
 }
 
-/* The e-stop's action replaces any other in progress, and nothing replaces it but a drive that does not obey its
- * set-point: no other set-point ends that, so the power goes off at once. A wheel that turns in the wrong direction is no better
- * off on a ramp. */
+/* The e-stop's action replaces any other in progress, and nothing replaces it but a drive that does
+ * not obey its set-point: no other set-point ends that, so the power goes off at once. A wheel that
+ * turns in the wrong direction is no better off on a ramp. */
 static inline stop_action watch_fault_action(const core_state *state)
 {
-    stop_action action = state->faults & FAULT_ESTOP ? state->config.on_estop : state->config.on_fault;
+    stop_action action =
+        state->faults & FAULT_ESTOP ? state->config.on_estop : state->config.on_fault;
     if (state->faults & FAULT_RUNAWAY) {
         return STOP_COAST;
     }
@@ -251,8 +266,8 @@ static inline void arm_or_disarm(core_state *state, const tick *t)
     const core_control *control = &t->input->control;
     bool edge = control->armed && !state->armed_seen;
     state->armed_seen = control->armed;
-    if (edge && state->faults == 0 && !t->any_stale && !t->drive_fault && !state->steer.unknown && t->heartbeat_fresh &&
-        t->command_zero && !control->stop) {
+    if (edge && state->faults == 0 && !t->any_stale && !t->drive_fault && !state->steer.unknown &&
+        t->heartbeat_fresh && t->command_zero && !control->stop) {
         state->armed = 1;
         state->armed_ns = t->input->now_ns;
         state->commanded = 0;
@@ -275,8 +290,10 @@ static inline bool calm(const core_state *state, const tick *t)
     uint32_t attention = control->estop | control->fault | control->stop | t->input->suspended |
                          (control->reset_count ^ state->reset_seen) |
                          (control->odometry_reset_count ^ state->odometry_reset_seen);
-    attention |= (uint32_t)t->any_stale | (uint32_t)t->drive_fault | (uint32_t)t->drive_disabled | state->steer.unknown;
-    uint32_t ready = state->armed & state->commanded & (uint32_t)t->heartbeat_fresh & (uint32_t)t->command_fresh;
+    attention |= (uint32_t)t->any_stale | (uint32_t)t->drive_fault | (uint32_t)t->drive_disabled |
+                 state->steer.unknown;
+    uint32_t ready =
+        state->armed & state->commanded & (uint32_t)t->heartbeat_fresh & (uint32_t)t->command_fresh;
     return attention == 0 && ready != 0 && control->armed != 0 && t->dt_s > 0.0;
 }
 

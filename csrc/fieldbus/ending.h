@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * ending.h: how a line ends on every medium: what is armed comes to rest, all lose their power, then the line is silent. */
+ * ending.h: how a line ends on every medium: what is armed comes to rest, all lose their power,
+ * then the line is silent. */
 #ifndef MOTORD_ENDING_H
 #define MOTORD_ENDING_H
 
@@ -22,11 +23,13 @@ static inline bool end_begins(line_ending *end, bool requested, int64_t now_ns)
     if (!requested || end->stage != END_NOT) {
         return false;
     }
-    *end = (line_ending){.stage = END_RESTING, .rest_by_ns = now_ns + END_REST_NS, .off_by_ns = now_ns + END_OFF_NS};
+    *end = (line_ending){
+        .stage = END_RESTING, .rest_by_ns = now_ns + END_REST_NS, .off_by_ns = now_ns + END_OFF_NS};
     return true;
 }
 
-/* What a drive has to begin at the end: its power goes off with that of the others at the latest. */
+/* What a drive has to begin at the end: its power goes off with that of the others at the
+ * latest. */
 static inline drive_stop end_stop(const line_ending *end, drive_state *drive, int64_t now_ns)
 {
     if (drive->mode != DRIVE_ARMED) {
@@ -45,7 +48,8 @@ static inline bool end_takes_power(line_ending *end, bool stopping, int64_t now_
     return takes;
 }
 
-/* True: it is silent from now on. `longer_ns`: so much beyond its time, for what has to be sent first. */
+/* True: it is silent from now on. `longer_ns`: so much beyond its time, for what has to be sent
+ * first. */
 static inline bool end_is_over(line_ending *end, bool stopping, int64_t longer_ns, int64_t now_ns)
 {
     bool over = end->stage == END_POWER_OFF && (!stopping || now_ns >= end->off_by_ns + longer_ns);

@@ -8,18 +8,20 @@
 #include "fault_word.h"
 #include "rt.h"
 
-/* The angle that the core wants of a joint. false: none, it stays where it is; an angle is never made up. */
+/* The angle that the core wants of a joint. false: none, it stays where it is; an angle is never
+ * made up. */
 static inline bool setpoint_position(const setpoints *from, uint32_t joint, double *position_rad)
 {
-    if (from->enabled != 1 || joint >= from->joint_count || joint >= JOINTS_MAX || !(from->positioned >> joint & 1U)) {
+    if (from->enabled != 1 || joint >= from->joint_count || joint >= JOINTS_MAX ||
+        !(from->positioned >> joint & 1U)) {
         return false;
     }
     *position_rad = from->position_rad[joint];
     return isfinite(*position_rad);
 }
 
-/* What the core wants of a joint; where it says nothing of it, or no number: 0, of a position NaN. Whether the joint may move is
- * not asked. */
+/* What the core wants of a joint; where it says nothing of it, or no number: 0, of a position NaN.
+ * Whether the joint may move is not asked. */
 static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t kind)
 {
     if (kind == SETPOINT_POSITION) {
@@ -42,7 +44,8 @@ static inline double within_span(double raw, double raw_min, double raw_max)
     return fmin(fmax(raw, raw_min), raw_max);
 }
 
-/* The number for a speed, a duty or a torque that the core commands a joint; where it may not move, 0. */
+/* The number for a speed, a duty or a torque that the core commands a joint; where it may not
+ * move, 0. */
 static inline double scaled(const setpoints *from, bool may_move, const setpoint_scale *scale)
 {
     double si = may_move ? setpoint_of(from, scale->joint, scale->kind) : 0.0;
@@ -57,14 +60,19 @@ static inline uint64_t count_mask(uint32_t counter_bits)
 /* What of a fault word stops the robot. */
 static inline uint32_t fault_meant(const field_meaning *field, uint32_t word)
 {
-    return fault_that_stops(word, field->is_code != 0, field->harmless_bits, field->harmless, field->harmless_codes);
+    return fault_that_stops(word, field->is_code != 0, field->harmless_bits, field->harmless,
+                            field->harmless_codes);
 }
 
 /* Nothing is known of the joint. */
 static inline joint_feedback feedback_unknown(void)
 {
-    return (joint_feedback){
-        .velocity_rad_s = NAN, .current_a = NAN, .voltage_v = NAN, .temperature_c = NAN, .enabled = 2, .referenced = 2};
+    return (joint_feedback){.velocity_rad_s = NAN,
+                            .current_a = NAN,
+                            .voltage_v = NAN,
+                            .temperature_c = NAN,
+                            .enabled = 2,
+                            .referenced = 2};
 }
 
 /* Of the kinds that are measured in SI; false: `kind` is another. */

@@ -23,7 +23,7 @@ static void add_one(int fd)
     }
 }
 
-/* -------------------------------------------------------------------------------- from the caller's thread */
+/* ------------------------------------------------------------- from the caller's thread */
 static void clear(line_thread *t, uint32_t line, const line_place *at, const line_slots *slots)
 {
     t->at = *at;
@@ -40,7 +40,8 @@ static void clear(line_thread *t, uint32_t line, const line_place *at, const lin
     t->stop_requested = false;
 }
 
-int line_thread_prepare(line_thread *t, uint32_t line, const line_place *at, const line_slots *slots)
+int line_thread_prepare(line_thread *t, uint32_t line, const line_place *at,
+                        const line_slots *slots)
 {
     if (t == NULL || at->fd < 0 || at->priority < 0 || at->priority > 99) {
         return -EINVAL;
@@ -62,7 +63,8 @@ int line_thread_prepare(line_thread *t, uint32_t line, const line_place *at, con
 int line_thread_start(line_thread *t, void *(*run)(void *), void *arg)
 {
     t->running = true; /* before it can end */
-    int error = loop_thread_create(&t->thread, &(loop_config){.priority = t->at.priority}, &t->grant, run, arg);
+    int error = loop_thread_create(&t->thread, &(loop_config){.priority = t->at.priority},
+                                   &t->grant, run, arg);
     if (error != 0) {
         t->running = false;
         return error;
@@ -111,7 +113,8 @@ int line_thread_read_round_trips(const line_thread *t, histogram *out)
     return 0;
 }
 
-int line_thread_hand_over(const line_thread *t, ring *to, void *places, uint32_t count, const void *value, size_t value_bytes)
+int line_thread_hand_over(const line_thread *t, ring *to, void *places, uint32_t count,
+                          const void *value, size_t value_bytes)
 {
     if (!ring_put(to, places, count, value, value_bytes)) {
         return -EAGAIN;
@@ -120,7 +123,7 @@ int line_thread_hand_over(const line_thread *t, ring *to, void *places, uint32_t
     return 0;
 }
 
-/* --------------------------------------------------------------------------------------------- in the thread */
+/* ------------------------------------------------------------------------ in the thread */
 void line_thread_begin(line_thread *t, const char *name)
 {
     loop_thread_prepare(&(loop_config){.cpu_mask = t->at.cpu_mask}, &t->grant);
@@ -146,11 +149,13 @@ uint64_t line_thread_take_setpoints(const line_thread *t, setpoints *out)
     return enabled_count;
 }
 
-void line_thread_put_feedback(const line_thread *t, uint32_t mask, const void *joints, size_t joint_bytes)
+void line_thread_put_feedback(const line_thread *t, uint32_t mask, const void *joints,
+                              size_t joint_bytes)
 {
     for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
         if ((mask >> joint & 1) != 0) {
-            (void)exchange_put_feedback(t->at.exchange, joint, (const void *)((const char *)joints + joint * joint_bytes));
+            (void)exchange_put_feedback(t->at.exchange, joint,
+                                        (const void *)((const char *)joints + joint * joint_bytes));
         }
     }
 }

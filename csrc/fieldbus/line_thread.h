@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_thread.h: the life of a line's thread, whatever its medium: what the kernel grants it, what wakes it, what it
- * shares with asyncio, its end. */
+ * line_thread.h: the life of a line's thread, whatever its medium: what the kernel grants it, what
+ * wakes it, what it shares with asyncio, its end. */
 #ifndef MOTORD_LINE_THREAD_H
 #define MOTORD_LINE_THREAD_H
 
@@ -11,7 +11,8 @@
 #include "loop.h"
 #include "ring.h"
 
-/* Places of the mailboxes, of the medium's own kinds: MAILBOX_SLOTS each. A report begins with its line_life. */
+/* Places of the mailboxes, of the medium's own kinds: MAILBOX_SLOTS each. A report begins with
+ * its line_life. */
 typedef struct {
     void *control;
     size_t control_bytes;
@@ -39,27 +40,34 @@ typedef struct {
     _Atomic bool stop_requested;
 } line_thread;
 
-/* -------------------------------------------------------------- from the caller's thread; NULL: no such line */
-/* Before the medium's own preparation. 0; -EINVAL; -EBUSY: it has not been stopped; -errno: there is no eventfd. */
-int line_thread_prepare(line_thread *t, uint32_t line, const line_place *at, const line_slots *slots);
-/* When there is a first report. `run` begins with line_thread_begin and ends with line_thread_end. 0 or -errno: then there
- * is no thread. */
+/* ----------------------------------------- from the caller's thread; NULL: no such line */
+/* Before the medium's own preparation. 0; -EINVAL; -EBUSY: it has not been stopped; -errno:
+ * there is no eventfd. */
+int line_thread_prepare(line_thread *t, uint32_t line, const line_place *at,
+                        const line_slots *slots);
+/* When there is a first report. `run` begins with line_thread_begin and ends with line_thread_end.
+ * 0 or -errno: then there is no thread. */
 int line_thread_start(line_thread *t, void *(*run)(void *), void *arg);
 int line_thread_stop(line_thread *t); /* joins; 0 or -ESRCH */
 void line_thread_put_control(line_thread *t, const void *control);
-int line_thread_read_report(line_thread *t, void *out);                 /* 0 or -ESRCH: never started */
+/* 0 or -ESRCH: never started */
+int line_thread_read_report(line_thread *t, void *out);
 int line_thread_read_round_trips(const line_thread *t, histogram *out); /* 0 or -EINVAL */
 /* To the thread's side of a queue, and wakes it. 0 or -EAGAIN: full. */
-int line_thread_hand_over(const line_thread *t, ring *to, void *places, uint32_t count, const void *value, size_t value_bytes);
+int line_thread_hand_over(const line_thread *t, ring *to, void *places, uint32_t count,
+                          const void *value, size_t value_bytes);
 
-/* --------------------------------------------------------------------------------------------- in the thread */
-void line_thread_begin(line_thread *t, const char *name); /* as the kernel shows it: at most 15 characters */
-void line_thread_end(line_thread *t);                     /* its last report has been put */
+/* ------------------------------------------------------------------------ in the thread */
+/* as the kernel shows it: at most 15 characters */
+void line_thread_begin(line_thread *t, const char *name);
+void line_thread_end(line_thread *t); /* its last report has been put */
 void line_thread_take_control(line_thread *t, void *out);
 /* Returns how often they have become enabled. */
 uint64_t line_thread_take_setpoints(const line_thread *t, setpoints *out);
-/* Of the joints of a mask; `joints`: JOINTS_MAX of the medium's own, each begins with its joint_feedback. */
-void line_thread_put_feedback(const line_thread *t, uint32_t mask, const void *joints, size_t joint_bytes);
+/* Of the joints of a mask; `joints`: JOINTS_MAX of the medium's own, each begins with its
+ * joint_feedback. */
+void line_thread_put_feedback(const line_thread *t, uint32_t mask, const void *joints,
+                              size_t joint_bytes);
 /* A report: its life is filled in here. */
 void line_thread_put_report(line_thread *t, line_life *report, bool running, int error);
 /* There is something that asyncio wants to know. */
@@ -68,7 +76,8 @@ void line_thread_notify(const line_thread *t);
 void line_thread_count_page_faults(line_thread *t, bool worked);
 /* Now and then a report is due, whatever happens: true, and page_faults is counted for it. */
 bool line_thread_report_is_due(line_thread *t, bool worked, int64_t now_ns);
-/* Until one of `fds`, a wake or the time; fds[0] is the wake's own place. 1: it was woken; 0; -errno. */
+/* Until one of `fds`, a wake or the time; fds[0] is the wake's own place. 1: it was woken; 0;
+ * -errno. */
 int line_thread_wait(const line_thread *t, struct pollfd *fds, nfds_t count, int64_t until_ns);
 /* From a port, as poll has found it: bytes that came, or 0; -errno: the port is gone. */
 int line_thread_read_port(const line_thread *t, short revents, uint8_t *bytes, uint32_t room);

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_trace.c: places that are overwritten in turn; a reader finds out by an entry's number what it has missed. */
+ * line_trace.c: places that are overwritten in turn; a reader finds out by an entry's number
+ * what it has missed. */
 #include "line_trace.h"
 
 #include <errno.h>
@@ -29,7 +30,8 @@ int line_trace_switch(uint32_t line, int on)
 
 uint64_t line_trace_newest(uint32_t line)
 {
-    return line < LINES_MAX ? atomic_load_explicit(&line_traces[line].newest, memory_order_acquire) : 0;
+    return line < LINES_MAX ? atomic_load_explicit(&line_traces[line].newest, memory_order_acquire)
+                            : 0;
 }
 
 int line_trace_read(uint32_t line, uint64_t number, trace_entry *out)

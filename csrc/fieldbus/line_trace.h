@@ -23,10 +23,13 @@ typedef struct {
 
 extern line_trace line_traces[LINES_MAX];
 
-/* For the line's thread alone. Takes no memory and no lock; of more bytes the first TRACE_BYTES_MAX are kept. */
-void line_trace_put(line_trace *t, bool outward, int64_t stamp_ns, const void *data, uint32_t bytes);
+/* For the line's thread alone. Takes no memory and no lock; of more bytes the first
+ * TRACE_BYTES_MAX are kept. */
+void line_trace_put(line_trace *t, bool outward, int64_t stamp_ns, const void *data,
+                    uint32_t bytes);
 
-static inline void trace_bytes(uint32_t line, bool outward, int64_t stamp_ns, const void *data, uint32_t bytes)
+static inline void trace_bytes(uint32_t line, bool outward, int64_t stamp_ns, const void *data,
+                               uint32_t bytes)
 {
     if (atomic_load_explicit(&line_traces[line].on, memory_order_relaxed)) {
         line_trace_put(&line_traces[line], outward, stamp_ns, data, bytes);

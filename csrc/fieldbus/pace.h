@@ -1,15 +1,18 @@
 /* SPDX-License-Identifier: Apache-2.0
- * pace.h: the clock of the cycles of a medium whose drives all get theirs in one, and how soon anything is looked at. */
+ * pace.h: the clock of the cycles of a medium whose drives all get theirs in one, and how soon
+ * anything is looked at. */
 #ifndef MOTORD_PACE_H
 #define MOTORD_PACE_H
 
 #include <stdbool.h>
 #include <stdint.h>
 
-static const int64_t LOOK_RESTING_NS = 20 * 1000000, LOOK_MOVING_NS = 5 * 1000000, LOOK_FULL_NS = 1000000;
+static const int64_t LOOK_RESTING_NS = 20 * 1000000, LOOK_MOVING_NS = 5 * 1000000,
+                     LOOK_FULL_NS = 1000000;
 
-/* What is sent before its cycle, because it is new: in the long run no more of it than there are cycles, and so many at
- * once. So a medium carries at most twice what its cycle needs, however often the set-points change. */
+/* What is sent before its cycle, because it is new: in the long run no more of it than there are
+ * cycles, and so many at once. So a medium carries at most twice what its cycle needs, however
+ * often the set-points change. */
 enum { EARLY_AT_ONCE = 4 };
 
 typedef struct {
@@ -40,9 +43,10 @@ static inline bool cycle_clock_early(cycle_clock *c, int64_t period_ns, int64_t 
     return true;
 }
 
-/* The next cycle is due now, but not before the gap after the newest one. What stops a motion is never too much: each stop
- * follows a motion, which is counted. */
-static inline void cycle_clock_bring_forward(cycle_clock *c, int64_t period_ns, int64_t gap_ns, bool stops, int64_t now_ns)
+/* The next cycle is due now, but not before the gap after the newest one. What stops a motion is
+ * never too much: each stop follows a motion, which is counted. */
+static inline void cycle_clock_bring_forward(cycle_clock *c, int64_t period_ns, int64_t gap_ns,
+                                             bool stops, int64_t now_ns)
 {
     int64_t soon_ns = c->start_ns > 0 ? later(now_ns, c->start_ns + gap_ns) : now_ns;
     if (soon_ns < c->due_ns && (stops || cycle_clock_early(c, period_ns, now_ns))) {

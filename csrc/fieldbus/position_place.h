@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * position_place.h: which target a joint that takes positions may be sent: the one rule of all media, in the numbers of its
- * drive. The first target after arming is the place that the drive measures; from there it moves no faster than the joint. */
+ * position_place.h: which target a joint that takes positions may be sent: the one rule of all
+ * media, in the numbers of its drive. The first target after arming is the place that the drive
+ * measures; from there it moves no faster than the joint. */
 #ifndef MOTORD_POSITION_PLACE_H
 #define MOTORD_POSITION_PLACE_H
 
@@ -21,10 +22,13 @@ typedef struct {
     double least;
     double most;
     double per_s;
-    int64_t window_ns; /* a measured place counts for so long, and a target is not caught up beyond it */
+    int64_t window_ns; /* a measured place counts for so long, and a target is not caught up beyond
+                          it */
 } position_range;
 
-enum { PLACE_CYCLES = 3 }; /* so many cycles may pass between two looks at it, where they are slow */
+enum {
+    PLACE_CYCLES = 3
+}; /* so many cycles may pass between two looks at it, where they are slow */
 
 static inline int64_t place_window_ns(int64_t timeout_ns, int64_t period_ns)
 {
@@ -32,7 +36,8 @@ static inline int64_t place_window_ns(int64_t timeout_ns, int64_t period_ns)
     return timeout_ns > cycles_ns ? timeout_ns : cycles_ns;
 }
 
-static inline bool place_is_known(const position_place *place, const position_range *range, int64_t now_ns)
+static inline bool place_is_known(const position_place *place, const position_range *range,
+                                  int64_t now_ns)
 {
     return place->measured >= range->least && place->measured <= range->most &&
            fresh_stamp(now_ns, place->measured_ns, range->window_ns);
@@ -45,16 +50,18 @@ static inline double place_step(const position_range *range, int64_t elapsed_ns)
     return counted_ns > 0 ? range->per_s * (double)counted_ns * 1e-9 : 0.0;
 }
 
-/* The target for one that is wanted; NaN: none may be sent. A first one far from where the drive is means that the two do not
- * count alike: a wrong zero, a counter that has gone round. */
-static inline double place_next(const position_place *place, const position_range *range, double wanted, int64_t now_ns)
+/* The target for one that is wanted; NaN: none may be sent. A first one far from where the drive is
+ * means that the two do not count alike: a wrong zero, a counter that has gone round. */
+static inline double place_next(const position_place *place, const position_range *range,
+                                double wanted, int64_t now_ns)
 {
     if (isnan(wanted)) {
         return NAN;
     }
     double within = fmin(fmax(wanted, range->least), range->most);
     if (isnan(place->sent)) {
-        bool begins = place_is_known(place, range, now_ns) && fabs(within - place->measured) <= place_step(range, INT64_MAX);
+        bool begins = place_is_known(place, range, now_ns) &&
+                      fabs(within - place->measured) <= place_step(range, INT64_MAX);
         return begins ? place->measured : (double)NAN;
     }
     double step = place_step(range, now_ns - place->sent_ns);
@@ -62,9 +69,11 @@ static inline double place_next(const position_place *place, const position_rang
 }
 
 /* It may get no power, or must lose it: `wanted` NaN: no target yet. */
-static inline bool place_is_missing(const position_place *place, const position_range *range, double wanted, int64_t now_ns)
+static inline bool place_is_missing(const position_place *place, const position_range *range,
+                                    double wanted, int64_t now_ns)
 {
-    bool begins = isnan(wanted) ? place_is_known(place, range, now_ns) : !isnan(place_next(place, range, wanted, now_ns));
+    bool begins = isnan(wanted) ? place_is_known(place, range, now_ns)
+                                : !isnan(place_next(place, range, wanted, now_ns));
     return isnan(place->sent) && !begins;
 }
 

@@ -92,8 +92,10 @@ int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value)
     setpoints_mailbox *to = &x->setpoints[line];
     bool enabled = value->enabled != 0;
     mailbox_put(&to->mailbox, to->slot, value, sizeof *value);
-    /* after them, so that no line has the count without them; in every tick, so that the first time touches no new memory */
-    (void)atomic_fetch_add_explicit(&x->enabled_count[line], enabled && !x->enabled_before[line], memory_order_release);
+    /* after them, so that no line has the count without them; in every tick, so that the first
+     * time touches no new memory */
+    (void)atomic_fetch_add_explicit(&x->enabled_count[line], enabled && !x->enabled_before[line],
+                                    memory_order_release);
     x->enabled_before[line] = enabled;
     return 0;
 }
@@ -110,7 +112,8 @@ int exchange_take_setpoints(exchange *x, uint32_t line, setpoints *out)
 
 uint64_t exchange_enabled_count(const exchange *x, uint32_t line)
 {
-    return line < LINES_MAX ? atomic_load_explicit(&x->enabled_count[line], memory_order_acquire) : 0;
+    return line < LINES_MAX ? atomic_load_explicit(&x->enabled_count[line], memory_order_acquire)
+                            : 0;
 }
 
 uint64_t exchange_line_takes(const exchange *x, uint32_t line)

@@ -8,7 +8,10 @@
 #include "rt.h"
 #include "seqlock.h"
 
-enum { RECORD_WORDS = sizeof(journal_record) / WORD_BYTES, STATE_WORDS = sizeof(core_state) / WORD_BYTES };
+enum {
+    RECORD_WORDS = sizeof(journal_record) / WORD_BYTES,
+    STATE_WORDS = sizeof(core_state) / WORD_BYTES
+};
 static const char MAGIC[WORD_BYTES] = {'M', 'O', 'T', 'O', 'R', 'D', 'J', 1};
 static const uint64_t FNV_OFFSET = 0xcbf29ce484222325u, FNV_PRIME = 0x100000001b3u;
 
@@ -24,7 +27,7 @@ typedef struct {
     _Atomic uint32_t checkpoint_offset_bytes;
     _Atomic uint32_t checkpoint_bytes;
     _Atomic uint32_t writer_pid;
-    _Atomic uint64_t records;     /* so far; the newest is in slot (records - 1) % JOURNAL_RECORDS */
+    _Atomic uint64_t records; /* so far; the newest is in slot (records - 1) % JOURNAL_RECORDS */
     _Atomic uint64_t checkpoints; /* so far */
 } journal_header;
 
@@ -44,9 +47,11 @@ typedef struct {
     checkpoint_slot checkpoint[JOURNAL_CHECKPOINTS];
 } journal;
 
-_Static_assert(sizeof(journal_record) % WORD_BYTES == 0 && sizeof(core_state) % WORD_BYTES == 0, "whole words");
+_Static_assert(sizeof(journal_record) % WORD_BYTES == 0 && sizeof(core_state) % WORD_BYTES == 0,
+               "whole words");
 _Static_assert(sizeof(robot_state) % WORD_BYTES == 0, "whole words");
-_Static_assert(sizeof(journal_header) == 64 && offsetof(journal_header, records) == 48, "documented in docs/replay.md");
+_Static_assert(sizeof(journal_header) == 64 && offsetof(journal_header, records) == 48,
+               "documented in docs/replay.md");
 
 size_t journal_bytes(void)
 {
@@ -73,11 +78,14 @@ int journal_init(void *memory)
     atomic_store_explicit(&header->layout_version, JOURNAL_LAYOUT_VERSION, memory_order_relaxed);
     atomic_store_explicit(&header->record_count, JOURNAL_RECORDS, memory_order_relaxed);
     atomic_store_explicit(&header->record_stride_bytes, sizeof(record_slot), memory_order_relaxed);
-    atomic_store_explicit(&header->record_offset_bytes, offsetof(journal, record), memory_order_relaxed);
+    atomic_store_explicit(&header->record_offset_bytes, offsetof(journal, record),
+                          memory_order_relaxed);
     atomic_store_explicit(&header->record_bytes, sizeof(journal_record), memory_order_relaxed);
     atomic_store_explicit(&header->checkpoint_count, JOURNAL_CHECKPOINTS, memory_order_relaxed);
-    atomic_store_explicit(&header->checkpoint_stride_bytes, sizeof(checkpoint_slot), memory_order_relaxed);
-    atomic_store_explicit(&header->checkpoint_offset_bytes, offsetof(journal, checkpoint), memory_order_relaxed);
+    atomic_store_explicit(&header->checkpoint_stride_bytes, sizeof(checkpoint_slot),
+                          memory_order_relaxed);
+    atomic_store_explicit(&header->checkpoint_offset_bytes, offsetof(journal, checkpoint),
+                          memory_order_relaxed);
     atomic_store_explicit(&header->checkpoint_bytes, sizeof(core_state), memory_order_relaxed);
     atomic_store_explicit(&header->writer_pid, (uint32_t)getpid(), memory_order_relaxed);
     memcpy(&magic, MAGIC, sizeof magic);
@@ -88,7 +96,8 @@ int journal_init(void *memory)
 void journal_before(void *memory, const core_state *state)
 {
     journal *j = memory;
-    if (atomic_load_explicit(&j->header.records, memory_order_relaxed) % JOURNAL_CHECKPOINT_EVERY != 0) {
+    if (atomic_load_explicit(&j->header.records, memory_order_relaxed) % JOURNAL_CHECKPOINT_EVERY !=
+        0) {
         return;
     }
     uint64_t number = atomic_load_explicit(&j->header.checkpoints, memory_order_relaxed) + 1;
@@ -97,10 +106,15 @@ void journal_before(void *memory, const core_state *state)
     atomic_store_explicit(&j->header.checkpoints, number, memory_order_release);
 }
 
-void journal_after(void *memory, const core_input *input, double dt_s, const setpoints *out, const robot_state *snapshot)
+void journal_after(void *memory, const core_input *input, double dt_s, const setpoints *out,
+                   const robot_state *snapshot)
 {
     journal *j = memory;
-    journal_record record = {.tick = out->tick, .dt_s = dt_s, .digest = journal_digest(snapshot), .input = *input, .out = *out};
+    journal_record record = {.tick = out->tick,
+                             .dt_s = dt_s,
+                             .digest = journal_digest(snapshot),
+                             .input = *input,
+                             .out = *out};
     uint64_t number = atomic_load_explicit(&j->header.records, memory_order_relaxed) + 1;
     record_slot *slot = &j->record[(number - 1) % JOURNAL_RECORDS];
     seqlock_write(&slot->sequence, slot->word, number, &record, RECORD_WORDS);

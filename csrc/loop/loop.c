@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * loop.c: the loop's life. The only file of csrc/ with globals: one loop a process, in static memory. */
+ * loop.c: the loop's life. The only file of csrc/ with globals: one loop a process, in static
+ * memory. */
 #include <errno.h>
 #include <fcntl.h>
 #include <semaphore.h>
@@ -32,12 +33,14 @@ static void sleep_until(int64_t deadline_ns)
     }
 }
 
-/* A command is obeyed at once, but once between two ticks: a flood of them costs no more than that. */
+/* A command is obeyed at once, but once between two ticks: a flood of them costs no more than
+ * that. */
 static void wait_until(int64_t deadline_ns)
 {
     bool listening = work.ingress.epoll_fd >= 0;
     if (listening && !ingress_wait(&work.ingress, deadline_ns)) {
-        return; /* it is time; to sleep until a time that is past would cost a wake-up all the same */
+        /* it is time; to sleep until a time that is past would cost a wake-up all the same */
+        return;
     }
     if (listening) {
         loop_extra_tick(&work, clock_now_ns());
@@ -69,12 +72,14 @@ static void *run(void *unused)
 
 static bool is_good(const loop_config *loop)
 {
-    return loop->rate_hz >= 10 && loop->rate_hz <= 20000 && loop->priority >= 0 && loop->priority <= 99 && loop->page_fd >= -1 &&
-           loop->journal_fd >= -1 && loop->event_fd >= -1 && loop->command_fd >= -1 && loop->stop_fd >= -1 &&
+    return loop->rate_hz >= 10 && loop->rate_hz <= 20000 && loop->priority >= 0 &&
+           loop->priority <= 99 && loop->page_fd >= -1 && loop->journal_fd >= -1 &&
+           loop->event_fd >= -1 && loop->command_fd >= -1 && loop->stop_fd >= -1 &&
            loop->late_from_ns >= 0 && guard_config_check(&loop->guard) == 0;
 }
 
-/* The file is given its full size first: a hole in a full file system would be a SIGBUS in the thread. */
+/* The file is given its full size first: a hole in a full file system would be a SIGBUS in the
+ * thread. */
 static int map_file(int fd, size_t bytes, void **memory, int (*init)(void *))
 {
     *memory = NULL;

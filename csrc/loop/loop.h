@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * loop.h: what the loop's three files share. loop.c: its life, from start to stop; loop_tick.c: one tick;
- * loop_thread.c: what the kernel has to grant. */
+ * loop.h: what the loop's three files share. loop.c: its life, from start to stop; loop_tick.c: one
+ * tick; loop_thread.c: what the kernel has to grant. */
 #ifndef MOTORD_LOOP_H
 #define MOTORD_LOOP_H
 
@@ -15,14 +15,16 @@
 /* All that a tick touches, in one static block that is written before the first tick. */
 typedef struct {
     exchange exchange;
-    _Alignas(CACHE_LINE_BYTES) uint8_t page[PAGE_BYTES]; /* own: readable before, while and after the loop runs */
-    void *shared_page;                                   /* the caller's, mapped; NULL: none */
-    void *journal;                                       /* the caller's, mapped; NULL: none */
+    /* own: readable before, while and after the loop runs */
+    _Alignas(CACHE_LINE_BYTES) uint8_t page[PAGE_BYTES];
+    void *shared_page; /* the caller's, mapped; NULL: none */
+    void *journal;     /* the caller's, mapped; NULL: none */
     int event_fd;
     uint32_t notify_every_ticks;
     ingress ingress;
     stop_requests stops;
-    bool disarmed;     /* a request to disarm has brought the base to rest and is not acknowledged yet */
+    /* a request to disarm has brought the base to rest and is not acknowledged yet */
+    bool disarmed;
     bool stop_arrived; /* a stop request came in this tick */
     guard guard;
     arbiter arbiter;
@@ -50,11 +52,12 @@ typedef struct {
 
 /* Before the thread starts: everything to its beginning. 0 or -errno. */
 int loop_work_init(loop_work *work, const loop_config *loop, const core_config *core);
-/* In the thread, before its first tick: runs the core on a state of its own, so that the code's pages are there. */
+/* In the thread, before its first tick: runs the core on a state of its own, so that the code's
+ * pages are there. */
 void loop_rehearse(loop_work *work, core_state *scratch);
 void loop_tick(loop_work *work, int64_t now_ns, int64_t deadline_ns);
-/* Between two ticks, because a datagram has come: the same work, but not counted as a wake-up on time. Nothing where the
- * clock has not moved since the tick: the next one takes the datagram. */
+/* Between two ticks, because a datagram has come: the same work, but not counted as a wake-up on
+ * time. Nothing where the clock has not moved since the tick: the next one takes the datagram. */
 void loop_extra_tick(loop_work *work, int64_t now_ns);
 /* The last words: set-points zero, not enabled. */
 void loop_rest(loop_work *work, int64_t now_ns);
@@ -71,8 +74,10 @@ typedef struct {
 
 enum { LOOP_STACK_BYTES = 1024 * 1024, LOOP_STACK_PREFAULT_BYTES = 128 * 1024 };
 
-/* A thread with no signals, at the requested policy, or SCHED_OTHER when that is refused. 0 or -errno. */
-int loop_thread_create(pthread_t *thread, const loop_config *loop, loop_grant *grant, void *(*run)(void *), void *arg);
+/* A thread with no signals, at the requested policy, or SCHED_OTHER when that is refused. 0 or
+ * -errno. */
+int loop_thread_create(pthread_t *thread, const loop_config *loop, loop_grant *grant,
+                       void *(*run)(void *), void *arg);
 /* In the thread: name, affinity, timer slack, flush-to-zero, stack. */
 void loop_thread_prepare(const loop_config *loop, loop_grant *grant);
 void loop_memory_lock(loop_grant *grant);

@@ -18,8 +18,8 @@ void late_init(late_log *log, int64_t from_ns)
     log->schedstat_fd = -1;
 }
 
-/* Second number of /proc/thread-self/schedstat: ns in which the thread waited for a CPU (Documentation/scheduler/
- * sched-stats.rst of the kernel). -1: there is no such file. */
+/* Second number of /proc/thread-self/schedstat: ns in which the thread waited for a CPU
+ * (Documentation/scheduler/ sched-stats.rst of the kernel). -1: there is no such file. */
 static int64_t read_ready_ns(const late_log *log)
 {
     char text[SCHEDSTAT_BYTES];
@@ -72,7 +72,8 @@ void late_close(late_log *log)
 void late_begin(late_log *log, int64_t now_ns, int64_t deadline_ns)
 {
     if (log->from_ns != 0) {
-        log->now = (late_tick){.deadline_ns = deadline_ns, .stage_ns[STAGE_WAKE] = now_ns - deadline_ns};
+        log->now =
+            (late_tick){.deadline_ns = deadline_ns, .stage_ns[STAGE_WAKE] = now_ns - deadline_ns};
         log->marked_ns = now_ns;
     }
 }

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * loop_late.h: what the ticks that were late have to show. Off, it costs a comparison in each stage. */
+ * loop_late.h: what the ticks that were late have to show. Off, it costs a comparison in each
+ * stage. */
 #ifndef MOTORD_LOOP_LATE_H
 #define MOTORD_LOOP_LATE_H
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * loop_thread.c: what the kernel has to grant a real-time thread. A refusal is written down, not fatal: the loop
- * then runs as well as it may, and says so. */
+ * loop_thread.c: what the kernel has to grant a real-time thread. A refusal is written down, not
+ * fatal: the loop then runs as well as it may, and says so. */
 #include <errno.h>
 #include <fcntl.h>
 #include <link.h>
@@ -23,11 +23,13 @@
 
 enum { CODE_PAGE_BYTES = 4096 }; /* the smallest there is */
 
-/* Numbers near rest decay into denormals, which cost x86 4.6 times the tick; a robot has no use for 1e-308 m/s. */
+/* Numbers near rest decay into denormals, which cost x86 4.6 times the tick; a robot has no use
+ * for 1e-308 m/s. */
 static void flush_denormals_to_zero(void)
 {
 #if defined(__x86_64__)
-    const unsigned int flush_to_zero = 1U << 15, denormals_are_zero = 1U << 6; /* Intel SDM vol. 1, 10.2.3 */
+    /* Intel SDM vol. 1, 10.2.3 */
+    const unsigned int flush_to_zero = 1U << 15, denormals_are_zero = 1U << 6;
     _mm_setcsr(_mm_getcsr() | flush_to_zero | denormals_are_zero);
 #elif defined(__aarch64__)
     uint64_t fpcr;
@@ -65,16 +67,19 @@ static bool is_loaded_at(const struct dl_phdr_info *object, uintptr_t place)
 {
     for (uint16_t i = 0; i < object->dlpi_phnum; i++) {
         uintptr_t begin = segment_at(object, i);
-        if (object->dlpi_phdr[i].p_type == PT_LOAD && place >= begin && place < begin + object->dlpi_phdr[i].p_memsz) {
+        if (object->dlpi_phdr[i].p_type == PT_LOAD && place >= begin &&
+            place < begin + object->dlpi_phdr[i].p_memsz) {
             return true;
         }
     }
     return false;
 }
 
-/* Reads each page of this library that is not written to: what runs for the first time hours later is there then.
- * Whatever lies there, also the gaps that the address sanitizer watches. Source: dl_iterate_phdr(3). */
-__attribute__((no_sanitize("address"))) static int prefault_code(struct dl_phdr_info *object, size_t size, void *data)
+/* Reads each page of this library that is not written to: what runs for the first time hours later
+ * is there then. Whatever lies there, also the gaps that the address sanitizer watches. Source:
+ * dl_iterate_phdr(3). */
+__attribute__((no_sanitize("address"))) static int prefault_code(struct dl_phdr_info *object,
+                                                                 size_t size, void *data)
 {
     (void)size;
     (void)data;
@@ -94,14 +99,16 @@ __attribute__((no_sanitize("address"))) static int prefault_code(struct dl_phdr_
 void loop_thread_prepare(const loop_config *loop, loop_grant *grant)
 {
     (void)pthread_setname_np(pthread_self(), "motord-loop");
-    (void)prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL); /* SCHED_OTHER would be woken up to 50 us late */
+    /* SCHED_OTHER would be woken up to 50 us late */
+    (void)prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL);
     grant->affinity_errno = loop->cpu_mask == 0 ? 0 : set_affinity(loop->cpu_mask);
     flush_denormals_to_zero();
     prefault_stack();
     (void)dl_iterate_phdr(prefault_code, NULL);
 }
 
-static int create_with_policy(pthread_t *thread, int policy, int priority, void *(*run)(void *), void *arg)
+static int create_with_policy(pthread_t *thread, int policy, int priority, void *(*run)(void *),
+                              void *arg)
 {
     struct sched_param param = {.sched_priority = priority};
     pthread_attr_t attr;
@@ -126,11 +133,13 @@ static int create_with_policy(pthread_t *thread, int policy, int priority, void 
     return error;
 }
 
-int loop_thread_create(pthread_t *thread, const loop_config *loop, loop_grant *grant, void *(*run)(void *), void *arg)
+int loop_thread_create(pthread_t *thread, const loop_config *loop, loop_grant *grant,
+                       void *(*run)(void *), void *arg)
 {
     sigset_t all, before;
     sigfillset(&all);
-    int error = pthread_sigmask(SIG_SETMASK, &all, &before); /* the thread inherits it: signals are asyncio's */
+    /* the thread inherits it: signals are asyncio's */
+    int error = pthread_sigmask(SIG_SETMASK, &all, &before);
     if (error != 0) {
         return -error;
     }
@@ -156,13 +165,16 @@ static bool may_lock_without_limit(void)
     if (getrlimit(RLIMIT_MEMLOCK, &limit) == 0 && limit.rlim_cur == RLIM_INFINITY) {
         return true;
     }
-    return syscall(SYS_capget, &header, data) == 0 && (data[0].effective & (1U << CAP_IPC_LOCK)) != 0;
+    return syscall(SYS_capget, &header, data) == 0 &&
+           (data[0].effective & (1U << CAP_IPC_LOCK)) != 0;
 }
 
-/* Of a library that the threads in C call. Not 0: it failed. Source: mlock(2): it brings all pages of the range in. */
+/* Of a library that the threads in C call. Not 0: it failed. Source: mlock(2): it brings all
+ * pages of the range in. */
 static int lock_library(struct dl_phdr_info *object, size_t size, void *data)
 {
-    const uintptr_t used[] = {(uintptr_t)&lock_library, (uintptr_t)&clock_nanosleep, (uintptr_t)&exp};
+    const uintptr_t used[] = {(uintptr_t)&lock_library, (uintptr_t)&clock_nanosleep,
+                              (uintptr_t)&exp};
     (void)size;
     (void)data;
     bool is_used = false;
@@ -180,20 +192,24 @@ static int lock_library(struct dl_phdr_info *object, size_t size, void *data)
     return failed;
 }
 
-/* Under a limit MCL_FUTURE would be granted now and then refuse memory to Python in the middle of a drive. */
+/* Under a limit MCL_FUTURE would be granted now and then refuse memory to Python in the middle
+ * of a drive. */
 void loop_memory_lock(loop_grant *grant)
 {
     if (!may_lock_without_limit()) {
         grant->memory_lock_errno = ENOMEM;
         return;
     }
-    /* What the threads in C use is brought in now: static memory and code of this library, libc and libm. All else is
-     * Python's and stays once it has been touched. Threads in C touch their stacks before their work. */
-    bool locked = mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) == 0 && dl_iterate_phdr(lock_library, NULL) == 0;
+    /* What the threads in C use is brought in now: static memory and code of this library, libc and
+     * libm. All else is Python's and stays once it has been touched. Threads in C touch their
+     * stacks before their work. */
+    bool locked = mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) == 0 &&
+                  dl_iterate_phdr(lock_library, NULL) == 0;
     grant->memory_lock_errno = locked ? 0 : errno;
 }
 
-/* Documentation/power/pm_qos_interface.rst of the kernel: a 32-bit number of microseconds, in force while open. */
+/* Documentation/power/pm_qos_interface.rst of the kernel: a 32-bit number of microseconds, in
+ * force while open. */
 int loop_dma_latency_hold(loop_grant *grant)
 {
     const int32_t latency_us = 0;

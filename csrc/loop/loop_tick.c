@@ -12,7 +12,8 @@
 
 enum { PAGE_FAULT_EVERY_TICKS = 256, REHEARSAL_TICKS = 16 };
 
-/* Ticks worth so much time may find the clock where it was; one that stands still for longer is a fault. */
+/* Ticks worth so much time may find the clock where it was; one that stands still for longer is
+ * a fault. */
 static const int64_t STILL_MAX_NS = 100000000;
 
 int loop_work_init(loop_work *work, const loop_config *loop, const core_config *core)
@@ -114,12 +115,13 @@ static void clear_histograms_on_request(loop_work *work)
     }
 }
 
-/* A source that requests motion before the core is armed, or while it stops, shall not move when that changes. */
+/* A source that requests motion before the core is armed, or while it stops, shall not move when
+ * that changes. */
 static bool may_move(const loop_work *work)
 {
     const core_control *control = &work->input.control;
-    return control->armed != 0 && work->core.armed != 0 && work->core.faults == 0 && control->stop == 0 && control->estop == 0 &&
-           control->fault == 0;
+    return control->armed != 0 && work->core.armed != 0 && work->core.faults == 0 &&
+           control->stop == 0 && control->estop == 0 && control->fault == 0;
 }
 
 static void take_commands(loop_work *work, int64_t now_ns)
@@ -137,7 +139,8 @@ static void take_commands(loop_work *work, int64_t now_ns)
     }
     const command_report *report = &work->arbiter.report;
     work->input.control.owner = report->commander;
-    if (granted || taken > 0 || report->commander != before || (report->may_move != 0) != could_move) {
+    if (granted || taken > 0 || report->commander != before ||
+        (report->may_move != 0) != could_move) {
         exchange_put_commands(&work->exchange, report);
     }
     int64_t stamp_ns = work->input.command.stamp_ns;
@@ -147,8 +150,9 @@ static void take_commands(loop_work *work, int64_t now_ns)
     }
 }
 
-/* Stop requests that asyncio has not acknowledged are added to its levels. The acknowledgements are read before the
- * levels: asyncio puts levels that hold the request, then acknowledges, so no tick between the two goes without. */
+/* Stop requests that asyncio has not acknowledged are added to its levels. The acknowledgements are
+ * read before the levels: asyncio puts levels that hold the request, then acknowledges, so no
+ * tick between the two goes without. */
 static void take_control(loop_work *work)
 {
     core_control *control = &work->input.control;
@@ -203,7 +207,8 @@ static void take_inputs(loop_work *work, int64_t now_ns)
 static bool worth_a_word(const robot_state *now, const robot_state *before)
 {
     uint32_t other_reasons = (now->reasons ^ before->reasons) & REASONS_TO_STAND;
-    return other_reasons != 0 || now->faults != before->faults || now->armed != before->armed || now->at_rest != before->at_rest;
+    return other_reasons != 0 || now->faults != before->faults || now->armed != before->armed ||
+           now->at_rest != before->at_rest;
 }
 
 static void notify(loop_work *work, bool always)
@@ -254,8 +259,9 @@ static void wake_lines(const loop_work *work)
 
 static bool same_command(const twist_command *one, const twist_command *other)
 {
-    return one->stamp_ns == other->stamp_ns && one->expires_ns == other->expires_ns && one->linear_m_s == other->linear_m_s &&
-           one->angular_rad_s == other->angular_rad_s && one->lateral_m_s == other->lateral_m_s;
+    return one->stamp_ns == other->stamp_ns && one->expires_ns == other->expires_ns &&
+           one->linear_m_s == other->linear_m_s && one->angular_rad_s == other->angular_rad_s &&
+           one->lateral_m_s == other->lateral_m_s;
 }
 
 /* A coarse clock shows the same time twice: there is nothing to compute until it moves. */
@@ -289,8 +295,9 @@ static void work_once(loop_work *work, int64_t now_ns)
     late_mark(&work->late, STAGE_OUTPUT);
     bool stopping = moves_nothing(&work->out);
     bool new_command = !same_command(&work->input.command, &before);
-    /* A new command, or a stop, does not wait for a line's next turn. What the first instant of a ramp changes may be less
-     * than a drive can be sent, so the next tick wakes the lines again. What was refused wakes none. */
+    /* A new command, or a stop, does not wait for a line's next turn. What the first instant of a
+     * ramp changes may be less than a drive can be sent, so the next tick wakes the lines again.
+     * What was refused wakes none. */
     if (new_command || work->woken || (stopping && !work->stopping)) {
         wake_lines(work);
     }

@@ -1,9 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
- * page.c: one writer, any number of readers in any process, which hold no lock and cannot disturb it.
+ * page.c: one writer, any number of readers in any process, which hold no lock and cannot disturb
+ * it.
  * The layout is public: docs/state-page.md.
  *
- * Each slot is a sequence lock (seqlock.h). The writer goes round the slots, so a reader is overtaken only when it
- * sleeps for SLOTS - 1 ticks. */
+ * Each slot is a sequence lock (seqlock.h). The writer goes round the slots, so a reader is
+ * overtaken only when it sleeps for SLOTS - 1 ticks. */
 #include <errno.h>
 #include <stdatomic.h>
 #include <string.h>
@@ -23,12 +24,14 @@ typedef struct {
     _Atomic uint32_t slot_stride_bytes;
     _Atomic uint32_t slot_offset_bytes;
     _Atomic uint32_t writer_pid;
-    _Atomic uint64_t published; /* snapshots so far; the newest is in slot (published - 1) % SLOTS */
+    /* snapshots so far; the newest is in slot (published - 1) % SLOTS */
+    _Atomic uint64_t published;
     _Atomic uint64_t reserved[3];
 } page_header;
 
 typedef struct {
-    _Alignas(64) _Atomic uint64_t sequence; /* 2 n: snapshot n (from 1) is whole; odd: being written */
+    /* 2 n: snapshot n (from 1) is whole; odd: being written */
+    _Alignas(64) _Atomic uint64_t sequence;
     _Atomic uint64_t word[WORDS];
 } page_slot;
 
@@ -95,11 +98,15 @@ void page_write(void *memory, const robot_state *state)
 static bool is_our_layout(const page_header *header)
 {
     return atomic_load_explicit(&header->magic, memory_order_acquire) == magic_word() &&
-           atomic_load_explicit(&header->layout_version, memory_order_relaxed) == PAGE_LAYOUT_VERSION &&
-           atomic_load_explicit(&header->payload_bytes, memory_order_relaxed) == sizeof(robot_state) &&
+           atomic_load_explicit(&header->layout_version, memory_order_relaxed) ==
+               PAGE_LAYOUT_VERSION &&
+           atomic_load_explicit(&header->payload_bytes, memory_order_relaxed) ==
+               sizeof(robot_state) &&
            atomic_load_explicit(&header->slot_count, memory_order_relaxed) == SLOTS &&
-           atomic_load_explicit(&header->slot_stride_bytes, memory_order_relaxed) == sizeof(page_slot) &&
-           atomic_load_explicit(&header->slot_offset_bytes, memory_order_relaxed) == offsetof(page, slot);
+           atomic_load_explicit(&header->slot_stride_bytes, memory_order_relaxed) ==
+               sizeof(page_slot) &&
+           atomic_load_explicit(&header->slot_offset_bytes, memory_order_relaxed) ==
+               offsetof(page, slot);
 }
 
 int page_read(const void *memory, robot_state *out)

@@ -8,28 +8,33 @@
 #include "fresh.h"
 #include "rt.h"
 
-static void begin_brake(bridge_state *state, const bridge_config *config, drive_stop stop, int64_t now_ns)
+static void begin_brake(bridge_state *state, const bridge_config *config, drive_stop stop,
+                        int64_t now_ns)
 {
     if (stop == STOP_QUICK) {
         state->brake_until_ns = now_ns + config->stopping_ns;
     }
 }
 
-static drive_view view_of(const bridge_state *state, const bridge_config *config, const setpoints *newest, int64_t now_ns)
+static drive_view view_of(const bridge_state *state, const bridge_config *config,
+                          const setpoints *newest, int64_t now_ns)
 {
     int64_t last_ns = state->last_ns != 0 ? state->last_ns : now_ns;
     return (drive_view){.now_ns = now_ns,
                         .fresh = fresh_stamp(now_ns, newest->stamp_ns, config->setpoint_timeout_ns),
                         .enabled = newest->enabled == 1,
-                        .left_alone = drive_left_alone(last_ns, now_ns, config->setpoint_timeout_ns),
+                        .left_alone =
+                            drive_left_alone(last_ns, now_ns, config->setpoint_timeout_ns),
                         .enabled_count = state->enabled_count};
 }
 
-static void obey_request(bridge_state *state, const bridge_config *config, const bridge_control *control, const drive_view *view)
+static void obey_request(bridge_state *state, const bridge_config *config,
+                         const bridge_control *control, const drive_view *view)
 {
     drive_state *drive = &state->drive;
     uint32_t mode = control->mode == PWM_ARMED ? DRIVE_ARMED : DRIVE_STAND_DOWN;
-    drive_answer answer = drive_obey(drive, &(mode_request){.mode = mode, .count = control->number}, view);
+    drive_answer answer =
+        drive_obey(drive, &(mode_request){.mode = mode, .count = control->number}, view);
     if (answer.request == REQUEST_NONE) {
         return;
     }
@@ -37,31 +42,37 @@ static void obey_request(bridge_state *state, const bridge_config *config, const
         drive->fault_reasons |= DRIVE_FAULT_SETPOINTS_OLD;
     } else if (control->mode == PWM_OFF) {
         (void)drive_power_off(drive);
-    } else if (control->mode == PWM_STOP && answer.request == REQUEST_STAND_DOWN) { /* one that brakes goes on */
+    } else if (control->mode == PWM_STOP && answer.request == REQUEST_STAND_DOWN) {
+        /* one that brakes goes on */
         begin_brake(state, config, drive_quick_stop(drive, 0, view->now_ns), view->now_ns);
     }
 }
 
 static double duty_of(const bridge_joint *joint, const setpoints *newest)
 {
-    double duty = joint->index < newest->joint_count ? newest->joint[joint->index].duty * joint->sign : 0.0;
+    double duty =
+        joint->index < newest->joint_count ? newest->joint[joint->index].duty * joint->sign : 0.0;
     if (!isfinite(duty)) {
         return 0.0;
     }
     return duty > 1.0 ? 1.0 : duty < -1.0 ? -1.0 : duty;
 }
 
-static uint32_t mode_of(const drive_state *drive, const bridge_joint *joint, bool moving, double duty)
+static uint32_t mode_of(const drive_state *drive, const bridge_joint *joint, bool moving,
+                        double duty)
 {
     if (drive->mode == DRIVE_ARMED) {
-        return !moving || duty == 0.0 ? joint->rest_mode : duty > 0.0 ? BRIDGE_FORWARD : BRIDGE_REVERSE;
+        return !moving || duty == 0.0 ? joint->rest_mode
+               : duty > 0.0           ? BRIDGE_FORWARD
+                                      : BRIDGE_REVERSE;
     }
     return drive->stopping ? BRIDGE_BRAKE : BRIDGE_COAST;
 }
 
-/* A servo goes to the newest position and keeps its pulses, at the place that it was sent to last, until it has stopped. Before
- * the first position, and without power, it gets none. */
-static void hold_positions(bridge_state *state, const bridge_config *config, const setpoints *newest, bool moving)
+/* A servo goes to the newest position and keeps its pulses, at the place that it was sent to last,
+ * until it has stopped. Before the first position, and without power, it gets none. */
+static void hold_positions(bridge_state *state, const bridge_config *config,
+                           const setpoints *newest, bool moving)
 {
     bool powered = state->drive.mode == DRIVE_ARMED || state->drive.stopping;
     state->holds = powered ? state->holds : 0;
@@ -87,8 +98,8 @@ static uint32_t servo_mode(const bridge_state *state, uint32_t j)
     return state->held_duty[j] < 0.0 ? BRIDGE_REVERSE : BRIDGE_FORWARD;
 }
 
-void bridge_step(bridge_state *state, const bridge_config *config, const bridge_control *control, const setpoints *newest,
-                 int64_t now_ns, double *level)
+void bridge_step(bridge_state *state, const bridge_config *config, const bridge_control *control,
+                 const setpoints *newest, int64_t now_ns, double *level)
 {
     drive_state *drive = &state->drive;
     drive_view view = view_of(state, config, newest, now_ns);
@@ -110,7 +121,8 @@ void bridge_step(bridge_state *state, const bridge_config *config, const bridge_
             duty = state->held_duty[output->joint];
         }
         double pumped = moving && state->phase != 0 ? 1.0 : 0.0;
-        level[i] = output->pumps != 0 ? pumped : output->base[mode] + output->slope[mode] * fabs(duty);
+        level[i] =
+            output->pumps != 0 ? pumped : output->base[mode] + output->slope[mode] * fabs(duty);
     }
 }
 
@@ -140,13 +152,15 @@ static bool output_is_good(const bridge_config *config, const bridge_pin *output
 
 int bridge_config_check(const bridge_config *config)
 {
-    bool good = config->joint_count > 0 && config->joint_count <= JOINTS_MAX && config->output_count > 0 &&
-                config->output_count <= PWM_OUTPUTS_MAX && config->period_ns > 0 && config->setpoint_timeout_ns > 0 &&
+    bool good = config->joint_count > 0 && config->joint_count <= JOINTS_MAX &&
+                config->output_count > 0 && config->output_count <= PWM_OUTPUTS_MAX &&
+                config->period_ns > 0 && config->setpoint_timeout_ns > 0 &&
                 config->stopping_ns >= 0 && config->priority >= 0 && config->priority <= 99;
     for (uint32_t i = 0; good && i < config->joint_count; i++) {
         const bridge_joint *joint = &config->joint[i];
-        good = joint->index < JOINTS_MAX && (joint->sign == 1.0 || joint->sign == -1.0) && joint->full_rad >= 0.0 &&
-               joint->full_rad <= 1000.0 && (joint->rest_mode == BRIDGE_COAST || joint->rest_mode == BRIDGE_BRAKE) &&
+        good = joint->index < JOINTS_MAX && (joint->sign == 1.0 || joint->sign == -1.0) &&
+               joint->full_rad >= 0.0 && joint->full_rad <= 1000.0 &&
+               (joint->rest_mode == BRIDGE_COAST || joint->rest_mode == BRIDGE_BRAKE) &&
                encoder_config_check(&joint->encoder) == 0;
     }
     for (uint32_t i = 0; good && i < config->output_count; i++) {

@@ -2,9 +2,10 @@
  *
  * encoder.c: from edges, or from a counter, to a count and a speed.
  *
- * Speed by counts over the time between edges (the M/T method): Ohmae et al., A microprocessor-controlled high-accuracy
- * wide-range speed regulator for motor drives, IEEE Transactions on Industrial Electronics IE-29(3), 1982. Without an
- * edge it cannot be more than one count in the time since the last one. Events: kernel, include/uapi/linux/gpio.h (v2).
+ * Speed by counts over the time between edges (the M/T method): Ohmae et al., A
+ * microprocessor-controlled high-accuracy wide-range speed regulator for motor drives, IEEE
+ * Transactions on Industrial Electronics IE-29(3), 1982. Without an edge it cannot be more than one
+ * count in the time since the last one. Events: kernel, include/uapi/linux/gpio.h (v2).
  */
 #include <errno.h>
 #include <linux/gpio.h>
@@ -26,8 +27,8 @@ void encoder_init(encoder_state *state, const encoder_config *config)
     *state = (encoder_state){.levels = config->levels & (LEVEL_A | LEVEL_B)};
 }
 
-void encoder_edge(encoder_state *state, const encoder_config *config, uint32_t offset, bool high, uint32_t sequence,
-                  int64_t stamp_ns)
+void encoder_edge(encoder_state *state, const encoder_config *config, uint32_t offset, bool high,
+                  uint32_t sequence, int64_t stamp_ns)
 {
     uint32_t missing = sequence - state->sequence - 1;
     if (state->sequence != 0 && missing != 0) {
@@ -37,7 +38,8 @@ void encoder_edge(encoder_state *state, const encoder_config *config, uint32_t o
     state->sequence = sequence;
     uint32_t line = offset == config->a_offset ? LEVEL_A : LEVEL_B;
     uint32_t now = high ? state->levels | line : state->levels & ~line;
-    /* The kernel reads the level after the interrupt: of a short pulse both events say where it ended. */
+    /* The kernel reads the level after the interrupt: of a short pulse both events say where it
+     * ended. */
     if (now == state->levels) {
         state->illegal++;
         return;
@@ -57,7 +59,8 @@ static int64_t difference(uint64_t now, uint64_t before, uint64_t ceiling)
     return forward > ceiling / 2 ? -(int64_t)(ceiling - forward) - 1 : (int64_t)forward;
 }
 
-void encoder_counter(encoder_state *state, const encoder_config *config, uint64_t raw, int64_t now_ns)
+void encoder_counter(encoder_state *state, const encoder_config *config, uint64_t raw,
+                     int64_t now_ns)
 {
     if (raw > config->ceiling) {
         state->illegal++;
@@ -73,7 +76,8 @@ void encoder_counter(encoder_state *state, const encoder_config *config, uint64_
     state->edge_ns = now_ns;
 }
 
-void encoder_reported(encoder_state *state, const encoder_config *config, const encoder_sample *sample)
+void encoder_reported(encoder_state *state, const encoder_config *config,
+                      const encoder_sample *sample)
 {
     if (state->seeded && sample->origin != state->origin) {
         state->epoch++;
@@ -116,7 +120,8 @@ static int read_events(encoder_state *state, const encoder_config *config)
         }
         size_t events = (size_t)size / sizeof event[0];
         for (size_t i = 0; i < events; i++) {
-            encoder_edge(state, config, event[i].offset, event[i].id == GPIO_V2_LINE_EVENT_RISING_EDGE, event[i].seqno,
+            encoder_edge(state, config, event[i].offset,
+                         event[i].id == GPIO_V2_LINE_EVENT_RISING_EDGE, event[i].seqno,
                          (int64_t)event[i].timestamp_ns);
         }
         if (events < EVENTS_AT_ONCE) {
@@ -148,7 +153,8 @@ int encoder_read(encoder_state *state, const encoder_config *config, int64_t now
     if (config->kind == ENCODER_NONE || config->kind == ENCODER_REPORTED) {
         return 0;
     }
-    return config->kind == ENCODER_EDGES ? read_events(state, config) : read_counter(state, config, now_ns);
+    return config->kind == ENCODER_EDGES ? read_events(state, config)
+                                         : read_counter(state, config, now_ns);
 }
 
 int encoder_config_check(const encoder_config *config)
@@ -159,7 +165,7 @@ int encoder_config_check(const encoder_config *config)
     bool lines = config->kind != ENCODER_EDGES || config->a_offset != config->b_offset;
     bool range = config->kind == ENCODER_EDGES || config->ceiling > 0;
     bool file = config->kind == ENCODER_REPORTED || config->fd >= 0;
-    bool good = config->kind <= ENCODER_REPORTED && file && lines && range && isfinite(config->rad_per_count) &&
-                config->rad_per_count != 0.0;
+    bool good = config->kind <= ENCODER_REPORTED && file && lines && range &&
+                isfinite(config->rad_per_count) && config->rad_per_count != 0.0;
     return good ? 0 : -EINVAL;
 }

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * output_pwm.c: the thread of a line of motor bridges: descriptors, deadlines, order of writes. bridge.c says the levels.
- * Sources: kernel, Documentation/driver-api/pwm.rst (sysfs) and include/uapi/linux/gpio.h (v2). */
+ * output_pwm.c: the thread of a line of motor bridges: descriptors, deadlines, order of writes.
+ * bridge.c says the levels. Sources: kernel, Documentation/driver-api/pwm.rst (sysfs) and
+ * include/uapi/linux/gpio.h (v2). */
 #include <errno.h>
 #include <linux/gpio.h>
 #include <math.h>
@@ -54,7 +55,8 @@ typedef struct {
     bool bits_known;
     int64_t reported_ns;
     uint32_t number;
-    int wake_fd; /* in static storage: the loop may write to it at any time, so it stays open for good */
+    int wake_fd; /* in static storage: the loop may write to it at any time, so it stays open for
+                    good */
     bool has_wake_fd, made, joinable;
     _Atomic bool stop_requested;
 } pwm_thread;
@@ -69,7 +71,7 @@ static void wake(const pwm_thread *t)
     }
 }
 
-/* --------------------------------------------------------------------------------------------------- the pins */
+/* ----------------------------------------------------------------------------- the pins */
 static int write_number(int fd, uint64_t value)
 {
     char text[24];
@@ -103,7 +105,8 @@ static int write_bits(pwm_thread *t, uint64_t bits, uint64_t mask)
         return 0;
     }
     struct gpio_v2_line_values values = {.bits = bits, .mask = mask};
-    int error = ioctl(t->config.outputs_fd, GPIO_V2_LINE_SET_VALUES_IOCTL, &values) == 0 ? 0 : -errno;
+    int error =
+        ioctl(t->config.outputs_fd, GPIO_V2_LINE_SET_VALUES_IOCTL, &values) == 0 ? 0 : -errno;
     t->bits_known = error == 0;
     t->bits = bits;
     t->out.writes++;
@@ -124,7 +127,8 @@ static void wanted_bits(const pwm_thread *t, const double *level, uint64_t *bits
     }
 }
 
-/* Pins of a joint whose GPIO lines change: its channels rest meanwhile, or the old duty would meet the new direction. */
+/* Pins of a joint whose GPIO lines change: its channels rest meanwhile, or the old duty would
+ * meet the new direction. */
 static bool turns(const pwm_thread *t, uint32_t joint, uint64_t bits)
 {
     for (uint32_t i = 0; i < t->config.output_count; i++) {
@@ -137,7 +141,8 @@ static bool turns(const pwm_thread *t, uint32_t joint, uint64_t bits)
     return false;
 }
 
-/* Channels that rest in this cycle, or whose joint's lines are about to change. The first error; all are tried. */
+/* Channels that rest in this cycle, or whose joint's lines are about to change. The first error;
+ * all are tried. */
 static int bring_down(pwm_thread *t, const double *level, uint64_t bits, uint64_t mask)
 {
     int first = 0;
@@ -146,15 +151,16 @@ static int bring_down(pwm_thread *t, const double *level, uint64_t bits, uint64_
         if (output->fd >= 0) {
             double low = output->base[BRIDGE_COAST];
             bool resting = mask != 0 && (!t->bits_known || turns(t, output->joint, bits));
-            int error = resting || level[i] == low ? write_duty(t, i, bridge_duty_ns(output, low)) : 0;
+            int error =
+                resting || level[i] == low ? write_duty(t, i, bridge_duty_ns(output, low)) : 0;
             first = first != 0 ? first : error;
         }
     }
     return first;
 }
 
-/* What must go down goes down first, then the lines, then what goes up. No step after one that failed: a duty that could not
- * be taken back would meet the new direction. */
+/* What must go down goes down first, then the lines, then what goes up. No step after one that
+ * failed: a duty that could not be taken back would meet the new direction. */
 static int apply(pwm_thread *t, const double *level)
 {
     uint64_t bits, mask;
@@ -174,7 +180,8 @@ static bool is_high(const bridge_pin *output, uint32_t mode)
     return output->base[mode] >= 0.5;
 }
 
-/* GPIO lines of a joint whose levels at COAST are those of a direction (PWM and DIR): they take no power, the duty alone does. */
+/* GPIO lines of a joint whose levels at COAST are those of a direction (PWM and DIR): they take
+ * no power, the duty alone does. */
 static uint64_t lines_without_power(const pwm_thread *t, uint32_t joint)
 {
     uint64_t bits = 0;
@@ -191,7 +198,8 @@ static uint64_t lines_without_power(const pwm_thread *t, uint32_t joint)
     return as_forward || as_reverse ? bits : 0;
 }
 
-/* COAST everywhere, whatever fails. Where a duty cannot be taken back, lines that only set the direction stay as they are. */
+/* COAST everywhere, whatever fails. Where a duty cannot be taken back, lines that only set the
+ * direction stay as they are. */
 static int rest(pwm_thread *t)
 {
     double level[PWM_OUTPUTS_MAX] = {0};
@@ -205,7 +213,8 @@ static int rest(pwm_thread *t)
     int error = bring_down(t, level, bits, mask);
     for (uint32_t i = 0; i < t->config.output_count; i++) {
         const bridge_pin *output = &t->config.output[i];
-        mask &= output->fd >= 0 && !t->known[i] ? ~lines_without_power(t, output->joint) : UINT64_MAX;
+        mask &=
+            output->fd >= 0 && !t->known[i] ? ~lines_without_power(t, output->joint) : UINT64_MAX;
     }
     int lines_error = write_bits(t, bits, mask);
     int left = bring_down(t, level, bits, mask); /* once more what failed */
@@ -236,7 +245,8 @@ static int read_encoders(pwm_thread *t, int64_t now_ns)
     uint64_t illegal = 0, lost = 0;
     for (uint32_t i = 0; i < t->config.joint_count; i++) {
         encoder_sample sample;
-        if (mailbox_take(&t->reported[i].mailbox, t->reported[i].slot, &sample, sizeof sample) != 0) {
+        if (mailbox_take(&t->reported[i].mailbox, t->reported[i].slot, &sample, sizeof sample) !=
+            0) {
             encoder_reported(&t->encoder[i], &t->config.joint[i].encoder, &sample);
         }
         int error = encoder_read(&t->encoder[i], &t->config.joint[i].encoder, now_ns);
@@ -252,17 +262,19 @@ static int read_encoders(pwm_thread *t, int64_t now_ns)
     return 0;
 }
 
-/* ------------------------------------------------------------------------------------------------- the hand-over */
+/* ------------------------------------------------------------------------ the hand-over */
 static void feed_back(pwm_thread *t, int64_t now_ns)
 {
     for (uint32_t i = 0; i < t->config.joint_count; i++) {
         const encoder_config *encoder = &t->config.joint[i].encoder;
         bool counts = encoder->kind != ENCODER_NONE, reported = encoder->kind == ENCODER_REPORTED;
-        const int64_t at_ns = reported ? t->encoder[i].reported_ns : now_ns; /* a silent board's feedback gets old */
+        /* a silent board's feedback gets old */
+        const int64_t at_ns = reported ? t->encoder[i].reported_ns : now_ns;
         joint_feedback feedback = {
             .stamp_ns = at_ns,
             .count = (uint64_t)t->encoder[i].count,
-            .velocity_rad_s = counts ? encoder_velocity_rad_s(&t->encoder[i], encoder, at_ns) : (double)NAN,
+            .velocity_rad_s =
+                counts ? encoder_velocity_rad_s(&t->encoder[i], encoder, at_ns) : (double)NAN,
             .current_a = NAN,
             .voltage_v = NAN,
             .temperature_c = NAN,
@@ -276,11 +288,13 @@ static void feed_back(pwm_thread *t, int64_t now_ns)
     }
 }
 
-static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns, uint64_t inputs_before)
+static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns,
+                       uint64_t inputs_before)
 {
     bool armed = t->state.drive.mode == DRIVE_ARMED, stopping = t->state.drive.stopping;
     bool notify = armed != (t->out.armed != 0) || stopping != (t->out.stopping != 0) || !running ||
-                  t->out.number != t->state.drive.request_seen || t->out.active_inputs != inputs_before;
+                  t->out.number != t->state.drive.request_seen ||
+                  t->out.active_inputs != inputs_before;
     t->out.running = running;
     t->out.error = -error;
     t->out.armed = armed;
@@ -299,8 +313,9 @@ static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns, u
     }
 }
 
-/* -------------------------------------------------------------------------------------------------- the thread */
-/* Not `is_due`: the loop has woken it early. A pump does not change then, and keeps its frequency. */
+/* --------------------------------------------------------------------------- the thread */
+/* Not `is_due`: the loop has woken it early. A pump does not change then, and keeps its
+ * frequency. */
 static int cycle(pwm_thread *t, int64_t now_ns, bool is_due)
 {
     double level[PWM_OUTPUTS_MAX];
@@ -329,8 +344,8 @@ static void sleep_until(int64_t time_ns)
     (void)clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL);
 }
 
-/* Until it is due, or the loop wakes it for a new command or a stop: that leaves at once, but GAP_NS after the cycle
- * before. 0 or -errno. */
+/* Until it is due, or the loop wakes it for a new command or a stop: that leaves at once, but
+ * GAP_NS after the cycle before. 0 or -errno. */
 static int wait_for_turn(const pwm_thread *t, int64_t due_ns, int64_t begun_ns)
 {
     int64_t left_ns = due_ns - clock_now_ns();
@@ -408,7 +423,8 @@ int pwm_line_start(uint32_t line, const bridge_config *config)
         encoder_init(&t->encoder[i], &config->joint[i].encoder);
     }
     mailbox_put(&t->report.mailbox, t->report.slot, &t->out, sizeof t->out);
-    int error = loop_thread_create(&t->thread, &(loop_config){.priority = config->priority}, &t->grant, run, t);
+    int error = loop_thread_create(&t->thread, &(loop_config){.priority = config->priority},
+                                   &t->grant, run, t);
     t->made = t->joinable = error == 0;
     return error;
 }
@@ -428,7 +444,8 @@ int pwm_line_stop(uint32_t line)
 void pwm_line_put_control(uint32_t line, const bridge_control *control)
 {
     if (line < LINES_MAX && threads[line].made) {
-        mailbox_put(&threads[line].control.mailbox, threads[line].control.slot, control, sizeof *control);
+        mailbox_put(&threads[line].control.mailbox, threads[line].control.slot, control,
+                    sizeof *control);
         wake(&threads[line]);
     }
 }
@@ -437,7 +454,8 @@ void pwm_line_put_sample(uint32_t line, uint32_t joint, const encoder_sample *sa
 {
     if (line < LINES_MAX && threads[line].made && joint < threads[line].config.joint_count &&
         threads[line].config.joint[joint].encoder.kind == ENCODER_REPORTED) {
-        mailbox_put(&threads[line].reported[joint].mailbox, threads[line].reported[joint].slot, sample, sizeof *sample);
+        mailbox_put(&threads[line].reported[joint].mailbox, threads[line].reported[joint].slot,
+                    sample, sizeof *sample);
     }
 }
 

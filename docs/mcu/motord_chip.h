@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * What differs between the chips of the sketch: PWM, a read that no interrupt tears, and the watchdog that resets the chip.
- * Written for Arduino core 3 of the ESP32, the AVR core (Mega 2560), and the Pico core of Earle Philhower (RP2040, RP2350).
+ * What differs between the chips of the sketch: PWM, a read that no interrupt tears, and the
+ * watchdog that resets the chip. Written for Arduino core 3 of the ESP32, the AVR core (Mega 2560),
+ * and the Pico core of Earle Philhower (RP2040, RP2350).
  */
 #ifndef MOTORD_CHIP_H
 #define MOTORD_CHIP_H

@@ -14,7 +14,13 @@ enum {
     FEEDBACK_IMU = 20
 };
 enum { CONTROL_ENABLE = 1, CONTROL_BRAKE = 2, CONTROL_CLEAR = 4, CONTROL_RESTART_NOTED = 8 };
-enum { STATUS_ENABLED = 1, STATUS_BRAKING = 2, STATUS_STOPPED_BY_SILENCE = 4, STATUS_RESTARTED = 8, STATUS_IMU = 16 };
+enum {
+    STATUS_ENABLED = 1,
+    STATUS_BRAKING = 2,
+    STATUS_STOPPED_BY_SILENCE = 4,
+    STATUS_RESTARTED = 8,
+    STATUS_IMU = 16
+};
 enum { IMU_SATURATED = 1 };
 enum { FIRST_WATCHDOG_MS = 100, FIRST_FEEDBACK_MS = 100 };
 
@@ -120,8 +126,9 @@ void motord_board_watch(motord_board *board, uint32_t now_us)
     if (!is_silent(board, now_us)) {
         return;
     }
-    board->has_received = 0;                                                 /* the next sender may begin with any sequence */
-    board->received_us = now_us - (uint32_t)board->watchdog_ms * 1000u - 1u; /* silent also when the clock has gone round */
+    board->has_received = 0; /* the next sender may begin with any sequence */
+    /* silent also when the clock has gone round */
+    board->received_us = now_us - (uint32_t)board->watchdog_ms * 1000u - 1u;
     if (board->enabled) {
         board->stopped_by_silence = 1;
         switch_off(board, 1);
@@ -164,7 +171,8 @@ static void obey(motord_board *board, const uint8_t *payload, uint8_t motors, ui
     const uint16_t watchdog_ms = get16(payload + 2);
     board->received_us = now_us;
     board->has_received = 1;
-    board->watchdog_ms = watchdog_ms < MOTORD_WATCHDOG_MS_MAX ? watchdog_ms : MOTORD_WATCHDOG_MS_MAX;
+    board->watchdog_ms =
+        watchdog_ms < MOTORD_WATCHDOG_MS_MAX ? watchdog_ms : MOTORD_WATCHDOG_MS_MAX;
     board->feedback_ms = get16(payload + 4);
     obey_control(board, payload[0], all_zero(motor, (size_t)motors * SETPOINTS_MOTOR));
     rest(board);
@@ -185,7 +193,8 @@ static int take(motord_board *board, uint32_t now_us)
     if (size < HEAD_BYTES + SETPOINTS_HEAD + CRC_BYTES || size > MOTORD_FRAME_BYTES_MAX) {
         return 0;
     }
-    if (get16(raw + size - CRC_BYTES) != crc16(raw, size - CRC_BYTES) || raw[0] != VERSION || raw[1] != SETPOINTS) {
+    if (get16(raw + size - CRC_BYTES) != crc16(raw, size - CRC_BYTES) || raw[0] != VERSION ||
+        raw[1] != SETPOINTS) {
         return 0;
     }
     const uint8_t motors = raw[HEAD_BYTES + 1];
@@ -223,8 +232,8 @@ void motord_board_byte(motord_board *board, uint8_t byte, uint32_t now_us)
 static uint8_t status_of(const motord_board *board)
 {
     return (uint8_t)((board->enabled ? STATUS_ENABLED : 0) | (board->braking ? STATUS_BRAKING : 0) |
-                     (board->stopped_by_silence ? STATUS_STOPPED_BY_SILENCE : 0) | (board->restarted ? STATUS_RESTARTED : 0) |
-                     (board->has_imu ? STATUS_IMU : 0));
+                     (board->stopped_by_silence ? STATUS_STOPPED_BY_SILENCE : 0) |
+                     (board->restarted ? STATUS_RESTARTED : 0) | (board->has_imu ? STATUS_IMU : 0));
 }
 
 void motord_board_imu(motord_board *board, const motord_imu *imu)
@@ -244,10 +253,11 @@ static uint8_t *put_imu(motord_board *board, uint8_t *at)
     return at + FEEDBACK_IMU;
 }
 
-size_t motord_board_feedback(motord_board *board, uint32_t now_us, const motord_measured *motor, const motord_health *health,
-                             uint8_t *sent)
+size_t motord_board_feedback(motord_board *board, uint32_t now_us, const motord_measured *motor,
+                             const motord_health *health, uint8_t *sent)
 {
-    uint8_t raw[HEAD_BYTES + FEEDBACK_HEAD + FEEDBACK_MOTOR * MOTORD_MOTORS_MAX + FEEDBACK_IMU + CRC_BYTES];
+    uint8_t raw[HEAD_BYTES + FEEDBACK_HEAD + FEEDBACK_MOTOR * MOTORD_MOTORS_MAX + FEEDBACK_IMU +
+                CRC_BYTES];
     uint8_t *payload = raw + HEAD_BYTES, *at = payload + FEEDBACK_HEAD;
     motord_board_watch(board, now_us);
     board->faults |= health->faults;

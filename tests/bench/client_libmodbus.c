@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * client_libmodbus.c: libmodbus reading four registers as fast as it will; one line of JSON at the end.
+ * client_libmodbus.c: libmodbus reading four registers as fast as it will; one line of JSON at the
+ * end.
  *     client_libmodbus PORT SECONDS */
 #include <modbus.h>
 #include <stdint.h>
@@ -38,7 +39,8 @@ int main(int argc, char **argv)
     for (; now_s() < end_s; done++) {
         errors += modbus_read_registers(line, 16, 4, words) != 4;
     }
-    printf("{\"transactions\": %lu, \"errors\": %lu, \"cpu_ns\": %.0f}\n", done, errors, cpu_ns() - before_ns);
+    printf("{\"transactions\": %lu, \"errors\": %lu, \"cpu_ns\": %.0f}\n", done, errors,
+           cpu_ns() - before_ns);
     modbus_close(line);
     modbus_free(line);
     return 0;

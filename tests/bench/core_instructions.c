@@ -2,13 +2,14 @@
  *
  * core_instructions.c: core_step() at 1 kHz, for an instruction counter to look at.
  *
- *     core_instructions moving|ramping|rest TICKS FEEDBACK_EVERY_TICKS [skid|omni|car|swerve JOINTS]
+ *     core_instructions moving|ramping|rest TICKS FEEDBACK_EVERY_TICKS [skid|omni|car|swerve
+ *     JOINTS]
  *
- * Without a base it is a four-wheel skid drive. A car has one or two steered wheels beside its driven ones, a swerve base half
- * of its joints.
- * Feedback of all wheels comes in every FEEDBACK_EVERY_TICKS-th tick. Moving: a new request every 2 s, so that ramps, easing,
- * wheel saturation and curves all take their part. Ramping: every 50 ms, so that no ramp ever ends. Rest: armed, a fresh
- * command of zero.
+ * Without a base it is a four-wheel skid drive. A car has one or two steered wheels beside its
+ * driven ones, a swerve base half of its joints.
+ * Feedback of all wheels comes in every FEEDBACK_EVERY_TICKS-th tick. Moving: a new request every 2
+ * s, so that ramps, easing, wheel saturation and curves all take their part. Ramping: every 50 ms,
+ * so that no ramp ever ends. Rest: armed, a fresh command of zero.
  */
 #include "rt.h"
 
@@ -60,7 +61,8 @@ static void place(core_config *config, double x_m, double y_m, uint32_t steering
         config->joint[j].row = (wheel_row){0};
     }
     if (steering > 0) {
-        config->joint[steering - 1].position = (position_config){1, REFERENCE_ABSOLUTE, 0, -1.7, 1.7, 6.0, 60.0, 0.0, 0.0};
+        config->joint[steering - 1].position =
+            (position_config){1, REFERENCE_ABSOLUTE, 0, -1.7, 1.7, 6.0, 60.0, 0.0, 0.0};
     }
 }
 
@@ -77,7 +79,8 @@ static core_config base_of(const char *kind, uint32_t joints)
     for (uint32_t j = 0; strcmp(kind, "car") == 0 && j < joints; j++) {
         double y_m = j % 2 == 0 ? 0.2 : -0.2;
         bool steers = j >= joints - steered;
-        place(&config, steers ? 0.4 : 0.0, steered == 1 && steers ? 0.0 : y_m, steers ? j + 1 : 0, steers ? 0 : j + 1);
+        place(&config, steers ? 0.4 : 0.0, steered == 1 && steers ? 0.0 : y_m, steers ? j + 1 : 0,
+              steers ? 0 : j + 1);
     }
     for (uint32_t j = 0; strcmp(kind, "swerve") == 0 && j < joints; j += 2) {
         place(&config, 0.3 * cos(part * j), 0.3 * sin(part * j), j + 1, j + 2);
@@ -86,14 +89,17 @@ static core_config base_of(const char *kind, uint32_t joints)
 }
 
 /* The wheels follow their set-points; the drives count. */
-static void turn_wheels(const core_config *config, const setpoints *out, core_input *input, double *position_rad, double dt_s)
+static void turn_wheels(const core_config *config, const setpoints *out, core_input *input,
+                        double *position_rad, double dt_s)
 {
     for (uint32_t j = 0; j < config->joint_count; j++) {
         joint_feedback *feedback = &input->feedback[j];
         bool steers = out->positioned >> j & 1U;
-        position_rad[j] = steers ? out->position_rad[j] : position_rad[j] + out->joint[j].velocity_rad_s * dt_s;
+        position_rad[j] =
+            steers ? out->position_rad[j] : position_rad[j] + out->joint[j].velocity_rad_s * dt_s;
         feedback->stamp_ns = input->now_ns;
-        feedback->count = (uint64_t)(int64_t)floor(position_rad[j] / config->joint[j].rad_per_count);
+        feedback->count =
+            (uint64_t)(int64_t)floor(position_rad[j] / config->joint[j].rad_per_count);
         feedback->velocity_rad_s = out->joint[j].velocity_rad_s;
         feedback->current_a = feedback->voltage_v = feedback->temperature_c = 1.0;
         feedback->enabled = 1;
@@ -123,7 +129,9 @@ int main(int argc, char **argv)
     if (argc != 4 && argc != 6) {
         return 2;
     }
-    long leg_ticks = strcmp(argv[1], "moving") == 0 ? 2000 : strcmp(argv[1], "ramping") == 0 ? 50 : 0;
+    long leg_ticks = strcmp(argv[1], "moving") == 0    ? 2000
+                     : strcmp(argv[1], "ramping") == 0 ? 50
+                                                       : 0;
     long ticks = atol(argv[2]), every = atol(argv[3]);
     static core_state state;
     static core_input input;
@@ -143,5 +151,6 @@ int main(int argc, char **argv)
         core_step(&state, &input, 1e-3, &out, NULL); /* as the loop calls it */
     }
     /* a benchmark of a robot that is in fault, or stands when it should move, measures nothing */
-    return shown->armed && shown->faults == 0 && (shown->distance_m > 0.1) == (leg_ticks > 0) ? 0 : 1;
+    bool moved = shown->distance_m > 0.1;
+    return shown->armed && shown->faults == 0 && moved == (leg_ticks > 0) ? 0 : 1;
 }

@@ -1,13 +1,17 @@
 /* SPDX-License-Identifier: Apache-2.0
- * rtu_slave.c: Modbus RTU drives on a pty that take the time a wire takes, and judge who talks to them.
+ * rtu_slave.c: Modbus RTU drives on a pty that take the time a wire takes, and judge who talks to
+ * them.
  *
- * A pty carries a frame in no time. Here a request has arrived when its bytes would have passed the wire; the reply begins
- * after the silence by which a drive knows that a frame has ended, and is handed over when its last byte would have come.
- * So one exchange takes (request + reply) characters and two silences: that is the wire's limit, and what a client adds is
- * its own. A request that comes before the second silence is over is a violation (5 % are forgiven: clocks round).
+ * A pty carries a frame in no time. Here a request has arrived when its bytes would have passed the
+ * wire; the reply begins after the silence by which a drive knows that a frame has ended, and is
+ * handed over when its last byte would have come. So one exchange takes (request + reply)
+ * characters and two silences: that is the wire's limit, and what a client adds is its own. A
+ * request that comes before the second silence is over is a violation (5 % are forgiven: clocks
+ * round).
  *
- *     rtu_slave BAUDRATE GAP_US [PRIORITY]     prints the pty's name; then, for a line on stdin, a line of JSON:
- *     "stats" the counters, which begin anew; "changed" when the first one came since that changed a register
+ *     rtu_slave BAUDRATE GAP_US [PRIORITY]     prints the pty's name; then, for a line on stdin, a
+ *     line of JSON: "stats" the counters, which begin anew; "changed" when the first one came since
+ *     that changed a register
  */
 #include <errno.h>
 #include <fcntl.h>
@@ -179,11 +183,13 @@ static void print_stats(void)
 {
     double span_ns = (double)(last_ns - first_ns);
     qsort(parts, kept, sizeof parts[0], by_size);
-    printf("{\"requests\": %llu, \"bad_crc\": %llu, \"violations\": %llu, \"excused\": %llu, "
-           "\"fraction_p50\": %.4f, \"fraction_p01\": %.4f, \"throughput\": %.4f, \"per_s\": %.1f}\n",
-           (unsigned long long)requests, (unsigned long long)bad_crc, (unsigned long long)violations, (unsigned long long)excused,
-           kept > 0 ? (double)parts[kept / 2] : 0.0, kept > 0 ? (double)parts[kept / 100] : 0.0,
-           span_ns > 0 ? (double)limits_ns / span_ns : 0.0, span_ns > 0 ? (double)(requests - 1) * 1e9 / span_ns : 0.0);
+    printf(
+        "{\"requests\": %llu, \"bad_crc\": %llu, \"violations\": %llu, \"excused\": %llu, "
+        "\"fraction_p50\": %.4f, \"fraction_p01\": %.4f, \"throughput\": %.4f, \"per_s\": %.1f}\n",
+        (unsigned long long)requests, (unsigned long long)bad_crc, (unsigned long long)violations,
+        (unsigned long long)excused, kept > 0 ? (double)parts[kept / 2] : 0.0,
+        kept > 0 ? (double)parts[kept / 100] : 0.0, span_ns > 0 ? (double)limits_ns / span_ns : 0.0,
+        span_ns > 0 ? (double)(requests - 1) * 1e9 / span_ns : 0.0);
     fflush(stdout);
     kept = 0;
     requests = bad_crc = violations = excused = 0;

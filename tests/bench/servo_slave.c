@@ -1,10 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
- * servo_slave.c: bus servos on a pty that take the time a wire takes, and answer at once: what a cycle takes beyond the bytes
- * is its master's. A request has arrived when its bytes would have passed the wire, a reply is handed over when its last byte
- * would have come.
+ * servo_slave.c: bus servos on a pty that take the time a wire takes, and answer at once: what a
+ * cycle takes beyond the bytes is its master's. A request has arrived when its bytes would have
+ * passed the wire, a reply is handed over when its last byte would have come.
  *
- *     servo_slave feetech|dynamixel BAUDRATE [PRIORITY]     prints the pty's name; then, for a line on stdin, a line of JSON:
- *     sync reads since the last one, the time since, and how much of it the wire was busy
+ *     servo_slave feetech|dynamixel BAUDRATE [PRIORITY]     prints the pty's name; then, for a line
+ *     on stdin, a line of JSON: sync reads since the last one, the time since, and how much of it
+ *     the wire was busy
  */
 #include <errno.h>
 #include <fcntl.h>
@@ -21,7 +22,15 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { READ = 2, WRITE = 3, STATUS = 0x55, SYNC_READ = 0x82, SYNC_WRITE = 0x83, BYTES_MAX = 1024, ALL = 0xFE };
+enum {
+    READ = 2,
+    WRITE = 3,
+    STATUS = 0x55,
+    SYNC_READ = 0x82,
+    SYNC_WRITE = 0x83,
+    BYTES_MAX = 1024,
+    ALL = 0xFE
+};
 
 static const int64_t NS_PER_S = 1000000000;
 
@@ -78,7 +87,10 @@ static void answer(int fd, int unit, const uint8_t *data, int count)
 {
     int bytes = 0;
     if (dynamixel) {
-        memcpy(out, (const uint8_t[]){0xFF, 0xFF, 0xFD, 0, (uint8_t)unit, (uint8_t)(count + 4), 0, STATUS, 0}, 9);
+        memcpy(out,
+               (const uint8_t[]){0xFF, 0xFF, 0xFD, 0, (uint8_t)unit, (uint8_t)(count + 4), 0,
+                                 STATUS, 0},
+               9);
         memcpy(out + 9, data, (size_t)count);
         uint16_t crc = crc16(out, 9 + count);
         out[9 + count] = (uint8_t)crc;
@@ -105,7 +117,8 @@ static int number(const uint8_t *at)
 static void obey(int fd, const uint8_t *packet, int bytes)
 {
     int head = dynamixel ? 7 : 4, width = dynamixel ? 2 : 1, seal = dynamixel ? 2 : 1;
-    int unit = packet[dynamixel ? 4 : 2], code = packet[head], first = number(packet + head + 1) & 0xFF;
+    int unit = packet[dynamixel ? 4 : 2], code = packet[head],
+        first = number(packet + head + 1) & 0xFF;
     const uint8_t *rest = packet + head + 1 + width, *end = packet + bytes - seal;
     int count = rest + width <= end ? number(rest) : 0;
     if (code == READ) {
@@ -143,8 +156,9 @@ static bool is_good(const uint8_t *packet, int bytes)
 static void print_stats(void)
 {
     int64_t now = now_ns();
-    printf("{\"cycles\": %llu, \"bad\": %llu, \"seconds\": %.6f, \"busy\": %.4f}\n", (unsigned long long)cycles,
-           (unsigned long long)bad, (double)(now - since_ns) * 1e-9, (double)busy_ns / (double)(now - since_ns));
+    printf("{\"cycles\": %llu, \"bad\": %llu, \"seconds\": %.6f, \"busy\": %.4f}\n",
+           (unsigned long long)cycles, (unsigned long long)bad, (double)(now - since_ns) * 1e-9,
+           (double)busy_ns / (double)(now - since_ns));
     fflush(stdout);
     cycles = bad = 0;
     busy_ns = 0;

@@ -9,13 +9,13 @@
 
 static _Atomic unsigned long checks_done;
 
-#define CHECK(condition)                                                                                                         \
-    do {                                                                                                                         \
-        atomic_fetch_add_explicit(&checks_done, 1, memory_order_relaxed);                                                        \
-        if (!(condition)) {                                                                                                      \
-            fprintf(stderr, "%s:%d: not true: %s\n", __FILE__, __LINE__, #condition);                                            \
-            exit(1);                                                                                                             \
-        }                                                                                                                        \
+#define CHECK(condition)                                                                           \
+    do {                                                                                           \
+        atomic_fetch_add_explicit(&checks_done, 1, memory_order_relaxed);                          \
+        if (!(condition)) {                                                                        \
+            fprintf(stderr, "%s:%d: not true: %s\n", __FILE__, __LINE__, #condition);              \
+            exit(1);                                                                               \
+        }                                                                                          \
     } while (0)
 
 static inline int checks_report(const char *name)

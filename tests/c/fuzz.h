@@ -1,9 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
  * fuzz.h: a fuzz target that needs nothing but gcc, and is libFuzzer's as well.
  *
- * A target defines FUZZ_NAME, FUZZ_MAX and `static void once(const uint8_t *data, size_t size)`, then includes this. As a
- * program:
- *     target RUNS [SEED]     so many inputs of its own: random ones, and small changes of the ones before
+ * A target defines FUZZ_NAME, FUZZ_MAX and `static void once(const uint8_t *data, size_t size)`,
+ * then includes this. As a program:
+ *     target RUNS [SEED]     so many inputs of its own: random ones, and small changes of the ones
+ *                            before
  * With clang: -fsanitize=fuzzer -DLIBFUZZER. */
 #ifndef MOTORD_TESTS_FUZZ_H
 #define MOTORD_TESTS_FUZZ_H
@@ -51,7 +52,8 @@ int main(int argc, char **argv)
     uint64_t runs = argc > 1 ? strtoull(argv[1], NULL, 10) : 1000000;
     uint64_t seed = argc > 2 ? strtoull(argv[2], NULL, 10) : 1;
     fuzz_state = seed * 0x9E3779B97F4A7C15U + 1;
-    printf("%s: %llu runs, seed %llu\n", FUZZ_NAME, (unsigned long long)runs, (unsigned long long)seed);
+    printf("%s: %llu runs, seed %llu\n", FUZZ_NAME, (unsigned long long)runs,
+           (unsigned long long)seed);
     for (uint64_t run = 0; run < runs; run++) {
         if (run % 64 == 0) {
             for (size_t i = 0; i < FUZZ_MAX; i++) {

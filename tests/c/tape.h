@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * tape.h: a fuzz target's input as choices, one byte each, and what holds for the modes of every machine. */
+ * tape.h: a fuzz target's input as choices, one byte each, and what holds for the modes of every
+ * machine. */
 #ifndef MOTORD_TESTS_TAPE_H
 #define MOTORD_TESTS_TAPE_H
 
@@ -25,7 +26,8 @@ static inline uint8_t next_byte(void)
     return *tape++;
 }
 
-/* READY is reached from OFF or BACK by its request alone; both requests may have come since the last look. */
+/* READY is reached from OFF or BACK by its request alone; both requests may have come since the
+ * last look. */
 static inline void judge_mode(uint32_t before, uint32_t now, const mode_request *asked)
 {
     if (now != before) {

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 OR GPL-2.0-only
- * pwm-sim.c: a PWM chip of twelve channels that drives nothing, for the guest's kernel (6.1), which has none like it. The PWM
- * core and its files in sysfs are the kernel's own. /sys/module/pwm_sim/parameters/fail: the errno with which it refuses. */
+ * pwm-sim.c: a PWM chip of twelve channels that drives nothing, for the guest's kernel (6.1), which
+ * has none like it. The PWM core and its files in sysfs are the kernel's own.
+ * /sys/module/pwm_sim/parameters/fail: the errno with which it refuses. */
 #include <linux/module.h>
 #include <linux/platform_device.h>
 #include <linux/pwm.h>

@@ -1,13 +1,15 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_board.h: the part of the border that boards on a stream need. Read after api_line.h, whose modes, requests and kinds of
- * fields it shares, and like it: typedefs, enums, comments and prototypes, no preprocessor line.
+ * api_board.h: the part of the border that boards on a stream need. Read after api_line.h, whose
+ * modes, requests and kinds of fields it shares, and like it: typedefs, enums, comments and
+ * prototypes, no preprocessor line.
  */
 
-/* ------------------------------------------------------------------------------------------- boards on a stream
- * One board alone on a serial port, or Sabertooths that count as one; one thread. It is sent its payload in every cycle,
- * set-points among it, and says its own unasked. Both are bytes with numbers at their places, low byte first: as they are in
- * frames (docs/mcu-frame.md), or as text (docs/mcu/line-ascii.md), whose numbers are written to and read from such places. */
+/* -------------------------------------------------------------------------- boards on a stream
+ * One board alone on a serial port, or Sabertooths that count as one; one thread. It is sent its
+ * payload in every cycle, set-points among it, and says its own unasked. Both are bytes with
+ * numbers at their places, low byte first: as they are in frames (docs/mcu-frame.md), or as text
+ * (docs/mcu/line-ascii.md), whose numbers are written to and read from such places. */
 enum {
     BOARD_PAYLOAD_MAX = 190, /* a frame of 200 bytes without its head and check sum */
     BOARD_SETPOINTS_MAX = 8,
@@ -19,16 +21,23 @@ enum {
     BOARD_ORDERS_MAX = 16
 };
 
-typedef enum { BOARD_FRAMES = 0, BOARD_TEXT = 1, BOARD_HOVERBOARD = 2, BOARD_SABERTOOTH = 3 } board_dialect;
+typedef enum {
+    BOARD_FRAMES = 0,
+    BOARD_TEXT = 1,
+    BOARD_HOVERBOARD = 2,
+    BOARD_SABERTOOTH = 3
+} board_dialect;
 
 enum {
     HOVERBOARD_COMMAND_BYTES = 8,
     HOVERBOARD_FEEDBACK_BYTES = 18,
     HOVERBOARD_SETPOINT_BYTES = 4, /* payload: left, right, 16 bits with sign, low byte first */
-    HOVERBOARD_VALUE_BYTES = 14,   /* feedback payload: what stands between start word and check sum */
+    /* feedback payload: what stands between start word and check sum */
+    HOVERBOARD_VALUE_BYTES = 14,
     HOVERBOARD_SETPOINT_MAX = 1000,
     SABERTOOTH_PACKET_BYTES = 4,
-    SABERTOOTH_SETPOINT_BYTES = 3, /* of each driver in the payload: serial time-out, motor 1, motor 2; motors with sign */
+    SABERTOOTH_SETPOINT_BYTES = 3, /* of each driver in the payload: serial time-out, motor 1, motor
+                                      2; motors with sign */
     SABERTOOTH_UNIT_MIN = 128,
     SABERTOOTH_UNIT_MAX = 135,
     SABERTOOTH_UNITS_MAX = 8
@@ -78,18 +87,21 @@ typedef struct {
     uint32_t precision;
     board_place place; /* read: where raw = nearest(number raw_per_number) goes, held within it */
     double raw_per_number;
-    double number_per_raw[BOARD_SETPOINTS_MAX]; /* written: the sum over the set-points of raw × this */
+    double number_per_raw[BOARD_SETPOINTS_MAX]; /* written: the sum over the set-points of raw ×
+                                                   this */
 } board_part;
 
 typedef struct {
     uint32_t part_count; /* 0: no such text */
-    uint32_t json;       /* read: 1: an object; a part's literal is the name of a member, in any order, others are skipped */
+    uint32_t json; /* read: 1: an object; a part's literal is the name of a member, in any order,
+                      others are skipped */
     board_part part[BOARD_PARTS_MAX];
-    uint8_t literal[BOARD_TEXT_MAX]; /* of all parts, one after the other; white space fits any other */
+    uint8_t literal[BOARD_TEXT_MAX]; /* of all parts, one after the other; white space fits any
+                                        other */
 } board_text;
 
-/* An inertial sensor on the board, whose words are the robot's. In frames it stands where docs/mcu-frame.md says; a text
- * has its rate about z, in units of 1e-6 rad/s. */
+/* An inertial sensor on the board, whose words are the robot's. In frames it stands where
+ * docs/mcu-frame.md says; a text has its rate about z, in units of 1e-6 rad/s. */
 typedef struct {
     uint32_t used;        /* 0: there is none, the rest is not looked at */
     uint32_t epoch;       /* of its samples */
@@ -100,24 +112,27 @@ typedef struct {
 
 typedef struct {
     uint32_t dialect; /* board_dialect */
-    uint32_t answers; /* 0: it says nothing, and is taken to be there while the port takes its bytes */
-    uint32_t tries;   /* so often enabled without being armed, and it is reported: 1.. */
+    /* 0: it says nothing, and is taken to be there while the port takes its bytes */
+    uint32_t answers;
+    uint32_t tries; /* so often enabled without being armed, and it is reported: 1.. */
     uint32_t payload_bytes;
     uint32_t feedback_bytes; /* of its own payload, at least; TEXT: all of it */
     uint32_t setpoint_count;
     uint32_t field_count;
     uint32_t quick_stop_count;
     uint32_t disarm_count;
-    uint32_t mixed;                     /* HOVERBOARD: 1: the firmware mixes steer and speed; 0: left and right (TANK_STEERING) */
-    uint32_t unit_count;                /* SABERTOOTH: drivers on the wire, which move and stop as one drive */
+    uint32_t mixed;      /* HOVERBOARD: 1: the firmware mixes steer and speed; 0: left and right
+                            (TANK_STEERING) */
+    uint32_t unit_count; /* SABERTOOTH: drivers on the wire, which move and stop as one drive */
     uint8_t unit[SABERTOOTH_UNITS_MAX]; /* their addresses, each above the one before */
     uint32_t reserved;
-    int64_t period_ns;           /* of the cycle: > 0 */
-    int64_t gap_ns;              /* from a frame's beginning to the next one's, at least: a wire that carries one at a time */
+    int64_t period_ns; /* of the cycle: > 0 */
+    int64_t gap_ns; /* from a frame's beginning to the next one's, at least: a wire that carries one
+                       at a time */
     int64_t silence_ns;          /* so long without a word, and it is unresponsive: > 0 */
     int64_t setpoint_timeout_ns; /* set-points older than this: quick stop */
     double rest_velocity_rad_s;  /* a wheel slower than this is at rest: > 0 */
-    int64_t watchdog_ns;         /* without set-points for so long while armed: it has stopped; 0: never */
+    int64_t watchdog_ns; /* without set-points for so long while armed: it has stopped; 0: never */
     uint8_t payload[BOARD_PAYLOAD_MAX]; /* before anything is written to it */
     board_setpoint setpoint[BOARD_SETPOINTS_MAX];
     board_field field[BOARD_FIELDS_MAX];
@@ -148,48 +163,56 @@ typedef struct {
     uint32_t mode;          /* drive_mode */
     uint32_t fault_reasons; /* DRIVE_FAULT_* */
     uint32_t request_seen;
-    uint32_t enabled;        /* 1, 0, 2: not reported */
-    uint32_t stopping;       /* a quick stop was sent, and the wheels have not been seen at rest since */
+    uint32_t enabled;  /* 1, 0, 2: not reported */
+    uint32_t stopping; /* a quick stop was sent, and the wheels have not been seen at rest since */
     uint32_t sent_motion;    /* its newest set-points are not zero */
     uint32_t stops;          /* how often a stop was sent to it, by C or by a request */
     uint32_t epoch;          /* of its feedback */
     uint32_t orders_sent;    /* they have gone out */
     uint32_t orders_dropped; /* guarded, and it was stopped; or it is unresponsive */
-    uint32_t feedback_bytes; /* of feedback_payload[]; 0: nothing since it was unresponsive, or ever */
-    uint32_t stop_waits;     /* the port has not taken its newest stop; at the end: the board has not proved that it has it */
+    /* of feedback_payload[]; 0: nothing since it was unresponsive, or ever */
+    uint32_t feedback_bytes;
+    uint32_t stop_waits; /* the port has not taken its newest stop; at the end: the board has not
+                            proved that it has it */
     uint32_t reserved;
     uint64_t cycles;
     uint64_t sent;
     uint64_t no_room;    /* frames that the port did not take: the next one is newer */
     uint64_t bad_frames; /* pieces of the stream that were no feedback */
     uint64_t received;
-    uint64_t published;              /* feedback that the core was given since the start */
-    uint64_t unresponsive;           /* how often it became UNRESPONSIVE */
-    int64_t cycle_ns;                /* smoothed time between two cycles */
-    int64_t setpoints_ns;            /* stamp of the newest set-points; 0: none came */
-    int64_t received_ns;             /* its newest word came */
-    int64_t knows_ns;                /* when what it had received by then was sent; TEXT has no such number: received_ns */
-    int64_t written_ns;              /* what stays in its payload was changed last */
-    uint32_t fault_word[JOINTS_MAX]; /* whole, by the core's joint number */
+    uint64_t published;    /* feedback that the core was given since the start */
+    uint64_t unresponsive; /* how often it became UNRESPONSIVE */
+    int64_t cycle_ns;      /* smoothed time between two cycles */
+    int64_t setpoints_ns;  /* stamp of the newest set-points; 0: none came */
+    int64_t received_ns;   /* its newest word came */
+    int64_t knows_ns;      /* when what it had received by then was sent; TEXT has no such number:
+                              received_ns */
+    int64_t written_ns;    /* what stays in its payload was changed last */
+    uint32_t fault_word[JOINTS_MAX];             /* whole, by the core's joint number */
     uint8_t feedback_payload[BOARD_PAYLOAD_MAX]; /* the newest */
 } board_report;
 
 typedef struct {
     line_place at;         /* woken by changes of the mode and of orders that were sent */
     uint32_t epoch;        /* of the feedback before this start; 0: there was none */
-    uint32_t left_running; /* another program left the board so: it begins with a quick stop, with no set-up before it */
+    uint32_t left_running; /* another program left the board so: it begins with a quick stop, with
+                              no set-up before it */
 } board_config;
 
-/* NULL when good; else the name of the first bad field. Static storage of the caller: name[FIELD_NAME_BYTES]. */
+/* NULL when good; else the name of the first bad field. Static storage of the caller:
+ * name[FIELD_NAME_BYTES]. */
 const char *board_table_check(const board_table *table, char *name);
 
-/* One thread a board, in static memory. 0; -EINVAL; -EBUSY; -errno of what cannot be done without. */
+/* One thread a board, in static memory. 0; -EINVAL; -EBUSY; -errno of what cannot be done
+ * without. */
 int board_start(uint32_t line, const board_config *config, const board_table *table);
 int board_stop(uint32_t line); /* joins; 0 or -ESRCH */
 void board_put_control(uint32_t line, const board_control *control);
-int board_put_order(uint32_t line, const board_order *order); /* 0; -EAGAIN: full; -EINVAL; -ESRCH: no thread */
-int board_read_report(uint32_t line, board_report *report);   /* 0 or -ESRCH: never started */
-int board_histogram_read(uint32_t line, histogram *out);      /* from set-points to the feedback that acknowledged them */
+/* 0; -EAGAIN: full; -EINVAL; -ESRCH: no thread */
+int board_put_order(uint32_t line, const board_order *order);
+int board_read_report(uint32_t line, board_report *report); /* 0 or -ESRCH: never started */
+/* from set-points to the feedback that acknowledged them */
+int board_histogram_read(uint32_t line, histogram *out);
 
 /* The pure parts, for tests against the same in Python. */
 enum { BOARD_FRAME_MAX = 200, BOARD_WIRE_MAX = 258, BOARD_CLOCK_SAMPLES = 32 };
@@ -208,9 +231,10 @@ typedef struct {
 /* When a frame with the board's time was made, CLOCK_MONOTONIC. Zeroed: a new board. */
 int64_t board_clock_stamp(board_clock *clock, uint32_t time_us, int64_t came_ns);
 
-/* A frame between zeros as it goes out: bytes of out[BOARD_WIRE_MAX]; 0: the payload is too long. */
-uint32_t board_frame_build(uint32_t type, uint32_t sequence, uint32_t time_us, const uint8_t *payload, uint32_t payload_bytes,
-                           uint8_t *out);
+/* A frame between zeros as it goes out: bytes of out[BOARD_WIRE_MAX]; 0: the payload is too
+ * long. */
+uint32_t board_frame_build(uint32_t type, uint32_t sequence, uint32_t time_us,
+                           const uint8_t *payload, uint32_t payload_bytes, uint8_t *out);
 /* What stood between two zeros, into out[BOARD_FRAME_MAX]: head and payload; 0: no frame. */
 uint32_t board_frame_parse(const uint8_t *stuffed, uint32_t count, uint8_t *out);
 
@@ -220,16 +244,24 @@ typedef struct {
     uint8_t bytes[HOVERBOARD_FEEDBACK_BYTES];
 } hoverboard_tail;
 
-typedef enum { HOVERBOARD_NOTHING = 0, HOVERBOARD_FEEDBACK = 1, HOVERBOARD_BAD = 2 } hoverboard_found;
+typedef enum {
+    HOVERBOARD_NOTHING = 0,
+    HOVERBOARD_FEEDBACK = 1,
+    HOVERBOARD_BAD = 2
+} hoverboard_found;
 
 /* The command with the set-points of a payload, into out[HOVERBOARD_COMMAND_BYTES]; its bytes. */
 uint32_t board_hoverboard_build(const uint8_t *payload, uint32_t mixed, uint8_t *out);
-/* One more byte of the stream. hoverboard_found; FEEDBACK: values[HOVERBOARD_VALUE_BYTES]; BAD: bytes were dropped. */
+/* One more byte of the stream. hoverboard_found; FEEDBACK: values[HOVERBOARD_VALUE_BYTES]; BAD:
+ * bytes were dropped. */
 uint32_t board_hoverboard_take(hoverboard_tail *tail, uint8_t byte, uint8_t *values);
-/* The packets with the set-points of one driver, into out[3 * SABERTOOTH_PACKET_BYTES]; their bytes. */
+/* The packets with the set-points of one driver, into out[3 * SABERTOOTH_PACKET_BYTES]; their
+ * bytes. */
 uint32_t board_sabertooth_build(uint32_t unit, const uint8_t *payload, uint8_t *out);
 
-/* The line of text with the set-points of a payload: bytes of out[BOARD_TEXT_MAX]; 0: it is too long. */
+/* The line of text with the set-points of a payload: bytes of out[BOARD_TEXT_MAX]; 0: it is too
+ * long. */
 uint32_t board_text_write(const board_table *table, const uint8_t *payload, uint8_t *out);
 /* A line without its end into the places of feedback_payload[]; 0: it is another text. */
-uint32_t board_text_read(const board_text *text, const uint8_t *line, uint32_t count, uint8_t *payload);
+uint32_t board_text_read(const board_text *text, const uint8_t *line, uint32_t count,
+                         uint8_t *payload);

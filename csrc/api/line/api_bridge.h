@@ -1,23 +1,26 @@
 /* SPDX-License-Identifier: Apache-2.0
- * api_bridge.h: motor bridges on PWM channels and GPIO lines, driven by a thread of their own. Read by cffi too. */
+ * api_bridge.h: motor bridges on PWM channels and GPIO lines, driven by a thread of their own.
+ * Read by cffi too. */
 
 enum { PWM_OUTPUTS_MAX = 32, BRIDGE_MODES = 4 };
 
 /* What a bridge does with its motor. COAST is what it is left in: no power. */
 enum { BRIDGE_COAST, BRIDGE_BRAKE, BRIDGE_FORWARD, BRIDGE_REVERSE };
 
-/* What the line is to do: OFF no power, at once; STOP an armed one brakes for stopping_ns, then no power; ARMED follow the
- * set-points, which one that still brakes does not. */
+/* What the line is to do: OFF no power, at once; STOP an armed one brakes for stopping_ns, then no
+ * power; ARMED follow the set-points, which one that still brakes does not. */
 enum { PWM_OFF, PWM_STOP, PWM_ARMED };
 
-/* One pin. Its level, 0 to 1, is base + slope × |duty| of the mode; a GPIO line is high from one half on. */
+/* One pin. Its level, 0 to 1, is base + slope × |duty| of the mode; a GPIO line is high from one
+ * half on. */
 typedef struct {
     uint32_t joint;    /* place in bridge_config.joint */
     int32_t fd;        /* of a duty_cycle file; -1: a GPIO line */
     uint32_t bit;      /* GPIO: of the request's lines */
     uint32_t inverted; /* the pin is active low */
-    uint32_t pumps;    /* 1: it changes with every cycle of the period while the motor may move, else it is low. The levels do not
-                                   count. A charge pump or watchdog behind it drops out when any thread hangs */
+    uint32_t pumps; /* 1: it changes with every cycle of the period while the motor may move, else
+                       it is low. The levels do not count. A charge pump or watchdog behind it drops
+                       out when any thread hangs */
     uint32_t reserved;
     uint64_t period_ns; /* of the channel */
     double base[4];     /* by mode */
@@ -25,10 +28,11 @@ typedef struct {
 } bridge_pin;
 
 typedef struct {
-    uint32_t index;      /* the core's joint */
-    uint32_t rest_mode;  /* BRIDGE_COAST or BRIDGE_BRAKE: armed, at a duty of zero */
-    double sign;         /* -1: the motor turns backward when the robot drives forward */
-    double full_rad;     /* 0: it takes duties. Else a servo that takes positions: its angle at a duty of 1 */
+    uint32_t index;     /* the core's joint */
+    uint32_t rest_mode; /* BRIDGE_COAST or BRIDGE_BRAKE: armed, at a duty of zero */
+    double sign;        /* -1: the motor turns backward when the robot drives forward */
+    double full_rad; /* 0: it takes duties. Else a servo that takes positions: its angle at a duty
+                        of 1 */
     uint64_t fault_mask; /* of the input request's lines: one that is active is a fault */
     encoder_config encoder;
 } bridge_joint;
@@ -54,7 +58,8 @@ typedef struct {
 typedef struct {
     uint32_t mode;   /* PWM_OFF, PWM_STOP, PWM_ARMED */
     uint32_t number; /* another one than before: a new request. ARMED is obeyed once a number.
-                                 * A number that was passed over may have been a stop: then it takes the power */
+                      * A number that was passed over may have been a stop: then it takes the power
+                      */
 } bridge_control;
 
 typedef struct {
@@ -64,10 +69,12 @@ typedef struct {
     uint32_t fault_reasons; /* of the last arming */
     uint32_t number;        /* of the request that was obeyed last */
     int32_t error;          /* errno that ended the thread */
-    int32_t error_output;   /* at which output; -1: the GPIO request; -2 - n: the encoder of joint n */
+    /* at which output; -1: the GPIO request; -2 - n: the encoder of joint n */
+    int32_t error_output;
     int32_t policy;
     int32_t scheduler_errno;
-    int32_t rest_error;  /* errno that kept a pin from COAST when it was written last, 0: all pins rest */
+    int32_t rest_error;  /* errno that kept a pin from COAST when it was written last, 0: all pins
+                            rest */
     int32_t rest_output; /* which, as error_output */
     uint32_t reserved;
     uint64_t active_inputs; /* bits of the input request */
@@ -78,29 +85,32 @@ typedef struct {
     uint64_t encoder_lost;
 } bridge_report;
 
-/* -------------------------------------------------------------------------------- pure: what the pins shall be */
+/* --------------------------------------------------------- pure: what the pins shall be */
 typedef struct {
-    drive_state drive;      /* of all its joints. Without a set-up it is READY from the first step on */
+    drive_state drive; /* of all its joints. Without a set-up it is READY from the first step on */
     int64_t brake_until_ns; /* where it is stopping */
     int64_t last_ns;        /* of the step before */
-    uint64_t enabled_count; /* how often the set-points have become enabled: its stepper writes it first */
+    uint64_t enabled_count; /* how often the set-points have become enabled: its stepper writes it
+                               first */
     uint32_t phase;         /* of pins that pump */
     uint32_t holds;         /* bit n: joint n, a servo, has its pulses */
     double held_duty[8];    /* of a servo: the angle that it is sent to */
 } bridge_state;
 
 /* level[i] of output i, 0 to 1. Set-points that are old, not enabled or no numbers move nothing. */
-void bridge_step(bridge_state *state, const bridge_config *config, const bridge_control *control, const setpoints *newest,
-                 int64_t now_ns, double *level);
+void bridge_step(bridge_state *state, const bridge_config *config, const bridge_control *control,
+                 const setpoints *newest, int64_t now_ns, double *level);
 /* Of a level: how much of the period is high, with the pin's polarity. */
 uint64_t bridge_duty_ns(const bridge_pin *output, double level);
 int bridge_config_check(const bridge_config *config); /* 0 or -EINVAL */
 
-/* ------------------------------------------------------------------------------------------------- the thread
- * The descriptors stay the caller's, to be closed after pwm_line_stop. Whatever ends it, the last levels are COAST. */
+/* ---------------------------------------------------------------------------------- the thread
+ * The descriptors stay the caller's, to be closed after pwm_line_stop. Whatever ends it, the
+ * last levels are COAST. */
 int pwm_line_start(uint32_t line, const bridge_config *config);
 int pwm_line_stop(uint32_t line);
 void pwm_line_put_control(uint32_t line, const bridge_control *control);
-/* What a board has counted of a joint whose encoder is ENCODER_REPORTED, by its place on the line. From one thread. */
+/* What a board has counted of a joint whose encoder is ENCODER_REPORTED, by its place on the
+ * line. From one thread. */
 void pwm_line_put_sample(uint32_t line, uint32_t joint, const encoder_sample *sample);
 int pwm_line_read_report(uint32_t line, bridge_report *out);

@@ -1,13 +1,15 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_can.h: the part of the border that CAN buses need. Read after api_line.h, whose modes, requests and kinds of fields
- * it shares, and like it: typedefs, enums, comments and prototypes, no preprocessor line.
+ * api_can.h: the part of the border that CAN buses need. Read after api_line.h, whose modes,
+ * requests and kinds of fields it shares, and like it: typedefs, enums, comments and prototypes, no
+ * preprocessor line.
  */
 
-/* ---------------------------------------------------------------------------------------------- CAN buses
- * One CAN bus under one thread. What is sent in each cycle, what comes, and what stops a drive is a table, made by Python
- * from the drive profiles, checked and copied here. Jobs (set up, arm, parameters) stay Python's: their frames go out
- * through a queue, and while a job goes on Python is handed the frames of its drive. */
+/* ----------------------------------------------------------------------------------- CAN buses
+ * One CAN bus under one thread. What is sent in each cycle, what comes, and what stops a drive is a
+ * table, made by Python from the drive profiles, checked and copied here. Jobs (set up, arm,
+ * parameters) stay Python's: their frames go out through a queue, and while a job goes on Python
+ * is handed the frames of its drive. */
 enum {
     CAN_DRIVES_MAX = 8,
     CAN_OUTPUTS_MAX = 4,
@@ -33,12 +35,13 @@ typedef struct {
     uint8_t data[CAN_BYTES_MAX];
 } can_packet;
 
-typedef enum { CAN_UNSIGNED = 0, CAN_SIGNED = 1, CAN_FLOAT = 2 } can_form; /* FLOAT: IEEE 754 binary32 */
+/* FLOAT: IEEE 754 binary32 */
+typedef enum { CAN_UNSIGNED = 0, CAN_SIGNED = 1, CAN_FLOAT = 2 } can_form;
 
 /* Adjacent bits of a frame. */
 typedef struct {
-    uint32_t start_bit; /* little-endian: from the least significant bit of byte 0 upward; big-endian: from the most
-                                   significant bit of byte 0 on */
+    uint32_t start_bit; /* little-endian: from the least significant bit of byte 0 upward;
+                           big-endian: from the most significant bit of byte 0 on */
     uint32_t length;    /* 1..32; of a float 32 */
     uint32_t big_endian;
     uint32_t form; /* can_form */
@@ -48,11 +51,13 @@ typedef struct {
 typedef struct {
     can_place place;
     setpoint_scale scale;
-    can_place trigger; /* of a POSITION: a bit with whose rising edge the drive takes the target, set until it says that it has
-                                   (FIELD_TAKEN), and never in a frame that moves nothing; length 0: each target counts */
+    can_place trigger; /* of a POSITION: a bit with whose rising edge the drive takes the target,
+                          set until it says that it has (FIELD_TAKEN), and never in a frame that
+                          moves nothing; length 0: each target counts */
 } can_setpoint;
 
-/* A frame of every cycle. What is not set-point stands as in `packet`, or as it was written last (can_write.output). */
+/* A frame of every cycle. What is not set-point stands as in `packet`, or as it was written last
+ * (can_write.output). */
 typedef struct {
     can_packet packet;
     uint32_t setpoint_count;
@@ -60,8 +65,9 @@ typedef struct {
     can_setpoint setpoint[CAN_SETPOINTS_MAX];
 } can_output;
 
-/* A frame that is written once. One that is also a frame of every cycle changes only the bits of `mask` in it, and they
- * stay: what it sends next carries them, too (the control word of CiA 402). */
+/* A frame that is written once. One that is also a frame of every cycle changes only the bits of
+ * `mask` in it, and they stay: what it sends next carries them, too (the control word of CiA
+ * 402). */
 typedef struct {
     can_packet packet;
     uint32_t output; /* 1 + number of the output that it is; 0: none */
@@ -78,8 +84,10 @@ typedef struct {
 
 /* A frame of the drive that the cycle lives on. */
 typedef struct {
-    int64_t silence_ns; /* so long without it, and the drive is unresponsive; 0: it is not waited for */
-    int64_t spacing_ns; /* one sooner after the other adds nothing new: frames that the CAN bus has held up */
+    int64_t silence_ns; /* so long without it, and the drive is unresponsive; 0: it is not waited
+                           for */
+    int64_t spacing_ns; /* one sooner after the other adds nothing new: frames that the CAN bus has
+                           held up */
     uint32_t fast;      /* 1: with all of them the drive's joints are known */
     uint32_t field_count;
     can_field field[CAN_FIELDS_MAX];
@@ -99,9 +107,10 @@ typedef struct {
     uint32_t tries;           /* so often enabled without being armed, and it is reported: 1.. */
     uint32_t slow_every;      /* cycles between two of what may wait: 1.. */
     uint32_t idle_setpoints;  /* 1: zero is sent in READY, too */
-    uint32_t reports_enabled; /* 0: it cannot report it, so it gets its disarm again now and then in READY */
-    uint32_t hello;           /* 1 + number of the input that alone says whether an unresponsive drive is back; 0: all that are
-                                   waited for */
+    uint32_t reports_enabled; /* 0: it cannot report it, so it gets its disarm again now and then in
+                                 READY */
+    uint32_t hello; /* 1 + number of the input that alone says whether an unresponsive drive is
+                       back; 0: all that are waited for */
     uint32_t output_count;
     uint32_t poll_count;  /* asked in each cycle */
     uint32_t slow_count;  /* by turns */
@@ -111,7 +120,8 @@ typedef struct {
     uint32_t quick_stop_count;
     uint32_t disarm_count;
     uint32_t reserved;
-    int64_t watchdog_ns; /* without set-points for so long while armed: it may have stopped; 0: never */
+    int64_t watchdog_ns; /* without set-points for so long while armed: it may have stopped; 0:
+                            never */
     can_output output[CAN_OUTPUTS_MAX];
     can_packet poll[CAN_POLLS_MAX];
     can_packet slow[CAN_POLLS_MAX];
@@ -144,7 +154,8 @@ typedef struct {
     can_write write;
     int64_t expires_ns;
     uint32_t drive;
-    uint32_t guarded; /* 1: not sent where the drive's `stops` is another: it was stopped meanwhile */
+    /* 1: not sent where the drive's `stops` is another: it was stopped meanwhile */
+    uint32_t guarded;
     uint32_t stops;
     uint32_t reserved;
 } can_order;
@@ -160,8 +171,8 @@ typedef struct {
     uint32_t mode;          /* drive_mode */
     uint32_t fault_reasons; /* DRIVE_FAULT_* */
     uint32_t request_seen;
-    uint32_t enabled;      /* 1, 0, 2: not reported yet */
-    uint32_t stopping;     /* a quick stop was sent, and the wheels have not been seen at rest since */
+    uint32_t enabled;  /* 1, 0, 2: not reported yet */
+    uint32_t stopping; /* a quick stop was sent, and the wheels have not been seen at rest since */
     uint32_t sent_motion;  /* its newest set-points are not zero */
     uint32_t missing;      /* 1 + number of the input that is not there; 0: none */
     uint32_t stops;        /* how often it was stopped, by C or by a request */
@@ -173,11 +184,12 @@ typedef struct {
     uint32_t orders_sent;
     uint32_t orders_dropped; /* too late, or guarded and the drive was stopped */
     uint32_t faults;         /* how often a joint's fault word became one that stops, */
-    uint32_t last_fault;     /* and the newest such word: a stop may have made the drive forget it by now */
+    uint32_t last_fault; /* and the newest such word: a stop may have made the drive forget it by
+                            now */
     uint32_t last_fault_joint;
     uint32_t may_turn;   /* armed since it was last set up, also before the line was opened */
-    uint32_t stop_waits; /* the CAN bus has not taken all of its newest stop; at the end: the drive has not confirmed that it
-                                   has no power */
+    uint32_t stop_waits; /* the CAN bus has not taken all of its newest stop; at the end: the drive
+                            has not confirmed that it has no power */
 } can_drive_report;
 
 typedef struct {
@@ -187,36 +199,40 @@ typedef struct {
     uint64_t cycles;
     uint64_t received; /* frames of the drives */
     uint64_t sent;
-    uint64_t tx_full;                /* frames that the CAN bus did not take: the next one is newer */
-    uint64_t bad_frames;             /* a drive's identifier, and nothing that it says */
-    uint64_t dropped;                /* frames for which Python's queue had no place */
-    int64_t cycle_ns;                /* smoothed time between two cycles */
-    int64_t setpoints_ns;            /* stamp of the newest set-points; 0: none came */
+    uint64_t tx_full;     /* frames that the CAN bus did not take: the next one is newer */
+    uint64_t bad_frames;  /* a drive's identifier, and nothing that it says */
+    uint64_t dropped;     /* frames for which Python's queue had no place */
+    int64_t cycle_ns;     /* smoothed time between two cycles */
+    int64_t setpoints_ns; /* stamp of the newest set-points; 0: none came */
     uint32_t fault_word[JOINTS_MAX]; /* whole, by the core's joint number */
     can_drive_report drive[CAN_DRIVES_MAX];
 } can_report;
 
 /* What is known of the drives from before the line was opened; zeros: nothing. */
 typedef struct {
-    uint32_t epoch;        /* of their feedback */
-    uint32_t may_turn;     /* bit n: drive n does, so it gets a stop until it responds and is set up */
-    uint32_t left_running; /* another program left all drives so: each begins with a quick stop, with no set-up before it */
+    uint32_t epoch;    /* of their feedback */
+    uint32_t may_turn; /* bit n: drive n does, so it gets a stop until it responds and is set up */
+    uint32_t left_running; /* another program left all drives so: each begins with a quick stop,
+                              with no set-up before it */
     uint32_t reserved;
 } can_before;
 
 typedef struct {
-    line_place at; /* CAN_RAW, or SOCK_SEQPACKET that carries struct can_frame and canfd_frame; woken by frames
-                                   for Python and of changes of a mode */
+    line_place at; /* CAN_RAW, or SOCK_SEQPACKET that carries struct can_frame and canfd_frame;
+                      woken by frames for Python and of changes of a mode */
     can_before before;
 } can_config;
 
-/* NULL when good; else the name of the first bad field. Static storage of the caller: name[FIELD_NAME_BYTES]. */
+/* NULL when good; else the name of the first bad field. Static storage of the caller:
+ * name[FIELD_NAME_BYTES]. */
 const char *can_table_check(const can_table *table, char *name);
 
-/* One thread a line, in static memory. 0; -EINVAL; -EBUSY; -errno of what cannot be done without. */
+/* One thread a line, in static memory. 0; -EINVAL; -EBUSY; -errno of what cannot be done
+ * without. */
 int can_start(uint32_t line, const can_config *config, const can_table *table);
 int can_stop(uint32_t line); /* joins; 0 or -ESRCH */
 void can_put_control(uint32_t line, const can_control *control);
-int can_put_order(uint32_t line, const can_order *order);     /* 0; -EAGAIN: full; -EINVAL; -ESRCH: no thread */
+/* 0; -EAGAIN: full; -EINVAL; -ESRCH: no thread */
+int can_put_order(uint32_t line, const can_order *order);
 int can_take_received(uint32_t line, can_received *received); /* 1: one; 0: none */
 int can_read_report(uint32_t line, can_report *report);       /* 0 or -ESRCH: never started */

@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * api_drive.h: what every drive has, whatever its medium: what it may do, why it was taken back, which stop it has not got
- * yet. The rules of when a drive has to stop stand in drive_state.c and nowhere else; a medium says what it knows and sends
- * the stop. Read by cffi too: lines in asyncio call the same rules. */
+ * api_drive.h: what every drive has, whatever its medium: what it may do, why it was taken back,
+ * which stop it has not got yet. The rules of when a drive has to stop stand in drive_state.c and
+ * nowhere else; a medium says what it knows and sends the stop. Read by cffi too: lines in
+ * asyncio call the same rules. */
 
 /* After a quick stop the power stays on until the wheels are at rest, so long at most. */
 enum { DRIVE_STOPPING_NS = 1000000000 };
@@ -20,10 +21,10 @@ typedef struct {
     bool was_enabled;          /* set-points were enabled since it was armed */
     bool sent_motion;          /* set-points that are not zero were sent, and zero not since */
     bool stopping;             /* after a quick stop, until its power goes off */
-    bool off_due;              /* its own report demands a power-off, which goes out with its cycle */
-    bool back;                 /* it was unresponsive and answers again: BACK when it has got its power-off */
-    int64_t off_by_ns;         /* stopping: power off then, at rest or not */
-    uint64_t enabled_count;    /* of the core's set-points, when it was armed */
+    bool off_due; /* its own report demands a power-off, which goes out with its cycle */
+    bool back;    /* it was unresponsive and answers again: BACK when it has got its power-off */
+    int64_t off_by_ns;      /* stopping: power off then, at rest or not */
+    uint64_t enabled_count; /* of the core's set-points, when it was armed */
 } drive_state;
 
 /* What its line knows in this step. */
@@ -37,32 +38,43 @@ typedef struct {
     uint64_t enabled_count; /* how often the set-points have become enabled */
 } drive_view;
 
-typedef enum { REQUEST_NONE = 0, REQUEST_SEEN, REQUEST_OFF, REQUEST_SET_UP, REQUEST_ARM, REQUEST_STAND_DOWN } drive_request;
+typedef enum {
+    REQUEST_NONE = 0,
+    REQUEST_SEEN,
+    REQUEST_OFF,
+    REQUEST_SET_UP,
+    REQUEST_ARM,
+    REQUEST_STAND_DOWN
+} drive_request;
 
 /* What becomes of a request: the stop goes first. */
 typedef struct {
-    drive_request request; /* NONE: there is no new one. SEEN: it requests nothing that can be done */
+    /* NONE: there is no new one. SEEN: it requests nothing that can be done */
+    drive_request request;
     drive_stop stop;
     bool overtaken; /* one before it was never seen: it may have been a stop */
 } drive_answer;
 
-/* The last power-off of a line whose medium confirms nothing: that a CAN bus has taken it says nothing, for a cable may be
- * cut and the queue before it has room. */
+/* The last power-off of a line whose medium confirms nothing: that a CAN bus has taken it says
+ * nothing, for a cable may be cut and the queue before it has room. */
 typedef struct {
     bool suffices;     /* it has but to go out */
     int64_t first_ns;  /* it went out; 0: not yet */
     int64_t newest_ns; /* and went out again */
 } drive_last_off;
 
-/* A drive that reports whether it is enabled (`enabled` as drive_state has it) is off by its report; one that does not, by
- * having spoken between two of them: its newest word came at `received_ns`. */
-bool drive_is_off(const drive_last_off *off, bool reports_enabled, uint32_t enabled, int64_t received_ns);
-/* It last got something at `last_ns`, and its watchdog has bitten since: it may have stopped by itself. watchdog_ns 0: it has
- * none. */
+/* A drive that reports whether it is enabled (`enabled` as drive_state has it) is off by its
+ * report; one that does not, by having spoken between two of them: its newest word came at
+ * `received_ns`. */
+bool drive_is_off(const drive_last_off *off, bool reports_enabled, uint32_t enabled,
+                  int64_t received_ns);
+/* It last got something at `last_ns`, and its watchdog has bitten since: it may have stopped by
+ * itself. watchdog_ns 0: it has none. */
 bool drive_left_alone(int64_t last_ns, int64_t now_ns, int64_t watchdog_ns);
 /* Whether set-points that are not zero may go to it. */
 bool drive_may_move(const drive_state *drive, bool fresh, bool enabled);
-/* It moves, and the newest set-points do not: zero goes out at once, and does not wait for its cycle. */
+/* It moves, and the newest set-points do not: zero goes out at once, and does not wait for its
+ * cycle. */
 bool drive_has_to_rest(const drive_state *drive, bool wants_motion);
 /* Each returns the stop that its medium has to begin. */
 drive_stop drive_guard(drive_state *drive, const drive_view *view);
@@ -70,7 +82,8 @@ drive_stop drive_quick_stop(drive_state *drive, uint32_t why, int64_t now_ns);
 drive_stop drive_power_off(drive_state *drive);
 /* Quick stop is over: power off. */
 drive_stop drive_end_stopping(drive_state *drive, bool at_rest, int64_t now_ns);
-/* It has reported whether it is enabled. `settled`: no arming goes on. DISABLED_ITSELF, or still enabled for so many `tries`. */
+/* It has reported whether it is enabled. `settled`: no arming goes on. DISABLED_ITSELF, or still
+ * enabled for so many `tries`. */
 drive_stop drive_check_power(drive_state *drive, uint32_t tries, bool settled);
 drive_answer drive_obey(drive_state *drive, const mode_request *request, const drive_view *view);
 void drive_take_back(drive_state *drive, uint32_t why, uint32_t mode);
@@ -78,7 +91,8 @@ void drive_take_back(drive_state *drive, uint32_t why, uint32_t mode);
 drive_stop drive_lost_setup(drive_state *drive);
 /* It was taken back for another reason since it was asked last. */
 bool drive_is_changed(drive_state *drive);
-/* It does not answer: nothing is known of it any more. What it is sent all the same depends on its medium. */
+/* It does not answer: nothing is known of it any more. What it is sent all the same depends on
+ * its medium. */
 void drive_unresponsive(drive_state *drive);
 /* It answers again: when it has got its power-off it is BACK. */
 drive_stop drive_answers(drive_state *drive);

@@ -1,14 +1,15 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_line.h: the part of the border that serial lines need. Read after api.h, and like it: typedefs, enums, comments
- * and prototypes, no preprocessor line.
+ * api_line.h: the part of the border that serial lines need. Read after api.h, and like it:
+ * typedefs, enums, comments and prototypes, no preprocessor line.
  */
 
-/* ------------------------------------------------------------------------------------------ serial lines
- * One shared medium (an RS485 pair) under one thread. What goes to which drive is a table: Python builds it from the
- * drive profiles, C checks and copies it, and from then on the line runs from static memory, whatever Python does.
- * Everything that waits for a person or may fail in words (open, configure, arm, parameters) stays Python's: it goes
- * through the same line as requests, one in each cycle at most. */
+/* -------------------------------------------------------------------------------- serial lines
+ * One shared medium (an RS485 pair) under one thread. What goes to which drive is a table: Python
+ * builds it from the drive profiles, C checks and copies it, and from then on the line runs from
+ * static memory, whatever Python does. Everything that waits for a person or may fail in words
+ * (open, configure, arm, parameters) stays Python's: it goes through the same line as requests,
+ * one in each cycle at most. */
 enum {
     LINE_DRIVES_MAX = 8,
     DRIVE_CYCLIC_MAX = 8,
@@ -36,10 +37,14 @@ typedef enum {
 /* CRC16  Modbus over Serial Line V1.02, 2.5.1.2: last two bytes, low one first
  * CRC8   CRC-8/MAXIM (reflected 0x31): last byte
  * XMODEM CRC-16/XMODEM (0x1021, not reflected, start 0): last two bytes, high one first
- * ASKED  of a reply: the same over the request's first two bytes and the reply (RoboClaw packet serial)
- * SUM    the inverted sum of all bytes after the first two: last byte (Feetech bus servos, protocol 0)
- * STUFFED CRC-16 (0x8005, not reflected, start 0): last two bytes, low one first; in a packet with FF FF FD inside another
- *        FD follows it on the wire, and the length counts it (Dynamixel protocol 2.0). Bytes are numbered without them */
+ * ASKED  of a reply: the same over the request's first two bytes and the reply (RoboClaw packet
+ *        serial)
+ * SUM    the inverted sum of all bytes after the first two: last byte (Feetech bus servos, protocol
+ *        0)
+ * STUFFED CRC-16 (0x8005, not reflected, start 0): last two bytes, low one first; in a packet with
+ * FF FF FD inside another
+ *        FD follows it on the wire, and the length counts it (Dynamixel protocol 2.0). Bytes are
+ *        numbered without them */
 
 /* A request and what its answer must look like. */
 typedef struct {
@@ -49,10 +54,10 @@ typedef struct {
     uint32_t match_bytes;   /* else, with so many of match[] */
     uint32_t request_seal;  /* frame_seal; made anew when set-points have been put in */
     uint32_t reply_seal;
-    uint32_t has_exceptions; /* 1: five bytes with the function's top bit set are a refusal (Modbus); of STUFFED replies
-                                an error number is one */
-    uint32_t exact;          /* 1: the reply does not say what it answers: it is all that comes, and after a failure
-                                   no drive is asked until a late one has passed */
+    uint32_t has_exceptions; /* 1: five bytes with the function's top bit set are a refusal
+                                (Modbus); of STUFFED replies an error number is one */
+    uint32_t exact; /* 1: the reply does not say what it answers: it is all that comes, and after a
+                       failure no drive is asked until a late one has passed */
     uint8_t match[FRAME_MATCH_MAX];
     uint8_t request[FRAME_BYTES_MAX];
 } line_frame;
@@ -81,9 +86,9 @@ typedef enum {
     SETPOINT_POSITION = 3 /* 0 is an angle, not rest: see setpoint_position() of joint_values.h */
 } setpoint_kind;
 
-/* A place in a request that holds what a joint is to do: raw = nearest(clamp(si raw_per_si + raw_offset, raw_min, raw_max)).
- * Not armed, not fresh, not enabled, NaN, infinite: si is 0. Of a POSITION, 0 is a place like any other: instead, nothing is
- * sent of the exchange that it is in. */
+/* A place in a request that holds what a joint is to do: raw = nearest(clamp(si raw_per_si +
+ * raw_offset, raw_min, raw_max)). Not armed, not fresh, not enabled, NaN, infinite: si is 0. Of a
+ * POSITION, 0 is a place like any other: instead, nothing is sent of the exchange that it is in. */
 typedef struct {
     uint32_t joint;     /* place in setpoints.joint */
     uint32_t kind;      /* setpoint_kind */
@@ -93,7 +98,8 @@ typedef struct {
     uint32_t reserved;
     double raw_per_si; /* sign, gear, scale: not 0 */
     double raw_offset; /* of a POSITION of 0; of other kinds 0 */
-    double raw_min;    /* <= 0 or, for a magnitude, whatever the drive takes as least: 0; of a POSITION any */
+    double raw_min; /* <= 0 or, for a magnitude, whatever the drive takes as least: 0; of a POSITION
+                       any */
     double raw_max;
     double raw_per_s; /* of a POSITION: its target moves no faster: > 0; of other kinds 0 */
 } line_setpoint;
@@ -108,12 +114,13 @@ typedef enum {
     FIELD_ENABLED = 6,     /* (raw & equals_mask) == equals: enabled; of all joints of the drive */
     FIELD_KEPT = 7,        /* (raw & equals_mask) == equals, else the drive has lost its set-up */
     FIELD_REFERENCED = 8,  /* (raw & equals_mask) == equals: the joint's counter has a reference */
-    FIELD_TAKEN = 9        /* of CAN: (raw & equals_mask) == equals: the drive has taken the joint's target, and waits for the end
-                                   of can_setpoint.trigger */
+    FIELD_TAKEN = 9        /* of CAN: (raw & equals_mask) == equals: the drive has taken the joint's
+                              target, and waits for the end of can_setpoint.trigger */
 } field_kind;
 
-/* Of CAN buses and boards: the number that says what a joint is to do, as of line_setpoint. A POSITION that must not be sent
- * is left out with the frame that it is in; in frames that are sent all the same it stays as it was written last. */
+/* Of CAN buses and boards: the number that says what a joint is to do, as of line_setpoint. A
+ * POSITION that must not be sent is left out with the frame that it is in; in frames that are
+ * sent all the same it stays as it was written last. */
 typedef struct {
     uint32_t joint;    /* place in setpoints.joint */
     uint32_t kind;     /* setpoint_kind */
@@ -147,10 +154,12 @@ typedef struct {
     uint32_t mask;  /* adjacent bits that hold the value; 0: all of them */
     uint32_t equals_mask;
     uint32_t equals;
-    uint32_t direction;      /* VELOCITY without sign: 1 + number of the direction whose last reverse negates it; 0: none */
-    double si_per_raw;       /* sign, gear, scale */
-    uint32_t harmless_bits;  /* FAULT: bits that are only warnings */
-    uint32_t harmless_codes; /* FAULT: > 0: the word is a number, and so many of harmless[] are only warnings */
+    uint32_t direction;     /* VELOCITY without sign: 1 + number of the direction whose last reverse
+                               negates it; 0: none */
+    double si_per_raw;      /* sign, gear, scale */
+    uint32_t harmless_bits; /* FAULT: bits that are only warnings */
+    uint32_t harmless_codes; /* FAULT: > 0: the word is a number, and so many of harmless[] are only
+                                warnings */
     uint32_t is_code;        /* FAULT: 1: the word is a number, 0: bits */
     uint32_t harmless[FIELD_HARMLESS_MAX];
     uint32_t reserved;
@@ -164,8 +173,9 @@ typedef struct {
     line_field field[EXCHANGE_FIELDS_MAX];
 } line_exchange;
 
-/* For set-points without sign: the frames that set the direction. Rest is sent before the first magnitude of a new
- * direction, and the direction after it: no magnitude is ever obeyed in the wrong direction, also when a frame is lost. */
+/* For set-points without sign: the frames that set the direction. Rest is sent before the first
+ * magnitude of a new direction, and the direction after it: no magnitude is ever obeyed in the
+ * wrong direction, also when a frame is lost. */
 typedef struct {
     uint32_t joint;
     uint32_t kind; /* setpoint_kind whose sign it is */
@@ -180,18 +190,23 @@ typedef struct {
     uint32_t tries;           /* failures in a row until it counts as unresponsive: 1.. */
     uint32_t extra_every;     /* cycles between two extra exchanges: 1.. */
     int64_t period_ns;        /* wanted time between two cycles: > 0 */
-    int64_t turnaround_ns;    /* longest time from the request's last byte to the reply's first: the profile's bound */
-    int64_t reply_timeout_ns; /* fixed deadline; 0: from the measured turn-around (RFC 6298), within the bound */
+    int64_t turnaround_ns;    /* longest time from the request's last byte to the reply's first: the
+                                 profile's bound */
+    int64_t reply_timeout_ns; /* fixed deadline; 0: from the measured turn-around (RFC 6298), within
+                                 the bound */
     int64_t watchdog_ns;      /* the drive stops by itself after such a silence; 0: never */
     uint32_t cyclic_count;
-    uint32_t extra_count; /* exchanges of which one is made every extra_every cycles; ENABLED's first */
+    uint32_t extra_count; /* exchanges of which one is made every extra_every cycles; ENABLED's
+                             first */
     uint32_t direction_count;
     uint32_t quick_stop_count;
     uint32_t disarm_count;
-    uint32_t idle_count; /* 1: idle[0] goes out in place of cyclic[0] while it is not armed, and not stopping; 0 */
+    uint32_t idle_count; /* 1: idle[0] goes out in place of cyclic[0] while it is not armed, and not
+                            stopping; 0 */
     uint32_t reserved;
-    uint32_t probe; /* 1 + number of the cyclic exchange that polls whether an unresponsive drive is back; 0: extra[0],
-                                   or the first cyclic one, with zeros, where there is no other */
+    uint32_t probe; /* 1 + number of the cyclic exchange that polls whether an unresponsive drive is
+                       back; 0: extra[0], or the first cyclic one, with zeros, where there is no
+                       other */
     line_exchange cyclic[DRIVE_CYCLIC_MAX]; /* in their order: set-points first */
     line_exchange extra[DRIVE_EXTRA_MAX];
     line_direction direction[DRIVE_DIRECTIONS_MAX];
@@ -200,28 +215,32 @@ typedef struct {
     line_frame idle[1];
 } line_drive;
 
-/* Of bus servos: a cycle is one request for all drives, a sync write with the set-points and a sync read in one piece; each
- * drive answers the read for itself. Each drive has two cyclic exchanges: what is written to one alone, and what is read of
- * it; both requests begin and end alike on all drives but for their unit. */
+/* Of bus servos: a cycle is one request for all drives, a sync write with the set-points and a sync
+ * read in one piece; each drive answers the read for itself. Each drive has two cyclic exchanges:
+ * what is written to one alone, and what is read of it; both requests begin and end alike on all
+ * drives but for their unit. */
 typedef struct {
-    uint32_t used;        /* 0: drive by drive */
-    uint32_t data_byte;   /* where the data that are written begin in cyclic[0]; up to its check sum */
+    uint32_t used; /* 0: drive by drive */
+    /* where the data that are written begin in cyclic[0]; up to its check sum */
+    uint32_t data_byte;
     uint32_t write_bytes; /* of write[], without check sum and the drives' data */
     uint32_t read_bytes;
-    uint32_t fast; /* 1: a fast sync read, which all answer in one packet, while none of them fails (Dynamixel); 0 */
+    uint32_t fast; /* 1: a fast sync read, which all answer in one packet, while none of them fails
+                      (Dynamixel); 0 */
     uint32_t reserved;
     uint8_t write[GROUP_HEAD_MAX]; /* with the length of a packet for no drive */
     uint8_t read[GROUP_HEAD_MAX];
 } line_group;
 
 typedef struct {
-    uint32_t drive_count;          /* 1..LINE_DRIVES_MAX */
-    uint32_t echo;                 /* 0: none; 1: every request comes back first; 2: the first read finds out */
+    uint32_t drive_count; /* 1..LINE_DRIVES_MAX */
+    uint32_t echo; /* 0: none; 1: every request comes back first; 2: the first read finds out */
     double character_ns;           /* one byte on the wire, with start, parity and stop bits */
     int64_t gap_ns;                /* silence before a request */
     int64_t setpoint_timeout_ns;   /* set-points older than this: quick stop */
     double rest_velocity_rad_s;    /* a wheel slower than this is at rest: > 0 */
-    uint32_t broadcast_stop_count; /* frames that stop all drives at once, before each one's own; 0: none */
+    uint32_t broadcast_stop_count; /* frames that stop all drives at once, before each one's own; 0:
+                                      none */
     uint32_t reserved;
     line_group group;
     line_frame broadcast_stop[DRIVE_STOP_MAX];
@@ -231,8 +250,10 @@ typedef struct {
 /* OFF     not set up: nothing cyclic is sent to it
  * READY   cyclic, every set-point zero
  * ARMED   cyclic, with the core's set-points while they are fresh and enabled
- * UNRESPONSIVE   it did not answer `tries` times: probed with back-off, sent a stop where it may turn
- * BACK    an unresponsive drive has answered, and was sent its power-off: as OFF, until Python has set it up */
+ * UNRESPONSIVE   it did not answer `tries` times: probed with back-off, sent a stop where it may
+ *                turn
+ * BACK    an unresponsive drive has answered, and was sent its power-off: as OFF, until Python
+ *         has set it up */
 typedef enum {
     DRIVE_OFF = 0,
     DRIVE_READY = 1,
@@ -246,26 +267,32 @@ typedef enum {
 enum {
     DRIVE_FAULT_SETPOINTS_OLD = 1 << 0,   /* quick stop, then off at rest */
     DRIVE_FAULT_NOT_ENABLED = 1 << 1,     /* the core took enabled back: power off */
-    DRIVE_FAULT_LEFT_ALONE = 1 << 2,      /* not asked for longer than its watchdog's time: it has stopped by itself */
+    DRIVE_FAULT_LEFT_ALONE = 1 << 2,      /* not asked for longer than its watchdog's time: it has
+                                             stopped by itself */
     DRIVE_FAULT_LOST_SETUP = 1 << 3,      /* a KEPT field differs: OFF */
     DRIVE_FAULT_DISABLED_ITSELF = 1 << 4, /* armed, but it says that it is not enabled: OFF */
     DRIVE_FAULT_UNRESPONSIVE = 1 << 5,
-    DRIVE_FAULT_STILL_ENABLED = 1 << 6, /* not armed, but it reports that it is: gets a disarm, held at zero */
-    DRIVE_FAULT_POSITION_UNKNOWN = 1
-        << 7 /* it takes positions, and where it is is not known, or not its first target: power off */
+    DRIVE_FAULT_STILL_ENABLED = 1 << 6, /* not armed, but it reports that it is: gets a disarm, held
+                                           at zero */
+    DRIVE_FAULT_POSITION_UNKNOWN = 1 << 7 /* it takes positions, and where it is is not known, or
+                                             not its first target: power off */
 };
 
-/* Python's request for a drive, obeyed once for each new count: what the line has taken back stays so until the next. */
+/* Python's request for a drive, obeyed once for each new count: what the line has taken back
+ * stays so until the next. */
 typedef struct {
     uint32_t count;
-    uint32_t mode;           /* DRIVE_OFF; DRIVE_READY: has been set up, from OFF or BACK only; DRIVE_ARMED: from READY
-                                   only; DRIVE_STAND_DOWN. What cannot be obeyed is seen, and that is all */
-    int64_t arming_until_ns; /* READY: until then it may say that it is enabled, because Python arms it; 0: never */
+    uint32_t mode; /* DRIVE_OFF; DRIVE_READY: has been set up, from OFF or BACK only; DRIVE_ARMED:
+                      from READY only; DRIVE_STAND_DOWN. What cannot be obeyed is seen, and that is
+                      all */
+    int64_t arming_until_ns; /* READY: until then it may say that it is enabled, because Python arms
+                                it; 0: never */
 } mode_request;
 
 typedef struct {
     mode_request drive[LINE_DRIVES_MAX];
-    uint32_t shut_down; /* level: quick stop of what is armed, then power off of all, then silence */
+    /* level: quick stop of what is armed, then power off of all, then silence */
+    uint32_t shut_down;
     uint32_t reserved;
 } line_control;
 
@@ -306,10 +333,11 @@ typedef struct {
     uint32_t fault_reasons; /* DRIVE_FAULT_* */
     uint32_t request_seen;  /* count of the last request that was obeyed */
     uint32_t enabled;       /* 1, 0, 2: not reported since the last request */
-    uint32_t stopping;      /* a quick stop was sent, and the wheels have not been seen at rest since */
-    uint32_t sent_motion;   /* it was sent set-points that are not zero, and has not acknowledged zero since */
-    uint32_t failures;      /* in a row */
-    uint32_t last_failure;  /* answer_kind */
+    uint32_t stopping; /* a quick stop was sent, and the wheels have not been seen at rest since */
+    uint32_t sent_motion; /* it was sent set-points that are not zero, and has not acknowledged zero
+                             since */
+    uint32_t failures;    /* in a row */
+    uint32_t last_failure; /* answer_kind */
     uint32_t last_exception;
     uint32_t may_turn;   /* armed since it was last set up, also before the port was opened */
     uint32_t stop_waits; /* it has not acknowledged all of its newest stop */
@@ -342,9 +370,9 @@ typedef struct {
     uint32_t echo;      /* as found: 0, 1; 2: not known yet */
     uint32_t shut_down; /* 1: done */
     uint64_t exchanges;
-    uint64_t answers;                /* good replies and refusals */
-    uint64_t noise_bytes;            /* bytes that were no frame: no answer, no late reply, no echo */
-    int64_t setpoints_ns;            /* stamp of the newest set-points; 0: none came */
+    uint64_t answers;     /* good replies and refusals */
+    uint64_t noise_bytes; /* bytes that were no frame: no answer, no late reply, no echo */
+    int64_t setpoints_ns; /* stamp of the newest set-points; 0: none came */
     uint32_t fault_word[JOINTS_MAX]; /* whole, by the core's joint number */
     drive_report drive[LINE_DRIVES_MAX];
 } line_report;
@@ -352,7 +380,8 @@ typedef struct {
 /* Where a line's thread runs and what it writes to. The descriptors stay the caller's. */
 typedef struct {
     int32_t fd;       /* the medium, open, set up, not blocking */
-    int32_t event_fd; /* eventfd, written on all that asyncio wants to know and at the thread's end; -1: none */
+    int32_t event_fd; /* eventfd, written on all that asyncio wants to know and at the thread's end;
+                         -1: none */
     int32_t priority; /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
     uint32_t reserved;
     uint64_t cpu_mask;  /* bit n: CPU n; 0: no affinity */
@@ -365,18 +394,22 @@ typedef struct {
     int64_t de_after_ns;  /* from the last bit to the edge back */
     int32_t de_fd;        /* GPIO line request (v2) that turns the transceiver; -1: none */
     uint32_t de_active_high;
-    uint32_t may_turn;     /* bit n: drive n, since before the port was opened: it gets a stop first */
-    uint32_t left_running; /* another program left all drives so: each begins with a quick stop, with no set-up before it */
+    uint32_t may_turn; /* bit n: drive n, since before the port was opened: it gets a stop first */
+    uint32_t left_running; /* another program left all drives so: each begins with a quick stop,
+                              with no set-up before it */
 } line_config;
 
-/* NULL when good; else the name of the first bad field. Static storage of the caller: name[FIELD_NAME_BYTES]. */
+/* NULL when good; else the name of the first bad field. Static storage of the caller:
+ * name[FIELD_NAME_BYTES]. */
 const char *line_table_check(const line_table *table, char *name);
 
-/* One thread a line, in static memory. 0; -EINVAL; -EBUSY; -errno of what cannot be done without. */
+/* One thread a line, in static memory. 0; -EINVAL; -EBUSY; -errno of what cannot be done
+ * without. */
 int line_start(uint32_t line, const line_config *config, const line_table *table);
 int line_stop(uint32_t line); /* joins; 0 or -ESRCH */
 void line_put_control(uint32_t line, const line_control *control);
-int line_put_request(uint32_t line, const line_request *request); /* 0; -EAGAIN: full; -ESRCH: no thread */
-int line_take_answer(uint32_t line, line_answer *answer);         /* 1: one; 0: none */
-int line_read_report(uint32_t line, line_report *report);         /* 0 or -ESRCH: never started */
-int line_histogram_read(uint32_t line, histogram *out);           /* round trips */
+/* 0; -EAGAIN: full; -ESRCH: no thread */
+int line_put_request(uint32_t line, const line_request *request);
+int line_take_answer(uint32_t line, line_answer *answer); /* 1: one; 0: none */
+int line_read_report(uint32_t line, line_report *report); /* 0 or -ESRCH: never started */
+int line_histogram_read(uint32_t line, histogram *out);   /* round trips */

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * duties.h: speeds of wheels as duties, and which joints do not get theirs. A part of core.c, as snapshot.h is.
+ * duties.h: speeds of wheels as duties, and which joints do not get theirs. A part of core.c, as
+ * snapshot.h is.
  */
 #ifndef MOTORD_DUTIES_H
 #define MOTORD_DUTIES_H
@@ -20,8 +21,8 @@ static inline uint32_t set_wheel(core_state *state, uint32_t j, double wanted_ra
     return output.reasons;
 }
 
-/* Rare: which joints the reasons come from. slewing: bit n, joint n slows the ramp down; and a duty that is not that of its
- * speed has been slewed. */
+/* Rare: which joints the reasons come from. slewing: bit n, joint n slows the ramp down; and a duty
+ * that is not that of its speed has been slewed. */
 __attribute__((noinline)) static void name_duties(core_state *state, uint32_t slewing)
 {
     reasons_shown *to = &state->snapshot.reason;
@@ -32,7 +33,8 @@ __attribute__((noinline)) static void name_duties(core_state *state, uint32_t sl
         if (state->config.joint[j].position.used) {
             continue;
         }
-        double speed_rad_s = setpoint->velocity_rad_s, unslewed = copysign((double)INFINITY, speed_rad_s);
+        double speed_rad_s = setpoint->velocity_rad_s,
+               unslewed = copysign((double)INFINITY, speed_rad_s);
         pwm_output output = wheel_duty(&state->config.joint[j].pwm, unslewed, speed_rad_s, 0.0);
         to->duty_clamped |= output.reasons & REASON_DUTY_CLAMPED ? 1U << j : 0;
         to->duty_slew |= setpoint->duty != output.duty ? 1U << j : 0;

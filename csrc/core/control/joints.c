@@ -1,13 +1,14 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * joints.c: wheel speeds as the twist that they are. A base has no other motion: what its wheels cannot do together they would
- * do against each other and the floor.
+ * joints.c: wheel speeds as the twist that they are. A base has no other motion: what its wheels
+ * cannot do together they would do against each other and the floor.
  */
 #include "rt.h"
 
 #include <math.h>
 
-static const double APART = 0.01;     /* a rim may differ from the twist by this share of the fastest rim's speed */
+static const double APART = 0.01; /* a rim may differ from the twist by this share of the fastest
+                                     rim's speed */
 static const double APART_M_S = 1e-6; /* and by this, for rounding */
 
 bool joints_twist(const core_config *base, const double *velocity_rad_s, double *twist_u_s)

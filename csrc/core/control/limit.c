@@ -1,20 +1,22 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * limit.c: the ramp of a twist under limits of velocity, acceleration, deceleration and jerk, exact in whole steps.
+ * limit.c: the ramp of a twist under limits of velocity, acceleration, deceleration and jerk, exact
+ * in whole steps.
  *
- * The twists that the limits of base and wheels allow are a convex set. The ramp runs along the straight line from the
- * present twist to the goal, and one number drives it: the share of what is left that is covered in a second.
- * So every twist between is allowed where both ends are, nothing is scaled after the ramp, and a stop keeps its
- * curvature. What holds in every step:
+ * The twists that the limits of base and wheels allow are a convex set. The ramp runs along the
+ * straight line from the present twist to the goal, and one number drives it: the share of what is
+ * left that is covered in a second. So every twist between is allowed where both ends are, nothing
+ * is scaled after the ramp, and a stop keeps its curvature. What holds in every step:
  *
- * Velocity: each axis stays between where it is and its goal, so it passes neither the goal nor its limit. An axis
- * beyond a limit that has been lowered comes back by its deceleration.
- * Acceleration: each axis keeps its acceleration where its speed grows and its deceleration where it falls. A step
- * through zero keeps both. The axis with the least room sets the pace of all.
- * Jerk: the acceleration of an axis never grows by more than jerk * dt in a step. While goal and limits stay as they
- * are, it never falls by more either: it is eased before the goal, and before a change of sign after which less is
- * allowed. When a new goal or new limits turn the line, an axis drops at once what no longer fits: stopping and keeping
- * to the line matter more than gears. `urgent` leaves the jerk out.
+ * Velocity: each axis stays between where it is and its goal, so it passes neither the goal nor its
+ * limit. An axis beyond a limit that has been lowered comes back by its deceleration.
+ * Acceleration: each axis keeps its acceleration where its speed grows and its deceleration where
+ * it falls. A step through zero keeps both. The axis with the least room sets the pace of all.
+ * Jerk: the acceleration of an axis never grows by more than jerk * dt in a step. While goal and
+ * limits stay as they are, it never falls by more either: it is eased before the goal, and before a
+ * change of sign after which less is allowed. When a new goal or new limits turn the line, an axis
+ * drops at once what no longer fits: stopping and keeping to the line matter more than gears.
+ * `urgent` leaves the jerk out.
  */
 #include "core.h"
 #include "wheel.h"
@@ -23,7 +25,8 @@
 #include <string.h>
 
 /* Where the four reasons of each axis begin, by that of the linear one. */
-static const uint32_t SHIFT_OF_AXIS[AXES] = {[AXIS_LINEAR] = 0, [AXIS_ANGULAR] = 4, [AXIS_LATERAL] = 11};
+static const uint32_t SHIFT_OF_AXIS[AXES] = {
+    [AXIS_LINEAR] = 0, [AXIS_ANGULAR] = 4, [AXIS_LATERAL] = 11};
 _Static_assert(REASON_LINEAR_VELOCITY << 4 == REASON_ANGULAR_VELOCITY, "SHIFT_OF_AXIS");
 _Static_assert(REASON_LINEAR_VELOCITY << 11 == REASON_LATERAL_VELOCITY, "SHIFT_OF_AXIS");
 
@@ -52,8 +55,9 @@ static double easing(double gap_s, double step_s)
     return gap_s / steps + 0.5 * step_s * (steps - 1.0);
 }
 
-/* The largest rate from which `step` each step still leads to `after` or less in the step that covers `gap`. Falling from
- * a, n steps before it: n a - step n (n - 1) / 2 <= gap and a - step n <= after, with the largest such n. */
+/* The largest rate from which `step` each step still leads to `after` or less in the step that
+ * covers `gap`. Falling from a, n steps before it: n a - step n (n - 1) / 2 <= gap and a - step
+ * n <= after, with the largest such n. */
 static double turning(double gap_s, double after_s, double step_s)
 {
     if (!(gap_s > after_s)) {
@@ -72,17 +76,20 @@ static double turning(double gap_s, double after_s, double step_s)
     return by_after_s < by_gap_s ? by_after_s : by_gap_s;
 }
 
-/* A speed that changes its sign before it arrives, and may gain less after it than it may lose before. */
+/* A speed that changes its sign before it arrives, and may gain less after it than it may lose
+ * before. */
 static inline bool turns(double from, double goal, double gains, double loses)
 {
     return from * goal < 0.0 && gains < loses;
 }
 
 /* What the limits of one axis leave: of its acceleration, and of the growth of it. */
-static inline void keep_axis(pace *least, pace *step, const limit_state *axis, const axis_limits *limits, double goal_u_s,
-                             double dt_s, bool urgent, uint32_t shift)
+static inline void keep_axis(pace *least, pace *step, const limit_state *axis,
+                             const axis_limits *limits, double goal_u_s, double dt_s, bool urgent,
+                             uint32_t shift)
 {
-    double from_u_s = axis->velocity_u_s, change_u_s = goal_u_s - from_u_s, size_u_s = fabs(change_u_s);
+    double from_u_s = axis->velocity_u_s, change_u_s = goal_u_s - from_u_s,
+           size_u_s = fabs(change_u_s);
     if (size_u_s == 0.0) {
         return;
     }
@@ -102,16 +109,19 @@ static inline void keep_axis(pace *least, pace *step, const limit_state *axis, c
     bind(least, bound_u_s2 / size_u_s, reason << shift);
 }
 
-/* Eased by `step` each step, a speed meets its change of sign with no more than it may gain after it. */
-static void keep_turn(pace *least, double from, double goal, double gains, double step_s, double dt_s, uint32_t reason)
+/* Eased by `step` each step, a speed meets its change of sign with no more than it may gain
+ * after it. */
+static void keep_turn(pace *least, double from, double goal, double gains, double step_s,
+                      double dt_s, uint32_t reason)
 {
     double change = fabs(goal - from);
     bind(least, turning(fabs(from) / (change * dt_s), gains / change, step_s), reason);
 }
 
-/* Duty slews bound how fast a wheel's speed grows. The last of all bounds: slewing is the joint that has the least room. */
-static void keep_duties(pace *least, const core_config *base, const limit_state *axis, const double *goal_u_s, double step_s,
-                        double dt_s, uint32_t *slewing)
+/* Duty slews bound how fast a wheel's speed grows. The last of all bounds: slewing is the joint
+ * that has the least room. */
+static void keep_duties(pace *least, const core_config *base, const limit_state *axis,
+                        const double *goal_u_s, double step_s, double dt_s, uint32_t *slewing)
 {
     double from_u_s[AXES];
     for (int i = 0; i < AXES; i++) {
@@ -139,7 +149,8 @@ static uint32_t rest(limit_state *axis)
     return 0;
 }
 
-static void move(limit_state *axis, uint32_t axes, const double *goal_u_s, double rate_s, bool arrives, double dt_s)
+static void move(limit_state *axis, uint32_t axes, const double *goal_u_s, double rate_s,
+                 bool arrives, double dt_s)
 {
     for (uint32_t i = 0; i < axes; i++) {
         double from_u_s = axis[i].velocity_u_s, change_u_s = goal_u_s[i] - from_u_s;
@@ -152,8 +163,9 @@ static void move(limit_state *axis, uint32_t axes, const double *goal_u_s, doubl
     }
 }
 
-uint32_t ramp_joint_step(limit_state *axis, uint32_t axes, const base_limits *limits, const core_config *slewed,
-                         const double *goal_u_s, double dt_s, bool urgent, uint32_t *slewing)
+uint32_t ramp_joint_step(limit_state *axis, uint32_t axes, const base_limits *limits,
+                         const core_config *slewed, const double *goal_u_s, double dt_s,
+                         bool urgent, uint32_t *slewing)
 {
     const axis_limits *of[AXES] = {&limits->linear, &limits->angular, &limits->lateral};
     double goal[AXES] = {0.0}, sum = 0.0, goals = 0.0;
@@ -177,9 +189,10 @@ uint32_t ramp_joint_step(limit_state *axis, uint32_t axes, const base_limits *li
         bind(&least, easing(whole.rate_s, step.rate_s), step.reason);
     }
     for (uint32_t i = 0; i < axes; i++) {
-        if (turns(axis[i].velocity_u_s, goal[i], of[i]->acceleration_u_s2, of[i]->deceleration_u_s2)) {
-            keep_turn(&least, axis[i].velocity_u_s, goal[i], of[i]->acceleration_u_s2, step.rate_s, dt_s,
-                      (uint32_t)REASON_LINEAR_ACCELERATION << SHIFT_OF_AXIS[i]);
+        if (turns(axis[i].velocity_u_s, goal[i], of[i]->acceleration_u_s2,
+                  of[i]->deceleration_u_s2)) {
+            keep_turn(&least, axis[i].velocity_u_s, goal[i], of[i]->acceleration_u_s2, step.rate_s,
+                      dt_s, (uint32_t)REASON_LINEAR_ACCELERATION << SHIFT_OF_AXIS[i]);
         }
     }
     if (slewed != NULL) {
@@ -194,8 +207,8 @@ uint32_t ramp_joint_step(limit_state *axis, uint32_t axes, const base_limits *li
     return sum <= DBL_MAX && !isnan(least.sum_s + step.sum_s) ? least.reason : rest(axis);
 }
 
-uint32_t ramp_step(limit_state *axis, uint32_t axes, const base_limits *limits, const core_config *slewed, const double *goal_u_s,
-                   double dt_s, bool urgent)
+uint32_t ramp_step(limit_state *axis, uint32_t axes, const base_limits *limits,
+                   const core_config *slewed, const double *goal_u_s, double dt_s, bool urgent)
 {
     uint32_t slewing = 0;
     return ramp_joint_step(axis, axes, limits, slewed, goal_u_s, dt_s, urgent, &slewing);

@@ -2,8 +2,9 @@
  *
  * loops.h: the speed loops of a base's wheels in a tick. A part of core.c, as snapshot.h is.
  *
- * Duties of the open-loop map stay in core_wheels: they are what a wheel gets whose feedback is not to be trusted, and what the
- * ramp is slewed by. Those of a loop take their place when the set-points are written.
+ * Duties of the open-loop map stay in core_wheels: they are what a wheel gets whose feedback is not
+ * to be trusted, and what the ramp is slewed by. Those of a loop take their place when the
+ * set-points are written.
  */
 #ifndef MOTORD_LOOPS_H
 #define MOTORD_LOOPS_H
@@ -14,22 +15,25 @@
 #include <math.h>
 #include <string.h>
 
-static const double DT_MAX_S = 0.1;       /* after a longer pause the ramps go on as if it had been this */
-static const double OVERSPEED = 1.5;      /* times its limit: what no speed loop that is well tuned overshoots to */
-static const double INTEGRAL_GONE = 1e-4; /* of a loop without gains: the open-loop map takes over */
+/* after a longer pause the ramps go on as if it had been this */
+static const double DT_MAX_S = 0.1;
+static const double OVERSPEED = 1.5; /* times its limit: what no speed loop that is well tuned
+                                        overshoots to */
+/* of a loop without gains: the open-loop map takes over */
+static const double INTEGRAL_GONE = 1e-4;
 
 /* Whether its gains make the loop do anything. */
 static inline bool loop_is_on(const core_state *state, uint32_t j)
 {
     const speed_loop_gains *gains = &state->gains[j];
     uint32_t kind = state->config.joint[j].speed_loop.kind;
-    bool some = gains->gain_u_s_per_rad > 0.0 || gains->integral_u_per_rad > 0.0 || gains->derivative_u_s2_per_rad > 0.0 ||
-                gains->acceleration_u_s2_per_rad > 0.0;
+    bool some = gains->gain_u_s_per_rad > 0.0 || gains->integral_u_per_rad > 0.0 ||
+                gains->derivative_u_s2_per_rad > 0.0 || gains->acceleration_u_s2_per_rad > 0.0;
     return kind == SPEED_LOOP_TORQUE || (kind == SPEED_LOOP_DUTY && some);
 }
 
-/* Gains of all joints or, where one of them is out of range, of none. A loop whose gains change goes on from the output of
- * before; one that begins, from the duty of the map. */
+/* Gains of all joints or, where one of them is out of range, of none. A loop whose gains change
+ * goes on from the output of before; one that begins, from the duty of the map. */
 static inline void take_gains(core_state *state, const core_control *control)
 {
     uint32_t count = state->config.joint_count;
@@ -59,15 +63,19 @@ static inline bool runs_away(const joint_config *joint, double velocity_rad_s)
     return fabs(velocity_rad_s) > OVERSPEED * limit;
 }
 
-/* What a wheel gets while nothing is known of its speed: no torque; the duty of the open-loop map. */
+/* What a wheel gets while nothing is known of its speed: no torque; the duty of the open-loop
+ * map. */
 static inline double without_loop(const core_state *state, uint32_t j)
 {
-    bool duty = state->config.joint[j].speed_loop.kind == SPEED_LOOP_DUTY && !state->speed_loop[j].overspeed;
+    bool duty = state->config.joint[j].speed_loop.kind == SPEED_LOOP_DUTY &&
+                !state->speed_loop[j].overspeed;
     return duty ? state->wheels.joint[j].duty : 0.0;
 }
 
-/* What may go out now: a duty rises away from zero by its slew at most, from the dead band's edge. */
-static inline void bound_output(const joint_config *joint, double last_u, speed_loop_input *input, double dt_s)
+/* What may go out now: a duty rises away from zero by its slew at most, from the dead band's
+ * edge. */
+static inline void bound_output(const joint_config *joint, double last_u, speed_loop_input *input,
+                                double dt_s)
 {
     input->low_u = joint->speed_loop.output_min_u;
     input->high_u = joint->speed_loop.output_max_u;
@@ -93,8 +101,10 @@ static inline double loop_output(core_state *state, uint32_t j, double dt_s)
         loop->overspeed = 1;
         watch_latch(state, FAULT_OVERSPEED);
     }
-    if (state->stale[j] || loop->overspeed || state->plausible[j].doubted || !isfinite(velocity_rad_s)) {
-        *loop = (speed_loop_state){.output_u = without_loop(state, j), .overspeed = loop->overspeed};
+    if (state->stale[j] || loop->overspeed || state->plausible[j].doubted ||
+        !isfinite(velocity_rad_s)) {
+        *loop =
+            (speed_loop_state){.output_u = without_loop(state, j), .overspeed = loop->overspeed};
         return loop->output_u;
     }
     speed_loop_input input = {
@@ -106,7 +116,8 @@ static inline double loop_output(core_state *state, uint32_t j, double dt_s)
     return speed_loop_step(loop, &joint->speed_loop, &state->gains[j], &input, dt_s);
 }
 
-/* A loop whose gains are all zero: once what it has summed up is gone, the open-loop map is all there is. */
+/* A loop whose gains are all zero: once what it has summed up is gone, the open-loop map is all
+ * there is. */
 static inline void end_loop(core_state *state, uint32_t j)
 {
     if (!loop_is_on(state, j) && fabs(state->speed_loop[j].integral_u) < INTEGRAL_GONE) {
@@ -116,7 +127,8 @@ static inline void end_loop(core_state *state, uint32_t j)
     }
 }
 
-/* New gains, and a step of each loop. Not called where there are neither: a tick without loops costs one comparison. */
+/* New gains, and a step of each loop. Not called where there are neither: a tick without loops
+ * costs one comparison. */
 __attribute__((noinline)) static void set_loops(core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;
@@ -134,7 +146,8 @@ __attribute__((noinline)) static void set_loops(core_state *state, const tick *t
         } else {
             state->snapshot.joint[j].duty = output_u;
         }
-        state->snapshot.speed_loop[j] = (speed_loop_shown){output_u, state->speed_loop[j].integral_u};
+        state->snapshot.speed_loop[j] =
+            (speed_loop_shown){output_u, state->speed_loop[j].integral_u};
         end_loop(state, j);
     }
 }

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * saturate.c: one factor for all wheels, so that a wheel at its limit slows the robot and does not bend its path.
+ * saturate.c: one factor for all wheels, so that a wheel at its limit slows the robot and does not
+ * bend its path.
  */
 #include "wheel.h"
 

@@ -2,18 +2,20 @@
  *
  * speed_loop.c: the torque or duty that brings a wheel to a speed: feed-forward and PID.
  *
- * Feed-forward is the steady state of a motor with friction and inertia (Lynch & Park, Modern Robotics, 2017, 8.9.1). The
- * derivative is of the measure, through a filter of the first order, so that no set-point makes it kick; the integral is held
- * where it would only drive the output further beyond a limit: conditional integration (Åström & Hägglund, Advanced PID
- * Control, 2006, 3.3 and 3.5). A loop that begins, or whose gains change, goes on from the output of before: the integral takes
- * the difference (the same, 3.6).
+ * Feed-forward is the steady state of a motor with friction and inertia (Lynch & Park, Modern
+ * Robotics, 2017, 8.9.1). The derivative is of the measure, through a filter of the first order, so
+ * that no set-point makes it kick; the integral is held where it would only drive the output
+ * further beyond a limit: conditional integration (Åström & Hägglund, Advanced PID Control, 2006,
+ * 3.3 and 3.5). A loop that begins, or whose gains change, goes on from the output of before: the
+ * integral takes the difference (the same, 3.6).
  */
 #include "rt.h"
 
 #include <float.h>
 #include <math.h>
 
-static const double LOSES_INTEGRAL_S = 0.5; /* without an integral gain, what a change has left in it goes in this time */
+static const double LOSES_INTEGRAL_S = 0.5; /* without an integral gain, what a change has left in
+                                               it goes in this time */
 static const double MOST_GAIN = 1e9;
 
 static double within(double value, double low, double high)
@@ -21,7 +23,8 @@ static double within(double value, double low, double high)
     return fmin(fmax(value, low), high);
 }
 
-static double feed_forward(const speed_loop_state *state, const speed_loop_gains *gains, double want_rad_s, double dt_s)
+static double feed_forward(const speed_loop_state *state, const speed_loop_gains *gains,
+                           double want_rad_s, double dt_s)
 {
     if (want_rad_s == 0.0) {
         return 0.0; /* also where it was put to zero at once: the drive does the stopping then */
@@ -34,14 +37,15 @@ static double feed_forward(const speed_loop_state *state, const speed_loop_gains
 /* No output; `begun`: the next step is one like any other. */
 static double rest(speed_loop_state *state, double measured_rad_s, uint32_t begun)
 {
-    *state = (speed_loop_state){.slow_rad_s = measured_rad_s, .begun = begun, .overspeed = state->overspeed};
+    *state = (speed_loop_state){
+        .slow_rad_s = measured_rad_s, .begun = begun, .overspeed = state->overspeed};
     return 0.0;
 }
 
-/* At rest a duty is zero: nothing is gained by warming a motor that stands. A torque may have to hold a robot on a slope; it
- * goes where friction holds it alone. */
-static bool lets_go(const speed_loop_state *state, const speed_loop_config *config, const speed_loop_gains *gains,
-                    const speed_loop_input *input)
+/* At rest a duty is zero: nothing is gained by warming a motor that stands. A torque may have to
+ * hold a robot on a slope; it goes where friction holds it alone. */
+static bool lets_go(const speed_loop_state *state, const speed_loop_config *config,
+                    const speed_loop_gains *gains, const speed_loop_input *input)
 {
     if (input->want_rad_s != 0.0 || !(fabs(input->measured_rad_s) < input->rest_rad_s)) {
         return false;
@@ -49,11 +53,12 @@ static bool lets_go(const speed_loop_state *state, const speed_loop_config *conf
     return config->kind == SPEED_LOOP_DUTY || fabs(state->integral_u) < gains->static_u;
 }
 
-double speed_loop_step(speed_loop_state *state, const speed_loop_config *config, const speed_loop_gains *gains,
-                       const speed_loop_input *input, double dt_s)
+double speed_loop_step(speed_loop_state *state, const speed_loop_config *config,
+                       const speed_loop_gains *gains, const speed_loop_input *input, double dt_s)
 {
     double want_rad_s = input->want_rad_s, error_rad_s = want_rad_s - input->measured_rad_s;
-    if (!isfinite(error_rad_s + state->integral_u + state->slow_rad_s) || !(dt_s > 0.0 && dt_s <= DBL_MAX)) {
+    if (!isfinite(error_rad_s + state->integral_u + state->slow_rad_s) ||
+        !(dt_s > 0.0 && dt_s <= DBL_MAX)) {
         return rest(state, 0.0, 0);
     }
     if (lets_go(state, config, gains, input)) {
@@ -63,11 +68,13 @@ double speed_loop_step(speed_loop_state *state, const speed_loop_config *config,
     double slow_rad_s = state->begun != 0 ? state->slow_rad_s : input->measured_rad_s;
     double slope_rad_s2 = (input->measured_rad_s - slow_rad_s) / (config->filter_s + dt_s);
     double feed = feed_forward(state, gains, want_rad_s, dt_s);
-    double fast = gains->gain_u_s_per_rad * error_rad_s - gains->derivative_u_s2_per_rad * slope_rad_s2;
+    double fast =
+        gains->gain_u_s_per_rad * error_rad_s - gains->derivative_u_s2_per_rad * slope_rad_s2;
     if (state->begun == 0) {
         state->integral_u = within(state->output_u - feed - fast, -most, most);
     }
-    double integral = within(state->integral_u + gains->integral_u_per_rad * error_rad_s * dt_s, -most, most);
+    double integral =
+        within(state->integral_u + gains->integral_u_per_rad * error_rad_s * dt_s, -most, most);
     if (gains->integral_u_per_rad == 0.0) {
         integral = state->integral_u * fmax(1.0 - dt_s / LOSES_INTEGRAL_S, 0.0);
     }
@@ -75,8 +82,10 @@ double speed_loop_step(speed_loop_state *state, const speed_loop_config *config,
     if (!isfinite(wanted)) {
         return rest(state, 0.0, 0);
     }
-    double output = within(feed + within(fast + integral, -most, most), input->low_u, input->high_u);
-    if (output == wanted || error_rad_s * (wanted - output) < 0.0 || gains->integral_u_per_rad == 0.0) {
+    double output =
+        within(feed + within(fast + integral, -most, most), input->low_u, input->high_u);
+    if (output == wanted || error_rad_s * (wanted - output) < 0.0 ||
+        gains->integral_u_per_rad == 0.0) {
         state->integral_u = integral;
     }
     state->slow_rad_s = slow_rad_s + slope_rad_s2 * dt_s;

@@ -36,9 +36,9 @@ static double cosine_near_zero(double x)
     return 1.0 + sum * q;
 }
 
-/* Exact to 1e-16 after a rough start: of the angle that is left, whose tangent is t, the series of the arc tangent. The start is
- * within 0.004 rad (Rajan et al., Efficient Approximations for the Arctangent Function, 2006), and the first term left out
- * below 2e-18. */
+/* Exact to 1e-16 after a rough start: of the angle that is left, whose tangent is t, the series of
+ * the arc tangent. The start is within 0.004 rad (Rajan et al., Efficient Approximations for the
+ * Arctangent Function, 2006), and the first term left out below 2e-18. */
 double angle_of(double y, double x)
 {
     const double quarter = 0.5 * HALF_PI;

@@ -1,11 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * gyro.c: from the yaw rate of a sensor to the turn of the base between two moments. Time is an argument.
+ * gyro.c: from the yaw rate of a sensor to the turn of the base between two moments. Time is an
+ * argument.
  *
- * Heading from the gyro, distance from the wheels: Borenstein & Feng, Gyrodometry: a new method for combining data from gyros
- * and odometry in mobile robots, ICRA 1996. The zero-rate offset is estimated while the base stands still, as in the
- * zero-velocity updates of inertial navigation (Groves, Principles of GNSS, Inertial, and Multisensor Integrated
- * Navigation Systems, 2nd ed., 15.3), by a Kalman filter of one state whose truth wanders.
+ * Heading from the gyro, distance from the wheels: Borenstein & Feng, Gyrodometry: a new method for
+ * combining data from gyros and odometry in mobile robots, ICRA 1996. The zero-rate offset is
+ * estimated while the base stands still, as in the zero-velocity updates of inertial navigation
+ * (Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed.,
+ * 15.3), by a Kalman filter of one state whose truth wanders.
  */
 #include <math.h>
 
@@ -16,13 +18,16 @@ static const double RATE_MAX_RAD_S = 100.0; /* no base turns so fast */
 static const int64_t SETTLE_NS = 500000000; /* the wheels rest, the chassis may swing on */
 static const int64_t WINDOW_NS = 1000000000;
 static const uint64_t WINDOW_SAMPLES_MIN = 20;
-/* A zero that wanders by 1e-3 rad/s in a quarter of an hour, as those of cheap sensors do when they warm up. */
+/* A zero that wanders by 1e-3 rad/s in a quarter of an hour, as those of cheap sensors do when
+ * they warm up. */
 static const double BIAS_WANDER_RAD2_S3 = 1e-9;
 /* A mean that is farther from the known zero than this is a slow turn: the robot is being moved. */
 static const double BIAS_STEP_MAX_RAD_S = 0.02;
-static const double STILL_RAD_S = 0.01; /* of a base that stands, or so many deviations of the noise */
+/* of a base that stands, or so many deviations of the noise */
+static const double STILL_RAD_S = 0.01;
 static const double STILL_DEVIATIONS = 5.0;
-static const double OPPOSED_MAX_RAD = 1.0; /* so far wheels and gyro may turn against each other: more is no slip */
+static const double OPPOSED_MAX_RAD = 1.0; /* so far wheels and gyro may turn against each other:
+                                              more is no slip */
 static const double OPPOSED_PART = 0.25;   /* of the wheels' turn, or it is noise */
 
 void gyro_init(gyro_state *state)
@@ -69,7 +74,8 @@ static void estimate(gyro_state *state, const gyro_config *config, int64_t now_n
     double samples = (double)state->window_samples, mean_rad_s = state->window_mean_rad_s;
     double variance_rad2_s2 = state->window_squares_rad2_s2 / (samples - 1.0);
     bool known = state->bias_stamp_ns != 0;
-    if (variance_rad2_s2 > config->still_variance_rad2_s2 || fabs(mean_rad_s) > config->bias_max_rad_s ||
+    if (variance_rad2_s2 > config->still_variance_rad2_s2 ||
+        fabs(mean_rad_s) > config->bias_max_rad_s ||
         (known && fabs(mean_rad_s - state->bias_rad_s) > BIAS_STEP_MAX_RAD_S)) {
         return;
     }
@@ -87,7 +93,8 @@ static void estimate(gyro_state *state, const gyro_config *config, int64_t now_n
     state->bias_stamp_ns = now_ns;
 }
 
-/* Welford, Note on a method for calculating corrected sums of squares and products, Technometrics 4(3), 1962. */
+/* Welford, Note on a method for calculating corrected sums of squares and products,
+ * Technometrics 4(3), 1962. */
 static void gather(gyro_state *state, double raw_rad_s)
 {
     double distance_rad_s = raw_rad_s - state->window_mean_rad_s;
@@ -107,13 +114,15 @@ static void watch_rest(gyro_state *state, const gyro_config *config, double raw_
         return;
     }
     gather(state, raw_rad_s);
-    if (now_ns - state->window_since_ns >= WINDOW_NS && state->window_samples >= WINDOW_SAMPLES_MIN) {
+    if (now_ns - state->window_since_ns >= WINDOW_NS &&
+        state->window_samples >= WINDOW_SAMPLES_MIN) {
         estimate(state, config, now_ns);
         begin_window(state, now_ns);
     }
     double limit_rad_s = STILL_DEVIATIONS * sqrt(state->rate_variance_rad2_s2);
     state->still =
-        state->bias_stamp_ns != 0 && fabs(state->rate_rad_s) <= (limit_rad_s > STILL_RAD_S ? limit_rad_s : STILL_RAD_S);
+        state->bias_stamp_ns != 0 &&
+        fabs(state->rate_rad_s) <= (limit_rad_s > STILL_RAD_S ? limit_rad_s : STILL_RAD_S);
 }
 
 static void integrate(gyro_state *state, const gyro_config *config, const imu_sample *sample)
@@ -130,7 +139,8 @@ static void integrate(gyro_state *state, const gyro_config *config, const imu_sa
     state->stamp_ns = sample->stamp_ns;
 }
 
-void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *sample, int64_t now_ns, bool wheels_rest)
+void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *sample,
+               int64_t now_ns, bool wheels_rest)
 {
     if (!wheels_rest) {
         state->still = 0;
@@ -144,7 +154,8 @@ void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *s
         break_integral(state);
     }
     state->sensor_epoch = sample->epoch;
-    bool in_order = sample->stamp_ns > state->stamp_ns && fresh_within(now_ns, sample->stamp_ns, INT64_MAX);
+    bool in_order =
+        sample->stamp_ns > state->stamp_ns && fresh_within(now_ns, sample->stamp_ns, INT64_MAX);
     if (!in_order || sample->saturated != 0 || !is_number(sample)) {
         state->refused++;
         return;
@@ -161,28 +172,33 @@ static bool near(const gyro_state *state, const gyro_config *config, int64_t mom
     return state->stamp_ns != 0 && fabs(seconds(moment_ns, state->stamp_ns)) <= config->timeout_s;
 }
 
-bool gyro_turn(gyro_state *state, const gyro_config *config, int64_t moment_ns, double *turn_rad, double *variance_rad2)
+bool gyro_turn(gyro_state *state, const gyro_config *config, int64_t moment_ns, double *turn_rad,
+               double *variance_rad2)
 {
     if (state->bias_stamp_ns == 0 || !near(state, config, moment_ns)) {
         state->referenced = 0;
         return false;
     }
-    /* What is carried on beyond the newest sample with its rate is taken back by the next call: it adds up to nothing. */
+    /* What is carried on beyond the newest sample with its rate is taken back by the next call:
+     * it adds up to nothing. */
     double yaw_rad = state->yaw_rad + state->rate_rad_s * seconds(moment_ns, state->stamp_ns);
-    bool known = state->referenced && state->used_epoch == state->epoch && moment_ns >= state->used_ns;
+    bool known =
+        state->referenced && state->used_epoch == state->epoch && moment_ns >= state->used_ns;
     double elapsed_s = known ? seconds(moment_ns, state->used_ns) : 0.0;
     *turn_rad = known && !state->still ? yaw_rad - state->used_rad : 0.0;
     state->used_rad = yaw_rad;
     state->used_ns = moment_ns;
     state->used_epoch = state->epoch;
     state->referenced = 1;
-    /* The offset's error is the same at all times since its estimate, so its part of the heading's variance is
-     * (error t)^2: 2 error^2 t dt more in dt. */
+    /* The offset's error is the same at all times since its estimate, so its part of the heading's
+     * variance is (error t)^2: 2 error^2 t dt more in dt. */
     double since_s = fabs(seconds(moment_ns, state->bias_stamp_ns));
     double bias_rad2_s2 = state->bias_variance_rad2_s2 + BIAS_WANDER_RAD2_S3 * since_s;
-    *variance_rad2 = state->still ? 0.0
-                                  : elapsed_s * (config->heading_variance_rad2_per_s + 2.0 * bias_rad2_s2 * since_s) +
-                                        config->turn_variance_rad2_per_rad * fabs(*turn_rad);
+    *variance_rad2 =
+        state->still
+            ? 0.0
+            : elapsed_s * (config->heading_variance_rad2_per_s + 2.0 * bias_rad2_s2 * since_s) +
+                  config->turn_variance_rad2_per_rad * fabs(*turn_rad);
     return known;
 }
 

@@ -1,9 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * independent.c: joints without a base, each by its own limits: a pan-tilt head, a lift, a conveyor.
+ * independent.c: joints without a base, each by its own limits: a pan-tilt head, a lift, a
+ * conveyor.
  *
- * A joint that takes velocities follows the ramp of limit.c. One that takes positions goes to its target by position.c, within
- * its range. A target belongs to the lease that gave it: it ends with that lease, and with every stop.
+ * A joint that takes velocities follows the ramp of limit.c. One that takes positions goes to its
+ * target by position.c, within its range. A target belongs to the lease that gave it: it ends with
+ * that lease, and with every stop.
  */
 #include "independent.h"
 #include "steer.h"
@@ -29,7 +31,8 @@ bool joint_command_zero(const joint_command *command, const core_config *config)
 {
     bool zero = true;
     for (uint32_t j = 0; j < config->joint_count; j++) {
-        zero &= !names(command, j) || (config->joint[j].position.used == 0 && command->value_u[j] == 0.0);
+        zero &= !names(command, j) ||
+                (config->joint[j].position.used == 0 && command->value_u[j] == 0.0);
     }
     return zero;
 }
@@ -61,7 +64,8 @@ void independent_own_limits(axis_limits *in_force, const core_config *config)
     for (uint32_t j = 0; j < config->joint_count; j++) {
         const joint_config *joint = &config->joint[j];
         const position_config *own = &joint->position;
-        axis_limits of_position = {own->velocity_rad_s, own->acceleration_rad_s2, own->acceleration_rad_s2, INFINITY};
+        axis_limits of_position = {own->velocity_rad_s, own->acceleration_rad_s2,
+                                   own->acceleration_rad_s2, INFINITY};
         in_force[j] = own->used ? of_position : joint->own;
         if (!own->used) {
             in_force[j].velocity_u_s = fmax(joint->velocity_max_rad_s, -joint->velocity_min_rad_s);
@@ -84,14 +88,17 @@ void independent_take_limits(core_state *state, const core_control *control)
     memcpy(state->joint_limits, control->joint_limits, count * sizeof *state->joint_limits);
 }
 
-static uint32_t step_velocity(joints_state *joints, const joint_config *joint, const joints_input *input, uint32_t j)
+static uint32_t step_velocity(joints_state *joints, const joint_config *joint,
+                              const joints_input *input, uint32_t j)
 {
     const axis_limits *own = &input->limits[j];
-    double wanted_rad_s = input->command != NULL && names(input->command, j) ? input->command->value_u[j] : 0.0;
+    double wanted_rad_s =
+        input->command != NULL && names(input->command, j) ? input->command->value_u[j] : 0.0;
     double least_rad_s = fmax(joint->velocity_min_rad_s, -own->velocity_u_s);
     double most_rad_s = fmin(joint->velocity_max_rad_s, own->velocity_u_s);
     double allowed_rad_s = within(wanted_rad_s, least_rad_s, most_rad_s);
-    double goal_rad_s[AXES] = {within(allowed_rad_s, input->factor * least_rad_s, input->factor * most_rad_s)};
+    double goal_rad_s[AXES] = {
+        within(allowed_rad_s, input->factor * least_rad_s, input->factor * most_rad_s)};
     limit_state axis[AXES] = {{joints->velocity_rad_s[j], joints->acceleration_rad_s2[j]}};
     base_limits limits = {.linear = *own};
     uint32_t reasons = allowed_rad_s != wanted_rad_s ? (uint32_t)REASON_JOINT_VELOCITY : 0;
@@ -105,10 +112,11 @@ static uint32_t step_velocity(joints_state *joints, const joint_config *joint, c
 }
 
 /* Does it come to rest before its goal and the end of its range, braking with this? */
-static bool stops_in_time(const position_profile *profile, const position_config *own, double goal_rad, double braking_rad_s2,
-                          double dt_s)
+static bool stops_in_time(const position_profile *profile, const position_config *own,
+                          double goal_rad, double braking_rad_s2, double dt_s)
 {
-    double velocity_rad_s = profile->velocity_rad_s, end_rad = own->position_max_rad - profile->position_rad;
+    double velocity_rad_s = profile->velocity_rad_s,
+           end_rad = own->position_max_rad - profile->position_rad;
     double left_rad = (goal_rad - profile->position_rad) * (velocity_rad_s < 0.0 ? -1.0 : 1.0);
     if (velocity_rad_s < 0.0) {
         end_rad = profile->position_rad - own->position_min_rad;
@@ -116,14 +124,16 @@ static bool stops_in_time(const position_profile *profile, const position_config
     if (left_rad >= 0.0) { /* false of NaN: no goal; and of one that lies behind */
         end_rad = fmin(end_rad, left_rad);
     }
-    double needs_rad = velocity_rad_s * velocity_rad_s / (2.0 * braking_rad_s2) + fabs(velocity_rad_s) * dt_s;
+    double needs_rad =
+        velocity_rad_s * velocity_rad_s / (2.0 * braking_rad_s2) + fabs(velocity_rad_s) * dt_s;
     return needs_rad <= end_rad;
 }
 
-/* The limits in force. One that is lowered while the joint moves would make it pass its goal, or the end of its range, where it
- * has to brake already: it goes on braking with what it had, gets no faster, and takes the new one as soon as that is enough. */
-static void take_limits(joints_state *joints, const position_profile *profile, position_config *own, const axis_limits *limits,
-                        double goal_rad, double dt_s, uint32_t j)
+/* The limits in force. One that is lowered while the joint moves would make it pass its goal, or
+ * the end of its range, where it has to brake already: it goes on braking with what it had, gets
+ * no faster, and takes the new one as soon as that is enough. */
+static void take_limits(joints_state *joints, const position_profile *profile, position_config *own,
+                        const axis_limits *limits, double goal_rad, double dt_s, uint32_t j)
 {
     double *braking_rad_s2 = &joints->braking_rad_s2[j], lowered_rad_s2 = limits->acceleration_u_s2;
     own->velocity_rad_s = fmin(own->velocity_rad_s, limits->velocity_u_s);
@@ -136,8 +146,8 @@ static void take_limits(joints_state *joints, const position_profile *profile, p
     own->acceleration_rad_s2 = *braking_rad_s2;
 }
 
-static uint32_t step_position(joints_state *joints, steer_state *steer, const core_config *config, const joints_input *input,
-                              uint32_t j)
+static uint32_t step_position(joints_state *joints, steer_state *steer, const core_config *config,
+                              const joints_input *input, uint32_t j)
 {
     position_config own = config->joint[j].position;
     uint32_t reasons = 0;
@@ -145,7 +155,9 @@ static uint32_t step_position(joints_state *joints, steer_state *steer, const co
         joints->target_rad[j] = input->command->value_u[j];
     }
     double target_rad = joints->target_rad[j];
-    double goal_rad = isnan(target_rad) ? target_rad : within(target_rad, own.position_min_rad, own.position_max_rad);
+    double goal_rad = isnan(target_rad)
+                          ? target_rad
+                          : within(target_rad, own.position_min_rad, own.position_max_rad);
     if (target_rad != goal_rad && !isnan(target_rad)) {
         reasons |= REASON_JOINT_POSITION;
     }
@@ -162,7 +174,8 @@ static uint32_t step_position(joints_state *joints, steer_state *steer, const co
     }
     if (from_rad >= own.position_min_rad && from_rad <= own.position_max_rad) {
         /* rounded, the last step could pass the end */
-        profile->position_rad = within(profile->position_rad, own.position_min_rad, own.position_max_rad);
+        profile->position_rad =
+            within(profile->position_rad, own.position_min_rad, own.position_max_rad);
     }
     return reasons;
 }
@@ -174,8 +187,8 @@ static void name_joint(reasons_shown *named, uint32_t reasons, uint32_t j)
     named->joint_position |= reasons & REASON_JOINT_POSITION ? 1U << j : 0;
 }
 
-uint32_t independent_step(joints_state *joints, steer_state *steer, const core_config *config, const joints_input *input,
-                          double *velocity_rad_s, reasons_shown *named)
+uint32_t independent_step(joints_state *joints, steer_state *steer, const core_config *config,
+                          const joints_input *input, double *velocity_rad_s, reasons_shown *named)
 {
     uint32_t reasons = 0;
     named->joint_velocity = named->joint_acceleration = named->joint_position = 0;
@@ -184,8 +197,9 @@ uint32_t independent_step(joints_state *joints, steer_state *steer, const core_c
     }
     joints->owner = input->owner;
     for (uint32_t j = 0; j < config->joint_count; j++) {
-        uint32_t own = config->joint[j].position.used ? step_position(joints, steer, config, input, j)
-                                                      : step_velocity(joints, &config->joint[j], input, j);
+        uint32_t own = config->joint[j].position.used
+                           ? step_position(joints, steer, config, input, j)
+                           : step_velocity(joints, &config->joint[j], input, j);
         reasons |= own;
         name_joint(named, own, j);
         velocity_rad_s[j] = joints->velocity_rad_s[j];

@@ -17,18 +17,19 @@ typedef struct {
     bool urgent; /* leave out the jerk limits */
 } joints_input;
 
-/* One step of each joint, within its own limits; velocity_rad_s: of those that take velocities. Returns the reasons; `named`:
- * of which joints they are. */
-uint32_t independent_step(joints_state *joints, steer_state *steer, const core_config *config, const joints_input *input,
-                          double *velocity_rad_s, reasons_shown *named);
-/* Where they have changed: limits of all joints or, where one is out of range, of none. Joints that move get to them by
- * deceleration. */
+/* One step of each joint, within its own limits; velocity_rad_s: of those that take velocities.
+ * Returns the reasons; `named`: of which joints they are. */
+uint32_t independent_step(joints_state *joints, steer_state *steer, const core_config *config,
+                          const joints_input *input, double *velocity_rad_s, reasons_shown *named);
+/* Where they have changed: limits of all joints or, where one is out of range, of none. Joints that
+ * move get to them by deceleration. */
 void independent_take_limits(core_state *state, const core_control *control);
 /* Those of the configuration. */
 void independent_own_limits(axis_limits *in_force, const core_config *config);
 /* All stand in this step, and have no target any more. */
 void independent_halt(joints_state *joints, steer_state *steer, const core_config *config);
-/* Whether it requests no motion: no position, and no speed but zero. A value that is not finite is no such request. */
+/* Whether it requests no motion: no position, and no speed but zero. A value that is not finite
+ * is no such request. */
 bool joint_command_zero(const joint_command *command, const core_config *config);
 bool joint_command_finite(const joint_command *command, const core_config *config);
 

@@ -2,14 +2,16 @@
  *
  * kinematics.c: wheel speeds of a twist, and the twist of wheel speeds, for every base.
  *
- * More wheels than the twist has axes are a system of equations that is over-determined: the twist is that of least squares,
- * (A' A)^-1 A' (Golub & Van Loan, Matrix Computations, 5.3), and what remains is slip.
+ * More wheels than the twist has axes are a system of equations that is over-determined: the twist
+ * is that of least squares, (A' A)^-1 A' (Golub & Van Loan, Matrix Computations, 5.3), and what
+ * remains is slip.
  */
 #include "core.h"
 #include "wheel.h"
 
-/* The determinant of A' A, as a part of the product of its diagonal (Hadamard's inequality: at most 1). What is less hangs on a
- * thread: an error of a wheel would be one of the base a thousand times as large. */
+/* The determinant of A' A, as a part of the product of its diagonal (Hadamard's inequality: at most
+ * 1). What is less hangs on a thread: an error of a wheel would be one of the base a thousand
+ * times as large. */
 static const double DETERMINED_LEAST = 1e-6;
 
 void kinematics_wheels(const core_config *config, const double *twist_u_s, double *wheel_rad_s)
@@ -52,7 +54,8 @@ static void normal_add(double m[AXES][AXES], const wheel_row *row)
     }
 }
 
-/* The minor of the element in row i and column k, with its sign: indices go round, so the sign is always plus. */
+/* The minor of the element in row i and column k, with its sign: indices go round, so the sign
+ * is always plus. */
 static double cofactor(double m[AXES][AXES], int i, int k)
 {
     int i1 = (i + 1) % AXES, i2 = (i + 2) % AXES, k1 = (k + 1) % AXES, k2 = (k + 2) % AXES;
@@ -70,7 +73,8 @@ static double normal_determinant(double m[AXES][AXES])
 }
 
 /* Column j of (A' A)^-1 A'. */
-static void invert_row(double m[AXES][AXES], double determinant, const wheel_row *row, twist_inverse *out, uint32_t j)
+static void invert_row(double m[AXES][AXES], double determinant, const wheel_row *row,
+                       twist_inverse *out, uint32_t j)
 {
     const double of[AXES] = {row->x, row->lever_m, row->y};
     for (int i = 0; i < AXES * AXES; i++) {
@@ -107,7 +111,7 @@ void kinematics_invert(const core_config *config, uint32_t joints, twist_inverse
     out->determined = 1;
 }
 
-/* ------------------------------------------------------------------------------------------------ with modules */
+/* ------------------------------------------------------------------------- with modules */
 typedef struct {
     wheel_row rolls;  /* the rim's speed */
     wheel_row slides; /* across it */
@@ -129,10 +133,12 @@ static module_rows rows_of(const wheel_module *module, const double *angle_rad, 
 {
     direction d = angle_direction(angle_wrap(module_angle(module, angle_rad)));
     double c = d.cosine, s = d.sine, y = strafes ? 1.0 : 0.0;
-    return (module_rows){{c, s * y, module->x_m * s - module->y_m * c}, {-s, c * y, module->x_m * c + module->y_m * s}};
+    return (module_rows){{c, s * y, module->x_m * s - module->y_m * c},
+                         {-s, c * y, module->x_m * c + module->y_m * s}};
 }
 
-void kinematics_modules(const core_config *config, const double *angle_rad, uint32_t joints, twist_inverse *out)
+void kinematics_modules(const core_config *config, const double *angle_rad, uint32_t joints,
+                        twist_inverse *out)
 {
     double m[AXES][AXES];
     /* no set of joints is the one of before: their angles change */
@@ -164,11 +170,12 @@ void kinematics_modules(const core_config *config, const double *angle_rad, uint
 
 static double along(const wheel_row *row, const double *twist_u)
 {
-    return row->x * twist_u[AXIS_LINEAR] + row->lever_m * twist_u[AXIS_ANGULAR] + row->y * twist_u[AXIS_LATERAL];
+    return row->x * twist_u[AXIS_LINEAR] + row->lever_m * twist_u[AXIS_ANGULAR] +
+           row->y * twist_u[AXIS_LATERAL];
 }
 
-double kinematics_residual(const core_config *config, const double *angle_rad, uint32_t joints, const double *rim,
-                           const double *twist_u)
+double kinematics_residual(const core_config *config, const double *angle_rad, uint32_t joints,
+                           const double *rim, const double *twist_u)
 {
     bool strafes = kinematics_strafes(config);
     double sum = 0.0, count = 0.0;
@@ -179,7 +186,9 @@ double kinematics_residual(const core_config *config, const double *angle_rad, u
         }
         module_rows rows = rows_of(module, angle_rad, strafes);
         double slides = along(&rows.slides, twist_u);
-        double rolls = is_driven(module, joints) ? along(&rows.rolls, twist_u) - rim[module->traction - 1] : 0.0;
+        double rolls = is_driven(module, joints)
+                           ? along(&rows.rolls, twist_u) - rim[module->traction - 1]
+                           : 0.0;
         sum += slides * slides + rolls * rolls;
         count += is_driven(module, joints) ? 2.0 : 1.0;
     }

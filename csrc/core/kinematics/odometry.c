@@ -2,10 +2,10 @@
  *
  * odometry.c: from counters to a pose with its uncertainty.
  *
- * Each joint gathers its travel from its own samples; when every joint with feedback has brought one, the
- * gathered travel is integrated as one exact arc: the base's twist is taken for constant meanwhile. Where a
- * counter cannot say how far a wheel has gone (it jumped, its origin moved, there is none), the drive's
- * measured velocity stands in, and `degraded` is set.
+ * Each joint gathers its travel from its own samples; when every joint with feedback has brought
+ * one, the gathered travel is integrated as one exact arc: the base's twist is taken for constant
+ * meanwhile. Where a counter cannot say how far a wheel has gone (it jumped, its origin moved,
+ * there is none), the drive's measured velocity stands in, and `degraded` is set.
  */
 #include "travel.h"
 
@@ -50,13 +50,15 @@ void odometry_init(odometry_state *state, const core_config *config)
     }
     for (uint32_t j = 0; j < config->joint_count; j++) {
         state->joint[j].constant = constants_of(&config->joint[j], config->feedback_timeout_s);
-        if (config->joint[j].position.used && config->joint[j].position.reference == REFERENCE_ESTIMATED) {
+        if (config->joint[j].position.used &&
+            config->joint[j].position.reference == REFERENCE_ESTIMATED) {
             state->angle_rad[j] = 0.0; /* as its profile begins */
         }
     }
     pose_to_origin(state, config);
     kinematics_invert(config, (1U << config->joint_count) - 1U, &state->used);
-    state->lateral_covariance[1] = kinematics_strafes(config) ? config->twist_variance_floor_m2_s2 : 0.0;
+    state->lateral_covariance[1] =
+        kinematics_strafes(config) ? config->twist_variance_floor_m2_s2 : 0.0;
     state->twist_covariance[0] = config->twist_variance_floor_m2_s2;
     state->twist_covariance[2] = config->twist_variance_floor_rad2_s2;
 }
@@ -72,8 +74,10 @@ void odometry_reset(odometry_state *state, const core_config *config)
     }
 }
 
-/* Empties the joints into one arc. A joint left out seeds again, for the base has gone on without it. */
-static void collect(odometry_state *state, const core_config *config, const uint32_t *stale, arc *found)
+/* Empties the joints into one arc. A joint left out seeds again, for the base has gone on
+ * without it. */
+static void collect(odometry_state *state, const core_config *config, const uint32_t *stale,
+                    arc *found)
 {
     uint32_t seen = NOTHING, joints = 0, degraded = 0;
     int64_t newest_ns = 0;
@@ -86,7 +90,8 @@ static void collect(odometry_state *state, const core_config *config, const uint
                 degraded = 1;
             } else {
                 modules_take_angle(state, config, j);
-                degraded |= joint->pending_rad != 0.0; /* only part of the distance is known: thrown away */
+                /* only part of the distance is known: thrown away */
+                degraded |= joint->pending_rad != 0.0;
                 newest_ns = joint->stamp_ns > newest_ns ? joint->stamp_ns : newest_ns;
             }
             rim_m = 0.0;
@@ -109,13 +114,16 @@ static double sine_over(double half_rad)
 {
     double q = half_rad * half_rad;
     if (q < 0.01) {
-        return 1.0 + q * (q * (q * (q * (1.0 / 362880.0) - 1.0 / 5040.0) + 1.0 / 120.0) - 1.0 / 6.0);
+        return 1.0 +
+               q * (q * (q * (q * (1.0 / 362880.0) - 1.0 / 5040.0) + 1.0 / 120.0) - 1.0 / 6.0);
     }
     return angle_direction(angle_wrap(half_rad)).sine / half_rad;
 }
 
-/* Others than before are rare: a joint has gone silent, or is back. Those of a base with modules are never the same. */
-__attribute__((noinline)) static void look_anew(odometry_state *state, const core_config *config, uint32_t joints)
+/* Others than before are rare: a joint has gone silent, or is back. Those of a base with modules
+ * are never the same. */
+__attribute__((noinline)) static void look_anew(odometry_state *state, const core_config *config,
+                                                uint32_t joints)
 {
     if (config->module_count > 0) {
         modules_look(state, config, joints);
@@ -163,12 +171,16 @@ static void look_before(odometry_state *state, const core_config *config, const 
     }
 }
 
-/* The distance is the wheels', the turn the gyro's: their errors have nothing to do with each other. */
-static void turn_by_gyro(odometry_state *state, const core_config *config, const arc *found, motion *moved)
+/* The distance is the wheels', the turn the gyro's: their errors have nothing to do with each
+ * other. */
+static void turn_by_gyro(odometry_state *state, const core_config *config, const arc *found,
+                         motion *moved)
 {
     double turn_rad, variance_rad2 = 0.0;
-    state->by_gyro = config->gyro.used && gyro_turn(&state->gyro, &config->gyro, state->stamp_ns, &turn_rad, &variance_rad2) &&
-                     !gyro_reversed(&state->gyro, moved->turn_rad, turn_rad);
+    state->by_gyro =
+        config->gyro.used &&
+        gyro_turn(&state->gyro, &config->gyro, state->stamp_ns, &turn_rad, &variance_rad2) &&
+        !gyro_reversed(&state->gyro, moved->turn_rad, turn_rad);
     if (state->by_gyro != state->spread.by_gyro) {
         look_before(state, config, found);
         state->spread.by_gyro = state->by_gyro;
@@ -180,7 +192,8 @@ static void turn_by_gyro(odometry_state *state, const core_config *config, const
     state->spread.gyro_rad2 += variance_rad2;
 }
 
-static void measure_twist(odometry_state *state, const core_config *config, const motion *moved, double elapsed_s)
+static void measure_twist(odometry_state *state, const core_config *config, const motion *moved,
+                          double elapsed_s)
 {
     const spread_state *spread = &state->spread;
     double per_s = 1.0 / elapsed_s;
@@ -188,21 +201,24 @@ static void measure_twist(odometry_state *state, const core_config *config, cons
     state->angular_rad_s = moved->turn_rad * per_s;
     state->twist_covariance[0] = config->twist_variance_floor_m2_s2 + spread->linear2_m2_s * per_s;
     state->twist_covariance[1] = spread->linear_angular_m_rad_s * per_s;
-    state->twist_covariance[2] = config->twist_variance_floor_rad2_s2 + spread->angular2_rad2_s * per_s;
+    state->twist_covariance[2] =
+        config->twist_variance_floor_rad2_s2 + spread->angular2_rad2_s * per_s;
     if (state->used.strafes) {
         state->lateral_m_s = moved->y_m * per_s;
         state->lateral_covariance[0] = spread->linear_lateral_m2_s * per_s;
-        state->lateral_covariance[1] = config->twist_variance_floor_m2_s2 + spread->lateral2_m2_s * per_s;
+        state->lateral_covariance[1] =
+            config->twist_variance_floor_m2_s2 + spread->lateral2_m2_s * per_s;
         state->lateral_covariance[2] = spread->lateral_angular_m_rad_s * per_s;
     }
     if (state->by_gyro) {
         state->angular_rad_s = state->gyro.still ? 0.0 : state->gyro.rate_rad_s;
-        state->twist_covariance[2] = config->twist_variance_floor_rad2_s2 + state->gyro.rate_variance_rad2_s2;
+        state->twist_covariance[2] =
+            config->twist_variance_floor_rad2_s2 + state->gyro.rate_variance_rad2_s2;
     }
 }
 
-/* The exponential of a constant twist in SE(2) (Lynch & Park, Modern Robotics, 2017, 13.4): the straight way times sin(h) / h,
- * in the heading of half the turn h. */
+/* The exponential of a constant twist in SE(2) (Lynch & Park, Modern Robotics, 2017, 13.4): the
+ * straight way times sin(h) / h, in the heading of half the turn h. */
 static void follow(odometry_state *state, const motion *moved)
 {
     double chord = sine_over(0.5 * moved->turn_rad);
@@ -232,13 +248,15 @@ static void integrate(odometry_state *state, const core_config *config, const ui
     if (!known) {
         /* some have only just been seeded: what the others have gone alone is no arc */
         state->degraded |= found.joints != 0;
-        state->spread.stamp_ns = state->spread.stamp_ns == 0 ? state->stamp_ns : state->spread.stamp_ns;
+        state->spread.stamp_ns =
+            state->spread.stamp_ns == 0 ? state->stamp_ns : state->spread.stamp_ns;
         return;
     }
     motion moved = by_wheels(state, &found, config->joint_count);
     if (config->module_count > 0 && before_ns > 0 && found.stamp_ns > before_ns) {
         const double twist_u[AXES] = {moved.x_m, moved.turn_rad, moved.y_m};
-        modules_slip(state, config, found.joints, found.rim_m, twist_u, (double)(found.stamp_ns - before_ns) * 1e-9);
+        modules_slip(state, config, found.joints, found.rim_m, twist_u,
+                     (double)(found.stamp_ns - before_ns) * 1e-9);
     }
     turn_by_gyro(state, config, &found, &moved);
     follow(state, &moved);
@@ -259,8 +277,8 @@ static uint32_t received(const core_config *config, const uint32_t *stale)
     return joints;
 }
 
-void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback, const uint32_t *stale,
-                   const joint_setpoint *setpoint)
+void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback,
+                   const uint32_t *stale, const joint_setpoint *setpoint)
 {
     uint32_t silent = 0, missing = 0;
     for (uint32_t j = 0; j < config->joint_count; j++) {

@@ -1,15 +1,16 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * spread.c: how uncertain the pose is. The covariance grows with the distance, with the turn, and with slip: what the rims do
- * against each other, and what nothing is known of.
+ * spread.c: how uncertain the pose is. The covariance grows with the distance, with the turn, and
+ * with slip: what the rims do against each other, and what nothing is known of.
  */
 #include "core.h"
 
 #include <math.h>
 
-/* A rim's speed that no motion of the base explains is smoothed over this time, so that a counter's steps do not count. As an
- * error of the travel it lasts as long: the spectral density of a first-order Gauss-Markov process is 2 sigma^2 tau (Gelb,
- * Applied Optimal Estimation, 1974, 2.2). */
+/* A rim's speed that no motion of the base explains is smoothed over this time, so that a counter's
+ * steps do not count. As an error of the travel it lasts as long: the spectral density of a
+ * first-order Gauss-Markov process is 2 sigma^2 tau (Gelb, Applied Optimal Estimation, 1974,
+ * 2.2). */
 static const double SLIP_TIME_S = 0.2;
 
 /* Errors of what the base did: variances and covariances, by the axes of its frame. */
@@ -37,31 +38,38 @@ void spread_floor(odometry_state *state, const core_config *config)
 }
 
 /* What the wheels turn against each other, of a base with more of them than it has axes. */
-static void take_slip(spread_state *spread, const core_config *config, const twist_inverse *used, const double *moved_u,
-                      double elapsed_s)
+static void take_slip(spread_state *spread, const core_config *config, const twist_inverse *used,
+                      const double *moved_u, double elapsed_s)
 {
     double per_s = 1.0 / (SLIP_TIME_S + elapsed_s), sum = 0.0, count = 0.0;
     for (uint32_t j = 0; j < config->joint_count; j++) {
         const wheel_row *row = &config->joint[j].row;
-        double explained_m =
-            row->x * moved_u[AXIS_LINEAR] + row->lever_m * moved_u[AXIS_ANGULAR] + row->y * moved_u[AXIS_LATERAL];
+        double explained_m = row->x * moved_u[AXIS_LINEAR] + row->lever_m * moved_u[AXIS_ANGULAR] +
+                             row->y * moved_u[AXIS_LATERAL];
         double *residual_m_s = &spread->residual_m_s[j];
         bool counts = used->joints >> j & 1U;
-        *residual_m_s = counts ? *residual_m_s + (spread->rim_m[j] - explained_m - *residual_m_s * elapsed_s) * per_s : 0.0;
+        *residual_m_s =
+            counts ? *residual_m_s +
+                         (spread->rim_m[j] - explained_m - *residual_m_s * elapsed_s) * per_s
+                   : 0.0;
         sum += *residual_m_s * *residual_m_s;
         count += counts ? 1.0 : 0.0;
     }
     spread->slip_m_s = sqrt(sum / count);
 }
 
-/* The errors of the wheels' travel, carried into the motion. Wheels that do the same share one error: they scrub together. */
-static errors errors_of(const spread_state *spread, const core_config *config, const twist_inverse *used, double elapsed_s)
+/* The errors of the wheels' travel, carried into the motion. Wheels that do the same share one
+ * error: they scrub together. */
+static errors errors_of(const spread_state *spread, const core_config *config,
+                        const twist_inverse *used, double elapsed_s)
 {
-    const double *x = used->inverse[AXIS_LINEAR], *turn = used->inverse[AXIS_ANGULAR], *y = used->inverse[AXIS_LATERAL];
+    const double *x = used->inverse[AXIS_LINEAR], *turn = used->inverse[AXIS_ANGULAR],
+                 *y = used->inverse[AXIS_LATERAL];
     double slip_m2 = 2.0 * SLIP_TIME_S * spread->slip_m_s * spread->slip_m_s * elapsed_s;
     errors found = {0};
     for (uint32_t j = 0; j < config->joint_count; j++) {
-        double travel_m2 = used->shared * (config->distance_variance_m2_per_m * fabs(spread->rim_m[j]) + slip_m2);
+        double travel_m2 =
+            used->shared * (config->distance_variance_m2_per_m * fabs(spread->rim_m[j]) + slip_m2);
         double x_m2 = x[j] * travel_m2, y_m2 = y[j] * travel_m2;
         found.linear2 += x[j] * x_m2;
         found.linear_angular += turn[j] * x_m2;
@@ -73,9 +81,9 @@ static errors errors_of(const spread_state *spread, const core_config *config, c
     return found;
 }
 
-/* Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4: the errors of the motion are carried into the pose by the Jacobians
- * of the motion; the scrub of turning is added to the heading. Half of the turn's error is there in the middle of the arc: the
- * distance has its direction. */
+/* Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4: the errors of the motion are carried into
+ * the pose by the Jacobians of the motion; the scrub of turning is added to the heading. Half of
+ * the turn's error is there in the middle of the arc: the distance has its direction. */
 static void grow_pose(odometry_state *state, const errors *of, double scrub_rad2)
 {
     const spread_state *spread = &state->spread;
@@ -112,11 +120,13 @@ static void take_rates(spread_state *spread, const errors *of, double scrub_rad2
     spread->lateral_angular_m_rad_s = of->lateral_angular * per_s;
 }
 
-/* A wheel whose angle is estimated may point beside it by so much, and does so for about a metre. */
+/* A wheel whose angle is estimated may point beside it by so much, and does so for about a
+ * metre. */
 static const double ESTIMATED_RAD = 0.03;
 static const double ESTIMATED_FOR_M = 1.0;
 
-/* It turns the base by distance times angle over its lever; summed over such metres as a random walk. */
+/* It turns the base by distance times angle over its lever; summed over such metres as a random
+ * walk. */
 static double estimated_rad2(const core_config *config, double distance_m)
 {
     double worst_rad2 = 0.0;
@@ -125,7 +135,8 @@ static double estimated_rad2(const core_config *config, double distance_m)
         double lever2_m2 = module->x_m * module->x_m + module->y_m * module->y_m;
         if (module->steering != 0 && lever2_m2 > 0.0 &&
             config->joint[module->steering - 1].position.reference == REFERENCE_ESTIMATED) {
-            worst_rad2 = larger(worst_rad2, ESTIMATED_RAD * ESTIMATED_RAD * ESTIMATED_FOR_M * distance_m / lever2_m2);
+            worst_rad2 = larger(worst_rad2, ESTIMATED_RAD * ESTIMATED_RAD * ESTIMATED_FOR_M *
+                                                distance_m / lever2_m2);
         }
     }
     return worst_rad2;
@@ -146,8 +157,10 @@ void spread_look(odometry_state *state, const core_config *config, int64_t now_n
         take_slip(spread, config, used, moved_u, elapsed_s);
     }
     errors found = errors_of(spread, config, used, elapsed_s);
-    double distance_m = sqrt(moved_u[AXIS_LINEAR] * moved_u[AXIS_LINEAR] + moved_u[AXIS_LATERAL] * moved_u[AXIS_LATERAL]);
-    double scrub_rad2 = config->turn_variance_rad2_per_rad * fabs(moved_u[AXIS_ANGULAR]) + estimated_rad2(config, distance_m);
+    double distance_m = sqrt(moved_u[AXIS_LINEAR] * moved_u[AXIS_LINEAR] +
+                             moved_u[AXIS_LATERAL] * moved_u[AXIS_LATERAL]);
+    double scrub_rad2 = config->turn_variance_rad2_per_rad * fabs(moved_u[AXIS_ANGULAR]) +
+                        estimated_rad2(config, distance_m);
     if (spread->by_gyro) {
         found.angular2 = spread->gyro_rad2;
         found.linear_angular = found.lateral_angular = scrub_rad2 = 0.0;
@@ -165,7 +178,8 @@ void spread_look(odometry_state *state, const core_config *config, int64_t now_n
     }
 }
 
-/* The inverse of all joints. Wheels that are steered point where they pointed last: by as much they turn the base. */
+/* The inverse of all joints. Wheels that are steered point where they pointed last: by as much
+ * they turn the base. */
 static void invert_all(const odometry_state *state, const core_config *config, twist_inverse *all)
 {
     uint32_t joints = (1U << config->joint_count) - 1U;
@@ -180,28 +194,36 @@ static void invert_all(const odometry_state *state, const core_config *config, t
     kinematics_modules(config, angle_rad, joints, all);
 }
 
-void odometry_drift(odometry_state *state, const core_config *config, const joint_setpoint *setpoint, double dt_s)
+void odometry_drift(odometry_state *state, const core_config *config,
+                    const joint_setpoint *setpoint, double dt_s)
 {
     twist_inverse all;
     invert_all(state, config, &all);
-    double farthest_m = 0.0, far_u[AXES] = {0.0}; /* as if all had gone as far as the fastest, and all of it added up */
+    /* as if all had gone as far as the fastest, and all of it added up */
+    double farthest_m = 0.0, far_u[AXES] = {0.0};
     for (uint32_t j = 0; j < config->joint_count; j++) {
-        farthest_m = larger(farthest_m, fabs(setpoint[j].velocity_rad_s) * config->joint[j].wheel_radius_m * dt_s);
+        farthest_m = larger(farthest_m, fabs(setpoint[j].velocity_rad_s) *
+                                            config->joint[j].wheel_radius_m * dt_s);
         for (int i = 0; i < AXES; i++) {
             far_u[i] += fabs(all.inverse[i][j]);
         }
     }
-    double distance_m = farthest_m * (far_u[AXIS_LINEAR] + far_u[AXIS_LATERAL]), turn_rad = farthest_m * far_u[AXIS_ANGULAR];
+    double distance_m = farthest_m * (far_u[AXIS_LINEAR] + far_u[AXIS_LATERAL]),
+           turn_rad = farthest_m * far_u[AXIS_ANGULAR];
     double *p = state->pose_covariance;
     p[0] += distance_m * (2.0 * sqrt(p[0]) + distance_m);
     p[3] += distance_m * (2.0 * sqrt(p[3]) + distance_m);
     p[5] += turn_rad * (2.0 * sqrt(p[5]) + turn_rad);
     /* the last measured twist is all there is: as uncertain as it is large */
-    double linear = state->linear_m_s * state->linear_m_s, lateral = state->lateral_m_s * state->lateral_m_s,
+    double linear = state->linear_m_s * state->linear_m_s,
+           lateral = state->lateral_m_s * state->lateral_m_s,
            angular = state->angular_rad_s * state->angular_rad_s;
-    state->twist_covariance[0] = larger(state->twist_covariance[0], config->twist_variance_floor_m2_s2 + linear);
-    state->twist_covariance[2] = larger(state->twist_covariance[2], config->twist_variance_floor_rad2_s2 + angular);
+    state->twist_covariance[0] =
+        larger(state->twist_covariance[0], config->twist_variance_floor_m2_s2 + linear);
+    state->twist_covariance[2] =
+        larger(state->twist_covariance[2], config->twist_variance_floor_rad2_s2 + angular);
     if (lateral != 0.0) {
-        state->lateral_covariance[1] = larger(state->lateral_covariance[1], config->twist_variance_floor_m2_s2 + lateral);
+        state->lateral_covariance[1] =
+            larger(state->lateral_covariance[1], config->twist_variance_floor_m2_s2 + lateral);
     }
 }

@@ -1,22 +1,24 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * steer.c: wheels that are steered. The twist is what moves the base; its wheels follow with their angles, and where they cannot
- * follow at once, the twist waits for them.
+ * steer.c: wheels that are steered. The twist is what moves the base; its wheels follow with their
+ * angles, and where they cannot follow at once, the twist waits for them.
  *
- * The ramp of limit.c runs straight from twist to twist, and on that line each wheel's direction changes: by
- * v x dv / |v|^2 for the speed v of the floor under the wheel. Three rules keep the wheels where they have to point:
+ * The ramp of limit.c runs straight from twist to twist, and on that line each wheel's direction
+ * changes: by v x dv / |v|^2 for the speed v of the floor under the wheel. Three rules keep the
+ * wheels where they have to point:
  *
- * Where a wheel would have to turn around on that line, the base comes to rest first: from there the wheel may roll backward.
- * The ramp is paced so that no wheel's direction changes faster than its joint follows.
- * A wheel that does not point there slows the base down, to rest where it is far off.
+ * Where a wheel would have to turn around on that line, the base comes to rest first: from there
+ * the wheel may roll backward. The ramp is paced so that no wheel's direction changes faster than
+ * its joint follows. A wheel that does not point there slows the base down, to rest where it is far
+ * off.
  */
 #include "steer.h"
 
 #include <math.h>
 
 static const double HALF_TURN_RAD = 3.14159265358979323846;
-/* A wheel that is off by less drives at full speed, by more not at all; between them the speed falls in proportion. At FULL a
- * wheel slides sideways by 5 % of the distance that it rolls. */
+/* A wheel that is off by less drives at full speed, by more not at all; between them the speed
+ * falls in proportion. At FULL a wheel slides sideways by 5 % of the distance that it rolls. */
 static const double ALIGNED_FULL_RAD = 0.05;
 static const double ALIGNED_NOT_RAD = 0.25;
 /* A profile that follows a direction is behind by its braking distance: v^2 / 2 a. */
@@ -26,7 +28,8 @@ static const double PACE_PART = 0.8; /* of a joint's speed: the rest is for catc
 static const double STANDS_PART = 1e-6;
 /* An angle beyond the range by rounding is at its end. */
 static const double ROUNDING_RAD = 1e-6;
-/* Of a base whose range is endless, but that nothing would drive on the spot: its wheel at 80 degrees. */
+/* Of a base whose range is endless, but that nothing would drive on the spot: its wheel at 80
+ * degrees. */
 static const double CURVATURE_TAN = 5.67;
 
 typedef struct {
@@ -47,7 +50,8 @@ static double size_of(floor_speed v)
 
 static bool moves(const double *twist_u_s)
 {
-    return twist_u_s[AXIS_LINEAR] != 0.0 || twist_u_s[AXIS_ANGULAR] != 0.0 || twist_u_s[AXIS_LATERAL] != 0.0;
+    return twist_u_s[AXIS_LINEAR] != 0.0 || twist_u_s[AXIS_ANGULAR] != 0.0 ||
+           twist_u_s[AXIS_LATERAL] != 0.0;
 }
 
 static const position_config *steering_of(const core_config *config, const wheel_module *module)
@@ -64,9 +68,10 @@ static double fastest(const core_config *config, const double *twist_u_s)
     return most_m_s;
 }
 
-/* ------------------------------------------------------------------------------------------------ reach */
-/* The curvature of a base whose fixed wheels are on y, when a wheel points to angle_rad: the line across the wheel meets y at
- * its centre. For x > 0; endless where the wheel has turned to its motion on the spot, or beyond. */
+/* -------------------------------------------------------------------------------- reach */
+/* The curvature of a base whose fixed wheels are on y, when a wheel points to angle_rad: the line
+ * across the wheel meets y at its centre. For x > 0; endless where the wheel has turned to its
+ * motion on the spot, or beyond. */
 static double curvature_at(double x_m, double y_m, double angle_rad)
 {
     bool left = angle_rad > 0.0;
@@ -87,7 +92,8 @@ static bool drives_on_spot(const core_config *config)
     bool rolls = false;
     for (uint32_t i = 0; i < config->module_count; i++) {
         const wheel_module *module = &config->module[i];
-        rolls |= module->traction != 0 && (module->y_m != 0.0 || (module->steering != 0 && module->x_m != 0.0));
+        rolls |= module->traction != 0 &&
+                 (module->y_m != 0.0 || (module->steering != 0 && module->x_m != 0.0));
     }
     return rolls;
 }
@@ -102,7 +108,8 @@ static void find_reach(steer_state *steer, const core_config *config)
             continue;
         }
         const position_config *range = steering_of(config, module);
-        double low_rad = module->angle_rad + range->position_min_rad, high_rad = module->angle_rad + range->position_max_rad;
+        double low_rad = module->angle_rad + range->position_min_rad,
+               high_rad = module->angle_rad + range->position_max_rad;
         bool behind = module->x_m < 0.0;
         double x_m = fabs(module->x_m);
         double low = curvature_at(x_m, module->y_m, behind ? -high_rad : low_rad);
@@ -123,7 +130,8 @@ void steer_init(steer_state *steer, const core_config *config)
         const position_config *own = &config->joint[j].position;
         if (own->used) {
             double lagging_rad_s = sqrt(2.0 * own->acceleration_rad_s2 * LAG_RAD);
-            steer->pace_rad_s = fmin(steer->pace_rad_s, fmin(PACE_PART * own->velocity_rad_s, lagging_rad_s));
+            steer->pace_rad_s =
+                fmin(steer->pace_rad_s, fmin(PACE_PART * own->velocity_rad_s, lagging_rad_s));
         }
     }
     if (!kinematics_strafes(config)) {
@@ -144,7 +152,8 @@ bool kinematics_spins(const core_config *config)
     return steer.turns_on_spot != 0;
 }
 
-uint32_t steer_within_reach(const steer_state *steer, const base_limits *limits, const double *wanted_u_s, double *goal_u_s)
+uint32_t steer_within_reach(const steer_state *steer, const base_limits *limits,
+                            const double *wanted_u_s, double *goal_u_s)
 {
     double linear_m_s = wanted_u_s[AXIS_LINEAR], angular_rad_s = wanted_u_s[AXIS_ANGULAR];
     uint32_t reasons = 0;
@@ -153,7 +162,8 @@ uint32_t steer_within_reach(const steer_state *steer, const base_limits *limits,
         reasons |= REASON_TURN_IMPOSSIBLE;
     }
     if (linear_m_s != 0.0) {
-        double low = linear_m_s * steer->curvature_min_per_m, high = linear_m_s * steer->curvature_max_per_m;
+        double low = linear_m_s * steer->curvature_min_per_m,
+               high = linear_m_s * steer->curvature_max_per_m;
         double kept_rad_s = fmin(fmax(angular_rad_s, fmin(low, high)), fmax(low, high));
         reasons |= kept_rad_s != angular_rad_s ? (uint32_t)REASON_CURVATURE : 0;
         angular_rad_s = kept_rad_s;
@@ -174,42 +184,49 @@ uint32_t steer_within_reach(const steer_state *steer, const base_limits *limits,
     return reasons;
 }
 
-/* ------------------------------------------------------------------------------------------------ directions */
-/* The angle of a module's joint for that motion of the floor, forward or backward, the nearest to near_rad within its range.
- * false: out of reach; the nearest end. */
-static bool aim_of(const core_config *config, const wheel_module *module, floor_speed v, double near_rad, double *found_rad)
+/* --------------------------------------------------------------------------- directions */
+/* The angle of a module's joint for that motion of the floor, forward or backward, the nearest to
+ * near_rad within its range. false: out of reach; the nearest end. */
+static bool aim_of(const core_config *config, const wheel_module *module, floor_speed v,
+                   double near_rad, double *found_rad)
 {
     const position_config *range = steering_of(config, module);
     double aim_rad = angle_of(v.y_m_s, v.x_m_s) - module->angle_rad;
     aim_rad += rint((near_rad - aim_rad) / HALF_TURN_RAD) * HALF_TURN_RAD;
     if (aim_rad > range->position_max_rad + ROUNDING_RAD) {
-        aim_rad -= ceil((aim_rad - range->position_max_rad - ROUNDING_RAD) / HALF_TURN_RAD) * HALF_TURN_RAD;
+        aim_rad -= ceil((aim_rad - range->position_max_rad - ROUNDING_RAD) / HALF_TURN_RAD) *
+                   HALF_TURN_RAD;
     }
     if (aim_rad < range->position_min_rad - ROUNDING_RAD) {
-        aim_rad += ceil((range->position_min_rad - ROUNDING_RAD - aim_rad) / HALF_TURN_RAD) * HALF_TURN_RAD;
+        aim_rad += ceil((range->position_min_rad - ROUNDING_RAD - aim_rad) / HALF_TURN_RAD) *
+                   HALF_TURN_RAD;
     }
     bool reached = aim_rad <= range->position_max_rad + ROUNDING_RAD;
-    if (!reached && aim_rad - range->position_max_rad > range->position_min_rad + HALF_TURN_RAD - aim_rad) {
+    if (!reached &&
+        aim_rad - range->position_max_rad > range->position_min_rad + HALF_TURN_RAD - aim_rad) {
         aim_rad -= HALF_TURN_RAD; /* beyond both ends, nearer to the least */
     }
     *found_rad = fmin(fmax(aim_rad, range->position_min_rad), range->position_max_rad);
     return reached;
 }
 
-void steer_speeds(const steer_state *steer, const core_config *config, const double *twist_u_s, double *wheel_rad_s)
+void steer_speeds(const steer_state *steer, const core_config *config, const double *twist_u_s,
+                  double *wheel_rad_s)
 {
     double aim_rad[JOINTS_MAX] = {0.0};
     for (uint32_t i = 0; i < config->module_count; i++) {
         const wheel_module *module = &config->module[i];
         if (module->steering != 0) {
             uint32_t j = module->steering - 1;
-            (void)aim_of(config, module, speed_under(module, twist_u_s), steer->profile[j].position_rad, &aim_rad[j]);
+            (void)aim_of(config, module, speed_under(module, twist_u_s),
+                         steer->profile[j].position_rad, &aim_rad[j]);
         }
     }
     steer_wheels(config, twist_u_s, aim_rad, wheel_rad_s);
 }
 
-void steer_wheels(const core_config *config, const double *twist_u_s, const double *angle_rad, double *wheel_rad_s)
+void steer_wheels(const core_config *config, const double *twist_u_s, const double *angle_rad,
+                  double *wheel_rad_s)
 {
     for (uint32_t j = 0; j < config->joint_count; j++) {
         wheel_rad_s[j] = 0.0;
@@ -221,13 +238,15 @@ void steer_wheels(const core_config *config, const double *twist_u_s, const doub
             direction d = angle_direction(angle_wrap(module_angle(module, angle_rad)));
             uint32_t j = module->traction - 1;
             wheel_rad_s[j] =
-                (v.x_m_s * d.cosine + v.y_m_s * d.sine) / config->joint[j].wheel_radius_m + 0.0; /* no negative zero */
+                (v.x_m_s * d.cosine + v.y_m_s * d.sine) / config->joint[j].wheel_radius_m +
+                0.0; /* no negative zero */
         }
     }
 }
 
-/* ------------------------------------------------------------------------------------------------ before the ramp */
-uint32_t steer_unknown(const core_config *config, const joint_feedback *feedback, const uint32_t *stale, const double *angle_rad)
+/* ---------------------------------------------------------------------- before the ramp */
+uint32_t steer_unknown(const core_config *config, const joint_feedback *feedback,
+                       const uint32_t *stale, const double *angle_rad)
 {
     uint32_t unknown = 0;
     for (uint32_t j = 0; j < config->joint_count; j++) {
@@ -257,8 +276,10 @@ static bool turns_around(const core_config *config, const double *from_u_s, cons
     return false;
 }
 
-/* How far the worst wheel does not point to where that twist rolls it; one that stands points anywhere. */
-static double misaligned(const steer_state *steer, const core_config *config, const double *twist_u_s, const double *angle_rad)
+/* How far the worst wheel does not point to where that twist rolls it; one that stands points
+ * anywhere. */
+static double misaligned(const steer_state *steer, const core_config *config,
+                         const double *twist_u_s, const double *angle_rad)
 {
     double worst_rad = 0.0, stands_m_s = STANDS_PART * fastest(config, twist_u_s);
     for (uint32_t i = 0; i < config->module_count; i++) {
@@ -271,7 +292,9 @@ static double misaligned(const steer_state *steer, const core_config *config, co
         double aim_rad, at_rad = angle_rad[j];
         bool reached = aim_of(config, module, v, steer->profile[j].position_rad, &aim_rad);
         double off_rad = fabs(aim_rad - at_rad);
-        worst_rad = reached && steer->unsure_s[j] <= 0.0 && isfinite(off_rad) ? fmax(worst_rad, off_rad) : (double)INFINITY;
+        worst_rad = reached && steer->unsure_s[j] <= 0.0 && isfinite(off_rad)
+                        ? fmax(worst_rad, off_rad)
+                        : (double)INFINITY;
     }
     return worst_rad;
 }
@@ -282,8 +305,10 @@ static double share_of(double misaligned_rad)
     return share > 0.0 ? fmin(share, 1.0) : 0.0;
 }
 
-/* The share of what is left that may be covered in a second, so that no wheel's direction changes faster than it can. */
-static double pace_of(const steer_state *steer, const core_config *config, const double *from_u_s, const double *goal_u_s)
+/* The share of what is left that may be covered in a second, so that no wheel's direction
+ * changes faster than it can. */
+static double pace_of(const steer_state *steer, const core_config *config, const double *from_u_s,
+                      const double *goal_u_s)
 {
     double rate_s = INFINITY;
     for (uint32_t i = 0; i < config->module_count; i++) {
@@ -298,8 +323,8 @@ static double pace_of(const steer_state *steer, const core_config *config, const
     return rate_s;
 }
 
-uint32_t steer_goal(steer_state *steer, const core_config *config, const limit_state *axis, const double *angle_rad,
-                    double *goal_u_s, double *rate_max_s)
+uint32_t steer_goal(steer_state *steer, const core_config *config, const limit_state *axis,
+                    const double *angle_rad, double *goal_u_s, double *rate_max_s)
 {
     double from_u_s[AXES];
     uint32_t reasons = 0;
@@ -329,7 +354,8 @@ uint32_t steer_goal(steer_state *steer, const core_config *config, const limit_s
     return reasons;
 }
 
-uint32_t steer_pace(const limit_state *from, limit_state *axis, const double *goal_u_s, double rate_max_s, double dt_s)
+uint32_t steer_pace(const limit_state *from, limit_state *axis, const double *goal_u_s,
+                    double rate_max_s, double dt_s)
 {
     double most = rate_max_s * dt_s, done = 0.0, whole = 0.0;
     for (int i = 0; i < AXES; i++) {
@@ -347,7 +373,7 @@ uint32_t steer_pace(const limit_state *from, limit_state *axis, const double *go
     return REASON_STEERING;
 }
 
-/* ------------------------------------------------------------------------------------------------ after it */
+/* ----------------------------------------------------------------------------- after it */
 bool steer_sure(steer_state *steer, const core_config *config, uint32_t j, double dt_s)
 {
     const position_config *own = &config->joint[j].position;
@@ -359,7 +385,8 @@ bool steer_sure(steer_state *steer, const core_config *config, uint32_t j, doubl
     return sure;
 }
 
-void steer_joints(steer_state *steer, const core_config *config, const double *twist_u_s, const double *goal_u_s, double dt_s)
+void steer_joints(steer_state *steer, const core_config *config, const double *twist_u_s,
+                  const double *goal_u_s, double dt_s)
 {
     const double *aim_u_s = moves(twist_u_s) ? twist_u_s : goal_u_s;
     double stands_m_s = STANDS_PART * fastest(config, aim_u_s);
@@ -390,7 +417,8 @@ void steer_released(steer_state *steer, const core_config *config, const double 
         const position_config *own = &config->joint[j].position;
         if (own->used) {
             bool measured_too = own->reference != REFERENCE_ESTIMATED && isfinite(angle_rad[j]);
-            steer->profile[j].position_rad = measured_too ? angle_rad[j] : steer->profile[j].position_rad;
+            steer->profile[j].position_rad =
+                measured_too ? angle_rad[j] : steer->profile[j].position_rad;
             steer->profile[j].velocity_rad_s = 0.0;
         }
     }
@@ -398,7 +426,8 @@ void steer_released(steer_state *steer, const core_config *config, const double 
     steer->misaligned_rad = 0.0;
 }
 
-bool steer_setpoints(const steer_state *steer, const core_config *config, joint_setpoint *joint, double *angle_rad)
+bool steer_setpoints(const steer_state *steer, const core_config *config, joint_setpoint *joint,
+                     double *angle_rad)
 {
     bool moving = false;
     for (uint32_t j = 0; j < config->joint_count; j++) {
@@ -415,12 +444,14 @@ bool steer_setpoints(const steer_state *steer, const core_config *config, joint_
     return moving;
 }
 
-uint32_t steer_positions(const steer_state *steer, const core_config *config, bool enabled, double *position_rad)
+uint32_t steer_positions(const steer_state *steer, const core_config *config, bool enabled,
+                         double *position_rad)
 {
     uint32_t positioned = 0;
     for (uint32_t j = 0; j < config->joint_count; j++) {
         double at_rad = steer->profile[j].position_rad;
-        bool counts = enabled && config->joint[j].position.used && !(steer->unknown >> j & 1U) && isfinite(at_rad);
+        bool counts = enabled && config->joint[j].position.used && !(steer->unknown >> j & 1U) &&
+                      isfinite(at_rad);
         position_rad[j] = counts ? at_rad : 0.0;
         positioned |= (counts ? 1U : 0U) << j;
     }

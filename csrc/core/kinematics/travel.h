@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * travel.h: how far each wheel has gone, from one sample of its joint to the next. A part of odometry.c.
+ * travel.h: how far each wheel has gone, from one sample of its joint to the next. A part of
+ * odometry.c.
  */
 #ifndef MOTORD_TRAVEL_H
 #define MOTORD_TRAVEL_H
@@ -9,10 +10,12 @@
 
 #include <math.h>
 
-/* A wheel may turn faster than its configured limit (downhill, pushed) without its counter being called wrong. */
+/* A wheel may turn faster than its configured limit (downhill, pushed) without its counter being
+ * called wrong. */
 static const double JUMP_MARGIN = 1.5;
 static const double JUMP_SLACK_COUNTS = 4.0;
-/* Part of itself by which a measured velocity may be off: filtered, rounded to revolutions a minute, not quite in time. */
+/* Part of itself by which a measured velocity may be off: filtered, rounded to revolutions a
+ * minute, not quite in time. */
 static const double VELOCITY_ERROR = 0.1;
 
 /* Bits of joint_odometry.fresh: what came since the last integration. */
@@ -50,30 +53,34 @@ static joint_constants constants_of(const joint_config *joint, double timeout_s)
     found.counter_rad = joint->rad_per_count;
     found.counter_slack_rad = JUMP_SLACK_COUNTS * rad_per_count;
     found.counter_round_rad = ldexp(rad_per_count, (int)joint->counter_bits);
-    found.counter_unused_max_rad = smaller(found.reach_rad_s * timeout_s, 0.25 * found.counter_round_rad);
+    found.counter_unused_max_rad =
+        smaller(found.reach_rad_s * timeout_s, 0.25 * found.counter_round_rad);
     return found;
 }
 
-/* How far the wheel went by the drive's own measure, at both ends where it measured at both, or without one by `otherwise`.
- * After a silence the speed of now says nothing about all of it. */
-static double travel_by_velocity(double before_rad_s, double now_rad_s, double elapsed_s, double timeout_s,
-                                 double otherwise_rad_s)
+/* How far the wheel went by the drive's own measure, at both ends where it measured at both, or
+ * without one by `otherwise`. After a silence the speed of now says nothing about all of it. */
+static double travel_by_velocity(double before_rad_s, double now_rad_s, double elapsed_s,
+                                 double timeout_s, double otherwise_rad_s)
 {
     double mean_rad_s = isfinite(before_rad_s) ? 0.5 * (before_rad_s + now_rad_s) : now_rad_s;
-    return (isfinite(mean_rad_s) ? mean_rad_s : otherwise_rad_s) * (elapsed_s < timeout_s ? elapsed_s : timeout_s);
+    return (isfinite(mean_rad_s) ? mean_rad_s : otherwise_rad_s) *
+           (elapsed_s < timeout_s ? elapsed_s : timeout_s);
 }
 
-/* Which of the travels that a counter can mean, whole turns of it apart, the measured velocity decides. Only where the next
- * one is three times as far from what was measured as the velocity can be off, and after no silence; else NaN. */
-static double travel_by_turns(const joint_odometry *joint, const joint_feedback *sample, double travel_rad, double elapsed_s,
-                              double timeout_s)
+/* Which of the travels that a counter can mean, whole turns of it apart, the measured velocity
+ * decides. Only where the next one is three times as far from what was measured as the velocity
+ * can be off, and after no silence; else NaN. */
+static double travel_by_turns(const joint_odometry *joint, const joint_feedback *sample,
+                              double travel_rad, double elapsed_s, double timeout_s)
 {
     double mean_rad = 0.5 * (joint->velocity_rad_s + sample->velocity_rad_s) * elapsed_s;
     double change_rad = 0.5 * fabs(sample->velocity_rad_s - joint->velocity_rad_s) * elapsed_s;
     double whole_rad = joint->constant.counter_round_rad;
     double found_rad = travel_rad + rint((mean_rad - travel_rad) / whole_rad) * whole_rad;
     double sure_rad = 0.25 * whole_rad;
-    bool sure = elapsed_s <= timeout_s && change_rad + VELOCITY_ERROR * fabs(mean_rad) <= sure_rad &&
+    bool sure = elapsed_s <= timeout_s &&
+                change_rad + VELOCITY_ERROR * fabs(mean_rad) <= sure_rad &&
                 fabs(found_rad - mean_rad) <= sure_rad;
     return sure ? found_rad : (double)NAN;
 }
@@ -86,10 +93,11 @@ static inline void gather(joint_odometry *joint, uint32_t kind, double travel_ra
 }
 
 /* Joints without a counter: the drive's velocity, or the set-point where it measures none. */
-static void take_velocity(joint_odometry *joint, const joint_feedback *sample, double setpoint_rad_s, double elapsed_s,
-                          double timeout_s)
+static void take_velocity(joint_odometry *joint, const joint_feedback *sample,
+                          double setpoint_rad_s, double elapsed_s, double timeout_s)
 {
-    double travel_rad = travel_by_velocity(NAN, sample->velocity_rad_s, elapsed_s, timeout_s, setpoint_rad_s);
+    double travel_rad =
+        travel_by_velocity(NAN, sample->velocity_rad_s, elapsed_s, timeout_s, setpoint_rad_s);
     if (!(fabs(travel_rad) <= joint->constant.reach_rad_s * elapsed_s)) {
         joint->jumps++;
         travel_rad = 0.0;
@@ -98,9 +106,11 @@ static void take_velocity(joint_odometry *joint, const joint_feedback *sample, d
     gather(joint, ESTIMATE, travel_rad);
 }
 
-static inline double travel_since(const joint_odometry *joint, const joint_feedback *sample, uint64_t before)
+static inline double travel_since(const joint_odometry *joint, const joint_feedback *sample,
+                                  uint64_t before)
 {
-    return (double)shortest_difference(sample->count, before, joint->constant.counter_bits_unused) * joint->constant.counter_rad;
+    return (double)shortest_difference(sample->count, before, joint->constant.counter_bits_unused) *
+           joint->constant.counter_rad;
 }
 
 static void believe(joint_odometry *joint, uint64_t count)
@@ -118,11 +128,14 @@ static void begin(joint_odometry *joint, const joint_feedback *sample)
     believe(joint, sample->count);
 }
 
-/* A sample that is refused moves nothing but by estimate: the next one is believed when it agrees with the last one that
- * was believed, or with the one that was refused. known: it gives a travel, though an impossible one. */
-static void refuse(joint_odometry *joint, const joint_feedback *sample, bool known, double elapsed_s, double timeout_s)
+/* A sample that is refused moves nothing but by estimate: the next one is believed when it agrees
+ * with the last one that was believed, or with the one that was refused. known: it gives a
+ * travel, though an impossible one. */
+static void refuse(joint_odometry *joint, const joint_feedback *sample, bool known,
+                   double elapsed_s, double timeout_s)
 {
-    double fresh_rad = joint->constant.reach_rad_s * elapsed_s, before_rad_s = joint->velocity_rad_s;
+    double fresh_rad = joint->constant.reach_rad_s * elapsed_s,
+           before_rad_s = joint->velocity_rad_s;
     joint->velocity_rad_s = measured(sample->velocity_rad_s);
     if (known && joint->last == REFUSED) {
         double travel_rad = travel_since(joint, sample, joint->refused);
@@ -135,7 +148,8 @@ static void refuse(joint_odometry *joint, const joint_feedback *sample, bool kno
             return;
         }
     }
-    double estimate_rad = travel_by_velocity(before_rad_s, sample->velocity_rad_s, elapsed_s, timeout_s, 0.0);
+    double estimate_rad =
+        travel_by_velocity(before_rad_s, sample->velocity_rad_s, elapsed_s, timeout_s, 0.0);
     if (!(fabs(estimate_rad) <= fresh_rad)) {
         estimate_rad = 0.0;
     }
@@ -150,22 +164,28 @@ static void refuse(joint_odometry *joint, const joint_feedback *sample, bool kno
     joint->credited_rad += estimate_rad;
 }
 
-/* Travel within reach_rad, of which sure_rad can have been turned since the last sample that was believed. */
-static inline void go(joint_odometry *joint, const joint_feedback *sample, double travel_rad, double sure_rad, double reach_rad)
+/* Travel within reach_rad, of which sure_rad can have been turned since the last sample that was
+ * believed. */
+static inline void go(joint_odometry *joint, const joint_feedback *sample, double travel_rad,
+                      double sure_rad, double reach_rad)
 {
     const joint_constants *constant = &joint->constant;
     double distance_rad = fabs(travel_rad);
     joint->velocity_rad_s = measured(sample->velocity_rad_s);
     if (isnan(joint->velocity_rad_s)) {
         joint->velocity_rad_s =
-            travel_rad * constant->reach_rad_s / (distance_rad <= sure_rad + constant->counter_slack_rad ? sure_rad : reach_rad);
+            travel_rad * constant->reach_rad_s /
+            (distance_rad <= sure_rad + constant->counter_slack_rad ? sure_rad : reach_rad);
     }
-    joint->unused_rad = larger(0.0, smaller(reach_rad - distance_rad, constant->counter_unused_max_rad));
+    joint->unused_rad =
+        larger(0.0, smaller(reach_rad - distance_rad, constant->counter_unused_max_rad));
 }
 
-/* A counter that is renewed more slowly than it is read catches up in steps: what reach a sample leaves unused is the next
- * one's, for as long as feedback counts, and for a quarter of a narrow counter. A sample beyond that is refused. */
-static void take_count(joint_odometry *joint, const joint_feedback *sample, double elapsed_s, double timeout_s)
+/* A counter that is renewed more slowly than it is read catches up in steps: what reach a sample
+ * leaves unused is the next one's, for as long as feedback counts, and for a quarter of a narrow
+ * counter. A sample beyond that is refused. */
+static void take_count(joint_odometry *joint, const joint_feedback *sample, double elapsed_s,
+                       double timeout_s)
 {
     const joint_constants *constant = &joint->constant;
     double travel_rad = travel_since(joint, sample, joint->count);
@@ -186,9 +206,10 @@ static void take_count(joint_odometry *joint, const joint_feedback *sample, doub
     }
 }
 
-/* A new sample of any kind. Kept out of the loop over the joints, whose common case it would slow down. */
-__attribute__((noinline)) static void take(joint_odometry *joint, const joint_feedback *sample, double setpoint_rad_s,
-                                           double timeout_s)
+/* A new sample of any kind. Kept out of the loop over the joints, whose common case it would
+ * slow down. */
+__attribute__((noinline)) static void take(joint_odometry *joint, const joint_feedback *sample,
+                                           double setpoint_rad_s, double timeout_s)
 {
     double elapsed_s = (double)(sample->stamp_ns - joint->stamp_ns) * 1e-9;
     if (joint->last == NONE) {
@@ -202,7 +223,8 @@ __attribute__((noinline)) static void take(joint_odometry *joint, const joint_fe
     }
 }
 
-/* The common case of take_count(): after a sample that was believed, one that can only mean this travel, within reach. */
+/* The common case of take_count(): after a sample that was believed, one that can only mean this
+ * travel, within reach. */
 static inline bool take_next(joint_odometry *joint, const joint_feedback *sample)
 {
     const joint_constants *constant = &joint->constant;
@@ -212,7 +234,8 @@ static inline bool take_next(joint_odometry *joint, const joint_feedback *sample
     double sure_rad = constant->reach_rad_s * ((double)(sample->stamp_ns - joint->stamp_ns) * 1e-9);
     double reach_rad = sure_rad + joint->unused_rad;
     double travel_rad = travel_since(joint, sample, joint->count), distance_rad = fabs(travel_rad);
-    if (!(distance_rad + sure_rad < constant->counter_round_rad && distance_rad <= reach_rad + constant->counter_slack_rad)) {
+    if (!(distance_rad + sure_rad < constant->counter_round_rad &&
+          distance_rad <= reach_rad + constant->counter_slack_rad)) {
         return false;
     }
     gather(joint, TRAVEL, travel_rad);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * wheel.h: one wheel's share of kinematics, saturation and the PWM map, in place, for the tick and the public
- * functions alike. */
+ * wheel.h: one wheel's share of kinematics, saturation and the PWM map, in place, for the tick and
+ * the public functions alike. */
 #ifndef MOTORD_WHEEL_H
 #define MOTORD_WHEEL_H
 
@@ -12,7 +12,8 @@
 static inline double wheel_speed(const joint_config *joint, const double *twist_u_s)
 {
     const wheel_row *row = &joint->row;
-    double rim_m_s = row->x * twist_u_s[AXIS_LINEAR] + row->lever_m * twist_u_s[AXIS_ANGULAR] + row->y * twist_u_s[AXIS_LATERAL];
+    double rim_m_s = row->x * twist_u_s[AXIS_LINEAR] + row->lever_m * twist_u_s[AXIS_ANGULAR] +
+                     row->y * twist_u_s[AXIS_LATERAL];
     return rim_m_s / joint->wheel_radius_m;
 }
 
@@ -44,11 +45,14 @@ static inline double wheel_share(const joint_config *joint, double want_rad_s)
         return 0.0;
     }
     double quotient = fabs(limit / want);
-    return want * quotient > limit ? nextafter(quotient, 0.0) : quotient; /* it may have been rounded up */
+    /* it may have been rounded up */
+    return want * quotient > limit ? nextafter(quotient, 0.0) : quotient;
 }
 
-/* A straight line that begins at the dead band's edge. A speed that is not finite gives a duty that is not. */
-static inline pwm_output wheel_duty(const pwm_config *config, double last_duty, double velocity_rad_s, double dt_s)
+/* A straight line that begins at the dead band's edge. A speed that is not finite gives a duty
+ * that is not. */
+static inline pwm_output wheel_duty(const pwm_config *config, double last_duty,
+                                    double velocity_rad_s, double dt_s)
 {
     if (velocity_rad_s == 0.0) {
         return (pwm_output){0};
@@ -62,7 +66,8 @@ static inline pwm_output wheel_duty(const pwm_config *config, double last_duty, 
     if (config->slew_per_s < INFINITY) {
         /* away from zero only; from the dead band's edge where the duty is less */
         double start = back ? -last_duty : last_duty;
-        double reach = (start > config->dead_band ? start : config->dead_band) + config->slew_per_s * dt_s;
+        double reach =
+            (start > config->dead_band ? start : config->dead_band) + config->slew_per_s * dt_s;
         if (fabs(duty) > reach) {
             duty = copysign(reach, duty);
             reasons |= REASON_DUTY_SLEW;

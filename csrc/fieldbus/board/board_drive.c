@@ -3,7 +3,7 @@
 #include "board_machine.h"
 #include "fresh.h"
 
-/* -------------------------------------------------------------------------------------------------- stopping */
+/* ----------------------------------------------------------------------------- stopping */
 void board_hold(board_machine *m, const board_write *write, uint32_t count, int64_t now_ns)
 {
     for (uint32_t i = 0; i < count; i++) {
@@ -20,8 +20,8 @@ void board_begin_stop(board_machine *m, drive_stop stop, int64_t now_ns)
         return;
     }
     bool quick = stop == STOP_QUICK;
-    board_hold(m, quick ? m->table.quick_stop : m->table.disarm, quick ? m->table.quick_stop_count : m->table.disarm_count,
-               now_ns);
+    board_hold(m, quick ? m->table.quick_stop : m->table.disarm,
+               quick ? m->table.quick_stop_count : m->table.disarm_count, now_ns);
     m->stops++;
     m->state.stop = stop;
 }
@@ -37,7 +37,7 @@ void board_take_over(board_machine *m, int64_t now_ns)
     board_begin_stop(m, drive_quick_stop(&m->state, 0, now_ns), now_ns);
 }
 
-/* --------------------------------------------------------------------------------- the last power-off of a line */
+/* --------------------------------------------------------- the last power-off of a line */
 static bool reports_power(const board_machine *m)
 {
     for (uint32_t i = 0; i < m->table.field_count; i++) {
@@ -50,9 +50,12 @@ static bool reports_power(const board_machine *m)
 
 void board_note_power(board_machine *m, int64_t now_ns)
 {
-    bool rests = m->state.mode == DRIVE_READY && !m->state.stopping && m->state.stop == STOP_NOTHING && !m->state.sent_motion;
-    bool settled = now_ns >= m->control.request.arming_until_ns && !m->has_order && m->knows_ns >= m->written_ns;
-    m->off_suffices = m->table.answers == 0 || (rests && settled && (!reports_power(m) || m->state.enabled == 0));
+    bool rests = m->state.mode == DRIVE_READY && !m->state.stopping &&
+                 m->state.stop == STOP_NOTHING && !m->state.sent_motion;
+    bool settled = now_ns >= m->control.request.arming_until_ns && !m->has_order &&
+                   m->knows_ns >= m->written_ns;
+    m->off_suffices =
+        m->table.answers == 0 || (rests && settled && (!reports_power(m) || m->state.enabled == 0));
 }
 
 void board_last_power_off(board_machine *m, int64_t now_ns)
@@ -71,22 +74,24 @@ static void note_last_power_off(board_machine *m, int64_t now_ns)
     m->off_again_ns = m->off_again_ns == 0 && m->off_word_ns > 0 ? now_ns : m->off_again_ns;
 }
 
-/* Frames say which of ours the board has received. A word of another kind says nothing of that, and may have been in transit
- * before a wire was cut: two of them, and the power-off between. */
+/* Frames say which of ours the board has received. A word of another kind says nothing of that, and
+ * may have been in transit before a wire was cut: two of them, and the power-off between. */
 void board_look_for_proof(board_machine *m)
 {
     bool frames = m->table.dialect == BOARD_FRAMES, reports = reports_power(m);
     bool between = m->off_again_ns > 0 && m->off_word_ns > m->off_again_ns;
-    bool knows = m->off_first_ns > 0 && (frames ? m->knows_ns >= m->off_first_ns : reports ? m->off_word_ns > 0 : between);
+    bool knows = m->off_first_ns > 0 && (frames    ? m->knows_ns >= m->off_first_ns
+                                         : reports ? m->off_word_ns > 0
+                                                   : between);
     m->off_waits &= !knows || (reports && m->state.enabled != 0);
 }
 
-/* -------------------------------------------------------------------------------------------------- presence */
+/* ----------------------------------------------------------------------------- presence */
 static void becomes_unresponsive(board_machine *m, int64_t now_ns)
 {
     m->unresponsive++;
-    board_begin_stop(m, drive_quick_stop(&m->state, 0, now_ns),
-                     now_ns); /* it may receive all the same: in every cycle from now on */
+    /* it may receive all the same: in every cycle from now on */
+    board_begin_stop(m, drive_quick_stop(&m->state, 0, now_ns), now_ns);
     drive_unresponsive(&m->state);
     m->feedback_bytes = 0;
 }
@@ -110,7 +115,7 @@ void board_sent(board_machine *m, int64_t now_ns)
     }
 }
 
-/* ------------------------------------------------------------------------------------------------- its word */
+/* ----------------------------------------------------------------------------- its word */
 /* The drive's own words count when it had received by then what stays in its payload. */
 static void believe(board_machine *m, bool kept, int64_t now_ns)
 {
@@ -137,15 +142,16 @@ void board_received(board_machine *m, int64_t now_ns)
     }
 }
 
-/* --------------------------------------------------------------------------------------------------- guarding */
+/* ----------------------------------------------------------------------------- guarding */
 static drive_view view_of(const board_machine *m, int64_t now_ns)
 {
-    return (drive_view){.now_ns = now_ns,
-                        .fresh = fresh_stamp(now_ns, m->newest.stamp_ns, m->table.setpoint_timeout_ns),
-                        .enabled = m->newest.enabled == 1,
-                        .left_alone = drive_left_alone(m->last_sent_ns, now_ns, m->table.watchdog_ns),
-                        .shut_down = m->control.shut_down != 0,
-                        .enabled_count = m->enabled_count};
+    return (drive_view){
+        .now_ns = now_ns,
+        .fresh = fresh_stamp(now_ns, m->newest.stamp_ns, m->table.setpoint_timeout_ns),
+        .enabled = m->newest.enabled == 1,
+        .left_alone = drive_left_alone(m->last_sent_ns, now_ns, m->table.watchdog_ns),
+        .shut_down = m->control.shut_down != 0,
+        .enabled_count = m->enabled_count};
 }
 
 void board_guard(board_machine *m, int64_t now_ns)
@@ -159,7 +165,7 @@ void board_guard(board_machine *m, int64_t now_ns)
     board_begin_stop(m, drive_end_stopping(&m->state, rests, now_ns), now_ns);
 }
 
-/* -------------------------------------------------------------------------------------------------- requests */
+/* ----------------------------------------------------------------------------- requests */
 /* What stays in its payload is what it does: it is switched off, whatever it was. */
 void board_obey_request(board_machine *m, int64_t now_ns)
 {
@@ -169,7 +175,8 @@ void board_obey_request(board_machine *m, int64_t now_ns)
     bool is_new = answer.request != REQUEST_NONE;
     m->notify |= is_new;
     board_begin_stop(m, answer.stop, now_ns);
-    bool stands_down = is_new && request->mode == DRIVE_STAND_DOWN && m->state.mode != DRIVE_UNRESPONSIVE;
+    bool stands_down =
+        is_new && request->mode == DRIVE_STAND_DOWN && m->state.mode != DRIVE_UNRESPONSIVE;
     if (answer.request == REQUEST_OFF || stands_down) {
         board_power_off(m, now_ns);
     } else if (answer.request == REQUEST_SET_UP) {

@@ -58,8 +58,8 @@ static uint32_t unstuff(const uint8_t *data, uint32_t count, uint8_t *out)
     return to;
 }
 
-uint32_t board_frame_build(uint32_t type, uint32_t sequence, uint32_t time_us, const uint8_t *payload, uint32_t payload_bytes,
-                           uint8_t *out)
+uint32_t board_frame_build(uint32_t type, uint32_t sequence, uint32_t time_us,
+                           const uint8_t *payload, uint32_t payload_bytes, uint8_t *out)
 {
     uint8_t raw[BOARD_FRAME_MAX];
     if (payload_bytes > BOARD_PAYLOAD_MAX) {

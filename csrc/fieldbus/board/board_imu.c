@@ -4,7 +4,15 @@
 
 #include "board_machine.h"
 
-enum { HAS_IMU = 16, STATUS_AT = 0, MOTORS_AT = 1, HEAD_BYTES = 16, MOTOR_BYTES = 10, IMU_BYTES = 20, SATURATED = 1 };
+enum {
+    HAS_IMU = 16,
+    STATUS_AT = 0,
+    MOTORS_AT = 1,
+    HEAD_BYTES = 16,
+    MOTOR_BYTES = 10,
+    IMU_BYTES = 20,
+    SATURATED = 1
+};
 enum { RATE_BYTES = 4, ACCELERATION_BYTES = 2, ACCELERATIONS_AT = 12, FLAGS_AT = 18 };
 
 static const double RATE_UNIT_RAD_S = 1e-6, ACCELERATION_UNIT_M_S2 = 1e-3;
@@ -49,9 +57,11 @@ static void read_frame(board_machine *m)
     uint32_t begin = begin_of(m->feedback_payload);
     double rate[3], acceleration[3];
     for (uint32_t axis = 0; axis < 3; axis++) {
-        rate[axis] = si_at(m->feedback_payload, begin + RATE_BYTES * axis, RATE_BYTES, RATE_UNIT_RAD_S);
-        acceleration[axis] = si_at(m->feedback_payload, begin + ACCELERATIONS_AT + ACCELERATION_BYTES * axis, ACCELERATION_BYTES,
-                                   ACCELERATION_UNIT_M_S2);
+        rate[axis] =
+            si_at(m->feedback_payload, begin + RATE_BYTES * axis, RATE_BYTES, RATE_UNIT_RAD_S);
+        acceleration[axis] =
+            si_at(m->feedback_payload, begin + ACCELERATIONS_AT + ACCELERATION_BYTES * axis,
+                  ACCELERATION_BYTES, ACCELERATION_UNIT_M_S2);
     }
     note(m, rate, acceleration, (m->feedback_payload[begin + FLAGS_AT] & SATURATED) != 0);
 }
@@ -63,7 +73,8 @@ void board_imu_read(board_machine *m)
         return;
     }
     if (m->table.dialect == BOARD_TEXT) {
-        const double rate[3] = {NAN, NAN, (double)board_get(m->feedback_payload, &imu->rate_z) * RATE_UNIT_RAD_S};
+        const double rate[3] = {
+            NAN, NAN, (double)board_get(m->feedback_payload, &imu->rate_z) * RATE_UNIT_RAD_S};
         const double acceleration[3] = {NAN, NAN, NAN};
         note(m, rate, acceleration, false);
     } else if ((m->feedback_payload[STATUS_AT] & HAS_IMU) != 0) {

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * board_json.c: lines of text that are JSON objects (RFC 8259), by the names of their members. Members that no part names are
- * skipped, whatever they are. A name is compared byte by byte: one with an escape in it is another one. */
+ * board_json.c: lines of text that are JSON objects (RFC 8259), by the names of their members.
+ * Members that no part names are skipped, whatever they are. A name is compared byte by byte:
+ * one with an escape in it is another one. */
 #include <string.h>
 
 #include "board_machine.h"
@@ -65,13 +66,15 @@ static uint32_t find(const board_text *text, const uint8_t *name, uint32_t count
 {
     const uint8_t *literal = text->literal;
     uint32_t i = 0;
-    while (i < text->part_count && (text->part[i].literal_bytes != count || memcmp(literal, name, count) != 0)) {
+    while (i < text->part_count &&
+           (text->part[i].literal_bytes != count || memcmp(literal, name, count) != 0)) {
         literal += text->part[i++].literal_bytes;
     }
     return i;
 }
 
-static bool take_member(board_reader *r, const board_text *text, uint32_t *seen, uint8_t *payload, uint32_t *end)
+static bool take_member(board_reader *r, const board_text *text, uint32_t *seen, uint8_t *payload,
+                        uint32_t *end)
 {
     const uint8_t *name;
     uint32_t count;
@@ -101,7 +104,8 @@ static bool take_member(board_reader *r, const board_text *text, uint32_t *seen,
     return true;
 }
 
-uint32_t board_json_read(const board_text *text, const uint8_t *line, uint32_t count, uint8_t *payload)
+uint32_t board_json_read(const board_text *text, const uint8_t *line, uint32_t count,
+                         uint8_t *payload)
 {
     board_reader r = {.at = line, .end = line + count};
     uint32_t seen = 0, end = 0;

@@ -10,9 +10,11 @@ static const int64_t NS_PER_US = 1000, HELD_UNIT_NS = 100000;
 static const int64_t HELD_TOLERANCE_NS = 2 * BOARD_MS;
 /* Beyond the end's time: until a board that speaks has reported that it has no power. */
 static const int64_t REPORT_EXTRA_NS = 500 * BOARD_MS;
-static const board_place RECEIVED_SEQUENCE = {.byte = 6, .bytes = 2}, RECEIVED_AGO = {.byte = 8, .bytes = 2};
+static const board_place RECEIVED_SEQUENCE = {.byte = 6, .bytes = 2},
+                         RECEIVED_AGO = {.byte = 8, .bytes = 2};
 
-int board_machine_init(board_machine *m, const board_table *table, uint32_t epoch, uint16_t sequence, int64_t now_ns)
+int board_machine_init(board_machine *m, const board_table *table, uint32_t epoch,
+                       uint16_t sequence, int64_t now_ns)
 {
     char name[FIELD_NAME_BYTES];
     if (board_table_check(table, name) != NULL) {
@@ -33,15 +35,18 @@ int board_machine_init(board_machine *m, const board_table *table, uint32_t epoc
     return 0;
 }
 
-/* -------------------------------------------------------------------------------------------------- receiving */
-/* Which of our frames the board had received by then, and how long it kept that to itself. One of an earlier program may be
- * newer than ours: the board would take none before we are ahead of it. */
+/* ---------------------------------------------------------------------------- receiving */
+/* Which of our frames the board had received by then, and how long it kept that to itself. One of
+ * an earlier program may be newer than ours: the board would take none before we are ahead of
+ * it. */
 static void note_what_it_knows(board_machine *m, int64_t now_ns)
 {
     uint16_t sequence = (uint16_t)board_get(m->feedback_payload, &RECEIVED_SEQUENCE);
     uint16_t behind = (uint16_t)(m->sequence - sequence);
-    int64_t sent_ns = behind < BOARD_SEQUENCES_KEPT ? m->sent_ns[sequence % BOARD_SEQUENCES_KEPT] : 0;
-    int64_t trip_ns = now_ns - sent_ns - board_get(m->feedback_payload, &RECEIVED_AGO) * HELD_UNIT_NS;
+    int64_t sent_ns =
+        behind < BOARD_SEQUENCES_KEPT ? m->sent_ns[sequence % BOARD_SEQUENCES_KEPT] : 0;
+    int64_t trip_ns =
+        now_ns - sent_ns - board_get(m->feedback_payload, &RECEIVED_AGO) * HELD_UNIT_NS;
     bool known = sent_ns > 0 && trip_ns >= -HELD_TOLERANCE_NS;
     m->knows_ns = known ? sent_ns : 0;
     if ((int16_t)(uint16_t)(m->next - sequence) <= 0) {
@@ -62,7 +67,8 @@ static bool take_frame(board_machine *m, int64_t now_ns)
     }
     m->feedback_bytes = count - BOARD_HEAD_BYTES;
     memcpy(m->feedback_payload, raw + BOARD_HEAD_BYTES, m->feedback_bytes);
-    m->stamp_ns = board_clock_stamp(&m->clock, (uint32_t)board_get(raw, &(board_place){.byte = 4, .bytes = 4}), now_ns);
+    m->stamp_ns = board_clock_stamp(
+        &m->clock, (uint32_t)board_get(raw, &(board_place){.byte = 4, .bytes = 4}), now_ns);
     note_what_it_knows(m, now_ns);
     return true;
 }
@@ -112,8 +118,8 @@ static bool ends(const board_machine *m, uint8_t byte)
     return m->table.dialect == BOARD_TEXT ? line_end : byte == 0;
 }
 
-/* Of a line of text that does not end in time, nothing is read until the next one begins. A frame that fills its room is one
- * byte too long for any. */
+/* Of a line of text that does not end in time, nothing is read until the next one begins. A frame
+ * that fills its room is one byte too long for any. */
 static void take_pieces(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns)
 {
     board_tail *tail = &m->tail;
@@ -142,7 +148,7 @@ void board_machine_receive(board_machine *m, const uint8_t *bytes, uint32_t coun
     }
 }
 
-/* ----------------------------------------------------------------------------------------------------- sending */
+/* ------------------------------------------------------------------------------ sending */
 bool board_machine_order(board_machine *m, const board_order *order)
 {
     if (m->has_order) {
@@ -157,7 +163,8 @@ bool board_machine_order(board_machine *m, const board_order *order)
 static void obey_order(board_machine *m, int64_t now_ns)
 {
     const board_order *order = &m->order;
-    bool stopped = m->state.mode == DRIVE_UNRESPONSIVE || (order->guarded != 0 && order->stops != m->stops);
+    bool stopped =
+        m->state.mode == DRIVE_UNRESPONSIVE || (order->guarded != 0 && order->stops != m->stops);
     if (!m->has_order || m->order_written) {
         return;
     }
@@ -176,7 +183,8 @@ static uint32_t build_sabertooths(const board_table *table, const uint8_t *paylo
 {
     uint32_t count = 0;
     for (uint32_t i = 0; i < table->unit_count; i++) {
-        count += board_sabertooth_build(table->unit[i], payload + SABERTOOTH_SETPOINT_BYTES * i, out + count);
+        count += board_sabertooth_build(table->unit[i], payload + SABERTOOTH_SETPOINT_BYTES * i,
+                                        out + count);
     }
     return count;
 }
@@ -189,8 +197,8 @@ static uint32_t build(const board_machine *m, const uint8_t *payload, int64_t no
     case BOARD_HOVERBOARD: return board_hoverboard_build(payload, table->mixed, out);
     case BOARD_SABERTOOTH: return build_sabertooths(table, payload, out);
     default:
-        return board_frame_build(BOARD_TYPE_SETPOINTS, m->next, (uint32_t)(now_ns / NS_PER_US), payload, table->payload_bytes,
-                                 out);
+        return board_frame_build(BOARD_TYPE_SETPOINTS, m->next, (uint32_t)(now_ns / NS_PER_US),
+                                 payload, table->payload_bytes, out);
     }
 }
 
@@ -223,9 +231,9 @@ static void cycle(board_machine *m, int64_t now_ns)
     send_payload(m, now_ns);
 }
 
-/* ---------------------------------------------------------------------------------------------------- the end */
-/* Silent only when the last frame has had the time to leave the port, and the board has reported that it has no power. One that
- * is there is given longer for that. */
+/* ------------------------------------------------------------------------------ the end */
+/* Silent only when the last frame has had the time to leave the port, and the board has reported
+ * that it has no power. One that is there is given longer for that. */
 static void shut_down(board_machine *m, int64_t now_ns)
 {
     if (end_begins(&m->end, m->control.shut_down != 0, now_ns)) {
@@ -234,7 +242,8 @@ static void shut_down(board_machine *m, int64_t now_ns)
     }
     board_look_for_proof(m);
     bool stopping = m->state.stopping || m->state.stop != STOP_NOTHING || m->off_waits;
-    bool speaks = m->off_waits && m->off_first_ns > 0 && now_ns - m->received_ns <= m->table.silence_ns;
+    bool speaks =
+        m->off_waits && m->off_first_ns > 0 && now_ns - m->received_ns <= m->table.silence_ns;
     if (end_takes_power(&m->end, stopping, now_ns)) {
         board_last_power_off(m, now_ns);
     } else {
@@ -243,7 +252,7 @@ static void shut_down(board_machine *m, int64_t now_ns)
     }
 }
 
-/* --------------------------------------------------------------------------------------------------- the step */
+/* ----------------------------------------------------------------------------- the step */
 static bool has_to_stop(const board_machine *m)
 {
     uint8_t payload[BOARD_PAYLOAD_MAX];
@@ -252,8 +261,11 @@ static bool has_to_stop(const board_machine *m)
 
 static int64_t next_look_ns(const board_machine *m, int64_t now_ns)
 {
-    bool moving = m->state.sent_motion || m->state.stopping || m->state.mode == DRIVE_ARMED || m->end.stage != END_NOT;
-    int64_t wake_ns = now_ns + (has_to_stop(m) ? LOOK_FULL_NS : moving ? LOOK_MOVING_NS : LOOK_RESTING_NS);
+    bool moving = m->state.sent_motion || m->state.stopping || m->state.mode == DRIVE_ARMED ||
+                  m->end.stage != END_NOT;
+    int64_t wake_ns = now_ns + (has_to_stop(m) ? LOOK_FULL_NS
+                                : moving       ? LOOK_MOVING_NS
+                                               : LOOK_RESTING_NS);
     return m->end.stage < END_SILENT ? earlier(wake_ns, m->cycle.due_ns) : wake_ns;
 }
 
@@ -261,7 +273,8 @@ void board_machine_kick(board_machine *m, int64_t now_ns)
 {
     uint8_t payload[BOARD_PAYLOAD_MAX];
     bool stops = !board_payload(m, payload) && m->state.sent_motion;
-    if (m->state.mode == DRIVE_ARMED && memcmp(payload, m->last_sent, m->table.payload_bytes) != 0) {
+    if (m->state.mode == DRIVE_ARMED &&
+        memcmp(payload, m->last_sent, m->table.payload_bytes) != 0) {
         cycle_clock_bring_forward(&m->cycle, m->table.period_ns, m->table.gap_ns, stops, now_ns);
     }
 }

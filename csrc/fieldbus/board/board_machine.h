@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * board_machine.h: the inside of a board's line. Bytes and time in, bytes out: no clock, no file descriptor, so the same
- * inputs give the same outputs.
+ * board_machine.h: the inside of a board's line. Bytes and time in, bytes out: no clock, no file
+ * descriptor, so the same inputs give the same outputs.
  *
  * board_table.c    is a table good?
  * board_frame.c    frames: stuffing, check sum, head
@@ -23,7 +23,12 @@
 
 static const int64_t BOARD_MS = 1000000;
 
-enum { BOARD_HEAD_BYTES = 8, BOARD_SEQUENCES_KEPT = 256, BOARD_TYPE_SETPOINTS = 0x01, BOARD_TYPE_FEEDBACK = 0x81 };
+enum {
+    BOARD_HEAD_BYTES = 8,
+    BOARD_SEQUENCES_KEPT = 256,
+    BOARD_TYPE_SETPOINTS = 0x01,
+    BOARD_TYPE_FEEDBACK = 0x81
+};
 
 /* Hands bytes to the port, all or none; false: it takes none now. */
 typedef bool (*board_sender)(void *sink, const uint8_t *bytes, uint32_t count);
@@ -63,21 +68,22 @@ typedef struct {
     uint32_t orders_sent;
     uint32_t orders_dropped;
     line_ending end;
-    bool off_suffices;                    /* when the end began: its last power-off has but to go out */
-    bool off_waits;                       /* it has not proved that it has got that */
-    int64_t off_first_ns;                 /* that went out; 0: not yet */
-    int64_t off_word_ns;                  /* a word came behind it, ... */
-    int64_t off_again_ns;                 /* ... and then it went out again; 0: not yet */
-    uint32_t feedback_mask;               /* joints whose feedback is new since it was taken */
-    imu_sample imu;                       /* the newest */
-    bool imu_is_new;                      /* since it was taken */
+    bool off_suffices;      /* when the end began: its last power-off has but to go out */
+    bool off_waits;         /* it has not proved that it has got that */
+    int64_t off_first_ns;   /* that went out; 0: not yet */
+    int64_t off_word_ns;    /* a word came behind it, ... */
+    int64_t off_again_ns;   /* ... and then it went out again; 0: not yet */
+    uint32_t feedback_mask; /* joints whose feedback is new since it was taken */
+    imu_sample imu;         /* the newest */
+    bool imu_is_new;        /* since it was taken */
     uint8_t last_sent[BOARD_PAYLOAD_MAX]; /* the newest payload that went out */
     bool notify;                          /* something that Python wants to know */
     uint8_t held[BOARD_PAYLOAD_MAX];
     uint8_t feedback_payload[BOARD_PAYLOAD_MAX];
     uint32_t feedback_bytes;
     uint16_t sequence;
-    uint16_t next; /* sequence: newer than what the board has received, of us or of an earlier program */
+    uint16_t next; /* sequence: newer than what the board has received, of us or of an earlier
+                      program */
     int64_t sent_ns[BOARD_SEQUENCES_KEPT];
     int64_t written_ns;
     int64_t last_sent_ns; /* a frame went out last */
@@ -97,23 +103,26 @@ typedef struct {
 } board_machine;
 
 /* 0 or -EINVAL. OFF; `epoch` and `sequence`: of what was before. */
-int board_machine_init(board_machine *m, const board_table *table, uint32_t epoch, uint16_t sequence, int64_t now_ns);
-/* A board that another program left running: it is READY and has a quick stop to get, as if it had been armed here. */
+int board_machine_init(board_machine *m, const board_table *table, uint32_t epoch,
+                       uint16_t sequence, int64_t now_ns);
+/* A board that another program left running: it is READY and has a quick stop to get, as if it
+ * had been armed here. */
 void board_take_over(board_machine *m, int64_t now_ns);
 /* Bytes have come. Nothing is sent. */
 void board_machine_receive(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns);
 /* false: the one before has not gone out */
 bool board_machine_order(board_machine *m, const board_order *order);
-/* The loop has woken the line: set-points that differ from the last ones do not wait for their cycle. */
+/* The loop has woken the line: set-points that differ from the last ones do not wait for their
+ * cycle. */
 void board_machine_kick(board_machine *m, int64_t now_ns);
 /* Sends what is due; returns when to step again, if nothing comes. */
 int64_t board_machine_step(board_machine *m, int64_t now_ns);
 void board_machine_report(const board_machine *m, board_report *report);
 
-/* ----------------------------------------------------------------------- board_table.c */
+/* ------------------------------------------------------------------------ board_table.c */
 bool board_write_is_good(const board_write *write, uint32_t payload_bytes);
 
-/* ---------------------------------------------------------------------- board_values.c */
+/* ----------------------------------------------------------------------- board_values.c */
 int64_t board_get(const uint8_t *data, const board_place *place);
 void board_put(uint8_t *data, const board_place *place, int64_t raw);
 int64_t board_raw_min(const board_place *place);
@@ -126,29 +135,31 @@ void board_publish(board_machine *m);
 void board_forget(board_machine *m);
 bool board_at_rest(const board_machine *m);
 
-/* ------------------------------------------------------------------------ board_text.c */
+/* ------------------------------------------------------------------------- board_text.c */
 void board_skip_white(board_reader *r);
 bool board_take_one(board_reader *r, const char *of);
 bool board_take_number(board_reader *r, double *out);
 /* A number to its part's place; `end`: behind the last place so far. */
 void board_store(const board_part *part, double number, uint8_t *payload, uint32_t *end);
 
-/* ------------------------------------------------------------------------ board_json.c */
+/* ------------------------------------------------------------------------- board_json.c */
 /* As board_text_read, for a line that is a JSON object. */
-uint32_t board_json_read(const board_text *text, const uint8_t *line, uint32_t count, uint8_t *payload);
+uint32_t board_json_read(const board_text *text, const uint8_t *line, uint32_t count,
+                         uint8_t *payload);
 
-/* ------------------------------------------------------------------------- board_imu.c */
+/* -------------------------------------------------------------------------- board_imu.c */
 /* Whether a payload is as long as it says that its inertial sensor needs. */
 bool board_imu_fits(const uint8_t *payload, uint32_t feedback_bytes);
 /* Its sample in the newest word, where there is one that is wanted. */
 void board_imu_read(board_machine *m);
 
-/* ----------------------------------------------------------------------- board_drive.c */
+/* ------------------------------------------------------------------------ board_drive.c */
 void board_hold(board_machine *m, const board_write *write, uint32_t count, int64_t now_ns);
 void board_power_off(board_machine *m, int64_t now_ns);
 /* Called when the line's end begins: keeps whether the board is known to have no power. */
 void board_note_power(board_machine *m, int64_t now_ns);
-/* Begins the last power-off, which goes out until board_look_for_proof has found that the board has got it. */
+/* Begins the last power-off, which goes out until board_look_for_proof has found that the board
+ * has got it. */
 void board_last_power_off(board_machine *m, int64_t now_ns);
 void board_look_for_proof(board_machine *m);
 /* What the rules of drive_state.h have decided. */

@@ -1,17 +1,19 @@
 /* SPDX-License-Identifier: Apache-2.0
  * board_packets.c: packets that other makers' boards take and send.
  *
- * The hoverboard FOC firmware (EFeru/hoverboard-firmware-hack-FOC, Src/util.c and Src/main.c): words of 16 bits, low byte
- * first; a start word, and the exclusive or of all words before it at the end. The Sabertooth's packet serial (Dimension
- * Engineering, Sabertooth 2x12 and 2x25 user's guides, mode 4): address, command, value, and the low seven bits of their sum. */
+ * The hoverboard FOC firmware (EFeru/hoverboard-firmware-hack-FOC, Src/util.c and Src/main.c):
+ * words of 16 bits, low byte first; a start word, and the exclusive or of all words before it at
+ * the end. The Sabertooth's packet serial (Dimension Engineering, Sabertooth 2x12 and 2x25
+ * user's guides, mode 4): address, command, value, and the low seven bits of their sum. */
 #include <string.h>
 
 #include "board_machine.h"
 
-/* ------------------------------------------------------------------------------------------------- hoverboard */
+/* --------------------------------------------------------------------------- hoverboard */
 enum { START_WORD = 0xABCD, WORD_BYTES = 2 };
 
-static const board_place LEFT = {.byte = 0, .bytes = 2, .is_signed = 1}, RIGHT = {.byte = 2, .bytes = 2, .is_signed = 1};
+static const board_place LEFT = {.byte = 0, .bytes = 2, .is_signed = 1},
+                         RIGHT = {.byte = 2, .bytes = 2, .is_signed = 1};
 
 static uint16_t word_at(const uint8_t *bytes, uint32_t byte)
 {
@@ -37,8 +39,8 @@ static int64_t held(int64_t value, int64_t most)
     return value > most ? most : value < -most ? -most : value;
 }
 
-/* The firmware's mixer with the coefficients that it is delivered with (1 and 0.5): left = speed + steer / 2, right = speed -
- * steer / 2. */
+/* The firmware's mixer with the coefficients that it is delivered with (1 and 0.5): left = speed +
+ * steer / 2, right = speed - steer / 2. */
 uint32_t board_hoverboard_build(const uint8_t *payload, uint32_t mixed, uint8_t *out)
 {
     int64_t left = board_get(payload, &LEFT), right = board_get(payload, &RIGHT);
@@ -52,11 +54,13 @@ uint32_t board_hoverboard_build(const uint8_t *payload, uint32_t mixed, uint8_t 
 static bool may_begin(const hoverboard_tail *tail)
 {
     const uint8_t first = START_WORD & 0xFF, second = START_WORD >> 8;
-    return tail->count == 0 || (tail->bytes[0] == first && (tail->count == 1 || tail->bytes[1] == second));
+    return tail->count == 0 ||
+           (tail->bytes[0] == first && (tail->count == 1 || tail->bytes[1] == second));
 }
 
-/* The end of a frame and the beginning of an equal one have a good sum, too: that of the same words in another order. But they
- * have the start between them, and no value does: a set-point is 1000 at most, and no speed, voltage or temperature is near. */
+/* The end of a frame and the beginning of an equal one have a good sum, too: that of the same words
+ * in another order. But they have the start between them, and no value does: a set-point is 1000
+ * at most, and no speed, voltage or temperature is near. */
 static bool has_start_within(const uint8_t *values)
 {
     for (uint32_t i = 0; i + 1 < HOVERBOARD_VALUE_BYTES; i++) {
@@ -70,7 +74,8 @@ static bool has_start_within(const uint8_t *values)
 static bool is_feedback(const hoverboard_tail *tail)
 {
     const uint32_t body = HOVERBOARD_FEEDBACK_BYTES - WORD_BYTES;
-    return tail->count == HOVERBOARD_FEEDBACK_BYTES && sum_of(tail->bytes, body) == word_at(tail->bytes, body) &&
+    return tail->count == HOVERBOARD_FEEDBACK_BYTES &&
+           sum_of(tail->bytes, body) == word_at(tail->bytes, body) &&
            !has_start_within(tail->bytes + WORD_BYTES);
 }
 
@@ -97,8 +102,15 @@ uint32_t board_hoverboard_take(hoverboard_tail *tail, uint8_t byte, uint8_t *val
     return lost ? HOVERBOARD_BAD : HOVERBOARD_NOTHING;
 }
 
-/* ------------------------------------------------------------------------------------------------- Sabertooth */
-enum { FORWARD_1 = 0, BACKWARD_1 = 1, FORWARD_2 = 4, BACKWARD_2 = 5, SERIAL_TIMEOUT = 14, SEVEN_BITS = 0x7F };
+/* --------------------------------------------------------------------------- Sabertooth */
+enum {
+    FORWARD_1 = 0,
+    BACKWARD_1 = 1,
+    FORWARD_2 = 4,
+    BACKWARD_2 = 5,
+    SERIAL_TIMEOUT = 14,
+    SEVEN_BITS = 0x7F
+};
 
 static uint32_t put_packet(uint32_t unit, uint32_t command, int64_t value, uint8_t *out)
 {
@@ -109,17 +121,21 @@ static uint32_t put_packet(uint32_t unit, uint32_t command, int64_t value, uint8
     return SABERTOOTH_PACKET_BYTES;
 }
 
-static uint32_t put_motor(uint32_t unit, uint32_t forward, uint32_t backward, int64_t value, uint8_t *out)
+static uint32_t put_motor(uint32_t unit, uint32_t forward, uint32_t backward, int64_t value,
+                          uint8_t *out)
 {
     int64_t inside = held(value, SEVEN_BITS);
     return put_packet(unit, inside < 0 ? backward : forward, inside < 0 ? -inside : inside, out);
 }
 
-/* The time-out is lost with its power, and nothing would show that: it goes out with every set-point. */
+/* The time-out is lost with its power, and nothing would show that: it goes out with every
+ * set-point. */
 uint32_t board_sabertooth_build(uint32_t unit, const uint8_t *payload, uint8_t *out)
 {
-    const board_place first = {.byte = 1, .bytes = 1, .is_signed = 1}, second = {.byte = 2, .bytes = 1, .is_signed = 1};
-    uint32_t count = payload[0] != 0 ? put_packet(unit, SERIAL_TIMEOUT, held(payload[0], SEVEN_BITS), out) : 0;
+    const board_place first = {.byte = 1, .bytes = 1, .is_signed = 1},
+                      second = {.byte = 2, .bytes = 1, .is_signed = 1};
+    uint32_t count =
+        payload[0] != 0 ? put_packet(unit, SERIAL_TIMEOUT, held(payload[0], SEVEN_BITS), out) : 0;
     count += put_motor(unit, FORWARD_1, BACKWARD_1, board_get(payload, &first), out + count);
     return count + put_motor(unit, FORWARD_2, BACKWARD_2, board_get(payload, &second), out + count);
 }

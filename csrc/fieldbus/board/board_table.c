@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * board_table.c: is a board's table good? Nothing outside it is ever read or written because of what it says. */
+ * board_table.c: is a board's table good? Nothing outside it is ever read or written because of
+ * what it says. */
 #include <math.h>
 #include <string.h>
 
@@ -22,7 +23,8 @@ static void check_setpoint(finding *f, const board_setpoint *setpoint, uint32_t 
     const board_place *place = &setpoint->place;
     check_place(f, place, bytes);
     if (!f->bad) {
-        check_scale(f, &setpoint->scale, SETPOINT_DUTY, (double)board_raw_min(place), (double)board_raw_max(place));
+        check_scale(f, &setpoint->scale, SETPOINT_DUTY, (double)board_raw_min(place),
+                    (double)board_raw_max(place));
     }
 }
 
@@ -30,7 +32,10 @@ static void check_write(finding *f, const board_write *write, uint32_t bytes)
 {
     check_place(f, &write->place, bytes);
     if (!f->bad) {
-        need(f, write->raw >= board_raw_min(&write->place) && write->raw <= board_raw_max(&write->place), "write.raw");
+        need(f,
+             write->raw >= board_raw_min(&write->place) &&
+                 write->raw <= board_raw_max(&write->place),
+             "write.raw");
     }
 }
 
@@ -54,7 +59,8 @@ static void check_written(finding *f, const board_part *part, const board_table 
     double most = 0.0;
     for (uint32_t i = 0; i < table->setpoint_count; i++) {
         const board_setpoint *setpoint = &table->setpoint[i];
-        most += fabs(part->number_per_raw[i]) * fmax(setpoint->scale.raw_max, -setpoint->scale.raw_min);
+        most +=
+            fabs(part->number_per_raw[i]) * fmax(setpoint->scale.raw_max, -setpoint->scale.raw_min);
     }
     need(f, most <= NUMBER_MAX, "part.number_per_raw");
     need(f, part->sign == 0 || part->sign == '+' || part->sign == ' ', "part.sign");
@@ -68,11 +74,13 @@ static bool parts_number(uint8_t byte)
     return !((byte >= '0' && byte <= '9') || byte == '.' || byte == 'e' || byte == 'E');
 }
 
-static void check_read(finding *f, const board_text *text, uint32_t number, uint32_t literal, uint32_t bytes)
+static void check_read(finding *f, const board_text *text, uint32_t number, uint32_t literal,
+                       uint32_t bytes)
 {
     const board_part *part = &text->part[number];
     bool after_number = number > 0 && text->part[number - 1].form != NUMBER_NONE;
-    need(f, !after_number || (part->literal_bytes > 0 && parts_number(text->literal[literal])), "part.literal_bytes");
+    need(f, !after_number || (part->literal_bytes > 0 && parts_number(text->literal[literal])),
+         "part.literal_bytes");
     need(f, isfinite(part->raw_per_number), "part.raw_per_number");
     if (part->form != NUMBER_NONE) {
         check_place(f, &part->place, bytes);
@@ -80,7 +88,8 @@ static void check_read(finding *f, const board_text *text, uint32_t number, uint
 }
 
 /* Names of members, none of which the reader would have to unescape. */
-static void check_json(finding *f, const board_text *text, uint32_t number, uint32_t literal, uint32_t bytes)
+static void check_json(finding *f, const board_text *text, uint32_t number, uint32_t literal,
+                       uint32_t bytes)
 {
     const board_part *part = &text->part[number];
     const uint8_t *name = text->literal + literal;
@@ -103,8 +112,12 @@ static void check_text(finding *f, const board_table *table, const board_text *t
     for (uint32_t i = 0; !f->bad && i < text->part_count; i++) {
         const board_part *part = &text->part[i];
         uint32_t most = text->json != 0 ? NUMBER_CONSTANT : NUMBER_GENERAL;
-        need(f, part->form <= most && (part->form != NUMBER_NONE || i + 1 == text->part_count), "part.form");
-        need(f, part->literal_bytes <= BOARD_TEXT_MAX && literal + part->literal_bytes <= BOARD_TEXT_MAX, "part.literal_bytes");
+        need(f, part->form <= most && (part->form != NUMBER_NONE || i + 1 == text->part_count),
+             "part.form");
+        need(f,
+             part->literal_bytes <= BOARD_TEXT_MAX &&
+                 literal + part->literal_bytes <= BOARD_TEXT_MAX,
+             "part.literal_bytes");
         if (!f->bad && text->json != 0) {
             check_json(f, text, i, literal, table->feedback_bytes);
         } else if (!f->bad && text == &table->read) {
@@ -123,17 +136,21 @@ static void check_counts(finding *f, const board_table *table)
     need(f, table->answers <= 1, "answers");
     need(f, table->answers == 1 || table->field_count == 0, "field_count");
     need(f, table->tries >= 1, "tries");
-    need(f, table->payload_bytes >= 1 && table->payload_bytes <= BOARD_PAYLOAD_MAX, "payload_bytes");
+    need(f, table->payload_bytes >= 1 && table->payload_bytes <= BOARD_PAYLOAD_MAX,
+         "payload_bytes");
     need(f, table->feedback_bytes <= BOARD_PAYLOAD_MAX, "feedback_bytes");
-    need(f, table->setpoint_count >= 1 && table->setpoint_count <= BOARD_SETPOINTS_MAX, "setpoint_count");
+    need(f, table->setpoint_count >= 1 && table->setpoint_count <= BOARD_SETPOINTS_MAX,
+         "setpoint_count");
     need(f, table->field_count <= BOARD_FIELDS_MAX, "field_count");
     need(f, table->quick_stop_count <= BOARD_WRITES_MAX, "quick_stop_count");
     need(f, table->disarm_count <= BOARD_WRITES_MAX, "disarm_count");
     need(f, table->period_ns > 0 && table->period_ns <= PERIOD_MAX_NS, "period_ns");
     need(f, table->gap_ns >= 0 && table->gap_ns <= PERIOD_MAX_NS, "gap_ns");
     need(f, table->silence_ns > 0 && table->silence_ns <= PERIOD_MAX_NS, "silence_ns");
-    need(f, table->setpoint_timeout_ns > 0 && table->setpoint_timeout_ns <= PERIOD_MAX_NS, "setpoint_timeout_ns");
-    need(f, isfinite(table->rest_velocity_rad_s) && table->rest_velocity_rad_s > 0.0, "rest_velocity_rad_s");
+    need(f, table->setpoint_timeout_ns > 0 && table->setpoint_timeout_ns <= PERIOD_MAX_NS,
+         "setpoint_timeout_ns");
+    need(f, isfinite(table->rest_velocity_rad_s) && table->rest_velocity_rad_s > 0.0,
+         "rest_velocity_rad_s");
     need(f, table->watchdog_ns >= 0, "watchdog_ns");
 }
 
@@ -208,8 +225,8 @@ const char *board_table_check(const board_table *table, char *name)
     } else if (!f.bad && table->dialect > BOARD_TEXT) {
         check_packets(&f, table);
     } else if (!f.bad) {
-        need(&f, table->answers == 1 && table->feedback_bytes >= 10,
-             "feedback_bytes"); /* which set-points were received, and when */
+        /* which set-points were received, and when */
+        need(&f, table->answers == 1 && table->feedback_bytes >= 10, "feedback_bytes");
     }
     return f.bad ? name : NULL;
 }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * board_text.c: lines of text by templates, docs/mcu/line-ascii.md. Numbers are written with the point of the "C" locale,
- * which the board's thread has, and are read without any. */
+ * board_text.c: lines of text by templates, docs/mcu/line-ascii.md. Numbers are written with the
+ * point of the "C" locale, which the board's thread has, and are read without any. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -9,8 +9,9 @@
 
 static const int32_t EXPONENT_MAX = 400; /* more is no number that a double holds */
 
-/* ----------------------------------------------------------------------------------------------------- writing */
-/* printf's words for a part: a sign, zeros, and the form; width and precision are given beside them. */
+/* ------------------------------------------------------------------------------ writing */
+/* printf's words for a part: a sign, zeros, and the form; width and precision are given beside
+ * them. */
 static void format_of(const board_part *part, char *out)
 {
     *out++ = '%';
@@ -20,7 +21,9 @@ static void format_of(const board_part *part, char *out)
     if (part->zeros != 0) {
         *out++ = '0';
     }
-    const char *rest = part->form == NUMBER_INTEGER ? "*.0f" : part->form == NUMBER_FIXED ? "*.*f" : "*.*g";
+    const char *rest = part->form == NUMBER_INTEGER ? "*.0f"
+                       : part->form == NUMBER_FIXED ? "*.*f"
+                                                    : "*.*g";
     (void)strcpy(out, rest);
 }
 
@@ -33,7 +36,8 @@ static double number_of(const board_table *table, const board_part *part, const 
     return (part->form == NUMBER_INTEGER ? nearbyint(number) : number) + 0.0; /* -0 + 0 is +0 */
 }
 
-static int write_number(const board_table *table, const board_part *part, const uint8_t *payload, char *out, size_t room)
+static int write_number(const board_table *table, const board_part *part, const uint8_t *payload,
+                        char *out, size_t room)
 {
     char format[8];
     double number = number_of(table, part, payload);
@@ -52,7 +56,9 @@ uint32_t board_text_write(const board_table *table, const uint8_t *payload, uint
     uint32_t count = 0;
     for (uint32_t i = 0; i < text->part_count; i++) {
         const board_part *part = &text->part[i];
-        int size = part->form == NUMBER_NONE ? 0 : write_number(table, part, payload, number, sizeof number);
+        int size = part->form == NUMBER_NONE
+                       ? 0
+                       : write_number(table, part, payload, number, sizeof number);
         if (size < 0 || count + part->literal_bytes + (uint32_t)size > BOARD_TEXT_MAX) {
             return 0;
         }
@@ -64,7 +70,7 @@ uint32_t board_text_write(const board_table *table, const uint8_t *payload, uint
     return count;
 }
 
-/* ----------------------------------------------------------------------------------------------------- reading */
+/* ------------------------------------------------------------------------------ reading */
 static bool is_white(uint8_t byte)
 {
     return byte == ' ' || (byte >= '\t' && byte <= '\r');
@@ -137,7 +143,8 @@ bool board_take_number(board_reader *r, double *out)
 }
 
 /* White space fits any other; at both ends of the text it need not be there. */
-static bool take_literal(board_reader *r, const uint8_t *literal, uint32_t count, bool first, bool last)
+static bool take_literal(board_reader *r, const uint8_t *literal, uint32_t count, bool first,
+                         bool last)
 {
     uint32_t i = 0;
     while (i < count) {
@@ -165,11 +172,13 @@ void board_store(const board_part *part, double number, uint8_t *payload, uint32
 {
     double least = (double)board_raw_min(&part->place), most = (double)board_raw_max(&part->place);
     uint32_t behind = part->place.byte + part->place.bytes;
-    board_put(payload, &part->place, (int64_t)nearbyint(fmin(fmax(number * part->raw_per_number, least), most)));
+    board_put(payload, &part->place,
+              (int64_t)nearbyint(fmin(fmax(number * part->raw_per_number, least), most)));
     *end = behind > *end ? behind : *end;
 }
 
-uint32_t board_text_read(const board_text *text, const uint8_t *line, uint32_t count, uint8_t *payload)
+uint32_t board_text_read(const board_text *text, const uint8_t *line, uint32_t count,
+                         uint8_t *payload)
 {
     if (text->json != 0) {
         return board_json_read(text, line, count, payload);

@@ -6,7 +6,7 @@
 #include "board_machine.h"
 #include "joint_values.h"
 
-/* ----------------------------------------------------------------------------------------------------- places */
+/* ------------------------------------------------------------------------------- places */
 int64_t board_get(const uint8_t *data, const board_place *place)
 {
     uint64_t raw = 0;
@@ -34,7 +34,7 @@ int64_t board_raw_max(const board_place *place)
     return (INT64_C(1) << (8 * place->bytes - (place->is_signed != 0))) - 1;
 }
 
-/* ------------------------------------------------------------------------------------------------- set-points */
+/* --------------------------------------------------------------------------- set-points */
 /* board_guard has taken ARMED back before, in this very step, where the set-points are old. */
 bool board_payload(const board_machine *m, uint8_t *payload)
 {
@@ -49,14 +49,15 @@ bool board_payload(const board_machine *m, uint8_t *payload)
     return motion;
 }
 
-/* --------------------------------------------------------------------------------------------------- feedback */
+/* ----------------------------------------------------------------------------- feedback */
 static void read_joint(board_machine *m, const board_field *field, int64_t raw)
 {
     board_joint *joint = &m->joint[field->meaning.joint];
     joint_feedback *feedback = &joint->feedback;
     if (field->meaning.kind == FIELD_COUNT) {
         feedback->count = (uint64_t)raw & count_mask(field->meaning.counter_bits);
-    } else if (!feedback_measured(feedback, field->meaning.kind, (double)raw * field->meaning.si_per_raw)) {
+    } else if (!feedback_measured(feedback, field->meaning.kind,
+                                  (double)raw * field->meaning.si_per_raw)) {
         m->notify |= joint->fault_word != (uint32_t)raw;
         joint->fault_word = (uint32_t)raw;
         feedback->drive_faults = fault_meant(&field->meaning, (uint32_t)raw);
@@ -106,7 +107,8 @@ void board_forget(board_machine *m)
 bool board_at_rest(const board_machine *m)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        if ((m->joints >> j & 1) != 0 && !feedback_at_rest(&m->joint[j].feedback, m->table.rest_velocity_rad_s)) {
+        if ((m->joints >> j & 1) != 0 &&
+            !feedback_at_rest(&m->joint[j].feedback, m->table.rest_velocity_rad_s)) {
             return false;
         }
     }

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_board.c: the thread of a board's line: the port, the clock, the waiting. What is sent and when is the machine's. */
+ * line_board.c: the thread of a board's line: the port, the clock, the waiting. What is sent and
+ * when is the machine's. */
 #include <errno.h>
 #include <locale.h>
 #include <string.h>
@@ -35,7 +36,7 @@ static line_thread *life_of(uint32_t line)
     return line < LINES_MAX ? &threads[line].life : NULL;
 }
 
-/* --------------------------------------------------------------------------------------------------- the port */
+/* ----------------------------------------------------------------------------- the port */
 /* How many it took, 0 where it takes none now. */
 static uint32_t write_some(board_thread *t, const uint8_t *bytes, uint32_t count)
 {
@@ -68,7 +69,8 @@ static bool send_bytes(void *sink, const uint8_t *bytes, uint32_t count)
 {
     board_thread *t = sink;
     int waiting = 0;
-    if (!flush_rest(t) || (ioctl(t->life.at.fd, TIOCOUTQ, &waiting) == 0 && waiting > (int)(FRAMES_WAITING_MAX * count))) {
+    if (!flush_rest(t) || (ioctl(t->life.at.fd, TIOCOUTQ, &waiting) == 0 &&
+                           waiting > (int)(FRAMES_WAITING_MAX * count))) {
         return false;
     }
     uint32_t went = write_some(t, bytes, count);
@@ -80,7 +82,7 @@ static bool send_bytes(void *sink, const uint8_t *bytes, uint32_t count)
     return true;
 }
 
-/* ------------------------------------------------------------------------------------------------- the hand-over */
+/* ------------------------------------------------------------------------ the hand-over */
 static void put_report(board_thread *t, bool running, int error)
 {
     board_machine_report(&t->machine, &t->out);
@@ -110,12 +112,13 @@ static void hand_on(board_thread *t, int64_t now_ns)
 static void take_order(board_thread *t)
 {
     board_order order;
-    if (!t->machine.has_order && ring_take(&t->orders, t->order_place, BOARD_ORDERS_MAX, &order, sizeof order)) {
+    if (!t->machine.has_order &&
+        ring_take(&t->orders, t->order_place, BOARD_ORDERS_MAX, &order, sizeof order)) {
         (void)board_machine_order(&t->machine, &order);
     }
 }
 
-/* -------------------------------------------------------------------------------------------------- the thread */
+/* --------------------------------------------------------------------------- the thread */
 /* Bytes, a wake or the time; the bytes' number or -errno. */
 static int wait_for_wakeup(board_thread *t, int64_t until_ns, uint8_t *bytes, uint32_t room)
 {
@@ -149,7 +152,8 @@ static void *run(void *arg)
     int64_t wake_ns = 0;
     int count = 0, error = 0;
     line_thread_begin(&t->life, "motord-board");
-    (void)uselocale(newlocale(LC_ALL_MASK, "C", (locale_t)0)); /* text has a point, whatever the process has set */
+    /* text has a point, whatever the process has set */
+    (void)uselocale(newlocale(LC_ALL_MASK, "C", (locale_t)0));
     while (!t->life.stop_requested && error == 0) {
         error = go_round(t, bytes, (uint32_t)count, &wake_ns);
         count = error == 0 ? wait_for_wakeup(t, wake_ns, bytes, sizeof bytes) : 0;
@@ -161,13 +165,16 @@ static void *run(void *arg)
     return NULL;
 }
 
-/* ---------------------------------------------------------------------------------------------------- its life */
+/* ----------------------------------------------------------------------------- its life */
 /* A sequence goes on where it was: the board takes none that is older. */
-static int prepare(board_thread *t, uint32_t line, const board_config *config, const board_table *table)
+static int prepare(board_thread *t, uint32_t line, const board_config *config,
+                   const board_table *table)
 {
     const line_slots slots = {t->control, sizeof t->control[0], t->report, sizeof t->report[0]};
     int error = line_thread_prepare(&t->life, line, &config->at, &slots);
-    error = error == 0 ? board_machine_init(&t->machine, table, config->epoch, t->machine.sequence, clock_now_ns()) : error;
+    error = error == 0 ? board_machine_init(&t->machine, table, config->epoch, t->machine.sequence,
+                                            clock_now_ns())
+                       : error;
     if (error != 0) {
         return error;
     }
@@ -211,7 +218,8 @@ int board_put_order(uint32_t line, const board_order *order)
     if (!board_write_is_good(&order->write, t->payload_bytes)) {
         return -EINVAL;
     }
-    return line_thread_hand_over(&t->life, &t->orders, t->order_place, BOARD_ORDERS_MAX, order, sizeof *order);
+    return line_thread_hand_over(&t->life, &t->orders, t->order_place, BOARD_ORDERS_MAX, order,
+                                 sizeof *order);
 }
 
 int board_read_report(uint32_t line, board_report *out)

@@ -1,15 +1,17 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_drive.c: one drive of a CAN line: what it gets, whether it is there, and when it has to stop. */
+ * can_drive.c: one drive of a CAN line: what it gets, whether it is there, and when it has to
+ * stop. */
 #include <string.h>
 
 #include "can_machine.h"
 #include "fresh.h"
 
 static const int64_t PROBE_LAST_NS = 2000 * CAN_MS;
-static const int64_t OFF_AGAIN_NS = 10 * CAN_MS;        /* at the end: how often a power-off is repeated */
+/* at the end: how often a power-off is repeated */
+static const int64_t OFF_AGAIN_NS = 10 * CAN_MS;
 static const int64_t HELLO_GOOD_FOR_NS = 5000 * CAN_MS; /* until it is set up */
 
-/* --------------------------------------------------------------------------------------------------- sending */
+/* ------------------------------------------------------------------------------ sending */
 bool can_send(can_machine *m, const can_packet *packet)
 {
     bool went = m->send(m->sink, packet);
@@ -111,13 +113,15 @@ bool can_differs(const can_machine *m, uint32_t number)
 void can_send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
 {
     const can_drive_state *drive = &m->drive[number];
-    bool moves = drive->state.sent_motion && drive->state.stop == STOP_NOTHING; /* it has power: zero does not switch it on */
-    if (drive->state.mode == DRIVE_ARMED || drive->state.stopping || moves || m->table.drive[number].idle_setpoints != 0) {
+    /* it has power: zero does not switch it on */
+    bool moves = drive->state.sent_motion && drive->state.stop == STOP_NOTHING;
+    if (drive->state.mode == DRIVE_ARMED || drive->state.stopping || moves ||
+        m->table.drive[number].idle_setpoints != 0) {
         send_setpoints(m, number, now_ns);
     }
 }
 
-/* -------------------------------------------------------------------------------------------------- stopping */
+/* ----------------------------------------------------------------------------- stopping */
 void can_stop_now(can_machine *m, uint32_t number, uint32_t kind)
 {
     can_drive_state *drive = &m->drive[number];
@@ -152,29 +156,34 @@ static bool send_stop(can_machine *m, uint32_t number, bool quick)
     return true;
 }
 
-/* --------------------------------------------------------------------------------- the last power-off of a line */
+/* --------------------------------------------------------- the last power-off of a line */
 void can_note_power(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
-    bool rests = drive->state.mode == DRIVE_READY && !drive->state.stopping && drive->state.stop == STOP_NOTHING;
-    bool settled = now_ns >= m->control.drive[number].arming_until_ns && drive->power_ns > drive->order_ns;
-    drive->last_off.suffices = rests && settled && !drive->state.sent_motion && drive->missing == 0 && drive->state.enabled == 0;
+    bool rests = drive->state.mode == DRIVE_READY && !drive->state.stopping &&
+                 drive->state.stop == STOP_NOTHING;
+    bool settled =
+        now_ns >= m->control.drive[number].arming_until_ns && drive->power_ns > drive->order_ns;
+    drive->last_off.suffices = rests && settled && !drive->state.sent_motion &&
+                               drive->missing == 0 && drive->state.enabled == 0;
 }
 
 bool can_is_off(const can_machine *m, uint32_t number)
 {
     const can_drive_state *drive = &m->drive[number];
     bool reports = m->table.drive[number].reports_enabled != 0;
-    return drive->stop_place == 0 && drive_is_off(&drive->last_off, reports, drive->state.enabled, drive->newest_ns);
+    return drive->stop_place == 0 &&
+           drive_is_off(&drive->last_off, reports, drive->state.enabled, drive->newest_ns);
 }
 
-/* What does not come by itself is asked for behind it. One that the CAN bus took in part stays due: its rest goes out with
- * the next look. */
+/* What does not come by itself is asked for behind it. One that the CAN bus took in part stays due:
+ * its rest goes out with the next look. */
 static void send_last_power_off(can_machine *m, uint32_t number)
 {
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
-    bool due = drive->last_off.newest_ns == 0 || m->now_ns >= drive->last_off.newest_ns + OFF_AGAIN_NS;
+    bool due =
+        drive->last_off.newest_ns == 0 || m->now_ns >= drive->last_off.newest_ns + OFF_AGAIN_NS;
     if (due && !can_is_off(m, number) && send_stop(m, number, false)) {
         if (drive->last_off.first_ns == 0) {
             drive->last_off.first_ns = m->now_ns;
@@ -217,7 +226,7 @@ void can_check_power(can_machine *m, uint32_t number, int64_t now_ns)
     }
 }
 
-/* -------------------------------------------------------------------------------------------------- presence */
+/* ----------------------------------------------------------------------------- presence */
 static void look_for(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
@@ -225,12 +234,14 @@ static void look_for(can_machine *m, uint32_t number, int64_t now_ns)
     drive->missing = 0;
     if (table->hello > 0 && drive->state.mode != DRIVE_READY && drive->state.mode != DRIVE_ARMED) {
         int64_t received_ns = drive->received_ns[table->hello - 1];
-        drive->missing = received_ns > 0 && now_ns - received_ns < HELLO_GOOD_FOR_NS ? 0 : table->hello;
+        drive->missing =
+            received_ns > 0 && now_ns - received_ns < HELLO_GOOD_FOR_NS ? 0 : table->hello;
         return;
     }
     for (uint32_t i = 0; i < table->input_count && drive->missing == 0; i++) {
         int64_t silence_ns = drive->silence_ns[i];
-        if (silence_ns > 0 && (drive->received_ns[i] == 0 || now_ns - drive->received_ns[i] > silence_ns)) {
+        if (silence_ns > 0 &&
+            (drive->received_ns[i] == 0 || now_ns - drive->received_ns[i] > silence_ns)) {
             drive->missing = i + 1;
         }
     }
@@ -273,21 +284,23 @@ static void probe(can_machine *m, uint32_t number, int64_t now_ns)
     send_all(m, table->probe, table->probe_count);
     if (all_sent) { /* else again in the next cycle */
         drive->probe_at_ns = now_ns + drive->probe_pause_ns;
-        drive->probe_pause_ns = 2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
+        drive->probe_pause_ns =
+            2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
     }
 }
 
-/* --------------------------------------------------------------------------------------------------- guarding */
+/* ----------------------------------------------------------------------------- guarding */
 static drive_view view_of(const can_machine *m, uint32_t number, int64_t now_ns)
 {
     int64_t watchdog_ns = m->table.drive[number].watchdog_ns;
-    return (drive_view){.now_ns = now_ns,
-                        .fresh = fresh_stamp(now_ns, m->newest.stamp_ns, m->table.setpoint_timeout_ns),
-                        .enabled = m->newest.enabled == 1,
-                        .left_alone = drive_left_alone(m->drive[number].last_sent_ns, now_ns, watchdog_ns),
-                        .shut_down = m->control.shut_down != 0,
-                        .position_unknown = can_place_is_missing(m, number),
-                        .enabled_count = m->enabled_count};
+    return (drive_view){
+        .now_ns = now_ns,
+        .fresh = fresh_stamp(now_ns, m->newest.stamp_ns, m->table.setpoint_timeout_ns),
+        .enabled = m->newest.enabled == 1,
+        .left_alone = drive_left_alone(m->drive[number].last_sent_ns, now_ns, watchdog_ns),
+        .shut_down = m->control.shut_down != 0,
+        .position_unknown = can_place_is_missing(m, number),
+        .enabled_count = m->enabled_count};
 }
 
 void can_guard(can_machine *m, uint32_t number, int64_t now_ns)
@@ -302,15 +315,17 @@ void can_guard(can_machine *m, uint32_t number, int64_t now_ns)
     bool there = drive->missing == 0;
     if (!there && (drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED)) {
         becomes_unresponsive(m, number, now_ns);
-    } else if (there && drive->state.mode == DRIVE_UNRESPONSIVE && !drive->state.back && m->end.stage == END_NOT) {
+    } else if (there && drive->state.mode == DRIVE_UNRESPONSIVE && !drive->state.back &&
+               m->end.stage == END_NOT) {
         can_begin_stop(m, number, drive_answers(&drive->state));
     }
     if (drive->state.stopping) {
-        can_begin_stop(m, number, drive_end_stopping(&drive->state, can_at_rest(m, number), now_ns));
+        can_begin_stop(m, number,
+                       drive_end_stopping(&drive->state, can_at_rest(m, number), now_ns));
     }
 }
 
-/* -------------------------------------------------------------------------------------------------- requests */
+/* ----------------------------------------------------------------------------- requests */
 /* What comes only from now on has its time. */
 static void begin_listening(can_drive_state *drive, int64_t now_ns)
 {
@@ -349,7 +364,8 @@ void can_obey_request(can_machine *m, uint32_t number, int64_t now_ns)
     m->notify |= is_new;
     can_begin_stop(m, number, answer.stop);
     drive->stops += answer.overtaken;
-    drive->stops += is_new && request->mode == DRIVE_STAND_DOWN; /* also of one that is being armed */
+    /* also of one that is being armed */
+    drive->stops += is_new && request->mode == DRIVE_STAND_DOWN;
     if (answer.request == REQUEST_SET_UP) {
         set_up(m, number, now_ns);
     } else if (answer.request == REQUEST_ARM) {
@@ -358,7 +374,7 @@ void can_obey_request(can_machine *m, uint32_t number, int64_t now_ns)
     }
 }
 
-/* ------------------------------------------------------------------------------------------------ its cycle */
+/* ---------------------------------------------------------------------------- its cycle */
 /* What may wait. A drive that cannot report its power gets its power-off again: the frame that took
  * it may have been lost. */
 static void now_and_then(can_machine *m, uint32_t number, int64_t now_ns)
@@ -369,8 +385,10 @@ static void now_and_then(can_machine *m, uint32_t number, int64_t now_ns)
     if (table->slow_count > 0) {
         (void)can_send(m, &table->slow[turn % table->slow_count]);
     }
-    bool resting = drive->state.mode == DRIVE_READY && !drive->state.stopping && drive->state.stop == STOP_NOTHING;
-    if (table->reports_enabled == 0 && resting && now_ns >= m->control.drive[number].arming_until_ns) {
+    bool resting = drive->state.mode == DRIVE_READY && !drive->state.stopping &&
+                   drive->state.stop == STOP_NOTHING;
+    if (table->reports_enabled == 0 && resting &&
+        now_ns >= m->control.drive[number].arming_until_ns) {
         (void)write_all(m, number, table->disarm, table->disarm_count);
     }
 }
@@ -379,7 +397,8 @@ void can_cycle(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
-    bool absent = drive->state.mode == DRIVE_OFF && drive->may_turn && drive->missing != 0; /* Python waits for it */
+    /* Python waits for it */
+    bool absent = drive->state.mode == DRIVE_OFF && drive->may_turn && drive->missing != 0;
     if (drive->state.mode == DRIVE_UNRESPONSIVE || absent) {
         probe(m, number, now_ns);
         return;

@@ -10,7 +10,7 @@ static const int64_t LEAVES_WITHIN_NS = 5 * CAN_MS;
 /* Beyond the end's time: until a drive that is there has reported that it has no power. */
 static const int64_t REPORT_EXTRA_NS = 500 * CAN_MS;
 
-/* -------------------------------------------------------------------------------------------------- beginning */
+/* ---------------------------------------------------------------------------- beginning */
 static bool has_power(const can_input *input)
 {
     for (uint32_t i = 0; i < input->field_count; i++) {
@@ -32,7 +32,9 @@ static void init_inputs(can_drive_state *drive, const can_drive *table)
 
 static void add_route(can_machine *m, uint32_t drive, uint32_t match)
 {
-    const can_route one = {.id = m->table.drive[drive].match[match].id, .drive = (uint16_t)drive, .match = (uint16_t)match};
+    const can_route one = {.id = m->table.drive[drive].match[match].id,
+                           .drive = (uint16_t)drive,
+                           .match = (uint16_t)match};
     uint32_t at = m->route_count++;
     for (; at > 0 && m->route[at - 1].id > one.id; at--) {
         m->route[at] = m->route[at - 1];
@@ -62,8 +64,8 @@ static void init_drive(can_machine *m, uint32_t number, const can_before *before
     can_forget(m, number);
 }
 
-int can_machine_init(can_machine *m, const can_table *table, const can_before *before, can_sender send, void *sink,
-                     int64_t now_ns)
+int can_machine_init(can_machine *m, const can_table *table, const can_before *before,
+                     can_sender send, void *sink, int64_t now_ns)
 {
     char name[FIELD_NAME_BYTES];
     if (can_table_check(table, name) != NULL) {
@@ -80,7 +82,7 @@ int can_machine_init(can_machine *m, const can_table *table, const can_before *b
     return 0;
 }
 
-/* -------------------------------------------------------------------------------------------------- receiving */
+/* ---------------------------------------------------------------------------- receiving */
 static bool matches(const can_match *match, const can_packet *packet)
 {
     bool alike = packet->bytes >= match->bytes;
@@ -90,8 +92,8 @@ static bool matches(const can_match *match, const can_packet *packet)
     return alike;
 }
 
-static void take_input(can_machine *m, uint32_t number, uint32_t place, const can_packet *packet, int64_t stamp_ns,
-                       int64_t now_ns)
+static void take_input(can_machine *m, uint32_t number, uint32_t place, const can_packet *packet,
+                       int64_t stamp_ns, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     const can_input *input = &m->table.drive[number].input[place];
@@ -127,8 +129,8 @@ static uint32_t first_route(const can_machine *m, uint32_t id)
     return low;
 }
 
-static uint32_t take_match(can_machine *m, uint32_t number, const can_match *match, const can_packet *packet, int64_t stamp_ns,
-                           int64_t now_ns)
+static uint32_t take_match(can_machine *m, uint32_t number, const can_match *match,
+                           const can_packet *packet, int64_t stamp_ns, int64_t now_ns)
 {
     m->received++;
     m->drive[number].received++;
@@ -141,7 +143,8 @@ static uint32_t take_match(can_machine *m, uint32_t number, const can_match *mat
     return listening ? number : (uint32_t)CAN_FOR_NOBODY;
 }
 
-uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t stamp_ns, int64_t now_ns)
+uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t stamp_ns,
+                             int64_t now_ns)
 {
     if ((packet->id & CAN_ID_ERROR) != 0) {
         m->notify = true;
@@ -166,7 +169,7 @@ void can_machine_left(can_machine *m)
     m->motion_since_ns = 0;
 }
 
-/* ----------------------------------------------------------------------------------------------------- orders */
+/* ------------------------------------------------------------------------------- orders */
 bool can_machine_order(can_machine *m, const can_order *order)
 {
     if (m->order_count == CAN_WAITING_MAX) {
@@ -184,7 +187,8 @@ static void send_orders(can_machine *m, int64_t now_ns)
         const can_order *order = &m->order[done];
         bool stopped = order->guarded != 0 && order->stops != m->drive[order->drive].stops;
         bool late = order->expires_ns <= now_ns || m->end.stage != END_NOT;
-        bool astray = order->guarded != 0 && can_place_is_missing(m, order->drive); /* it would go elsewhere with its power */
+        /* it would go elsewhere with its power */
+        bool astray = order->guarded != 0 && can_place_is_missing(m, order->drive);
         if (stopped || late || astray) {
             m->drive[order->drive].orders_dropped++;
         } else if (can_write_out(m, order->drive, &order->write)) {
@@ -199,7 +203,7 @@ static void send_orders(can_machine *m, int64_t now_ns)
     memmove(m->order, m->order + done, m->order_count * sizeof m->order[0]);
 }
 
-/* ---------------------------------------------------------------------------------------------------- the end */
+/* ------------------------------------------------------------------------------ the end */
 static void shut_down(can_machine *m, int64_t now_ns)
 {
     bool stopping = false, reports = false;
@@ -212,7 +216,8 @@ static void shut_down(can_machine *m, int64_t now_ns)
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         const can_drive_state *drive = &m->drive[i];
         stopping |= drive->state.stopping || drive->state.stop != STOP_NOTHING;
-        reports |= drive->state.stop != STOP_NOTHING && drive->last_off.first_ns != 0 && drive->missing == 0;
+        reports |= drive->state.stop != STOP_NOTHING && drive->last_off.first_ns != 0 &&
+                   drive->missing == 0;
     }
     if (end_takes_power(&m->end, stopping, now_ns)) {
         for (uint32_t i = 0; i < m->table.drive_count; i++) {
@@ -223,7 +228,7 @@ static void shut_down(can_machine *m, int64_t now_ns)
     }
 }
 
-/* --------------------------------------------------------------------------------------------------- the step */
+/* ----------------------------------------------------------------------------- the step */
 static void send_stops(can_machine *m, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
@@ -237,11 +242,12 @@ static void send_stops(can_machine *m, int64_t now_ns)
     }
 }
 
-/* A cable that is pulled fills the kernel's queue, and what is in it goes out when it is plugged in again, whatever runs
- * then: so little motion waits there, and zero behind it. */
+/* A cable that is pulled fills the kernel's queue, and what is in it goes out when it is plugged in
+ * again, whatever runs then: so little motion waits there, and zero behind it. */
 static void look_at_queue(can_machine *m, int64_t now_ns)
 {
-    int64_t limit_ns = m->table.period_ns > LEAVES_WITHIN_NS ? m->table.period_ns : LEAVES_WITHIN_NS;
+    int64_t limit_ns =
+        m->table.period_ns > LEAVES_WITHIN_NS ? m->table.period_ns : LEAVES_WITHIN_NS;
     bool waits = m->motion_since_ns != 0 && now_ns - m->motion_since_ns > limit_ns;
     m->motion_stays = m->receives_own && (m->clogged || waits);
 }
@@ -276,7 +282,8 @@ static int64_t next_look_ns(const can_machine *m, int64_t now_ns)
     return m->end.stage < END_POWER_OFF ? earlier(wake_ns, m->cycle.due_ns) : wake_ns;
 }
 
-/* All that are armed, as in a cycle: one that lagged behind the others would turn the robot. Nothing is asked. */
+/* All that are armed, as in a cycle: one that lagged behind the others would turn the robot.
+ * Nothing is asked. */
 static void send_early(can_machine *m, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
@@ -294,8 +301,10 @@ void can_machine_kick(can_machine *m, int64_t now_ns)
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         differs |= m->drive[i].state.mode == DRIVE_ARMED && can_differs(m, i);
     }
-    bool queued = m->receives_own && m->motion_since_ns != 0; /* a pulled cable would keep more motion for later */
-    m->early = differs && !queued && m->cycle.due_ns > now_ns && cycle_clock_early(&m->cycle, m->table.period_ns, now_ns);
+    /* a pulled cable would keep more motion for later */
+    bool queued = m->receives_own && m->motion_since_ns != 0;
+    m->early = differs && !queued && m->cycle.due_ns > now_ns &&
+               cycle_clock_early(&m->cycle, m->table.period_ns, now_ns);
 }
 
 int64_t can_machine_step(can_machine *m, int64_t now_ns)

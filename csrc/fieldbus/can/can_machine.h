@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_machine.h: the inside of a CAN line. Frames and time in, frames out: no clock, no file descriptor, so the same
- * inputs give the same outputs.
+ * can_machine.h: the inside of a CAN line. Frames and time in, frames out: no clock, no file
+ * descriptor, so the same inputs give the same outputs.
  *
  * can_table.c    is a table good?
  * can_values.c   set-points into frames, frames into feedback
@@ -17,7 +17,8 @@
 #include "rt.h"
 
 static const int64_t CAN_MS = 1000000, CAN_PROBE_FIRST_NS = 100 * CAN_MS;
-static const uint32_t CAN_ID_EXTENDED = 0x80000000U, CAN_ID_REMOTE = 0x40000000U, CAN_ID_ERROR = 0x20000000U;
+static const uint32_t CAN_ID_EXTENDED = 0x80000000U, CAN_ID_REMOTE = 0x40000000U,
+                      CAN_ID_ERROR = 0x20000000U;
 
 enum { CAN_WAITING_MAX = 8, CAN_FOR_NOBODY = CAN_DRIVES_MAX + 1 };
 
@@ -64,8 +65,9 @@ typedef struct {
     int64_t count_ns; /* stamps of the newest of each kind; 0: none */
     int64_t velocity_ns;
     int64_t newest_ns;
-    bool no_number;       /* its position is not finite: no feedback */
-    uint32_t taken;       /* 1: the drive has taken its target, and takes no other before the trigger was 0 */
+    bool no_number; /* its position is not finite: no feedback */
+    uint32_t taken; /* 1: the drive has taken its target, and takes no other before the trigger was
+                       0 */
     position_place place; /* in the numbers of the drive's frames */
     uint32_t fault_word;
 } can_joint_state;
@@ -79,7 +81,8 @@ typedef struct {
 
 typedef struct {
     can_table table;
-    can_route route[CAN_DRIVES_MAX * CAN_MATCHES_MAX]; /* by identifier; those of one, in the table's order */
+    /* by identifier; those of one, in the table's order */
+    can_route route[CAN_DRIVES_MAX * CAN_MATCHES_MAX];
     uint32_t route_count;
     can_drive_state drive[CAN_DRIVES_MAX];
     can_joint_state joint[JOINTS_MAX];
@@ -88,12 +91,14 @@ typedef struct {
     can_control control;
     can_order order[CAN_WAITING_MAX];
     uint32_t order_count;
-    int64_t now_ns;          /* of this step */
-    uint32_t feedback_mask;  /* joints whose feedback is new since it was taken */
-    bool receives_own;       /* the CAN bus says when a set-point frame of ours has left */
-    bool clogged;            /* it has taken nothing in a whole cycle, nor since */
-    bool motion_stays;       /* in this step: set-points are zero, for motion would wait for a CAN bus that is dead */
-    int64_t motion_since_ns; /* set-points that are not zero went out, and nothing was seen to leave since; 0: no */
+    int64_t now_ns;         /* of this step */
+    uint32_t feedback_mask; /* joints whose feedback is new since it was taken */
+    bool receives_own;      /* the CAN bus says when a set-point frame of ours has left */
+    bool clogged;           /* it has taken nothing in a whole cycle, nor since */
+    bool motion_stays; /* in this step: set-points are zero, for motion would wait for a CAN bus
+                          that is dead */
+    int64_t motion_since_ns; /* set-points that are not zero went out, and nothing was seen to leave
+                                since; 0: no */
     line_ending end;
     bool notify; /* something that Python wants to know */
     cycle_clock cycle;
@@ -107,34 +112,39 @@ typedef struct {
 } can_machine;
 
 /* 0 or -EINVAL. Every drive OFF; one that may turn gets a stop until it responds. */
-int can_machine_init(can_machine *m, const can_table *table, const can_before *before, can_sender send, void *sink,
-                     int64_t now_ns);
-/* Drives that another program left running: each is READY and has a quick stop to get, as if it had been armed here. */
+int can_machine_init(can_machine *m, const can_table *table, const can_before *before,
+                     can_sender send, void *sink, int64_t now_ns);
+/* Drives that another program left running: each is READY and has a quick stop to get, as if it
+ * had been armed here. */
 void can_take_over(can_machine *m, int64_t now_ns);
-/* A frame has come. Returns the receiver: the number of its drive, CAN_DRIVES_MAX for an error frame, or
- * CAN_FOR_NOBODY. Nothing is sent. */
-uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t stamp_ns, int64_t now_ns);
+/* A frame has come. Returns the receiver: the number of its drive, CAN_DRIVES_MAX for an error
+ * frame, or CAN_FOR_NOBODY. Nothing is sent. */
+uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t stamp_ns,
+                             int64_t now_ns);
 /* A set-point frame of ours has left. */
 void can_machine_left(can_machine *m);
 /* false: no room */
 bool can_machine_order(can_machine *m, const can_order *order);
-/* The loop has woken the line: set-points that differ from the last ones do not wait for their cycle. */
+/* The loop has woken the line: set-points that differ from the last ones do not wait for their
+ * cycle. */
 void can_machine_kick(can_machine *m, int64_t now_ns);
 /* Sends what is due; returns when to step again, if nothing comes. */
 int64_t can_machine_step(can_machine *m, int64_t now_ns);
 void can_machine_report(const can_machine *m, can_report *report);
 
-/* ------------------------------------------------------------------------- can_table.c */
+/* -------------------------------------------------------------------------- can_table.c */
 bool can_write_is_good(const can_write *write, uint32_t output_count);
 
-/* ------------------------------------------------------------------------ can_values.c */
+/* ------------------------------------------------------------------------- can_values.c */
 int64_t can_get(const uint8_t *data, const can_place *place);
 void can_put(uint8_t *data, const can_place *place, int64_t raw);
 /* Whether the frame of a cycle goes out: a position that is unknown holds it back. */
 bool can_sends(const can_machine *m, uint32_t drive, uint32_t output);
-/* The frame of a cycle with the newest set-points, or zeros, or where the drive is; true: one of them moves it. */
+/* The frame of a cycle with the newest set-points, or zeros, or where the drive is; true: one of
+ * them moves it. */
 bool can_build(const can_machine *m, uint32_t drive, uint32_t output, can_packet *out);
-/* What is written to the frame beside the set-points goes out with the newest place, never with another one. */
+/* What is written to the frame beside the set-points goes out with the newest place, never with
+ * another one. */
 void can_hold_positions(can_machine *m, uint32_t drive, uint32_t output);
 bool can_wants_motion(const can_machine *m, uint32_t drive);
 /* The frame has left: its targets are where the next ones begin. */
@@ -143,13 +153,14 @@ void can_note_positions(can_machine *m, uint32_t drive, uint32_t output);
 bool can_place_is_missing(const can_machine *m, uint32_t drive);
 /* It is not armed: its first target is still to be sent. */
 void can_begin_positions(can_machine *m, uint32_t drive);
-void can_read(can_machine *m, uint32_t drive, const can_input *input, const uint8_t *data, int64_t stamp_ns);
+void can_read(can_machine *m, uint32_t drive, const can_input *input, const uint8_t *data,
+              int64_t stamp_ns);
 void can_publish(can_machine *m, uint32_t drive);
 /* Nothing is known of it: a new epoch's beginning. */
 void can_forget(can_machine *m, uint32_t drive);
 bool can_at_rest(const can_machine *m, uint32_t drive);
 
-/* ------------------------------------------------------------------------- can_drive.c */
+/* -------------------------------------------------------------------------- can_drive.c */
 bool can_send(can_machine *m, const can_packet *packet);
 /* The drives do now, all at once, what they got. */
 void can_sync(can_machine *m);
@@ -165,7 +176,8 @@ void can_stop_now(can_machine *m, uint32_t drive, uint32_t kind);
 void can_send_stop(can_machine *m, uint32_t drive);
 /* Called when the line's end begins: keeps whether the drive is known to have no power. */
 void can_note_power(can_machine *m, uint32_t drive, int64_t now_ns);
-/* It has got its last power-off: it says so, or, where it cannot, it is there. Else it gets it again. */
+/* It has got its last power-off: it says so, or, where it cannot, it is there. Else it gets it
+ * again. */
 bool can_is_off(const can_machine *m, uint32_t drive);
 void can_send_setpoints(can_machine *m, uint32_t drive, int64_t now_ns);
 /* Its set-point frames would differ from the last ones. */

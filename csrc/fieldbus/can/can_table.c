@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_table.c: is a CAN line's table good? Nothing outside it is ever read or written because of what it says. */
+ * can_table.c: is a CAN line's table good? Nothing outside it is ever read or written because of
+ * what it says. */
 #include <float.h>
 #include <math.h>
 
@@ -15,7 +16,8 @@ static void check_packet(finding *f, const can_packet *packet)
     bool extended = (packet->id & CAN_ID_EXTENDED) != 0, remote = (packet->id & CAN_ID_REMOTE) != 0;
     need(f, number < (extended ? 1U << 29 : 1U << 11), "packet.id");
     need(f, packet->fd <= 1 && !(remote && packet->fd != 0), "packet.fd");
-    need(f, packet->bytes <= (packet->fd != 0 ? (uint32_t)CAN_BYTES_MAX : CLASSIC_BYTES_MAX), "packet.bytes");
+    need(f, packet->bytes <= (packet->fd != 0 ? (uint32_t)CAN_BYTES_MAX : CLASSIC_BYTES_MAX),
+         "packet.bytes");
 }
 
 static void check_place(finding *f, const can_place *place, uint32_t bytes)
@@ -23,10 +25,12 @@ static void check_place(finding *f, const can_place *place, uint32_t bytes)
     need(f, place->form <= CAN_FLOAT, "place.form");
     need(f, place->length >= 1 && place->length <= 32, "place.length");
     need(f, place->form != CAN_FLOAT || place->length == 32, "place.length");
-    need(f, place->start_bit < 8 * CAN_BYTES_MAX && place->start_bit + place->length <= 8 * bytes, "place.start_bit");
+    need(f, place->start_bit < 8 * CAN_BYTES_MAX && place->start_bit + place->length <= 8 * bytes,
+         "place.start_bit");
 }
 
-/* Beyond what the place holds, a number would go out as another one, even with the opposite sign. */
+/* Beyond what the place holds, a number would go out as another one, even with the opposite
+ * sign. */
 static void check_setpoint(finding *f, const can_setpoint *setpoint, uint32_t bytes)
 {
     const can_place *place = &setpoint->place;
@@ -41,7 +45,8 @@ static void check_setpoint(finding *f, const can_setpoint *setpoint, uint32_t by
     }
     if (!f->bad && setpoint->trigger.length > 0) {
         check_place(f, &setpoint->trigger, bytes);
-        need(f, setpoint->trigger.length == 1 && setpoint->scale.kind == SETPOINT_POSITION, "trigger.length");
+        need(f, setpoint->trigger.length == 1 && setpoint->scale.kind == SETPOINT_POSITION,
+             "trigger.length");
     }
 }
 
@@ -49,7 +54,8 @@ static void check_output(finding *f, const can_output *output)
 {
     check_packet(f, &output->packet);
     need(f, (output->packet.id & CAN_ID_REMOTE) == 0, "output.packet.id");
-    need(f, output->setpoint_count >= 1 && output->setpoint_count <= CAN_SETPOINTS_MAX, "setpoint_count");
+    need(f, output->setpoint_count >= 1 && output->setpoint_count <= CAN_SETPOINTS_MAX,
+         "setpoint_count");
     for (uint32_t i = 0; !f->bad && i < output->setpoint_count; i++) {
         check_setpoint(f, &output->setpoint[i], output->packet.bytes);
     }
@@ -92,7 +98,8 @@ static void check_matches(finding *f, const can_drive *drive)
 {
     for (uint32_t i = 0; !f->bad && i < drive->match_count; i++) {
         const can_match *match = &drive->match[i];
-        need(f, match->bytes <= CAN_BYTES_MAX && match->begins_bytes <= match->bytes, "match.bytes");
+        need(f, match->bytes <= CAN_BYTES_MAX && match->begins_bytes <= match->bytes,
+             "match.bytes");
         need(f, match->begins_bytes <= CAN_BEGINS_MAX, "match.begins_bytes");
         need(f, match->input <= drive->input_count, "match.input");
         if (!f->bad && match->input > 0) {
@@ -144,8 +151,10 @@ const char *can_table_check(const can_table *table, char *name)
     finding f = {.name = name, .path = "", .bad = false};
     need(&f, table->drive_count >= 1 && table->drive_count <= CAN_DRIVES_MAX, "drive_count");
     need(&f, table->period_ns > 0 && table->period_ns <= PERIOD_MAX_NS, "period_ns");
-    need(&f, table->setpoint_timeout_ns > 0 && table->setpoint_timeout_ns <= PERIOD_MAX_NS, "setpoint_timeout_ns");
-    need(&f, isfinite(table->rest_velocity_rad_s) && table->rest_velocity_rad_s > 0.0, "rest_velocity_rad_s");
+    need(&f, table->setpoint_timeout_ns > 0 && table->setpoint_timeout_ns <= PERIOD_MAX_NS,
+         "setpoint_timeout_ns");
+    need(&f, isfinite(table->rest_velocity_rad_s) && table->rest_velocity_rad_s > 0.0,
+         "rest_velocity_rad_s");
     need(&f, table->sync_count <= CAN_SYNCS_MAX, "sync_count");
     for (uint32_t i = 0; !f.bad && i < table->sync_count; i++) {
         check_packet(&f, &table->sync[i]);

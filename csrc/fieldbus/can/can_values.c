@@ -8,7 +8,7 @@
 
 static const double COUNT_MAX = 4611686018427387904.0; /* 2^62: any counter's position is nearer */
 
-/* ------------------------------------------------------------------------------------------------------ bits */
+/* --------------------------------------------------------------------------------- bits */
 static uint32_t bit_shift(const can_place *place, uint32_t bit)
 {
     return place->big_endian != 0 ? 7 - bit % 8 : bit % 8;
@@ -36,7 +36,8 @@ void can_put(uint8_t *data, const can_place *place, int64_t raw)
     for (uint32_t n = 0; n < place->length; n++) {
         uint32_t bit = bit_at(place, n);
         uint8_t mask = (uint8_t)(1U << bit_shift(place, bit));
-        data[bit / 8] = ((uint64_t)raw >> n & 1) != 0 ? data[bit / 8] | mask : data[bit / 8] & (uint8_t)~mask;
+        data[bit / 8] =
+            ((uint64_t)raw >> n & 1) != 0 ? data[bit / 8] | mask : data[bit / 8] & (uint8_t)~mask;
     }
 }
 
@@ -51,7 +52,7 @@ static double number_of(const can_place *place, int64_t raw)
     return (double)number;
 }
 
-/* ------------------------------------------------------------------------------------------------ set-points */
+/* --------------------------------------------------------------------------- set-points */
 /* can_guard has taken ARMED back before, in this very step, where the set-points are old. */
 static bool may_move(const can_machine *m, uint32_t drive)
 {
@@ -64,10 +65,12 @@ static position_range range_of(const can_machine *m, const can_setpoint *setpoin
     return (position_range){.least = scale->raw_min,
                             .most = scale->raw_max,
                             .per_s = scale->raw_per_s,
-                            .window_ns = place_window_ns(m->table.setpoint_timeout_ns, m->table.period_ns)};
+                            .window_ns =
+                                place_window_ns(m->table.setpoint_timeout_ns, m->table.period_ns)};
 }
 
-/* Where it is, for a drive that is there and without power: it goes nowhere, and misses no set-point. NaN: nothing is sent. */
+/* Where it is, for a drive that is there and without power: it goes nowhere, and misses no
+ * set-point. NaN: nothing is sent. */
 static double position_kept(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
     const drive_state *state = &m->drive[drive].state;
@@ -131,14 +134,18 @@ static int64_t raw_of(const can_machine *m, uint32_t drive, const can_setpoint *
 /* A place that is not where it is at rest moves it, whatever its number. */
 static bool moves(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
-    return takes_position(setpoint) ? !isnan(target_of(m, drive, setpoint)) : raw_of(m, drive, setpoint) != 0;
+    return takes_position(setpoint) ? !isnan(target_of(m, drive, setpoint))
+                                    : raw_of(m, drive, setpoint) != 0;
 }
 
-/* A handshake that needs no memory but the drive's: what the CAN bus loses is sent again with the next cycle. */
-static void put_trigger(const can_machine *m, uint32_t drive, const can_setpoint *setpoint, uint8_t *data)
+/* A handshake that needs no memory but the drive's: what the CAN bus loses is sent again with
+ * the next cycle. */
+static void put_trigger(const can_machine *m, uint32_t drive, const can_setpoint *setpoint,
+                        uint8_t *data)
 {
     bool waits = m->joint[setpoint->scale.joint].taken == 0;
-    can_put(data, &setpoint->trigger, waits && moves(m, drive, setpoint) ? 1 : 0); /* a length of 0: nothing */
+    /* a length of 0: nothing */
+    can_put(data, &setpoint->trigger, waits && moves(m, drive, setpoint) ? 1 : 0);
 }
 
 bool can_build(const can_machine *m, uint32_t drive, uint32_t output, can_packet *out)
@@ -171,7 +178,8 @@ void can_note_positions(can_machine *m, uint32_t drive, uint32_t output)
 {
     const can_output *from = &m->table.drive[drive].output[output];
     for (uint32_t i = 0; i < from->setpoint_count; i++) {
-        double target = takes_position(&from->setpoint[i]) ? target_of(m, drive, &from->setpoint[i]) : (double)NAN;
+        double target = takes_position(&from->setpoint[i]) ? target_of(m, drive, &from->setpoint[i])
+                                                           : (double)NAN;
         if (!isnan(target)) {
             position_place *place = &m->joint[from->setpoint[i].scale.joint].place;
             place->sent = target;
@@ -190,7 +198,8 @@ bool can_place_is_missing(const can_machine *m, uint32_t drive)
             const position_range range = range_of(m, setpoint);
             double wanted = may_move(m, drive) ? target_wanted(m, setpoint) : (double)NAN;
             missing |=
-                takes_position(setpoint) && place_is_missing(&m->joint[setpoint->scale.joint].place, &range, wanted, m->now_ns);
+                takes_position(setpoint) &&
+                place_is_missing(&m->joint[setpoint->scale.joint].place, &range, wanted, m->now_ns);
         }
     }
     return missing;
@@ -221,15 +230,17 @@ bool can_wants_motion(const can_machine *m, uint32_t drive)
     return false;
 }
 
-/* -------------------------------------------------------------------------------------------------- feedback */
-static void read_count(can_joint_state *joint, const can_field *field, double number, int64_t stamp_ns)
+/* ----------------------------------------------------------------------------- feedback */
+static void read_count(can_joint_state *joint, const can_field *field, double number,
+                       int64_t stamp_ns)
 {
     double count = number * field->meaning.si_per_raw + field->si_at_zero;
     joint->no_number = !(fabs(count) < COUNT_MAX);
     joint->place.measured = joint->no_number ? (double)NAN : number;
     joint->place.measured_ns = stamp_ns;
     if (!joint->no_number) {
-        joint->feedback.count = (uint64_t)(int64_t)nearbyint(count) & count_mask(field->meaning.counter_bits);
+        joint->feedback.count =
+            (uint64_t)(int64_t)nearbyint(count) & count_mask(field->meaning.counter_bits);
         joint->count_ns = stamp_ns;
     }
 }
@@ -259,7 +270,8 @@ static uint32_t *condition_of(can_machine *m, uint32_t number, const field_meani
     }
 }
 
-static void read_field(can_machine *m, uint32_t number, const can_field *field, const uint8_t *data, int64_t stamp_ns)
+static void read_field(can_machine *m, uint32_t number, const can_field *field, const uint8_t *data,
+                       int64_t stamp_ns)
 {
     can_joint_state *joint = &m->joint[field->meaning.joint];
     int64_t raw = can_get(data, &field->place);
@@ -273,12 +285,14 @@ static void read_field(can_machine *m, uint32_t number, const can_field *field, 
     } else if (field->meaning.kind == FIELD_FAULT) {
         read_fault(m, number, field, (uint32_t)raw);
     } else {
-        uint32_t equal = ((uint32_t)raw & field->meaning.equals_mask) == field->meaning.equals ? 1 : 0;
+        uint32_t equal =
+            ((uint32_t)raw & field->meaning.equals_mask) == field->meaning.equals ? 1 : 0;
         *condition_of(m, number, &field->meaning) = equal;
     }
 }
 
-void can_read(can_machine *m, uint32_t drive, const can_input *input, const uint8_t *data, int64_t stamp_ns)
+void can_read(can_machine *m, uint32_t drive, const can_input *input, const uint8_t *data,
+              int64_t stamp_ns)
 {
     for (uint32_t i = 0; i < input->field_count; i++) {
         read_field(m, drive, &input->field[i], data, stamp_ns);
@@ -315,8 +329,9 @@ void can_forget(can_machine *m, uint32_t drive)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         if (has_joint(m, drive, j)) {
-            m->joint[j] = (can_joint_state){
-                .fault_word = m->joint[j].fault_word, .feedback = feedback_unknown(), .place = {.measured = NAN, .sent = NAN}};
+            m->joint[j] = (can_joint_state){.fault_word = m->joint[j].fault_word,
+                                            .feedback = feedback_unknown(),
+                                            .place = {.measured = NAN, .sent = NAN}};
         }
     }
     memset(m->drive[drive].sample_ns, 0, sizeof m->drive[drive].sample_ns);
@@ -327,7 +342,8 @@ void can_forget(can_machine *m, uint32_t drive)
 bool can_at_rest(const can_machine *m, uint32_t drive)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        if (has_joint(m, drive, j) && !feedback_at_rest(&m->joint[j].feedback, m->table.rest_velocity_rad_s)) {
+        if (has_joint(m, drive, j) &&
+            !feedback_at_rest(&m->joint[j].feedback, m->table.rest_velocity_rad_s)) {
             return false;
         }
     }

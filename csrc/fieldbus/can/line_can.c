@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_can.c: the thread of a CAN bus: the socket, the clock, the waiting. What is sent and when is the machine's. */
+ * line_can.c: the thread of a CAN bus: the socket, the clock, the waiting. What is sent and when
+ * is the machine's. */
 #include <errno.h>
 #include <linux/can.h>
 #include <linux/can/raw.h>
@@ -16,7 +17,8 @@
 enum { BATCH = 32, BATCHES_MAX = 32, CONTROL_BYTES = CMSG_SPACE(sizeof(struct timespec)) };
 
 static const int64_t NS_PER_S = 1000000000;
-/* Frames wait for a look that is so near: the kernel has stamped them, and a wake-up costs more than many frames. */
+/* Frames wait for a look that is so near: the kernel has stamped them, and a wake-up costs more
+ * than many frames. */
 static const int64_t FRAMES_WAIT_NS = 2 * 1000000;
 
 /* What belongs to a message, side by side: after a sleep the caches are cold. */
@@ -41,9 +43,11 @@ typedef struct {
     can_order order_place[CAN_ORDERS_MAX];
     can_received received_place[CAN_RECEIVED_MAX];
     can_inbox inbox;
-    int64_t emptied_ns; /* before the newest look that left nothing in the socket: what is read now has come since */
+    int64_t emptied_ns; /* before the newest look that left nothing in the socket: what is read now
+                           has come since */
     can_report out;
-    uint32_t outputs[CAN_DRIVES_MAX]; /* of each drive, for callers that put orders; 0: no such drive */
+    uint32_t outputs[CAN_DRIVES_MAX]; /* of each drive, for callers that put orders; 0: no such
+                                         drive */
     int send_error;
     bool woken;
 } can_thread;
@@ -55,8 +59,9 @@ static line_thread *life_of(uint32_t line)
     return line < LINES_MAX ? &threads[line].life : NULL;
 }
 
-/* ------------------------------------------------------------------------------------------------- the socket */
-/* struct can_frame and struct canfd_frame begin alike (linux/can.h): the length written says which it is. */
+/* --------------------------------------------------------------------------- the socket */
+/* struct can_frame and struct canfd_frame begin alike (linux/can.h): the length written says
+ * which it is. */
 static bool send_packet(void *sink, const can_packet *packet)
 {
     can_thread *t = sink;
@@ -83,27 +88,34 @@ static void prepare_inbox(can_inbox *inbox)
     for (uint32_t i = 0; i < BATCH; i++) {
         can_letter *letter = &inbox->letter[i];
         letter->iov = (struct iovec){.iov_base = &letter->frame, .iov_len = sizeof letter->frame};
-        inbox->message[i].msg_hdr = (struct msghdr){
-            .msg_iov = &letter->iov, .msg_iovlen = 1, .msg_control = letter->control, .msg_controllen = CONTROL_BYTES};
+        inbox->message[i].msg_hdr = (struct msghdr){.msg_iov = &letter->iov,
+                                                    .msg_iovlen = 1,
+                                                    .msg_control = letter->control,
+                                                    .msg_controllen = CONTROL_BYTES};
     }
 }
 
-/* When the kernel saw it: CLOCK_MONOTONIC, by the age that its stamp of the wall clock gives it. That clock may be set
- * while the frame is in transit: no frame is of the future, and none is older than the look that found the socket empty. */
+/* When the kernel saw it: CLOCK_MONOTONIC, by the age that its stamp of the wall clock gives it.
+ * That clock may be set while the frame is in transit: no frame is of the future, and none is
+ * older than the look that found the socket empty. */
 static int64_t stamp_of(struct msghdr *message, int64_t emptied_ns, int64_t now_ns, int64_t wall_ns)
 {
-    for (struct cmsghdr *one = CMSG_FIRSTHDR(message); one != NULL; one = CMSG_NXTHDR(message, one)) {
+    for (struct cmsghdr *one = CMSG_FIRSTHDR(message); one != NULL;
+         one = CMSG_NXTHDR(message, one)) {
         if (one->cmsg_level == SOL_SOCKET && one->cmsg_type == SCM_TIMESTAMPNS) {
             struct timespec stamp;
             memcpy(&stamp, CMSG_DATA(one), sizeof stamp);
             int64_t age_ns = wall_ns - (stamp.tv_sec * NS_PER_S + stamp.tv_nsec);
-            return age_ns <= 0 ? now_ns : age_ns < now_ns - emptied_ns ? now_ns - age_ns : emptied_ns;
+            return age_ns <= 0                    ? now_ns
+                   : age_ns < now_ns - emptied_ns ? now_ns - age_ns
+                                                  : emptied_ns;
         }
     }
     return now_ns;
 }
 
-static void take_frame(can_thread *t, const struct canfd_frame *frame, size_t size, int64_t stamp_ns, int64_t now_ns)
+static void take_frame(can_thread *t, const struct canfd_frame *frame, size_t size,
+                       int64_t stamp_ns, int64_t now_ns)
 {
     bool fd = size == CANFD_MTU;
     trace_bytes(t->life.line, false, stamp_ns, frame, (uint32_t)size);
@@ -112,10 +124,12 @@ static void take_frame(can_thread *t, const struct canfd_frame *frame, size_t si
         t->machine.bad_frames++;
         return;
     }
-    can_received one = {.packet = {.id = frame->can_id, .bytes = frame->len, .fd = fd}, .stamp_ns = stamp_ns};
+    can_received one = {.packet = {.id = frame->can_id, .bytes = frame->len, .fd = fd},
+                        .stamp_ns = stamp_ns};
     memcpy(one.packet.data, frame->data, frame->len);
     one.drive = can_machine_receive(&t->machine, &one.packet, stamp_ns, now_ns);
-    if (one.drive != CAN_FOR_NOBODY && !ring_put(&t->received, t->received_place, CAN_RECEIVED_MAX, &one, sizeof one)) {
+    if (one.drive != CAN_FOR_NOBODY &&
+        !ring_put(&t->received, t->received_place, CAN_RECEIVED_MAX, &one, sizeof one)) {
         t->out.dropped++;
     }
 }
@@ -138,9 +152,11 @@ static int receive_batch(can_thread *t)
             return -ENODEV; /* a socket pair's other end has gone */
         }
         int64_t stamp_ns = stamp_of(&inbox->message[i].msg_hdr, t->emptied_ns, now_ns, wall_ns);
-        inbox->message[i].msg_hdr.msg_controllen = CONTROL_BYTES; /* the kernel has written how much it used */
+        /* the kernel has written how much it used */
+        inbox->message[i].msg_hdr.msg_controllen = CONTROL_BYTES;
         if ((inbox->message[i].msg_hdr.msg_flags & MSG_CONFIRM) != 0) {
-            can_machine_left(&t->machine); /* linux Documentation/networking/can.rst: sent by this socket */
+            can_machine_left(&t->machine); /* linux Documentation/networking/can.rst: sent by this
+                                              socket */
             continue;
         }
         take_frame(t, &inbox->letter[i].frame, inbox->message[i].msg_len, stamp_ns, now_ns);
@@ -159,7 +175,8 @@ static int receive(can_thread *t)
     return count < 0 ? count : 0;
 }
 
-/* The socket was opened to receive its own set-point frames when they have left; sockets of other kinds cannot. */
+/* The socket was opened to receive its own set-point frames when they have left; sockets of
+ * other kinds cannot. */
 static bool receives_own(int fd)
 {
     int own = 0;
@@ -175,7 +192,7 @@ static int socket_error(const can_thread *t)
     return failed != 0 ? -errno : -error;
 }
 
-/* ------------------------------------------------------------------------------------------------- the hand-over */
+/* ------------------------------------------------------------------------ the hand-over */
 static void put_report(can_thread *t, bool running, int error)
 {
     can_machine_report(&t->machine, &t->out);
@@ -206,7 +223,7 @@ static void take_orders(can_thread *t)
     }
 }
 
-/* -------------------------------------------------------------------------------------------------- the thread */
+/* --------------------------------------------------------------------------- the thread */
 /* Frames, a wake or the time. 0; -errno: the CAN bus is gone. */
 static int wait_for_wakeup(can_thread *t, int64_t until_ns)
 {
@@ -254,12 +271,14 @@ static void *run(void *arg)
     return NULL;
 }
 
-/* ---------------------------------------------------------------------------------------------------- its life */
+/* ----------------------------------------------------------------------------- its life */
 static int prepare(can_thread *t, uint32_t line, const can_config *config, const can_table *table)
 {
     const line_slots slots = {t->control, sizeof t->control[0], t->report, sizeof t->report[0]};
     int error = line_thread_prepare(&t->life, line, &config->at, &slots);
-    error = error == 0 ? can_machine_init(&t->machine, table, &config->before, send_packet, t, clock_now_ns()) : error;
+    error = error == 0 ? can_machine_init(&t->machine, table, &config->before, send_packet, t,
+                                          clock_now_ns())
+                       : error;
     if (error != 0) {
         return error;
     }
@@ -305,13 +324,14 @@ int can_put_order(uint32_t line, const can_order *order)
     if (!known || !can_write_is_good(&order->write, t->outputs[order->drive])) {
         return -EINVAL;
     }
-    return line_thread_hand_over(&t->life, &t->orders, t->order_place, CAN_ORDERS_MAX, order, sizeof *order);
+    return line_thread_hand_over(&t->life, &t->orders, t->order_place, CAN_ORDERS_MAX, order,
+                                 sizeof *order);
 }
 
 int can_take_received(uint32_t line, can_received *out)
 {
-    return line < LINES_MAX &&
-           ring_take(&threads[line].received, threads[line].received_place, CAN_RECEIVED_MAX, out, sizeof *out);
+    return line < LINES_MAX && ring_take(&threads[line].received, threads[line].received_place,
+                                         CAN_RECEIVED_MAX, out, sizeof *out);
 }
 
 int can_read_report(uint32_t line, can_report *out)

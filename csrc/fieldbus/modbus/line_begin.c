@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_begin.c: the line before its first step: which joints each drive has, and which get a stop first. */
+ * line_begin.c: the line before its first step: which joints each drive has, and which get a
+ * stop first. */
 #include <errno.h>
 #include <string.h>
 

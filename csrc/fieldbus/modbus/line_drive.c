@@ -15,7 +15,7 @@ int64_t line_reply_ns(const line_machine *m, const line_frame *frame)
     return (int64_t)((double)frame->reply_bytes * m->table.character_ns);
 }
 
-/* -------------------------------------------------------------------------------------------------- stopping */
+/* ----------------------------------------------------------------------------- stopping */
 void line_stop_now(line_machine *m, uint32_t number, uint32_t kind)
 {
     line_drive_state *drive = &m->drive[number];
@@ -60,7 +60,8 @@ static drive_view view_of(const line_machine *m, uint32_t number, int64_t now_ns
     return (drive_view){.now_ns = now_ns,
                         .fresh = line_fresh(m, now_ns),
                         .enabled = m->newest.enabled == 1,
-                        .left_alone = !busy && drive_left_alone(drive->answered_ns, now_ns, watchdog_ns),
+                        .left_alone =
+                            !busy && drive_left_alone(drive->answered_ns, now_ns, watchdog_ns),
                         .shut_down = m->control.shut_down != 0,
                         .position_unknown = line_place_is_missing(m, number),
                         .enabled_count = m->enabled_count};
@@ -80,7 +81,7 @@ void line_guard(line_machine *m, uint32_t number, int64_t now_ns)
     line_begin_stop(m, number, drive_end_stopping(&drive->state, false, now_ns), now_ns);
 }
 
-/* -------------------------------------------------------------------------------------------------- requests */
+/* ----------------------------------------------------------------------------- requests */
 static void set_up(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
@@ -120,7 +121,7 @@ void line_obey_request(line_machine *m, uint32_t number, int64_t now_ns)
     }
 }
 
-/* ----------------------------------------------------------------------------------------------- what to send */
+/* ------------------------------------------------------------------------- what to send */
 static const line_frame *stop_frames(const line_machine *m, uint32_t number, uint32_t *count)
 {
     const line_drive *table = &m->table.drive[number];
@@ -152,10 +153,13 @@ bool line_next_stop(line_machine *m, uint32_t number, line_frame *out)
     return false;
 }
 
-static const line_frame *direction_frame(const line_machine *m, uint32_t number, uint32_t direction, uint32_t last_sent)
+static const line_frame *direction_frame(const line_machine *m, uint32_t number, uint32_t direction,
+                                         uint32_t last_sent)
 {
     const line_direction *from = &m->table.drive[number].direction[direction];
-    return last_sent == DIRECTION_REST ? &from->rest : last_sent == DIRECTION_FORWARD ? &from->forward : &from->reverse;
+    return last_sent == DIRECTION_REST      ? &from->rest
+           : last_sent == DIRECTION_FORWARD ? &from->forward
+                                            : &from->reverse;
 }
 
 /* In REST: rest where the direction is to change. In DIRECTIONS: the new direction. */
@@ -170,7 +174,8 @@ static bool next_direction(line_machine *m, uint32_t number, line_frame *out)
         uint32_t wanted = line_direction_wanted(m, number, drive->place);
         uint32_t last_sent = drive->direction_sent[drive->place];
         bool resting = drive->stage == STAGE_REST;
-        if (wanted == last_sent || (resting && (wanted == DIRECTION_REST || last_sent == DIRECTION_REST))) {
+        if (wanted == last_sent ||
+            (resting && (wanted == DIRECTION_REST || last_sent == DIRECTION_REST))) {
             continue;
         }
         wanted = resting ? DIRECTION_REST : wanted;
@@ -187,7 +192,8 @@ static bool next_exchange(line_machine *m, uint32_t number, line_frame *out)
     const line_drive *table = &m->table.drive[number];
     bool writing = drive->stage == STAGE_SETPOINTS;
     for (; drive->place < table->cyclic_count; drive->place++) {
-        if ((table->cyclic[drive->place].setpoint_count > 0) == writing && line_sends(m, number, drive->place)) {
+        if ((table->cyclic[drive->place].setpoint_count > 0) == writing &&
+            line_sends(m, number, drive->place)) {
             bool motion = line_build(m, number, drive->place, out);
             drive->cycle_motion |= motion;
             drive->state.sent_motion |= motion;
@@ -223,7 +229,8 @@ void line_cycle_begin(line_machine *m, uint32_t number, int64_t now_ns)
     drive->enabled_before = drive->state.enabled;
     drive->extra_due = drive->cycle_count % table->extra_every == 0;
     if (drive->state.enabled == 2 && table->extra_count > 0) {
-        drive->extra_due = true; /* whether it is enabled comes first of all: it is in the first range */
+        drive->extra_due = true; /* whether it is enabled comes first of all: it is in the first
+                                    range */
         drive->extra_next = 0;
     }
     int64_t period_ns = table->period_ns;
@@ -247,17 +254,21 @@ static void end_cycle(line_machine *m, uint32_t number)
     if (drive->lost_setup) {
         line_begin_stop(m, number, drive_lost_setup(&drive->state), drive->cycle_start_ns);
     }
-    line_begin_stop(m, number, drive_end_stopping(&drive->state, line_at_rest(m, number), drive->cycle_start_ns),
-                    drive->cycle_start_ns);
-    /* Why it has disabled itself may stand in a fault that the power-off clears. A cycle reads its faults before its power, so
-     * it is judged at the end of the next one, also where it has its power back by then. */
+    line_begin_stop(
+        m, number,
+        drive_end_stopping(&drive->state, line_at_rest(m, number), drive->cycle_start_ns),
+        drive->cycle_start_ns);
+    /* Why it has disabled itself may stand in a fault that the power-off clears. A cycle reads its
+     * faults before its power, so it is judged at the end of the next one, also where it has its
+     * power back by then. */
     if (drive->state.mode == DRIVE_ARMED && drive->enabled_before == 0) {
         drive->state.enabled = 0;
     } else if (drive->state.mode == DRIVE_ARMED && drive->state.enabled == 0) {
         return;
     }
     bool settled = drive->cycle_start_ns >= drive->arming_until_ns;
-    line_begin_stop(m, number, drive_check_power(&drive->state, table->tries, settled), drive->cycle_start_ns);
+    line_begin_stop(m, number, drive_check_power(&drive->state, table->tries, settled),
+                    drive->cycle_start_ns);
 }
 
 bool line_next_in_cycle(line_machine *m, uint32_t number, int64_t now_ns, line_frame *out)
@@ -265,9 +276,10 @@ bool line_next_in_cycle(line_machine *m, uint32_t number, int64_t now_ns, line_f
     line_drive_state *drive = &m->drive[number];
     (void)now_ns;
     while (drive->stage != STAGE_IDLE) {
-        bool found = drive->stage == STAGE_REST || drive->stage == STAGE_DIRECTIONS ? next_direction(m, number, out)
-                     : drive->stage == STAGE_EXTRA                                  ? next_extra(m, number, out)
-                                                                                    : next_exchange(m, number, out);
+        bool found = drive->stage == STAGE_REST || drive->stage == STAGE_DIRECTIONS
+                         ? next_direction(m, number, out)
+                     : drive->stage == STAGE_EXTRA ? next_extra(m, number, out)
+                                                   : next_exchange(m, number, out);
         if (found) {
             return true;
         }
@@ -281,10 +293,11 @@ bool line_next_in_cycle(line_machine *m, uint32_t number, int64_t now_ns, line_f
     return false;
 }
 
-/* --------------------------------------------------------------------------------------------------- outcomes */
+/* ----------------------------------------------------------------------------- outcomes */
 static void direction_acknowledged(line_drive_state *drive, const line_machine *m, uint32_t number)
 {
-    uint32_t wanted = drive->stage == STAGE_REST ? (uint32_t)DIRECTION_REST : line_direction_wanted(m, number, drive->place);
+    uint32_t wanted = drive->stage == STAGE_REST ? (uint32_t)DIRECTION_REST
+                                                 : line_direction_wanted(m, number, drive->place);
     const line_frame *sent = direction_frame(m, number, drive->place, wanted);
     if (memcmp(sent->request, m->transaction.frame.request, sent->request_bytes) != 0) {
         wanted = DIRECTION_UNKNOWN; /* the set-point has changed while it was sent */
@@ -307,7 +320,8 @@ static bool reads_on(const line_drive *table, uint32_t place)
 }
 
 /* `stamp_ns` 0: when the values were taken is not known. */
-static void read_reply(line_machine *m, uint32_t number, const line_exchange *turn, const uint8_t *reply, int64_t stamp_ns)
+static void read_reply(line_machine *m, uint32_t number, const line_exchange *turn,
+                       const uint8_t *reply, int64_t stamp_ns)
 {
     if (stamp_ns > 0) {
         line_read(m, number, turn, reply, stamp_ns);
@@ -364,11 +378,13 @@ static void stop_frame_done(line_machine *m, uint32_t number)
     }
 }
 
-static void stop_frame_answered(line_machine *m, uint32_t number, const uint8_t *reply, int64_t now_ns)
+static void stop_frame_answered(line_machine *m, uint32_t number, const uint8_t *reply,
+                                int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
     bool reads = line_reads_power(m, number) && is_of_newest_stop(m, number);
-    if (reads && m->transaction.frame.reply_bytes == 0) { /* it has left, and nothing says that it was received */
+    /* it has left, and nothing says that it was received */
+    if (reads && m->transaction.frame.reply_bytes == 0) {
         drive->state.enabled = 2;
         drive->stop_sent |= 1U << drive->stop_place++;
     } else if (reads && drive->stop_place == m->table.drive[number].disarm_count) {
@@ -380,7 +396,8 @@ static void stop_frame_answered(line_machine *m, uint32_t number, const uint8_t 
     }
 }
 
-/* At the end all is sent, whatever the drive does not answer: it may receive though it sends nothing. */
+/* At the end all is sent, whatever the drive does not answer: it may receive though it sends
+ * nothing. */
 static void stop_frame_failed(line_machine *m, uint32_t number, uint32_t failure)
 {
     line_drive_state *drive = &m->drive[number];
@@ -400,11 +417,15 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     int64_t watchdog_ns = m->table.drive[number].watchdog_ns;
     line_settle(m, number, now_ns);
     int64_t took_ns = now_ns - m->end_ns - line_reply_ns(m, &m->transaction.frame);
-    int64_t stamp_ns = drive->usual_ns == 0 || took_ns <= drive->usual_ns ? line_stamp(m, number, now_ns) : 0;
-    if (drive->state.mode == DRIVE_ARMED && drive_left_alone(drive->answered_ns, m->end_ns, watchdog_ns)) {
-        line_begin_stop(m, number, drive_quick_stop(&drive->state, DRIVE_FAULT_LEFT_ALONE, now_ns), now_ns);
+    int64_t stamp_ns =
+        drive->usual_ns == 0 || took_ns <= drive->usual_ns ? line_stamp(m, number, now_ns) : 0;
+    if (drive->state.mode == DRIVE_ARMED &&
+        drive_left_alone(drive->answered_ns, m->end_ns, watchdog_ns)) {
+        line_begin_stop(m, number, drive_quick_stop(&drive->state, DRIVE_FAULT_LEFT_ALONE, now_ns),
+                        now_ns);
     }
-    if (drive->owed_count == 0) { /* else it may be the answer to one that counted as failed: it is late, not well */
+    /* else it may be the answer to one that counted as failed: it is late, not well */
+    if (drive->owed_count == 0) {
         drive->failures = 0;
     }
     drive->answered_ns = m->end_ns;
@@ -434,7 +455,8 @@ static void count_failure(line_drive_state *drive, uint32_t failure, uint32_t ex
     drive->count.refused += failure == ANSWER_REFUSED;
 }
 
-void line_drive_failed(line_machine *m, uint32_t number, uint32_t failure, uint32_t exception, int64_t now_ns)
+void line_drive_failed(line_machine *m, uint32_t number, uint32_t failure, uint32_t exception,
+                       int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
     const line_drive *table = &m->table.drive[number];
@@ -443,7 +465,8 @@ void line_drive_failed(line_machine *m, uint32_t number, uint32_t failure, uint3
     if (failure != ANSWER_REFUSED) {
         int64_t doubled_ns = 2 * drive->deadline_ns;
         drive->deadline_ns = doubled_ns < table->turnaround_ns ? doubled_ns : table->turnaround_ns;
-        drive->silent_until_ns = m->end_ns + table->turnaround_ns + line_reply_ns(m, &m->transaction.frame);
+        drive->silent_until_ns =
+            m->end_ns + table->turnaround_ns + line_reply_ns(m, &m->transaction.frame);
         line_owe(m, number);
     }
     drive->stage = STAGE_IDLE;
@@ -453,8 +476,10 @@ void line_drive_failed(line_machine *m, uint32_t number, uint32_t failure, uint3
     if (m->work == WORK_STOP) {
         stop_frame_failed(m, number, failure);
     }
-    bool counts = drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED || drive->state.stop != STOP_NOTHING;
-    counts &= m->work != WORK_STOP || failure != ANSWER_REFUSED; /* it is there, and shall get the rest of its stop */
+    bool counts = drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED ||
+                  drive->state.stop != STOP_NOTHING;
+    /* it is there, and shall get the rest of its stop */
+    counts &= m->work != WORK_STOP || failure != ANSWER_REFUSED;
     if (counts && drive->failures >= table->tries) {
         line_becomes_unresponsive(m, number, now_ns);
     }

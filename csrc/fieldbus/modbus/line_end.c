@@ -1,8 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_end.c: a line is shut down: all its drives come to rest, then lose their power, then it is silent. */
+ * line_end.c: a line is shut down: all its drives come to rest, then lose their power, then it
+ * is silent. */
 #include "line_machine.h"
 
-/* Beyond the end's time: until each drive was sent its whole power-off once. A silent one may still receive. */
+/* Beyond the end's time: until each drive was sent its whole power-off once. A silent one may
+ * still receive. */
 static const int64_t POWER_OFF_EXTRA_NS = 2500 * LINE_MS;
 
 static bool was_sent_its_power_off(const line_machine *m, uint32_t number)
@@ -10,10 +12,11 @@ static bool was_sent_its_power_off(const line_machine *m, uint32_t number)
     const line_drive_state *drive = &m->drive[number];
     uint32_t all = (1U << m->table.drive[number].disarm_count) - 1;
     return drive->state.stop == STOP_NOTHING ||
-           (drive->state.stop == STOP_POWER_OFF && ((drive->stop_sent | drive->stop_done) & all) == all);
+           (drive->state.stop == STOP_POWER_OFF &&
+            ((drive->stop_sent | drive->stop_done) & all) == all);
 }
 
-/* ------------------------------------------------------------------------ a power-off that nothing acknowledges */
+/* ------------------------------------------------ a power-off that nothing acknowledges */
 bool line_reads_power(const line_machine *m, uint32_t number)
 {
     const line_drive *table = &m->table.drive[number];
@@ -21,7 +24,8 @@ bool line_reads_power(const line_machine *m, uint32_t number)
     for (uint32_t i = 0; i < table->disarm_count; i++) {
         unanswered |= table->disarm[i].reply_bytes == 0;
     }
-    return unanswered && m->end.stage == END_POWER_OFF && m->drive[number].state.stop == STOP_POWER_OFF;
+    return unanswered && m->end.stage == END_POWER_OFF &&
+           m->drive[number].state.stop == STOP_POWER_OFF;
 }
 
 static bool reports_power(const line_exchange *turn)
@@ -34,8 +38,8 @@ static bool reports_power(const line_exchange *turn)
     return false;
 }
 
-/* The first exchange that says whether it has power. Where none does, the one that probes it: that it receives is all that can
- * be known. */
+/* The first exchange that says whether it has power. Where none does, the one that probes it: that
+ * it receives is all that can be known. */
 static uint32_t power_read(const line_drive *table)
 {
     for (uint32_t i = 0; i < table->cyclic_count + table->extra_count; i++) {
@@ -59,7 +63,7 @@ bool line_is_off(line_machine *m, uint32_t number, const uint8_t *reply, int64_t
     return !reports_power(turn) || m->drive[number].state.enabled == 0;
 }
 
-/* ----------------------------------------------------------------------------------------------------- the end */
+/* ------------------------------------------------------------------------------ the end */
 
 void line_shut_down(line_machine *m, int64_t now_ns)
 {

@@ -1,9 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_fast.c: the fast sync read of Dynamixel protocol 2.0: all servos answer in one packet, each with a block of its own:
- * error, unit, data, and the check sum of all that came before it in the packet. The first one sends the head, with the length
- * of the whole, so nothing is stuffed. A servo that is missing ends the packet for those behind it: then plain sync reads
- * follow, which cost a head a servo, and take nothing from the others. Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, fast
- * sync read; dynamixel-sdk 4.1, protocol2_packet_handler.py and group_sync_read.py. */
+ * line_fast.c: the fast sync read of Dynamixel protocol 2.0: all servos answer in one packet, each
+ * with a block of its own: error, unit, data, and the check sum of all that came before it in the
+ * packet. The first one sends the head, with the length of the whole, so nothing is stuffed. A
+ * servo that is missing ends the packet for those behind it: then plain sync reads follow, which
+ * cost a head a servo, and take nothing from the others. Source: ROBOTIS e-Manual, DYNAMIXEL
+ * Protocol 2.0, fast sync read; dynamixel-sdk 4.1, protocol2_packet_handler.py and
+ * group_sync_read.py. */
 #include <string.h>
 
 #include "line_machine.h"
@@ -47,15 +49,17 @@ static uint32_t end_of(const line_machine *m, uint32_t blocks)
 bool line_fast_is_good(const line_table *table)
 {
     const line_frame *first = &table->drive[0].cyclic[READ_TURN].frame;
-    bool good = table->group.fast == 0 || (table->group.fast == 1 && first->reply_seal == SEAL_STUFFED);
+    bool good =
+        table->group.fast == 0 || (table->group.fast == 1 && first->reply_seal == SEAL_STUFFED);
     for (uint32_t i = 0; i < table->drive_count && table->group.fast != 0; i++) {
         const line_frame *frame = &table->drive[i].cyclic[READ_TURN].frame;
-        good = good && frame->reply_bytes == first->reply_bytes && frame->reply_bytes >= STATUS_BYTES;
+        good =
+            good && frame->reply_bytes == first->reply_bytes && frame->reply_bytes >= STATUS_BYTES;
     }
     return good;
 }
 
-/* -------------------------------------------------------------------------------------------------------- sending */
+/* ------------------------------------------------------------------------------ sending */
 bool line_fast_begins(const line_machine *m)
 {
     return m->table.group.fast == 1 && m->plain_cycles == 0;
@@ -67,13 +71,14 @@ uint32_t line_fast_request(line_machine *m, line_frame *packet)
     return end_of(m, m->group.asked_count);
 }
 
-/* ------------------------------------------------------------------------------------------------------ receiving */
+/* ---------------------------------------------------------------------------- receiving */
 /* Where the packet begins; received_bytes: not yet. */
 static uint32_t begin_of(const line_machine *m, uint32_t from, uint32_t whole)
 {
     const line_transaction *t = &m->transaction;
     uint32_t length = whole - INSTRUCTION_BYTE;
-    const uint8_t head[HEAD_BYTES] = {0xFF, 0xFF, 0xFD, 0, ALL_UNITS, (uint8_t)length, (uint8_t)(length >> 8), STATUS};
+    const uint8_t head[HEAD_BYTES] = {
+        0xFF, 0xFF, 0xFD, 0, ALL_UNITS, (uint8_t)length, (uint8_t)(length >> 8), STATUS};
     for (uint32_t at = from; at + HEAD_BYTES <= t->received_bytes; at++) {
         if (memcmp(t->received + at, head, HEAD_BYTES) == 0) {
             return at;
@@ -93,12 +98,16 @@ static void take_block(line_machine *m, uint32_t place, uint32_t at, int64_t now
     t->plain[UNIT_BYTE] = block[BLOCK_UNIT_BYTE];
     t->plain[HEAD_BYTES] = block[0];
     memcpy(t->plain + STATUS_DATA_BYTE, block + BLOCK_DATA_BYTE, count);
-    uint32_t first = place == 0 ? 0 : end - BLOCK_BYTES - count; /* the head belongs to the first one */
-    m->group.taken[m->group.taken_count++] = (group_reply){.offset = at + first, .bytes = end - first};
+    /* the head belongs to the first one */
+    uint32_t first = place == 0 ? 0 : end - BLOCK_BYTES - count;
+    m->group.taken[m->group.taken_count++] =
+        (group_reply){.offset = at + first, .bytes = end - first};
     m->answers++;
     /* the last of it came as late as if it had been its own status */
-    m->group.answered_ns = (int64_t)((double)end * m->table.character_ns) - line_reply_ns(m, alone_of(m, number));
-    line_group_end_member(m, number, found.exception == 0 ? ANSWER_OK : ANSWER_REFUSED, &found, now_ns);
+    m->group.answered_ns =
+        (int64_t)((double)end * m->table.character_ns) - line_reply_ns(m, alone_of(m, number));
+    line_group_end_member(m, number, found.exception == 0 ? ANSWER_OK : ANSWER_REFUSED, &found,
+                          now_ns);
 }
 
 void line_fast_look(line_machine *m, uint32_t from, int64_t now_ns)
@@ -126,7 +135,9 @@ void line_fast_end(line_machine *m, bool all)
         return;
     }
     if (m->group.fast) {
-        uint32_t longer = m->fast_pause == 0 ? PAUSE_LEAST : m->fast_pause < PAUSE_MOST ? 2 * m->fast_pause : PAUSE_MOST;
+        uint32_t longer = m->fast_pause == 0           ? PAUSE_LEAST
+                          : m->fast_pause < PAUSE_MOST ? 2 * m->fast_pause
+                                                       : PAUSE_MOST;
         m->fast_pause = m->plain_cycles = all ? 0 : longer;
     } else {
         m->plain_cycles = all ? m->plain_cycles - 1 : m->fast_pause;

@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_group.c: the cycle of bus servos: one request carries the set-points of all and asks all, and each answers for
- * itself. A servo that does not answer costs the others nothing but the wait. Nothing acknowledges a sync write: the next
- * cycle, which comes whatever is answered, says the same again, and stops go to each drive alone. */
+ * line_group.c: the cycle of bus servos: one request carries the set-points of all and asks all,
+ * and each answers for itself. A servo that does not answer costs the others nothing but the wait.
+ * Nothing acknowledges a sync write: the next cycle, which comes whatever is answered, says the
+ * same again, and stops go to each drive alone. */
 #include <string.h>
 
 #include "line_machine.h"
@@ -26,8 +27,9 @@ static bool is_member(const line_machine *m, uint32_t number)
     return drive_is_cycled(&m->drive[number].state);
 }
 
-/* ---------------------------------------------------------------------------------------------------- sending */
-/* A drive that rests without power needs no set-point; one that does not answer, and may turn, gets its zero. */
+/* ------------------------------------------------------------------------------ sending */
+/* A drive that rests without power needs no set-point; one that does not answer, and may turn,
+ * gets its zero. */
 static bool gets_setpoints(const line_machine *m, uint32_t number)
 {
     const drive_state *state = &m->drive[number].state;
@@ -44,7 +46,8 @@ static bool gets_setpoints(const line_machine *m, uint32_t number)
 static bool is_asked(const line_machine *m, uint32_t number, int64_t now_ns)
 {
     const line_drive_state *drive = &m->drive[number];
-    return is_member(m, number) && drive->silent_until_ns <= now_ns && drive->held_until_ns <= now_ns;
+    return is_member(m, number) && drive->silent_until_ns <= now_ns &&
+           drive->held_until_ns <= now_ns;
 }
 
 static void append(line_frame *to, const uint8_t *bytes, uint32_t count)
@@ -65,7 +68,8 @@ static void finish(line_frame *packet, uint32_t head_bytes)
 {
     packet_form form = form_of(packet->request_seal);
     int64_t length = rtu_read(packet->request + form.length, form.length_form);
-    rtu_write(packet->request + form.length, form.length_form, length + packet->request_bytes - head_bytes);
+    rtu_write(packet->request + form.length, form.length_form,
+              length + packet->request_bytes - head_bytes);
     packet->request_bytes += rtu_seal_bytes(packet->request_seal);
     rtu_finish(packet);
 }
@@ -115,7 +119,8 @@ static void read_all(line_machine *m, int64_t now_ns, line_frame *out)
     }
 }
 
-/* Drives say whether they have power at different times: their extra exchanges do not come all at once. */
+/* Drives say whether they have power at different times: their extra exchanges do not come all
+ * at once. */
 static void begin_members(line_machine *m, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
@@ -123,7 +128,8 @@ static void begin_members(line_machine *m, int64_t now_ns)
         if (is_member(m, i)) {
             line_cycle_begin(m, i, now_ns);
             drive->stage = STAGE_IDLE;
-            drive->extra_due = drive->state.enabled == 2 || (drive->cycle_count + i) % m->table.drive[i].extra_every == 0;
+            drive->extra_due = drive->state.enabled == 2 ||
+                               (drive->cycle_count + i) % m->table.drive[i].extra_every == 0;
         }
     }
     m->current = LINE_DRIVES_MAX;
@@ -151,22 +157,26 @@ int64_t line_group_wait_ns(const line_machine *m)
     return longest_ns;
 }
 
-/* -------------------------------------------------------------------------------------------------- receiving */
+/* ---------------------------------------------------------------------------- receiving */
 /* Where replies may begin: behind the copy that an adapter receives of its request. */
 static uint32_t first_byte(const line_machine *m)
 {
     const line_transaction *t = &m->transaction;
-    uint32_t sent = t->frame.request_bytes, same = t->received_bytes < sent ? t->received_bytes : sent;
+    uint32_t sent = t->frame.request_bytes,
+             same = t->received_bytes < sent ? t->received_bytes : sent;
     return m->echo != ECHO_NONE && memcmp(t->received, t->frame.request, same) == 0 ? sent : 0;
 }
 
-/* For as long as this lasts, the exchange is that of one drive: its own request, and what it waited for on the wire. */
-void line_group_end_member(line_machine *m, uint32_t number, uint32_t kind, const received *found, int64_t now_ns)
+/* For as long as this lasts, the exchange is that of one drive: its own request, and what it
+ * waited for on the wire. */
+void line_group_end_member(line_machine *m, uint32_t number, uint32_t kind, const received *found,
+                           int64_t now_ns)
 {
     line_frame all = m->transaction.frame;
     int64_t end_ns = m->end_ns;
     m->transaction.frame = m->table.drive[number].cyclic[READ_TURN].frame;
-    m->transaction.frame.exact = m->group.fast; /* a packet of all that is late is like no servo's own answer */
+    m->transaction.frame.exact = m->group.fast; /* a packet of all that is late is like no servo's
+                                                   own answer */
     m->group.waiting &= ~(1U << number);
     if (kind != ANSWER_OK) {
         line_drive_failed(m, number, kind, found->exception, now_ns);
@@ -174,7 +184,8 @@ void line_group_end_member(line_machine *m, uint32_t number, uint32_t kind, cons
         line_doubt(m, number, now_ns);
     } else {
         m->end_ns += m->group.answered_ns;
-        line_drive_answered(m, number, m->group.fast ? m->transaction.plain : line_reply(m, found), now_ns);
+        line_drive_answered(m, number, m->group.fast ? m->transaction.plain : line_reply(m, found),
+                            now_ns);
     }
     m->group.answered_ns += kind == ANSWER_OK ? line_reply_ns(m, &m->transaction.frame) : 0;
     m->transaction.frame = all;
@@ -190,8 +201,10 @@ static void look_for(line_machine *m, uint32_t number, uint32_t from, int64_t no
         return;
     }
     m->answers++;
-    m->group.taken[m->group.taken_count++] = (group_reply){.offset = found.offset, .bytes = found.bytes};
-    line_group_end_member(m, number, found.kind == RECEIVED_ANSWER ? ANSWER_OK : ANSWER_REFUSED, &found, now_ns);
+    m->group.taken[m->group.taken_count++] =
+        (group_reply){.offset = found.offset, .bytes = found.bytes};
+    line_group_end_member(m, number, found.kind == RECEIVED_ANSWER ? ANSWER_OK : ANSWER_REFUSED,
+                          &found, now_ns);
 }
 
 /* True: the exchange is over. */
@@ -255,7 +268,8 @@ static void end_all(line_machine *m, int64_t now_ns)
     }
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         if ((m->group.waiting >> i & 1) != 0) {
-            line_group_end_member(m, i, noise ? ANSWER_BAD_REPLY : ANSWER_NO_REPLY, &nothing, now_ns);
+            line_group_end_member(m, i, noise ? ANSWER_BAD_REPLY : ANSWER_NO_REPLY, &nothing,
+                                  now_ns);
         }
     }
     if (!all) {
@@ -275,7 +289,7 @@ void line_group_step(line_machine *m, const uint8_t *bytes, uint32_t count, int6
     }
 }
 
-/* -------------------------------------------------------------------------------------------------- afterwards */
+/* --------------------------------------------------------------------------- afterwards */
 bool line_group_goes_on(line_machine *m)
 {
     while (m->group.answered != 0) {
@@ -296,22 +310,26 @@ void line_group_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     if (stamp_ns > 0) {
         line_read(m, number, &m->table.drive[number].cyclic[READ_TURN], reply, stamp_ns);
     }
-    drive->state.sent_motion = drive->cycle_motion; /* it has answered what came right behind its set-point */
+    /* it has answered what came right behind its set-point */
+    drive->state.sent_motion = drive->cycle_motion;
     m->group.answered |= 1U << number;
     line_publish(m, number);
 }
 
-/* ------------------------------------------------------------------------------------------------------ table */
+/* -------------------------------------------------------------------------------- table */
 static uint32_t on_the_wire(uint32_t bytes, uint32_t seal)
 {
     return seal == SEAL_STUFFED ? bytes + bytes / 3 : bytes;
 }
 
-static bool is_member_good(const line_drive *drive, const line_frame *first, const line_group *group)
+static bool is_member_good(const line_drive *drive, const line_frame *first,
+                           const line_group *group)
 {
     const line_frame *write = &drive->cyclic[0].frame, *read = &drive->cyclic[1].frame;
-    bool turns = drive->cyclic_count == 2 && drive->cyclic[0].setpoint_count > 0 && drive->cyclic[1].setpoint_count == 0;
-    bool seals = write->request_seal == first->request_seal && read->request_seal == first->request_seal &&
+    bool turns = drive->cyclic_count == 2 && drive->cyclic[0].setpoint_count > 0 &&
+                 drive->cyclic[1].setpoint_count == 0;
+    bool seals = write->request_seal == first->request_seal &&
+                 read->request_seal == first->request_seal &&
                  read->reply_seal == first->request_seal;
     bool places = write->request_bytes == first->request_bytes && read->reply_bytes > 0 &&
                   group->data_byte + rtu_seal_bytes(first->request_seal) < write->request_bytes;

@@ -1,14 +1,17 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_late.c: replies that come late. A reply does not say which request it answers, so a request that failed leaves one
- * that may still come. A drive answers in the order of its requests: the certain answer to a newer request ends the wait
- * for all older ones, and so does a silence as long as a drive may be late. */
+ * line_late.c: replies that come late. A reply does not say which request it answers, so a request
+ * that failed leaves one that may still come. A drive answers in the order of its requests: the
+ * certain answer to a newer request ends the wait for all older ones, and so does a silence as
+ * long as a drive may be late. */
 #include <string.h>
 
 #include "line_machine.h"
 
-static const int64_t LATE_NS = 120 * LINE_MS;        /* after the request, whatever the profile's bound says */
+static const int64_t LATE_NS = 120 * LINE_MS; /* after the request, whatever the profile's bound
+                                                 says */
 static const int64_t SUSPICIOUS_NS = 2000 * LINE_MS; /* after a failure */
-static const int64_t TOO_SOON_NS = LINE_MS / 2;      /* closer than that, scheduling hides the difference */
+/* closer than that, scheduling hides the difference */
+static const int64_t TOO_SOON_NS = LINE_MS / 2;
 
 /* RFC 6298 with a host's scheduling in place of the clock's granularity */
 static const int64_t DEADLINE_LEAST_NS = 10 * LINE_MS, GRANULARITY_NS = LINE_MS / 2;
@@ -20,16 +23,21 @@ static uint32_t smaller(uint32_t a, uint32_t b)
 
 static line_look look_of(const line_frame *frame)
 {
-    line_look look = {.reply_bytes = frame->reply_bytes, .reply_seal = frame->reply_seal, .writes = frame->echo_bytes > 0};
-    look.repeats = look.writes && frame->echo_bytes + rtu_seal_bytes(frame->request_seal) >= frame->request_bytes;
-    look.head_bytes = smaller(look.writes ? frame->echo_bytes : frame->match_bytes, FRAME_MATCH_MAX);
+    line_look look = {.reply_bytes = frame->reply_bytes,
+                      .reply_seal = frame->reply_seal,
+                      .writes = frame->echo_bytes > 0};
+    look.repeats = look.writes &&
+                   frame->echo_bytes + rtu_seal_bytes(frame->request_seal) >= frame->request_bytes;
+    look.head_bytes =
+        smaller(look.writes ? frame->echo_bytes : frame->match_bytes, FRAME_MATCH_MAX);
     memcpy(look.head, look.writes ? frame->request : frame->match, look.head_bytes);
     return look;
 }
 
 static bool alike(const line_look *a, const line_look *b)
 {
-    return a->reply_bytes == b->reply_bytes && memcmp(a->head, b->head, smaller(a->head_bytes, b->head_bytes)) == 0;
+    return a->reply_bytes == b->reply_bytes &&
+           memcmp(a->head, b->head, smaller(a->head_bytes, b->head_bytes)) == 0;
 }
 
 /* Of the reply that has just come; on a pseudo-terminal bytes take no time at all. */
@@ -55,7 +63,8 @@ static void drop_before(line_drive_state *drive, uint32_t first)
 static void drop_at(line_drive_state *drive, uint32_t place)
 {
     drive->owed_count--;
-    memmove(&drive->owed[place], &drive->owed[place + 1], (drive->owed_count - place) * sizeof drive->owed[0]);
+    memmove(&drive->owed[place], &drive->owed[place + 1],
+            (drive->owed_count - place) * sizeof drive->owed[0]);
 }
 
 static uint32_t place_of(const line_drive_state *drive, const line_look *look)
@@ -75,7 +84,8 @@ static int64_t until_ns(const line_machine *m, uint32_t number)
     for (uint32_t i = 0; i < drive->owed_count; i++) {
         count += drive->owed[i].count;
     }
-    return m->end_ns + smaller(count, OWED_MAX) * late_ns(m, number) + line_reply_ns(m, &m->transaction.frame);
+    return m->end_ns + smaller(count, OWED_MAX) * late_ns(m, number) +
+           line_reply_ns(m, &m->transaction.frame);
 }
 
 /* Those that cannot come any more at this time. */
@@ -114,8 +124,8 @@ void line_owe(line_machine *m, uint32_t number)
     drive->failed_ns = m->end_ns;
 }
 
-/* What repeats all of its request says the same whichever of two equal requests it answers, as long as no other write may
- * have come between them. */
+/* What repeats all of its request says the same whichever of two equal requests it answers, as long
+ * as no other write may have come between them. */
 static bool is_same_reply(const line_drive_state *drive, uint32_t place)
 {
     bool same = drive->owed[place].look.repeats;
@@ -125,15 +135,18 @@ static bool is_same_reply(const line_drive_state *drive, uint32_t place)
     return same;
 }
 
-bool line_may_be_late(const line_machine *m, uint32_t number, const line_frame *frame, int64_t sent_ns)
+bool line_may_be_late(const line_machine *m, uint32_t number, const line_frame *frame,
+                      int64_t sent_ns)
 {
     const line_drive_state *drive = &m->drive[number];
     line_look look = look_of(frame);
     uint32_t place = frame->exact == 0 ? place_of(drive, &look) : drive->owed_count;
-    return place < drive->owed_count && drive->owed[place].until_ns > sent_ns && !is_same_reply(drive, place);
+    return place < drive->owed_count && drive->owed[place].until_ns > sent_ns &&
+           !is_same_reply(drive, place);
 }
 
-/* A drive that has just failed, and now answers in less than half of the least time it ever took. */
+/* A drive that has just failed, and now answers in less than half of the least time it ever
+ * took. */
 static bool too_soon(const line_machine *m, uint32_t number, int64_t sample_ns)
 {
     const line_drive_state *drive = &m->drive[number];
@@ -141,8 +154,9 @@ static bool too_soon(const line_machine *m, uint32_t number, int64_t sample_ns)
     return suspicious && drive->least_ns > 0 && sample_ns < drive->least_ns / 2 - TOO_SOON_NS;
 }
 
-/* The same stop has been answered more often than the drive owed answers of its kind: one of them is the stop's own. It is
- * sent again at once, so each of them would be doubtful for ever, and no other drive would be asked. */
+/* The same stop has been answered more often than the drive owed answers of its kind: one of them
+ * is the stop's own. It is sent again at once, so each of them would be doubtful for ever, and
+ * no other drive would be asked. */
 static bool is_stop_proven(const line_machine *m, uint32_t number)
 {
     const line_drive_state *drive = &m->drive[number];
@@ -181,7 +195,8 @@ void line_settle(line_machine *m, uint32_t number, int64_t now_ns)
         drive->owed[drive->owed_count - 1].until_ns = until_ns(m, number);
     } else {
         int64_t sample_ns = turnaround_of(m, now_ns) + 1; /* 0 is: not known */
-        drive->least_ns = drive->least_ns == 0 || sample_ns < drive->least_ns ? sample_ns : drive->least_ns;
+        drive->least_ns =
+            drive->least_ns == 0 || sample_ns < drive->least_ns ? sample_ns : drive->least_ns;
     }
 }
 
@@ -201,10 +216,11 @@ void line_doubt(line_machine *m, uint32_t number, int64_t now_ns)
     drive->held_until_ns = newest->until_ns;
 }
 
-/* ------------------------------------------------------------------------------------------- in the silence */
+/* ----------------------------------------------------------------------- in the silence */
 static bool is_reply(const line_look *look, const uint8_t *bytes)
 {
-    return memcmp(bytes, look->head, look->head_bytes) == 0 && rtu_is_sealed(bytes, look->reply_bytes, look->reply_seal);
+    return memcmp(bytes, look->head, look->head_bytes) == 0 &&
+           rtu_is_sealed(bytes, look->reply_bytes, look->reply_seal);
 }
 
 /* Whether a late reply of this drive ends with the newest byte. */
@@ -253,13 +269,14 @@ void line_stray(line_machine *m, const uint8_t *bytes, uint32_t count, int64_t n
     }
 }
 
-/* What came beside the answer, if there was one. The copy that an adapter receives of its request is no noise. */
+/* What came beside the answer, if there was one. The copy that an adapter receives of its
+ * request is no noise. */
 void line_sort_received(line_machine *m, const received *verdict, int64_t now_ns)
 {
     const line_transaction *t = &m->transaction;
     uint32_t request_bytes = t->frame.request_bytes;
-    bool copied =
-        m->echo != ECHO_NONE && t->received_bytes >= request_bytes && memcmp(t->received, t->frame.request, request_bytes) == 0;
+    bool copied = m->echo != ECHO_NONE && t->received_bytes >= request_bytes &&
+                  memcmp(t->received, t->frame.request, request_bytes) == 0;
     uint32_t from = verdict->echoed || (verdict->bytes == 0 && copied) ? request_bytes : 0;
     uint32_t end = verdict->bytes > 0 ? verdict->offset : t->received_bytes;
     if (end > from) {
@@ -280,10 +297,11 @@ void line_doubt_echo(line_machine *m)
     m->echo = understood ? m->echo : m->table.echo;
 }
 
-/* -------------------------------------------------------------------------------------------- turn-around */
+/* -------------------------------------------------------------------------- turn-around */
 static int64_t learned_ns(const line_drive_state *drive)
 {
-    int64_t spread_ns = 4 * drive->variation_ns > GRANULARITY_NS ? 4 * drive->variation_ns : GRANULARITY_NS;
+    int64_t spread_ns =
+        4 * drive->variation_ns > GRANULARITY_NS ? 4 * drive->variation_ns : GRANULARITY_NS;
     int64_t deadline_ns = drive->smoothed_ns + spread_ns;
     return deadline_ns < DEADLINE_LEAST_NS ? DEADLINE_LEAST_NS : deadline_ns;
 }
@@ -305,7 +323,8 @@ void line_learn_turnaround(line_machine *m, uint32_t number, int64_t now_ns)
         drive->smoothed_ns = sample_ns + 1;
         drive->variation_ns = sample_ns / 2;
     } else {
-        int64_t off_ns = drive->smoothed_ns > sample_ns ? drive->smoothed_ns - sample_ns : sample_ns - drive->smoothed_ns;
+        int64_t off_ns = drive->smoothed_ns > sample_ns ? drive->smoothed_ns - sample_ns
+                                                        : sample_ns - drive->smoothed_ns;
         drive->variation_ns += (off_ns - drive->variation_ns) / 4;
         drive->smoothed_ns += (sample_ns - drive->smoothed_ns) / 8;
     }
@@ -315,8 +334,8 @@ void line_learn_turnaround(line_machine *m, uint32_t number, int64_t now_ns)
     drive->usual_ns = drive->deadline_ns;
 }
 
-/* The middle of a usual exchange: however long the reply took, the value was taken after the request's end, and the drive
- * needs no more than its shortest turn-around for that. */
+/* The middle of a usual exchange: however long the reply took, the value was taken after the
+ * request's end, and the drive needs no more than its shortest turn-around for that. */
 int64_t line_stamp(const line_machine *m, uint32_t number, int64_t now_ns)
 {
     int64_t middle_ns = m->start_ns + (now_ns - m->start_ns) / 2;

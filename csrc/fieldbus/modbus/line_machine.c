@@ -5,9 +5,9 @@
 #include <string.h>
 
 static const int64_t LOOK_MOVING_NS = 10 * LINE_MS, LOOK_RESTING_NS = 50 * LINE_MS;
-/* A drive whose turn it is waits so long for silence: then there is another master, or a broken transceiver. */
-static const int64_t NEVER_SILENT_NS = 250 * LINE_MS;
-static const int64_t FAR_NS = INT64_MAX;
+/* A drive whose turn it is waits so long for silence: then there is another master, or a broken
+ * transceiver. */
+static const int64_t NEVER_SILENT_NS = 250 * LINE_MS, FAR_NS = INT64_MAX;
 
 static int64_t later(int64_t a, int64_t b)
 {
@@ -19,8 +19,9 @@ static int64_t earlier(int64_t a, int64_t b)
     return a < b ? a : b;
 }
 
-/* ---------------------------------------------------------------------------------------------- sending, receiving */
-static void begin(line_machine *m, uint32_t work, uint32_t worker, const line_frame *frame, line_output *out)
+/* ------------------------------------------------------------------- sending, receiving */
+static void begin(line_machine *m, uint32_t work, uint32_t worker, const line_frame *frame,
+                  line_output *out)
 {
     m->work = work;
     m->worker = worker;
@@ -66,7 +67,8 @@ static bool stops_wait(const line_machine *m)
 static void shorten_wait(line_machine *m, int64_t now_ns)
 {
     if (m->sent && m->worker < m->table.drive_count && stops_wait(m)) {
-        int64_t until_ns = m->end_ns + line_expected_turnaround_ns(m, m->worker) + line_reply_ns(m, &m->transaction.frame);
+        int64_t until_ns = m->end_ns + line_expected_turnaround_ns(m, m->worker) +
+                           line_reply_ns(m, &m->transaction.frame);
         m->until_ns = earlier(m->until_ns, later(until_ns, now_ns + 1));
     }
 }
@@ -110,7 +112,8 @@ static void drive_ended(line_machine *m, uint32_t kind, const received *verdict,
         m->ours_ns = later(m->ours_ns, now_ns + m->bound_ns);
         m->free_ns = later(m->free_ns, m->ours_ns);
     }
-    m->slot_due_ns = later(m->slot_due_ns, now_ns); /* a request that had to wait goes before a probe, which may take as long */
+    /* a request that had to wait goes before a probe, which may take as long */
+    m->slot_due_ns = later(m->slot_due_ns, now_ns);
     line_doubt_echo(m);
 }
 
@@ -127,7 +130,8 @@ static void end_exchange(line_machine *m, uint32_t kind, const received *verdict
             m->notify = true;
         }
     }
-    if (m->worker < m->table.drive_count && kind == ANSWER_OK && line_is_doubtful(m, m->worker, now_ns)) {
+    if (m->worker < m->table.drive_count && kind == ANSWER_OK &&
+        line_is_doubtful(m, m->worker, now_ns)) {
         line_stop_doubted(m, m->worker);
         line_doubt(m, m->worker, now_ns);
         kind = ANSWER_NO_REPLY;
@@ -163,8 +167,8 @@ static bool will_read(const line_machine *m)
     return table->probe > 0 || table->extra_count > 0;
 }
 
-/* What the bytes since the request say. Where it is not known whether the adapter echoes, an answer that looks
- * like its request is taken: only what is read decides (and set-ups are read back). */
+/* What the bytes since the request say. Where it is not known whether the adapter echoes, an answer
+ * that looks like its request is taken: only what is read decides (and set-ups are read back). */
 static received listen(line_machine *m, const uint8_t *bytes, uint32_t count)
 {
     line_transaction *t = &m->transaction;
@@ -172,9 +176,11 @@ static received listen(line_machine *m, const uint8_t *bytes, uint32_t count)
     bool full = count >= room;
     memcpy(t->received + t->received_bytes, bytes, full ? room : count);
     t->received_bytes += full ? room : count;
-    bool alike = m->echo == ECHO_UNKNOWN && !will_read(m) && rtu_answer_is_request(&t->frame, t->frame.request);
+    bool alike = m->echo == ECHO_UNKNOWN && !will_read(m) &&
+                 rtu_answer_is_request(&t->frame, t->frame.request);
     received found =
-        rtu_find_answer(&t->frame, t->frame.request, alike ? (uint32_t)ECHO_NONE : m->echo, t->received, t->received_bytes);
+        rtu_find_answer(&t->frame, t->frame.request, alike ? (uint32_t)ECHO_NONE : m->echo,
+                        t->received, t->received_bytes);
     if (found.kind == RECEIVED_MORE && full) {
         found.kind = RECEIVED_BAD;
     }
@@ -213,9 +219,9 @@ static void receive(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint3
     }
 }
 
-/* ------------------------------------------------------------------------------------------------- whose turn */
-/* Unresponsive ones, and those whose answers are in doubt, do not keep the others waiting, nor one of them the next: 0 comes
- * first. */
+/* --------------------------------------------------------------------------- whose turn */
+/* Unresponsive ones, and those whose answers are in doubt, do not keep the others waiting, nor one
+ * of them the next: 0 comes first. */
 static uint32_t stop_rank(const line_drive_state *drive)
 {
     return drive->stop_doubts + (drive->failures > 0 ? 1 + drive->stop_failures : 0);
@@ -226,7 +232,8 @@ static uint32_t first_to_stop(const line_machine *m)
     uint32_t first = LINE_DRIVES_MAX;
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         bool waits = m->drive[i].state.stop != STOP_NOTHING;
-        if (waits && (first == LINE_DRIVES_MAX || stop_rank(&m->drive[i]) < stop_rank(&m->drive[first]))) {
+        if (waits &&
+            (first == LINE_DRIVES_MAX || stop_rank(&m->drive[i]) < stop_rank(&m->drive[first]))) {
             first = i;
         }
     }
@@ -238,7 +245,8 @@ static bool take_stop(line_machine *m, line_output *out)
     line_frame frame;
     if (m->broadcasts > 0) {
         uint32_t count = m->table.broadcast_stop_count;
-        begin(m, WORK_BROADCAST, LINE_DRIVES_MAX, &m->table.broadcast_stop[count - m->broadcasts], out);
+        begin(m, WORK_BROADCAST, LINE_DRIVES_MAX, &m->table.broadcast_stop[count - m->broadcasts],
+              out);
         return true;
     }
     for (uint32_t number; (number = first_to_stop(m)) < LINE_DRIVES_MAX;) {
@@ -261,7 +269,9 @@ static int64_t due_of(const line_machine *m, uint32_t number)
     if (m->table.group.used != 0 && is_cyclic(m, number)) {
         return drive->due_ns; /* set-points go out also while a reply is in doubt */
     }
-    return is_cyclic(m, number) ? later(drive->due_ns, later(drive->silent_until_ns, drive->held_until_ns)) : FAR_NS;
+    return is_cyclic(m, number)
+               ? later(drive->due_ns, later(drive->silent_until_ns, drive->held_until_ns))
+               : FAR_NS;
 }
 
 /* Earliest deadline first; among equals the first one. */
@@ -277,7 +287,8 @@ static uint32_t most_due(const line_machine *m)
 }
 
 /* What fits before the next one is due; at the worst it takes this long. */
-static bool fits(const line_machine *m, const line_frame *frame, int64_t turnaround_ns, int64_t now_ns, int64_t next_ns)
+static bool fits(const line_machine *m, const line_frame *frame, int64_t turnaround_ns,
+                 int64_t now_ns, int64_t next_ns)
 {
     double bytes = (double)frame->request_bytes + (double)frame->reply_bytes;
     int64_t takes_ns = (int64_t)(bytes * m->table.character_ns) + turnaround_ns + m->table.gap_ns;
@@ -307,20 +318,23 @@ static void begin_probe(line_machine *m, uint32_t number, int64_t now_ns, line_o
     begin(m, WORK_PROBE, number, &frame, out);
 }
 
-/* The acyclic slot: an urgent request, else requests and probes by turns. `next_ns`: when the next drive is due. */
+/* The acyclic slot: an urgent request, else requests and probes by turns. `next_ns`: when the
+ * next drive is due. */
 static bool take_slot(line_machine *m, int64_t now_ns, int64_t next_ns, line_output *out)
 {
     bool mine = m->slot_due_ns <= now_ns && m->slot_due_ns <= next_ns;
     uint32_t unresponsive = line_due_probe(m, false, now_ns);
     uint32_t place = line_pick_request(m, now_ns);
     const line_request *request = place < LINE_REQUESTS_MAX ? &m->request[place] : NULL;
-    bool probe_first = unresponsive < LINE_DRIVES_MAX && (request == NULL || (request->urgent == 0 && m->slot_turn % 2 != 0));
+    bool probe_first = unresponsive < LINE_DRIVES_MAX &&
+                       (request == NULL || (request->urgent == 0 && m->slot_turn % 2 != 0));
     if (probe_first && mine) {
         begin_probe(m, unresponsive, now_ns, out);
         spend_slot(m, now_ns);
         return true;
     }
-    if (request != NULL && (mine || fits(m, &request->frame, request->turnaround_ns, now_ns, next_ns))) {
+    if (request != NULL &&
+        (mine || fits(m, &request->frame, request->turnaround_ns, now_ns, next_ns))) {
         begin_request(m, place, out);
         spend_slot(m, now_ns);
         return true;
@@ -363,7 +377,7 @@ static bool take_cycle(line_machine *m, int64_t now_ns, line_output *out)
     return false;
 }
 
-/* ------------------------------------------------------------------------------------------------------ the step */
+/* ----------------------------------------------------------------------------- the step */
 /* Behind the stops, on a line that is never silent. */
 static void take_urgent(line_machine *m, int64_t now_ns, line_output *out)
 {
@@ -445,7 +459,8 @@ static int64_t next_look_ns(const line_machine *m, int64_t now_ns)
     return m->urgent_by_ns > now_ns ? earlier(wake_ns, m->urgent_by_ns) : wake_ns;
 }
 
-void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t count, line_output *out)
+void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t count,
+                       line_output *out)
 {
     *out = (line_output){.send = NULL};
     m->feedback_mask = 0;

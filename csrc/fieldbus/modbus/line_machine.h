@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_machine.h: the inside of a serial line. Bytes and time in, bytes and the time of the next look out: no clock, no
- * file descriptor, so the same inputs give the same outputs.
+ * line_machine.h: the inside of a serial line. Bytes and time in, bytes and the time of the next
+ * look out: no clock, no file descriptor, so the same inputs give the same outputs.
  *
  * line_table.c    is a table good?
  * line_begin.c    before the first step
@@ -24,7 +24,8 @@
 #include "rtu.h"
 
 static const int64_t LINE_MS = 1000000;
-/* Between the reply's last byte on the wire and our reading it: USB frames, receive buffers, a busy machine. */
+/* Between the reply's last byte on the wire and our reading it: USB frames, receive buffers, a
+ * busy machine. */
 static const int64_t LINE_HOST_NS = 20 * LINE_MS;
 
 enum { RECEIVED_BYTES_MAX = 2 * FRAME_BYTES_MAX + 64, OWED_MAX = 4 };
@@ -70,10 +71,22 @@ typedef enum {
     WORK_GROUP
 } line_work;
 
-typedef enum { DIRECTION_UNKNOWN = 0, DIRECTION_REST = 1, DIRECTION_FORWARD = 2, DIRECTION_REVERSE = 3 } line_direction_sent;
+typedef enum {
+    DIRECTION_UNKNOWN = 0,
+    DIRECTION_REST = 1,
+    DIRECTION_FORWARD = 2,
+    DIRECTION_REVERSE = 3
+} line_direction_sent;
 
 /* Where in its cycle a drive is. */
-typedef enum { STAGE_IDLE = 0, STAGE_REST, STAGE_SETPOINTS, STAGE_DIRECTIONS, STAGE_READ, STAGE_EXTRA } line_stage;
+typedef enum {
+    STAGE_IDLE = 0,
+    STAGE_REST,
+    STAGE_SETPOINTS,
+    STAGE_DIRECTIONS,
+    STAGE_READ,
+    STAGE_EXTRA
+} line_stage;
 
 /* Where a drive's reply stands among what came. */
 typedef struct {
@@ -104,15 +117,18 @@ typedef struct {
     uint32_t extra_next;
     uint32_t stop_place; /* the frame that is sent next, or has been sent */
     uint32_t stop_done;  /* bit n: frame n was acknowledged, or is refused for good */
-    uint32_t stop_sent;  /* bit n: frame n was sent at the end, and not answered; behind the last one, the read of its power */
+    uint32_t stop_sent;  /* bit n: frame n was sent at the end, and not answered; behind the last
+                            one, the read of its power */
     uint32_t stop_failures;
     uint32_t stop_doubts; /* answers to the frame that may have been those to older requests */
-    bool stop_refused;    /* frames of the newest stop count as done though the drive will not do them */
+    /* frames of the newest stop count as done though the drive will not do them */
+    bool stop_refused;
     uint32_t probe_place;
     uint32_t probes_at_once;
     uint32_t direction_sent[DRIVE_DIRECTIONS_MAX];
-    uint32_t enabled_before;                       /* state.enabled when its cycle began */
-    uint32_t direction_last[DRIVE_DIRECTIONS_MAX]; /* FORWARD or REVERSE, the newest of the two; 0: none yet */
+    uint32_t enabled_before; /* state.enabled when its cycle began */
+    /* FORWARD or REVERSE, the newest of the two; 0: none yet */
+    uint32_t direction_last[DRIVE_DIRECTIONS_MAX];
     bool lost_setup;
     bool may_turn; /* armed since it was last set up, before the port was opened or after */
     bool cycle_motion;
@@ -217,36 +233,43 @@ typedef struct {
 
 /* line_begin.c: 0 or -EINVAL. Every drive OFF; one that `may_turn` gets a stop before all else. */
 int line_machine_init(line_machine *m, const line_table *table, uint32_t may_turn, int64_t now_ns);
-/* Drives that another program left running: each is READY and has a quick stop to get, as if it had been armed here. */
+/* Drives that another program left running: each is READY and has a quick stop to get, as if it
+ * had been armed here. */
 void line_take_over(line_machine *m, int64_t now_ns);
 /* false: no room */
 bool line_machine_request(line_machine *m, const line_request *request);
-/* The core has made new set-points of a new command: a drive that is to get something else is due at once. */
+/* The core has made new set-points of a new command: a drive that is to get something else is
+ * due at once. */
 void line_machine_kick(line_machine *m, int64_t now_ns);
-void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t count, line_output *out);
+void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t count,
+                       line_output *out);
 void line_machine_sent(line_machine *m, int64_t now_ns);
 void line_machine_report(const line_machine *m, line_report *report);
 
-/* ------------------------------------------------------------------------ line_table.c */
-/* Whether a request can be sent and its answer recognised: nothing beyond its own bytes is ever looked at. */
+/* ------------------------------------------------------------------------- line_table.c */
+/* Whether a request can be sent and its answer recognised: nothing beyond its own bytes is ever
+ * looked at. */
 bool line_frame_is_good(const line_frame *frame);
 
-/* ------------------------------------------------------------------------- line_requests.c */
+/* ---------------------------------------------------------------------- line_requests.c */
 void line_drop_request(line_machine *m, uint32_t place);
 void line_answer_request(line_machine *m, uint64_t id, uint32_t kind, int64_t now_ns);
 void line_expire_request(line_machine *m, int64_t now_ns);
 /* Place of the first that may be sent now; LINE_REQUESTS_MAX: there is none. */
 uint32_t line_pick_request(const line_machine *m, int64_t now_ns);
 
-/* ----------------------------------------------------------------------- line_values.c */
-/* Whether the exchange goes out: a position that is unknown, or of a joint that may not move, holds it back. */
+/* ------------------------------------------------------------------------ line_values.c */
+/* Whether the exchange goes out: a position that is unknown, or of a joint that may not move,
+ * holds it back. */
 bool line_sends(const line_machine *m, uint32_t drive, uint32_t turn);
-/* The request of an exchange with the newest set-points in it, sealed; true: one of them is not zero, or is a position. */
+/* The request of an exchange with the newest set-points in it, sealed; true: one of them is not
+ * zero, or is a position. */
 bool line_build(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out);
 /* The same without its check sum. */
 bool line_fill(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out);
 /* The values of a good reply. */
-void line_read(line_machine *m, uint32_t drive, const line_exchange *turn, const uint8_t *reply, int64_t stamp_ns);
+void line_read(line_machine *m, uint32_t drive, const line_exchange *turn, const uint8_t *reply,
+               int64_t stamp_ns);
 /* The direction that the newest set-points want: REST, FORWARD, REVERSE. */
 uint32_t line_direction_wanted(const line_machine *m, uint32_t drive, uint32_t direction);
 /* What may go to the drive now: the joint's set-point, or 0 unless armed, fresh and enabled. */
@@ -264,7 +287,7 @@ void line_publish(line_machine *m, uint32_t drive);
 /* 1: all its wheels are seen at rest. */
 bool line_at_rest(const line_machine *m, uint32_t drive);
 
-/* ------------------------------------------------------------------------ line_drive.c */
+/* ------------------------------------------------------------------------- line_drive.c */
 bool line_fresh(const line_machine *m, int64_t now_ns);
 void line_obey_request(line_machine *m, uint32_t drive, int64_t now_ns);
 /* What the set-points, its watchdog and its own words demand. */
@@ -282,17 +305,20 @@ void line_stop_doubted(line_machine *m, uint32_t drive);
 void line_cycle_begin(line_machine *m, uint32_t drive, int64_t now_ns);
 /* How the exchange for a drive ended. */
 void line_drive_answered(line_machine *m, uint32_t drive, const uint8_t *reply, int64_t now_ns);
-void line_drive_failed(line_machine *m, uint32_t drive, uint32_t failure, uint32_t exception, int64_t now_ns);
+void line_drive_failed(line_machine *m, uint32_t drive, uint32_t failure, uint32_t exception,
+                       int64_t now_ns);
 /* Its turn has come, but the line was not silent for so long that it counts as a failure. */
 void line_drive_not_reached(line_machine *m, uint32_t drive, int64_t now_ns);
 int64_t line_reply_ns(const line_machine *m, const line_frame *frame);
 
-/* ------------------------------------------------------------------------- line_late.c */
+/* -------------------------------------------------------------------------- line_late.c */
 /* The request in progress has failed: its reply may still come. */
 void line_owe(line_machine *m, uint32_t drive);
 /* A reply to this request, sent then, could be an older one's, and would say something else. */
-bool line_may_be_late(const line_machine *m, uint32_t drive, const line_frame *frame, int64_t sent_ns);
-/* The same of the reply that has just come, also because it came sooner than the drive can answer. */
+bool line_may_be_late(const line_machine *m, uint32_t drive, const line_frame *frame,
+                      int64_t sent_ns);
+/* The same of the reply that has just come, also because it came sooner than the drive can
+ * answer. */
 bool line_is_doubtful(line_machine *m, uint32_t drive, int64_t now_ns);
 /* The reply that has just come is certain, or is doubtful. */
 void line_settle(line_machine *m, uint32_t drive, int64_t now_ns);
@@ -310,7 +336,7 @@ int64_t line_expected_turnaround_ns(const line_machine *m, uint32_t drive);
 /* When the values of the reply that has just come were taken. */
 int64_t line_stamp(const line_machine *m, uint32_t drive, int64_t now_ns);
 
-/* ------------------------------------------------------------------------ line_unresponsive.c */
+/* ------------------------------------------------------------------ line_unresponsive.c */
 void line_becomes_unresponsive(line_machine *m, uint32_t drive, int64_t now_ns);
 void line_next_probe(line_machine *m, uint32_t drive, int64_t now_ns, line_frame *out);
 /* The exchanges of the cycle, and behind them the extra ones. */
@@ -319,12 +345,13 @@ const line_exchange *line_exchange_at(const line_drive *table, uint32_t place);
 uint32_t line_probe_place(const line_drive *table);
 /* The request of one of them for a drive that is not armed. */
 void line_build_read(line_machine *m, uint32_t drive, uint32_t place, line_frame *out);
-/* The first unresponsive drive that may be asked now, of those that may turn or of all; LINE_DRIVES_MAX: none. */
+/* The first unresponsive drive that may be asked now, of those that may turn or of all;
+ * LINE_DRIVES_MAX: none. */
 uint32_t line_due_probe(const line_machine *m, bool may_turn, int64_t now_ns);
 /* The line is not silent: whether what is urgent goes out all the same. */
 bool line_ends_patience(line_machine *m, int64_t now_ns);
 
-/* ------------------------------------------------------------------------ line_group.c */
+/* ------------------------------------------------------------------------- line_group.c */
 bool line_group_is_good(const line_table *table);
 /* The cycle's one request; false: there is nothing to send. */
 bool line_group_begin(line_machine *m, int64_t now_ns, line_frame *out);
@@ -332,13 +359,16 @@ bool line_group_begin(line_machine *m, int64_t now_ns, line_frame *out);
 int64_t line_group_wait_ns(const line_machine *m);
 /* Bytes have come, or the time has. */
 void line_group_step(line_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns);
-/* The next drive that has answered goes on with its cycle: it is `current`; false: there is none. */
+/* The next drive that has answered goes on with its cycle: it is `current`; false: there is
+ * none. */
 bool line_group_goes_on(line_machine *m);
 void line_group_answered(line_machine *m, uint32_t drive, const uint8_t *reply, int64_t stamp_ns);
-/* A drive has answered in the exchange of all, or has not. What it answers in a packet of all is in transaction.plain. */
-void line_group_end_member(line_machine *m, uint32_t drive, uint32_t kind, const received *found, int64_t now_ns);
+/* A drive has answered in the exchange of all, or has not. What it answers in a packet of all is
+ * in transaction.plain. */
+void line_group_end_member(line_machine *m, uint32_t drive, uint32_t kind, const received *found,
+                           int64_t now_ns);
 
-/* ------------------------------------------------------------------------ line_fast.c */
+/* -------------------------------------------------------------------------- line_fast.c */
 bool line_fast_is_good(const line_table *table);
 /* Whether the next read of all is a fast one. */
 bool line_fast_begins(const line_machine *m);
@@ -349,7 +379,7 @@ void line_fast_look(line_machine *m, uint32_t from, int64_t now_ns);
 /* A read of all is over; `all`: each has answered. */
 void line_fast_end(line_machine *m, bool all);
 
-/* -------------------------------------------------------------------------- line_end.c */
+/* --------------------------------------------------------------------------- line_end.c */
 void line_shut_down(line_machine *m, int64_t now_ns);
 /* Its last power-off has frames that it does not acknowledge: what is read behind them decides. */
 bool line_reads_power(const line_machine *m, uint32_t drive);

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_requests.c: requests from outside the cycle that wait for the wire. The one on the wire has left this queue. */
+ * line_requests.c: requests from outside the cycle that wait for the wire. The one on the wire
+ * has left this queue. */
 #include <string.h>
 
 #include "line_machine.h"
@@ -13,7 +14,8 @@ bool line_machine_request(line_machine *m, const line_request *request)
     if (request->urgent != 0) {
         for (place = 0; place < m->request_count && m->request[place].urgent != 0; place++) {
         }
-        memmove(&m->request[place + 1], &m->request[place], (m->request_count - place) * sizeof m->request[0]);
+        memmove(&m->request[place + 1], &m->request[place],
+                (m->request_count - place) * sizeof m->request[0]);
     }
     m->request[place] = *request;
     m->request_count++;
@@ -23,7 +25,8 @@ bool line_machine_request(line_machine *m, const line_request *request)
 void line_drop_request(line_machine *m, uint32_t place)
 {
     m->request_count--;
-    memmove(&m->request[place], &m->request[place + 1], (m->request_count - place) * sizeof m->request[0]);
+    memmove(&m->request[place], &m->request[place + 1],
+            (m->request_count - place) * sizeof m->request[0]);
 }
 
 void line_answer_request(line_machine *m, uint64_t id, uint32_t kind, int64_t now_ns)
@@ -49,7 +52,8 @@ static bool may_be_sent(const line_machine *m, const line_request *request, int6
         return true;
     }
     const line_drive_state *drive = &m->drive[request->drive];
-    bool in_doubt = drive->held_until_ns > now_ns || line_may_be_late(m, request->drive, &request->frame, now_ns);
+    bool in_doubt = drive->held_until_ns > now_ns ||
+                    line_may_be_late(m, request->drive, &request->frame, now_ns);
     return drive->silent_until_ns <= now_ns && (request->urgent != 0 || !in_doubt);
 }
 

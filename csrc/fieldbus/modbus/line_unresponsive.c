@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_unresponsive.c: what a drive that does not answer is sent all the same, and how often it is polled; how long a
- * stop waits on a line that is never silent. */
+ * line_unresponsive.c: what a drive that does not answer is sent all the same, and how often it is
+ * polled; how long a stop waits on a line that is never silent. */
 #include <string.h>
 
 #include "line_machine.h"
@@ -9,18 +9,21 @@
 static const int64_t URGENT_NOISE_NS = 20 * LINE_MS;
 static const int64_t PROBE_FIRST_NS = 100 * LINE_MS, PROBE_LAST_NS = 2000 * LINE_MS;
 
-/* Those that go out to a drive that is not armed; where there is a position in the first one, there are no others. */
+/* Those that go out to a drive that is not armed; where there is a position in the first one,
+ * there are no others. */
 static uint32_t zero_exchanges(const line_machine *m, uint32_t number)
 {
     const line_drive *table = &m->table.drive[number];
     uint32_t count = 0;
-    while (count < table->cyclic_count && table->cyclic[count].setpoint_count > 0 && line_sends(m, number, count)) {
+    while (count < table->cyclic_count && table->cyclic[count].setpoint_count > 0 &&
+           line_sends(m, number, count)) {
         count++;
     }
     return count;
 }
 
-/* A drive that may turn is sent a stop: it may receive though its answers do not arrive, and reads feed its watchdog. */
+/* A drive that may turn is sent a stop: it may receive though its answers do not arrive, and
+ * reads feed its watchdog. */
 static uint32_t stop_probes(const line_machine *m, uint32_t number)
 {
     const line_drive *table = &m->table.drive[number];
@@ -35,7 +38,8 @@ void line_becomes_unresponsive(line_machine *m, uint32_t number, int64_t now_ns)
     }
     drive_unresponsive(&drive->state);
     if (m->end.stage < END_POWER_OFF) {
-        drive->state.stop = STOP_NOTHING; /* its probes stop it; later there are none: it gets the stop until the end */
+        drive->state.stop = STOP_NOTHING; /* its probes stop it; later there are none: it gets the
+                                             stop until the end */
     }
     drive->stage = STAGE_IDLE;
     drive->probe_place = 0;
@@ -50,7 +54,8 @@ void line_becomes_unresponsive(line_machine *m, uint32_t number, int64_t now_ns)
 
 const line_exchange *line_exchange_at(const line_drive *table, uint32_t place)
 {
-    return place < table->cyclic_count ? &table->cyclic[place] : &table->extra[place - table->cyclic_count];
+    return place < table->cyclic_count ? &table->cyclic[place]
+                                       : &table->extra[place - table->cyclic_count];
 }
 
 /* The first exchange of the cycle may hold a position: only where there is no other. */
@@ -92,14 +97,16 @@ void line_next_probe(line_machine *m, uint32_t number, int64_t now_ns, line_fram
         return;
     }
     drive->probe_at_ns = now_ns + drive->probe_pause_ns;
-    drive->probe_pause_ns = 2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
+    drive->probe_pause_ns =
+        2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
 }
 
 uint32_t line_due_probe(const line_machine *m, bool may_turn, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         const line_drive_state *drive = &m->drive[i];
-        bool due = drive->state.mode == DRIVE_UNRESPONSIVE && drive->probe_at_ns <= now_ns && drive->silent_until_ns <= now_ns;
+        bool due = drive->state.mode == DRIVE_UNRESPONSIVE && drive->probe_at_ns <= now_ns &&
+                   drive->silent_until_ns <= now_ns;
         if (due && (drive->may_turn || !may_turn)) {
             return i;
         }
@@ -107,7 +114,7 @@ uint32_t line_due_probe(const line_machine *m, bool may_turn, int64_t now_ns)
     return LINE_DRIVES_MAX;
 }
 
-/* -------------------------------------------------------------------------------- a line that is never silent */
+/* ---------------------------------------------------------- a line that is never silent */
 static bool is_urgent(const line_machine *m, int64_t now_ns)
 {
     uint32_t place = line_pick_request(m, now_ns);

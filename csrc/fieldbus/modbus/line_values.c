@@ -36,7 +36,9 @@ static position_range range_of(const line_machine *m, uint32_t drive, const line
 /* The target that is wanted, as its request would carry it; NaN: none is, or none may. */
 static double target_wanted(const line_machine *m, uint32_t drive, const line_setpoint *setpoint)
 {
-    double wanted_rad = may_move(m, drive) ? setpoint_of(&m->newest, setpoint->joint, SETPOINT_POSITION) : (double)NAN;
+    double wanted_rad = may_move(m, drive)
+                            ? setpoint_of(&m->newest, setpoint->joint, SETPOINT_POSITION)
+                            : (double)NAN;
     return wanted_rad * setpoint->raw_per_si + setpoint->raw_offset;
 }
 
@@ -44,7 +46,8 @@ static double target_wanted(const line_machine *m, uint32_t drive, const line_se
 static double target_of(const line_machine *m, uint32_t drive, const line_setpoint *setpoint)
 {
     const position_range range = range_of(m, drive, setpoint);
-    return place_next(&m->joint[setpoint->joint].place, &range, target_wanted(m, drive, setpoint), m->now_ns);
+    return place_next(&m->joint[setpoint->joint].place, &range, target_wanted(m, drive, setpoint),
+                      m->now_ns);
 }
 
 bool line_sends(const line_machine *m, uint32_t drive, uint32_t turn)
@@ -52,7 +55,8 @@ bool line_sends(const line_machine *m, uint32_t drive, uint32_t turn)
     const line_exchange *from = &m->table.drive[drive].cyclic[turn];
     bool sends = true;
     for (uint32_t i = 0; i < from->setpoint_count; i++) {
-        sends &= !takes_position(&from->setpoint[i]) || !isnan(target_of(m, drive, &from->setpoint[i]));
+        sends &=
+            !takes_position(&from->setpoint[i]) || !isnan(target_of(m, drive, &from->setpoint[i]));
     }
     return sends;
 }
@@ -66,7 +70,8 @@ bool line_place_is_missing(const line_machine *m, uint32_t drive)
             const line_setpoint *setpoint = &table->cyclic[e].setpoint[i];
             const position_range range = range_of(m, drive, setpoint);
             missing |= takes_position(setpoint) &&
-                       place_is_missing(&m->joint[setpoint->joint].place, &range, target_wanted(m, drive, setpoint), m->now_ns);
+                       place_is_missing(&m->joint[setpoint->joint].place, &range,
+                                        target_wanted(m, drive, setpoint), m->now_ns);
         }
     }
     return missing;
@@ -106,11 +111,13 @@ static int64_t raw_of(const line_machine *m, uint32_t drive, const line_setpoint
     return (int64_t)nearbyint(within_span(raw, setpoint->raw_min, setpoint->raw_max));
 }
 
-/* It is to regulate nothing: neither armed nor coming to rest, and not one that may turn without reporting it. */
+/* It is to regulate nothing: neither armed nor coming to rest, and not one that may turn without
+ * reporting it. */
 static bool is_idle(const line_machine *m, uint32_t drive)
 {
     const line_drive_state *state = &m->drive[drive];
-    return state->state.mode == DRIVE_READY && !state->state.stopping && state->state.stop == STOP_NOTHING;
+    return state->state.mode == DRIVE_READY && !state->state.stopping &&
+           state->state.stop == STOP_NOTHING;
 }
 
 /* What is sent is where the next target begins. */
@@ -156,7 +163,8 @@ bool line_differs(line_machine *m, uint32_t drive)
     const line_drive *table = &m->table.drive[drive];
     for (uint32_t e = 0; e < table->cyclic_count; e++) {
         for (uint32_t i = 0; i < table->cyclic[e].setpoint_count && line_sends(m, drive, e); i++) {
-            if (raw_of(m, drive, &table->cyclic[e].setpoint[i]) != m->drive[drive].last_sent[e][i]) {
+            if (raw_of(m, drive, &table->cyclic[e].setpoint[i]) !=
+                m->drive[drive].last_sent[e][i]) {
                 return true;
             }
         }
@@ -170,8 +178,9 @@ bool line_wants_motion(const line_machine *m, uint32_t drive)
     for (uint32_t e = 0; e < table->cyclic_count; e++) {
         for (uint32_t i = 0; i < table->cyclic[e].setpoint_count; i++) {
             const line_setpoint *setpoint = &table->cyclic[e].setpoint[i];
-            bool goes = takes_position(setpoint) ? line_sends(m, drive, e)
-                                                 : line_wanted(m, drive, setpoint->joint, setpoint->kind) != 0.0;
+            bool goes = takes_position(setpoint)
+                            ? line_sends(m, drive, e)
+                            : line_wanted(m, drive, setpoint->joint, setpoint->kind) != 0.0;
             if (goes) {
                 return true;
             }
@@ -195,17 +204,20 @@ static void read_fault(line_machine *m, const line_field *field, uint32_t word)
     line_joint_state *joint = &m->joint[field->joint];
     m->notify |= joint->fault_word != word;
     joint->fault_word = word;
-    joint->feedback.drive_faults =
-        fault_that_stops(word, field->is_code != 0, field->harmless_bits, field->harmless, field->harmless_codes);
+    joint->feedback.drive_faults = fault_that_stops(word, field->is_code != 0, field->harmless_bits,
+                                                    field->harmless, field->harmless_codes);
 }
 
-static double signed_velocity(const line_drive_state *drive, const line_field *field, double velocity)
+static double signed_velocity(const line_drive_state *drive, const line_field *field,
+                              double velocity)
 {
-    bool reverse = field->direction > 0 && drive->direction_last[field->direction - 1] == DIRECTION_REVERSE;
+    bool reverse =
+        field->direction > 0 && drive->direction_last[field->direction - 1] == DIRECTION_REVERSE;
     return reverse ? -velocity : velocity;
 }
 
-static void read_field(line_machine *m, uint32_t number, const line_field *field, const uint8_t *reply, int64_t stamp_ns)
+static void read_field(line_machine *m, uint32_t number, const line_field *field,
+                       const uint8_t *reply, int64_t stamp_ns)
 {
     line_drive_state *drive = &m->drive[number];
     line_joint_state *joint = &m->joint[field->joint];
@@ -219,7 +231,8 @@ static void read_field(line_machine *m, uint32_t number, const line_field *field
     switch (field->kind) {
     case FIELD_COUNT:
         joint->feedback.count = (uint64_t)raw;
-        joint->place.measured = (double)rtu_read(reply + field->byte, field->form | joint->place_form);
+        joint->place.measured =
+            (double)rtu_read(reply + field->byte, field->form | joint->place_form);
         joint->place.measured_ns = joint->count_ns = stamp_ns;
         break;
     case FIELD_FAULT: read_fault(m, field, (uint32_t)raw); break;
@@ -234,7 +247,8 @@ static void read_field(line_machine *m, uint32_t number, const line_field *field
     }
 }
 
-void line_read(line_machine *m, uint32_t drive, const line_exchange *turn, const uint8_t *reply, int64_t stamp_ns)
+void line_read(line_machine *m, uint32_t drive, const line_exchange *turn, const uint8_t *reply,
+               int64_t stamp_ns)
 {
     for (uint32_t i = 0; i < turn->field_count; i++) {
         read_field(m, drive, &turn->field[i], reply, stamp_ns);
@@ -268,9 +282,12 @@ void line_publish(line_machine *m, uint32_t drive)
             continue;
         }
         line_joint_state *joint = &m->joint[j];
-        joint->feedback.stamp_ns = joint->counts ? joint->count_ns : joint->measures ? joint->velocity_ns : joint->newest_ns;
+        joint->feedback.stamp_ns = joint->counts     ? joint->count_ns
+                                   : joint->measures ? joint->velocity_ns
+                                                     : joint->newest_ns;
         bool only_acknowledges = !joint->counts && !joint->measures && joint->newest_ns == 0;
-        if (only_acknowledges) { /* a value that was never read has no stamp, whatever else was answered */
+        /* a value that was never read has no stamp, whatever else was answered */
+        if (only_acknowledges) {
             joint->feedback.stamp_ns = m->drive[drive].answered_ns;
         }
         joint->feedback.epoch = m->drive[drive].state.epoch;
@@ -282,7 +299,8 @@ void line_publish(line_machine *m, uint32_t drive)
 bool line_at_rest(const line_machine *m, uint32_t drive)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        if (has_joint(m, drive, j) && !feedback_at_rest(&m->joint[j].feedback, m->table.rest_velocity_rad_s)) {
+        if (has_joint(m, drive, j) &&
+            !feedback_at_rest(&m->joint[j].feedback, m->table.rest_velocity_rad_s)) {
             return false;
         }
     }

@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * arbiter.c: which lease is in command. The fresh one with the highest priority; among equals the first. A lease that
- * requests motion while nothing may move is held: its command counts as zero until it has sent zero itself or has let
- * it lapse. So a source that goes on sending through a stop, or before arming, moves nothing. */
+ * arbiter.c: which lease is in command. The fresh one with the highest priority; among equals the
+ * first. A lease that requests motion while nothing may move is held: its command counts as zero
+ * until it has sent zero itself or has let it lapse. So a source that goes on sending through a
+ * stop, or before arming, moves nothing. */
 #include <math.h>
 #include <stddef.h>
 #include <string.h>
@@ -10,10 +11,14 @@
 #include "rt.h"
 
 _Static_assert(sizeof(command_datagram) == COMMAND_BYTES, "docs/commands.md promises this layout");
-_Static_assert(sizeof(joint_datagram) == JOINT_COMMAND_BYTES, "docs/commands.md promises this layout");
-_Static_assert(sizeof(joint_position_datagram) == JOINT_POSITION_BYTES, "docs/commands.md promises this layout");
-_Static_assert(offsetof(command_datagram, lateral_m_s) == COMMAND_BYTES_PLANE, "version 1 ends before it");
-_Static_assert(offsetof(joint_datagram, velocity_rad_s) == offsetof(command_datagram, linear_m_s), "one head for both");
+_Static_assert(sizeof(joint_datagram) == JOINT_COMMAND_BYTES,
+               "docs/commands.md promises this layout");
+_Static_assert(sizeof(joint_position_datagram) == JOINT_POSITION_BYTES,
+               "docs/commands.md promises this layout");
+_Static_assert(offsetof(command_datagram, lateral_m_s) == COMMAND_BYTES_PLANE,
+               "version 1 ends before it");
+_Static_assert(offsetof(joint_datagram, velocity_rad_s) == offsetof(command_datagram, linear_m_s),
+               "one head for both");
 
 /* What a datagram requests: of a base a twist, of joints without one what each shall do. */
 typedef struct {
@@ -23,10 +28,14 @@ typedef struct {
 } request;
 
 static const int64_t NS_PER_MS = 1000000;
-enum { BURST = 4, SMOOTH = 8 }; /* commands that may come early; of the interval between them the newest counts 1/SMOOTH */
+enum {
+    BURST = 4,
+    SMOOTH = 8
+}; /* commands that may come early; of the interval between them the newest counts 1/SMOOTH */
 /* What is shorter would lapse between two commands, and the hold of a held lease with it. */
 static const int64_t LIFETIME_LEAST_NS = 20000000;
-static const double OUT_OF_RANGE = 10.0; /* times the limit: a wrong unit or a broken program, nothing to be scaled down */
+static const double OUT_OF_RANGE = 10.0; /* times the limit: a wrong unit or a broken program,
+                                            nothing to be scaled down */
 
 void arbiter_init(arbiter *a, const core_config *base, const base_limits *limits)
 {
@@ -80,7 +89,8 @@ static uint32_t find(const arbiter *a, const uint8_t *token)
 {
     uint32_t found = LEASES_MAX;
     for (uint32_t i = 0; i < LEASES_MAX; i++) {
-        if (a->permissions.lease[i].number != 0 && same_token(token, a->permissions.lease[i].token)) {
+        if (a->permissions.lease[i].number != 0 &&
+            same_token(token, a->permissions.lease[i].token)) {
             found = i;
         }
     }
@@ -100,7 +110,8 @@ static int64_t lifetime_ns(const lease_permission *grant, const command_datagram
     if (requested_ns == 0) {
         return grant->lifetime_ns;
     }
-    return requested_ns >= LIFETIME_LEAST_NS && requested_ns <= grant->lifetime_ns ? requested_ns : 0;
+    return requested_ns >= LIFETIME_LEAST_NS && requested_ns <= grant->lifetime_ns ? requested_ns
+                                                                                   : 0;
 }
 
 /* 0 is never a command's: in a lease it means that none came. */
@@ -133,7 +144,8 @@ static void measure_interval(lease_state *lease, int64_t now_ns)
     lease->taken_ns = now_ns;
 }
 
-/* Of two limits, which are numbers. Not fmax: its code is a page that the loop's first command would have to fetch. */
+/* Of two limits, which are numbers. Not fmax: its code is a page that the loop's first command
+ * would have to fetch. */
 static double larger(double a, double b)
 {
     return a > b ? a : b;
@@ -147,17 +159,19 @@ static bool takes_position(const arbiter *a, uint32_t j)
 /* A position is a request for motion wherever the joint is. */
 static bool wants_motion(const arbiter *a, const request *wanted)
 {
-    bool motion = wanted->twist.linear_m_s != 0.0 || wanted->twist.angular_rad_s != 0.0 || wanted->twist.lateral_m_s != 0.0;
+    bool motion = wanted->twist.linear_m_s != 0.0 || wanted->twist.angular_rad_s != 0.0 ||
+                  wanted->twist.lateral_m_s != 0.0;
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        motion |= (wanted->joints.named >> j & 1U) && (takes_position(a, j) || wanted->joints.value_u[j] != 0.0);
+        motion |= (wanted->joints.named >> j & 1U) &&
+                  (takes_position(a, j) || wanted->joints.value_u[j] != 0.0);
     }
     return motion;
 }
 
 static bool is_finite(const request *wanted)
 {
-    bool finite =
-        isfinite(wanted->twist.linear_m_s) && isfinite(wanted->twist.angular_rad_s) && isfinite(wanted->twist.lateral_m_s);
+    bool finite = isfinite(wanted->twist.linear_m_s) && isfinite(wanted->twist.angular_rad_s) &&
+                  isfinite(wanted->twist.lateral_m_s);
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         finite &= isfinite(wanted->joints.value_u[j]) != 0;
     }
@@ -169,14 +183,17 @@ static bool joints_in_range(const arbiter *a, const joint_command *joints)
     bool within = true;
     for (uint32_t j = 0; j < a->base->joint_count; j++) {
         const joint_config *joint = &a->base->joint[j];
-        double low = takes_position(a, j) ? joint->position.position_min_rad : joint->velocity_min_rad_s;
-        double high = takes_position(a, j) ? joint->position.position_max_rad : joint->velocity_max_rad_s;
+        double low =
+            takes_position(a, j) ? joint->position.position_min_rad : joint->velocity_min_rad_s;
+        double high =
+            takes_position(a, j) ? joint->position.position_max_rad : joint->velocity_max_rad_s;
         within &= fabs(joints->value_u[j]) <= OUT_OF_RANGE * larger(-low, high);
     }
     return within;
 }
 
-/* Of the robot file's limit and the one in force the greater counts: a source that slows the robot down by a limit stops none. */
+/* Of the robot file's limit and the one in force the greater counts: a source that slows the
+ * robot down by a limit stops none. */
 static bool in_range(const arbiter *a, const request *wanted)
 {
     const command_datagram *command = &wanted->twist;
@@ -190,7 +207,8 @@ static bool in_range(const arbiter *a, const request *wanted)
     double linear_m_s = larger(file->linear.velocity_u_s, now->linear.velocity_u_s);
     double angular_rad_s = larger(file->angular.velocity_u_s, now->angular.velocity_u_s);
     double lateral_m_s = larger(file->lateral.velocity_u_s, now->lateral.velocity_u_s);
-    bool sideways = !kinematics_strafes(a->base) || fabs(command->lateral_m_s) <= OUT_OF_RANGE * lateral_m_s;
+    bool sideways =
+        !kinematics_strafes(a->base) || fabs(command->lateral_m_s) <= OUT_OF_RANGE * lateral_m_s;
     return fabs(command->linear_m_s) <= OUT_OF_RANGE * linear_m_s &&
            fabs(command->angular_rad_s) <= OUT_OF_RANGE * angular_rad_s && sideways;
 }
@@ -200,7 +218,8 @@ static void count_impossible(arbiter *a, const command_datagram *command)
     if (a->base == NULL || a->base->independent) {
         return;
     }
-    bool on_spot = command->linear_m_s == 0.0 && command->lateral_m_s == 0.0 && command->angular_rad_s != 0.0;
+    bool on_spot =
+        command->linear_m_s == 0.0 && command->lateral_m_s == 0.0 && command->angular_rad_s != 0.0;
     a->report.sideways += command->lateral_m_s != 0.0 && !kinematics_strafes(a->base);
     a->report.on_spot += on_spot && !kinematics_spins(a->base);
 }
@@ -243,7 +262,9 @@ static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_n
     lease->held = motion && (!may_move || barred);
     if (!good) {
         lease->held = barred; /* that was no zero */
-        return refuse(a, !finite ? REFUSED_NOT_FINITE : !wanted->possible ? REFUSED_JOINTS : REFUSED_OUT_OF_RANGE);
+        return refuse(a, !finite             ? REFUSED_NOT_FINITE
+                         : !wanted->possible ? REFUSED_JOINTS
+                                             : REFUSED_OUT_OF_RANGE);
     }
     a->report.accepted++;
     count_impossible(a, command);
@@ -253,7 +274,8 @@ static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_n
 /* The datagram in the form of a twist; what it does not have stays zero. */
 static bool read_form(const void *datagram, size_t bytes, command_datagram *command)
 {
-    if (bytes != COMMAND_BYTES && bytes != COMMAND_BYTES_PLANE && bytes != JOINT_COMMAND_BYTES && bytes != JOINT_POSITION_BYTES) {
+    if (bytes != COMMAND_BYTES && bytes != COMMAND_BYTES_PLANE && bytes != JOINT_COMMAND_BYTES &&
+        bytes != JOINT_POSITION_BYTES) {
         return false;
     }
     memcpy(command, datagram, bytes < sizeof *command ? bytes : sizeof *command);
@@ -275,8 +297,10 @@ static bool read_form(const void *datagram, size_t bytes, command_datagram *comm
     return command->kind == COMMAND_TWIST || command->kind == COMMAND_RELEASE;
 }
 
-/* In the newest form. Older ones give a velocity to each joint: one that takes positions has none but zero. */
-static void read_joint_datagram(const arbiter *a, const void *datagram, size_t bytes, joint_position_datagram *found)
+/* In the newest form. Older ones give a velocity to each joint: one that takes positions has
+ * none but zero. */
+static void read_joint_datagram(const arbiter *a, const void *datagram, size_t bytes,
+                                joint_position_datagram *found)
 {
     memset(found, 0, sizeof *found);
     memcpy(found, datagram, bytes);
@@ -290,14 +314,16 @@ static void read_joint_datagram(const arbiter *a, const void *datagram, size_t b
 }
 
 /* False: one of them is no joint here, or takes the other kind of set-point. */
-static bool read_independent(const arbiter *a, const joint_position_datagram *from, joint_command *joints)
+static bool read_independent(const arbiter *a, const joint_position_datagram *from,
+                             joint_command *joints)
 {
     bool possible = ((from->velocities | from->positions) >> a->base->joint_count) == 0;
     for (uint32_t j = 0; j < a->base->joint_count; j++) {
         uint32_t bit = 1U << j;
         possible &= !((takes_position(a, j) ? from->velocities : from->positions) & bit);
         if ((from->velocities | from->positions) & bit) {
-            joints->value_u[j] = takes_position(a, j) ? from->position_rad[j] : from->head.velocity_rad_s[j];
+            joints->value_u[j] =
+                takes_position(a, j) ? from->position_rad[j] : from->head.velocity_rad_s[j];
             joints->named |= bit;
         }
     }
@@ -310,7 +336,8 @@ static bool read_wheels(const arbiter *a, joint_position_datagram *from, command
     double twist_u_s[AXES];
     bool foreign = from->positions != 0 || (from->velocities >> a->base->joint_count) != 0;
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        from->head.velocity_rad_s[j] = from->velocities >> j & 1U ? from->head.velocity_rad_s[j] : 0.0;
+        from->head.velocity_rad_s[j] =
+            from->velocities >> j & 1U ? from->head.velocity_rad_s[j] : 0.0;
     }
     if (foreign || !joints_twist(a->base, from->head.velocity_rad_s, twist_u_s)) {
         return false;
@@ -353,7 +380,8 @@ int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_n
     if (wanted.twist.kind == COMMAND_JOINTS) {
         read_joints(a, datagram, bytes, &wanted);
     } else if (a->base != NULL && a->base->independent) {
-        wanted.possible = !wants_motion(a, &wanted); /* without a base no twist but zero can be done */
+        /* without a base no twist but zero can be done */
+        wanted.possible = !wants_motion(a, &wanted);
     }
     return take(a, place, &wanted, now_ns, may_move);
 }
@@ -368,8 +396,8 @@ static const lease_state *commander(arbiter *a, int64_t now_ns, bool may_move)
             continue;
         }
         lease->held |= !may_move && lease->wants_motion != 0;
-        bool better =
-            best == NULL || lease->priority > best->priority || (lease->priority == best->priority && lease->since < best->since);
+        bool better = best == NULL || lease->priority > best->priority ||
+                      (lease->priority == best->priority && lease->since < best->since);
         best = better ? lease : best;
     }
     return best;

@@ -13,8 +13,10 @@ static const int64_t NS_PER_S = 1000000000;
 
 bool ingress_wait(const ingress *in, int64_t until_ns)
 {
-    struct pollfd any = {.fd = in->epoll_fd, .events = POLLIN}; /* epoll_wait itself counts in milliseconds */
-    for (int64_t left_ns = until_ns - clock_now_ns(); left_ns > 0; left_ns = until_ns - clock_now_ns()) {
+    /* epoll_wait itself counts in milliseconds */
+    struct pollfd any = {.fd = in->epoll_fd, .events = POLLIN};
+    for (int64_t left_ns = until_ns - clock_now_ns(); left_ns > 0;
+         left_ns = until_ns - clock_now_ns()) {
         struct timespec left = {.tv_sec = left_ns / NS_PER_S, .tv_nsec = left_ns % NS_PER_S};
         if (ppoll(&any, 1, &left, NULL) > 0) {
             return true;
@@ -51,8 +53,9 @@ uint32_t ingress_take(const ingress *in, arbiter *a, bool may_move)
     return taken;
 }
 
-/* Owner, group and mode of the socket's file decide which programs may send; the kernel checks them for each datagram. The
- * credentials only name the sender. There is room for them alone: descriptors that come along are dropped by the kernel. */
+/* Owner, group and mode of the socket's file decide which programs may send; the kernel checks them
+ * for each datagram. The credentials only name the sender. There is room for them alone:
+ * descriptors that come along are dropped by the kernel. */
 static ssize_t receive(int fd, void *datagram, size_t bytes, int32_t *pid)
 {
     union {
@@ -60,8 +63,10 @@ static ssize_t receive(int fd, void *datagram, size_t bytes, int32_t *pid)
         struct cmsghdr aligned;
     } control;
     struct iovec place = {.iov_base = datagram, .iov_len = bytes};
-    struct msghdr message = {
-        .msg_iov = &place, .msg_iovlen = 1, .msg_control = control.bytes, .msg_controllen = sizeof control.bytes};
+    struct msghdr message = {.msg_iov = &place,
+                             .msg_iovlen = 1,
+                             .msg_control = control.bytes,
+                             .msg_controllen = sizeof control.bytes};
     ssize_t received = recvmsg(fd, &message, MSG_DONTWAIT);
     const struct cmsghdr *first = received >= 0 ? CMSG_FIRSTHDR(&message) : NULL;
     *pid = 0;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * guard.c: when the emergency stop's contact stops the robot, and whether all threads live for which the watchdog's pin
- * moves. Pure: time is an argument. */
+ * guard.c: when the emergency stop's contact stops the robot, and whether all threads live for
+ * which the watchdog's pin moves. Pure: time is an argument. */
 #include "guard.h"
 
 #include <errno.h>
@@ -9,7 +9,8 @@
 
 int guard_config_check(const guard_config *config)
 {
-    bool good = config->watchdog == 0 || (config->watchdog_every_ticks > 0 && config->heartbeat_timeout_ns > 0);
+    bool good = config->watchdog == 0 ||
+                (config->watchdog_every_ticks > 0 && config->heartbeat_timeout_ns > 0);
     for (uint32_t line = 0; line < LINES_MAX; line++) {
         good = good && config->line_timeout_ns[line] >= 0;
     }
@@ -22,12 +23,14 @@ uint32_t estop_judge(const guard_config *config, const estop_reading *reading)
     if (!reading->known) {
         return ESTOP_LOST;
     }
-    return reading->opened || reading->high == (config->estop_high != 0) ? ESTOP_ACTIVE : ESTOP_CLEAR;
+    return reading->opened || reading->high == (config->estop_high != 0) ? ESTOP_ACTIVE
+                                                                         : ESTOP_CLEAR;
 }
 
-/* A line with enabled drives has to go on. One that hangs counts until it goes on again, though the core has long taken
- * its enable back: only its drives know what they do. */
-static bool line_lives(watchdog_state *state, const guard_config *config, const watchdog_input *input, uint32_t line)
+/* A line with enabled drives has to go on. One that hangs counts until it goes on again, though the
+ * core has long taken its enable back: only its drives know what they do. */
+static bool line_lives(watchdog_state *state, const guard_config *config,
+                       const watchdog_input *input, uint32_t line)
 {
     int64_t timeout_ns = config->line_timeout_ns[line];
     if (timeout_ns == 0) {

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * output_guard.c: the emergency stop's input and the watchdog's output by descriptors that were opened before.
- * Source: kernel, include/uapi/linux/gpio.h (v2) and Documentation/userspace-api/gpio/gpio-v2-line-event-read.rst. */
+ * output_guard.c: the emergency stop's input and the watchdog's output by descriptors that were
+ * opened before. Source: kernel, include/uapi/linux/gpio.h (v2) and
+ * Documentation/userspace-api/gpio/gpio-v2-line-event-read.rst. */
 #include <errno.h>
 #include <linux/gpio.h>
 #include <string.h>
@@ -9,7 +10,9 @@
 
 #include "guard.h"
 
-enum { EVENTS_A_TICK = 16 }; /* of a contact that bounces: the kernel keeps that many, and the level shows the rest */
+enum {
+    EVENTS_A_TICK = 16
+}; /* of a contact that bounces: the kernel keeps that many, and the level shows the rest */
 
 void guard_init(guard *g, const guard_config *config)
 {
@@ -22,8 +25,9 @@ void guard_init(guard *g, const guard_config *config)
     g->watchdog_errno = 0;
 }
 
-/* The events first: an edge that comes after them is in the level. The request is for one kind of edge, so each event is
- * one: of a line with both the kernel reports the edge by the level that it finds later, and a short pulse is lost. */
+/* The events first: an edge that comes after them is in the level. The request is for one kind of
+ * edge, so each event is one: of a line with both the kernel reports the edge by the level that
+ * it finds later, and a short pulse is lost. */
 static estop_reading read_input(int fd)
 {
     estop_reading reading = {.known = true};
@@ -57,7 +61,8 @@ bool guard_read_estop(guard *g)
 static void write_level(guard *g, bool high)
 {
     struct gpio_v2_line_values values = {.bits = high, .mask = 1};
-    g->watchdog_errno = ioctl(g->config.watchdog_fd, GPIO_V2_LINE_SET_VALUES_IOCTL, &values) == 0 ? 0 : errno;
+    g->watchdog_errno =
+        ioctl(g->config.watchdog_fd, GPIO_V2_LINE_SET_VALUES_IOCTL, &values) == 0 ? 0 : errno;
 }
 
 void guard_drive_watchdog(guard *g, const watchdog_input *input)

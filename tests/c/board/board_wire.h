@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * board_wire.h: a board's machine in virtual time, with the reference board at the other end of the wire. */
+ * board_wire.h: a board's machine in virtual time, with the reference board at the other end of
+ * the wire. */
 #ifndef MOTORD_TESTS_BOARD_WIRE_H
 #define MOTORD_TESTS_BOARD_WIRE_H
 
@@ -10,7 +11,17 @@
 #include "board_machine.h"
 #include "check.h"
 
-enum { CONTROL = 0, STATUS = 0, WATCHDOG = 2, FAULTS = 10, VOLTAGE = 12, TARGET = 6, COUNT = 16, SPEED = 20, MOTORS = 2 };
+enum {
+    CONTROL = 0,
+    STATUS = 0,
+    WATCHDOG = 2,
+    FAULTS = 10,
+    VOLTAGE = 12,
+    TARGET = 6,
+    COUNT = 16,
+    SPEED = 20,
+    MOTORS = 2
+};
 enum { WATCHDOG_MS = 200, CONTROL_OFF = 0 };
 
 static const int64_t MS = 1000000;
@@ -22,11 +33,12 @@ typedef struct {
     motord_measured measured[MOTORS];
     motord_health health;
     int64_t now_ns, wake_ns;
-    double velocity_rad_s;             /* what the core wants of all joints */
-    uint32_t enabled;                  /* the core's; 2: no set-points come any more */
-    bool mute, receives_nothing, full; /* the board does not send or receive; the port takes nothing */
-    bool stuck;                        /* its wheels turn as they did, whatever they are sent */
-    uint8_t sent[BOARD_WIRE_MAX];      /* the newest */
+    double velocity_rad_s; /* what the core wants of all joints */
+    uint32_t enabled;      /* the core's; 2: no set-points come any more */
+    /* the board does not send or receive; the port takes nothing */
+    bool mute, receives_nothing, full;
+    bool stuck;                   /* its wheels turn as they did, whatever they are sent */
+    uint8_t sent[BOARD_WIRE_MAX]; /* the newest */
     uint32_t sent_bytes, sent_count;
     uint32_t moving_count; /* frames with a set-point that is not zero */
 } board_wire;
@@ -66,14 +78,18 @@ static inline bool take_bytes(void *sink, const uint8_t *bytes, uint32_t count)
     return true;
 }
 
-static inline board_field field_of(uint32_t joint, uint32_t kind, board_place place, double si_per_raw)
+static inline board_field field_of(uint32_t joint, uint32_t kind, board_place place,
+                                   double si_per_raw)
 {
-    return (board_field){.place = place, .meaning = {.joint = joint, .kind = kind, .counter_bits = 32, .si_per_raw = si_per_raw}};
+    return (board_field){
+        .place = place,
+        .meaning = {.joint = joint, .kind = kind, .counter_bits = 32, .si_per_raw = si_per_raw}};
 }
 
 static inline board_field level_of(uint32_t kind, board_place place, uint32_t mask, uint32_t equals)
 {
-    return (board_field){.place = place, .meaning = {.kind = kind, .equals_mask = mask, .equals = equals}};
+    return (board_field){.place = place,
+                         .meaning = {.kind = kind, .equals_mask = mask, .equals = equals}};
 }
 
 /* config/drives/mcu-velocity.toml */
@@ -96,16 +112,22 @@ static inline board_table frames_table(void)
     for (uint32_t j = 0; j < MOTORS; j++) {
         table.setpoint[table.setpoint_count++] =
             (board_setpoint){.place = at(TARGET + 6 * j, 4, 1),
-                             .scale = {.joint = j, .raw_per_si = j == 1 ? -1000.0 : 1000.0, .raw_min = -1e6, .raw_max = 1e6}};
+                             .scale = {.joint = j,
+                                       .raw_per_si = j == 1 ? -1000.0 : 1000.0,
+                                       .raw_min = -1e6,
+                                       .raw_max = 1e6}};
         table.field[table.field_count++] = field_of(j, FIELD_COUNT, at(COUNT + 10 * j, 4, 1), 1.0);
-        table.field[table.field_count++] = field_of(j, FIELD_VELOCITY, at(SPEED + 10 * j, 4, 1), j == 1 ? -0.001 : 0.001);
+        table.field[table.field_count++] =
+            field_of(j, FIELD_VELOCITY, at(SPEED + 10 * j, 4, 1), j == 1 ? -0.001 : 0.001);
         table.field[table.field_count++] = field_of(j, FIELD_VOLTAGE, at(VOLTAGE, 2, 0), 0.01);
         table.field[table.field_count] = field_of(j, FIELD_FAULT, at(FAULTS, 2, 0), 1.0);
         table.field[table.field_count++].meaning.harmless_bits = 4;
     }
     table.field[table.field_count++] = level_of(FIELD_KEPT, at(STATUS, 1, 0), STATUS_RESTARTED, 0);
-    table.field[table.field_count++] = level_of(FIELD_KEPT, at(WATCHDOG, 2, 0), UINT32_MAX, WATCHDOG_MS);
-    table.field[table.field_count++] = level_of(FIELD_ENABLED, at(STATUS, 1, 0), STATUS_ENABLED, STATUS_ENABLED);
+    table.field[table.field_count++] =
+        level_of(FIELD_KEPT, at(WATCHDOG, 2, 0), UINT32_MAX, WATCHDOG_MS);
+    table.field[table.field_count++] =
+        level_of(FIELD_ENABLED, at(STATUS, 1, 0), STATUS_ENABLED, STATUS_ENABLED);
     table.quick_stop[0] = (board_write){.place = at(CONTROL, 1, 0), .raw = CONTROL_BRAKE};
     table.disarm[0] = (board_write){.place = at(CONTROL, 1, 0), .raw = CONTROL_OFF};
     return table;
@@ -126,16 +148,19 @@ static inline board_table text_table(bool answers)
                          .rest_velocity_rad_s = 0.1,
                          .written = {.part_count = 3, .literal = ",\n"}};
     for (uint32_t j = 0; j < 2; j++) {
-        table.setpoint[j] = (board_setpoint){.place = at(4 * j, 4, 1),
-                                             .scale = {.joint = j, .raw_per_si = 1000.0, .raw_min = -1e6, .raw_max = 1e6}};
+        table.setpoint[j] = (board_setpoint){
+            .place = at(4 * j, 4, 1),
+            .scale = {.joint = j, .raw_per_si = 1000.0, .raw_min = -1e6, .raw_max = 1e6}};
         table.written.part[j] = (board_part){.literal_bytes = j, .form = NUMBER_INTEGER};
         table.written.part[j].number_per_raw[j] = 0.255;
     }
     table.written.part[2].literal_bytes = 1;
     if (answers) {
         table.read = (board_text){.part_count = 2, .literal = "v \n"};
-        table.read.part[0] =
-            (board_part){.literal_bytes = 2, .form = NUMBER_FIXED, .place = at(0, 6, 1), .raw_per_number = 1000.0};
+        table.read.part[0] = (board_part){.literal_bytes = 2,
+                                          .form = NUMBER_FIXED,
+                                          .place = at(0, 6, 1),
+                                          .raw_per_number = 1000.0};
         table.read.part[1].literal_bytes = 1;
         table.field[table.field_count++] = field_of(0, FIELD_VELOCITY, at(0, 6, 1), 0.001);
     }
@@ -144,7 +169,8 @@ static inline board_table text_table(bool answers)
 
 static inline void restart(void)
 {
-    CHECK(board_machine_init(&w.machine, &w.table, w.machine.state.epoch, w.machine.sequence, w.now_ns) == 0);
+    CHECK(board_machine_init(&w.machine, &w.table, w.machine.state.epoch, w.machine.sequence,
+                             w.now_ns) == 0);
     w.machine.send = take_bytes;
     w.wake_ns = w.now_ns;
 }
@@ -169,10 +195,12 @@ static inline void begin(void)
 static inline void step(void)
 {
     if (w.enabled < 2) {
-        w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = w.enabled, .joint_count = JOINTS_MAX};
+        w.machine.newest =
+            (setpoints){.stamp_ns = w.now_ns, .enabled = w.enabled, .joint_count = JOINTS_MAX};
         for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-            w.machine.newest.joint[j] =
-                (joint_setpoint){.velocity_rad_s = w.velocity_rad_s, .duty = w.velocity_rad_s, .torque_n_m = w.velocity_rad_s};
+            w.machine.newest.joint[j] = (joint_setpoint){.velocity_rad_s = w.velocity_rad_s,
+                                                         .duty = w.velocity_rad_s,
+                                                         .torque_n_m = w.velocity_rad_s};
         }
     }
     w.wake_ns = board_machine_step(&w.machine, w.now_ns);
@@ -191,7 +219,8 @@ static inline void speak(void)
         w.measured[j].velocity_mrad_s = w.peer.setpoint[j].velocity_mrad_s;
         w.measured[j].count += w.measured[j].velocity_mrad_s / 1000;
     }
-    size_t count = motord_board_feedback(&w.peer, (uint32_t)(w.now_ns / 1000), w.measured, &w.health, bytes);
+    size_t count =
+        motord_board_feedback(&w.peer, (uint32_t)(w.now_ns / 1000), w.measured, &w.health, bytes);
     if (!w.mute && count > 0) {
         board_machine_receive(&w.machine, bytes, (uint32_t)count, w.now_ns);
     }
@@ -220,7 +249,9 @@ static inline void request(uint32_t mode)
 
 static inline void order(uint32_t byte, uint32_t bytes, int64_t raw, uint32_t guarded)
 {
-    board_order one = {.write = {.place = at(byte, bytes, 0), .raw = raw}, .guarded = guarded, .stops = w.machine.stops};
+    board_order one = {.write = {.place = at(byte, bytes, 0), .raw = raw},
+                       .guarded = guarded,
+                       .stops = w.machine.stops};
     CHECK(board_machine_order(&w.machine, &one));
     for (uint32_t i = 0; i < 300 && w.machine.has_order; i++) {
         go_on(MS);
@@ -236,8 +267,10 @@ static inline void set_up(void)
     order(CONTROL, 1, CONTROL_OFF, 0); /* or it would take back the next restart's */
     order(WATCHDOG, 2, WATCHDOG_MS, 0);
     request(DRIVE_READY);
-    CHECK(w.machine.state.mode == DRIVE_READY && w.machine.state.fault_reasons == 0 && w.machine.state.enabled == 2);
-    CHECK(isnan(w.machine.joint[0].feedback.velocity_rad_s)); /* what was received before was another life */
+    CHECK(w.machine.state.mode == DRIVE_READY && w.machine.state.fault_reasons == 0 &&
+          w.machine.state.enabled == 2);
+    /* what was received before was another life */
+    CHECK(isnan(w.machine.joint[0].feedback.velocity_rad_s));
 }
 
 static inline void arm(void)
@@ -262,7 +295,8 @@ static inline void arm_and_turn(void)
 {
     arm();
     go_on(50 * MS);
-    CHECK(w.peer.setpoint[0].velocity_mrad_s == 1000 && w.peer.setpoint[1].velocity_mrad_s == -1000);
+    CHECK(w.peer.setpoint[0].velocity_mrad_s == 1000 &&
+          w.peer.setpoint[1].velocity_mrad_s == -1000);
 }
 
 #endif

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_board.c: a board's machine among bytes, requests and set-points that do what they like. Whatever comes: motion is
- * sent only to a board that is armed and only while the core wants it, frames leave no faster than cycles and stops, and
- * the end comes. In each dialect. */
+ * fuzz_board.c: a board's machine among bytes, requests and set-points that do what they like.
+ * Whatever comes: motion is sent only to a board that is armed and only while the core wants it,
+ * frames leave no faster than cycles and stops, and the end comes. In each dialect. */
 #include "board_wire.h"
 #include "tape.h"
 
@@ -13,7 +13,8 @@ static uint32_t mode_before;
 static bool may_move(void)
 {
     const setpoints *from = &w.machine.newest;
-    return w.machine.state.mode == DRIVE_ARMED && from->enabled == 1 && from->stamp_ns > 0 && w.machine.end.stage == END_NOT &&
+    return w.machine.state.mode == DRIVE_ARMED && from->enabled == 1 && from->stamp_ns > 0 &&
+           w.machine.end.stage == END_NOT &&
            w.now_ns - from->stamp_ns <= w.table.setpoint_timeout_ns && isfinite(w.velocity_rad_s);
 }
 
@@ -41,8 +42,8 @@ static bool judge(void *sink, const uint8_t *bytes, uint32_t count)
         return true;
     }
     CHECK(may_move() || (last_sent(TARGET, 4, 1) == 0 && last_sent(TARGET + 6, 4, 1) == 0));
-    CHECK(w.machine.state.mode != DRIVE_UNRESPONSIVE || last_sent(CONTROL, 1, 0) == CONTROL_BRAKE || w.machine.state.back ||
-          w.machine.end.stage != END_NOT);
+    CHECK(w.machine.state.mode != DRIVE_UNRESPONSIVE || last_sent(CONTROL, 1, 0) == CONTROL_BRAKE ||
+          w.machine.state.back || w.machine.end.stage != END_NOT);
     return true;
 }
 
@@ -54,11 +55,13 @@ static void report_something(void)
     for (uint32_t i = 0; i < size && i < 36; i++) {
         payload[i] = next_byte() % 4 == 0 ? next_byte() : 0;
     }
-    payload[STATUS] &= STATUS_ENABLED | STATUS_RESTARTED | STATUS_IMU; /* a sensor, too, where it is long enough */
+    /* a sensor, too, where it is long enough */
+    payload[STATUS] &= STATUS_ENABLED | STATUS_RESTARTED | STATUS_IMU;
     payload[WATCHDOG] = WATCHDOG_MS;
     board_place received = at(6, 2, 0);
     board_put(payload, &received, w.machine.sequence - next_byte() % 4);
-    uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 0, (uint32_t)(w.now_ns / 1000), payload, size, frame);
+    uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 0, (uint32_t)(w.now_ns / 1000), payload,
+                                       size, frame);
     board_machine_receive(&w.machine, frame, count, w.now_ns);
 }
 
@@ -67,7 +70,8 @@ static void report_packet(void)
 {
     uint8_t frame[HOVERBOARD_FEEDBACK_BYTES] = {0xCD, 0xAB};
     for (uint32_t i = 2; i < 16; i++) {
-        frame[i] = next_byte() % 4 == 0 ? (uint8_t)(next_byte() % 2 == 0 ? 0xCD : 0xAB) : next_byte();
+        frame[i] =
+            next_byte() % 4 == 0 ? (uint8_t)(next_byte() % 2 == 0 ? 0xCD : 0xAB) : next_byte();
     }
     for (uint32_t i = 0; i < 16; i++) {
         frame[16 + i % 2] ^= frame[i];
@@ -80,30 +84,51 @@ static void report_packet(void)
 
 static void report_bytes(void)
 {
-    static const char *const words[] = {
-        "v ", "1",  ".", "e", "-",      "\n", ";",       "999999999999999999999", "v 1.5\n", "+", "{\"T\":1,\"v\":2}\n", "{", "}",
-        "[",  "\"", ":", ",", "\"v\":", "\\", "\"T\":1,"};
+    static const char *const words[] = {"v ",
+                                        "1",
+                                        ".",
+                                        "e",
+                                        "-",
+                                        "\n",
+                                        ";",
+                                        "999999999999999999999",
+                                        "v 1.5\n",
+                                        "+",
+                                        "{\"T\":1,\"v\":2}\n",
+                                        "{",
+                                        "}",
+                                        "[",
+                                        "\"",
+                                        ":",
+                                        ",",
+                                        "\"v\":",
+                                        "\\",
+                                        "\"T\":1,"};
     for (uint32_t i = next_byte() % 8; i > 0; i--) {
         uint8_t byte = next_byte();
         const char *word = words[byte % 20];
         if (byte < 128) {
             board_machine_receive(&w.machine, &byte, 1, w.now_ns);
         } else {
-            board_machine_receive(&w.machine, (const uint8_t *)word, (uint32_t)strlen(word), w.now_ns);
+            board_machine_receive(&w.machine, (const uint8_t *)word, (uint32_t)strlen(word),
+                                  w.now_ns);
         }
     }
 }
 
 static void set_points(uint8_t choice)
 {
-    static const double wanted[] = {0.0, 1.0, -1.0, 1e300, (double)NAN, (double)INFINITY, -0.0001, 3.0};
+    static const double wanted[] = {0.0,     1.0, -1.0, 1e300, (double)NAN, (double)INFINITY,
+                                    -0.0001, 3.0};
     w.velocity_rad_s = wanted[choice % 8];
     setpoints *newest = &w.machine.newest;
-    *newest =
-        (setpoints){.stamp_ns = w.now_ns - (choice >> 6) * 40 * MS, .enabled = choice >> 3 & 1, .joint_count = choice >> 4 & 3};
+    *newest = (setpoints){.stamp_ns = w.now_ns - (choice >> 6) * 40 * MS,
+                          .enabled = choice >> 3 & 1,
+                          .joint_count = choice >> 4 & 3};
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        newest->joint[j] =
-            (joint_setpoint){.velocity_rad_s = w.velocity_rad_s, .duty = w.velocity_rad_s, .torque_n_m = w.velocity_rad_s};
+        newest->joint[j] = (joint_setpoint){.velocity_rad_s = w.velocity_rad_s,
+                                            .duty = w.velocity_rad_s,
+                                            .torque_n_m = w.velocity_rad_s};
     }
 }
 
@@ -114,7 +139,8 @@ static void requests(uint8_t choice)
     asked->mode = choice / 2 % 6;
     asked->arming_until_ns = (choice & 64) != 0 ? w.now_ns + 100 * MS : 0;
     if (choice >= 200) {
-        bool packets = w.table.dialect > BOARD_TEXT; /* whose payload is set-points and nothing else */
+        /* whose payload is set-points and nothing else */
+        bool packets = w.table.dialect > BOARD_TEXT;
         board_order one = {.write = {.place = at(CONTROL, 1, 0), .raw = packets ? 0 : choice % 16},
                            .guarded = choice & 1,
                            .stops = w.machine.stops};
@@ -160,13 +186,16 @@ static board_table text(void)
                          .written = {.part_count = 3, .literal = ",\n"},
                          .read = {.part_count = 2, .literal = "v \n"}};
     for (uint32_t j = 0; j < 2; j++) {
-        table.setpoint[j] = (board_setpoint){.place = at(4 * j, 4, 1),
-                                             .scale = {.joint = j, .raw_per_si = 1000.0, .raw_min = -1e6, .raw_max = 1e6}};
-        table.written.part[j] = (board_part){.literal_bytes = j, .form = NUMBER_GENERAL, .precision = 6};
+        table.setpoint[j] = (board_setpoint){
+            .place = at(4 * j, 4, 1),
+            .scale = {.joint = j, .raw_per_si = 1000.0, .raw_min = -1e6, .raw_max = 1e6}};
+        table.written.part[j] =
+            (board_part){.literal_bytes = j, .form = NUMBER_GENERAL, .precision = 6};
         table.written.part[j].number_per_raw[j] = 1.0;
     }
     table.written.part[2].literal_bytes = 1;
-    table.read.part[0] = (board_part){.literal_bytes = 2, .form = NUMBER_FIXED, .place = at(0, 6, 1), .raw_per_number = 1e3};
+    table.read.part[0] = (board_part){
+        .literal_bytes = 2, .form = NUMBER_FIXED, .place = at(0, 6, 1), .raw_per_number = 1e3};
     table.read.part[1].literal_bytes = 1;
     table.field[table.field_count++] = field_of(0, FIELD_VELOCITY, at(0, 6, 1), 0.001);
     return table;
@@ -177,8 +206,10 @@ static board_table json(void)
 {
     board_table table = text();
     table.read = (board_text){.part_count = 2, .json = 1, .literal = "Tv"};
-    table.read.part[0] = (board_part){.literal_bytes = 1, .form = NUMBER_CONSTANT, .raw_per_number = 1.0};
-    table.read.part[1] = (board_part){.literal_bytes = 1, .form = NUMBER_FIXED, .place = at(0, 6, 1), .raw_per_number = 1e3};
+    table.read.part[0] =
+        (board_part){.literal_bytes = 1, .form = NUMBER_CONSTANT, .raw_per_number = 1.0};
+    table.read.part[1] = (board_part){
+        .literal_bytes = 1, .form = NUMBER_FIXED, .place = at(0, 6, 1), .raw_per_number = 1e3};
     return table;
 }
 
@@ -191,7 +222,8 @@ static board_table packets(uint32_t dialect, uint32_t mixed)
                          .mixed = mixed,
                          .unit_count = 2,
                          .unit = {128, 129},
-                         .payload_bytes = saber ? 2 * SABERTOOTH_SETPOINT_BYTES : HOVERBOARD_SETPOINT_BYTES,
+                         .payload_bytes =
+                             saber ? 2 * SABERTOOTH_SETPOINT_BYTES : HOVERBOARD_SETPOINT_BYTES,
                          .feedback_bytes = saber ? 0 : HOVERBOARD_VALUE_BYTES,
                          .period_ns = 20 * MS,
                          .silence_ns = 150 * MS,
@@ -199,11 +231,12 @@ static board_table packets(uint32_t dialect, uint32_t mixed)
                          .rest_velocity_rad_s = 0.1};
     for (uint32_t j = 0; j < 2; j++) {
         double most = saber ? 127.0 : 1000.0;
-        table.setpoint[table.setpoint_count++] =
-            (board_setpoint){.place = saber ? at(1 + 3 * j, 1, 1) : at(2 * j, 2, 1),
-                             .scale = {.joint = j, .raw_per_si = 10.0, .raw_min = -most, .raw_max = most}};
+        table.setpoint[table.setpoint_count++] = (board_setpoint){
+            .place = saber ? at(1 + 3 * j, 1, 1) : at(2 * j, 2, 1),
+            .scale = {.joint = j, .raw_per_si = 10.0, .raw_min = -most, .raw_max = most}};
         if (!saber) {
-            table.field[table.field_count++] = field_of(j, FIELD_VELOCITY, at(4 + 2 * j, 2, 1), 0.1);
+            table.field[table.field_count++] =
+                field_of(j, FIELD_VELOCITY, at(4 + 2 * j, 2, 1), 0.1);
         }
     }
     return table;
@@ -236,8 +269,10 @@ static void once(const uint8_t *data, size_t size)
     put_tape(data, size);
     board_table table = some_table(next_byte());
     uint32_t used = next_byte() % 2;
-    table.imu = (board_imu){
-        .used = used * (table.dialect <= BOARD_TEXT), .axis = {2, 0, 1}, .backward = {0, 1, 0}, .rate_z = at(0, 6, 1)};
+    table.imu = (board_imu){.used = used * (table.dialect <= BOARD_TEXT),
+                            .axis = {2, 0, 1},
+                            .backward = {0, 1, 0},
+                            .rate_z = at(0, 6, 1)};
     begin_with(table);
     w.machine.send = judge;
     mode_before = w.machine.state.mode;
@@ -264,7 +299,8 @@ static void once(const uint8_t *data, size_t size)
     w.machine.control.shut_down = 1;
     for (int64_t asked_ns = w.now_ns; w.machine.end.stage != END_SILENT; w.now_ns = w.wake_ns) {
         look();
-        CHECK(w.now_ns <= asked_ns + 1100 * MS); /* of these, 500 while it speaks and does not report that it has no power */
+        /* of these, 500 while it speaks and does not report that it has no power */
+        CHECK(w.now_ns <= asked_ns + 1100 * MS);
     }
     look();
 }

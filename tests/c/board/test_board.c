@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board's machine in virtual time: what goes out, what is believed, and when the board is stopped. */
+ * A board's machine in virtual time: what goes out, what is believed, and when the board is
+ * stopped. */
 #include "board_wire.h"
 
-/* ------------------------------------------------------------------------------------------------- frames out */
+/* --------------------------------------------------------------------------- frames out */
 static void nothing_but_zero_goes_out_before_arming(void)
 {
     begin();
@@ -91,7 +92,9 @@ static void a_guarded_write_is_dropped_when_the_board_was_stopped_meanwhile(void
 {
     begin();
     set_up();
-    board_order one = {.write = {.place = at(CONTROL, 1, 0), .raw = CONTROL_ENABLE}, .guarded = 1, .stops = w.machine.stops};
+    board_order one = {.write = {.place = at(CONTROL, 1, 0), .raw = CONTROL_ENABLE},
+                       .guarded = 1,
+                       .stops = w.machine.stops};
     request(DRIVE_STAND_DOWN);
     CHECK(board_machine_order(&w.machine, &one));
     go_on(50 * MS);
@@ -120,7 +123,8 @@ static void a_new_program_goes_on_from_what_the_board_has_received(void)
         uint32_t refused = w.peer.frames_bad;
         restart();
         go_on(30 * MS);
-        CHECK(w.peer.enabled == 0 && w.peer.stopped_by_silence == 0 && w.peer.frames_bad <= refused + 1);
+        CHECK(w.peer.enabled == 0 && w.peer.stopped_by_silence == 0 &&
+              w.peer.frames_bad <= refused + 1);
         go_on(30 * MS);
         CHECK(w.machine.knows_ns > w.now_ns - 30 * MS && w.peer.frames_bad <= refused + 1);
     }
@@ -139,10 +143,11 @@ static void a_frame_that_comes_late_is_refused_by_the_board(void)
     for (uint32_t i = 0; i < count; i++) {
         motord_board_byte(&w.peer, late[i], (uint32_t)(w.now_ns / 1000));
     }
-    CHECK(w.peer.enabled == 0 && w.peer.setpoint[0].velocity_mrad_s == 0 && w.peer.frames_bad == refused + 1);
+    CHECK(w.peer.enabled == 0 && w.peer.setpoint[0].velocity_mrad_s == 0 &&
+          w.peer.frames_bad == refused + 1);
 }
 
-/* --------------------------------------------------------------------------------------------------- stopping */
+/* ----------------------------------------------------------------------------- stopping */
 static void old_set_points_brake_and_take_the_power_at_rest(void)
 {
     begin();
@@ -150,7 +155,8 @@ static void old_set_points_brake_and_take_the_power_at_rest(void)
     w.stuck = true;
     w.enabled = 2;
     go_on(125 * MS);
-    CHECK((w.machine.state.fault_reasons & DRIVE_FAULT_SETPOINTS_OLD) != 0 && w.machine.state.mode == DRIVE_READY);
+    CHECK((w.machine.state.fault_reasons & DRIVE_FAULT_SETPOINTS_OLD) != 0 &&
+          w.machine.state.mode == DRIVE_READY);
     CHECK(w.peer.braking == 1 && w.peer.enabled == 0 && w.machine.state.stopping);
     go_on(300 * MS);
     CHECK(w.peer.braking == 1); /* the wheels turn still */
@@ -173,8 +179,8 @@ static void a_wheel_rests_below_the_speed_of_the_table(void)
         w.stuck = true;
         w.enabled = 2;
         go_on(300 * MS);
-        CHECK((w.machine.state.fault_reasons & DRIVE_FAULT_SETPOINTS_OLD) != 0 && w.peer.braking == strict &&
-              w.machine.state.stopping == strict);
+        CHECK((w.machine.state.fault_reasons & DRIVE_FAULT_SETPOINTS_OLD) != 0 &&
+              w.peer.braking == strict && w.machine.state.stopping == strict);
     }
 }
 
@@ -274,7 +280,8 @@ static void standing_down_takes_the_power_with_the_next_frame(void)
     begin();
     arm_and_turn();
     request(DRIVE_STAND_DOWN);
-    CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0 && last_sent(TARGET, 4, 1) == 0);
+    CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0 &&
+          last_sent(TARGET, 4, 1) == 0);
     begin();
     arm();
     w.velocity_rad_s = 0.0;
@@ -292,7 +299,8 @@ static void a_port_that_takes_nothing_is_a_board_left_alone(void)
     arm_and_turn();
     w.full = true;
     go_on((WATCHDOG_MS + 30) * MS);
-    CHECK(w.machine.state.mode != DRIVE_ARMED && (w.machine.state.fault_reasons & DRIVE_FAULT_LEFT_ALONE) != 0);
+    CHECK(w.machine.state.mode != DRIVE_ARMED &&
+          (w.machine.state.fault_reasons & DRIVE_FAULT_LEFT_ALONE) != 0);
     CHECK(w.peer.enabled == 0 && w.peer.braking == 1); /* by its own watchdog */
     w.full = false;
     w.moving_count = 0;
@@ -325,7 +333,8 @@ static void a_board_that_receives_nothing_stops_by_itself_and_is_set_up_again(vo
     w.receives_nothing = false;
     w.moving_count = 0;
     go_on(60 * MS);
-    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.fault_reasons & DRIVE_FAULT_DISABLED_ITSELF) != 0);
+    CHECK(w.machine.state.mode == DRIVE_OFF &&
+          (w.machine.state.fault_reasons & DRIVE_FAULT_DISABLED_ITSELF) != 0);
     CHECK(w.peer.enabled == 0 && last_sent(CONTROL, 1, 0) == CONTROL_OFF);
 }
 
@@ -335,8 +344,8 @@ static void a_restarted_board_has_lost_its_set_up(void)
     arm_and_turn();
     motord_board_init(&w.peer, MOTORS, (uint32_t)(w.now_ns / 1000));
     go_on(250 * MS);
-    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.fault_reasons & DRIVE_FAULT_LOST_SETUP) != 0 &&
-          w.peer.enabled == 0);
+    CHECK(w.machine.state.mode == DRIVE_OFF &&
+          (w.machine.state.fault_reasons & DRIVE_FAULT_LOST_SETUP) != 0 && w.peer.enabled == 0);
     set_up();
     CHECK(w.machine.state.epoch == 2);
 }
@@ -349,7 +358,8 @@ static void a_board_that_is_enabled_though_it_was_not_armed_is_sent_off(void)
     go_on(50 * MS);
     CHECK(w.peer.enabled == 0 && (w.machine.state.fault_reasons & DRIVE_FAULT_STILL_ENABLED) == 0);
     for (uint32_t i = 0; i < 3; i++) { /* one that does not obey */
-        uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {STATUS_ENABLED, MOTORS, WATCHDOG_MS};
+        uint8_t frame[BOARD_WIRE_MAX],
+            payload[BOARD_PAYLOAD_MAX] = {STATUS_ENABLED, MOTORS, WATCHDOG_MS};
         w.mute = true;
         go_on(20 * MS);
         board_place received = at(6, 2, 0);
@@ -357,10 +367,11 @@ static void a_board_that_is_enabled_though_it_was_not_armed_is_sent_off(void)
         uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, i, 10000 * i, payload, 36, frame);
         board_machine_receive(&w.machine, frame, count, w.now_ns);
     }
-    CHECK((w.machine.state.fault_reasons & DRIVE_FAULT_STILL_ENABLED) != 0 && w.machine.state.mode == DRIVE_READY);
+    CHECK((w.machine.state.fault_reasons & DRIVE_FAULT_STILL_ENABLED) != 0 &&
+          w.machine.state.mode == DRIVE_READY);
 }
 
-/* --------------------------------------------------------------------------------------------------- presence */
+/* ----------------------------------------------------------------------------- presence */
 static void a_mute_board_is_unresponsive_braked_and_comes_back_disarmed(void)
 {
     begin();
@@ -382,8 +393,8 @@ static void a_mute_board_is_unresponsive_braked_and_comes_back_disarmed(void)
     CHECK(w.machine.orders_dropped == 1 && last_sent(CONTROL, 1, 0) == CONTROL_BRAKE);
     w.mute = false;
     go_on(30 * MS);
-    CHECK(w.machine.state.mode == DRIVE_BACK && last_sent(CONTROL, 1, 0) == CONTROL_OFF && w.machine.unresponsive == 1 &&
-          received_changes());
+    CHECK(w.machine.state.mode == DRIVE_BACK && last_sent(CONTROL, 1, 0) == CONTROL_OFF &&
+          w.machine.unresponsive == 1 && received_changes());
     set_up();
 }
 
@@ -402,7 +413,7 @@ static void arming_needs_fresh_set_points_and_no_stop_that_goes_on(void)
     CHECK(w.machine.state.mode == DRIVE_READY && w.machine.state.stop != STOP_NOTHING);
 }
 
-/* ---------------------------------------------------------------------------------------------------- the end */
+/* ------------------------------------------------------------------------------ the end */
 static void frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two(void)
 {
     board_table table = frames_table();
@@ -421,7 +432,8 @@ static void frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two(
     while (w.machine.state.mode == DRIVE_ARMED) {
         go_on(MS);
     }
-    CHECK(w.machine.state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD && w.peer.braking == 1 && w.now_ns <= last_ns + 108 * MS);
+    CHECK(w.machine.state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD && w.peer.braking == 1 &&
+          w.now_ns <= last_ns + 108 * MS);
 }
 
 int main(void)

@@ -20,7 +20,8 @@ static board board_at(uint32_t began_us)
     return (board){.time_us = began_us - PERIOD_US, .true_ns = BEGIN_NS - PERIOD_US * (int64_t)US};
 }
 
-/* Its next feedback, which arrives `delay_ns` late; returns how much later than the truth the stamp is. */
+/* Its next feedback, which arrives `delay_ns` late; returns how much later than the truth the
+ * stamp is. */
 static int64_t stamped_late_ns(board *b, int64_t delay_ns)
 {
     b->time_us += PERIOD_US;
@@ -40,11 +41,13 @@ static void what_waited_longer_than_another_is_as_old_as_it_is(void)
     CHECK(stamped_late_ns(&b, 2 * MS) == 2 * MS);
     CHECK(stamped_late_ns(&b, 9 * MS) == 2 * MS);
     CHECK(stamped_late_ns(&b, 3 * MS) == 2 * MS);
-    CHECK(stamped_late_ns(&b, 1 * MS) == 1 * MS); /* a quicker one shows that all were later than thought */
+    /* a quicker one shows that all were later than thought */
+    CHECK(stamped_late_ns(&b, 1 * MS) == 1 * MS);
     CHECK(stamped_late_ns(&b, 9 * MS) == 1 * MS);
 }
 
-/* Of all that are remembered the one with the least delay counts, wherever it stands, until it is forgotten. */
+/* Of all that are remembered the one with the least delay counts, wherever it stands, until it
+ * is forgotten. */
 static void the_least_of_the_delays_counts_until_it_is_forgotten(void)
 {
     for (uint32_t begin = 0; begin < BOARD_CLOCK_SAMPLES; begin++) {
@@ -68,7 +71,8 @@ static void a_board_s_time_passes_the_end_of_its_32_bits(void)
     }
 }
 
-/* Two feedbacks, the second quicker by so much: stamps step back, and it is no news before its stamp is on again. */
+/* Two feedbacks, the second quicker by so much: stamps step back, and it is no news before its
+ * stamp is on again. */
 static int64_t second_ns(int64_t passed_ns, int64_t quicker_ns, int64_t *first_ns, int64_t *true_ns)
 {
     board_clock clock = {0};
@@ -97,12 +101,14 @@ static void a_stamp_is_held_for_so_long_at_most(void)
 static void a_stamp_that_is_held_is_never_of_a_time_to_come(void)
 {
     int64_t first_ns, true_ns;
-    CHECK(second_ns(40 * MS, 100 * MS, &first_ns, &true_ns) == true_ns + 300 * MS); /* that is when it came */
+    /* that is when it came */
+    CHECK(second_ns(40 * MS, 100 * MS, &first_ns, &true_ns) == true_ns + 300 * MS);
     CHECK(second_ns(40 * MS, 40 * MS, &first_ns, &true_ns) == first_ns);
     CHECK(second_ns(40 * MS, 40 * MS + 1, &first_ns, &true_ns) == first_ns - 1);
 }
 
-/* What was held does not count as given: the three quarters are of all that passed since the last that was. */
+/* What was held does not count as given: the three quarters are of all that passed since the
+ * last that was. */
 static void the_time_since_the_last_stamp_that_was_given_counts(void)
 {
     board_clock clock = {0};
@@ -110,8 +116,10 @@ static void the_time_since_the_last_stamp_that_was_given_counts(void)
     CHECK(board_clock_stamp(&clock, 10000, BEGIN_NS + 10 * MS + 80 * MS) == BEGIN_NS + 90 * MS);
     CHECK(board_clock_stamp(&clock, 40000, BEGIN_NS + 40 * MS + 90 * MS) == first_ns);
     CHECK(board_clock_stamp(&clock, 79996, BEGIN_NS + 79996 * (int64_t)US + 90 * MS) == first_ns);
-    CHECK(board_clock_stamp(&clock, 80000, BEGIN_NS + 80 * MS + 90 * MS) == BEGIN_NS + 80 * MS + 80 * MS);
-    CHECK(board_clock_stamp(&clock, 90000, BEGIN_NS + 90 * MS + 90 * MS) == BEGIN_NS + 90 * MS + 80 * MS);
+    CHECK(board_clock_stamp(&clock, 80000, BEGIN_NS + 80 * MS + 90 * MS) ==
+          BEGIN_NS + 80 * MS + 80 * MS);
+    CHECK(board_clock_stamp(&clock, 90000, BEGIN_NS + 90 * MS + 90 * MS) ==
+          BEGIN_NS + 90 * MS + 80 * MS);
 }
 
 int main(void)

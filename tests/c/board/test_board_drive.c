@@ -28,9 +28,10 @@ static void a_board_is_unresponsive_after_its_silence_and_not_before(void)
         m->received_ns = w.now_ns - w.table.silence_ns - late;
         uint32_t stops = m->stops;
         board_guard(m, w.now_ns);
-        CHECK(m->state.mode == (late ? DRIVE_UNRESPONSIVE : DRIVE_READY) && m->unresponsive == (uint64_t)late &&
-              m->notify == (late == 1));
-        CHECK(m->stops == stops + (uint32_t)late && m->state.fault_reasons == (late ? DRIVE_FAULT_UNRESPONSIVE : 0U));
+        CHECK(m->state.mode == (late ? DRIVE_UNRESPONSIVE : DRIVE_READY) &&
+              m->unresponsive == (uint64_t)late && m->notify == (late == 1));
+        CHECK(m->stops == stops + (uint32_t)late &&
+              m->state.fault_reasons == (late ? DRIVE_FAULT_UNRESPONSIVE : 0U));
         CHECK(m->state.stop == (late ? STOP_QUICK : STOP_NOTHING) && !m->state.stopping);
     }
 }
@@ -66,11 +67,13 @@ static void it_is_at_rest_by_a_word_of_after_its_stop(void)
         m->knows_ns = m->written_ns - before;
         bool rests = board_at_rest(m);
         board_guard(m, w.now_ns);
-        CHECK(rests && m->state.stopping == (before == 1) && m->state.stop == (before ? STOP_NOTHING : STOP_POWER_OFF));
+        CHECK(rests && m->state.stopping == (before == 1) &&
+              m->state.stop == (before ? STOP_NOTHING : STOP_POWER_OFF));
     }
 }
 
-/* `reported` is what the board reports of itself; it has received what is in its payload by then. */
+/* `reported` is what the board reports of itself; it has received what is in its payload by
+ * then. */
 static void says(uint32_t status, int64_t watchdog_ms)
 {
     memset(m->feedback_payload, 0, sizeof m->feedback_payload);
@@ -100,7 +103,8 @@ static void power_that_was_not_requested_is_taken_as_soon_as_no_arming_goes_on(v
         begin_ready();
         m->control.request.arming_until_ns = w.now_ns + early;
         says(STATUS_ENABLED, WATCHDOG_MS);
-        CHECK(m->state.stop == (early ? STOP_NOTHING : STOP_POWER_OFF) && m->state.still_enabled == (early ? 0U : 1U));
+        CHECK(m->state.stop == (early ? STOP_NOTHING : STOP_POWER_OFF) &&
+              m->state.still_enabled == (early ? 0U : 1U));
     }
 }
 
@@ -127,7 +131,8 @@ static void an_order_counts_when_it_has_gone_out(void)
 static void a_board_that_another_program_left_running_is_braked_before_it_loses_its_power(void)
 {
     board_table table = frames_table();
-    for (uint32_t i = table.field_count; i-- > 0;) { /* nothing is set up, so nothing of it can be lost */
+    /* nothing is set up, so nothing of it can be lost */
+    for (uint32_t i = table.field_count; i-- > 0;) {
         if (table.field[i].meaning.kind == FIELD_KEPT) {
             table.field[i] = table.field[--table.field_count];
         }
@@ -137,10 +142,12 @@ static void a_board_that_another_program_left_running_is_braked_before_it_loses_
     w.measured[0].velocity_mrad_s = 3000;
     w.peer.enabled = 1;
     board_take_over(m, w.now_ns);
-    CHECK(m->state.mode == DRIVE_READY && m->state.stopping && m->state.stop == STOP_QUICK && m->received_ns == w.now_ns);
+    CHECK(m->state.mode == DRIVE_READY && m->state.stopping && m->state.stop == STOP_QUICK &&
+          m->received_ns == w.now_ns);
     CHECK(m->state.fault_reasons == 0);
     go_on(500 * MS);
-    CHECK(w.peer.braking == 1 && w.peer.enabled == 0 && m->state.mode == DRIVE_READY && w.moving_count == 0);
+    CHECK(w.peer.braking == 1 && w.peer.enabled == 0 && m->state.mode == DRIVE_READY &&
+          w.moving_count == 0);
     w.stuck = false;
     go_on(60 * MS);
     CHECK(w.peer.braking == 0 && !m->state.stopping && m->state.mode == DRIVE_READY);

@@ -10,7 +10,8 @@ static void the_end_is_braked_switched_off_and_silent(void)
     step();
     CHECK(w.peer.braking == 1 && w.peer.enabled == 0);
     go_on(100 * MS);
-    CHECK(w.machine.end.stage == END_SILENT && w.peer.braking == 0 && last_sent(CONTROL, 1, 0) == CONTROL_OFF);
+    CHECK(w.machine.end.stage == END_SILENT && w.peer.braking == 0 &&
+          last_sent(CONTROL, 1, 0) == CONTROL_OFF);
     uint32_t before = w.sent_count;
     request(DRIVE_ARMED);
     go_on(200 * MS);
@@ -33,7 +34,8 @@ static void the_end_waits_for_the_wheels_and_for_its_last_frame(void)
     while (w.machine.end.stage != END_SILENT) {
         go_on(MS);
     }
-    CHECK(w.now_ns <= asked_ns + 480 * MS && w.now_ns >= w.machine.last_sent_ns + w.table.period_ns && received_changes());
+    CHECK(w.now_ns <= asked_ns + 480 * MS &&
+          w.now_ns >= w.machine.last_sent_ns + w.table.period_ns && received_changes());
     board_report report;
     board_machine_report(&w.machine, &report);
     CHECK(report.shut_down == 1 && report.mode == DRIVE_READY && report.sent == w.machine.sent);
@@ -60,7 +62,8 @@ static void a_board_that_was_enabled_and_is_not_armed_is_switched_off(void)
     CHECK(w.peer.enabled == 1 && w.machine.state.mode == DRIVE_READY);
     w.machine.control.shut_down = 1;
     step();
-    CHECK(w.peer.enabled == 0 && last_sent(CONTROL, 1, 0) == CONTROL_OFF && w.machine.end.stage == END_POWER_OFF);
+    CHECK(w.peer.enabled == 0 && last_sent(CONTROL, 1, 0) == CONTROL_OFF &&
+          w.machine.end.stage == END_POWER_OFF);
 }
 
 static void the_end_waits_no_longer_than_it_may(void)
@@ -145,7 +148,8 @@ static void one_that_speaks_and_receives_nothing_is_waited_for_a_little_longer_a
     while (w.machine.end.stage != END_SILENT) {
         go_on(MS);
     }
-    CHECK(w.machine.off_waits && w.now_ns >= asked_ns + END_OFF_NS + 500 * MS && w.now_ns < asked_ns + END_OFF_NS + 530 * MS);
+    CHECK(w.machine.off_waits && w.now_ns >= asked_ns + END_OFF_NS + 500 * MS &&
+          w.now_ns < asked_ns + END_OFF_NS + 530 * MS);
 }
 
 /* Its power-off has gone out, and nothing has come for so long when the end's time is over. */

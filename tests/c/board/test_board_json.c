@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_json: lines that are JSON objects, read by the names of their members. Buffers are as long as what is in them, so
- * that a sanitizer sees one byte more. */
+ * test_board_json: lines that are JSON objects, read by the names of their members. Buffers are as
+ * long as what is in them, so that a sanitizer sees one byte more. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -8,7 +8,8 @@
 #include "board_machine.h"
 #include "check.h"
 
-static const board_place LEFT = {.byte = 0, .bytes = 6, .is_signed = 1}, RIGHT = {.byte = 6, .bytes = 6, .is_signed = 1};
+static const board_place LEFT = {.byte = 0, .bytes = 6, .is_signed = 1},
+                         RIGHT = {.byte = 6, .bytes = 6, .is_signed = 1};
 
 static board_text text;
 
@@ -53,7 +54,8 @@ static void members_are_found_by_name_in_any_order_among_others(void)
         "  { \"T\" : 1001 , \"L\" : 2.5e-1 ,\t\"R\":-5E-1 }\r",
         "{\"T\":1.001e3,\"L\":0.25,\"R\":-0.5,\"v\":1205}",
         "{\"s\":\"}{\\\"L\\\":9,\",\"T\":1001,\"L\":0.25,\"R\":-0.5}",
-        "{\"o\":{\"L\":9,\"a\":[1,{\"R\":7}],\"s\":\"]\"},\"T\":1001,\"L\":0.25,\"R\":-0.5,\"n\":null,\"b\":true,\"e\":[]}",
+        "{\"o\":{\"L\":9,\"a\":[1,{\"R\":7}],\"s\":\"]\"},\"T\":1001,\"L\":0.25,\"R\":-0.5,\"n\":"
+        "null,\"b\":true,\"e\":[]}",
         "{\"LL\":3,\"\":4,\"T\":1001,\"L\":0.25,\"l\":8,\"R\":-0.5,\"\\u004c\":9}",
     };
     int64_t left, right;
@@ -114,7 +116,8 @@ static void a_zero_byte_is_a_byte_as_any_other(void)
     uint8_t payload[12] = {0};
     begin();
     *strchr(line, '@') = '\0';
-    CHECK(board_text_read(&text, (const uint8_t *)line, sizeof line - 1, payload) == 12 && board_get(payload, &LEFT) == 250);
+    CHECK(board_text_read(&text, (const uint8_t *)line, sizeof line - 1, payload) == 12 &&
+          board_get(payload, &LEFT) == 250);
 }
 
 static void an_object_of_constants_alone_reports_nothing(void)
@@ -152,8 +155,9 @@ static board_table table_of_text(void)
                          .rest_velocity_rad_s = 0.1,
                          .written = {.part_count = 1},
                          .read = text};
-    table.setpoint[0] = (board_setpoint){.place = {.byte = 0, .bytes = 2, .is_signed = 1},
-                                         .scale = {.raw_per_si = 1.0, .raw_min = -1.0, .raw_max = 1.0}};
+    table.setpoint[0] =
+        (board_setpoint){.place = {.byte = 0, .bytes = 2, .is_signed = 1},
+                         .scale = {.raw_per_si = 1.0, .raw_min = -1.0, .raw_max = 1.0}};
     table.written.part[0] = (board_part){.form = NUMBER_FIXED, .number_per_raw = {1.0}};
     return table;
 }

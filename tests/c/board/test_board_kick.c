@@ -8,10 +8,11 @@ static void kick(double velocity_rad_s)
     uint32_t before = w.sent_count;
     bool due = w.now_ns >= w.machine.cycle.due_ns;
     w.velocity_rad_s = velocity_rad_s;
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = w.enabled, .joint_count = JOINTS_MAX};
+    w.machine.newest =
+        (setpoints){.stamp_ns = w.now_ns, .enabled = w.enabled, .joint_count = JOINTS_MAX};
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        w.machine.newest.joint[j] =
-            (joint_setpoint){.velocity_rad_s = velocity_rad_s, .duty = velocity_rad_s, .torque_n_m = velocity_rad_s};
+        w.machine.newest.joint[j] = (joint_setpoint){
+            .velocity_rad_s = velocity_rad_s, .duty = velocity_rad_s, .torque_n_m = velocity_rad_s};
     }
     board_machine_kick(&w.machine, w.now_ns);
     CHECK(w.sent_count == before && (!due || w.now_ns >= w.machine.cycle.due_ns));
@@ -39,7 +40,8 @@ static void a_new_set_point_goes_out_at_once_but_not_before_the_gap(void)
     w.now_ns += MS;
     kick(3.0);
     step();
-    CHECK(w.sent_count == before + 1 && w.wake_ns == w.now_ns + 2 * MS); /* the wire is still busy */
+    /* the wire is still busy */
+    CHECK(w.sent_count == before + 1 && w.wake_ns == w.now_ns + 2 * MS);
     w.now_ns = w.wake_ns;
     step();
     CHECK(w.sent_count == before + 2 && last_sent(TARGET, 4, 1) == 3000);

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_machine: which frames a board reports as received, and what a line remembers of those it sent. */
+ * test_board_machine: which frames a board reports as received, and what a line remembers of
+ * those it sent. */
 #include <stdlib.h>
 
 #include "board_wire.h"
@@ -8,14 +9,16 @@ enum { REPORTED_BYTES = 36, HELD_UNIT_US = 100 };
 
 static histogram trips;
 
-/* Feedback of the board, made at `time_us`: which frame it received last, and how many 0.1 ms ago. */
+/* Feedback of the board, made at `time_us`: which frame it received last, and how many 0.1 ms
+ * ago. */
 static void receive_that(uint16_t sequence, uint16_t ago, uint32_t time_us)
 {
     uint8_t payload[REPORTED_BYTES] = {0}, frame[BOARD_WIRE_MAX];
     payload[10] = 1; /* what follows is a fault word */
     board_put(payload, &(board_place){.byte = 6, .bytes = 2}, sequence);
     board_put(payload, &(board_place){.byte = 8, .bytes = 2}, ago);
-    uint32_t count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, time_us, payload, REPORTED_BYTES, frame);
+    uint32_t count =
+        board_frame_build(BOARD_TYPE_FEEDBACK, 1, time_us, payload, REPORTED_BYTES, frame);
     uint64_t before = w.machine.received;
     board_machine_receive(&w.machine, frame, count, w.now_ns);
     CHECK(w.machine.received == before + 1);
@@ -33,7 +36,8 @@ static int64_t send_one(void)
     w.now_ns = w.machine.cycle.due_ns;
     uint64_t before = w.machine.sent;
     step();
-    CHECK(w.machine.sent == before + 1 && w.machine.sent_ns[w.machine.sequence % BOARD_SEQUENCES_KEPT] == w.now_ns);
+    CHECK(w.machine.sent == before + 1 &&
+          w.machine.sent_ns[w.machine.sequence % BOARD_SEQUENCES_KEPT] == w.now_ns);
     return w.now_ns;
 }
 
@@ -57,10 +61,14 @@ static void a_machine_begins_with_nothing_but_what_it_is_sent(void)
     table.setpoint[table.setpoint_count] = table.setpoint[0];
     table.setpoint[table.setpoint_count].scale.joint = 5; /* there is no such set-point */
     CHECK(board_machine_init(m, &table, 7, 0xFFFF, 55) == 0);
-    CHECK(m->state.epoch == 7 && m->sequence == 0xFFFF && m->next == 0 && m->cycle.due_ns == 55 && m->joints == 3);
-    CHECK(m->state.mode == DRIVE_OFF && m->state.enabled == 2 && m->sent == 0 && m->received == 0 && m->end.stage == END_NOT);
-    CHECK(m->state.sent_motion == 0 && m->tail.count == 0 && m->clock.samples == 0 && !m->has_order && m->sent_ns[3] == 0);
-    CHECK(isnan(m->joint[0].feedback.velocity_rad_s) && isnan(m->joint[JOINTS_MAX - 1].feedback.velocity_rad_s));
+    CHECK(m->state.epoch == 7 && m->sequence == 0xFFFF && m->next == 0 && m->cycle.due_ns == 55 &&
+          m->joints == 3);
+    CHECK(m->state.mode == DRIVE_OFF && m->state.enabled == 2 && m->sent == 0 && m->received == 0 &&
+          m->end.stage == END_NOT);
+    CHECK(m->state.sent_motion == 0 && m->tail.count == 0 && m->clock.samples == 0 &&
+          !m->has_order && m->sent_ns[3] == 0);
+    CHECK(isnan(m->joint[0].feedback.velocity_rad_s) &&
+          isnan(m->joint[JOINTS_MAX - 1].feedback.velocity_rad_s));
     CHECK(memcmp(m->held + 1, table.payload + 1, BOARD_PAYLOAD_MAX - 1) == 0);
     free(untouched);
     free(m);
@@ -73,8 +81,10 @@ static void a_frame_that_was_received_is_known_by_when_it_went_out(void)
     uint16_t newest = w.machine.sequence;
     w.now_ns += 3 * MS;
     CHECK(knows_after(newest, 0) == second_ns && trips.samples == 1 && trips.max_ns == 3 * MS);
-    CHECK(knows_after((uint16_t)(newest - 1), 30) == first_ns && trips.samples == 2 && trips.max_ns == 10 * MS);
-    CHECK(knows_after((uint16_t)(newest - 2), 0) == 0 && trips.samples == 2); /* that was never sent */
+    CHECK(knows_after((uint16_t)(newest - 1), 30) == first_ns && trips.samples == 2 &&
+          trips.max_ns == 10 * MS);
+    /* that was never sent */
+    CHECK(knows_after((uint16_t)(newest - 2), 0) == 0 && trips.samples == 2);
     w.machine.sent_ns[(uint16_t)(newest - 2) % BOARD_SEQUENCES_KEPT] = 1;
     CHECK(knows_after((uint16_t)(newest - 2), 0) == 1 && trips.samples == 3);
 }
@@ -110,7 +120,8 @@ static void a_frame_is_remembered_until_so_many_more_have_gone_out(void)
     CHECK(knows_after(first, 0) == 0); /* another stands in its place */
 }
 
-/* A board refuses frames that are older than the newest it received, whichever program sent that. */
+/* A board refuses frames that are older than the newest it received, whichever program sent
+ * that. */
 static void a_line_goes_on_ahead_of_what_the_board_has_received(void)
 {
     begin_again();
@@ -122,7 +133,9 @@ static void a_line_goes_on_ahead_of_what_the_board_has_received(void)
     CHECK(w.machine.sequence == (uint16_t)(newest + 2) && w.machine.next == (uint16_t)(newest + 3));
     CHECK(knows_after(newest, 0) == 0); /* its row has ended */
     CHECK(knows_after((uint16_t)(newest + 1), 0) == 0);
-    CHECK(knows_after((uint16_t)(newest + 40000), 0) == 0 && w.machine.next == (uint16_t)(newest + 3)); /* that is behind */
+    /* that is behind */
+    CHECK(knows_after((uint16_t)(newest + 40000), 0) == 0 &&
+          w.machine.next == (uint16_t)(newest + 3));
 }
 
 static void a_word_is_of_the_board_s_time(void)
@@ -159,14 +172,17 @@ static void a_frame_carries_our_time_and_what_the_port_refuses_is_counted(void)
 static void an_order_to_a_board_that_was_stopped_is_dropped_and_sent(void)
 {
     begin_again();
-    board_order one = {.write = {.place = at(CONTROL, 1, 0), .raw = 1}, .guarded = 1, .stops = w.machine.stops + 1};
+    board_order one = {.write = {.place = at(CONTROL, 1, 0), .raw = 1},
+                       .guarded = 1,
+                       .stops = w.machine.stops + 1};
     CHECK(board_machine_order(&w.machine, &one) && !board_machine_order(&w.machine, &one));
     w.machine.notify = false;
     (void)send_one();
     CHECK(!w.machine.has_order && w.machine.orders_dropped == 1 && w.machine.notify);
 }
 
-/* What may move is looked at often: its set-points may become old, or its wheels come to rest, between two cycles. */
+/* What may move is looked at often: its set-points may become old, or its wheels come to rest,
+ * between two cycles. */
 static void what_may_move_is_looked_at_more_often_than_what_rests(void)
 {
     board_table table = frames_table();
@@ -185,7 +201,8 @@ static void what_may_move_is_looked_at_more_often_than_what_rests(void)
         w.machine.state.sent_motion = moving == 2;
         w.machine.state.stopping = moving == 3;
         w.machine.state.off_by_ns = w.now_ns + 1000 * MS;
-        w.machine.joint[0].feedback.velocity_rad_s = w.machine.joint[1].feedback.velocity_rad_s = 5.0;
+        w.machine.joint[0].feedback.velocity_rad_s = w.machine.joint[1].feedback.velocity_rad_s =
+            5.0;
         w.machine.end.stage = moving == 4 ? END_SILENT : END_NOT;
         step();
         CHECK(w.wake_ns == w.now_ns + (moving == 0 ? LOOK_RESTING_NS : LOOK_MOVING_NS));

@@ -1,16 +1,17 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_packets: packets of the hoverboard FOC firmware, byte by byte, and how a stream is found again. Buffers are as
- * long as what is in them, so that a sanitizer sees one byte more. */
+ * test_board_packets: packets of the hoverboard FOC firmware, byte by byte, and how a stream is
+ * found again. Buffers are as long as what is in them, so that a sanitizer sees one byte more. */
 #include <stdlib.h>
 
 #include "board_wire.h"
 
 enum { FRAME = HOVERBOARD_FEEDBACK_BYTES, VALUES = HOVERBOARD_VALUE_BYTES };
 
-/* ------------------------------------------------------------------------------------------------- hoverboard */
+/* --------------------------------------------------------------------------- hoverboard */
 static void build_hoverboard(int64_t left, int64_t right, uint32_t mixed, uint8_t *out)
 {
-    uint8_t *payload = malloc(HOVERBOARD_SETPOINT_BYTES), *packet = malloc(HOVERBOARD_COMMAND_BYTES);
+    uint8_t *payload = malloc(HOVERBOARD_SETPOINT_BYTES),
+            *packet = malloc(HOVERBOARD_COMMAND_BYTES);
     board_place first = at(0, 2, 1), second = at(2, 2, 1);
     board_put(payload, &first, left);
     board_put(payload, &second, right);
@@ -53,7 +54,8 @@ static void a_command_has_start_word_two_set_points_and_their_exclusive_or(void)
     for (size_t i = 0; i < sizeof COMMANDS / sizeof COMMANDS[0]; i++) {
         build_hoverboard(COMMANDS[i].left, COMMANDS[i].right, COMMANDS[i].mixed, out);
         board_place first = at(2, 2, 1), second = at(4, 2, 1);
-        CHECK(board_get(out, &first) == COMMANDS[i].first && board_get(out, &second) == COMMANDS[i].second);
+        CHECK(board_get(out, &first) == COMMANDS[i].first &&
+              board_get(out, &second) == COMMANDS[i].second);
         for (uint32_t byte = 0; byte < 2; byte++) {
             CHECK((out[byte] ^ out[2 + byte] ^ out[4 + byte] ^ out[6 + byte]) == 0);
         }
@@ -103,7 +105,8 @@ static void a_feedback_is_taken_at_its_last_byte(void)
     feed(frame, FRAME - 1);
     CHECK(good == 0 && values[0] == 0);
     feed(frame + FRAME - 1, 1);
-    CHECK(good == 1 && bad == 0 && values[0] == 1 && values[VALUES - 1] == VALUES && tail.count == 0);
+    CHECK(good == 1 && bad == 0 && values[0] == 1 && values[VALUES - 1] == VALUES &&
+          tail.count == 0);
     make_feedback(50, frame);
     feed(frame, FRAME);
     CHECK(good == 2 && bad == 0 && values[0] == 50);
@@ -145,8 +148,9 @@ static void every_flipped_bit_is_seen_and_the_next_frame_is_good(void)
     }
 }
 
-/* No value is near the start word, so such a frame is one that noise has made, and the next one is whole. (Right behind the start
- * word it would not be: the same words in another order, with the next start word for a check sum.) */
+/* No value is near the start word, so such a frame is one that noise has made, and the next one is
+ * whole. (Right behind the start word it would not be: the same words in another order, with the
+ * next start word for a check sum.) */
 static void a_start_word_among_the_values_is_no_feedback_and_does_not_hide_the_frame_after(void)
 {
     for (uint32_t byte = 1; byte + 1 < VALUES; byte++) {
@@ -222,7 +226,8 @@ static void another_start_word_is_no_frame_whatever_its_sum_and_is_dropped_at_on
     CHECK(good == 1 && bad == 1 && tail.count == 0);
 }
 
-/* All sums of a turned frame are good: the words are the same. With a check sum of 0xABCD it even begins well. */
+/* All sums of a turned frame are good: the words are the same. With a check sum of 0xABCD it
+ * even begins well. */
 static void the_halves_of_two_equal_frames_are_no_feedback(void)
 {
     uint8_t frame[FRAME];
@@ -258,7 +263,7 @@ static void bytes_of_no_frame_are_counted_once_as_long_as_the_stream_is_lost(voi
     CHECK(good == 3 && bad == 1);
 }
 
-/* -------------------------------------------------------------------------------------------------- the machine */
+/* -------------------------------------------------------------------------- the machine */
 static board_table hoverboard_table(uint32_t mixed)
 {
     board_table table = {.dialect = BOARD_HOVERBOARD,
@@ -274,8 +279,12 @@ static board_table hoverboard_table(uint32_t mixed)
     for (uint32_t j = 0; j < MOTORS; j++) {
         table.setpoint[table.setpoint_count++] =
             (board_setpoint){.place = at(2 * j, 2, 1),
-                             .scale = {.joint = j, .raw_per_si = 9.549296585513721, .raw_min = -1000.0, .raw_max = 1000.0}};
-        table.field[table.field_count++] = field_of(j, FIELD_VELOCITY, at(6 - 2 * j, 2, 1), j == 1 ? -0.1047 : 0.1047);
+                             .scale = {.joint = j,
+                                       .raw_per_si = 9.549296585513721,
+                                       .raw_min = -1000.0,
+                                       .raw_max = 1000.0}};
+        table.field[table.field_count++] =
+            field_of(j, FIELD_VELOCITY, at(6 - 2 * j, 2, 1), j == 1 ? -0.1047 : 0.1047);
         table.field[table.field_count++] = field_of(j, FIELD_VOLTAGE, at(8, 2, 1), 0.01);
         table.disarm[table.disarm_count++] = (board_write){.place = at(2 * j, 2, 1), .raw = 0};
     }
@@ -306,7 +315,8 @@ static void go_on_saying(int64_t for_ns, int right_rpm, int left_rpm)
 static bool sends(int first, int second)
 {
     board_place one = at(2, 2, 1), two = at(4, 2, 1);
-    return w.sent_bytes == HOVERBOARD_COMMAND_BYTES && board_get(w.sent, &one) == first && board_get(w.sent, &two) == second;
+    return w.sent_bytes == HOVERBOARD_COMMAND_BYTES && board_get(w.sent, &one) == first &&
+           board_get(w.sent, &two) == second;
 }
 
 static void arm_hoverboard(uint32_t mixed)
@@ -327,7 +337,8 @@ static void a_hoverboard_follows_when_armed_and_its_speeds_are_read(void)
     w.velocity_rad_s = 1.0;
     arm_hoverboard(0);
     CHECK(sends(10, 10));
-    const joint_feedback *left = &w.machine.joint[0].feedback, *right = &w.machine.joint[1].feedback;
+    const joint_feedback *left = &w.machine.joint[0].feedback,
+                         *right = &w.machine.joint[1].feedback;
     CHECK(fabs(left->velocity_rad_s - 1.047) < 1e-9 && fabs(right->velocity_rad_s - 1.047) < 1e-9);
     CHECK(fabs(left->voltage_v - 36.5) < 1e-9 && left->stamp_ns > w.now_ns - 20 * MS);
     CHECK(w.machine.received == 15 && w.machine.feedback_bytes == HOVERBOARD_VALUE_BYTES);
@@ -340,7 +351,8 @@ static void a_hoverboard_that_falls_silent_is_sent_zero_and_taken_back(void)
     arm_hoverboard(0);
     uint64_t received = w.machine.received;
     go_on(300 * MS);
-    CHECK(w.machine.received == received && w.machine.state.mode == DRIVE_UNRESPONSIVE && sends(0, 0));
+    CHECK(w.machine.received == received && w.machine.state.mode == DRIVE_UNRESPONSIVE &&
+          sends(0, 0));
     go_on_saying(100 * MS, 0, 0);
     CHECK(w.machine.state.mode != DRIVE_ARMED && sends(0, 0)); /* it is back, and not armed */
 }

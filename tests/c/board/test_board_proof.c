@@ -1,15 +1,18 @@
 /* SPDX-License-Identifier: Apache-2.0
- * When the last power-off of a board's line counts as received: by what the board reports, in frames and in text. */
+ * When the last power-off of a board's line counts as received: by what the board reports, in
+ * frames and in text. */
 #include "board_wire.h"
 
-/* ------------------------------------------------------------------------------------------- before the end begins */
-/* A board that rests, has received all that was written, and reports no power; and one thing against that. */
+/* ---------------------------------------------------------------- before the end begins */
+/* A board that rests, has received all that was written, and reports no power; and one thing
+ * against that. */
 static bool suffices(int against, bool reports_it)
 {
     begin();
     board_machine *m = &w.machine;
     m->table.field_count -= reports_it ? 0 : 1; /* the last one is its power */
-    m->state = (drive_state){.mode = against == 1 ? DRIVE_OFF : DRIVE_READY, .stopping = against == 2};
+    m->state =
+        (drive_state){.mode = against == 1 ? DRIVE_OFF : DRIVE_READY, .stopping = against == 2};
     m->state.stop = against == 3 ? STOP_POWER_OFF : STOP_NOTHING;
     m->state.sent_motion = against == 4;
     m->control.request.arming_until_ns = w.now_ns + (against == 5);
@@ -25,7 +28,8 @@ static void a_board_is_known_to_have_no_power_while_nothing_is_against_that(void
 {
     for (int against = 0; against < 10; against++) {
         CHECK(suffices(against, true) == (against == 0));
-        CHECK(suffices(against, false) == (against == 0 || against >= 8)); /* there is no word of its power */
+        /* there is no word of its power */
+        CHECK(suffices(against, false) == (against == 0 || against >= 8));
     }
     (void)suffices(2, true);
     w.machine.table.answers = 0;
@@ -33,7 +37,7 @@ static void a_board_is_known_to_have_no_power_while_nothing_is_against_that(void
     CHECK(w.machine.off_suffices); /* there is no word at all */
 }
 
-/* ----------------------------------------------------------------------------------------------------------- frames */
+/* ------------------------------------------------------------------------------- frames */
 static bool line_is_silent(void)
 {
     return w.machine.end.stage == END_SILENT;
@@ -73,7 +77,8 @@ static void a_board_needs_to_have_received_no_more_than_the_first_of_its_power_o
     goes_out_first();
     w.receives_nothing = true;
     CHECK(ends_after() < 40 * MS && !is_reported() && w.peer.enabled == 0);
-    CHECK(w.machine.knows_ns == w.machine.off_first_ns && w.machine.last_sent_ns > w.machine.off_first_ns);
+    CHECK(w.machine.knows_ns == w.machine.off_first_ns &&
+          w.machine.last_sent_ns > w.machine.off_first_ns);
 }
 
 static void a_board_that_has_received_it_and_still_has_power_is_reported(void)
@@ -87,7 +92,7 @@ static void a_board_that_has_received_it_and_still_has_power_is_reported(void)
     CHECK(w.now_ns >= w.machine.end.off_by_ns + 500 * MS);
 }
 
-/* ------------------------------------------------------------------------------------------------------------- text */
+/* --------------------------------------------------------------------------------- text */
 static const char *const NO_POWER = "v 0\n", *const HAS_POWER = "v 0.001\n";
 
 /* Of both joints: the same number. */
@@ -95,7 +100,8 @@ static board_table one_that_says_only_its_velocity(void)
 {
     board_table table = text_table(true);
     table.field[table.field_count++] = field_of(1, FIELD_VELOCITY, at(0, 6, 1), 0.001);
-    table.field[table.field_count] = level_of(FIELD_ENABLED, at(0, 6, 1), 1, 1); /* there is no such field */
+    /* there is no such field */
+    table.field[table.field_count] = level_of(FIELD_ENABLED, at(0, 6, 1), 1, 1);
     return table;
 }
 
@@ -132,7 +138,8 @@ static void goes_out_first_to(board_table table)
         w.now_ns += MS;
         step();
     }
-    CHECK(w.machine.end.stage == END_POWER_OFF && w.machine.off_first_ns == w.now_ns && w.machine.off_waits);
+    CHECK(w.machine.end.stage == END_POWER_OFF && w.machine.off_first_ns == w.now_ns &&
+          w.machine.off_waits);
     w.now_ns += MS;
 }
 
@@ -173,7 +180,7 @@ static void one_that_says_that_it_has_power_is_reported_however_often_it_speaks(
     CHECK(is_reported() && w.now_ns >= w.machine.end.off_by_ns + 500 * MS);
 }
 
-/* ---------------------------------------------------------------------------------------------------------- the rule */
+/* ----------------------------------------------------------------------------- the rule */
 /* A word that says neither what the board has received nor whether it has power. */
 static void two_words_with_a_power_off_between_prove_it_where_words_say_nothing_of_it(void)
 {
@@ -215,7 +222,8 @@ static void what_a_board_reported_before_it_proves_nothing(void)
     CHECK(!m->off_waits);
 }
 
-/* A line whose clock begins with it: its first power-off goes out at 1 ns, and a word comes at once. */
+/* A line whose clock begins with it: its first power-off goes out at 1 ns, and a word comes at
+ * once. */
 static void begins_and_ends_at_the_first_nanosecond(board_table table, const char *word)
 {
     begin_with(table);

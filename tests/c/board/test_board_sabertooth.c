@@ -1,13 +1,14 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_sabertooth: packets of one Sabertooth and of several on a wire, byte by byte. Buffers are as long as what is in
- * them, so that a sanitizer sees one byte more. */
+ * test_board_sabertooth: packets of one Sabertooth and of several on a wire, byte by byte. Buffers
+ * are as long as what is in them, so that a sanitizer sees one byte more. */
 #include <stdlib.h>
 
 #include "board_wire.h"
 
 static uint32_t build_sabertooth(uint32_t unit, uint32_t timeout, int one, int other, uint8_t *out)
 {
-    uint8_t *payload = malloc(SABERTOOTH_SETPOINT_BYTES), *packets = malloc(3 * SABERTOOTH_PACKET_BYTES);
+    uint8_t *payload = malloc(SABERTOOTH_SETPOINT_BYTES),
+            *packets = malloc(3 * SABERTOOTH_PACKET_BYTES);
     payload[0] = (uint8_t)timeout;
     payload[1] = (uint8_t)one;
     payload[2] = (uint8_t)other;
@@ -20,21 +21,27 @@ static uint32_t build_sabertooth(uint32_t unit, uint32_t timeout, int one, int o
 
 static void each_motor_has_a_packet_with_its_direction_and_the_sum_of_seven_bits(void)
 {
-    static const uint8_t forward[] = {130, 0, 64, 66, 130, 4, 127, 5}; /* the first is the user's guide's */
+    /* the first is the user's guide's */
+    static const uint8_t forward[] = {130, 0, 64, 66, 130, 4, 127, 5};
     static const uint8_t backward[] = {135, 1, 1, 9, 135, 5, 127, 11};
     uint8_t out[3 * SABERTOOTH_PACKET_BYTES];
-    CHECK(build_sabertooth(130, 0, 64, 127, out) == sizeof forward && memcmp(out, forward, sizeof forward) == 0);
-    CHECK(build_sabertooth(135, 0, -1, -127, out) == sizeof backward && memcmp(out, backward, sizeof backward) == 0);
-    CHECK(build_sabertooth(135, 0, -1, -128, out) == sizeof backward && memcmp(out, backward, sizeof backward) == 0);
+    CHECK(build_sabertooth(130, 0, 64, 127, out) == sizeof forward &&
+          memcmp(out, forward, sizeof forward) == 0);
+    CHECK(build_sabertooth(135, 0, -1, -127, out) == sizeof backward &&
+          memcmp(out, backward, sizeof backward) == 0);
+    CHECK(build_sabertooth(135, 0, -1, -128, out) == sizeof backward &&
+          memcmp(out, backward, sizeof backward) == 0);
 }
 
 static void the_time_out_goes_out_with_every_set_point(void)
 {
     static const uint8_t still[] = {128, 14, 3, 17, 128, 0, 0, 0, 128, 4, 0, 4};
     uint8_t out[3 * SABERTOOTH_PACKET_BYTES];
-    CHECK(build_sabertooth(128, 3, 0, 0, out) == sizeof still && memcmp(out, still, sizeof still) == 0);
+    CHECK(build_sabertooth(128, 3, 0, 0, out) == sizeof still &&
+          memcmp(out, still, sizeof still) == 0);
     CHECK(build_sabertooth(128, 127, 0, 0, out) == sizeof still && out[2] == 127);
-    CHECK(build_sabertooth(128, 128, 0, 0, out) == sizeof still && out[2] == 127); /* no address among the values */
+    /* no address among the values */
+    CHECK(build_sabertooth(128, 128, 0, 0, out) == sizeof still && out[2] == 127);
     CHECK(build_sabertooth(128, 255, 5, 5, out) == sizeof still && out[2] == 127);
 }
 
@@ -49,7 +56,7 @@ static void nothing_but_an_address_is_above_127(void)
     }
 }
 
-/* -------------------------------------------------------------------------------------------------- the machine */
+/* -------------------------------------------------------------------------- the machine */
 static board_table sabertooth_table(void)
 {
     board_table table = {.dialect = BOARD_SABERTOOTH,
@@ -64,7 +71,8 @@ static board_table sabertooth_table(void)
                          .rest_velocity_rad_s = 0.05};
     for (uint32_t j = 0; j < MOTORS; j++) {
         table.setpoint[table.setpoint_count++] = (board_setpoint){
-            .place = at(1 + j, 1, 1), .scale = {.joint = j, .raw_per_si = 10.0, .raw_min = -127.0, .raw_max = 127.0}};
+            .place = at(1 + j, 1, 1),
+            .scale = {.joint = j, .raw_per_si = 10.0, .raw_min = -127.0, .raw_max = 127.0}};
     }
     return table;
 }
@@ -80,7 +88,8 @@ static void a_sabertooth_is_there_while_its_port_takes_bytes(void)
     request(DRIVE_ARMED);
     go_on(50 * MS);
     CHECK(w.sent_bytes == sizeof turning && memcmp(w.sent, turning, sizeof turning) == 0);
-    board_machine_receive(&w.machine, turning, sizeof turning, w.now_ns); /* an echo is nothing that it reports */
+    /* an echo is nothing that it reports */
+    board_machine_receive(&w.machine, turning, sizeof turning, w.now_ns);
     CHECK(w.machine.bad_frames == 0 && w.machine.feedback_bytes == 0);
     w.enabled = 2; /* set-points come no more */
     go_on(300 * MS);
@@ -113,8 +122,10 @@ static board_table eight_sabertooths(void)
 
 static void sabertooths_on_one_wire_are_driven_and_stopped_in_one_cycle(void)
 {
-    static const uint8_t still[] = {129, 14, 3, 18, 129, 0, 0, 1, 129, 4, 0, 5, 130, 14, 5, 21, 130, 0, 0, 2, 130, 4, 0, 6};
-    static const uint8_t turning[] = {129, 14, 3, 18, 129, 0, 0, 1, 129, 4, 10, 15, 130, 14, 5, 21, 130, 0, 10, 12, 130, 4, 0, 6};
+    static const uint8_t still[] = {129, 14, 3, 18, 129, 0, 0, 1, 129, 4, 0, 5,
+                                    130, 14, 5, 21, 130, 0, 0, 2, 130, 4, 0, 6};
+    static const uint8_t turning[] = {129, 14, 3, 18, 129, 0, 0,  1,  129, 4, 10, 15,
+                                      130, 14, 5, 21, 130, 0, 10, 12, 130, 4, 0,  6};
     begin_with(two_sabertooths());
     request(DRIVE_READY);
     go_on(50 * MS);

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Which tables of a board are refused, and by which name: each number at the edge of what it may be, and beyond. */
+ * Which tables of a board are refused, and by which name: each number at the edge of what it may
+ * be, and beyond. */
 #include "board_wire.h"
 
 static const int64_t LONGEST_NS = INT64_C(100000000000);
@@ -17,17 +18,17 @@ static bool refused(const char *name)
     return board_table_check(&t, bad_name) == bad_name && strcmp(bad_name, name) == 0;
 }
 
-#define GOOD(field, value)                                                                                                       \
-    do {                                                                                                                         \
-        t = frames_table();                                                                                                      \
-        (field) = (value);                                                                                                       \
-        CHECK(is_good());                                                                                                        \
+#define GOOD(field, value)                                                                         \
+    do {                                                                                           \
+        t = frames_table();                                                                        \
+        (field) = (value);                                                                         \
+        CHECK(is_good());                                                                          \
     } while (0)
-#define BAD(field, value, name)                                                                                                  \
-    do {                                                                                                                         \
-        t = frames_table();                                                                                                      \
-        (field) = (value);                                                                                                       \
-        CHECK(refused(name));                                                                                                    \
+#define BAD(field, value, name)                                                                    \
+    do {                                                                                           \
+        t = frames_table();                                                                        \
+        (field) = (value);                                                                         \
+        CHECK(refused(name));                                                                      \
     } while (0)
 
 static void the_numbers_of_a_board(void)
@@ -70,7 +71,9 @@ static void its_times(void)
     const struct {
         int64_t *time_ns;
         const char *name;
-    } times[] = {{&t.period_ns, "period_ns"}, {&t.silence_ns, "silence_ns"}, {&t.setpoint_timeout_ns, "setpoint_timeout_ns"}};
+    } times[] = {{&t.period_ns, "period_ns"},
+                 {&t.silence_ns, "silence_ns"},
+                 {&t.setpoint_timeout_ns, "setpoint_timeout_ns"}};
     for (uint32_t i = 0; i < 3; i++) {
         BAD(*times[i].time_ns, 0, times[i].name);
         GOOD(*times[i].time_ns, 1);
@@ -208,25 +211,31 @@ static void begin_text(void)
     t = frames_table();
     t.dialect = BOARD_TEXT;
     t.written = (board_text){.part_count = 2, .literal = "m ,"};
-    t.written.part[0] = (board_part){.literal_bytes = 2, .form = NUMBER_INTEGER, .number_per_raw = {1.0}};
-    t.written.part[1] =
-        (board_part){.literal_bytes = 1, .form = NUMBER_FIXED, .sign = '+', .precision = 2, .number_per_raw = {0.0, 0.5}};
+    t.written.part[0] =
+        (board_part){.literal_bytes = 2, .form = NUMBER_INTEGER, .number_per_raw = {1.0}};
+    t.written.part[1] = (board_part){.literal_bytes = 1,
+                                     .form = NUMBER_FIXED,
+                                     .sign = '+',
+                                     .precision = 2,
+                                     .number_per_raw = {0.0, 0.5}};
     t.read = (board_text){.part_count = 2, .literal = "a  b "};
-    t.read.part[0] = (board_part){.literal_bytes = 2, .form = NUMBER_INTEGER, .place = at(0, 4, 1), .raw_per_number = 1.0};
-    t.read.part[1] = (board_part){.literal_bytes = 3, .form = NUMBER_FIXED, .place = at(4, 4, 1), .raw_per_number = 1.0};
+    t.read.part[0] = (board_part){
+        .literal_bytes = 2, .form = NUMBER_INTEGER, .place = at(0, 4, 1), .raw_per_number = 1.0};
+    t.read.part[1] = (board_part){
+        .literal_bytes = 3, .form = NUMBER_FIXED, .place = at(4, 4, 1), .raw_per_number = 1.0};
 }
 
-#define TEXT_GOOD(field, value)                                                                                                  \
-    do {                                                                                                                         \
-        begin_text();                                                                                                            \
-        (field) = (value);                                                                                                       \
-        CHECK(is_good());                                                                                                        \
+#define TEXT_GOOD(field, value)                                                                    \
+    do {                                                                                           \
+        begin_text();                                                                              \
+        (field) = (value);                                                                         \
+        CHECK(is_good());                                                                          \
     } while (0)
-#define TEXT_BAD(field, value, name)                                                                                             \
-    do {                                                                                                                         \
-        begin_text();                                                                                                            \
-        (field) = (value);                                                                                                       \
-        CHECK(refused(name));                                                                                                    \
+#define TEXT_BAD(field, value, name)                                                               \
+    do {                                                                                           \
+        begin_text();                                                                              \
+        (field) = (value);                                                                         \
+        CHECK(refused(name));                                                                      \
     } while (0)
 
 static void templates_have_parts_of_known_forms(void)
@@ -252,7 +261,8 @@ static void templates_have_parts_of_known_forms(void)
     TEXT_GOOD(t.written.part[1].form, NUMBER_GENERAL);
     TEXT_BAD(t.written.part[1].form, NUMBER_GENERAL + 1, "written.part.form");
     TEXT_GOOD(t.written.part[1].form, NUMBER_NONE);
-    TEXT_BAD(t.written.part[0].form, NUMBER_NONE, "written.part.form"); /* no number only at the end */
+    /* no number only at the end */
+    TEXT_BAD(t.written.part[0].form, NUMBER_NONE, "written.part.form");
     TEXT_GOOD(t.read.part[1].form, NUMBER_NONE);
     TEXT_BAD(t.read.part[0].form, NUMBER_NONE, "read.part.form");
     TEXT_GOOD(t.written.part[1].literal_bytes, BOARD_TEXT_MAX - 2);
@@ -284,7 +294,8 @@ static void what_is_written_is_exact_and_of_a_width_that_fits(void)
     TEXT_BAD(t.written.part[0].number_per_raw[0], -1.000001e9, "written.part.number_per_raw");
     TEXT_BAD(t.written.part[0].number_per_raw[0], (double)NAN, "written.part.number_per_raw");
     begin_text();
-    t.written.part[0].number_per_raw[0] = t.written.part[0].number_per_raw[1] = 0.6e9; /* together it is too much */
+    /* together it is too much */
+    t.written.part[0].number_per_raw[0] = t.written.part[0].number_per_raw[1] = 0.6e9;
     CHECK(refused("written.part.number_per_raw"));
     begin_text();
     t.written.part[0].number_per_raw[0] = 1e9;
@@ -306,13 +317,15 @@ static void a_number_that_is_read_ends_where_no_number_goes_on(void)
     for (uint32_t i = 0; goes_on[i] != '\0'; i++) {
         TEXT_BAD(t.read.literal[2], (uint8_t)goes_on[i], "read.part.literal_bytes");
         TEXT_GOOD(t.read.literal[2], (uint8_t)ends[i]);
-        TEXT_GOOD(t.read.literal[0], (uint8_t)goes_on[i]); /* before the first number stands what likes to */
+        /* before the first number stands what likes to */
+        TEXT_GOOD(t.read.literal[0], (uint8_t)goes_on[i]);
         TEXT_GOOD(t.written.literal[2], (uint8_t)goes_on[i]);
     }
     TEXT_BAD(t.read.part[1].literal_bytes, 0, "read.part.literal_bytes");
     TEXT_GOOD(t.read.part[0].literal_bytes, 0);
     begin_text();
-    t.read.part[1] = (board_part){.form = NUMBER_NONE}; /* nothing parts it from the number before */
+    /* nothing parts it from the number before */
+    t.read.part[1] = (board_part){.form = NUMBER_NONE};
     CHECK(refused("read.part.literal_bytes"));
     TEXT_BAD(t.read.part[0].raw_per_number, (double)INFINITY, "read.part.raw_per_number");
     TEXT_BAD(t.read.part[1].place.byte, 33, "read.place.byte");

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_text: lines of text, written and read by a template. Buffers are as long as what is in them, so that a
- * sanitizer sees one byte more. */
+ * test_board_text: lines of text, written and read by a template. Buffers are as long as what is in
+ * them, so that a sanitizer sees one byte more. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -21,19 +21,22 @@ static void add(board_text *text, const char *literal, board_part part)
     text->part[text->part_count++] = part;
 }
 
-/* ----------------------------------------------------------------------------------------------------- writing */
+/* ------------------------------------------------------------------------------ writing */
 /* One number, which is the first set-point's 0.001 and the second one's 1. */
-static uint32_t written(board_part part, const char *literal, int64_t one, int64_t other, uint8_t *out)
+static uint32_t written(board_part part, const char *literal, int64_t one, int64_t other,
+                        uint8_t *out)
 {
     board_table table = {.setpoint_count = 2};
     uint8_t payload[2 * RAW_BYTES];
     const int64_t raw[2] = {one, other};
     for (uint32_t i = 0; i < 2; i++) {
-        table.setpoint[i].place = (board_place){.byte = RAW_BYTES * i, .bytes = RAW_BYTES, .is_signed = 1};
+        table.setpoint[i].place =
+            (board_place){.byte = RAW_BYTES * i, .bytes = RAW_BYTES, .is_signed = 1};
         board_put(payload, &table.setpoint[i].place, raw[i]);
     }
     part.number_per_raw[0] = 0.001, part.number_per_raw[1] = 1.0;
-    table.setpoint[2] = table.setpoint[0], part.number_per_raw[2] = 1e9; /* there is no such set-point */
+    /* there is no such set-point */
+    table.setpoint[2] = table.setpoint[0], part.number_per_raw[2] = 1e9;
     add(&table.written, literal, part);
     table.written.part[1].literal_bytes = 1; /* nor such a part */
     return board_text_write(&table, payload, out);
@@ -55,7 +58,10 @@ static const struct {
     {{.form = NUMBER_INTEGER, .sign = ' ', .zeros = 1, .width = 4}, 0, 42, "v 042"},
     {{.form = NUMBER_FIXED, .precision = 3}, 1500, 2, "v3.500"},
     {{.form = NUMBER_FIXED, .precision = 1}, -1500, 0, "v-1.5"},
-    {{.form = NUMBER_FIXED, .precision = 2, .width = 8, .zeros = 1, .sign = '+'}, 250, 0, "v+0000.25"},
+    {{.form = NUMBER_FIXED, .precision = 2, .width = 8, .zeros = 1, .sign = '+'},
+     250,
+     0,
+     "v+0000.25"},
     {{.form = NUMBER_FIXED, .precision = 0}, 0, 7, "v7"},
     {{.form = NUMBER_GENERAL, .precision = 4}, 123456, 0, "v123.5"},
     {{.form = NUMBER_GENERAL, .precision = 3}, 0, 123456, "v1.23e+05"},
@@ -79,7 +85,8 @@ static void parts_follow_one_another_each_after_its_own_text(void)
     uint8_t payload[RAW_BYTES], *out = malloc(13);
     board_put(payload, &table.setpoint[0].place, 12);
     add(&table.written, "left ", (board_part){.form = NUMBER_INTEGER, .number_per_raw = {1.0}});
-    add(&table.written, ",", (board_part){.form = NUMBER_FIXED, .precision = 1, .number_per_raw = {0.1}});
+    add(&table.written, ",",
+        (board_part){.form = NUMBER_FIXED, .precision = 1, .number_per_raw = {0.1}});
     add(&table.written, "!\n", (board_part){.form = NUMBER_NONE});
     CHECK(board_text_write(&table, payload, out) == 13 && memcmp(out, "left 12,1.2!\n", 13) == 0);
     free(out);
@@ -92,7 +99,8 @@ static void a_line_is_as_long_as_there_is_room_for(void)
     memset(literal, 'x', sizeof literal);
     literal[6] = '\0';
     board_part part = {.form = NUMBER_INTEGER, .width = BOARD_TEXT_MAX - 6};
-    CHECK(written(part, literal, 0, 7, out) == BOARD_TEXT_MAX && out[BOARD_TEXT_MAX - 1] == '7' && out[5] == 'x');
+    CHECK(written(part, literal, 0, 7, out) == BOARD_TEXT_MAX && out[BOARD_TEXT_MAX - 1] == '7' &&
+          out[5] == 'x');
     part.width++;
     CHECK(written(part, literal, 0, 7, out) == 0);
     part.width = BOARD_TEXT_MAX;
@@ -102,13 +110,15 @@ static void a_line_is_as_long_as_there_is_room_for(void)
     free(out);
 }
 
-/* ----------------------------------------------------------------------------------------------------- reading */
-/* By "literal NUMBER end", and `@` in the line is a zero byte; the number times 1000 in four bytes with a sign. */
+/* ------------------------------------------------------------------------------ reading */
+/* By "literal NUMBER end", and `@` in the line is a zero byte; the number times 1000 in four
+ * bytes with a sign. */
 static uint32_t read_line(const char *literal, const char *end, const char *line, int64_t *raw)
 {
     board_text text = {0};
     board_place place = {.byte = 3, .bytes = RAW_BYTES, .is_signed = 1};
-    add(&text, literal, (board_part){.form = NUMBER_GENERAL, .place = place, .raw_per_number = 1000.0});
+    add(&text, literal,
+        (board_part){.form = NUMBER_GENERAL, .place = place, .raw_per_number = 1000.0});
     if (end != NULL) {
         add(&text, end, (board_part){.form = NUMBER_NONE});
     }
@@ -171,9 +181,10 @@ static void numbers_are_read_in_every_usual_form_and_held_within_their_place(voi
 
 static void what_is_no_number_is_another_text(void)
 {
-    static const char *const BAD[] = {"",      "-",   "+",   ".",     "-.",  "e5",  "x",   "--1",  "+-1",   "1e",
-                                      "1e+",   "1e-", "1ex", "1.2.3", "1 2", "nan", "inf", "0x10", "1e999", "-1e999",
-                                      "1e400", "1,5", "1:",  "1/",    "1@",  "@1",  "1@5", "1\x01"};
+    static const char *const BAD[] = {"",    "-",   "+",   ".",    "-.",    "e5",     "x",
+                                      "--1", "+-1", "1e",  "1e+",  "1e-",   "1ex",    "1.2.3",
+                                      "1 2", "nan", "inf", "0x10", "1e999", "-1e999", "1e400",
+                                      "1,5", "1:",  "1/",  "1@",   "@1",    "1@5",    "1\x01"};
     int64_t raw;
     for (size_t i = 0; i < sizeof BAD / sizeof BAD[0]; i++) {
         CHECK(read_line("", NULL, BAD[i], &raw) == 0);
@@ -269,7 +280,8 @@ static void each_number_goes_to_its_place_and_the_length_ends_with_the_last_plac
     CHECK(board_get(payload, &far) == 0 && board_get(payload, &near) == 127);
     text.part[1].place = far, text.part[0].place = near; /* swapped */
     CHECK(read_text(&text, "<-1 -99>", payload) == 8);
-    text.part[1].place = (board_place){.byte = 2, .bytes = 2, .is_signed = 1}; /* the last byte moves from 7 to 3 */
+    /* the last byte moves from 7 to 3 */
+    text.part[1].place = (board_place){.byte = 2, .bytes = 2, .is_signed = 1};
     CHECK(read_text(&text, "<-1 -99>", payload) == 4);
     board_text without = {0};
     add(&without, "ok", (board_part){.form = NUMBER_NONE});

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board's thread on a socket pair, with the reference board, asyncio's side and the loop's side in threads of their own:
- * for the sanitizers. Nothing is shared but what api_board.h and the exchange pass on. */
+ * A board's thread on a socket pair, with the reference board, asyncio's side and the loop's side
+ * in threads of their own: for the sanitizers. Nothing is shared but what api_board.h and the
+ * exchange pass on. */
 #include <errno.h>
 
 #include "board_wire.h"
@@ -57,7 +58,8 @@ static void write_out(uint32_t byte, uint32_t bytes, int64_t raw)
 
 static void a_line_is_set_up_armed_and_stopped(void)
 {
-    board_control control = {.request = {.count = 1, .mode = DRIVE_READY, .arming_until_ns = INT64_MAX}};
+    board_control control = {
+        .request = {.count = 1, .mode = DRIVE_READY, .arming_until_ns = INT64_MAX}};
     write_out(CONTROL, 1, CONTROL_RESTART_NOTED);
     write_out(WATCHDOG, 2, WATCHDOG_MS);
     board_put_control(0, &control);
@@ -93,7 +95,8 @@ int main(void)
     exchange_init(&shared);
     CHECK(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK, 0, ends) == 0);
     board_config config = {.at = place_of_the_thread()};
-    CHECK(pthread_create(&loop, NULL, core, NULL) == 0 && pthread_create(&peer, NULL, sketch, &turned) == 0);
+    CHECK(pthread_create(&loop, NULL, core, NULL) == 0 &&
+          pthread_create(&peer, NULL, sketch, &turned) == 0);
     CHECK(board_start(0, &config, &table) == 0 && board_start(0, &config, &table) == -EBUSY);
     a_line_is_set_up_armed_and_stopped();
     CHECK(board_start(0, &config, &table) == 0);
@@ -102,7 +105,8 @@ int main(void)
     CHECK(turned > 0);
     CHECK(close(ends[1]) == 0);
     int32_t error = wait_for(DRIVE_ARMED).life.error;
-    CHECK(error == EIO || error == EPIPE); /* the other end has gone: the thread says so, and ends */
+    /* the other end has gone: the thread says so, and ends */
+    CHECK(error == EIO || error == EPIPE);
     CHECK(board_stop(0) == 0);
     return checks_report("board thread");
 }

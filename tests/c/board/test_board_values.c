@@ -19,7 +19,8 @@ static void a_number_of_each_length_is_read_as_it_was_written(void)
             board_place place = at(1, bytes, is_signed);
             const int64_t least = board_raw_min(&place), most = board_raw_max(&place);
             CHECK(most - least == (INT64_C(1) << 8 * bytes) - 1 && (least < 0) == (is_signed == 1));
-            const int64_t raw[] = {least, least + 1, -1, 0, 1, most / 2, most / 2 + 1, most - 1, most};
+            const int64_t raw[] = {least,    least + 1,    -1,       0,   1,
+                                   most / 2, most / 2 + 1, most - 1, most};
             for (uint32_t i = 0; i < 9; i++) {
                 uint8_t data[8];
                 memset(data, 0xA5, sizeof data);
@@ -41,8 +42,11 @@ static void begin(void)
     m->newest = (setpoints){.enabled = 1, .joint_count = 3};
     m->table.setpoint_count = 2;
     for (uint32_t j = 0; j < 3; j++) {
-        setpoint_scale scale = {
-            .joint = j, .kind = SETPOINT_VELOCITY, .raw_per_si = 10.0 * (j + 1), .raw_min = -1000, .raw_max = 1000};
+        setpoint_scale scale = {.joint = j,
+                                .kind = SETPOINT_VELOCITY,
+                                .raw_per_si = 10.0 * (j + 1),
+                                .raw_min = -1000,
+                                .raw_max = 1000};
         m->table.setpoint[j] = (board_setpoint){.place = at(2 * j, 2, 1), .scale = scale};
         m->newest.joint[j].velocity_rad_s = 7.0;
     }
@@ -55,7 +59,8 @@ static bool payload_of(double one_rad_s, double other_rad_s, int64_t *one, int64
     uint8_t payload[BOARD_PAYLOAD_MAX];
     m->newest.joint[0].velocity_rad_s = one_rad_s, m->newest.joint[1].velocity_rad_s = other_rad_s;
     bool motion = board_payload(m, payload);
-    *one = board_get(payload, &m->table.setpoint[0].place), *other = board_get(payload, &m->table.setpoint[1].place);
+    *one = board_get(payload, &m->table.setpoint[0].place),
+    *other = board_get(payload, &m->table.setpoint[1].place);
     CHECK(payload[4] == 0 && payload[5] == 0 && payload[9] == m->held[9]);
     return motion;
 }
@@ -82,7 +87,8 @@ static void what_is_not_armed_and_enabled_is_sent_zero(void)
             begin();
             m->state.mode = mode, m->newest.enabled = enabled;
             bool moves = mode == DRIVE_ARMED && enabled == 1;
-            CHECK(payload_of(2.0, 2.0, &one, &other) == moves && (one != 0) == moves && (other != 0) == moves);
+            CHECK(payload_of(2.0, 2.0, &one, &other) == moves && (one != 0) == moves &&
+                  (other != 0) == moves);
         }
     }
 }
@@ -90,7 +96,8 @@ static void what_is_not_armed_and_enabled_is_sent_zero(void)
 static void field(uint32_t number, uint32_t joint, uint32_t kind, uint32_t byte)
 {
     m->table.field[number].place = at(byte, 2, 1);
-    m->table.field[number].meaning = (field_meaning){.joint = joint, .kind = kind, .si_per_raw = 0.5, .counter_bits = 12};
+    m->table.field[number].meaning =
+        (field_meaning){.joint = joint, .kind = kind, .si_per_raw = 0.5, .counter_bits = 12};
     m->table.field_count = number + 1;
 }
 
@@ -132,7 +139,8 @@ static void a_fault_word_stops_by_what_is_not_harmless_and_is_sent_when_it_chang
     m->table.field[0].meaning.harmless_bits = 0x4;
     CHECK(board_read(m) && !m->notify && m->joint[1].feedback.drive_faults == 0);
     say(0, 0x6);
-    CHECK(board_read(m) && m->notify && m->joint[1].fault_word == 0x6 && m->joint[1].feedback.drive_faults == 0x2);
+    CHECK(board_read(m) && m->notify && m->joint[1].fault_word == 0x6 &&
+          m->joint[1].feedback.drive_faults == 0x2);
     m->notify = false;
     CHECK(board_read(m) && !m->notify && m->joint[1].feedback.drive_faults == 0x2);
     say(0, 0);
@@ -178,8 +186,10 @@ static void feedback_is_published_for_the_joints_of_the_board(void)
     board_publish(m);
     CHECK(m->published == 2);
     board_forget(m);
-    CHECK(isnan(m->joint[0].feedback.velocity_rad_s) && isnan(m->joint[JOINTS_MAX - 1].feedback.velocity_rad_s));
-    CHECK(m->state.enabled == 2 && m->joint[1].feedback.enabled == 2 && m->joint[1].feedback.stamp_ns == 0);
+    CHECK(isnan(m->joint[0].feedback.velocity_rad_s) &&
+          isnan(m->joint[JOINTS_MAX - 1].feedback.velocity_rad_s));
+    CHECK(m->state.enabled == 2 && m->joint[1].feedback.enabled == 2 &&
+          m->joint[1].feedback.stamp_ns == 0);
 }
 
 static void it_is_at_rest_when_each_of_its_joints_is_known_to_be(void)

@@ -2,7 +2,7 @@
  * What a board says, in frames and in text, in any pieces, with a sensor and with noise. */
 #include "board_wire.h"
 
-/* -------------------------------------------------------------------------------------------------- frames in */
+/* ---------------------------------------------------------------------------- frames in */
 static void feedback_is_counts_and_si_in_the_board_s_time(void)
 {
     begin();
@@ -25,7 +25,8 @@ static void the_stream_may_come_in_any_pieces(void)
     motord_board board;
     motord_board_init(&board, MOTORS, 0);
     for (uint32_t i = 0; i < 60; i++) {
-        count += (uint32_t)motord_board_feedback(&board, 200000 * i, w.measured, &w.health, stream + count);
+        count += (uint32_t)motord_board_feedback(&board, 200000 * i, w.measured, &w.health,
+                                                 stream + count);
         stream[count] = (uint8_t)i;
         count += i % 7 == 3;
     }
@@ -60,7 +61,8 @@ static void noise_is_counted_and_changes_nothing(void)
     board_machine_receive(&w.machine, noise, sizeof noise, w.now_ns);
     CHECK(w.machine.bad_frames == 1);
     uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0};
-    uint32_t count = board_frame_build(BOARD_TYPE_SETPOINTS, 1, 2, payload, 36, frame); /* for a board, not for us */
+    /* for a board, not for us */
+    uint32_t count = board_frame_build(BOARD_TYPE_SETPOINTS, 1, 2, payload, 36, frame);
     board_machine_receive(&w.machine, frame, count, w.now_ns);
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 35, frame); /* too short */
     board_machine_receive(&w.machine, frame, count, w.now_ns);
@@ -95,7 +97,8 @@ static void what_was_reported_before_a_write_was_received_is_not_believed(void)
 {
     begin();
     arm();
-    uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0}; /* restarted, not enabled: of long ago */
+    /* restarted, not enabled: of long ago */
+    uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0};
     payload[STATUS] = STATUS_RESTARTED;
     board_place received = at(6, 2, 0);
     board_put(payload, &received, w.machine.sequence + 1000);
@@ -104,17 +107,19 @@ static void what_was_reported_before_a_write_was_received_is_not_believed(void)
     CHECK(w.machine.state.mode == DRIVE_ARMED);
     board_place ago = at(8, 2, 0);
     board_put(payload, &received, w.machine.sequence);
-    board_put(payload, &ago, 60000); /* received six seconds ago: before it was sent, by an earlier program */
+    board_put(payload, &ago, 60000); /* received six seconds ago: before it was sent, by an earlier
+                                        program */
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
     board_machine_receive(&w.machine, frame, count, w.now_ns);
     CHECK(w.machine.state.mode == DRIVE_ARMED);
     board_put(payload, &ago, 0);
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
     board_machine_receive(&w.machine, frame, count, w.now_ns);
-    CHECK(w.machine.state.mode == DRIVE_OFF && (w.machine.state.fault_reasons & DRIVE_FAULT_LOST_SETUP) != 0);
+    CHECK(w.machine.state.mode == DRIVE_OFF &&
+          (w.machine.state.fault_reasons & DRIVE_FAULT_LOST_SETUP) != 0);
 }
 
-/* ------------------------------------------------------------------------------------------------------- text */
+/* --------------------------------------------------------------------------------- text */
 static bool newest_line_is(const char *line)
 {
     return w.sent_bytes == strlen(line) && memcmp(w.sent, line, w.sent_bytes) == 0;
@@ -130,7 +135,8 @@ static void text_without_feedback_lives_on_its_port(void)
     go_on(50 * MS);
     CHECK(w.machine.state.mode == DRIVE_ARMED && newest_line_is("255,255\n"));
     CHECK(w.machine.feedback_mask == 3 && isnan(w.machine.joint[0].feedback.velocity_rad_s));
-    CHECK(w.machine.joint[1].feedback.stamp_ns == w.machine.last_sent_ns && w.machine.received == 0);
+    CHECK(w.machine.joint[1].feedback.stamp_ns == w.machine.last_sent_ns &&
+          w.machine.received == 0);
     w.full = true;
     go_on(200 * MS);
     CHECK(w.machine.state.mode == DRIVE_UNRESPONSIVE);
@@ -144,12 +150,14 @@ static void half_a_line_is_not_read_and_one_without_end_is_thrown_away(void)
     begin_with(text_table(true));
     request(DRIVE_READY);
     receive("v 9\nv 1.5\r\n"); /* the first may have begun anywhere */
-    CHECK(w.machine.joint[0].feedback.velocity_rad_s == 1.5 && w.machine.received == 1 && w.machine.bad_frames == 0);
+    CHECK(w.machine.joint[0].feedback.velocity_rad_s == 1.5 && w.machine.received == 1 &&
+          w.machine.bad_frames == 0);
     for (uint32_t i = 0; i < 100; i++) {
         receive("v 123456");
     }
     receive("\nv 2;hello;v 1e999\n");
-    CHECK(w.machine.joint[0].feedback.velocity_rad_s == 2.0 && w.machine.received == 2 && w.machine.bad_frames == 2);
+    CHECK(w.machine.joint[0].feedback.velocity_rad_s == 2.0 && w.machine.received == 2 &&
+          w.machine.bad_frames == 2);
     go_on(200 * MS);
     CHECK(w.machine.state.mode == DRIVE_UNRESPONSIVE);
 }
@@ -196,12 +204,13 @@ static void a_line_is_of_its_own_time_and_of_nothing_but_itself(void)
 static void a_line_that_cannot_be_written_is_not_sent(void)
 {
     begin_with(text_table(false));
-    w.machine.table.written.part[1].width = BOARD_TEXT_MAX; /* with the other number it is too long */
+    /* with the other number it is too long */
+    w.machine.table.written.part[1].width = BOARD_TEXT_MAX;
     go_on(50 * MS);
     CHECK(w.sent_count == 0 && w.machine.sent == 0 && w.machine.no_room >= 2);
 }
 
-/* -------------------------------------------------------------------------------------------------- its sensor */
+/* --------------------------------------------------------------------------- its sensor */
 static bool is_near(double is, double wanted)
 {
     return fabs(is - wanted) < 1e-9;
@@ -238,14 +247,16 @@ static void a_sensor_speaks_in_the_base_s_axes(void)
     begin_with(table);
     CHECK(report_with_sensor(56) && w.machine.imu_is_new);
     const imu_sample *imu = &w.machine.imu;
-    CHECK(isnan(imu->angular_rad_s[0]) && is_near(imu->angular_rad_s[1], 1.0) && is_near(imu->angular_rad_s[2], 2.0));
+    CHECK(isnan(imu->angular_rad_s[0]) && is_near(imu->angular_rad_s[1], 1.0) &&
+          is_near(imu->angular_rad_s[2], 2.0));
     CHECK(isnan(imu->acceleration_m_s2[0]) && is_near(imu->acceleration_m_s2[1], 9.807));
     CHECK(is_near(imu->acceleration_m_s2[2], 1.0) && imu->saturated == 1 && imu->epoch == 3);
     CHECK(imu->stamp_ns == w.machine.stamp_ns);
     sensor_flags = 0;
     CHECK(report_with_sensor(56) && imu->saturated == 0);
     sensor_flags = 1;
-    CHECK(!report_with_sensor(55) && w.machine.bad_frames == 1); /* it says that it has one, and ends before */
+    /* it says that it has one, and ends before */
+    CHECK(!report_with_sensor(55) && w.machine.bad_frames == 1);
     table.imu.used = 0;
     begin_with(table);
     CHECK(report_with_sensor(56) && !w.machine.imu_is_new);
@@ -259,10 +270,12 @@ static void a_text_has_its_rate_about_z(void)
     board_table table = text_table(true);
     table.imu = mounted();
     table.imu.axis[2] = 2;
-    table.imu.rate_z = at(0, 6, 1); /* the number that is read, in units of 1e-6 rad/s: times 1000 here */
+    table.imu.rate_z = at(0, 6, 1); /* the number that is read, in units of 1e-6 rad/s: times 1000
+                                       here */
     begin_with(table);
     receive("\nv 500\n");
-    CHECK(w.machine.imu_is_new && is_near(w.machine.imu.angular_rad_s[2], -0.5) && isnan(w.machine.imu.angular_rad_s[1]));
+    CHECK(w.machine.imu_is_new && is_near(w.machine.imu.angular_rad_s[2], -0.5) &&
+          isnan(w.machine.imu.angular_rad_s[1]));
     CHECK(w.machine.imu.saturated == 0);
     table.imu.rate_z.byte = 1;
     char name[FIELD_NAME_BYTES];

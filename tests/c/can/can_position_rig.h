@@ -15,13 +15,14 @@ static inline void begin(void)
     begin_with(1);
     can_output *output = &table_of(0)->output[0];
     output->packet.bytes = 6;
-    output->setpoint[0] = (can_setpoint){.place = {.start_bit = 16, .length = 32, .form = CAN_FLOAT},
-                                         .scale = {.kind = SETPOINT_POSITION,
-                                                   .raw_per_si = 0.5,
-                                                   .raw_offset = 2.0,
-                                                   .raw_min = -10.0,
-                                                   .raw_max = 10.0,
-                                                   .raw_per_s = 1e6}};
+    output->setpoint[0] =
+        (can_setpoint){.place = {.start_bit = 16, .length = 32, .form = CAN_FLOAT},
+                       .scale = {.kind = SETPOINT_POSITION,
+                                 .raw_per_si = 0.5,
+                                 .raw_offset = 2.0,
+                                 .raw_min = -10.0,
+                                 .raw_max = 10.0,
+                                 .raw_per_s = 1e6}};
     restart();
     w.enabled = 2; /* `step` leaves the set-points to us */
     positioned = 0;
@@ -81,7 +82,8 @@ static inline void make_stopping(float at_turns)
     report_all(at_turns);
     w.machine.newest.stamp_ns = w.now_ns - 10000 * MS;
     step();
-    CHECK(state_of(0)->state.mode == DRIVE_READY && (state_of(0)->state.fault_reasons & DRIVE_FAULT_SETPOINTS_OLD) != 0);
+    CHECK(state_of(0)->state.mode == DRIVE_READY &&
+          (state_of(0)->state.fault_reasons & DRIVE_FAULT_SETPOINTS_OLD) != 0);
 }
 
 static inline const can_packet *quick_stop_sent(void)

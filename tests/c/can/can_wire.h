@@ -9,7 +9,14 @@
 #include "can_machine.h"
 #include "check.h"
 
-enum { SPEED = 0x100, CONTROL = 0x200, STATE = 0x300, MOTION = 0x400, ANSWER = 0x500, SENT_MAX = 4096 };
+enum {
+    SPEED = 0x100,
+    CONTROL = 0x200,
+    STATE = 0x300,
+    MOTION = 0x400,
+    ANSWER = 0x500,
+    SENT_MAX = 4096
+};
 enum { ENABLE = 15, QUICK_STOP = 2, DISABLE = 6 };
 
 static const int64_t MS = 1000000;
@@ -47,7 +54,8 @@ static inline can_packet packet_of(uint32_t id, uint32_t bytes)
     return (can_packet){.id = id, .bytes = bytes};
 }
 
-/* A control word and a speed of 16 bits in the cyclic frame; states and speeds come back by themselves. */
+/* A control word and a speed of 16 bits in the cyclic frame; states and speeds come back by
+ * themselves. */
 static inline can_drive can_drive_of(uint32_t n)
 {
     can_drive drive = {.tries = 3,
@@ -61,21 +69,27 @@ static inline can_drive can_drive_of(uint32_t n)
                        .disarm_count = 1,
                        .watchdog_ns = 500 * MS};
     drive.output[0] = (can_output){.packet = packet_of(SPEED + n, 4), .setpoint_count = 1};
-    drive.output[0].setpoint[0] =
-        (can_setpoint){.place = {.start_bit = 16, .length = 16, .form = CAN_SIGNED},
-                       .scale = {.joint = n, .raw_per_si = 100.0, .raw_min = -1000.0, .raw_max = 1000.0}};
+    drive.output[0].setpoint[0] = (can_setpoint){
+        .place = {.start_bit = 16, .length = 16, .form = CAN_SIGNED},
+        .scale = {.joint = n, .raw_per_si = 100.0, .raw_min = -1000.0, .raw_max = 1000.0}};
     drive.input[0] = (can_input){.silence_ns = 300 * MS, .fast = 1, .field_count = 1};
     drive.input[0].field[0] = (can_field){
-        .place = {.length = 8}, .meaning = {.kind = FIELD_ENABLED, .equals_mask = 0xFF, .equals = 8, .si_per_raw = 1.0}};
-    drive.input[1] = (can_input){.silence_ns = 200 * MS, .spacing_ns = 5 * MS, .fast = 1, .field_count = 2};
-    drive.input[1].field[0] = (can_field){.place = {.length = 32, .form = CAN_FLOAT},
-                                          .meaning = {.joint = n, .kind = FIELD_COUNT, .counter_bits = 32, .si_per_raw = 1000.0}};
-    drive.input[1].field[1] = (can_field){.place = {.start_bit = 32, .length = 32, .form = CAN_FLOAT},
-                                          .meaning = {.joint = n, .kind = FIELD_VELOCITY, .si_per_raw = 1.0}};
+        .place = {.length = 8},
+        .meaning = {.kind = FIELD_ENABLED, .equals_mask = 0xFF, .equals = 8, .si_per_raw = 1.0}};
+    drive.input[1] =
+        (can_input){.silence_ns = 200 * MS, .spacing_ns = 5 * MS, .fast = 1, .field_count = 2};
+    drive.input[1].field[0] = (can_field){
+        .place = {.length = 32, .form = CAN_FLOAT},
+        .meaning = {.joint = n, .kind = FIELD_COUNT, .counter_bits = 32, .si_per_raw = 1000.0}};
+    drive.input[1].field[1] =
+        (can_field){.place = {.start_bit = 32, .length = 32, .form = CAN_FLOAT},
+                    .meaning = {.joint = n, .kind = FIELD_VELOCITY, .si_per_raw = 1.0}};
     drive.match[0] = (can_match){.id = STATE + n, .bytes = 1, .input = 1};
     drive.match[1] = (can_match){.id = MOTION + n, .bytes = 8, .input = 2};
-    drive.match[2] = (can_match){.id = ANSWER + n, .bytes = 8, .begins_bytes = 1, .begins = {0x43}, .begins_mask = {0xFF}};
-    drive.quick_stop[0] = (can_write){.packet = packet_of(SPEED + n, 4), .output = 1, .mask = {0xFF, 0xFF}};
+    drive.match[2] = (can_match){
+        .id = ANSWER + n, .bytes = 8, .begins_bytes = 1, .begins = {0x43}, .begins_mask = {0xFF}};
+    drive.quick_stop[0] =
+        (can_write){.packet = packet_of(SPEED + n, 4), .output = 1, .mask = {0xFF, 0xFF}};
     drive.quick_stop[0].packet.data[0] = QUICK_STOP;
     drive.disarm[0] = drive.quick_stop[0];
     drive.disarm[0].packet.data[0] = DISABLE;
@@ -97,8 +111,10 @@ static inline void begin_with(uint32_t drives)
     w.now_ns = w.wake_ns = 1000 * MS;
     w.velocity_rad_s = 1.0;
     w.enabled = 1;
-    w.table =
-        (can_table){.drive_count = drives, .period_ns = 10 * MS, .setpoint_timeout_ns = 100 * MS, .rest_velocity_rad_s = 0.1};
+    w.table = (can_table){.drive_count = drives,
+                          .period_ns = 10 * MS,
+                          .setpoint_timeout_ns = 100 * MS,
+                          .rest_velocity_rad_s = 0.1};
     for (uint32_t i = 0; i < drives; i++) {
         w.table.drive[i] = can_drive_of(i);
     }
@@ -126,10 +142,12 @@ static inline void report_state(uint32_t drive, uint8_t state)
 static inline void step(void)
 {
     if (w.enabled < 2) {
-        w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = w.enabled, .joint_count = JOINTS_MAX};
+        w.machine.newest =
+            (setpoints){.stamp_ns = w.now_ns, .enabled = w.enabled, .joint_count = JOINTS_MAX};
         for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-            w.machine.newest.joint[j] =
-                (joint_setpoint){.velocity_rad_s = w.velocity_rad_s, .duty = w.velocity_rad_s, .torque_n_m = w.velocity_rad_s};
+            w.machine.newest.joint[j] = (joint_setpoint){.velocity_rad_s = w.velocity_rad_s,
+                                                         .duty = w.velocity_rad_s,
+                                                         .torque_n_m = w.velocity_rad_s};
         }
     }
     w.wake_ns = can_machine_step(&w.machine, w.now_ns);
@@ -201,7 +219,8 @@ static inline uint32_t count_sent(uint32_t id)
 
 static inline int16_t speed_in(const can_packet *packet)
 {
-    return (int16_t)can_get(packet->data, &(can_place){.start_bit = 16, .length = 16, .form = CAN_SIGNED});
+    return (int16_t)can_get(packet->data,
+                            &(can_place){.start_bit = 16, .length = 16, .form = CAN_SIGNED});
 }
 
 /* The newest set-point frame of a drive: its speed, its control word. */

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_can.c: a bus's machine among drives, jobs, requests and set-points that do what they like, on a bus that takes what
- * it likes. Whatever comes: motion is sent only to what is armed and only while the core wants it, a stop goes out at
- * once or with the first look at which the bus takes it, a job that was overtaken by a stop is not sent, and the end
- * comes. */
+ * fuzz_can.c: a bus's machine among drives, jobs, requests and set-points that do what they like,
+ * on a bus that takes what it likes. Whatever comes: motion is sent only to what is armed and only
+ * while the core wants it, a stop goes out at once or with the first look at which the bus takes
+ * it, a job that was overtaken by a stop is not sent, and the end comes. */
 #include "can_wire.h"
 #include "tape.h"
 
@@ -20,11 +20,13 @@ static bool may_move(uint32_t drive)
 {
     const setpoints *from = &w.machine.newest;
     double wanted = drive < from->joint_count ? from->joint[drive].velocity_rad_s : 0.0;
-    return w.machine.drive[drive].state.mode == DRIVE_ARMED && w.machine.end.stage == END_NOT && from->enabled == 1 &&
-           from->stamp_ns > 0 && w.now_ns - from->stamp_ns <= w.table.setpoint_timeout_ns && isfinite(wanted) && wanted != 0.0;
+    return w.machine.drive[drive].state.mode == DRIVE_ARMED && w.machine.end.stage == END_NOT &&
+           from->enabled == 1 && from->stamp_ns > 0 &&
+           w.now_ns - from->stamp_ns <= w.table.setpoint_timeout_ns && isfinite(wanted) &&
+           wanted != 0.0;
 }
 
-/* ---------------------------------------------------------------------------------------------------- the bus */
+/* ------------------------------------------------------------------------------ the bus */
 static void judge_job(const can_packet *packet, uint32_t drive)
 {
     uint32_t stops;
@@ -46,7 +48,9 @@ static void judge_packet(const can_packet *packet)
         CHECK(drive < DRIVES);
         judge_job(packet, drive);
         break;
-    default: CHECK(packet->id == SYNC || packet->id == SLOW || packet->id == (CAN_ID_REMOTE | (MOTION + 1)));
+    default:
+        CHECK(packet->id == SYNC || packet->id == SLOW ||
+              packet->id == (CAN_ID_REMOTE | (MOTION + 1)));
     }
 }
 
@@ -62,8 +66,8 @@ static bool offer(void *sink, const can_packet *packet)
     return true;
 }
 
-/* Three kinds: one is sent zero when it rests, one must not be and cannot report whether it has power, one has a watchdog,
- * two frames to a stop, and is unresponsive until it answers. */
+/* Three kinds: one is sent zero when it rests, one must not be and cannot report whether it has
+ * power, one has a watchdog, two frames to a stop, and is unresponsive until it answers. */
 static void begin(void)
 {
     begin_with(DRIVES);
@@ -80,16 +84,18 @@ static void begin(void)
     third->disarm[1] = third->disarm[0];
     w.table.sync_count = 1;
     w.table.sync[0] = packet_of(SYNC, 0);
-    CHECK(can_machine_init(&w.machine, &w.table, &(can_before){.epoch = 7, .may_turn = 2}, offer, NULL, w.now_ns) == 0);
+    CHECK(can_machine_init(&w.machine, &w.table, &(can_before){.epoch = 7, .may_turn = 2}, offer,
+                           NULL, w.now_ns) == 0);
     memset(modes, 0, sizeof modes);
     memset(last_sent, 0, sizeof last_sent);
     taking = 0;
 }
 
-/* ----------------------------------------------------------------------------------------------- what happens */
+/* ------------------------------------------------------------------------- what happens */
 static void set_points(uint8_t choice)
 {
-    static const double values[] = {0.0, 1.0, -3.0, 1e300, (double)NAN, (double)INFINITY, -0.0, 2.0};
+    static const double values[] = {0.0,  1.0, -3.0, 1e300, (double)NAN, (double)INFINITY,
+                                    -0.0, 2.0};
     setpoints *to = &w.machine.newest;
     if (choice % 4 != 0) {
         to->stamp_ns = choice % 16 == 1 ? w.now_ns + 5 * MS : choice % 16 == 2 ? -5 : w.now_ns;
@@ -120,7 +126,8 @@ static void put_job(uint32_t drive, uint8_t choice)
 
 static void asyncio_side(uint8_t choice)
 {
-    static const uint32_t requests[] = {DRIVE_OFF, DRIVE_READY, DRIVE_READY, DRIVE_ARMED, DRIVE_ARMED, DRIVE_STAND_DOWN};
+    static const uint32_t requests[] = {DRIVE_OFF,   DRIVE_READY, DRIVE_READY,
+                                        DRIVE_ARMED, DRIVE_ARMED, DRIVE_STAND_DOWN};
     uint32_t drive = choice % DRIVES, what = choice / DRIVES;
     mode_request *to = &w.machine.control.drive[drive];
     if (what < 30) {
@@ -150,7 +157,8 @@ static void receive(const can_packet *packet, int64_t stamp_ns)
 
 static void receive_motion(uint32_t drive, uint8_t choice)
 {
-    const float reported[] = {REPORTED_RAD_S + (float)drive, 0.0F, NAN, INFINITY, GREAT_RAD_S, -INFINITY, 0.0F, 0.0F};
+    const float reported[] = {
+        REPORTED_RAD_S + (float)drive, 0.0F, NAN, INFINITY, GREAT_RAD_S, -INFINITY, 0.0F, 0.0F};
     float both[2] = {reported[choice >> 3 & 7], reported[choice & 7]};
     can_packet packet = packet_of(MOTION + drive, 8);
     memcpy(packet.data, both, sizeof both);
@@ -167,8 +175,14 @@ static void receive_state(uint32_t drive, uint8_t choice)
 /* What no drive of the table says, or not so. */
 static void receive_noise(uint8_t choice)
 {
-    static const uint32_t ids[] = {
-        STRANGER, CAN_ID_ERROR | 0x40, CAN_ID_REMOTE | MOTION, CAN_ID_EXTENDED | MOTION, MOTION, STATE + 1, ANSWER, ANSWER + 2};
+    static const uint32_t ids[] = {STRANGER,
+                                   CAN_ID_ERROR | 0x40,
+                                   CAN_ID_REMOTE | MOTION,
+                                   CAN_ID_EXTENDED | MOTION,
+                                   MOTION,
+                                   STATE + 1,
+                                   ANSWER,
+                                   ANSWER + 2};
     can_packet packet = packet_of(ids[choice & 7], choice >> 3 & 7);
     for (uint32_t i = 0; i < packet.bytes; i++) {
         packet.data[i] = next_byte();
@@ -191,7 +205,7 @@ static void drives_side(uint8_t choice)
     }
 }
 
-/* ------------------------------------------------------------------------------------------------- the judge */
+/* ---------------------------------------------------------------------------- the judge */
 static void judge_modes(void)
 {
     for (uint32_t i = 0; i < DRIVES; i++) {
@@ -199,14 +213,15 @@ static void judge_modes(void)
         judge_mode(modes[i], now, &w.machine.control.drive[i]);
         modes[i] = now;
         double velocity = w.machine.joint[i].feedback.velocity_rad_s;
-        bool its_own = velocity == (double)(REPORTED_RAD_S + (float)i) || velocity == (double)GREAT_RAD_S || velocity == 0.0;
+        bool its_own = velocity == (double)(REPORTED_RAD_S + (float)i) ||
+                       velocity == (double)GREAT_RAD_S || velocity == 0.0;
         CHECK(isnan(velocity) || its_own);
     }
     CHECK((w.machine.feedback_mask & ~7U) == 0);
 }
 
-/* What has been sent motion and may not move any more has been sent zero, if the bus takes anything: an unresponsive one in its
- * next cycle, by the probe. */
+/* What has been sent motion and may not move any more has been sent zero, if the bus takes
+ * anything: an unresponsive one in its next cycle, by the probe. */
 static void judge_stops(bool cycled)
 {
     for (uint32_t i = 0; i < DRIVES; i++) {
@@ -222,7 +237,8 @@ static void look(void)
     w.wake_ns = can_machine_step(&w.machine, w.now_ns);
     CHECK(w.wake_ns > w.now_ns && w.wake_ns <= w.now_ns + 20 * MS);
     judge_modes();
-    if (refused == 0 && w.machine.end.stage < END_SILENT) { /* at the end, a bus that takes nothing has had its time */
+    /* at the end, a bus that takes nothing has had its time */
+    if (refused == 0 && w.machine.end.stage < END_SILENT) {
         judge_stops(w.machine.cycle.count != cycles);
     }
 }
@@ -278,7 +294,8 @@ static void once(const uint8_t *data, size_t size)
     while (w.machine.end.stage != END_SILENT) {
         look();
         w.now_ns = w.wake_ns;
-        CHECK(w.now_ns <= asked_ns + 1100 * MS); /* of these, 500 while it speaks and does not report that it has no power */
+        /* of these, 500 while it speaks and does not report that it has no power */
+        CHECK(w.now_ns <= asked_ns + 1100 * MS);
     }
     look();
     CHECK(offered == 0);

@@ -2,19 +2,23 @@
  * A CAN bus's machine in virtual time: what goes out, what is believed, and who is stopped when. */
 #include "can_wire.h"
 
-/* ---------------------------------------------------------------------------------------------------- values */
+/* ------------------------------------------------------------------------------- values */
 static void numbers_stand_where_their_place_says(void)
 {
     uint8_t data[8] = {0};
     can_put(data, &(can_place){.start_bit = 4, .length = 12}, 0xABC);
     CHECK(data[0] == 0xC0 && data[1] == 0xAB);
     memset(data, 0xFF, sizeof data);
-    can_put(data, &(can_place){.start_bit = 8, .length = 16, .big_endian = 1, .form = CAN_SIGNED}, -2);
+    can_put(data, &(can_place){.start_bit = 8, .length = 16, .big_endian = 1, .form = CAN_SIGNED},
+            -2);
     CHECK(data[0] == 0xFF && data[1] == 0xFF && data[2] == 0xFE && data[3] == 0xFF);
-    CHECK(can_get(data, &(can_place){.start_bit = 8, .length = 16, .big_endian = 1, .form = CAN_SIGNED}) == -2);
+    CHECK(can_get(data,
+                  &(can_place){
+                      .start_bit = 8, .length = 16, .big_endian = 1, .form = CAN_SIGNED}) == -2);
     for (uint32_t start = 0; start <= 32; start++) {
         for (uint32_t big = 0; big < 2; big++) {
-            can_place place = {.start_bit = start, .length = 32, .big_endian = big, .form = CAN_UNSIGNED};
+            can_place place = {
+                .start_bit = start, .length = 32, .big_endian = big, .form = CAN_UNSIGNED};
             memset(data, 0x5A, sizeof data);
             can_put(data, &place, 0x12345678);
             CHECK(can_get(data, &place) == 0x12345678);
@@ -77,7 +81,7 @@ static void feedback_is_counts_and_si_with_the_kernel_s_stamp(void)
     CHECK(w.machine.feedback_mask == 0);
 }
 
-/* ------------------------------------------------------------------------------------------------- frames out */
+/* --------------------------------------------------------------------------- frames out */
 static void nothing_but_zero_goes_out_before_arming_and_nothing_before_set_up(void)
 {
     begin_with(2);
@@ -171,7 +175,8 @@ static void a_full_bus_loses_set_points_and_the_next_are_newer(void)
 static void an_order_waits_while_the_bus_is_full_and_not_for_ever(void)
 {
     begin_with(1);
-    can_order order = {.write = {.packet = packet_of(CONTROL, 1)}, .expires_ns = w.now_ns + 50 * MS};
+    can_order order = {.write = {.packet = packet_of(CONTROL, 1)},
+                       .expires_ns = w.now_ns + 50 * MS};
     w.full = true;
     CHECK(can_machine_order(&w.machine, &order));
     go_on(20 * MS);
@@ -188,7 +193,7 @@ static void an_order_waits_while_the_bus_is_full_and_not_for_ever(void)
     CHECK(w.machine.drive[0].orders_sent == 1 && w.machine.drive[0].orders_dropped == 1);
 }
 
-/* --------------------------------------------------------------------------------------------------- stopping */
+/* ----------------------------------------------------------------------------- stopping */
 static void old_set_points_are_a_quick_stop_and_then_power_off_at_rest(void)
 {
     begin_with(1);
@@ -200,8 +205,10 @@ static void old_set_points_are_a_quick_stop_and_then_power_off_at_rest(void)
     w.enabled = 2;
     go_on(150 * MS);
     int64_t stopped_ns = last_sent_ns(0, QUICK_STOP);
-    CHECK(stopped_ns > last_ns && stopped_ns <= last_ns + 110 * MS && last_sent_ns(0, DISABLE) == 0);
-    CHECK(speed_in(newest_of(0)) == 0 && w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
+    CHECK(stopped_ns > last_ns && stopped_ns <= last_ns + 110 * MS &&
+          last_sent_ns(0, DISABLE) == 0);
+    CHECK(speed_in(newest_of(0)) == 0 &&
+          w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
     w.reported_rad_s = 0.0;
     go_on(30 * MS);
     CHECK(last_sent_ns(0, DISABLE) > stopped_ns);
@@ -220,7 +227,8 @@ static void a_wheel_that_turns_on_loses_its_power_after_a_second(void)
     int64_t last_ns = w.now_ns;
     w.enabled = 2;
     go_on(1300 * MS);
-    CHECK(last_sent_ns(0, DISABLE) > last_ns + 1000 * MS && last_sent_ns(0, DISABLE) < last_ns + 1150 * MS);
+    CHECK(last_sent_ns(0, DISABLE) > last_ns + 1000 * MS &&
+          last_sent_ns(0, DISABLE) < last_ns + 1150 * MS);
 }
 
 static void enabled_that_is_taken_back_is_power_off_at_once(void)
@@ -232,7 +240,8 @@ static void enabled_that_is_taken_back_is_power_off_at_once(void)
     w.enabled = 0;
     step();
     CHECK(w.sent[0].data[0] == DISABLE && speed_in(&w.sent[0]) == 0);
-    CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_READY &&
+          w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
 }
 
 static void a_stop_that_the_bus_did_not_take_is_sent_again(void)
@@ -272,7 +281,8 @@ static void a_pause_longer_than_the_watchdog_stops_the_drive(void)
     report_state(0, 8);
     report_motion(0, 1.0F, 1.0F);
     step();
-    CHECK(w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_LEFT_ALONE && w.machine.drive[0].state.mode == DRIVE_READY);
+    CHECK(w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_LEFT_ALONE &&
+          w.machine.drive[0].state.mode == DRIVE_READY);
 }
 
 static void a_drive_that_is_armed_and_says_it_is_not_enabled_is_off(void)
@@ -282,7 +292,8 @@ static void a_drive_that_is_armed_and_says_it_is_not_enabled_is_off(void)
     go_on(50 * MS);
     w.powered = false;
     go_on(20 * MS);
-    CHECK(w.machine.drive[0].state.mode == DRIVE_OFF && w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_DISABLED_ITSELF);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_OFF &&
+          w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_DISABLED_ITSELF);
     CHECK(newest_of(0)->data[0] == DISABLE && speed_in(newest_of(0)) == 0);
 }
 
@@ -329,13 +340,14 @@ static void shutting_down_stops_and_then_takes_the_power_within_half_a_second(vo
     go_on(140 * MS);
     CHECK(w.machine.end.stage == END_SILENT);
     CHECK(last_sent_ns(0, QUICK_STOP) == asked_ns && last_sent_ns(1, QUICK_STOP) == 0);
-    CHECK(last_sent_ns(0, DISABLE) >= asked_ns + 350 * MS && last_sent_ns(1, DISABLE) >= asked_ns + 350 * MS);
+    CHECK(last_sent_ns(0, DISABLE) >= asked_ns + 350 * MS &&
+          last_sent_ns(1, DISABLE) >= asked_ns + 350 * MS);
     forget_sent();
     go_on(100 * MS);
     CHECK(w.sent_count == 0);
 }
 
-/* --------------------------------------------------------------------------------------------------- presence */
+/* ----------------------------------------------------------------------------- presence */
 static void silence_is_unresponsive_and_it_comes_back_disarmed_with_a_new_epoch(void)
 {
     begin_with(1);
@@ -396,7 +408,8 @@ static void only_who_is_listened_to_is_handed_on(void)
     CHECK(w.machine.bad_frames == 0);
     CHECK(say(ANSWER, other, 8) == CAN_FOR_NOBODY && say(MOTION, other, 4) == CAN_FOR_NOBODY);
     CHECK(w.machine.bad_frames == 2);
-    CHECK(say(0x7FF, other, 8) == CAN_FOR_NOBODY && say(CAN_ID_REMOTE | MOTION, other, 8) == CAN_FOR_NOBODY);
+    CHECK(say(0x7FF, other, 8) == CAN_FOR_NOBODY &&
+          say(CAN_ID_REMOTE | MOTION, other, 8) == CAN_FOR_NOBODY);
     CHECK(w.machine.bad_frames == 2);
 }
 
@@ -413,7 +426,7 @@ static void bytes_that_may_be_anything_do_not_distinguish_frames(void)
     CHECK(say(ANSWER, same, 8) == 0 && say(ANSWER, other, 8) == CAN_FOR_NOBODY);
 }
 
-/* ------------------------------------------------------------------------------------------------------ table */
+/* -------------------------------------------------------------------------------- table */
 static bool is_bad(void)
 {
     char name[FIELD_NAME_BYTES];

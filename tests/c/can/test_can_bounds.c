@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a CAN bus at the very edge of each of its times: still good, and a nanosecond later no more. */
+ * One drive of a CAN bus at the very edge of each of its times: still good, and a nanosecond
+ * later no more. */
 #include "can_wire.h"
 
 enum { SLOW = 0x610, PROBE = 0x620, OFF_WORD = 0x700 };
@@ -29,11 +30,13 @@ static void set_points_are_good_until_their_timeout_and_ten_milliseconds_ahead(v
     step_with_stamp(w.now_ns + 10 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     step_with_stamp(w.now_ns + 10 * MS + 1);
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
+    CHECK(state_of(0)->state.mode == DRIVE_READY &&
+          state_of(0)->state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
     begin_with(1);
     arm_by_hand();
     step_with_stamp(w.now_ns - 100 * MS - 1);
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
+    CHECK(state_of(0)->state.mode == DRIVE_READY &&
+          state_of(0)->state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
 }
 
 static void set_points_without_a_stamp_are_none_however_young_the_clock_is(void)
@@ -45,7 +48,8 @@ static void set_points_without_a_stamp_are_none_however_young_the_clock_is(void)
     step_with_stamp(1);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     step_with_stamp(0);
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
+    CHECK(state_of(0)->state.mode == DRIVE_READY &&
+          state_of(0)->state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
 }
 
 static void a_wheel_that_turns_on_has_exactly_a_second_to_come_to_rest(void)
@@ -97,9 +101,11 @@ static void reasons_add_up_until_it_is_set_up_again(void)
     step();
     CHECK(state_of(0)->state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
     go_on(60 * MS); /* and it goes on saying that it has power */
-    CHECK(state_of(0)->state.fault_reasons == (DRIVE_FAULT_NOT_ENABLED | DRIVE_FAULT_STILL_ENABLED));
+    CHECK(state_of(0)->state.fault_reasons ==
+          (DRIVE_FAULT_NOT_ENABLED | DRIVE_FAULT_STILL_ENABLED));
     become_unresponsive();
-    CHECK(state_of(0)->state.fault_reasons == (DRIVE_FAULT_NOT_ENABLED | DRIVE_FAULT_STILL_ENABLED | DRIVE_FAULT_UNRESPONSIVE));
+    CHECK(state_of(0)->state.fault_reasons ==
+          (DRIVE_FAULT_NOT_ENABLED | DRIVE_FAULT_STILL_ENABLED | DRIVE_FAULT_UNRESPONSIVE));
 }
 
 static void what_it_says_of_its_power_counts_from_the_end_of_its_arming_on(void)
@@ -131,7 +137,7 @@ static void what_it_says_of_its_power_counts_from_the_end_of_its_arming_on(void)
     CHECK(count_sent(OFF_WORD) == 1);
 }
 
-/* --------------------------------------------------------------------------------------------------- silence */
+/* ------------------------------------------------------------------------------ silence */
 static void silence_may_last_as_long_as_it_may_and_no_longer(void)
 {
     begin_with(1);
@@ -147,7 +153,8 @@ static void silence_may_last_as_long_as_it_may_and_no_longer(void)
     w.now_ns++;
     uint32_t stops = state_of(0)->stops;
     step();
-    CHECK(state_of(0)->missing == 2 && state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->stops == stops + 1);
+    CHECK(state_of(0)->missing == 2 && state_of(0)->state.mode == DRIVE_UNRESPONSIVE &&
+          state_of(0)->stops == stops + 1);
 }
 
 static void a_drive_is_missing_before_its_first_word_and_when_any_time_is_over(void)
@@ -258,14 +265,15 @@ static void an_unresponsive_drive_is_asked_at_last_every_two_seconds(void)
     }
     forget_sent();
     go_on(8000 * MS);
-    const int64_t pauses_ms[] = {200, 400, 800, 1600, 2000, 2000}; /* the first, after 100 ms, has begun before */
+    /* the first, after 100 ms, has begun before */
+    const int64_t pauses_ms[] = {200, 400, 800, 1600, 2000, 2000};
     CHECK(w.sent_count >= 7);
     for (uint32_t i = 0; i < 6; i++) {
         CHECK(w.sent_ns[i + 1] - w.sent_ns[i] == pauses_ms[i] * MS);
     }
 }
 
-/* -------------------------------------------------------------------------------------------------- watchdog */
+/* ----------------------------------------------------------------------------- watchdog */
 static void a_drive_is_left_alone_when_its_watchdog_s_time_is_over(void)
 {
     begin_with(1);
@@ -285,11 +293,12 @@ static void a_drive_is_left_alone_when_its_watchdog_s_time_is_over(void)
         CHECK(state_of(0)->state.mode == DRIVE_ARMED);
         w.now_ns++;
         step();
-        CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == DRIVE_FAULT_LEFT_ALONE);
+        CHECK(state_of(0)->state.mode == DRIVE_READY &&
+              state_of(0)->state.fault_reasons == DRIVE_FAULT_LEFT_ALONE);
     }
 }
 
-/* ----------------------------------------------------------------------------------------------- what is counted */
+/* ---------------------------------------------------------------------- what is counted */
 static void frames_that_the_bus_does_not_take_are_counted(void)
 {
     begin_with(1);
@@ -320,7 +329,8 @@ static void a_request_that_was_never_seen_may_have_been_a_stop(void)
     uint32_t stops = state_of(0)->stops;
     w.machine.control.drive[0].count++;
     request(0, DRIVE_ARMED);
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->stops == stops + 2 && state_of(0)->state.enabled == 2);
+    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->stops == stops + 2 &&
+          state_of(0)->state.enabled == 2);
     CHECK(newest_of(0)->data[0] == DISABLE);
 }
 
@@ -351,7 +361,8 @@ static void one_that_is_armed_waits_for_the_core_however_often_it_was_enabled_be
     CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     w.machine.enabled_count = 6; /* it was enabled, and is no more */
     step();
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
+    CHECK(state_of(0)->state.mode == DRIVE_READY &&
+          state_of(0)->state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
 }
 
 static void what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns(void)
@@ -378,7 +389,8 @@ static void what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns(void)
         uint32_t turn = 0;
         for (uint32_t i = 0; i < w.sent_count; i++) {
             if (w.sent[i].id >= SLOW) {
-                CHECK(w.sent[i].id == SLOW + turn % 3 && i == 3 * turn + 1); /* after each second set-point frame */
+                /* after each second set-point frame */
+                CHECK(w.sent[i].id == SLOW + turn % 3 && i == 3 * turn + 1);
                 turn++;
             }
         }
@@ -392,13 +404,14 @@ static void what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns(void)
     CHECK(count_sent(SLOW) == 1 && count_sent(SLOW + 1) == 0);
 }
 
-/* ---------------------------------------------------------------------------------------------------- values */
+/* ------------------------------------------------------------------------------- values */
 static void what_it_says_of_its_power_is_no_sample_of_a_joint(void)
 {
     begin_with(1);
     can_drive *drive = table_of(0);
     drive->input[1] = (can_input){.fast = 1, .field_count = 1};
-    drive->input[1].field[0] = (can_field){.place = {.length = 8}, .meaning = {.kind = FIELD_TEMPERATURE, .si_per_raw = 1.0}};
+    drive->input[1].field[0] = (can_field){
+        .place = {.length = 8}, .meaning = {.kind = FIELD_TEMPERATURE, .si_per_raw = 1.0}};
     restart();
     request(0, DRIVE_READY);
     report_motion(0, 1.0F, 0.0F);
@@ -416,7 +429,8 @@ static void all_joints_of_a_drive_are_forgotten_with_it(void)
     report_motion(2, 1.0F, 3.0F);
     CHECK(w.machine.joint[2].feedback.velocity_rad_s == 3.0);
     request(2, DRIVE_READY);
-    CHECK(isnan(w.machine.joint[2].feedback.velocity_rad_s) && w.machine.joint[2].feedback.count == 0);
+    CHECK(isnan(w.machine.joint[2].feedback.velocity_rad_s) &&
+          w.machine.joint[2].feedback.count == 0);
 }
 
 static void motion_that_only_the_second_frame_wants_waits_for_its_cycle(void)
@@ -432,7 +446,8 @@ static void motion_that_only_the_second_frame_wants_waits_for_its_cycle(void)
     restart();
     arm(0);
     go_on(30 * MS);
-    CHECK(state_of(0)->state.sent_motion && speed_in(newest_of(0)) == 0 && state_of(0)->joints == 3);
+    CHECK(state_of(0)->state.sent_motion && speed_in(newest_of(0)) == 0 &&
+          state_of(0)->joints == 3);
     forget_sent();
     for (uint32_t i = 0; i < 100; i++) {
         w.now_ns += MS / 10;

@@ -1,12 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A CAN bus as a whole: whose frames count, a bus that is full of drives and tables, its cycle, and its end. */
+ * A CAN bus as a whole: whose frames count, a bus that is full of drives and tables, its cycle,
+ * and its end. */
 #include <errno.h>
 
 #include "can_wire.h"
 
 enum { SYNC = 0x80, OFF_WORD = 0x700 };
 
-/* ----------------------------------------------------------------------------------------- whose frame is it */
+/* -------------------------------------------------------------------- whose frame is it */
 static void a_frame_of_a_foreign_identifier_is_of_no_drive_though_its_bytes_would_fit(void)
 {
     begin_with(2);
@@ -14,13 +15,15 @@ static void a_frame_of_a_foreign_identifier_is_of_no_drive_though_its_bytes_woul
     const uint8_t all[8] = {8, 0, 0, 0, 0, 0, 0, 0};
     const uint32_t ours[] = {STATE, STATE + 1, MOTION, MOTION + 1, ANSWER, ANSWER + 1};
     for (uint32_t i = 0; i < 6; i++) {
-        const uint32_t foreign[] = {ours[i] - 2, ours[i] + 2, ours[i] | CAN_ID_EXTENDED, ours[i] | CAN_ID_REMOTE};
+        const uint32_t foreign[] = {ours[i] - 2, ours[i] + 2, ours[i] | CAN_ID_EXTENDED,
+                                    ours[i] | CAN_ID_REMOTE};
         for (uint32_t k = 0; k < 4; k++) {
             CHECK(say(foreign[k], all, 8) == CAN_FOR_NOBODY);
         }
     }
     CHECK(say(0, all, 8) == CAN_FOR_NOBODY && say(0x7FF, all, 8) == CAN_FOR_NOBODY);
-    CHECK(w.machine.received == 0 && state_of(0)->received == 0 && state_of(0)->received_ns[0] == 0);
+    CHECK(w.machine.received == 0 && state_of(0)->received == 0 &&
+          state_of(0)->received_ns[0] == 0);
     CHECK(state_of(1)->state.enabled == 2 && w.machine.bad_frames == 0);
     CHECK(say(STATE, all, 8) == 0 && say(STATE + 1, all, 8) == 1 && w.machine.received == 2);
 }
@@ -32,9 +35,14 @@ static void identifiers_may_stand_in_any_order_and_frames_of_one_are_sent_apart_
     const can_match state = drive->match[0];
     drive->match_count = 6;
     drive->match[0] = drive->match[2]; /* the greatest identifier first, the least last */
-    drive->match[2] = (can_match){.id = ANSWER, .bytes = 8, .begins_bytes = 1, .begins = {0x44}, .begins_mask = {0xFF}};
-    drive->match[3] =
-        (can_match){.id = ANSWER, .bytes = 8, .begins_bytes = 1, .begins = {0x45}, .begins_mask = {0xFF}, .input = 1};
+    drive->match[2] = (can_match){
+        .id = ANSWER, .bytes = 8, .begins_bytes = 1, .begins = {0x44}, .begins_mask = {0xFF}};
+    drive->match[3] = (can_match){.id = ANSWER,
+                                  .bytes = 8,
+                                  .begins_bytes = 1,
+                                  .begins = {0x45},
+                                  .begins_mask = {0xFF},
+                                  .input = 1};
     drive->match[4] = (can_match){.id = ANSWER, .bytes = 8}; /* all others of that identifier */
     drive->match[5] = state;
     drive->input[0].field[0].place.start_bit = 0;
@@ -48,7 +56,8 @@ static void identifiers_may_stand_in_any_order_and_frames_of_one_are_sent_apart_
     }
     CHECK(say(ANSWER, answers[2], 8) == 0 && state_of(0)->received_ns[0] == w.now_ns);
     w.now_ns += MS;
-    CHECK(say(ANSWER, powered, 8) == 0 && state_of(0)->received_ns[0] == w.now_ns - MS && w.machine.bad_frames == 0);
+    CHECK(say(ANSWER, powered, 8) == 0 && state_of(0)->received_ns[0] == w.now_ns - MS &&
+          w.machine.bad_frames == 0);
 }
 
 static void the_first_frames_count_however_young_the_clock_is(void)
@@ -74,8 +83,10 @@ static void the_core_gets_feedback_of_a_drive_that_is_set_up_and_by_its_fast_fra
     table_of(0)->match_count = 4;
     table_of(0)->match[3] = (can_match){.id = ANSWER + 0x20, .bytes = 1, .input = 3};
     table_of(0)->input_count = 3;
-    table_of(0)->input[2] = (can_input){
-        .field_count = 1, .field[0] = {.place = {.length = 8}, .meaning = {.kind = FIELD_TEMPERATURE, .si_per_raw = 1.0}}};
+    table_of(0)->input[2] =
+        (can_input){.field_count = 1,
+                    .field[0] = {.place = {.length = 8},
+                                 .meaning = {.kind = FIELD_TEMPERATURE, .si_per_raw = 1.0}}};
     restart();
     go_on(20 * MS);
     request(0, DRIVE_READY);
@@ -92,7 +103,8 @@ static void the_core_gets_feedback_of_a_drive_that_is_set_up_and_by_its_fast_fra
 static void only_a_frame_that_says_it_has_power_is_counted_against_a_drive(void)
 {
     begin_with(1);
-    const can_input state = table_of(0)->input[0]; /* the power is reported in the second input now, not the first */
+    /* the power is reported in the second input now, not the first */
+    const can_input state = table_of(0)->input[0];
     table_of(0)->input[0] = table_of(0)->input[1];
     table_of(0)->input[1] = state;
     table_of(0)->match[0].input = 2;
@@ -113,14 +125,15 @@ static void only_a_frame_that_says_it_has_power_is_counted_against_a_drive(void)
     CHECK(state_of(0)->state.still_enabled == 2);
 }
 
-/* --------------------------------------------------------------------------------------------- the beginning */
+/* ------------------------------------------------------------------------ the beginning */
 static void a_bad_table_is_refused_and_every_drive_begins_unknown(void)
 {
     begin_with(2);
     can_report report = {0};
     can_machine_report(&w.machine, &report);
     for (uint32_t i = 0; i < 2; i++) {
-        CHECK(report.drive[i].mode == DRIVE_OFF && report.drive[i].enabled == 2 && report.drive[i].stop_waits == 0);
+        CHECK(report.drive[i].mode == DRIVE_OFF && report.drive[i].enabled == 2 &&
+              report.drive[i].stop_waits == 0);
     }
     w.table.period_ns = 0;
     CHECK(can_machine_init(&w.machine, &w.table, &(can_before){0}, take, &w, w.now_ns) == -EINVAL);
@@ -138,7 +151,8 @@ static void one_that_may_turn_after_a_reopening_is_sent_so_less_and_less_often(v
     int64_t stops_ns[3] = {0};
     uint32_t stops = 0;
     for (uint32_t i = 0; i < w.sent_count; i++) {
-        if (w.sent[i].data[0] == QUICK_STOP && stops < 3 && (stops == 0 || w.sent_ns[i] > stops_ns[stops - 1])) {
+        if (w.sent[i].data[0] == QUICK_STOP && stops < 3 &&
+            (stops == 0 || w.sent_ns[i] > stops_ns[stops - 1])) {
             stops_ns[stops++] = w.sent_ns[i];
         }
     }
@@ -154,17 +168,18 @@ static void the_cycles_keep_the_grid_that_began_with_the_bus(void)
     CHECK(w.machine.cycle.count == 1 && w.wake_ns == 1010 * MS);
 }
 
-/* -------------------------------------------------------------------------------------------------- full tables */
+/* -------------------------------------------------------------------------- full tables */
 static void fill_drive(uint32_t n)
 {
     can_drive *drive = table_of(n);
     drive->output_count = CAN_OUTPUTS_MAX;
     for (uint32_t o = 0; o < CAN_OUTPUTS_MAX; o++) {
-        drive->output[o] = (can_output){.packet = packet_of(SPEED + n + 8 * o, 8), .setpoint_count = CAN_SETPOINTS_MAX};
+        drive->output[o] = (can_output){.packet = packet_of(SPEED + n + 8 * o, 8),
+                                        .setpoint_count = CAN_SETPOINTS_MAX};
         for (uint32_t i = 0; i < CAN_SETPOINTS_MAX; i++) {
-            drive->output[o].setpoint[i] =
-                (can_setpoint){.place = {.start_bit = 16 * i, .length = 16, .form = CAN_SIGNED},
-                               .scale = {.joint = n, .raw_per_si = 100.0, .raw_min = -1000.0, .raw_max = 1000.0}};
+            drive->output[o].setpoint[i] = (can_setpoint){
+                .place = {.start_bit = 16 * i, .length = 16, .form = CAN_SIGNED},
+                .scale = {.joint = n, .raw_per_si = 100.0, .raw_min = -1000.0, .raw_max = 1000.0}};
         }
     }
     const can_match motion = drive->match[1];
@@ -181,12 +196,15 @@ static void fill_drive(uint32_t n)
     *last = (can_input){.silence_ns = 300 * MS, .fast = 1, .field_count = CAN_FIELDS_MAX};
     for (uint32_t i = 0; i + 1 < CAN_FIELDS_MAX; i++) {
         last->field[i] =
-            (can_field){.place = {.length = 8}, .meaning = {.kind = FIELD_TEMPERATURE, .joint = n, .si_per_raw = 1.0}};
+            (can_field){.place = {.length = 8},
+                        .meaning = {.kind = FIELD_TEMPERATURE, .joint = n, .si_per_raw = 1.0}};
     }
     last->field[CAN_FIELDS_MAX - 1] = power;
     drive->match[CAN_MATCHES_MAX - 2] = motion;
-    drive->match[CAN_MATCHES_MAX - 1] = (can_match){.id = STATE + n, .bytes = 1, .input = CAN_INPUTS_MAX, .begins_bytes = 0};
-    drive->match[0] = (can_match){.id = ANSWER + n, .bytes = CAN_BYTES_MAX, .begins_bytes = CAN_BEGINS_MAX};
+    drive->match[CAN_MATCHES_MAX - 1] =
+        (can_match){.id = STATE + n, .bytes = 1, .input = CAN_INPUTS_MAX, .begins_bytes = 0};
+    drive->match[0] =
+        (can_match){.id = ANSWER + n, .bytes = CAN_BYTES_MAX, .begins_bytes = CAN_BEGINS_MAX};
     memset(drive->match[0].begins_mask, 0xFF, CAN_BEGINS_MAX);
     drive->poll_count = drive->slow_count = drive->probe_count = CAN_POLLS_MAX;
     for (uint32_t i = 0; i < CAN_POLLS_MAX; i++) {
@@ -224,7 +242,8 @@ static void a_bus_with_as_much_as_a_table_holds_is_driven_to_its_last_entry(void
         w.powered = n == last;
     }
     for (uint32_t n = 0; n < CAN_DRIVES_MAX; n++) {
-        CHECK(state_of(n)->state.mode == (n == last ? DRIVE_ARMED : DRIVE_OFF)); /* the others say that they are off */
+        /* the others say that they are off */
+        CHECK(state_of(n)->state.mode == (n == last ? DRIVE_ARMED : DRIVE_OFF));
     }
     w.powered = true;
     forget_sent();
@@ -235,20 +254,24 @@ static void a_bus_with_as_much_as_a_table_holds_is_driven_to_its_last_entry(void
     uint32_t asked = 0x600 + 8 * last;
     CHECK(count_sent(asked + CAN_POLLS_MAX - 1) >= 1 && count_sent(asked) >= 1);
     const can_packet *moving = newest_of(last + 8 * (CAN_OUTPUTS_MAX - 1));
-    CHECK(can_get(moving->data, &(can_place){.start_bit = 48, .length = 16, .form = CAN_SIGNED}) == 100);
-    CHECK(state_of(last)->state.enabled == 1 && w.machine.joint[last].feedback.temperature_c == 8.0);
+    CHECK(can_get(moving->data, &(can_place){.start_bit = 48, .length = 16, .form = CAN_SIGNED}) ==
+          100);
+    CHECK(state_of(last)->state.enabled == 1 &&
+          w.machine.joint[last].feedback.temperature_c == 8.0);
     w.machine.control.shut_down = 1;
     forget_sent();
     step();
     w.powered = false;
     go_on(400 * MS);
-    CHECK(count_sent(CONTROL + 8 * last + CAN_STOP_MAX - 1) == 1 && w.machine.end.stage == END_SILENT);
+    CHECK(count_sent(CONTROL + 8 * last + CAN_STOP_MAX - 1) == 1 &&
+          w.machine.end.stage == END_SILENT);
     for (uint32_t n = 0; n < CAN_DRIVES_MAX; n++) {
         CHECK(count_sent(OFF_WORD + 8 * n + CAN_STOP_MAX - 1) >= 1);
     }
 }
 
-/* What lies behind the last drive, shaped like one that moves and stops, is no drive: it is not looked at, nor changed. */
+/* What lies behind the last drive, shaped like one that moves and stops, is no drive: it is not
+ * looked at, nor changed. */
 static void eight_drives_are_all_there_are(void)
 {
     begin_with(CAN_DRIVES_MAX);
@@ -286,7 +309,7 @@ static void eight_drives_are_all_there_are(void)
     CHECK(w.machine.end.stage == END_SILENT && memcmp(behind, w.machine.joint, sizeof behind) == 0);
 }
 
-/* ------------------------------------------------------------------------------------------------------- cycle */
+/* -------------------------------------------------------------------------------- cycle */
 static void two_syncs_end_each_cycle(void)
 {
     begin_with(1);
@@ -361,7 +384,7 @@ static void motion_may_wait_for_five_milliseconds_where_a_cycle_is_shorter(void)
     CHECK(w.machine.motion_stays);
 }
 
-/* --------------------------------------------------------------------------------------------------------- end */
+/* ---------------------------------------------------------------------------------- end */
 static void the_cycles_go_on_while_the_end_waits_for_rest_and_end_with_the_power(void)
 {
     begin_with(1);
@@ -383,7 +406,8 @@ static void the_cycles_go_on_while_the_end_waits_for_rest_and_end_with_the_power
     forget_sent();
     w.machine.notify = false;
     go_on(asked_ns + 480 * MS - w.now_ns);
-    CHECK(w.machine.end.stage == END_POWER_OFF && w.sent_count == 0 && !w.machine.notify); /* no set-point switches it on again */
+    /* no set-point switches it on again */
+    CHECK(w.machine.end.stage == END_POWER_OFF && w.sent_count == 0 && !w.machine.notify);
     step();
     CHECK(w.machine.end.stage == END_SILENT && w.machine.notify);
 }
@@ -405,11 +429,13 @@ static void the_end_sends_each_drive_its_power_off_once_and_is_over_with_the_las
     w.full = false;
     forget_sent();
     step();
-    CHECK(w.machine.end.stage == END_POWER_OFF && count_sent(OFF_WORD) == 1 && count_sent(OFF_WORD + 1) == 1);
+    CHECK(w.machine.end.stage == END_POWER_OFF && count_sent(OFF_WORD) == 1 &&
+          count_sent(OFF_WORD + 1) == 1);
     report_state(0, 1);
     report_state(1, 1);
     step();
-    CHECK(w.machine.end.stage == END_SILENT && count_sent(OFF_WORD) == 1 && count_sent(OFF_WORD + 1) == 1);
+    CHECK(w.machine.end.stage == END_SILENT && count_sent(OFF_WORD) == 1 &&
+          count_sent(OFF_WORD + 1) == 1);
     CHECK(!state_of(0)->state.stopping && !state_of(1)->state.stopping);
 }
 
@@ -418,7 +444,8 @@ static void the_report_has_fault_words_and_stops_that_wait(void)
     begin_with(2);
     table_of(1)->input[0].field_count = 2;
     table_of(1)->input[0].field[1] =
-        (can_field){.place = {.length = 8}, .meaning = {.joint = JOINTS_MAX - 1, .kind = FIELD_FAULT, .si_per_raw = 1.0}};
+        (can_field){.place = {.length = 8},
+                    .meaning = {.joint = JOINTS_MAX - 1, .kind = FIELD_FAULT, .si_per_raw = 1.0}};
     restart();
     arm(0);
     report_state(1, 5);
@@ -427,7 +454,8 @@ static void the_report_has_fault_words_and_stops_that_wait(void)
     request(0, DRIVE_OFF);
     can_report report = {0};
     can_machine_report(&w.machine, &report);
-    CHECK(report.fault_word[JOINTS_MAX - 1] == 5 && report.fault_word[0] == 3 && report.fault_word[1] == 0);
+    CHECK(report.fault_word[JOINTS_MAX - 1] == 5 && report.fault_word[0] == 3 &&
+          report.fault_word[1] == 0);
     CHECK(report.drive[0].stop_waits == 1 && report.drive[1].stop_waits == 0);
 }
 

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A bus's thread and the wall clock, whose stamps the kernel puts on frames: it may be set while they are in transit. */
+ * A bus's thread and the wall clock, whose stamps the kernel puts on frames: it may be set while
+ * they are in transit. */
 #include <errno.h>
 #include <linux/can.h>
 #include <sys/syscall.h>
@@ -12,8 +13,8 @@ enum { FRAMES = 12 };
 
 static _Atomic int64_t wall_ahead_ns, slept_ns;
 
-/* In the C library's place: a wall clock that was set, after the kernel has stamped its frames; and a computer that was
- * suspended for so long, while CLOCK_MONOTONIC stood still. */
+/* In the C library's place: a wall clock that was set, after the kernel has stamped its frames; and
+ * a computer that was suspended for so long, while CLOCK_MONOTONIC stood still. */
 int clock_gettime(clockid_t clock, struct timespec *out)
 {
     long failed = syscall(SYS_clock_gettime, clock, out);
@@ -38,7 +39,8 @@ static int64_t stamp_of_a_frame(void)
     return received.stamp_ns;
 }
 
-/* Each frame is read with the one before already taken in: it is younger than the look that took that one. */
+/* Each frame is read with the one before already taken in: it is younger than the look that took
+ * that one. */
 static void frames_are_as_old_as_they_are_while_the_wall_clock_is(int64_t ahead_ns)
 {
     int64_t sent_ns[FRAMES];
@@ -59,12 +61,17 @@ static void wait_for(uint32_t mode, can_report *report)
     } while (report->drive[0].mode != mode);
 }
 
-/* The loop has not ticked since: the set-points in the exchange are young by CLOCK_MONOTONIC, and want motion. */
+/* The loop has not ticked since: the set-points in the exchange are young by CLOCK_MONOTONIC,
+ * and want motion. */
 static void set_points_from_before_a_suspend_stop_the_drive(void)
 {
     can_report report;
-    can_control control = {.drive = {{.count = 1, .mode = DRIVE_READY, .arming_until_ns = INT64_MAX}}};
-    const setpoints newest = {.stamp_ns = clock_now_ns(), .enabled = 1, .joint_count = 1, .joint = {{.velocity_rad_s = 1.0}}};
+    can_control control = {
+        .drive = {{.count = 1, .mode = DRIVE_READY, .arming_until_ns = INT64_MAX}}};
+    const setpoints newest = {.stamp_ns = clock_now_ns(),
+                              .enabled = 1,
+                              .joint_count = 1,
+                              .joint = {{.velocity_rad_s = 1.0}}};
     CHECK(exchange_put_setpoints(&shared, 0, &newest) == 0);
     can_put_control(0, &control);
     wait_for(DRIVE_READY, &report);
@@ -91,7 +98,8 @@ int main(void)
     CHECK(socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_NONBLOCK, 0, ends) == 0);
     if (setsockopt(ends[0], SOL_SOCKET, SO_TIMESTAMPNS, &stamped, sizeof stamped) != 0) {
         CHECK(errno == ENOPROTOOPT);
-        fprintf(stderr, "can clock: not tested, for nothing stamps frames here (QEMU's user mode)\n");
+        fprintf(stderr,
+                "can clock: not tested, for nothing stamps frames here (QEMU's user mode)\n");
         return 0;
     }
     can_config config = {.at = place_of_the_thread()};

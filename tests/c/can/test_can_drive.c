@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a bus, moment by moment: what it is sent and asked, what is forgotten when, and what asyncio gets. */
+ * One drive of a bus, moment by moment: what it is sent and asked, what is forgotten when, and
+ * what asyncio gets. */
 #include "can_wire.h"
 
 enum { SECOND = 0x700 };
@@ -13,20 +14,22 @@ static bool took_changes(void)
 
 static void hold(uint32_t byte, uint8_t value)
 {
-    can_order order = {.write = {.packet = packet_of(SPEED, 4), .output = 1}, .expires_ns = w.now_ns + 1000 * MS};
+    can_order order = {.write = {.packet = packet_of(SPEED, 4), .output = 1},
+                       .expires_ns = w.now_ns + 1000 * MS};
     order.write.packet.data[byte] = value;
     order.write.mask[byte] = 0xFF;
     CHECK(can_machine_order(&w.machine, &order));
     step();
 }
 
-/* ------------------------------------------------------------------------------------------- what it is sent */
+/* ---------------------------------------------------------------------- what it is sent */
 static void one_that_is_sent_all_the_time_is_never_left_alone(void)
 {
     begin_with(1);
     arm(0);
     go_on(3000 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.fault_reasons == 0 && w.machine.tx_full == 0);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.fault_reasons == 0 &&
+          w.machine.tx_full == 0);
     CHECK(w.machine.sent == w.sent_count && w.sent_count >= 290);
 }
 
@@ -37,9 +40,11 @@ static void what_the_bus_does_not_take_is_no_word_to_the_drive(void)
     uint64_t sent = w.machine.sent;
     w.full = true;
     go_on(480 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_ARMED && w.machine.sent == sent && w.machine.tx_full >= 47);
+    CHECK(state_of(0)->state.mode == DRIVE_ARMED && w.machine.sent == sent &&
+          w.machine.tx_full >= 47);
     go_on(50 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == DRIVE_FAULT_LEFT_ALONE);
+    CHECK(state_of(0)->state.mode == DRIVE_READY &&
+          state_of(0)->state.fault_reasons == DRIVE_FAULT_LEFT_ALONE);
 }
 
 static void a_write_to_a_frame_of_the_cycle_carries_what_is_held_of_others(void)
@@ -50,7 +55,8 @@ static void a_write_to_a_frame_of_the_cycle_carries_what_is_held_of_others(void)
     hold(1, 0x5A);
     CHECK(newest_of(0)->data[0] == ENABLE && newest_of(0)->data[1] == 0x5A);
     go_on(30 * MS);
-    CHECK(newest_of(0)->data[0] == ENABLE && newest_of(0)->data[1] == 0x5A && speed_in(newest_of(0)) == 100);
+    CHECK(newest_of(0)->data[0] == ENABLE && newest_of(0)->data[1] == 0x5A &&
+          speed_in(newest_of(0)) == 100);
 }
 
 static void what_was_held_is_forgotten_with_the_drive(void)
@@ -63,7 +69,8 @@ static void what_was_held_is_forgotten_with_the_drive(void)
     hold(1, 0x5A);
     w.powered = false;
     go_on(20 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_OFF && newest_of(0)->data[0] == DISABLE && newest_of(0)->data[1] == 0);
+    CHECK(state_of(0)->state.mode == DRIVE_OFF && newest_of(0)->data[0] == DISABLE &&
+          newest_of(0)->data[1] == 0);
     CHECK(state_of(0)->state.fault_reasons == DRIVE_FAULT_DISABLED_ITSELF);
     request(0, DRIVE_READY);
     CHECK(state_of(0)->state.fault_reasons == 0);
@@ -92,12 +99,15 @@ static void a_drive_moves_while_one_of_its_frames_says_so(void)
     begin_with_two_frames();
     arm(0);
     w.enabled = 2;
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{.velocity_rad_s = 1.0}}};
+    w.machine.newest = (setpoints){
+        .stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{.velocity_rad_s = 1.0}}};
     go_on(15 * MS);
     CHECK(state_of(0)->state.sent_motion && speed_in(newest_of(0)) == 100);
     CHECK(w.sent[w.sent_count - 1].id == SECOND && w.sent[w.sent_count - 1].data[1] == 0x77);
-    w.machine.newest =
-        (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {[1] = {.velocity_rad_s = 1.0}}};
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns,
+                                   .enabled = 1,
+                                   .joint_count = 2,
+                                   .joint = {[1] = {.velocity_rad_s = 1.0}}};
     go_on(15 * MS);
     CHECK(state_of(0)->state.sent_motion && speed_in(newest_of(0)) == 0);
 }
@@ -130,7 +140,7 @@ static void motion_that_half_of_the_frames_carried_has_to_be_taken_back(void)
     CHECK(speed_in(newest_of(0)) == 0 && !state_of(0)->state.sent_motion);
 }
 
-/* ------------------------------------------------------------------------------------------------- its power */
+/* ---------------------------------------------------------------------------- its power */
 static void one_that_has_power_without_being_armed_is_sent_off_and_that_is_reported_once(void)
 {
     begin_with(1);
@@ -151,7 +161,8 @@ static void one_that_has_power_without_being_armed_is_sent_off_and_that_is_repor
     uint32_t stops = state_of(0)->stops;
     w.now_ns = w.machine.cycle.due_ns;
     step();
-    CHECK(w.sent_count == 2 && w.sent[0].data[0] == DISABLE && state_of(0)->state.mode == DRIVE_READY);
+    CHECK(w.sent_count == 2 && w.sent[0].data[0] == DISABLE &&
+          state_of(0)->state.mode == DRIVE_READY);
     CHECK(state_of(0)->stops == stops + 1);
 }
 
@@ -217,11 +228,13 @@ static void a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken(void)
     w.not_taken = CONTROL;
     w.enabled = 0;
     step();
-    CHECK(w.sent[0].id == SPEED && w.sent[0].data[0] == DISABLE && state_of(0)->state.stop == STOP_POWER_OFF);
+    CHECK(w.sent[0].id == SPEED && w.sent[0].data[0] == DISABLE &&
+          state_of(0)->state.stop == STOP_POWER_OFF);
     w.not_taken = 0;
     forget_sent();
     go_on(MS);
-    CHECK(w.sent[0].id == CONTROL && count_sent(CONTROL) == 1 && state_of(0)->state.stop == STOP_NOTHING);
+    CHECK(w.sent[0].id == CONTROL && count_sent(CONTROL) == 1 &&
+          state_of(0)->state.stop == STOP_NOTHING);
 }
 
 static void after_its_power_off_one_that_is_sent_nothing_at_rest_is_sent_nothing(void)
@@ -263,7 +276,7 @@ static void switching_off_takes_the_power_of_one_that_has_it_and_sends_others_no
     CHECK(w.sent_count == 1 && w.sent[0].id == CONTROL);
 }
 
-/* --------------------------------------------------------------------------------------- what is known of it */
+/* ------------------------------------------------------------------ what is known of it */
 static void what_it_reported_before_a_change_is_not_what_it_reports_now(void)
 {
     begin_with(1);
@@ -323,13 +336,14 @@ static void armed_again_it_may_wait_for_the_core_to_enable_it(void)
     CHECK(speed_in(newest_of(0)) == 100);
     w.enabled = 0;
     step();
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
+    CHECK(state_of(0)->state.mode == DRIVE_READY &&
+          state_of(0)->state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
     w.enabled = 1;
     request(0, DRIVE_ARMED);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.fault_reasons == 0);
 }
 
-/* ------------------------------------------------------------------------------------- what asyncio gets */
+/* -------------------------------------------------------------------- what asyncio gets */
 static void asyncio_gets_each_change(void)
 {
     begin_with(1);
@@ -378,7 +392,8 @@ static void each_of_its_frames_may_differ_from_what_it_was_sent_and_no_other(voi
             (void)can_build(&w.machine, 0, o, &packet);
             memcpy(w.machine.drive[0].last_sent[o], packet.data, packet.bytes);
         }
-        w.machine.table.drive[0].output[2] = w.machine.table.drive[0].output[1]; /* behind the last one */
+        /* behind the last one */
+        w.machine.table.drive[0].output[2] = w.machine.table.drive[0].output[1];
         CHECK(!can_differs(&w.machine, 0));
         w.machine.drive[0].last_sent[other][0] ^= 1;
         CHECK(can_differs(&w.machine, 0) == (other < 2));

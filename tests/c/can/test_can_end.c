@@ -5,8 +5,8 @@
 static const int64_t END_NS = 480 * 1000000, REPORT_END_NS = 980 * 1000000;
 static int64_t begun_ns;
 
-/* Until the line is silent: the drives say each 10 ms what they do, but while they are cut off. `obeys_ns`: so long a drive
- * takes to lose its power. */
+/* Until the line is silent: the drives say each 10 ms what they do, but while they are cut off.
+ * `obeys_ns`: so long a drive takes to lose its power. */
 static can_report ends(int64_t cut_until_ns, int64_t obeys_ns)
 {
     can_report report;
@@ -171,7 +171,8 @@ static void one_that_turns_gets_it_until_it_says_that_it_has_no_power(void)
     begin_with(1);
     turn();
     report = ends(0, 300 * MS); /* it takes its time, and is there: it is waited for */
-    CHECK(report.drive[0].stop_waits == 0 && !w.powered && power_offs() > 5 && w.now_ns > begun_ns + END_NS);
+    CHECK(report.drive[0].stop_waits == 0 && !w.powered && power_offs() > 5 &&
+          w.now_ns > begun_ns + END_NS);
 }
 
 static void one_that_is_cut_off_for_a_while_gets_it_when_it_is_back(void)
@@ -183,7 +184,8 @@ static void one_that_is_cut_off_for_a_while_gets_it_when_it_is_back(void)
             become_unresponsive();
         }
         can_report report = ends(w.now_ns + 250 * MS, 0);
-        CHECK(report.drive[0].stop_waits == 0 && !w.powered && w.now_ns >= begun_ns + 250 * MS && w.now_ns < begun_ns + END_NS);
+        CHECK(report.drive[0].stop_waits == 0 && !w.powered && w.now_ns >= begun_ns + 250 * MS &&
+              w.now_ns < begun_ns + END_NS);
     }
 }
 
@@ -196,13 +198,15 @@ static void one_that_is_cut_off_is_reported_and_so_is_one_that_keeps_its_power(v
             become_unresponsive();
         }
         can_report report = ends(INT64_MAX, 0);
-        CHECK(report.drive[0].stop_waits == 1 && w.powered && power_offs() > 10 && power_offs() < 60);
+        CHECK(report.drive[0].stop_waits == 1 && w.powered && power_offs() > 10 &&
+              power_offs() < 60);
         CHECK(w.now_ns >= begun_ns + END_NS && w.now_ns < begun_ns + END_NS + 20 * MS);
     }
     begin_with(1);
     turn();
     can_report report = ends(0, INT64_MAX / 2);
-    CHECK(report.drive[0].stop_waits == 1 && w.now_ns == begun_ns + REPORT_END_NS + MS); /* a look each MS */
+    /* a look each MS */
+    CHECK(report.drive[0].stop_waits == 1 && w.now_ns == begun_ns + REPORT_END_NS + MS);
 }
 
 /* The second cannot say that it has lost its power: it is done with its power-off. */
@@ -224,7 +228,8 @@ static void asyncio_is_notified_of_the_end_though_one_drive_is_off_at_once(void)
     rest_without_power();
     w.machine.notify = false;
     CHECK(!ends_at_once()); /* the second was never set up */
-    CHECK(state_of(0)->state.stop == STOP_NOTHING && state_of(1)->state.stop == STOP_POWER_OFF && w.machine.notify);
+    CHECK(state_of(0)->state.stop == STOP_NOTHING && state_of(1)->state.stop == STOP_POWER_OFF &&
+          w.machine.notify);
 }
 
 /* Two frames, of which the bus does not take the second at first. */
@@ -244,7 +249,8 @@ static void a_power_off_is_repeated_10_ms_after_its_last_frame_has_gone_out(void
     go_on(25 * MS);
     CHECK(w.sent_count == 6 && power_offs() == 3);
     for (uint32_t i = 1; i < w.sent_count; i++) {
-        CHECK(w.sent[i].id == (i % 2 ? CONTROL : SPEED) && w.sent_ns[i] == taken_ns + i / 2 * 10 * MS);
+        CHECK(w.sent[i].id == (i % 2 ? CONTROL : SPEED) &&
+              w.sent_ns[i] == taken_ns + i / 2 * 10 * MS);
     }
 }
 
@@ -278,7 +284,8 @@ static void one_that_cannot_say_it_has_to_be_there(void)
     CHECK(report.drive[0].stop_waits == 1 && w.now_ns >= begun_ns + END_NS);
 }
 
-/* Behind each power-off: what is asked for, and the synchronisation that makes drives obey and speak. */
+/* Behind each power-off: what is asked for, and the synchronisation that makes drives obey and
+ * speak. */
 static void what_does_not_come_by_itself_is_asked_for(void)
 {
     for (uint32_t hello = 0; hello < 2; hello++) {
@@ -293,7 +300,8 @@ static void what_does_not_come_by_itself_is_asked_for(void)
         become_unresponsive();
         (void)ends(INT64_MAX, 0);
         uint32_t count = power_offs();
-        CHECK(count > 10 && count_sent(0x601) == count && count_sent(0x602) == (hello ? 0 : count) && count_sent(0x80) == count);
+        CHECK(count > 10 && count_sent(0x601) == count &&
+              count_sent(0x602) == (hello ? 0 : count) && count_sent(0x80) == count);
     }
 }
 

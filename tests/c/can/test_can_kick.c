@@ -6,11 +6,12 @@
 static void kick_apart(double first_rad_s, double velocity_rad_s)
 {
     w.velocity_rad_s = velocity_rad_s;
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = w.enabled, .joint_count = JOINTS_MAX};
+    w.machine.newest =
+        (setpoints){.stamp_ns = w.now_ns, .enabled = w.enabled, .joint_count = JOINTS_MAX};
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         double wanted_rad_s = j == 0 ? first_rad_s : velocity_rad_s;
-        w.machine.newest.joint[j] =
-            (joint_setpoint){.velocity_rad_s = wanted_rad_s, .duty = wanted_rad_s, .torque_n_m = wanted_rad_s};
+        w.machine.newest.joint[j] = (joint_setpoint){
+            .velocity_rad_s = wanted_rad_s, .duty = wanted_rad_s, .torque_n_m = wanted_rad_s};
     }
     can_machine_kick(&w.machine, w.now_ns);
 }

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A bus between its cycles: how soon it looks again, jobs that wait, what asyncio gets, and an end with several drives. */
+ * A bus between its cycles: how soon it looks again, jobs that wait, what asyncio gets, and an
+ * end with several drives. */
 #include "can_wire.h"
 
 static void begin_with_a_slow_cycle(void)
@@ -41,7 +42,9 @@ static void jobs_wait_in_their_order_and_are_looked_at_often(void)
     begin_with_a_slow_cycle();
     const uint32_t ids[3] = {CONTROL, CONTROL + 1, CONTROL + 2};
     for (uint32_t i = 0; i < 3; i++) {
-        can_order order = {.write = {.packet = packet_of(ids[i], 1)}, .drive = i, .expires_ns = w.now_ns + 1000 * MS};
+        can_order order = {.write = {.packet = packet_of(ids[i], 1)},
+                           .drive = i,
+                           .expires_ns = w.now_ns + 1000 * MS};
         CHECK(can_machine_order(&w.machine, &order));
     }
     w.not_taken = CONTROL + 1;
@@ -51,7 +54,8 @@ static void jobs_wait_in_their_order_and_are_looked_at_often(void)
     step();
     CHECK(!w.machine.notify && w.machine.order_count == 2);
     w.not_taken = 0;
-    CHECK(next_look_ns() == 20 * MS && w.sent_count == 3 && w.sent[1].id == CONTROL + 1 && w.sent[2].id == CONTROL + 2);
+    CHECK(next_look_ns() == 20 * MS && w.sent_count == 3 && w.sent[1].id == CONTROL + 1 &&
+          w.sent[2].id == CONTROL + 2);
     CHECK(w.machine.notify && state_of(1)->orders_sent == 1 && w.machine.order_count == 0);
 }
 
@@ -112,11 +116,16 @@ static void the_report_says_what_the_bus_has_done(void)
     (void)say(MOTION, nothing, 2);
     can_report report = {0};
     can_machine_report(&w.machine, &report);
-    CHECK(report.cycles == w.machine.cycle.count && report.cycles >= 20 && report.cycle_ns == 10 * MS);
-    CHECK(report.received == report.drive[0].received + report.drive[1].received && report.drive[1].received >= 40);
-    CHECK(report.sent == w.sent_count && report.tx_full >= 2 && report.bad_frames == 1 && report.shut_down == 0);
-    CHECK(report.setpoints_ns == w.machine.newest.stamp_ns && report.drive[1].received_ns == state_of(1)->newest_ns);
-    CHECK(report.drive[1].received_ns > 0 && report.drive[1].mode == DRIVE_ARMED && report.drive[0].mode == DRIVE_OFF);
+    CHECK(report.cycles == w.machine.cycle.count && report.cycles >= 20 &&
+          report.cycle_ns == 10 * MS);
+    CHECK(report.received == report.drive[0].received + report.drive[1].received &&
+          report.drive[1].received >= 40);
+    CHECK(report.sent == w.sent_count && report.tx_full >= 2 && report.bad_frames == 1 &&
+          report.shut_down == 0);
+    CHECK(report.setpoints_ns == w.machine.newest.stamp_ns &&
+          report.drive[1].received_ns == state_of(1)->newest_ns);
+    CHECK(report.drive[1].received_ns > 0 && report.drive[1].mode == DRIVE_ARMED &&
+          report.drive[0].mode == DRIVE_OFF);
     w.full = w.powered = false;
     w.machine.control.shut_down = 1;
     go_on(500 * MS);
@@ -132,7 +141,8 @@ static void the_time_between_two_cycles_is_smoothed_over_eight(void)
         w.machine.cycle.start_ns = w.now_ns - took_ms[i] * MS;
         w.machine.cycle.due_ns = w.now_ns;
         step();
-        CHECK(w.machine.cycle.took_ns == smoothed_ms[i] * MS && w.machine.cycle.start_ns == w.now_ns);
+        CHECK(w.machine.cycle.took_ns == smoothed_ms[i] * MS &&
+              w.machine.cycle.start_ns == w.now_ns);
     }
 }
 
@@ -143,7 +153,8 @@ static void one_order_that_waits_is_looked_at_often_and_the_ninth_is_refused(voi
     restart();
     step();
     w.full = true;
-    can_order order = {.write = {.packet = packet_of(CONTROL, 1)}, .expires_ns = w.now_ns + 50 * MS};
+    can_order order = {.write = {.packet = packet_of(CONTROL, 1)},
+                       .expires_ns = w.now_ns + 50 * MS};
     CHECK(can_machine_order(&w.machine, &order));
     step();
     CHECK(w.wake_ns == w.now_ns + MS);
@@ -173,7 +184,8 @@ static void the_first_drive_of_a_slow_bus_is_looked_at_often_while_it_moves_or_s
     w.now_ns += 101 * MS; /* old set-points: it comes to rest, and was sent no motion yet */
     report_state(0, 8);
     step();
-    CHECK(state_of(0)->state.stopping && !state_of(0)->state.sent_motion && w.wake_ns == w.now_ns + 5 * MS);
+    CHECK(state_of(0)->state.stopping && !state_of(0)->state.sent_motion &&
+          w.wake_ns == w.now_ns + 5 * MS);
 }
 
 int main(void)

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Positions on a CAN bus: a drive without power gets the place where it is, one that must not move gets nothing. */
+ * Positions on a CAN bus: a drive without power gets the place where it is, one that must not
+ * move gets nothing. */
 #include <math.h>
 
 #include "can_position_rig.h"
@@ -16,7 +17,8 @@ static void a_drive_without_power_gets_the_place_where_it_is(void)
     run(2.25F, 50 * MS);
     CHECK(count_sent(SPEED) >= 4 && target_in(newest_of(0)) == 2.25F);
     run(-3.5F, 50 * MS); /* turned by hand */
-    CHECK(target_in(newest_of(0)) == -3.5F && !state_of(0)->state.sent_motion && !can_wants_motion(m, 0));
+    CHECK(target_in(newest_of(0)) == -3.5F && !state_of(0)->state.sent_motion &&
+          !can_wants_motion(m, 0));
     run(11.0F, 10 * MS); /* a place that it could not be sent to */
     forget_sent();
     run(11.0F, 50 * MS);
@@ -41,7 +43,8 @@ static void an_armed_drive_gets_its_places_and_nothing_where_there_is_none(void)
         CHECK(!state_of(0)->state.sent_motion);
         wanted_rad = 0.5, positioned = 1;
         run(2.25F, 50 * MS);
-        CHECK(target_in(newest_of(0)) == 2.25F && state_of(0)->state.sent_motion && !can_differs(m, 0));
+        CHECK(target_in(newest_of(0)) == 2.25F && state_of(0)->state.sent_motion &&
+              !can_differs(m, 0));
         wanted_rad = 1e300;
         run(2.25F, 20 * MS);
         CHECK(target_in(newest_of(0)) == 10.0F);
@@ -53,7 +56,8 @@ static void an_armed_drive_gets_its_places_and_nothing_where_there_is_none(void)
     }
 }
 
-/* Where nothing is sent for as long as its watchdog waits, it may have stopped by itself: it is stopped here, too. */
+/* Where nothing is sent for as long as its watchdog waits, it may have stopped by itself: it is
+ * stopped here, too. */
 static void what_is_held_back_for_too_long_is_a_drive_left_alone(void)
 {
     begin();
@@ -62,7 +66,8 @@ static void what_is_held_back_for_too_long_is_a_drive_left_alone(void)
     run(2.25F, 50 * MS);
     positioned = 0;
     run(2.25F, 700 * MS);
-    CHECK((state_of(0)->state.fault_reasons & DRIVE_FAULT_LEFT_ALONE) != 0 && state_of(0)->state.mode == DRIVE_READY);
+    CHECK((state_of(0)->state.fault_reasons & DRIVE_FAULT_LEFT_ALONE) != 0 &&
+          state_of(0)->state.mode == DRIVE_READY);
 }
 
 static void one_that_does_not_answer_gets_its_stops_and_no_place(void)
@@ -80,7 +85,8 @@ static void one_that_does_not_answer_gets_its_stops_and_no_place(void)
     }
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE);
     for (uint32_t i = 0; i < w.sent_count; i++) {
-        CHECK(w.sent[i].id != SPEED || w.sent[i].data[0] == QUICK_STOP || w.sent[i].data[0] == DISABLE);
+        CHECK(w.sent[i].id != SPEED || w.sent[i].data[0] == QUICK_STOP ||
+              w.sent[i].data[0] == DISABLE);
     }
 }
 
@@ -127,7 +133,8 @@ static void a_first_target_far_from_its_place_takes_the_power(void)
         CHECK((state_of(0)->state.mode == DRIVE_ARMED) == (i < 2));
         CHECK(((state_of(0)->state.fault_reasons & DRIVE_FAULT_POSITION_UNKNOWN) != 0) == (i >= 2));
         for (uint32_t n = 0; n < w.sent_count && i >= 2; n++) {
-            CHECK(w.sent[n].id != SPEED || (w.sent[n].data[0] == DISABLE && target_in(&w.sent[n]) == 2.25F));
+            CHECK(w.sent[n].id != SPEED ||
+                  (w.sent[n].data[0] == DISABLE && target_in(&w.sent[n]) == 2.25F));
         }
     }
 }
@@ -141,15 +148,18 @@ static void one_whose_place_is_missing_gets_no_power(void)
         ask_for(DRIVE_READY);
         run(why == 1 ? 10.5F : 2.25F, 20 * MS);
         w.machine.joint[0].place.measured_ns -= why == 2 ? 300 * MS : 0;
-        w.machine.joint[0].place.measured = why == 3 ? (double)NAN : w.machine.joint[0].place.measured;
-        can_order order = {.expires_ns = w.now_ns + 500 * MS, .guarded = 1, .stops = state_of(0)->stops};
+        w.machine.joint[0].place.measured =
+            why == 3 ? (double)NAN : w.machine.joint[0].place.measured;
+        can_order order = {
+            .expires_ns = w.now_ns + 500 * MS, .guarded = 1, .stops = state_of(0)->stops};
         order.write = table_of(0)->disarm[0];
         order.write.packet.data[0] = 0x0F;
         CHECK(can_machine_order(&w.machine, &order));
         uint32_t dropped = state_of(0)->orders_dropped;
         ask_for(DRIVE_ARMED);
         CHECK((state_of(0)->state.mode == DRIVE_ARMED) == (why == 0));
-        CHECK(((state_of(0)->state.fault_reasons & DRIVE_FAULT_POSITION_UNKNOWN) != 0) == (why != 0));
+        CHECK(((state_of(0)->state.fault_reasons & DRIVE_FAULT_POSITION_UNKNOWN) != 0) ==
+              (why != 0));
         CHECK(state_of(0)->orders_dropped == dropped + (why != 0));
     }
 }
@@ -159,7 +169,8 @@ static void whether_it_has_a_reference_is_reported_beside_its_power(void)
     begin();
     table_of(0)->input[0].field_count = 2;
     table_of(0)->input[0].field[1] = (can_field){
-        .place = {.length = 8}, .meaning = {.kind = FIELD_REFERENCED, .equals_mask = 8, .equals = 8, .si_per_raw = 1.0}};
+        .place = {.length = 8},
+        .meaning = {.kind = FIELD_REFERENCED, .equals_mask = 8, .equals = 8, .si_per_raw = 1.0}};
     restart();
     CHECK(m->joint[0].feedback.referenced == 2);
     ask_for(DRIVE_READY);
@@ -170,7 +181,8 @@ static void whether_it_has_a_reference_is_reported_beside_its_power(void)
     CHECK(m->joint[0].feedback.referenced == 1 && state_of(0)->state.enabled == 1);
 }
 
-/* A frame that stops it has a target, too: where it is; and where it was sent last while that is not known. */
+/* A frame that stops it has a target, too: where it is; and where it was sent last while that is
+ * not known. */
 static void a_stop_keeps_the_place_in_its_frame(void)
 {
     static const float AT[] = {3.0F, 11.0F}, KEPT[] = {3.0F, 2.25F};
@@ -187,13 +199,14 @@ static void a_stop_keeps_the_place_in_its_frame(void)
 /* The second target of a frame stands in turns of 16 bits. */
 static void each_target_of_a_frame_is_kept_and_no_other(void)
 {
-    static const can_setpoint SECOND = {.place = {.start_bit = 48, .length = 16, .form = CAN_SIGNED},
-                                        .scale = {.kind = SETPOINT_POSITION,
-                                                  .raw_per_si = 0.5,
-                                                  .raw_offset = 2.0,
-                                                  .raw_min = -10.0,
-                                                  .raw_max = 10.0,
-                                                  .raw_per_s = 1e6}};
+    static const can_setpoint SECOND = {
+        .place = {.start_bit = 48, .length = 16, .form = CAN_SIGNED},
+        .scale = {.kind = SETPOINT_POSITION,
+                  .raw_per_si = 0.5,
+                  .raw_offset = 2.0,
+                  .raw_min = -10.0,
+                  .raw_max = 10.0,
+                  .raw_per_s = 1e6}};
     for (uint32_t count = 1; count <= 2; count++) {
         begin();
         can_output *output = &table_of(0)->output[0];
@@ -238,7 +251,8 @@ static void a_frame_is_sent_only_when_each_of_its_targets_is_known(void)
 /* The place where it is goes to a drive that rests without power, and to no other. */
 static void only_one_that_is_ready_and_not_enabled_keeps_its_place(void)
 {
-    static const uint32_t MODES[] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_UNRESPONSIVE, DRIVE_BACK};
+    static const uint32_t MODES[] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_UNRESPONSIVE,
+                                     DRIVE_BACK};
     begin();
     run(2.25F, 20 * MS);
     ask_for(DRIVE_READY);
@@ -276,7 +290,8 @@ static void a_place_of_minus_zero_goes_out_as_zero(void)
 
 static void a_joint_that_the_set_points_do_not_have_gets_no_place(void)
 {
-    setpoints from = {.enabled = 1, .joint_count = 2, .positioned = UINT32_MAX, .position_rad = {1.0, 2.0, 3.0}};
+    setpoints from = {
+        .enabled = 1, .joint_count = 2, .positioned = UINT32_MAX, .position_rad = {1.0, 2.0, 3.0}};
     double position_rad = 7.0;
     CHECK(setpoint_position(&from, 1, &position_rad) && position_rad == 2.0);
     CHECK(!setpoint_position(&from, 2, &position_rad) && position_rad == 2.0);
@@ -284,12 +299,14 @@ static void a_joint_that_the_set_points_do_not_have_gets_no_place(void)
     CHECK(setpoint_position(&from, JOINTS_MAX - 1, &position_rad));
     CHECK(!setpoint_position(&from, JOINTS_MAX, &position_rad));
     from.positioned = 1;
-    CHECK(!setpoint_position(&from, 1, &position_rad) && setpoint_position(&from, 0, &position_rad));
+    CHECK(!setpoint_position(&from, 1, &position_rad) &&
+          setpoint_position(&from, 0, &position_rad));
     from.enabled = 0;
     CHECK(!setpoint_position(&from, 0, &position_rad));
 }
 
-/* A second target of the frame, or a second frame, for a joint of its own, whose place is not known. */
+/* A second target of the frame, or a second frame, for a joint of its own, whose place is not
+ * known. */
 static void begin_with_two(uint32_t targets, uint32_t frames)
 {
     begin();
@@ -317,7 +334,8 @@ static void each_target_of_each_frame_needs_its_place_and_no_other(void)
         begin_with_two(1 + i % 2, 1 + i / 2);
         w.machine.joint[1].place = (position_place){.measured = NAN, .sent = NAN};
         CHECK(can_place_is_missing(m, 0) == (i != 0));
-        w.machine.joint[1].place = (position_place){.measured = 2.0, .measured_ns = w.now_ns, .sent = NAN};
+        w.machine.joint[1].place =
+            (position_place){.measured = 2.0, .measured_ns = w.now_ns, .sent = NAN};
         CHECK(!can_place_is_missing(m, 0));
         w.machine.joint[0].place.measured = NAN;
         CHECK(can_place_is_missing(m, 0));
@@ -345,7 +363,8 @@ static void each_target_that_left_is_where_the_next_ones_begin_and_no_other(void
 {
     for (uint32_t count = 1; count <= 2; count++) {
         begin_with_two(count, 1);
-        w.machine.joint[1].place = (position_place){.measured = 2.0, .measured_ns = w.now_ns, .sent = NAN};
+        w.machine.joint[1].place =
+            (position_place){.measured = 2.0, .measured_ns = w.now_ns, .sent = NAN};
         w.powered = true;
         ask_for(DRIVE_ARMED);
         wanted_rad = 0.5, positioned = 1;
@@ -356,7 +375,8 @@ static void each_target_that_left_is_where_the_next_ones_begin_and_no_other(void
         w.machine.joint[0].place.sent = w.machine.joint[1].place.sent = NAN;
         can_note_positions(&w.machine, 0, 0);
         CHECK(m->joint[0].place.sent == 2.25);
-        CHECK(isnan(m->joint[1].place.sent) == (count == 1) && (count == 1 || m->joint[1].place.sent == 2.0));
+        CHECK(isnan(m->joint[1].place.sent) == (count == 1) &&
+              (count == 1 || m->joint[1].place.sent == 2.0));
     }
 }
 

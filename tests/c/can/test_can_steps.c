@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_can_steps: one drive of a bus by itself: what each request and each look sets, keeps and forgets. */
+ * test_can_steps: one drive of a bus by itself: what each request and each look sets, keeps and
+ * forgets. */
 #include "can_wire.h"
 
 static can_drive_state *drive;
@@ -8,8 +9,10 @@ static void begin_drive(void)
 {
     begin_with(2);
     drive = &w.machine.drive[0];
-    w.machine.newest = (setpoints){
-        .stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{.velocity_rad_s = 1.0}, {.velocity_rad_s = 1.0}}};
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns,
+                                   .enabled = 1,
+                                   .joint_count = 2,
+                                   .joint = {{.velocity_rad_s = 1.0}, {.velocity_rad_s = 1.0}}};
     for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
         drive->received_ns[i] = w.now_ns;
     }
@@ -34,19 +37,20 @@ static void a_set_up_begins_anew_but_for_power_that_is_still_there(void)
         for (uint32_t from = 0; from < 2; from++) {
             begin_drive();
             drive->state.mode = from == 0 ? DRIVE_OFF : DRIVE_BACK;
-            drive->state.epoch = 4, drive->state.fault_reasons = 0xff, drive->state.still_enabled = 2, drive->slow_cycles = 5;
+            drive->state.epoch = 4, drive->state.fault_reasons = 0xff,
+            drive->state.still_enabled = 2, drive->slow_cycles = 5;
             drive->state.back = drive->may_turn = true;
             drive->state.sent_motion = powered == 1;
             drive->state.stopping = powered == 2;
             drive->state.enabled = 1;
             w.now_ns += 7 * MS;
             obey(DRIVE_READY, 0);
-            CHECK(drive->state.mode == DRIVE_READY && drive->state.epoch == 5 && drive->state.fault_reasons == 0 &&
-                  drive->state.still_enabled == 0);
-            CHECK(!drive->state.back && drive->may_turn == (powered != 0) && drive->slow_cycles == 0 &&
-                  drive->last_sent_ns == w.now_ns);
-            CHECK(drive->state.stopping == (powered == 2) && drive->state.sent_motion == (powered == 1) &&
-                  drive->state.enabled == 2);
+            CHECK(drive->state.mode == DRIVE_READY && drive->state.epoch == 5 &&
+                  drive->state.fault_reasons == 0 && drive->state.still_enabled == 0);
+            CHECK(!drive->state.back && drive->may_turn == (powered != 0) &&
+                  drive->slow_cycles == 0 && drive->last_sent_ns == w.now_ns);
+            CHECK(drive->state.stopping == (powered == 2) &&
+                  drive->state.sent_motion == (powered == 1) && drive->state.enabled == 2);
             for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
                 CHECK(drive->received_ns[i] == w.now_ns);
             }
@@ -68,17 +72,19 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
         drive->state.off_due = against == 7;
         w.machine.control.shut_down = against == 4;
         obey(DRIVE_ARMED, against == 5 ? 1 : 0);
-        bool armed = against == 0 || against == 5; /* what was not seen may have been a stop: there is nothing to stop */
+        /* what was not seen may have been a stop: there is nothing to stop */
+        bool armed = against == 0 || against == 5;
         CHECK((drive->state.mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
         if (armed) {
-            CHECK(!drive->state.was_enabled && drive->state.enabled_count == 8 && drive->state.fault_reasons == 0 &&
-                  drive->state.still_enabled == 0);
+            CHECK(!drive->state.was_enabled && drive->state.enabled_count == 8 &&
+                  drive->state.fault_reasons == 0 && drive->state.still_enabled == 0);
             CHECK(drive->state.enabled == 2 && drive->last_sent_ns == w.now_ns);
         }
     }
 }
 
-/* It has power where it is armed, stopping, sent motion, or reported to be enabled. Unseen requests may have been a stop. */
+/* It has power where it is armed, stopping, sent motion, or reported to be enabled. Unseen
+ * requests may have been a stop. */
 static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it(void)
 {
     static const uint32_t MODES[] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_STAND_DOWN};
@@ -96,7 +102,8 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
                 uint32_t stops = drive->stops;
                 obey(mode, unseen);
                 bool off = has != 0 && (unseen != 0 || mode == DRIVE_OFF);
-                CHECK(drive->state.stop == (off ? STOP_POWER_OFF : STOP_NOTHING) && drive->state.stopping == (has == 2 && !off));
+                CHECK(drive->state.stop == (off ? STOP_POWER_OFF : STOP_NOTHING) &&
+                      drive->state.stopping == (has == 2 && !off));
                 CHECK(drive->state.off_due == (has == 4 && !off));
                 CHECK(drive->stops == stops + off + (unseen != 0) + (mode == DRIVE_STAND_DOWN));
                 uint32_t expected = mode == DRIVE_OFF ? DRIVE_OFF : DRIVE_READY;
@@ -107,7 +114,8 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
                     expected = DRIVE_ARMED; /* it is set up */
                 }
                 CHECK(drive->state.mode == expected && drive->state.back == (mode != DRIVE_OFF));
-                CHECK(has != 1 || mode == DRIVE_OFF || expected == DRIVE_ARMED || drive->state.enabled == 2);
+                CHECK(has != 1 || mode == DRIVE_OFF || expected == DRIVE_ARMED ||
+                      drive->state.enabled == 2);
             }
         }
     }
@@ -159,7 +167,8 @@ static void an_armed_drive_that_is_sent_nothing_for_longer_than_its_watchdog_is_
         guarded(0, STOP_NOTHING);
         w.now_ns += 1;
         w.machine.table.drive[0].watchdog_ns = how == 1 ? 0 : how == 2 ? 1 : 500 * MS;
-        guarded(how == 1 ? 0 : (uint32_t)DRIVE_FAULT_LEFT_ALONE, how == 1 ? STOP_NOTHING : STOP_QUICK);
+        guarded(how == 1 ? 0 : (uint32_t)DRIVE_FAULT_LEFT_ALONE,
+                how == 1 ? STOP_NOTHING : STOP_QUICK);
     }
 }
 

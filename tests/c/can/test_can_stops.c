@@ -22,7 +22,8 @@ static void standing_down_sends_zero_at_once_to_a_drive_that_is_sent_nothing_at_
     forget_sent();
     request(0, DRIVE_STAND_DOWN);
     CHECK(w.sent_count == 1 && speed_in(newest_of(0)) == 0);
-    w.machine.control.drive[0].arming_until_ns = INT64_MAX; /* its power is Python's to take: nothing more is sent */
+    /* its power is Python's to take: nothing more is sent */
+    w.machine.control.drive[0].arming_until_ns = INT64_MAX;
     go_on(50 * MS);
     CHECK(count_sent(SPEED) == 1);
 }
@@ -112,7 +113,7 @@ static void one_that_was_armed_is_sent_to_stop_over_a_reopening_though_it_does_n
     CHECK(count_sent(SPEED) == 0); /* and since then it does not turn */
 }
 
-/* ------------------------------------------------------------------------------------- what waits for a dead bus */
+/* ------------------------------------------------------------ what waits for a dead bus */
 static uint32_t moving(uint32_t drive)
 {
     uint32_t count = 0;
@@ -149,7 +150,8 @@ static void a_bus_that_took_nothing_for_a_cycle_is_given_zero_first_and_then_the
     CHECK(moving(0) == 0 && moving(1) == 0);
     can_machine_left(&w.machine);
     go_on(10 * MS);
-    CHECK(speed_in(newest_of(0)) == 200 && speed_in(newest_of(1)) == 200 && state_of(0)->state.mode == DRIVE_ARMED);
+    CHECK(speed_in(newest_of(0)) == 200 && speed_in(newest_of(1)) == 200 &&
+          state_of(0)->state.mode == DRIVE_ARMED);
 }
 
 static void a_bus_that_takes_some_frames_of_a_cycle_is_given_motion(void)
@@ -172,7 +174,8 @@ static void no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_beh
     w.machine.receives_own = true; /* and nothing more is reported to have left */
     go_on(150 * MS);
     for (uint32_t i = 0; i < 2; i++) {
-        CHECK(moving(i) >= 1 && moving(i) <= 2 && speed_in(newest_of(i)) == 0 && state_of(i)->state.mode == DRIVE_ARMED);
+        CHECK(moving(i) >= 1 && moving(i) <= 2 && speed_in(newest_of(i)) == 0 &&
+              state_of(i)->state.mode == DRIVE_ARMED);
     }
     CHECK(w.machine.tx_full >= 10); /* another node can see it */
     can_machine_left(&w.machine);
@@ -218,12 +221,14 @@ static void drives_that_another_program_left_running_stop_before_they_lose_their
     can_take_over(&w.machine, w.now_ns);
     go_on(500 * MS);
     for (uint32_t i = 0; i < 2; i++) {
-        CHECK(state_of(i)->state.mode == DRIVE_READY && state_of(i)->state.stopping && state_of(i)->may_turn);
+        CHECK(state_of(i)->state.mode == DRIVE_READY && state_of(i)->state.stopping &&
+              state_of(i)->may_turn);
         CHECK(state_of(i)->state.fault_reasons == 0);
     }
     CHECK(!state_of(2)->may_turn && !state_of(2)->state.stopping); /* the table has none */
     for (uint32_t i = 0; i < w.sent_count; i++) {
-        CHECK(w.sent[i].data[0] == QUICK_STOP && w.sent[i].data[2] == 0 && w.sent[i].data[3] == 0); /* and zero speed */
+        /* and zero speed */
+        CHECK(w.sent[i].data[0] == QUICK_STOP && w.sent[i].data[2] == 0 && w.sent[i].data[3] == 0);
     }
     CHECK(count_sent(SPEED) > 2 && count_sent(SPEED + 1) > 2);
     w.reported_rad_s = 0.0;
@@ -239,7 +244,8 @@ static void of_those_one_that_sends_nothing_has_its_time_and_then_gets_stops_aga
     w.silent = true;
     can_take_over(&w.machine, w.now_ns);
     go_on(190 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_READY && state_of(0)->last_sent_ns >= w.now_ns - 11 * MS);
+    CHECK(state_of(0)->state.mode == DRIVE_READY &&
+          state_of(0)->last_sent_ns >= w.now_ns - 11 * MS);
     go_on(210 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE);
     forget_sent();

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Which tables of a CAN bus are refused, and by which name: each number at the edge of what it may be, and beyond. */
+ * Which tables of a CAN bus are refused, and by which name: each number at the edge of what it
+ * may be, and beyond. */
 #include <float.h>
 
 #include "can_wire.h"
@@ -20,17 +21,17 @@ static bool refused(const char *name)
 }
 
 /* The table of two drives, with one number changed. */
-#define GOOD(field, value)                                                                                                       \
-    do {                                                                                                                         \
-        begin_with(2);                                                                                                           \
-        (field) = (value);                                                                                                       \
-        CHECK(is_good());                                                                                                        \
+#define GOOD(field, value)                                                                         \
+    do {                                                                                           \
+        begin_with(2);                                                                             \
+        (field) = (value);                                                                         \
+        CHECK(is_good());                                                                          \
     } while (0)
-#define BAD(field, value, name)                                                                                                  \
-    do {                                                                                                                         \
-        begin_with(2);                                                                                                           \
-        (field) = (value);                                                                                                       \
-        CHECK(refused(name));                                                                                                    \
+#define BAD(field, value, name)                                                                    \
+    do {                                                                                           \
+        begin_with(2);                                                                             \
+        (field) = (value);                                                                         \
+        CHECK(refused(name));                                                                      \
     } while (0)
 
 #define DRIVE w.table.drive[1]
@@ -154,7 +155,8 @@ static void each_frame_that_is_sent_has_an_identifier_and_a_length_that_a_frame_
         packet->id = CAN_ID_REMOTE | 1;
         CHECK(refused("drive[1].packet.fd"));
         packet->fd = 0;
-        CHECK(i == 0 ? refused("drive[1].output.packet.id") : is_good()); /* set-points are no question */
+        /* set-points are no question */
+        CHECK(i == 0 ? refused("drive[1].output.packet.id") : is_good());
     }
     begin_with(2);
     DRIVE.quick_stop[1].packet.id = DRIVE.disarm[1].packet.id = 0x800; /* not counted */
@@ -163,7 +165,8 @@ static void each_frame_that_is_sent_has_an_identifier_and_a_length_that_a_frame_
 
 static void where_a_number_stands_and_what_it_is(void)
 {
-    can_place *const places[] = {&DRIVE.output[0].setpoint[0].place, &DRIVE.input[1].field[0].place};
+    can_place *const places[] = {&DRIVE.output[0].setpoint[0].place,
+                                 &DRIVE.input[1].field[0].place};
     for (uint32_t i = 0; i < 2; i++) {
         can_place *place = places[i];
         begin_with(2);
@@ -194,7 +197,8 @@ static void where_a_number_stands_and_what_it_is(void)
     begin_with(2); /* the last bit of the longest frame */
     DRIVE.output[0].packet.fd = 1;
     DRIVE.output[0].packet.bytes = CAN_BYTES_MAX;
-    DRIVE.output[0].setpoint[0].place = (can_place){.start_bit = 8 * CAN_BYTES_MAX - 1, .length = 1};
+    DRIVE.output[0].setpoint[0].place =
+        (can_place){.start_bit = 8 * CAN_BYTES_MAX - 1, .length = 1};
     DRIVE.output[0].setpoint[0].scale.raw_min = 0.0;
     DRIVE.output[0].setpoint[0].scale.raw_max = 1.0;
     CHECK(is_good());
@@ -325,7 +329,8 @@ static void what_is_read(void)
     GOOD(DRIVE.input[1].field[1].meaning.counter_bits, 0);
     BAD(DRIVE.input[1].field[1].meaning.counter_bits, 65, "drive[1].field.counter_bits");
     GOOD(DRIVE.input[1].field[1].meaning.harmless_codes, FIELD_HARMLESS_MAX);
-    BAD(DRIVE.input[1].field[1].meaning.harmless_codes, FIELD_HARMLESS_MAX + 1, "drive[1].field.harmless_codes");
+    BAD(DRIVE.input[1].field[1].meaning.harmless_codes, FIELD_HARMLESS_MAX + 1,
+        "drive[1].field.harmless_codes");
     begin_with(2);
     for (uint32_t i = 1; i < CAN_FIELDS_MAX; i++) {
         DRIVE.input[0].field[i] = DRIVE.input[0].field[0];

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A bus's thread on a socket pair, with asyncio's side and the loop's side in threads of their own: for the sanitizers.
- * Nothing is shared but what api_can.h and the exchange pass on. */
+ * A bus's thread on a socket pair, with asyncio's side and the loop's side in threads of their own:
+ * for the sanitizers. Nothing is shared but what api_can.h and the exchange pass on. */
 #include <errno.h>
 #include <linux/can.h>
 
@@ -39,7 +39,8 @@ static can_report wait_for(uint32_t mode)
 static void a_line_is_set_up_armed_ordered_and_stopped(void)
 {
     can_control control = {.listen = 1};
-    control.drive[0] = (mode_request){.count = 1, .mode = DRIVE_READY, .arming_until_ns = INT64_MAX};
+    control.drive[0] =
+        (mode_request){.count = 1, .mode = DRIVE_READY, .arming_until_ns = INT64_MAX};
     can_put_control(0, &control);
     (void)wait_for(DRIVE_READY);
     control.drive[0].count = 2;
@@ -74,7 +75,8 @@ int main(void)
     exchange_init(&shared);
     CHECK(socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_NONBLOCK, 0, ends) == 0);
     can_config config = {.at = place_of_the_thread()};
-    CHECK(pthread_create(&loop, NULL, core, NULL) == 0 && pthread_create(&peer, NULL, drive, &received) == 0);
+    CHECK(pthread_create(&loop, NULL, core, NULL) == 0 &&
+          pthread_create(&peer, NULL, drive, &received) == 0);
     CHECK(can_start(0, &config, &w.table) == 0 && can_start(0, &config, &w.table) == -EBUSY);
     a_line_is_set_up_armed_ordered_and_stopped();
     CHECK(can_start(0, &config, &w.table) == 0);
@@ -82,7 +84,8 @@ int main(void)
     CHECK(pthread_join(loop, NULL) == 0 && pthread_join(peer, NULL) == 0);
     CHECK(received > 200);
     CHECK(close(ends[1]) == 0);
-    CHECK(wait_for(DRIVE_ARMED).life.error == ENODEV); /* the other end has gone: the thread says so, and ends */
+    /* the other end has gone: the thread says so, and ends */
+    CHECK(wait_for(DRIVE_ARMED).life.error == ENODEV);
     CHECK(can_stop(0) == 0);
     return checks_report("can thread");
 }

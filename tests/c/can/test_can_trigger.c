@@ -2,7 +2,8 @@
  * Drives that take a target with a bit, and acknowledge it. */
 #include "can_position_rig.h"
 
-/* The trigger is a bit of its last byte; bit 4 of what the drive sends says that it has taken the target. */
+/* The trigger is a bit of its last byte; bit 4 of what the drive sends says that it has taken
+ * the target. */
 static void begin_with_trigger(void)
 {
     begin();
@@ -11,8 +12,9 @@ static void begin_with_trigger(void)
     output->setpoint[0].trigger = (can_place){.start_bit = 60, .length = 1};
     table_of(0)->input[0].field_count = 2;
     table_of(0)->input[0].field[0].meaning.equals_mask = 15;
-    table_of(0)->input[0].field[1] =
-        (can_field){.place = {.length = 8}, .meaning = {.kind = FIELD_TAKEN, .equals_mask = 16, .equals = 16, .si_per_raw = 1.0}};
+    table_of(0)->input[0].field[1] = (can_field){
+        .place = {.length = 8},
+        .meaning = {.kind = FIELD_TAKEN, .equals_mask = 16, .equals = 16, .si_per_raw = 1.0}};
     restart();
 }
 
@@ -41,7 +43,8 @@ static void a_target_is_triggered_until_the_drive_has_taken_it_and_again_when_it
     run(2.25F, 20 * MS);
     ask_for(DRIVE_READY);
     run(2.25F, 50 * MS);
-    CHECK(count_sent(SPEED) > 0 && trigger_sent() == 0); /* where it is, without power: nothing is taken */
+    /* where it is, without power: nothing is taken */
+    CHECK(count_sent(SPEED) > 0 && trigger_sent() == 0);
     w.powered = true;
     ask_for(DRIVE_ARMED);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED);

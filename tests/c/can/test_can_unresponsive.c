@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a bus: what it is asked, when it counts as gone, and what is sent to one that may be there all the same. */
+ * One drive of a bus: what it is asked, when it counts as gone, and what is sent to one that may
+ * be there all the same. */
 #include "can_wire.h"
 
 enum { ASK = 0x600, SLOW = 0x610, PROBE = 0x620 };
@@ -25,7 +26,8 @@ static void one_is_asked_in_each_cycle_and_what_may_wait_takes_turns(void)
 {
     begin_with_questions();
     go_on(320 * MS - (w.now_ns - w.sent_ns[0]));
-    CHECK(count_sent(ASK) == 32 && count_sent(ASK + 1) == 32 && count_sent(SPEED) == 32 && count_sent(PROBE) == 0);
+    CHECK(count_sent(ASK) == 32 && count_sent(ASK + 1) == 32 && count_sent(SPEED) == 32 &&
+          count_sent(PROBE) == 0);
     CHECK(count_sent(SLOW) == 2 && count_sent(SLOW + 1) == 2);
     uint32_t first = 0;
     while (w.sent[first].id != SLOW) {
@@ -56,7 +58,7 @@ static void an_unresponsive_drive_is_asked_less_and_less_often(void)
     }
 }
 
-static void one_that_may_turn_is_sent_zero_and_a_quick_stop_while_it_is_unresponsive_and_off_after_a_second(void)
+static void one_that_may_turn_is_sent_zero_and_a_quick_stop_and_is_off_after_a_second(void)
 {
     begin_with(1);
     arm_and_go();
@@ -67,7 +69,8 @@ static void one_that_may_turn_is_sent_zero_and_a_quick_stop_while_it_is_unrespon
     forget_sent();
     int64_t unresponsive_ns = w.now_ns;
     go_on(950 * MS);
-    CHECK(last_sent_ns(0, QUICK_STOP) > 0 && last_sent_ns(0, DISABLE) == 0 && !state_of(0)->state.sent_motion);
+    CHECK(last_sent_ns(0, QUICK_STOP) > 0 && last_sent_ns(0, DISABLE) == 0 &&
+          !state_of(0)->state.sent_motion);
     for (uint32_t i = 0; i < w.sent_count; i++) {
         CHECK(speed_in(&w.sent[i]) == 0);
     }
@@ -97,7 +100,8 @@ static void a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle(vo
     CHECK(w.sent_count == 0);
 }
 
-static void an_unresponsive_drive_is_sent_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero(void)
+static void
+an_unresponsive_drive_is_sent_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero(void)
 {
     begin_with(1);
     table_of(0)->quick_stop[0] = (can_write){.packet = packet_of(CONTROL, 1)};
@@ -159,10 +163,12 @@ static void one_with_a_hello_is_back_when_it_has_answered(void)
     become_unresponsive();
     w.silent = w.powered = false;
     go_on(500 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->missing == 3); /* its old answer counts no more */
+    /* its old answer counts no more */
+    CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->missing == 3);
     (void)say(ANSWER, answer, 8);
     go_on(20 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_BACK && state_of(0)->missing == 0 && newest_of(0)->data[0] == DISABLE);
+    CHECK(state_of(0)->state.mode == DRIVE_BACK && state_of(0)->missing == 0 &&
+          newest_of(0)->data[0] == DISABLE);
     go_on(5050 * MS);
     CHECK(state_of(0)->missing == 3);
 }
@@ -188,7 +194,7 @@ int main(void)
 {
     one_is_asked_in_each_cycle_and_what_may_wait_takes_turns();
     an_unresponsive_drive_is_asked_less_and_less_often();
-    one_that_may_turn_is_sent_zero_and_a_quick_stop_while_it_is_unresponsive_and_off_after_a_second();
+    one_that_may_turn_is_sent_zero_and_a_quick_stop_and_is_off_after_a_second();
     a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle();
     an_unresponsive_drive_is_sent_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero();
     one_that_was_switched_off_while_it_came_back_stays_off();

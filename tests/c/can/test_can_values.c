@@ -1,13 +1,15 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a drive of two wheels on a CAN bus is sent in one frame, and what is made of what it reports. */
+ * What a drive of two wheels on a CAN bus is sent in one frame, and what is made of what it
+ * reports. */
 #include "can_wire.h"
 
 enum { SECOND = 0x410, HEALTH = 0x510, POWERS = 0x520, HARMLESS = 4 };
 
 static can_field field_of(uint32_t joint, uint32_t kind, uint32_t start_bit, uint32_t length)
 {
-    return (can_field){.place = {.start_bit = start_bit, .length = length, .form = CAN_SIGNED},
-                       .meaning = {.joint = joint, .kind = kind, .counter_bits = 16, .si_per_raw = 1.0}};
+    return (can_field){
+        .place = {.start_bit = start_bit, .length = length, .form = CAN_SIGNED},
+        .meaning = {.joint = joint, .kind = kind, .counter_bits = 16, .si_per_raw = 1.0}};
 }
 
 static void add_input(uint32_t id, uint32_t fast, const can_field *field, uint32_t count)
@@ -16,10 +18,12 @@ static void add_input(uint32_t id, uint32_t fast, const can_field *field, uint32
     can_input *input = &drive->input[drive->input_count++];
     *input = (can_input){.fast = fast, .field_count = count};
     memcpy(input->field, field, count * sizeof *field);
-    drive->match[drive->match_count++] = (can_match){.id = id, .bytes = 8, .input = drive->input_count};
+    drive->match[drive->match_count++] =
+        (can_match){.id = id, .bytes = 8, .input = drive->input_count};
 }
 
-/* Wheel 0 says its motion as before; wheel 1 a count and a speed that are not 0 at raw 0; both, health and power now and then. */
+/* Wheel 0 says its motion as before; wheel 1 a count and a speed that are not 0 at raw 0; both,
+ * health and power now and then. */
 static void begin_with_two_wheels(void)
 {
     begin_with(1);
@@ -57,15 +61,17 @@ static void report_health(uint32_t word)
 static void want(double first_rad_s, double second_rad_s)
 {
     w.enabled = 2;
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns,
-                                   .enabled = 1,
-                                   .joint_count = 2,
-                                   .joint = {{.velocity_rad_s = first_rad_s}, {.velocity_rad_s = second_rad_s}}};
+    w.machine.newest =
+        (setpoints){.stamp_ns = w.now_ns,
+                    .enabled = 1,
+                    .joint_count = 2,
+                    .joint = {{.velocity_rad_s = first_rad_s}, {.velocity_rad_s = second_rad_s}}};
 }
 
 static int16_t second_speed(void)
 {
-    return (int16_t)can_get(newest_of(0)->data, &(can_place){.start_bit = 32, .length = 16, .form = CAN_SIGNED});
+    return (int16_t)can_get(newest_of(0)->data,
+                            &(can_place){.start_bit = 32, .length = 16, .form = CAN_SIGNED});
 }
 
 static const joint_feedback *feedback_of(uint32_t joint)
@@ -73,7 +79,7 @@ static const joint_feedback *feedback_of(uint32_t joint)
     return &w.machine.joint[joint].feedback;
 }
 
-/* --------------------------------------------------------------------------------------------------- sent */
+/* --------------------------------------------------------------------------------- sent */
 static void both_wheels_are_sent_in_one_frame(void)
 {
     begin_with_two_wheels();
@@ -85,7 +91,8 @@ static void both_wheels_are_sent_in_one_frame(void)
     forget_sent();
     go_on(90 * MS);
     CHECK(speed_in(newest_of(0)) == 0 && second_speed() == -200 && state_of(0)->state.sent_motion);
-    CHECK(w.sent_count >= 8 && w.sent_count <= 10); /* one wheel turns: nothing is to be stopped between two cycles */
+    /* one wheel turns: nothing is to be stopped between two cycles */
+    CHECK(w.sent_count >= 8 && w.sent_count <= 10);
     want(0.0, 0.0);
     step();
     CHECK(second_speed() == 0 && !state_of(0)->state.sent_motion);
@@ -99,7 +106,8 @@ static void a_drive_is_at_rest_when_both_of_its_wheels_are(void)
     go_on(30 * MS);
     w.enabled = 2;
     go_on(150 * MS);
-    CHECK(last_sent_ns(0, QUICK_STOP) > 0 && state_of(0)->state.stopping && last_sent_ns(0, DISABLE) == 0);
+    CHECK(last_sent_ns(0, QUICK_STOP) > 0 && state_of(0)->state.stopping &&
+          last_sent_ns(0, DISABLE) == 0);
     report_second(0, 1); /* 0 rad/s */
     step();
     CHECK(!state_of(0)->state.stopping);
@@ -116,13 +124,14 @@ static void each_kind_of_set_point_is_sent_by_its_own_number(void)
         restart();
         arm(0);
         want(0.0, 0.0);
-        w.machine.newest.joint[0] = (joint_setpoint){.velocity_rad_s = 1.0, .duty = 2.0, .torque_n_m = 3.0};
+        w.machine.newest.joint[0] =
+            (joint_setpoint){.velocity_rad_s = 1.0, .duty = 2.0, .torque_n_m = 3.0};
         go_on(15 * MS);
         CHECK(speed_in(newest_of(0)) == 100 * (int16_t)(i + 1));
     }
 }
 
-/* ---------------------------------------------------------------------------------------------------- reported */
+/* ----------------------------------------------------------------------------- reported */
 static void numbers_without_their_top_bit_are_positive(void)
 {
     const uint8_t data[2] = {0x00, 0x40};
@@ -139,13 +148,14 @@ static void what_raw_zero_says_is_added(void)
     CHECK(feedback_of(1)->count == 0xFFFE && feedback_of(1)->velocity_rad_s == -1.0);
     const int8_t powers[8] = {-3, 24, 40};
     (void)say(POWERS, powers, sizeof powers);
-    CHECK(feedback_of(1)->current_a == -3.0 && feedback_of(1)->voltage_v == 24.0 && feedback_of(1)->temperature_c == 40.0);
+    CHECK(feedback_of(1)->current_a == -3.0 && feedback_of(1)->voltage_v == 24.0 &&
+          feedback_of(1)->temperature_c == 40.0);
 }
 
 static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_newest_word(void)
 {
     begin_with_two_wheels();
-    table_of(0)->input[1].field_count = 1;                       /* wheel 0: a count alone, and its speed in HEALTH */
+    table_of(0)->input[1].field_count = 1; /* wheel 0: a count alone, and its speed in HEALTH */
     table_of(0)->input[2].field[0].meaning.kind = FIELD_CURRENT; /* wheel 1: no count */
     table_of(0)->input[4].field[0] = field_of(0, FIELD_VELOCITY, 0, 32);
     restart();
@@ -173,7 +183,8 @@ static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_new
     int64_t powers_ns = w.now_ns;
     w.now_ns += MS;
     report_state(0, 8);
-    CHECK(feedback_of(1)->stamp_ns == powers_ns); /* whether it has power says nothing of the wheel */
+    /* whether it has power says nothing of the wheel */
+    CHECK(feedback_of(1)->stamp_ns == powers_ns);
 }
 
 static void what_comes_right_after_the_set_up_is_taken_and_power_is_not_known_before(void)
@@ -200,12 +211,15 @@ static void a_fault_word_is_a_change_once_and_stops_unless_it_is_a_warning(void)
     report_health(0);
     CHECK(!w.machine.notify && state_of(0)->faults == 0);
     report_health(HARMLESS);
-    CHECK(w.machine.notify && feedback_of(1)->drive_faults == 0 && w.machine.joint[1].fault_word == HARMLESS);
+    CHECK(w.machine.notify && feedback_of(1)->drive_faults == 0 &&
+          w.machine.joint[1].fault_word == HARMLESS);
     CHECK(state_of(0)->faults == 0);
     w.machine.notify = false;
     report_health(HARMLESS | 1);
-    CHECK(w.machine.notify && feedback_of(1)->drive_faults == 1 && feedback_of(0)->drive_faults == 0);
-    CHECK(state_of(0)->faults == 1 && state_of(0)->last_fault == (HARMLESS | 1) && state_of(0)->last_fault_joint == 1);
+    CHECK(w.machine.notify && feedback_of(1)->drive_faults == 1 &&
+          feedback_of(0)->drive_faults == 0);
+    CHECK(state_of(0)->faults == 1 && state_of(0)->last_fault == (HARMLESS | 1) &&
+          state_of(0)->last_fault_joint == 1);
     w.machine.notify = false;
     report_health(HARMLESS | 1);
     CHECK(!w.machine.notify && state_of(0)->faults == 1);
@@ -213,10 +227,12 @@ static void a_fault_word_is_a_change_once_and_stops_unless_it_is_a_warning(void)
     report_health(HARMLESS | 1);
     CHECK(w.machine.notify);
     report_health(0);
-    CHECK(feedback_of(1)->drive_faults == 0 && state_of(0)->faults == 1 && state_of(0)->last_fault == (HARMLESS | 1));
+    CHECK(feedback_of(1)->drive_faults == 0 && state_of(0)->faults == 1 &&
+          state_of(0)->last_fault == (HARMLESS | 1));
     can_report report = {0};
     can_machine_report(&w.machine, &report);
-    CHECK(report.drive[0].faults == 1 && report.drive[0].last_fault_joint == 1 && report.fault_word[1] == 0);
+    CHECK(report.drive[0].faults == 1 && report.drive[0].last_fault_joint == 1 &&
+          report.fault_word[1] == 0);
 }
 
 static void a_fault_that_is_a_number_stops_unless_it_is_listed(void)
@@ -267,7 +283,8 @@ static void a_range_that_the_place_cannot_hold_is_refused(void)
     can_setpoint *setpoint = &w.table.drive[0].output[0].setpoint[0];
     setpoint->place.length = 12;
     for (uint32_t form = CAN_UNSIGNED; form <= CAN_SIGNED; form++) {
-        double least = form == CAN_SIGNED ? -2048.0 : 0.0, most = form == CAN_SIGNED ? 2047.0 : 4095.0;
+        double least = form == CAN_SIGNED ? -2048.0 : 0.0,
+               most = form == CAN_SIGNED ? 2047.0 : 4095.0;
         setpoint->place.form = form;
         setpoint->scale.raw_min = least;
         setpoint->scale.raw_max = most;
@@ -315,7 +332,8 @@ static void a_count_of_two_to_the_power_of_62_is_no_position(void)
     report_motion(0, 4611686018427387904.0F, 0.0F);
     CHECK(w.machine.joint[0].no_number && w.machine.joint[0].feedback.count == 0);
     report_motion(0, 4611685743549480960.0F, 0.0F);
-    CHECK(!w.machine.joint[0].no_number && w.machine.joint[0].feedback.count == UINT64_C(4611685743549480960));
+    CHECK(!w.machine.joint[0].no_number &&
+          w.machine.joint[0].feedback.count == UINT64_C(4611685743549480960));
 }
 
 int main(void)

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * core_rig.h: a base of four wheels around the core. Wheels follow their set-points; time goes by ticks. */
+ * core_rig.h: a base of four wheels around the core. Wheels follow their set-points; time goes
+ * by ticks. */
 #ifndef MOTORD_TESTS_CORE_RIG_H
 #define MOTORD_TESTS_CORE_RIG_H
 
@@ -25,7 +26,8 @@ typedef struct {
 
 static inline core_config good_config(void)
 {
-    axis_limits linear = {1.0, 1.0, 1.5, 8.0}, angular = {2.0, 3.0, 4.0, 30.0}, lateral = {0.8, 0.9, 1.2, 6.0};
+    axis_limits linear = {1.0, 1.0, 1.5, 8.0}, angular = {2.0, 3.0, 4.0, 30.0},
+                lateral = {0.8, 0.9, 1.2, 6.0};
     core_config config = {
         .joint_count = 4,
         .limits = {linear, angular, lateral},
@@ -81,7 +83,8 @@ static inline const robot_state *tick(rig *r)
         joint_feedback *feedback = &r->input.feedback[j];
         r->position_rad[j] += r->out.joint[j].velocity_rad_s * 1e-3;
         feedback->velocity_rad_s = r->out.joint[j].velocity_rad_s;
-        feedback->count = (uint64_t)(int64_t)floor(r->position_rad[j] / r->config.joint[j].rad_per_count);
+        feedback->count =
+            (uint64_t)(int64_t)floor(r->position_rad[j] / r->config.joint[j].rad_per_count);
         feedback->stamp_ns = r->input.now_ns;
     }
     core_step(&r->state, &r->input, 1e-3, &r->out, &r->shown);
@@ -129,7 +132,8 @@ typedef struct {
 } change;
 
 #define LEVEL_OF(field, level, expected) {LEVEL, offsetof(core_input, field), level, 0.0, expected}
-#define NUMBER_OF(field, number, expected) {NUMBER, offsetof(core_input, field), 0, number, expected}
+#define NUMBER_OF(field, number, expected)                                                         \
+    {NUMBER, offsetof(core_input, field), 0, number, expected}
 #define AGE_OF(field, age_ns, expected) {AGE, offsetof(core_input, field), age_ns, 0.0, expected}
 #define COUNT_OF(table) ((int)(sizeof(table) / sizeof(table)[0]))
 
@@ -158,7 +162,8 @@ static inline void prepare(rig *r)
         input->feedback[j].stamp_ns = input->now_ns;
         input->feedback[j].velocity_rad_s = r->out.joint[j].velocity_rad_s;
         r->position_rad[j] += r->out.joint[j].velocity_rad_s * 1e-3;
-        input->feedback[j].count = (uint64_t)(int64_t)floor(r->position_rad[j] / r->config.joint[j].rad_per_count);
+        input->feedback[j].count =
+            (uint64_t)(int64_t)floor(r->position_rad[j] / r->config.joint[j].rad_per_count);
     }
 }
 

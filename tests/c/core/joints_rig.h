@@ -27,7 +27,8 @@ static inline void begin_with(joints_rig *r, core_config config)
     memset(r, 0, sizeof *r);
     r->config = config;
     independent_own_limits(r->limits, &r->config);
-    r->input = (joints_input){.command = &r->command, .limits = r->limits, .factor = 1.0, .dt_s = DT_S};
+    r->input =
+        (joints_input){.command = &r->command, .limits = r->limits, .factor = 1.0, .dt_s = DT_S};
     steer_init(&r->steer, &r->config);
     independent_halt(&r->joints, &r->steer, &r->config);
 }
@@ -48,7 +49,8 @@ static inline uint32_t step_joints(joints_rig *r, int count)
 {
     uint32_t reasons = 0;
     for (int i = 0; i < count; i++) {
-        reasons = independent_step(&r->joints, &r->steer, &r->config, &r->input, r->velocity_rad_s, &r->named);
+        reasons = independent_step(&r->joints, &r->steer, &r->config, &r->input, r->velocity_rad_s,
+                                   &r->named);
     }
     return reasons;
 }

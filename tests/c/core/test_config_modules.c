@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_config_modules: which bases with modules, and which joints without a base, are refused, and by which name. */
+ * test_config_modules: which bases with modules, and which joints without a base, are refused,
+ * and by which name. */
 #include "steered_bases.h"
 
 static bool is_good(const core_config *config)
@@ -15,17 +16,17 @@ static bool refused(const core_config *config, const char *by)
 }
 
 /* A base that differs from a good one. */
-#define REFUSED(base, field, value, by)                                                                                          \
-    do {                                                                                                                         \
-        core_config changed = base;                                                                                              \
-        changed.field = value;                                                                                                   \
-        CHECK(refused(&changed, by));                                                                                            \
+#define REFUSED(base, field, value, by)                                                            \
+    do {                                                                                           \
+        core_config changed = base;                                                                \
+        changed.field = value;                                                                     \
+        CHECK(refused(&changed, by));                                                              \
     } while (0)
-#define GOOD(base, field, value)                                                                                                 \
-    do {                                                                                                                         \
-        core_config changed = base;                                                                                              \
-        changed.field = value;                                                                                                   \
-        CHECK(is_good(&changed));                                                                                                \
+#define GOOD(base, field, value)                                                                   \
+    do {                                                                                           \
+        core_config changed = base;                                                                \
+        changed.field = value;                                                                     \
+        CHECK(is_good(&changed));                                                                  \
     } while (0)
 
 static void is_between(core_config *config, double *value, double low, double high, const char *by)
@@ -48,8 +49,9 @@ static void is_between(core_config *config, double *value, double low, double hi
 
 static void every_kind_of_base_is_good(void)
 {
-    const core_config bases[] = {bicycle(), tricycle(),     ackermann(WHEELBASE_M), ackermann(-WHEELBASE_M),
-                                 swerve(),  head_and_belt()};
+    const core_config bases[] = {
+        bicycle(), tricycle(),     ackermann(WHEELBASE_M), ackermann(-WHEELBASE_M),
+        swerve(),  head_and_belt()};
     for (int i = 0; i < COUNT_OF(bases); i++) {
         CHECK(is_good(&bases[i]));
     }
@@ -62,7 +64,8 @@ static void numbers_of_joints_that_take_positions_have_their_range(void)
     is_between(&base, &own->position_min_rad, -1e9, 0.0, "joint[1].position.position_min_rad");
     is_between(&base, &own->position_max_rad, 0.0, 1e9, "joint[1].position.position_max_rad");
     is_between(&base, &own->velocity_rad_s, 1e-12, 1e9, "joint[1].position.velocity_rad_s");
-    is_between(&base, &own->acceleration_rad_s2, 1e-12, 1e9, "joint[1].position.acceleration_rad_s2");
+    is_between(&base, &own->acceleration_rad_s2, 1e-12, 1e9,
+               "joint[1].position.acceleration_rad_s2");
     is_between(&base, &own->following_rad, 0.0, 1e9, "joint[1].position.following_rad");
     is_between(&base, &own->following_s, 0.0, 1e9, "joint[1].position.following_s");
     own->position_min_rad = own->position_max_rad = 0.0;
@@ -133,9 +136,11 @@ static void a_range_of_derating_ends_behind_its_beginning(void)
 static void a_speed_loop_has_a_kind_that_there_is(void)
 {
     core_config base = good_config();
-    is_between(&base, &base.joint[2].speed_loop.output_min_u, -1e9, 0.0, "joint[2].speed_loop.output_min_u");
+    is_between(&base, &base.joint[2].speed_loop.output_min_u, -1e9, 0.0,
+               "joint[2].speed_loop.output_min_u");
     GOOD(good_config(), joint[2].speed_loop.kind, SPEED_LOOP_DUTY);
-    REFUSED(good_config(), joint[2].speed_loop.kind, SPEED_LOOP_DUTY + 1, "joint[2].speed_loop.kind");
+    REFUSED(good_config(), joint[2].speed_loop.kind, SPEED_LOOP_DUTY + 1,
+            "joint[2].speed_loop.kind");
 }
 
 /* Where all wheels are steered, each rolls in every direction. */
@@ -144,7 +149,8 @@ static void a_swerve_base_needs_half_a_turn_of_each_wheel(void)
     for (uint32_t j = 0; j <= 2; j += 2) {
         core_config base = swerve();
         const char *by = j == 0 ? "module[0].steering" : "module[1].steering";
-        base.joint[j].position.position_min_rad = 0.0, base.joint[j].position.position_max_rad = 3.1415;
+        base.joint[j].position.position_min_rad = 0.0,
+        base.joint[j].position.position_max_rad = 3.1415;
         CHECK(is_good(&base));
         base.joint[j].position.position_max_rad = nextafter(3.1415, 0.0);
         CHECK(refused(&base, by));
@@ -168,7 +174,8 @@ static void fixed_wheels_stand_on_the_axle_and_steered_ones_do_not(void)
     GOOD(bicycle(), module[1].angle_rad, 0.9e-9);
     core_config base = empty_base(2, 2, 0, 0); /* nothing is steered */
     base.joint[0] = base.joint[1] = rolling();
-    base.module[0] = (wheel_module){.y_m = 0.1, .traction = 1}, base.module[1] = (wheel_module){.y_m = -0.1, .traction = 2};
+    base.module[0] = (wheel_module){.y_m = 0.1, .traction = 1},
+    base.module[1] = (wheel_module){.y_m = -0.1, .traction = 2};
     CHECK(refused(&base, "module_count"));
 }
 
@@ -198,8 +205,10 @@ static void joints_without_a_base_need_no_other_and_no_place(void)
     core_config sideways = good_config();
     is_between(&sideways, &sideways.joint[1].row.y, -2.0, 2.0, "joint[1].row.y");
     core_config joints = head_and_belt();
-    is_between(&joints, &joints.joint[1].own.acceleration_u_s2, 1e-12, 1e9, "joint[1].own.acceleration_u_s2");
-    is_between(&joints, &joints.joint[1].own.deceleration_u_s2, 1e-12, 1e9, "joint[1].own.deceleration_u_s2");
+    is_between(&joints, &joints.joint[1].own.acceleration_u_s2, 1e-12, 1e9,
+               "joint[1].own.acceleration_u_s2");
+    is_between(&joints, &joints.joint[1].own.deceleration_u_s2, 1e-12, 1e9,
+               "joint[1].own.deceleration_u_s2");
     is_between(&joints, &joints.joint[1].own.jerk_u_s3, 1e-12, INFINITY, "joint[1].own.jerk_u_s3");
     joints.joint[0].own = (axis_limits){.jerk_u_s3 = 0.0}; /* it takes positions */
     CHECK(is_good(&joints));

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Every line of the pure files (limit, saturate, kinematics, pwm, odometry, angle, check, core), for the sanitizers.
- * What they promise is tested in tests/rt; here each path is walked, with hostile numbers among them. */
+ * Every line of the pure files (limit, saturate, kinematics, pwm, odometry, angle, check, core),
+ * for the sanitizers. What they promise is tested in tests/rt; here each path is walked, with
+ * hostile numbers among them. */
 #include "core_rig.h"
 
 #include <errno.h>
@@ -8,7 +9,8 @@
 #include <math.h>
 #include <string.h>
 
-static const double HOSTILE[] = {NAN, INFINITY, -INFINITY, 0.0, -0.0, -1.0, 5e-324, DBL_MIN, DBL_MAX, -DBL_MAX, 1.0, 1e-9};
+static const double HOSTILE[] = {NAN,    INFINITY, -INFINITY, 0.0,      -0.0, -1.0,
+                                 5e-324, DBL_MIN,  DBL_MAX,   -DBL_MAX, 1.0,  1e-9};
 enum { HOSTILE_COUNT = sizeof HOSTILE / sizeof HOSTILE[0] };
 
 static void a_ramp_arrives_and_comes_back_through_zero(void)
@@ -21,15 +23,18 @@ static void a_ramp_arrives_and_comes_back_through_zero(void)
     }
     CHECK(axis[AXIS_LINEAR].velocity_u_s == 1.0 && axis[AXIS_ANGULAR].velocity_u_s == 0.2);
     for (int i = 0; i < 5000; i++) {
-        seen |= ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){-0.5, 0.2}, 1e-3, i % 2 == 0);
+        seen |=
+            ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){-0.5, 0.2}, 1e-3, i % 2 == 0);
     }
     CHECK(axis[AXIS_LINEAR].velocity_u_s == -0.5 && axis[AXIS_ANGULAR].velocity_u_s == 0.2);
     CHECK(seen == (REASON_LINEAR_ACCELERATION | REASON_LINEAR_DECELERATION | REASON_LINEAR_JERK));
     for (int i = 0; i < 5000; i++) {
-        seen |= ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){-0.5, -2.0}, 1e-3, i % 2 == 0);
+        seen |= ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){-0.5, -2.0}, 1e-3,
+                          i % 2 == 0);
     }
     CHECK(axis[AXIS_ANGULAR].velocity_u_s == -2.0);
-    CHECK(seen & REASON_ANGULAR_ACCELERATION && seen & REASON_ANGULAR_DECELERATION && seen & REASON_ANGULAR_JERK);
+    CHECK(seen & REASON_ANGULAR_ACCELERATION && seen & REASON_ANGULAR_DECELERATION &&
+          seen & REASON_ANGULAR_JERK);
     limits.linear = (axis_limits){1.0, NAN, NAN, INFINITY};
     CHECK(ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){1.0, 0.0}, 1e-3, false) == 0);
     CHECK(axis[AXIS_LINEAR].velocity_u_s == 0.0 && axis[AXIS_ANGULAR].velocity_u_s == 0.0);
@@ -37,7 +42,8 @@ static void a_ramp_arrives_and_comes_back_through_zero(void)
     double bound = nextafter((1.018640261644444 - 0.008365300070369949) / 1e-3, 0.0);
     limits.linear = (axis_limits){2.0, bound, bound, INFINITY};
     axis[AXIS_LINEAR] = (limit_state){1.018640261644444, 0.0};
-    ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){0.008365300070369949, 0.0}, 1e-3, false);
+    ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){0.008365300070369949, 0.0}, 1e-3,
+              false);
     CHECK(axis[AXIS_LINEAR].velocity_u_s >= 0.008365300070369949);
 }
 
@@ -46,17 +52,20 @@ static void no_number_leaves_the_small_functions(void)
     for (int a = 0; a < HOSTILE_COUNT; a++) {
         for (int b = 0; b < HOSTILE_COUNT; b++) {
             for (int c = 0; c < HOSTILE_COUNT; c++) {
-                axis_limits hostile = {HOSTILE[b], HOSTILE[c], HOSTILE[b], HOSTILE[c]}, good = {1.0, 1.0, 1.5, 8.0};
+                axis_limits hostile = {HOSTILE[b], HOSTILE[c], HOSTILE[b], HOSTILE[c]},
+                            good = {1.0, 1.0, 1.5, 8.0};
                 base_limits limits = {hostile, a % 2 == 0 ? hostile : good, hostile};
                 limit_state axis[AXES] = {{HOSTILE[c], HOSTILE[a]}, {HOSTILE[b], HOSTILE[b]}};
-                ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){HOSTILE[a], HOSTILE[c]}, HOSTILE[b], b % 2 == 0);
+                ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){HOSTILE[a], HOSTILE[c]},
+                          HOSTILE[b], b % 2 == 0);
                 for (int i = 0; i < AXES; i++) {
                     CHECK(isfinite(axis[i].velocity_u_s) && isfinite(axis[i].acceleration_u_s2));
                 }
                 pwm_config pwm = {0.1, -0.5, 1.0, 10.0, 5.0};
                 double duty = pwm_step(&pwm, HOSTILE[a], HOSTILE[b], HOSTILE[c]).duty;
                 CHECK(duty >= -0.5 && duty <= 1.0);
-                joint_config joint = {.velocity_min_rad_s = HOSTILE[a], .velocity_max_rad_s = HOSTILE[b]};
+                joint_config joint = {.velocity_min_rad_s = HOSTILE[a],
+                                      .velocity_max_rad_s = HOSTILE[b]};
                 double factor = saturate_factor(&HOSTILE[c], &joint, 1);
                 CHECK(factor >= 0.0 && factor <= 1.0);
             }
@@ -91,12 +100,12 @@ static void each_bad_field_is_refused_by_name(void)
     core_state state;
     core_config good = good_config(), bad;
     CHECK(core_config_check(&good, name) == NULL);
-#define REFUSED(field, value)                                                                                                    \
-    do {                                                                                                                         \
-        bad = good;                                                                                                              \
-        bad.field = value;                                                                                                       \
-        CHECK(strcmp(core_config_check(&bad, name), #field) == 0);                                                               \
-        CHECK(core_init(&state, &bad) == -EINVAL);                                                                               \
+#define REFUSED(field, value)                                                                      \
+    do {                                                                                           \
+        bad = good;                                                                                \
+        bad.field = value;                                                                         \
+        CHECK(strcmp(core_config_check(&bad, name), #field) == 0);                                 \
+        CHECK(core_init(&state, &bad) == -EINVAL);                                                 \
     } while (0)
     REFUSED(joint_count, 9);
     REFUSED(on_timeout, (stop_action)4);
@@ -127,7 +136,8 @@ static void a_drive_with_turns_and_saturation_keeps_its_covariance(void)
     CHECK(r.shown.saturation < 1.0 && (r.shown.reasons & REASON_WHEEL_SATURATED));
     CHECK(fabs(r.shown.setpoint_angular_rad_s / r.shown.setpoint_linear_m_s - 1.5 / 0.8) < 1e-9);
     CHECK(r.shown.turned_rad > 1.0 && r.shown.pose_covariance[5] > 1e-6);
-    /* the turn could come faster than the speed goes: it waits, for the wheels are at their limit meanwhile */
+    /* the turn could come faster than the speed goes: it waits, for the wheels are at their
+     * limit meanwhile */
     r.input.command.linear_m_s = 0.88;
     r.input.command.angular_rad_s = 0.0;
     ticks(&r, 2000);
@@ -263,7 +273,8 @@ static void a_wheel_that_is_doubted_ends_the_run(void)
     for (int faster = 0; faster < 2; faster++) {
         rig r;
         core_config config = good_config();
-        config.joint[2].plausible = (plausible_config){.slow_rad_s = 0.3, .setpoint_min_rad_s = 1.0, .beyond_rad_s = 5.0};
+        config.joint[2].plausible =
+            (plausible_config){.slow_rad_s = 0.3, .setpoint_min_rad_s = 1.0, .beyond_rad_s = 5.0};
         *(faster ? &config.joint[2].plausible.runaway_s : &config.joint[2].plausible.stall_s) = 0.5;
         config.joint[2].plausible.short_rad_s = 100.0;
         start(&r, &config);
@@ -273,7 +284,8 @@ static void a_wheel_that_is_doubted_ends_the_run(void)
             tick(&r);
         }
         CHECK(r.shown.faults == (faster ? FAULT_RUNAWAY : FAULT_STALL) && r.shown.armed == 0);
-        CHECK(r.shown.doubt.joint == 2 && r.shown.doubt.fault == r.shown.faults && r.out.enabled == !faster);
+        CHECK(r.shown.doubt.joint == 2 && r.shown.doubt.fault == r.shown.faults &&
+              r.out.enabled == !faster);
         CHECK(!faster || zero(&r));
         r.input.command.linear_m_s = 0.0;
         r.input.control.armed = 0;
@@ -311,7 +323,8 @@ static void a_side_that_comes_late_makes_no_turn(void)
         feedback[j].count += j % 2 == 0 ? 0 : 1200;
     }
     odometry_step(&state, &config, feedback, stale, setpoint);
-    CHECK(fabs(state.turned_rad - before_rad - 1200 * config.joint[0].rad_per_count * 0.1 / 0.5) < 1e-12);
+    CHECK(fabs(state.turned_rad - before_rad - 1200 * config.joint[0].rad_per_count * 0.1 / 0.5) <
+          1e-12);
 }
 
 static void hostile_input_never_moves_an_unarmed_base(void)
@@ -324,11 +337,15 @@ static void hostile_input_never_moves_an_unarmed_base(void)
         unsigned char *bytes = (unsigned char *)&r.input;
         for (size_t i = 0; i + 8 <= sizeof r.input; i += 8) {
             noise ^= noise << 13, noise ^= noise >> 7, noise ^= noise << 17;
-            memcpy(bytes + i, noise % 5 == 0 ? (const void *)&HOSTILE[noise % HOSTILE_COUNT] : (const void *)&noise, 8);
+            memcpy(bytes + i,
+                   noise % 5 == 0 ? (const void *)&HOSTILE[noise % HOSTILE_COUNT]
+                                  : (const void *)&noise,
+                   8);
         }
         core_step(&r.state, &r.input, HOSTILE[round % HOSTILE_COUNT], &r.out, &r.shown);
         CHECK(r.shown.armed || r.shown.enabled || zero(&r));
-        CHECK(isfinite(r.shown.x_m) && isfinite(r.shown.heading_rad) && isfinite(r.shown.pose_covariance[5]));
+        CHECK(isfinite(r.shown.x_m) && isfinite(r.shown.heading_rad) &&
+              isfinite(r.shown.pose_covariance[5]));
     }
 }
 

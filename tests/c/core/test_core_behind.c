@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_core_behind: what stands behind the last joint does not count, whatever numbers are there. */
+ * test_core_behind: what stands behind the last joint does not count, whatever numbers are
+ * there. */
 #include "steered_bases.h"
 
 static rig r;
@@ -12,9 +13,11 @@ static core_config with_one_behind(core_config config, uint32_t takes_position)
     behind.wheel_radius_m = 0.0;
     behind.velocity_min_rad_s = -1e-9, behind.velocity_max_rad_s = 1e-9;
     behind.pwm = (pwm_config){0.0, -1e-9, 1e-9, 1e-3, 1.0};
-    behind.speed_loop = (speed_loop_config){.kind = SPEED_LOOP_DUTY, .gains = {.gain_u_s_per_rad = 1.0}};
+    behind.speed_loop =
+        (speed_loop_config){.kind = SPEED_LOOP_DUTY, .gains = {.gain_u_s_per_rad = 1.0}};
     behind.derating.range[DERATED_BY_TEMPERATURE] = (derating_range){60.0, 80.0};
-    behind.plausible = (plausible_config){.slow_rad_s = 0.1, .stall_s = 1e-3, .runaway_s = 1e-3, .direction_s = 1e-3};
+    behind.plausible = (plausible_config){
+        .slow_rad_s = 0.1, .stall_s = 1e-3, .runaway_s = 1e-3, .direction_s = 1e-3};
     behind.position = turning_within(2.0).position;
     behind.position.reference = REFERENCE_HOMED; /* which it has not been */
     behind.position.following_rad = 1e-3, behind.position.following_s = 1e-3;
@@ -56,8 +59,11 @@ static void note(place *found)
 static void write_behind(uint32_t j)
 {
     core_state *state = &r.state;
-    r.input.feedback[j] = (joint_feedback){
-        .stamp_ns = r.input.now_ns, .count = 5000, .velocity_rad_s = 99.0, .temperature_c = 200.0, .drive_faults = 1};
+    r.input.feedback[j] = (joint_feedback){.stamp_ns = r.input.now_ns,
+                                           .count = 5000,
+                                           .velocity_rad_s = 99.0,
+                                           .temperature_c = 200.0,
+                                           .drive_faults = 1};
     r.input.joints.value_u[j] = 0.5, r.input.joints.named |= 1U << j;
     r.input.control.gains[j].gain_u_s_per_rad = NAN;
     state->wheels.joint[j] = (joint_setpoint){NAN, NAN, NAN};
@@ -83,10 +89,13 @@ static const robot_state *tick_beside(void)
     tick(&r);
     note(&after);
     CHECK(memcmp(&before, &after, sizeof before) == 0);
-    CHECK((r.state.slewed | r.state.loops) == 0 && r.state.derates == derating_used(&r.config.joint[0].derating));
+    CHECK((r.state.slewed | r.state.loops) == 0 &&
+          r.state.derates == derating_used(&r.config.joint[0].derating));
     CHECK(r.shown.steering.joints >> j == 0);
-    CHECK(r.state.steer.unknown >> j == 0 && r.out.positioned >> j == 0 && r.out.position_rad[j] == 0.0);
-    CHECK(r.shown.derating.since_ns == 0 && r.shown.odometry_degraded == 0 && r.shown.doubt.fault == 0);
+    CHECK(r.state.steer.unknown >> j == 0 && r.out.positioned >> j == 0 &&
+          r.out.position_rad[j] == 0.0);
+    CHECK(r.shown.derating.since_ns == 0 && r.shown.odometry_degraded == 0 &&
+          r.shown.doubt.fault == 0);
     return &r.shown;
 }
 
@@ -95,7 +104,8 @@ static void no_tick_takes_or_changes_what_stands_behind_the_last_joint(void)
     const core_config bases[] = {good_config(), bicycle(), ackermann(WHEELBASE_M), head_and_belt()};
     for (uint32_t i = 0; i < 2 * COUNT_OF(bases); i++) {
         core_config config = with_one_behind(bases[i / 2], i % 2);
-        config.joint[0].derating = i % 2 == 0 ? config.joint[0].derating : config.joint[config.joint_count].derating;
+        config.joint[0].derating =
+            i % 2 == 0 ? config.joint[0].derating : config.joint[config.joint_count].derating;
         ready(&r, &config);
         for (int ms = 0; ms < 5; ms++) {
             CHECK(tick_beside()->at_rest == 1 && r.shown.reasons == REASON_NOT_ARMED);

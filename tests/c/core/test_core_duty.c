@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Speed loops of wheels whose drives take a duty, in the core: in place of the open-loop map, by gains that change while the
- * robot moves, and back to the map where the feedback is not to be trusted. */
+ * Speed loops of wheels whose drives take a duty, in the core: in place of the open-loop map, by
+ * gains that change while the robot moves, and back to the map where the feedback is not to be
+ * trusted. */
 #include "core_rig.h"
 
 #include <string.h>
@@ -68,7 +69,8 @@ static void without_gains_a_duty_is_that_of_the_map_bit_for_bit(void)
     for (int i = 0; i < 200; i++) {
         turned(&a, 0.5);
         turned(&b, 0.5);
-        CHECK(memcmp(&a.out, &b.out, sizeof a.out) == 0 && memcmp(&a.shown, &b.shown, sizeof a.shown) == 0);
+        CHECK(memcmp(&a.out, &b.out, sizeof a.out) == 0 &&
+              memcmp(&a.shown, &b.shown, sizeof a.shown) == 0);
     }
     CHECK(a.state.loops == 0 && a.out.joint[0].duty != 0.0);
 }
@@ -84,9 +86,11 @@ static void a_wheel_that_is_too_slow_gets_more_duty_and_the_page_shows_it(void)
         turned(&r, 0.5);
     }
     double error_rad_s = 2.0, more = 0.02 * error_rad_s + 0.1 * error_rad_s * 0.1;
-    CHECK(fabs(r.out.joint[0].duty - (open_loop(&r, 0) + more)) < 1e-3 && r.shown.joint[0].duty == r.out.joint[0].duty);
+    CHECK(fabs(r.out.joint[0].duty - (open_loop(&r, 0) + more)) < 1e-3 &&
+          r.shown.joint[0].duty == r.out.joint[0].duty);
     CHECK(r.shown.speed_loop[0].output_u == r.out.joint[0].duty);
-    CHECK(r.shown.speed_loop[0].integral_u == r.state.speed_loop[0].integral_u && r.state.speed_loop[0].integral_u > 0.01);
+    CHECK(r.shown.speed_loop[0].integral_u == r.state.speed_loop[0].integral_u &&
+          r.state.speed_loop[0].integral_u > 0.01);
     CHECK(r.out.joint[1].duty == open_loop(&r, 1) && r.shown.speed_loop[1].output_u == 0.0);
     CHECK(r.out.joint[0].torque_n_m == 0.0);
 }
@@ -112,7 +116,8 @@ static void at_rest_and_without_power_a_duty_is_zero(void)
     r.input.control.armed = 0;
     turned(&r, 1.0);
     CHECK(r.out.enabled == 0 && zero(&r));
-    CHECK(r.state.speed_loop[0].integral_u == 0.0 && r.shown.joint[0].duty == 0.0 && r.shown.speed_loop[0].output_u == 0.0);
+    CHECK(r.state.speed_loop[0].integral_u == 0.0 && r.shown.joint[0].duty == 0.0 &&
+          r.shown.speed_loop[0].output_u == 0.0);
 }
 
 static void a_wheel_without_feedback_or_with_no_number_gets_the_duty_of_the_map(void)
@@ -209,7 +214,8 @@ static void gains_change_while_the_robot_moves_without_a_step_and_wrong_ones_cha
     for (int i = 0; i < 6000; i++) {
         turned(&r, 0.8);
     }
-    CHECK(r.state.loops == 0 && r.out.joint[0].duty == open_loop(&r, 0) && r.shown.joint[0].duty == r.out.joint[0].duty);
+    CHECK(r.state.loops == 0 && r.out.joint[0].duty == open_loop(&r, 0) &&
+          r.shown.joint[0].duty == r.out.joint[0].duty);
     CHECK(r.shown.speed_loop[0].output_u == 0.0 && r.shown.speed_loop[0].integral_u == 0.0);
 }
 
@@ -314,7 +320,8 @@ static void gains_that_are_there_at_the_first_tick_count(void)
 /* Also as what the core began with, and as the largest number. */
 static void a_loop_runs_on_whatever_its_gains_are_counted_as(void)
 {
-    static const uint32_t COUNTS[] = {UINT32_MAX, 5, UINT32_MAX, 7, 0, 1, INT32_MAX, INT32_MAX + 1U, UINT32_MAX, 0};
+    static const uint32_t COUNTS[] = {UINT32_MAX, 5,         UINT32_MAX,     7,          0,
+                                      1,          INT32_MAX, INT32_MAX + 1U, UINT32_MAX, 0};
     for (uint32_t loops_at_first = 0; loops_at_first < 2; loops_at_first++) {
         rig r;
         core_config config = with_loops(loops_at_first != 0 ? PI : (speed_loop_gains){0});

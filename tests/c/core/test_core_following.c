@@ -8,7 +8,8 @@ static core_config watched(core_config config)
 {
     for (uint32_t j = 0; j < config.joint_count; j++) {
         if (config.joint[j].position.used) {
-            config.joint[j].position.following_rad = 0.1, config.joint[j].position.following_s = 0.4;
+            config.joint[j].position.following_rad = 0.1,
+            config.joint[j].position.following_s = 0.4;
         }
     }
     return config;
@@ -34,7 +35,8 @@ static void a_joint_that_is_stuck_is_a_fault_of_its_tick_with_what_was_wanted_an
     r.input.joints = (joint_command){.named = 4, .value_u = {[2] = 0.8}};
     stuck(2, 0.0, 3000);
     CHECK(r.shown.faults == FAULT_FOLLOWING_ERROR && r.shown.armed == 0 && r.out.enabled == 1);
-    CHECK((r.shown.reasons & (REASON_FAULT | REASON_NOT_ARMED)) == (REASON_FAULT | REASON_NOT_ARMED));
+    CHECK((r.shown.reasons & (REASON_FAULT | REASON_NOT_ARMED)) ==
+          (REASON_FAULT | REASON_NOT_ARMED));
     CHECK(r.shown.doubt.joint == 2 && r.shown.doubt.setpoint_rad_s == 0.5);
     CHECK(r.shown.doubt.measured_rad_s == r.state.odometry.joint[2].velocity_rad_s);
 }
@@ -111,7 +113,8 @@ static void a_joint_that_follows_may_be_anywhere(void)
 {
     for (uint32_t i = 0; i < 4; i++) {
         core_config config = watched(head_and_belt());
-        config.joint[0].position.reference = i < 2 ? REFERENCE_ESTIMATED : config.joint[0].position.reference;
+        config.joint[0].position.reference =
+            i < 2 ? REFERENCE_ESTIMATED : config.joint[0].position.reference;
         ready(&r, &config);
         r.input.control.armed = 1;
         CHECK(tick(&r)->armed == 1);

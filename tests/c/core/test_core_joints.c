@@ -17,11 +17,14 @@ static void joints_move_each_for_itself_and_no_base_is_measured(void)
     CHECK(tick(&r)->armed == 1 && r.out.positioned == 5);
     ask(&r, 3, 1.0, -4.0);
     tick(&r);
-    CHECK(close_to(r.out.joint[1].velocity_rad_s, -0.01) && close_to(r.out.position_rad[0], 40e-6) && r.shown.at_rest == 0);
+    CHECK(close_to(r.out.joint[1].velocity_rad_s, -0.01) &&
+          close_to(r.out.position_rad[0], 40e-6) && r.shown.at_rest == 0);
     CHECK(r.shown.reasons == REASON_JOINT_ACCELERATION && r.out.position_rad[2] == 0.0);
     ticks(&r, 1000);
-    CHECK(r.out.joint[1].velocity_rad_s == -4.0 && close_to(r.out.joint[1].duty, -4.0 / 60.0) && r.out.position_rad[0] == 1.0);
-    CHECK(r.shown.reasons == 0 && fabs(r.shown.joint[0].position_rad - 1.0) < 1e-4 && r.shown.odometry_degraded == 0);
+    CHECK(r.out.joint[1].velocity_rad_s == -4.0 && close_to(r.out.joint[1].duty, -4.0 / 60.0) &&
+          r.out.position_rad[0] == 1.0);
+    CHECK(r.shown.reasons == 0 && fabs(r.shown.joint[0].position_rad - 1.0) < 1e-4 &&
+          r.shown.odometry_degraded == 0);
     CHECK(r.shown.x_m == 0.0 && r.shown.heading_rad == 0.0 && r.shown.linear_m_s == 0.0);
     ask(&r, 0, 0.0, 0.0);
     ticks(&r, 500);
@@ -45,12 +48,15 @@ static void every_stop_of_joints_ends_at_rest_and_leaves_no_target(void)
         r.input.control.fault = 1;
         tick(&r);
         bool at_once = ACTIONS[i] == STOP_BRAKE || ACTIONS[i] == STOP_COAST;
-        CHECK((r.out.joint[1].velocity_rad_s == 0.0) == at_once && (r.out.joint[0].velocity_rad_s == 0.0) == at_once);
-        CHECK(at_once || close_to(before_rad_s - r.out.joint[1].velocity_rad_s, 0.016)); /* no jerk limit in a fault */
+        CHECK((r.out.joint[1].velocity_rad_s == 0.0) == at_once &&
+              (r.out.joint[0].velocity_rad_s == 0.0) == at_once);
+        /* no jerk limit in a fault */
+        CHECK(at_once || close_to(before_rad_s - r.out.joint[1].velocity_rad_s, 0.016));
         ticks(&r, 2500);
         CHECK(zero(&r) && r.out.enabled == (ACTIONS[i] == STOP_HOLD ? 1 : 0));
         double held_rad = r.state.steer.profile[0].position_rad;
-        CHECK(held_rad > 0.1 && held_rad < 1.9 && fabs(held_rad - r.shown.joint[0].position_rad) < 1e-4);
+        CHECK(held_rad > 0.1 && held_rad < 1.9 &&
+              fabs(held_rad - r.shown.joint[0].position_rad) < 1e-4);
         for (int j = 0; j < JOINTS_MAX; j++) {
             CHECK(isnan(r.state.joints.target_rad[j]));
         }
@@ -70,7 +76,8 @@ static void a_late_tick_of_joints_is_a_step_of_a_tenth_of_a_second(void)
         ask(&r, 3, 2.0, 4.0);
         prepare(&r);
         core_step(&r.state, &r.input, LATE_S[i], &r.out, &r.shown);
-        CHECK(close_to(r.out.joint[1].velocity_rad_s, 1.0) && close_to(r.out.joint[0].velocity_rad_s, 3.0));
+        CHECK(close_to(r.out.joint[1].velocity_rad_s, 1.0) &&
+              close_to(r.out.joint[0].velocity_rad_s, 3.0));
     }
 }
 
@@ -90,7 +97,8 @@ static void a_late_tick_takes_no_set_point_past_its_goal(void)
             prepare(&r);
             core_step(&r.state, &r.input, dt_s, &r.out, &r.shown);
             double speed_rad_s = r.out.joint[0].velocity_rad_s;
-            CHECK(r.out.position_rad[0] <= 2.0 && close_to(r.out.position_rad[0], before_rad + speed_rad_s * dt_s));
+            CHECK(r.out.position_rad[0] <= 2.0 &&
+                  close_to(r.out.position_rad[0], before_rad + speed_rad_s * dt_s));
             CHECK(fabs(speed_rad_s - before_rad_s) <= 40.0 * dt_s + 1e-12);
         }
         CHECK(r.out.position_rad[0] == 2.0 && r.shown.faults == 0);
@@ -119,7 +127,8 @@ static void a_target_needs_power_a_finite_command_and_the_lease_that_gave_it(voi
     CHECK(zero(&r) && held_rad > 0.0 && held_rad < 0.5);
     ask(&r, 3, NAN, 2.0);
     ticks(&r, 300);
-    CHECK(zero(&r) && r.out.position_rad[0] == held_rad && (r.shown.reasons & REASON_COMMAND_NOT_FINITE));
+    CHECK(zero(&r) && r.out.position_rad[0] == held_rad &&
+          (r.shown.reasons & REASON_COMMAND_NOT_FINITE));
     ask(&r, 1, 1.0, 0.0);
     ticks(&r, 1000);
     CHECK(r.out.position_rad[0] == 1.0);
@@ -150,7 +159,8 @@ static void joints_are_armed_without_a_command_that_moves_one(void)
         uint32_t named;
         double pan_rad, belt_rad_s;
         uint32_t armed;
-    } CASES[] = {{1, 0.0, 0.0, 0}, {2, 0.0, 1.0, 0}, {2, 0.0, NAN, 0}, {1, NAN, 0.0, 0}, {2, 0.0, 0.0, 1}, {0, NAN, NAN, 1}};
+    } CASES[] = {{1, 0.0, 0.0, 0}, {2, 0.0, 1.0, 0}, {2, 0.0, NAN, 0},
+                 {1, NAN, 0.0, 0}, {2, 0.0, 0.0, 1}, {0, NAN, NAN, 1}};
     for (int i = 0; i < COUNT_OF(CASES); i++) {
         core_config config = head_and_belt();
         rig r;
@@ -178,12 +188,15 @@ static void without_power_a_joint_is_where_it_was_moved_to(void)
         ticks(&r, 10);
         CHECK(r.out.positioned == 0 && r.out.position_rad[0] == 0.0 && r.shown.at_rest == 1);
         r.input.control.armed = 1;
-        CHECK(tick(&r)->armed == 1 && fabs(r.out.position_rad[0] - r.position_rad[0]) < 2e-5 && r.out.positioned == 5);
-        CHECK(ticks(&r, 100)->at_rest == 1 && fabs(r.out.position_rad[0] - (again == 0 ? 0.4 : -0.7)) < 2e-5);
+        CHECK(tick(&r)->armed == 1 && fabs(r.out.position_rad[0] - r.position_rad[0]) < 2e-5 &&
+              r.out.positioned == 5);
+        CHECK(ticks(&r, 100)->at_rest == 1 &&
+              fabs(r.out.position_rad[0] - (again == 0 ? 0.4 : -0.7)) < 2e-5);
     }
 }
 
-/* Without power nothing of the set-point is left, on the page either, and the next move begins at zero. */
+/* Without power nothing of the set-point is left, on the page either, and the next move begins
+ * at zero. */
 static void without_power_a_belt_has_no_set_point_left(void)
 {
     core_config config = head_and_belt();
@@ -192,11 +205,13 @@ static void without_power_a_belt_has_no_set_point_left(void)
     r.input.control.armed = 1;
     tick(&r);
     ask(&r, 2, 0.0, 4.0);
-    CHECK(ticks(&r, 1000)->joint[1].setpoint_rad_s == 4.0 && close_to(r.shown.joint[1].duty, 4.0 / 60.0));
+    CHECK(ticks(&r, 1000)->joint[1].setpoint_rad_s == 4.0 &&
+          close_to(r.shown.joint[1].duty, 4.0 / 60.0));
     r.input.control.armed = 0;
     r.stale = true; /* also in a tick in which nothing is measured */
     tick(&r);
-    CHECK(r.out.enabled == 0 && zero(&r) && r.shown.joint[1].setpoint_rad_s == 0.0 && r.shown.joint[1].duty == 0.0);
+    CHECK(r.out.enabled == 0 && zero(&r) && r.shown.joint[1].setpoint_rad_s == 0.0 &&
+          r.shown.joint[1].duty == 0.0);
     r.stale = false;
     ask(&r, 0, 0.0, 0.0);
     ticks(&r, 10);
@@ -226,9 +241,11 @@ static void limits_of_joints_that_change_while_they_move_are_kept_from_then_on(v
     for (int j = 0; j < 3; j++) {
         r.input.control.joint_limits[j] = (axis_limits){1.5, 10.0, 16.0, INFINITY};
     }
-    CHECK(ticks(&r, 500)->joint[1].setpoint_rad_s == 4.0); /* they have no number of their own yet */
+    /* they have no number of their own yet */
+    CHECK(ticks(&r, 500)->joint[1].setpoint_rad_s == 4.0);
     r.input.control.joint_limits_count++;
-    CHECK(ticks(&r, 1000)->joint[1].setpoint_rad_s == 1.5 && r.shown.reasons == REASON_JOINT_VELOCITY);
+    CHECK(ticks(&r, 1000)->joint[1].setpoint_rad_s == 1.5 &&
+          r.shown.reasons == REASON_JOINT_VELOCITY);
     CHECK(r.shown.reason.joint_velocity == 2);
 }
 
@@ -239,12 +256,15 @@ static void as_many_joints_as_there_may_be_move(void)
     ready(&r, &config);
     r.input.control.armed = 1;
     CHECK(tick(&r)->armed == 1 && r.out.positioned == 0xAA);
-    r.input.joints = (joint_command){.named = 0xFF, .value_u = {2.0, 0.5, 3.0, 0.6, 4.0, 0.7, 5.0, 0.8}};
+    r.input.joints =
+        (joint_command){.named = 0xFF, .value_u = {2.0, 0.5, 3.0, 0.6, 4.0, 0.7, 5.0, 0.8}};
     ticks(&r, 1500);
-    CHECK(r.shown.faults == 0 && r.shown.reasons == 0 && r.shown.at_rest == 0 && r.shown.odometry_degraded == 0);
+    CHECK(r.shown.faults == 0 && r.shown.reasons == 0 && r.shown.at_rest == 0 &&
+          r.shown.odometry_degraded == 0);
     CHECK(r.shown.steering.joints == 0xAA);
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        CHECK((j % 2 == 0 ? r.out.joint[j].velocity_rad_s : r.out.position_rad[j]) == r.input.joints.value_u[j]);
+        CHECK((j % 2 == 0 ? r.out.joint[j].velocity_rad_s : r.out.position_rad[j]) ==
+              r.input.joints.value_u[j]);
         CHECK(j % 2 == 0 || fabs(r.shown.joint[j].position_rad - r.input.joints.value_u[j]) < 1e-3);
     }
 }
@@ -260,7 +280,8 @@ static void a_belt_whose_duty_is_clamped_is_named(void)
     tick(&r);
     r.input.joints = (joint_command){.named = 5, .value_u = {[0] = 4.0, [2] = 4.0}};
     ticks(&r, 1000);
-    CHECK(r.shown.reasons == REASON_DUTY_CLAMPED && r.shown.reason.duty_clamped == 1 && r.shown.reason.duty_slew == 0);
+    CHECK(r.shown.reasons == REASON_DUTY_CLAMPED && r.shown.reason.duty_clamped == 1 &&
+          r.shown.reason.duty_slew == 0);
     CHECK(r.out.joint[0].duty == 0.05 && close_to(r.out.joint[2].duty, 4.0 / 60.0));
     r.input.joints = (joint_command){.named = 5, .value_u = {[0] = 1.0, [2] = 4.0}};
     CHECK(ticks(&r, 1000)->reasons == 0);
@@ -280,7 +301,8 @@ static void a_warm_belt_is_derated_and_a_cold_one_is_not(void)
         ask(&r, 2, 0.0, 8.0);
         ticks(&r, 2000);
         CHECK(close_to(r.out.joint[1].velocity_rad_s, warm ? 3.2 : 8.0));
-        CHECK(((r.shown.reasons & REASON_DERATED) != 0) == warm && (r.shown.derating.since_ns != 0) == warm);
+        CHECK(((r.shown.reasons & REASON_DERATED) != 0) == warm &&
+              (r.shown.derating.since_ns != 0) == warm);
     }
 }
 

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_core_lost: numbers that the core has lost, wheels that it doubts, and what it does not learn from motion. */
+ * test_core_lost: numbers that the core has lost, wheels that it doubts, and what it does not
+ * learn from motion. */
 #include "steered_bases.h"
 
 static const double LOST[] = {NAN, INFINITY, -INFINITY};
@@ -17,15 +18,19 @@ static void a_set_point_that_is_no_number_is_seen_at_once(void)
                     go(&r, 0.4, 0.0);
                 }
                 joint_setpoint *of = &r.state.wheels.joint[j];
-                *(number == 0 ? &of->velocity_rad_s : number == 1 ? &of->duty : &of->torque_n_m) = LOST[(j + number) % 3];
+                *(number == 0   ? &of->velocity_rad_s
+                  : number == 1 ? &of->duty
+                                : &of->torque_n_m) = LOST[(j + number) % 3];
                 if (when == 2 && number == 1) {
-                    r.input.command.linear_m_s = 0.3; /* on a ramp the next duty takes the place of the lost one */
+                    /* on a ramp the next duty takes the place of the lost one */
+                    r.input.command.linear_m_s = 0.3;
                 }
                 if (when == 2 && number == 0) {
                     continue;
                 }
                 CHECK(tick(&r)->faults == FAULT_STATE && zero(&r) && r.shown.armed == 0);
-                CHECK((r.shown.reasons & (REASON_FAULT | REASON_NOT_ARMED)) == (REASON_FAULT | REASON_NOT_ARMED));
+                CHECK((r.shown.reasons & (REASON_FAULT | REASON_NOT_ARMED)) ==
+                      (REASON_FAULT | REASON_NOT_ARMED));
             }
         }
     }
@@ -49,7 +54,8 @@ static void a_twist_that_is_no_number_is_seen_at_once(void)
         r.input.control.stop = i / AXES / 2 % 3 == 2;
         r.input.command.linear_m_s += 0.1;
         limit_state *axis = &r.state.axis[i % AXES];
-        *(i / AXES % 2 == 0 ? &axis->velocity_u_s : &axis->acceleration_u_s2) = LOST[(i + i / AXES) % 3];
+        *(i / AXES % 2 == 0 ? &axis->velocity_u_s : &axis->acceleration_u_s2) =
+            LOST[(i + i / AXES) % 3];
         CHECK(tick(&r)->faults == FAULT_STATE && zero(&r) && r.shown.armed == 0);
     }
 }
@@ -66,7 +72,8 @@ static void a_command_with_a_part_that_is_no_number_moves_and_arms_nothing(void)
         double *part[AXES] = {&command->linear_m_s, &command->angular_rad_s, &command->lateral_m_s};
         *part[i % AXES] = LOST[i / AXES];
         CHECK(tick(&r)->reasons & REASON_COMMAND_NOT_FINITE);
-        CHECK(r.shown.wanted_linear_m_s == 0.0 && r.shown.wanted_angular_rad_s == 0.0 && r.shown.lateral.wanted_m_s == 0.0);
+        CHECK(r.shown.wanted_linear_m_s == 0.0 && r.shown.wanted_angular_rad_s == 0.0 &&
+              r.shown.lateral.wanted_m_s == 0.0);
         CHECK(ticks(&r, 1500)->faults == 0 && zero(&r));
         r.input.control.armed = 0;
         tick(&r);
@@ -135,7 +142,8 @@ static void after_lost_numbers_nothing_that_was_worked_out_before_is_used(void)
     r.input.control.armed = 1;
     CHECK(tick(&r)->armed == 1);
     r.mute = false;
-    CHECK(ticks(&r, 1500)->faults == 0 && r.shown.setpoint_linear_m_s > 0.3 && r.shown.saturation < 1.0);
+    CHECK(ticks(&r, 1500)->faults == 0 && r.shown.setpoint_linear_m_s > 0.3 &&
+          r.shown.saturation < 1.0);
 }
 
 static const size_t ODOMETRY_NUMBERS[] = {
@@ -167,7 +175,8 @@ static const size_t ODOMETRY_NUMBERS[] = {
     offsetof(odometry_state, joint[3].position_rad),
 };
 
-/* In a tick in which one wheel sends something, and the others do not yet: nothing is measured that would take its place. */
+/* In a tick in which one wheel sends something, and the others do not yet: nothing is measured
+ * that would take its place. */
 static void any_number_of_the_odometry_that_is_lost_is_seen(void)
 {
     core_config config = good_config();
@@ -222,8 +231,10 @@ static void the_time_of_a_doubt_begins_anew_with_the_power(void)
         start(&r, &config);
         go(&r, 0.3, 0.0);
         int whole_ms = stuck_ms(&r, j, 3000);
-        CHECK(r.shown.faults == FAULT_STALL && whole_ms > 500 && r.shown.doubt.joint == (uint32_t)j);
-        CHECK((r.shown.reasons & (REASON_FAULT | REASON_NOT_ARMED)) == (REASON_FAULT | REASON_NOT_ARMED));
+        CHECK(r.shown.faults == FAULT_STALL && whole_ms > 500 &&
+              r.shown.doubt.joint == (uint32_t)j);
+        CHECK((r.shown.reasons & (REASON_FAULT | REASON_NOT_ARMED)) ==
+              (REASON_FAULT | REASON_NOT_ARMED));
         start(&r, &config);
         go(&r, 0.3, 0.0);
         CHECK(stuck_ms(&r, j, whole_ms - 5) == whole_ms - 5 && r.shown.faults == 0);
@@ -254,7 +265,8 @@ static void a_base_without_power_may_be_pushed(void)
     }
 }
 
-/* The power goes off in the tick in which a wheel runs away, and all that is reported of it shows so. */
+/* The power goes off in the tick in which a wheel runs away, and all that is reported of it
+ * shows so. */
 static void a_runaway_ends_all_set_points_in_its_tick(void)
 {
     core_config config = watched();
@@ -265,11 +277,13 @@ static void a_runaway_ends_all_set_points_in_its_tick(void)
         r.position_rad[1] += 0.010;
         tick(&r);
     }
-    CHECK(r.shown.faults == FAULT_RUNAWAY && r.out.enabled == 0 && r.shown.setpoint_linear_m_s == 0.0);
+    CHECK(r.shown.faults == FAULT_RUNAWAY && r.out.enabled == 0 &&
+          r.shown.setpoint_linear_m_s == 0.0);
     for (int j = 0; j < 4; j++) {
         CHECK(r.shown.joint[j].setpoint_rad_s == 0.0 && r.shown.joint[j].duty == 0.0);
     }
-    CHECK((r.shown.reasons & (REASON_FAULT | REASON_NOT_ARMED)) == (REASON_FAULT | REASON_NOT_ARMED));
+    CHECK((r.shown.reasons & (REASON_FAULT | REASON_NOT_ARMED)) ==
+          (REASON_FAULT | REASON_NOT_ARMED));
     for (int j = 0; j < 4; j++) {
         CHECK(r.state.plausible[j].stamp_ns == 0);
     }
@@ -294,7 +308,8 @@ static void samples_that_come_fast_are_looked_at_together(void)
     }
 }
 
-/* A person pushed the base meanwhile: the counters of its wheels have measured it, the gyro has not. */
+/* A person pushed the base meanwhile: the counters of its wheels have measured it, the gyro has
+ * not. */
 static void a_turn_during_a_suspend_is_that_of_the_wheels(void)
 {
     core_config config = good_config();
@@ -316,7 +331,8 @@ static void a_turn_during_a_suspend_is_that_of_the_wheels(void)
                 }
             }
             if (!suspended || sampled == 0) {
-                r.input.imu = (imu_sample){.stamp_ns = r.input.now_ns + TICK_NS, .angular_rad_s = {0.0, 0.0, 0.01}};
+                r.input.imu = (imu_sample){.stamp_ns = r.input.now_ns + TICK_NS,
+                                           .angular_rad_s = {0.0, 0.0, 0.01}};
             } else if (sampled == 1) { /* by the loop: a sample that is from before */
                 r.input.imu.stamp_ns = 0;
             }
@@ -351,7 +367,8 @@ static void a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on(void)
             go(&r, 0.3, 0.0);
         }
         for (int ms = 0; ms < 2000; ms++) {
-            r.input.imu = (imu_sample){.stamp_ns = r.input.now_ns + TICK_NS, .angular_rad_s = {0.0, 0.0, 0.01}};
+            r.input.imu = (imu_sample){.stamp_ns = r.input.now_ns + TICK_NS,
+                                       .angular_rad_s = {0.0, 0.0, 0.01}};
             if (how == 2) {
                 r.input.feedback[3].stamp_ns = 0;
             }
@@ -368,7 +385,8 @@ static void a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on(void)
     }
 }
 
-/* Three wheels are silent; the fourth alone does not say how the base moves, and its set-points may have carried it on. */
+/* Three wheels are silent; the fourth alone does not say how the base moves, and its set-points
+ * may have carried it on. */
 static void a_base_whose_motion_is_not_measured_any_more_grows_uncertain_until_it_rests(void)
 {
     core_config config = good_config();
@@ -381,7 +399,8 @@ static void a_base_whose_motion_is_not_measured_any_more_grows_uncertain_until_i
         memcpy(before, r.shown.pose_covariance, sizeof before);
         r.input.feedback[0].stamp_ns = r.input.now_ns + TICK_NS;
         tick(&r);
-        bool grows = r.shown.pose_covariance[0] > before[0] && r.shown.pose_covariance[5] > before[5];
+        bool grows =
+            r.shown.pose_covariance[0] > before[0] && r.shown.pose_covariance[5] > before[5];
         CHECK(!r.state.odometry.blind || grows == (r.state.wheels.joint[0].velocity_rad_s != 0.0));
         grown_m2 += r.state.odometry.blind ? r.shown.pose_covariance[0] - before[0] : 0.0;
     }

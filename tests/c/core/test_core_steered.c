@@ -2,12 +2,13 @@
  * test_core_steered: ticks of bases whose wheels are steered. */
 #include "steered_bases.h"
 
-static const double ANGLE_RAD = 0.23554498072086333; /* of the bicycle's wheel at 0.8 / m: atan(0.3 * 0.8) */
+/* of the bicycle's wheel at 0.8 / m: atan(0.3 * 0.8) */
+static const double ANGLE_RAD = 0.23554498072086333;
 
 static bool all_rest(const rig *r)
 {
-    return zero(r) && r->shown.setpoint_linear_m_s == 0.0 && r->shown.setpoint_angular_rad_s == 0.0 &&
-           r->shown.lateral.setpoint_m_s == 0.0;
+    return zero(r) && r->shown.setpoint_linear_m_s == 0.0 &&
+           r->shown.setpoint_angular_rad_s == 0.0 && r->shown.lateral.setpoint_m_s == 0.0;
 }
 
 static void a_bicycle_points_its_wheel_drives_and_measures_its_curve(void)
@@ -16,22 +17,30 @@ static void a_bicycle_points_its_wheel_drives_and_measures_its_curve(void)
     rig r;
     start(&r, &config);
     go(&r, 0.5, 0.4);
-    CHECK(r.shown.reasons == 0 && close_to(r.out.joint[0].velocity_rad_s, 10.0) && close_to(r.out.joint[0].duty, 10.0 / 60.0));
-    CHECK(r.out.positioned == 2 && close_to(r.out.position_rad[1], ANGLE_RAD) && r.out.position_rad[0] == 0.0);
-    CHECK(close_to(r.shown.setpoint_linear_m_s, 0.5) && close_to(r.shown.setpoint_angular_rad_s, 0.4));
+    CHECK(r.shown.reasons == 0 && close_to(r.out.joint[0].velocity_rad_s, 10.0) &&
+          close_to(r.out.joint[0].duty, 10.0 / 60.0));
+    CHECK(r.out.positioned == 2 && close_to(r.out.position_rad[1], ANGLE_RAD) &&
+          r.out.position_rad[0] == 0.0);
+    CHECK(close_to(r.shown.setpoint_linear_m_s, 0.5) &&
+          close_to(r.shown.setpoint_angular_rad_s, 0.4));
     CHECK(fabs(r.shown.linear_m_s - 0.5) < 1e-3 && fabs(r.shown.angular_rad_s - 0.4) < 1e-3);
     CHECK(r.shown.odometry_degraded == 0 && r.shown.lateral.slip_m_s < 1e-4);
-    CHECK(r.shown.steering.joints == 2 && r.shown.steering.misaligned_rad < 1e-4 && r.shown.steering.unknown == 0);
-    CHECK(fabs(r.shown.joint[1].position_rad - ANGLE_RAD) < 1e-4 && r.shown.joint[1].setpoint_rad_s == 0.0);
+    CHECK(r.shown.steering.joints == 2 && r.shown.steering.misaligned_rad < 1e-4 &&
+          r.shown.steering.unknown == 0);
+    CHECK(fabs(r.shown.joint[1].position_rad - ANGLE_RAD) < 1e-4 &&
+          r.shown.joint[1].setpoint_rad_s == 0.0);
     CHECK(fabs(r.shown.heading_rad - 0.8 * r.shown.distance_m) < 1e-3 && r.shown.heading_rad > 0.3);
     for (int ms = 0; ms < 1000; ms++) {
-        double before_m_s = r.shown.setpoint_linear_m_s, before_rad_s = r.shown.setpoint_angular_rad_s;
+        double before_m_s = r.shown.setpoint_linear_m_s,
+               before_rad_s = r.shown.setpoint_angular_rad_s;
         r.input.control.stop = 1; /* a stop keeps the curve and the deceleration */
         tick(&r);
         CHECK(close_to(r.shown.setpoint_angular_rad_s, 0.8 * r.shown.setpoint_linear_m_s));
-        CHECK(before_m_s - r.shown.setpoint_linear_m_s < 1.5e-3 + 1e-9 && before_rad_s >= r.shown.setpoint_angular_rad_s);
+        CHECK(before_m_s - r.shown.setpoint_linear_m_s < 1.5e-3 + 1e-9 &&
+              before_rad_s >= r.shown.setpoint_angular_rad_s);
     }
-    CHECK(all_rest(&r) && r.shown.at_rest == 1 && r.shown.armed == 1 && close_to(r.out.position_rad[1], ANGLE_RAD));
+    CHECK(all_rest(&r) && r.shown.at_rest == 1 && r.shown.armed == 1 &&
+          close_to(r.out.position_rad[1], ANGLE_RAD));
 }
 
 static void each_wheel_of_a_swerve_base_rolls_as_the_floor_under_it(void)
@@ -44,14 +53,18 @@ static void each_wheel_of_a_swerve_base_rolls_as_the_floor_under_it(void)
     CHECK(close_to(ticks(&r, 2500)->lateral.setpoint_m_s, 0.3));
     r.input.command.angular_rad_s = 0.5;
     ticks(&r, 2500);
-    CHECK(r.shown.reasons == 0 && r.out.positioned == 0x55 && close_to(r.shown.lateral.setpoint_m_s, 0.3));
+    CHECK(r.shown.reasons == 0 && r.out.positioned == 0x55 &&
+          close_to(r.shown.lateral.setpoint_m_s, 0.3));
     for (int k = 0; k < 4; k++) {
         const wheel_module *at = &config.module[k];
-        double x_m_s = 0.2 - 0.5 * at->y_m, y_m_s = 0.3 + 0.5 * at->x_m, angle_rad = r.out.position_rad[2 * k];
+        double x_m_s = 0.2 - 0.5 * at->y_m, y_m_s = 0.3 + 0.5 * at->x_m,
+               angle_rad = r.out.position_rad[2 * k];
         CHECK(fabs(sin(angle_rad - atan2(y_m_s, x_m_s))) < 1e-9 && fabs(angle_rad) < 1.6);
         double rolls_rad_s = (x_m_s * cos(angle_rad) + y_m_s * sin(angle_rad)) / RADIUS_M;
-        CHECK(fabs(r.out.joint[2 * k + 1].velocity_rad_s - rolls_rad_s) < 1e-3); /* by the angle that is measured */
-        CHECK(r.out.joint[2 * k].duty == 0.0 && fabs(r.out.joint[2 * k + 1].duty - rolls_rad_s / 60.0) < 1e-4);
+        /* by the angle that is measured */
+        CHECK(fabs(r.out.joint[2 * k + 1].velocity_rad_s - rolls_rad_s) < 1e-3);
+        CHECK(r.out.joint[2 * k].duty == 0.0 &&
+              fabs(r.out.joint[2 * k + 1].duty - rolls_rad_s / 60.0) < 1e-4);
     }
     CHECK(fabs(r.shown.linear_m_s - 0.2) < 1e-3 && fabs(r.shown.lateral.measured_m_s - 0.3) < 1e-3);
     CHECK(fabs(r.shown.angular_rad_s - 0.5) < 2e-3);
@@ -89,7 +102,8 @@ static void a_steering_joint_stays_within_its_range_whenever_ticks_come(void)
                 r.input.now_ns += dt_ns - TICK_NS;
                 core_step(&r.state, &r.input, (double)dt_ns * 1e-9, &r.out, &r.shown);
                 double change_rad_s = fabs(r.out.joint[1].velocity_rad_s - before_rad_s);
-                CHECK(r.out.position_rad[1] <= 0.6 + 1e-12 && change_rad_s <= 40.0 * (double)dt_ns * 1e-9 + 1e-12);
+                CHECK(r.out.position_rad[1] <= 0.6 + 1e-12 &&
+                      change_rad_s <= 40.0 * (double)dt_ns * 1e-9 + 1e-12);
             }
             CHECK(close_to(r.out.position_rad[1], 0.6) && r.shown.faults == 0);
         }
@@ -176,7 +190,8 @@ static void at_rest_the_wheel_points_first(void)
     CHECK(moved);
 }
 
-/* A curve that begins while it drives is as slow as the wheel that has to follow it, and every reason is reported. */
+/* A curve that begins while it drives is as slow as the wheel that has to follow it, and every
+ * reason is reported. */
 static void a_curve_waits_for_its_wheel_and_the_base_does_not_slow_down(void)
 {
     core_config config = bicycle();
@@ -208,14 +223,17 @@ static void every_stop_of_a_steered_base_ends_at_rest(void)
         ticks(&r, 10);
         r.input.control.fault = 1;
         tick(&r);
-        CHECK(r.shown.faults == FAULT_EXTERNAL && r.out.enabled == (ACTIONS[i] == STOP_COAST ? 0 : 1));
-        CHECK((r.out.joint[0].velocity_rad_s == 0.0) == (ACTIONS[i] == STOP_BRAKE || ACTIONS[i] == STOP_COAST));
+        CHECK(r.shown.faults == FAULT_EXTERNAL &&
+              r.out.enabled == (ACTIONS[i] == STOP_COAST ? 0 : 1));
+        CHECK((r.out.joint[0].velocity_rad_s == 0.0) ==
+              (ACTIONS[i] == STOP_BRAKE || ACTIONS[i] == STOP_COAST));
         ticks(&r, 2500);
         CHECK(all_rest(&r) && r.out.enabled == (ACTIONS[i] == STOP_HOLD ? 1 : 0));
         CHECK(r.out.positioned == (ACTIONS[i] == STOP_HOLD ? 2 : 0));
         if (ACTIONS[i] != STOP_HOLD) { /* without power it is where it is */
             CHECK(r.out.position_rad[1] == 0.0 && isnan(r.shown.steering.setpoint_rad[1]));
-            CHECK(r.state.steer.enabled == 0 && r.state.steer.profile[1].position_rad == r.state.odometry.angle_rad[1]);
+            CHECK(r.state.steer.enabled == 0 &&
+                  r.state.steer.profile[1].position_rad == r.state.odometry.angle_rad[1]);
         }
     }
 }
@@ -234,7 +252,8 @@ static void limits_of_the_lateral_axis_count_where_there_is_one(void)
     r.input.command.lateral_m_s = 0.6;
     CHECK(close_to(ticks(&r, 2500)->lateral.setpoint_m_s, 0.6));
     *velocity_m_s = 0.2;
-    CHECK(close_to(ticks(&r, 2500)->lateral.setpoint_m_s, 0.2) && r.shown.reasons == REASON_LATERAL_VELOCITY);
+    CHECK(close_to(ticks(&r, 2500)->lateral.setpoint_m_s, 0.2) &&
+          r.shown.reasons == REASON_LATERAL_VELOCITY);
 }
 
 static void a_brake_holds_the_wheels_where_they_point(void)
@@ -246,7 +265,8 @@ static void a_brake_holds_the_wheels_where_they_point(void)
     go(&r, 0.5, 0.4);
     r.input.control.stop = 1;
     CHECK(tick(&r)->armed == 1 && all_rest(&r) && close_to(r.out.position_rad[1], ANGLE_RAD));
-    CHECK(ticks(&r, 500)->at_rest == 1 && r.out.positioned == 2 && close_to(r.out.position_rad[1], ANGLE_RAD));
+    CHECK(ticks(&r, 500)->at_rest == 1 && r.out.positioned == 2 &&
+          close_to(r.out.position_rad[1], ANGLE_RAD));
 }
 
 /* A late tick is a step of a tenth of a second at most. */
@@ -263,7 +283,8 @@ static void a_late_tick_turns_a_wheel_by_no_more_than_its_speed(void)
         r.input.command.linear_m_s = 0.5, r.input.command.angular_rad_s = 0.9;
         prepare(&r);
         core_step(&r.state, &r.input, LATE_S[i], &r.out, &r.shown);
-        CHECK(close_to(r.out.position_rad[1], 0.01) && close_to(r.out.joint[1].velocity_rad_s, 0.1));
+        CHECK(close_to(r.out.position_rad[1], 0.01) &&
+              close_to(r.out.joint[1].velocity_rad_s, 0.1));
         r.input.command.angular_rad_s = 0.0;
         rig straight;
         ready(&straight, &config);
@@ -290,11 +311,15 @@ static void a_steered_base_whose_wheel_is_stuck_comes_to_rest_and_reports_it(voi
         r.position_rad[1] = stuck_rad - r.out.joint[1].velocity_rad_s * 1e-3;
         tick(&r);
         double apart_rad = r.out.position_rad[1] - r.shown.joint[1].position_rad;
-        began_ns = began_ns == 0 && apart_rad > 0.1 + 0.25 * fabs(r.out.joint[1].velocity_rad_s) ? r.input.now_ns : began_ns;
+        began_ns = began_ns == 0 && apart_rad > 0.1 + 0.25 * fabs(r.out.joint[1].velocity_rad_s)
+                       ? r.input.now_ns
+                       : began_ns;
     }
-    CHECK(r.shown.faults == FAULT_FOLLOWING_ERROR && r.shown.armed == 0 && r.shown.doubt.joint == 1);
+    CHECK(r.shown.faults == FAULT_FOLLOWING_ERROR && r.shown.armed == 0 &&
+          r.shown.doubt.joint == 1);
     CHECK(r.shown.doubt.fault == FAULT_FOLLOWING_ERROR && isnan(r.shown.doubt.reported_rad_s));
-    CHECK(r.shown.doubt.since_ns > began_ns - 5 * MS_NS && r.shown.doubt.since_ns <= r.input.now_ns - 400 * MS_NS);
+    CHECK(r.shown.doubt.since_ns > began_ns - 5 * MS_NS &&
+          r.shown.doubt.since_ns <= r.input.now_ns - 400 * MS_NS);
     ticks(&r, 2500);
     CHECK(all_rest(&r) && r.out.enabled == 0);
     r.input.command.angular_rad_s = r.input.command.linear_m_s = 0.0;
@@ -317,7 +342,8 @@ static void a_steering_whose_place_gets_lost_ends_at_rest_and_is_not_armed_again
     CHECK(ticks(&r, 2)->steering.unknown == 0 && !(r.shown.reasons & REASON_POSITION_UNKNOWN));
     go(&r, 0.5, 0.4);
     r.input.feedback[1].referenced = 0;
-    CHECK(tick(&r)->faults == FAULT_POSITION_UNKNOWN && r.shown.armed == 0 && r.out.positioned == 0 && r.out.enabled == 1);
+    CHECK(tick(&r)->faults == FAULT_POSITION_UNKNOWN && r.shown.armed == 0 &&
+          r.out.positioned == 0 && r.out.enabled == 1);
     r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.0;
     CHECK(ticks(&r, 2500)->steering.unknown == 2 && all_rest(&r) && r.out.enabled == 0);
     rig both;
@@ -336,7 +362,8 @@ static void a_steering_whose_place_gets_lost_ends_at_rest_and_is_not_armed_again
     }
 }
 
-/* Its set-point is where it is, so long as its longest move takes it; the odometry has nothing else. */
+/* Its set-point is where it is, so long as its longest move takes it; the odometry has nothing
+ * else. */
 static void a_steering_that_measures_nothing_counts_as_where_its_set_point_is(void)
 {
     core_config config = bicycle();
@@ -348,7 +375,8 @@ static void a_steering_that_measures_nothing_counts_as_where_its_set_point_is(vo
     tick(&r);
     r.input.command.linear_m_s = 0.5, r.input.command.angular_rad_s = 0.4;
     ticks(&r, 395); /* 1.2 rad at 3 rad/s */
-    CHECK(r.shown.setpoint_linear_m_s == 0.0 && r.out.position_rad[1] == 0.0 && (r.shown.reasons & REASON_STEERING));
+    CHECK(r.shown.setpoint_linear_m_s == 0.0 && r.out.position_rad[1] == 0.0 &&
+          (r.shown.reasons & REASON_STEERING));
     ticks(&r, 1500);
     CHECK(r.shown.reasons == 0 && close_to(r.shown.setpoint_linear_m_s, 0.5) &&
           close_to(r.shown.joint[1].position_rad, ANGLE_RAD));

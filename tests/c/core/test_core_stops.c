@@ -3,7 +3,8 @@
 #include "core_rig.h"
 #include "torque_loop.h"
 
-/* `config` changed by what comes, at speed; milliseconds until the power is off, 0: never within five seconds. */
+/* `config` changed by what comes, at speed; milliseconds until the power is off, 0: never within
+ * five seconds. */
 static int power_off_after_ms(const core_config *config, const change *of, bool wheels_stop)
 {
     rig r;
@@ -28,7 +29,8 @@ static int power_off_after_ms(const core_config *config, const change *of, bool 
 
 static void the_power_goes_off_at_rest_or_when_the_set_points_have_been_zero_for_two_seconds(void)
 {
-    static const change EXTERNAL = LEVEL_OF(control.fault, 1, FAULT_EXTERNAL), ESTOP = LEVEL_OF(control.estop, 1, FAULT_ESTOP);
+    static const change EXTERNAL = LEVEL_OF(control.fault, 1, FAULT_EXTERNAL),
+                        ESTOP = LEVEL_OF(control.estop, 1, FAULT_ESTOP);
     static const change STALE = AGE_OF(feedback[2].stamp_ns, NEVER, FAULT_FEEDBACK_STALE);
     core_config config = good_config();
     for (int j = 0; j < 4; j++) {
@@ -91,7 +93,8 @@ static void a_requested_release_ends_a_hold_as_any_other_stop_ends(void)
 {
     static const uint32_t FAULTS[] = {FAULT_EXTERNAL, FAULT_ESTOP, FAULT_STALL};
     for (int i = 0; i < COUNT_OF(FAULTS) * 2; i++) {
-        bool before = i % 2 == 0; /* requested before the fault, which it does not keep from holding until rest */
+        bool before = i % 2 == 0; /* requested before the fault, which it does not keep from holding
+                                     until rest */
         rig r;
         core_config config = good_config();
         config.on_fault = config.on_estop = STOP_HOLD;
@@ -107,7 +110,8 @@ static void a_requested_release_ends_a_hold_as_any_other_stop_ends(void)
         bool trusted = FAULTS[i / 2] != FAULT_STALL;
         CHECK(ticks(&r, 100)->enabled == 1 && !zero(&r));
         CHECK(ticks(&r, 400)->enabled == !trusted && zero(&r));
-        CHECK(ticks(&r, 2000)->enabled == 0 && r.shown.faults != 0); /* unseen rest: after two seconds */
+        /* unseen rest: after two seconds */
+        CHECK(ticks(&r, 2000)->enabled == 0 && r.shown.faults != 0);
         r.input.control.release = 0;
         CHECK(ticks(&r, 10)->enabled == 0);
     }
@@ -192,13 +196,15 @@ static void a_torque_ends_with_its_power_its_feedback_or_its_runaway(void)
         go(&r, 0.2, 0.0);
         prepare(&r);
         r.input.feedback[0].velocity_rad_s = sign * 12.0; /* one and a half times its limit */
-        CHECK(step(&r)->faults == 0 && r.out.joint[0].torque_n_m == -sign * 8.0 && r.out.joint[1].torque_n_m == 0.0);
+        CHECK(step(&r)->faults == 0 && r.out.joint[0].torque_n_m == -sign * 8.0 &&
+              r.out.joint[1].torque_n_m == 0.0);
         prepare(&r);
         r.input.feedback[1].velocity_rad_s = sign * 12.1;
         CHECK(step(&r)->faults == 0);
         prepare(&r);
         r.input.feedback[0].velocity_rad_s = sign * 12.1;
-        CHECK(step(&r)->faults == FAULT_OVERSPEED && r.out.joint[0].torque_n_m == 0.0 && r.out.enabled == 1);
+        CHECK(step(&r)->faults == FAULT_OVERSPEED && r.out.joint[0].torque_n_m == 0.0 &&
+              r.out.enabled == 1);
         CHECK(r.state.speed_loop[0].integral_u == 0.0 && r.out.joint[2].torque_n_m != 0.0);
         prepare(&r); /* latched: it is slower again, and gets no torque */
         r.input.feedback[0].velocity_rad_s = -sign;
@@ -208,7 +214,8 @@ static void a_torque_ends_with_its_power_its_feedback_or_its_runaway(void)
         ticks(&r, 3000);
         r.input.control.reset_count++;
         ticks(&r, 2);
-        CHECK(r.shown.faults == 0 && r.state.speed_loop[0].overspeed == 0 && r.state.speed_loop[2].integral_u == 0.0);
+        CHECK(r.shown.faults == 0 && r.state.speed_loop[0].overspeed == 0 &&
+              r.state.speed_loop[2].integral_u == 0.0);
     }
     rig r;
     start(&r, &config);
@@ -231,11 +238,13 @@ static void a_late_tick_in_a_stop_ramps_by_the_time_that_has_gone(void)
         r.input.control.stop = 1;
         prepare(&r);
         core_step(&r.state, &r.input, STEPS_S[i], &r.out, &r.shown);
-        double expected_m_s = STEPS_S[i] > 0.0 ? 0.85 - 0.1 * config.limits.linear.deceleration_u_s2 : 0.0;
+        double expected_m_s =
+            STEPS_S[i] > 0.0 ? 0.85 - 0.1 * config.limits.linear.deceleration_u_s2 : 0.0;
         CHECK(fabs(r.shown.setpoint_linear_m_s - expected_m_s) < 1e-9);
         for (int j = 0; j < 4; j++) {
             CHECK((r.shown.joint[j].setpoint_rad_s == 0.0) == (expected_m_s == 0.0));
-            CHECK(expected_m_s != 0.0 || (r.shown.joint[j].duty == 0.0 && r.out.joint[j].duty == 0.0));
+            CHECK(expected_m_s != 0.0 ||
+                  (r.shown.joint[j].duty == 0.0 && r.out.joint[j].duty == 0.0));
         }
     }
 }

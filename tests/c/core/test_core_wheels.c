@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_core_wheels: from a twist to what leaves for the drives, in the ticks in which something changes. */
+ * test_core_wheels: from a twist to what leaves for the drives, in the ticks in which something
+ * changes. */
 #include "steered_bases.h"
 #include "torque_loop.h"
 
@@ -12,16 +13,19 @@ static void a_base_that_turned_on_the_spot_stands_still_afterwards(void)
     CHECK(fabs(r.out.joint[1].velocity_rad_s - 2.0) < 1e-9 && r.shown.at_rest == 0);
     r.input.command.angular_rad_s = 0.4;
     ticks(&r, 1500);
-    CHECK(fabs(r.out.joint[1].velocity_rad_s - 1.0) < 1e-9 && fabs(r.out.joint[0].velocity_rad_s + 1.0) < 1e-9);
+    CHECK(fabs(r.out.joint[1].velocity_rad_s - 1.0) < 1e-9 &&
+          fabs(r.out.joint[0].velocity_rad_s + 1.0) < 1e-9);
     r.input.command.angular_rad_s = 0.0;
     CHECK(ticks(&r, 1500)->armed == 1 && zero(&r) && r.shown.at_rest == 1);
 }
 
-/* Where an arrived ramp kept its acceleration, the next one would begin with it, whatever the jerk. */
+/* Where an arrived ramp kept its acceleration, the next one would begin with it, whatever the
+ * jerk. */
 static void a_ramp_that_has_arrived_leaves_no_acceleration(void)
 {
     static const double ACCELERATIONS_M_S2[] = {1.0, 0.1, 1.5}; /* and rad/s2 */
-    const double dt_s = 1.0 / 1024.0; /* exact, so that the step arrives with exactly this acceleration */
+    const double dt_s = 1.0 / 1024.0; /* exact, so that the step arrives with exactly this
+                                         acceleration */
     core_config config = good_config();
     config.limits.linear = config.limits.angular = (axis_limits){1.0, 2.0, 2.0, INFINITY};
     for (int i = 0; i < COUNT_OF(ACCELERATIONS_M_S2); i++) {
@@ -57,7 +61,8 @@ static void a_late_tick_of_a_stop_is_a_step_of_the_ramp(void)
         r.input.control.fault = 1;
         prepare(&r);
         core_step(&r.state, &r.input, LATE_S[i], &r.out, &r.shown);
-        CHECK(r.shown.faults == FAULT_EXTERNAL && fabs(r.shown.setpoint_linear_m_s - 0.45) < 1e-12 && r.out.enabled == 1);
+        CHECK(r.shown.faults == FAULT_EXTERNAL &&
+              fabs(r.shown.setpoint_linear_m_s - 0.45) < 1e-12 && r.out.enabled == 1);
     }
 }
 
@@ -68,7 +73,8 @@ static void the_slew_of_any_one_duty_holds_the_base_back(void)
         core_config config = good_config();
         config.limits.linear = (axis_limits){1.0, 100.0, 100.0, INFINITY};
         for (int j = 0; j < 4; j++) {
-            config.joint[j].pwm.slew_per_s = j == slow ? 0.95 / 12.5 : INFINITY; /* 1 rad/s a second */
+            /* 1 rad/s a second */
+            config.joint[j].pwm.slew_per_s = j == slow ? 0.95 / 12.5 : INFINITY;
         }
         rig r;
         ready(&r, &config);
@@ -102,7 +108,8 @@ static void a_duty_that_is_behind_grows_by_its_slew_and_is_named(void)
         CHECK(duty > 0.09 && r.shown.reasons == 0);
         r.state.wheels.joint[late].duty = 0.05;
         r.state.wheels.known = 0;
-        r.input.command.linear_m_s = i % 2 == 0 ? 0.3 : 0.25; /* down: no slew holds the ramp back */
+        /* down: no slew holds the ramp back */
+        r.input.command.linear_m_s = i % 2 == 0 ? 0.3 : 0.25;
         for (int ms = 1; ms <= 20; ms++) {
             CHECK(fabs(tick(&r)->joint[late].duty - (0.05 + ms * 1e-3)) < 1e-9);
             CHECK((r.shown.reasons & REASON_DUTY_SLEW) && r.shown.reason.duty_slew == 1U << late);
@@ -170,8 +177,10 @@ static void set_points_say_when_and_for_how_many_they_were_made(void)
             r.input.feedback[j].velocity_rad_s = 0.0, r.input.feedback[j].count = 0;
         }
         step(&r);
-        CHECK(r.out.stamp_ns == r.input.now_ns && r.out.joint_count == 4 && r.out.tick == (uint64_t)i);
-        CHECK(r.shown.stamp_ns == r.input.now_ns && r.shown.joint_count == 4 && r.shown.tick == (uint64_t)i);
+        CHECK(r.out.stamp_ns == r.input.now_ns && r.out.joint_count == 4 &&
+              r.out.tick == (uint64_t)i);
+        CHECK(r.shown.stamp_ns == r.input.now_ns && r.shown.joint_count == 4 &&
+              r.shown.tick == (uint64_t)i);
         CHECK(r.out.enabled == 0 && zero(&r) && r.out.joint[7].torque_n_m == 0.0);
         CHECK(r.out.positioned == 0 && r.out.reserved == 0);
         for (int j = 0; j < JOINTS_MAX; j++) {
@@ -192,7 +201,8 @@ static void a_core_begins_with_its_own_limits_in_whatever_memory(void)
     dirty.input.control.limits.linear.velocity_u_s = NAN;
     go(&dirty, 5.0, 0.0);
     CHECK(fabs(dirty.shown.setpoint_linear_m_s - 0.9) < 1e-9 && dirty.shown.tick == 1502);
-    CHECK(dirty.shown.reasons == (REASON_LINEAR_VELOCITY | REASON_WHEEL_SATURATED) && dirty.shown.joint[5].stale == 0);
+    CHECK(dirty.shown.reasons == (REASON_LINEAR_VELOCITY | REASON_WHEEL_SATURATED) &&
+          dirty.shown.joint[5].stale == 0);
 }
 
 /* The last place of each table is a joint like any other, and nothing is behind it. */
@@ -218,7 +228,8 @@ static void a_base_of_as_many_wheels_as_there_can_be(void)
         tick(&r);
     }
     CHECK(r.shown.faults == FAULT_STALL && r.shown.doubt.joint == JOINTS_MAX - 1);
-    CHECK(r.out.joint[JOINTS_MAX - 1].torque_n_m == 0.0 && r.out.joint[JOINTS_MAX - 1].velocity_rad_s > 1.0);
+    CHECK(r.out.joint[JOINTS_MAX - 1].torque_n_m == 0.0 &&
+          r.out.joint[JOINTS_MAX - 1].velocity_rad_s > 1.0);
     r.input.control.estop = 1;
     CHECK(tick(&r)->faults == (FAULT_STALL | FAULT_ESTOP) && zero(&r));
     r.input.feedback[JOINTS_MAX - 1].stamp_ns = 0;
@@ -226,7 +237,8 @@ static void a_base_of_as_many_wheels_as_there_can_be(void)
     CHECK(tick(&r)->joint[JOINTS_MAX - 1].stale == 1);
 }
 
-/* However weak, and in whichever place, a speed loop gives its torque; a base without one gives none. */
+/* However weak, and in whichever place, a speed loop gives its torque; a base without one gives
+ * none. */
 static void each_wheel_with_a_speed_loop_gets_its_torque(void)
 {
     for (int own = -1; own < 4; own++) {

@@ -1,14 +1,17 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Derating by temperature, current and voltage: factor, smoothing, what the base does, and what the page shows; since when each
- * reason holds. */
+ * Derating by temperature, current and voltage: factor, smoothing, what the base does, and what the
+ * page shows; since when each reason holds. */
 #include "core_rig.h"
 
 static const derating_config HOT = {.range = {{60.0, 80.0}, {0.0, 0.0}, {0.0, 0.0}}};
 
-static joint_feedback sample_of(double stamp_s, double temperature_c, double current_a, double voltage_v)
+static joint_feedback sample_of(double stamp_s, double temperature_c, double current_a,
+                                double voltage_v)
 {
-    return (joint_feedback){
-        .stamp_ns = (int64_t)(stamp_s * 1e9), .temperature_c = temperature_c, .current_a = current_a, .voltage_v = voltage_v};
+    return (joint_feedback){.stamp_ns = (int64_t)(stamp_s * 1e9),
+                            .temperature_c = temperature_c,
+                            .current_a = current_a,
+                            .voltage_v = voltage_v};
 }
 
 static bool near(double found, double wanted)
@@ -36,14 +39,17 @@ static void the_factor_falls_from_all_to_nothing_and_names_what_it_is_by(void)
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
         derating_state state = {0};
         uint32_t by = 9;
-        joint_feedback feedback = sample_of(1.0, cases[i].temperature_c, cases[i].current_a, cases[i].voltage_v);
-        CHECK(near(derating_factor(&state, &all, &feedback, &by), cases[i].factor) && by == cases[i].by);
+        joint_feedback feedback =
+            sample_of(1.0, cases[i].temperature_c, cases[i].current_a, cases[i].voltage_v);
+        CHECK(near(derating_factor(&state, &all, &feedback, &by), cases[i].factor) &&
+              by == cases[i].by);
     }
     CHECK(derating_used(&all) && derating_used(&HOT) && !derating_used(&(derating_config){0}));
     derating_state state = {0}; /* what is not in use does not derate */
     uint32_t by = 9;
     joint_feedback feedback = sample_of(1.0, 65.0, 1000.0, -5.0);
-    CHECK(near(derating_factor(&state, &HOT, &feedback, &by), 0.75) && by == DERATED_BY_TEMPERATURE);
+    CHECK(near(derating_factor(&state, &HOT, &feedback, &by), 0.75) &&
+          by == DERATED_BY_TEMPERATURE);
 }
 
 static void a_measure_is_smoothed_and_one_that_is_no_number_changes_nothing(void)
@@ -53,7 +59,8 @@ static void a_measure_is_smoothed_and_one_that_is_no_number_changes_nothing(void
     joint_feedback feedback = sample_of(1.0, 60.0, 0.0, 0.0);
     CHECK(derating_factor(&state, &HOT, &feedback, &by) == 1.0);
     feedback = sample_of(1.25, 70.0, 0.0, 0.0);
-    CHECK(near(derating_factor(&state, &HOT, &feedback, &by), 1.0 - 0.1) && near(state.measured[0], 62.0));
+    CHECK(near(derating_factor(&state, &HOT, &feedback, &by), 1.0 - 0.1) &&
+          near(state.measured[0], 62.0));
     CHECK(near(derating_factor(&state, &HOT, &feedback, &by), 0.9)); /* the same sample again */
     feedback = sample_of(1.5, (double)NAN, 0.0, 0.0);
     CHECK(near(derating_factor(&state, &HOT, &feedback, &by), 0.9));
@@ -61,7 +68,8 @@ static void a_measure_is_smoothed_and_one_that_is_no_number_changes_nothing(void
     CHECK(near(derating_factor(&state, &HOT, &feedback, &by), 0.9));
     const derating_config sagging = {.range = {{0.0, 0.0}, {0.0, 0.0}, {22.0, 20.0}}};
     derating_state never = {0};
-    feedback = sample_of(0.0, 0.0, 0.0, 0.0); /* of a drive that has sent nothing: its 0 V are no measure */
+    feedback = sample_of(0.0, 0.0, 0.0, 0.0); /* of a drive that has sent nothing: its 0 V are no
+                                                 measure */
     CHECK(derating_factor(&never, &sagging, &feedback, &by) == 1.0);
     derating_state late = {0};
     feedback = sample_of(1.0, (double)NAN, 0.0, 0.0);
@@ -85,37 +93,47 @@ static void the_whole_twist_is_scaled_by_the_worst_joint_and_slows_down_by_its_d
     start(&r, &config);
     warm(&r, 3, 20.0);
     go(&r, 0.5, 1.0);
-    CHECK(r.shown.derating.since_ns == 0 && !(r.shown.reasons & REASON_DERATED) && near(r.shown.setpoint_linear_m_s, 0.5));
-    CHECK(r.shown.derating.factor == 1.0 && r.shown.derating.joint == 0 && r.shown.derating.by == 0);
+    CHECK(r.shown.derating.since_ns == 0 && !(r.shown.reasons & REASON_DERATED) &&
+          near(r.shown.setpoint_linear_m_s, 0.5));
+    CHECK(r.shown.derating.factor == 1.0 && r.shown.derating.joint == 0 &&
+          r.shown.derating.by == 0);
     warm(&r, 3, 72.0);
     int64_t before_ns = r.input.now_ns;
     double last_m_s = 0.5;
     for (int i = 0; i < 12000; i++) {
         tick(&r);
         CHECK(last_m_s - r.shown.setpoint_linear_m_s <= 1.5e-3 + 1e-9);
-        CHECK(near(r.shown.setpoint_angular_rad_s, 2.0 * r.shown.setpoint_linear_m_s)); /* the curve is the same */
+        /* the curve is the same */
+        CHECK(near(r.shown.setpoint_angular_rad_s, 2.0 * r.shown.setpoint_linear_m_s));
         last_m_s = r.shown.setpoint_linear_m_s;
     }
     double factor = r.shown.derating.factor;
-    CHECK(fabs(factor - 0.4) < 1e-3 && r.shown.derating.joint == 3 && r.shown.derating.by == DERATED_BY_TEMPERATURE);
-    CHECK(r.shown.derating.since_ns > before_ns && r.shown.derating.since_ns < before_ns + 9 * (int64_t)1000000000);
-    CHECK(r.shown.reasons & REASON_DERATED && fabs(r.shown.setpoint_linear_m_s - factor * 1.0) < 1e-3);
-    CHECK(r.shown.reason.since_ns[25] > before_ns && r.shown.reason.since_ns[25] < r.shown.stamp_ns);
+    CHECK(fabs(factor - 0.4) < 1e-3 && r.shown.derating.joint == 3 &&
+          r.shown.derating.by == DERATED_BY_TEMPERATURE);
+    CHECK(r.shown.derating.since_ns > before_ns &&
+          r.shown.derating.since_ns < before_ns + 9 * (int64_t)1000000000);
+    CHECK(r.shown.reasons & REASON_DERATED &&
+          fabs(r.shown.setpoint_linear_m_s - factor * 1.0) < 1e-3);
+    CHECK(r.shown.reason.since_ns[25] > before_ns &&
+          r.shown.reason.since_ns[25] < r.shown.stamp_ns);
     r.input.command.linear_m_s = 0.2; /* below the derated limit: as it was asked for */
     r.input.command.angular_rad_s = 0.0;
     ticks(&r, 1000);
-    CHECK(near(r.shown.setpoint_linear_m_s, 0.2) && !(r.shown.reasons & REASON_DERATED) && r.shown.reason.since_ns[25] == 0);
+    CHECK(near(r.shown.setpoint_linear_m_s, 0.2) && !(r.shown.reasons & REASON_DERATED) &&
+          r.shown.reason.since_ns[25] == 0);
     warm(&r, 1, 90.0); /* another joint: since now, and to nothing */
     r.input.command.linear_m_s = -0.8;
     ticks(&r, 9000);
-    CHECK(r.shown.derating.joint == 1 && r.shown.derating.factor == 0.0 && r.shown.setpoint_linear_m_s == 0.0);
+    CHECK(r.shown.derating.joint == 1 && r.shown.derating.factor == 0.0 &&
+          r.shown.setpoint_linear_m_s == 0.0);
     CHECK(r.shown.armed == 1 && r.shown.faults == 0 && (r.shown.reasons & REASON_DERATED));
     warm(&r, 1, 20.0);
     ticks(&r, 9000);
     CHECK(r.shown.derating.since_ns == 0 && near(r.shown.setpoint_linear_m_s, -0.8));
 }
 
-static void a_joint_without_a_range_derates_nothing_and_one_that_sends_nothing_keeps_its_factor(void)
+static void
+a_joint_without_a_range_derates_nothing_and_one_that_sends_nothing_keeps_its_factor(void)
 {
     rig r;
     core_config config = good_config();
@@ -145,14 +163,20 @@ static void the_joint_that_derates_most_is_named_among_equals_the_first_and_sinc
     static const struct {
         double first_c, second_c, factor;
         uint32_t joint;
-    } CASES[] = {{72.0, 20.0, 0.4, 0}, {20.0, 72.0, 0.4, 1}, {72.0, 72.0, 0.4, 0}, {70.0, 72.0, 0.4, 1}, {72.0, 70.0, 0.4, 0}};
+    } CASES[] = {{72.0, 20.0, 0.4, 0},
+                 {20.0, 72.0, 0.4, 1},
+                 {72.0, 72.0, 0.4, 0},
+                 {70.0, 72.0, 0.4, 1},
+                 {72.0, 70.0, 0.4, 0}};
     core_config config = good_config();
     config.joint[0].derating = config.joint[1].derating = HOT;
     rig r;
     for (size_t i = 0; i < sizeof CASES / sizeof CASES[0]; i++) {
         begin_warm(&r, &config, CASES[i].first_c, CASES[i].second_c);
-        CHECK(near(r.shown.derating.factor, CASES[i].factor) && r.shown.derating.joint == CASES[i].joint);
-        CHECK(r.shown.derating.since_ns == r.input.now_ns - 2 * TICK_NS); /* of the first tick, not of this one */
+        CHECK(near(r.shown.derating.factor, CASES[i].factor) &&
+              r.shown.derating.joint == CASES[i].joint);
+        /* of the first tick, not of this one */
+        CHECK(r.shown.derating.since_ns == r.input.now_ns - 2 * TICK_NS);
     }
     config.joint[1].derating = (derating_config){0}; /* the first alone may derate */
     begin_warm(&r, &config, 72.0, 90.0);
@@ -192,7 +216,8 @@ static void what_a_joint_has_sent_too_long_ago_derates_nothing(void)
         }
         tick(&r);
     }
-    CHECK(near(r.shown.derating.factor, 0.5) && r.shown.derating.joint == 1 && r.shown.joint[0].stale == 1);
+    CHECK(near(r.shown.derating.factor, 0.5) && r.shown.derating.joint == 1 &&
+          r.shown.joint[0].stale == 1);
     ticks(&r, 300);
     CHECK(r.shown.derating.since_ns == 0 && r.shown.derating.factor == 1.0);
 }
@@ -210,7 +235,8 @@ static void each_reason_says_since_when_it_holds_and_a_saturated_wheel_is_named(
     CHECK(r.shown.reason.since_ns[16] == first_ns);
     go(&r, 0.5, 0.0);
     CHECK(r.shown.reasons == REASON_WHEEL_SATURATED && r.shown.reason.saturated_joint == 2);
-    CHECK(r.shown.reason.since_ns[8] > first_ns && r.shown.reason.since_ns[16] == 0 && r.shown.reason.since_ns[1] == 0);
+    CHECK(r.shown.reason.since_ns[8] > first_ns && r.shown.reason.since_ns[16] == 0 &&
+          r.shown.reason.since_ns[1] == 0);
     r.input.command.linear_m_s = 0.1;
     ticks(&r, 1000);
     CHECK(r.shown.reasons == 0 && r.shown.reason.since_ns[8] == 0);
@@ -223,7 +249,8 @@ static void a_range_is_finite_and_falls_in_its_direction(void)
         core_config config = good_config();
         config.joint[1].derating.range[by] =
             by == DERATED_BY_VOLTAGE ? (derating_range){20.0, 22.0} : (derating_range){80.0, 60.0};
-        CHECK(core_config_check(&config, name) != NULL && strcmp(name, "joint[1].derating.range") == 0);
+        CHECK(core_config_check(&config, name) != NULL &&
+              strcmp(name, "joint[1].derating.range") == 0);
         config.joint[1].derating.range[by] =
             by == DERATED_BY_VOLTAGE ? (derating_range){22.0, 20.0} : (derating_range){60.0, 80.0};
         CHECK(core_config_check(&config, name) == NULL);

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_goal: the twist that a base ramps to: what was commanded, within the limits of the base and its wheels, and why. */
+ * test_goal: the twist that a base ramps to: what was commanded, within the limits of the base
+ * and its wheels, and why. */
 #include "steered_bases.h"
 
 static rig r;
@@ -26,7 +27,8 @@ static core_config strafing(void)
 }
 
 /* Of a base that has been armed in the tick before. */
-static const core_goal *goal_of(const core_config *config, double linear_m_s, double angular_rad_s, double lateral_m_s)
+static const core_goal *goal_of(const core_config *config, double linear_m_s, double angular_rad_s,
+                                double lateral_m_s)
 {
     ready(&r, config);
     r.input.control.armed = 1;
@@ -35,7 +37,8 @@ static const core_goal *goal_of(const core_config *config, double linear_m_s, do
     r.input.command.angular_rad_s = angular_rad_s;
     r.input.command.lateral_m_s = lateral_m_s;
     tick(&r);
-    CHECK(r.shown.armed == 1 && r.state.goal.known != 0 && r.shown.saturation == r.state.goal.saturation);
+    CHECK(r.shown.armed == 1 && r.state.goal.known != 0 &&
+          r.shown.saturation == r.state.goal.saturation);
     CHECK((r.shown.reasons & r.state.goal.reasons) == r.state.goal.reasons);
     return &r.state.goal;
 }
@@ -47,16 +50,19 @@ typedef struct {
 
 static void expect(const core_config *config, const expectation *of)
 {
-    const core_goal *goal = goal_of(config, of->command_u_s[0], of->command_u_s[1], of->command_u_s[2]);
+    const core_goal *goal =
+        goal_of(config, of->command_u_s[0], of->command_u_s[1], of->command_u_s[2]);
     for (int i = 0; i < AXES; i++) {
         CHECK(close_to(goal->goal_u_s[i], of->goal_u_s[i]));
     }
     CHECK(goal->reasons == of->reasons && goal->saturation == 1.0);
 }
 
-static void the_direction_stays_where_a_base_that_strafes_is_limited_and_its_turn_is_limited_alone(void)
+static void
+the_direction_stays_where_a_base_that_strafes_is_limited_and_its_turn_is_limited_alone(void)
 {
-    static const uint32_t LINEAR = REASON_LINEAR_VELOCITY, ANGULAR = REASON_ANGULAR_VELOCITY, LATERAL = REASON_LATERAL_VELOCITY;
+    static const uint32_t LINEAR = REASON_LINEAR_VELOCITY, ANGULAR = REASON_ANGULAR_VELOCITY,
+                          LATERAL = REASON_LATERAL_VELOCITY;
     const expectation of[] = {
         {{0.4, 0.5, 0.2}, {0.4, 0.5, 0.2}, 0},
         {{-0.4, -0.5, -0.2}, {-0.4, -0.5, -0.2}, 0},
@@ -103,9 +109,12 @@ static void a_base_that_does_not_strafe_drives_on_without_the_lateral_speed(void
     expect(&config, &(expectation){{0.4, 0.3, 0.0}, {0.4, 0.3, 0.0}, 0});
     expect(&config, &(expectation){{1.0, 1.0, 1.0},
                                    {0.5, 0.8, 0.0},
-                                   REASON_LATERAL_IMPOSSIBLE | REASON_LINEAR_VELOCITY | REASON_ANGULAR_VELOCITY});
+                                   REASON_LATERAL_IMPOSSIBLE | REASON_LINEAR_VELOCITY |
+                                       REASON_ANGULAR_VELOCITY});
     double most_per_m = tan(0.6) / WHEELBASE_M;
-    expect(&steered, &(expectation){{0.2, 4.0, 0.1}, {0.2, 0.2 * most_per_m, 0.0}, REASON_LATERAL_IMPOSSIBLE | REASON_CURVATURE});
+    expect(&steered, &(expectation){{0.2, 4.0, 0.1},
+                                    {0.2, 0.2 * most_per_m, 0.0},
+                                    REASON_LATERAL_IMPOSSIBLE | REASON_CURVATURE});
 }
 
 /* Half of each limit is left. */
@@ -155,13 +164,16 @@ static void the_wheel_that_is_slowest_for_its_share_is_named_and_among_equals_th
             config.joint[slow].velocity_max_rad_s = config.joint[other].velocity_max_rad_s = 2.0;
             const core_goal *goal = goal_of(&config, 0.4, 0.0, 0.0);
             CHECK(close_to(goal->saturation, 0.5) && close_to(goal->goal_u_s[AXIS_LINEAR], 0.2));
-            CHECK(goal->reasons == REASON_WHEEL_SATURATED && r.shown.reason.saturated_joint == slow);
+            CHECK(goal->reasons == REASON_WHEEL_SATURATED &&
+                  r.shown.reason.saturated_joint == slow);
         }
     }
     core_config config = good_config();
-    config.joint[1].velocity_max_rad_s = config.joint[3].velocity_max_rad_s = 2.5; /* on the outer side of the curve */
+    /* on the outer side of the curve */
+    config.joint[1].velocity_max_rad_s = config.joint[3].velocity_max_rad_s = 2.5;
     const core_goal *goal = goal_of(&config, 0.4, 0.4, 0.0);
-    CHECK(close_to(goal->saturation, 0.5) && close_to(goal->goal_u_s[0], 0.2) && close_to(goal->goal_u_s[1], 0.2));
+    CHECK(close_to(goal->saturation, 0.5) && close_to(goal->goal_u_s[0], 0.2) &&
+          close_to(goal->goal_u_s[1], 0.2));
     CHECK(r.shown.reason.saturated_joint == 1);
 }
 
@@ -187,9 +199,11 @@ static void every_reason_that_a_goal_has_is_reported_of_it(void)
     arm_warm(&config);
     r.input.command.linear_m_s = r.input.command.angular_rad_s = r.input.command.lateral_m_s = 5.0;
     tick(&r);
-    CHECK(r.state.goal.reasons == (REASON_LATERAL_IMPOSSIBLE | REASON_LINEAR_VELOCITY | REASON_ANGULAR_VELOCITY | REASON_DERATED |
-                                   REASON_WHEEL_SATURATED));
-    r.input.command.angular_rad_s = r.input.command.lateral_m_s = 0.0, r.input.command.linear_m_s = 0.1;
+    CHECK(r.state.goal.reasons ==
+          (REASON_LATERAL_IMPOSSIBLE | REASON_LINEAR_VELOCITY | REASON_ANGULAR_VELOCITY |
+           REASON_DERATED | REASON_WHEEL_SATURATED));
+    r.input.command.angular_rad_s = r.input.command.lateral_m_s = 0.0,
+    r.input.command.linear_m_s = 0.1;
     tick(&r);
     CHECK(r.state.goal.reasons == 0 && r.state.goal.saturation == 1.0);
 }

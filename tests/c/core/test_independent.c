@@ -36,13 +36,17 @@ static void a_belt_ramps_by_its_own_limits(void)
     begin(&r);
     command(&r, BELT, -4.0);
     CHECK(step_joints(&r, 1) == REASON_JOINT_ACCELERATION);
-    CHECK(close_to(r.velocity_rad_s[BELT], -0.1) && close_to(r.joints.acceleration_rad_s2[BELT], -10.0));
-    CHECK(r.velocity_rad_s[PAN] == 0.0 && r.velocity_rad_s[TILT] == 0.0 && r.velocity_rad_s[3] == 9.0);
+    CHECK(close_to(r.velocity_rad_s[BELT], -0.1) &&
+          close_to(r.joints.acceleration_rad_s2[BELT], -10.0));
+    CHECK(r.velocity_rad_s[PAN] == 0.0 && r.velocity_rad_s[TILT] == 0.0 &&
+          r.velocity_rad_s[3] == 9.0);
     CHECK(r.steer.enabled == 1);
     CHECK(step_joints(&r, 38) == REASON_JOINT_ACCELERATION && step_joints(&r, 1) == 0);
-    CHECK(step_joints(&r, 1) == 0 && r.velocity_rad_s[BELT] == -4.0 && r.joints.velocity_rad_s[BELT] == -4.0);
+    CHECK(step_joints(&r, 1) == 0 && r.velocity_rad_s[BELT] == -4.0 &&
+          r.joints.velocity_rad_s[BELT] == -4.0);
     r.command.named = 0; /* left out, it comes to rest */
-    CHECK(step_joints(&r, 1) == REASON_JOINT_ACCELERATION && close_to(r.velocity_rad_s[BELT], -3.84));
+    CHECK(step_joints(&r, 1) == REASON_JOINT_ACCELERATION &&
+          close_to(r.velocity_rad_s[BELT], -3.84));
     CHECK(step_joints(&r, 30) == 0 && r.velocity_rad_s[BELT] == 0.0);
 }
 
@@ -54,7 +58,8 @@ static void a_belt_keeps_its_jerk_but_in_a_fault(void)
         r.limits[BELT].jerk_u_s3 = 100.0;
         r.input.urgent = urgent == 1;
         command(&r, BELT, 4.0);
-        CHECK(step_joints(&r, 1) == REASON_JOINT_ACCELERATION && close_to(r.velocity_rad_s[BELT], urgent ? 0.1 : 0.01));
+        CHECK(step_joints(&r, 1) == REASON_JOINT_ACCELERATION &&
+              close_to(r.velocity_rad_s[BELT], urgent ? 0.1 : 0.01));
         step_joints(&r, 1);
         CHECK(close_to(r.velocity_rad_s[BELT], urgent ? 0.2 : 0.03));
     }
@@ -82,7 +87,8 @@ static void a_belt_goes_no_faster_than_its_file_and_its_derating_allow(void)
         r.input.factor = CASES[i].factor;
         command(&r, BELT, CASES[i].wanted_rad_s);
         CHECK(step_joints(&r, 1) == (CASES[i].reasons | REASON_JOINT_ACCELERATION));
-        CHECK(step_joints(&r, 200) == CASES[i].reasons && close_to(r.velocity_rad_s[BELT], CASES[i].expected_rad_s));
+        CHECK(step_joints(&r, 200) == CASES[i].reasons &&
+              close_to(r.velocity_rad_s[BELT], CASES[i].expected_rad_s));
     }
 }
 
@@ -92,8 +98,11 @@ static void a_head_goes_to_its_target_within_its_range(void)
     static const struct {
         double wanted_rad, expected_rad;
         uint32_t reasons;
-    } CASES[] = {
-        {1.5, 1.5, 0}, {-2.0, -2.0, 0}, {2.0, 2.0, 0}, {3.0, 2.0, REASON_JOINT_POSITION}, {-9.0, -2.0, REASON_JOINT_POSITION}};
+    } CASES[] = {{1.5, 1.5, 0},
+                 {-2.0, -2.0, 0},
+                 {2.0, 2.0, 0},
+                 {3.0, 2.0, REASON_JOINT_POSITION},
+                 {-9.0, -2.0, REASON_JOINT_POSITION}};
     for (int i = 0; i < COUNT_OF(CASES); i++) {
         joints_rig r;
         begin(&r);
@@ -101,7 +110,8 @@ static void a_head_goes_to_its_target_within_its_range(void)
         CHECK(step_joints(&r, 1) == CASES[i].reasons && r.velocity_rad_s[PAN] == 0.0);
         position_profile expected = {0};
         position_step(&expected, &r.config.joint[PAN].position, CASES[i].expected_rad, DT_S);
-        CHECK(angle(&r, PAN) == expected.position_rad && r.steer.profile[PAN].velocity_rad_s == expected.velocity_rad_s);
+        CHECK(angle(&r, PAN) == expected.position_rad &&
+              r.steer.profile[PAN].velocity_rad_s == expected.velocity_rad_s);
         r.command.named = 0; /* left out, it goes on */
         CHECK(step_joints(&r, 200) == CASES[i].reasons && angle(&r, PAN) == CASES[i].expected_rad);
         CHECK(angle(&r, TILT) == 0.0 && isnan(r.joints.target_rad[TILT]));
@@ -193,7 +203,8 @@ static void after_a_halt_all_stand_and_have_no_target(void)
     r.steer.profile[3].velocity_rad_s = 7.0; /* of no joint */
     independent_halt(&r.joints, &r.steer, &r.config);
     for (int j = 0; j < JOINTS_MAX; j++) {
-        CHECK(isnan(r.joints.target_rad[j]) && r.joints.velocity_rad_s[j] == 0.0 && r.joints.acceleration_rad_s2[j] == 0.0);
+        CHECK(isnan(r.joints.target_rad[j]) && r.joints.velocity_rad_s[j] == 0.0 &&
+              r.joints.acceleration_rad_s2[j] == 0.0);
         CHECK(r.steer.profile[j].velocity_rad_s == (j == 3 ? 7.0 : 0.0));
     }
     r.command.named = 0;

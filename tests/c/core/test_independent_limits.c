@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_independent_limits: limits of joints without a base that change at run time, and the reasons named by joint. */
+ * test_independent_limits: limits of joints without a base that change at run time, and the
+ * reasons named by joint. */
 #include "joints_rig.h"
 
 static bool same(const axis_limits *limits, axis_limits expected)
@@ -15,7 +16,8 @@ static double speed(const joints_rig *r, int j)
 /* --- which limits are in force */
 static void the_limits_at_the_start_are_those_of_the_file(void)
 {
-    static const double RANGES_RAD_S[][3] = {{-9.0, 5.0, 9.0}, {-2.0, 5.0, 5.0}, {-8.0, 8.0, 8.0}, {0.0, 3.0, 3.0}};
+    static const double RANGES_RAD_S[][3] = {
+        {-9.0, 5.0, 9.0}, {-2.0, 5.0, 5.0}, {-8.0, 8.0, 8.0}, {0.0, 3.0, 3.0}};
     for (int i = 0; i < COUNT_OF(RANGES_RAD_S); i++) {
         core_config config = head_and_belt();
         config.joint[BELT].velocity_min_rad_s = RANGES_RAD_S[i][0];
@@ -41,7 +43,8 @@ static void set_limits(core_control *control, double velocity_rad_s)
 static bool in_force(const rig *r, double velocity_rad_s)
 {
     for (uint32_t j = 0; j < 3; j++) {
-        if (!same(&r->state.joint_limits[j], (axis_limits){velocity_rad_s, 2.0 + j, 5.0 + j, INFINITY})) {
+        if (!same(&r->state.joint_limits[j],
+                  (axis_limits){velocity_rad_s, 2.0 + j, 5.0 + j, INFINITY})) {
             return false;
         }
     }
@@ -68,7 +71,8 @@ static void limits_are_taken_once_for_each_count(void)
     control->joint_limits[3].velocity_u_s = NAN; /* of no joint */
     control->joint_limits[BELT].velocity_u_s = 0.3;
     independent_take_limits(&r.state, control);
-    CHECK(r.state.joint_limits[BELT].velocity_u_s == 0.3 && r.state.joint_limits[3].velocity_u_s == 0.0);
+    CHECK(r.state.joint_limits[BELT].velocity_u_s == 0.3 &&
+          r.state.joint_limits[3].velocity_u_s == 0.0);
 }
 
 static void where_one_limit_is_out_of_range_all_stay_as_they_are(void)
@@ -85,8 +89,8 @@ static void where_one_limit_is_out_of_range_all_stay_as_they_are(void)
         independent_take_limits(&r.state, control);
         set_limits(control, 0.7);
         axis_limits *limits = &control->joint_limits[joint];
-        double *const fields[] = {&limits->velocity_u_s, &limits->acceleration_u_s2, &limits->deceleration_u_s2,
-                                  &limits->jerk_u_s3};
+        double *const fields[] = {&limits->velocity_u_s, &limits->acceleration_u_s2,
+                                  &limits->deceleration_u_s2, &limits->jerk_u_s3};
         *fields[place] = bad;
         independent_take_limits(&r.state, control);
         bool no_jerk_limit = place == 3 && isinf(bad);
@@ -114,7 +118,8 @@ static void a_head_at_rest_moves_by_its_new_limits(void)
     CHECK(close_to(speed(&r, PAN), 1.08) && r.joints.braking_rad_s2[PAN] == 8.0);
     step_joints(&r, 300);
     CHECK(angle(&r, PAN) == 2.0 && speed(&r, PAN) == 0.0 && angle(&r, TILT) == 0.8);
-    CHECK(r.config.joint[PAN].position.velocity_rad_s == 3.0 && r.config.joint[PAN].position.acceleration_rad_s2 == 40.0);
+    CHECK(r.config.joint[PAN].position.velocity_rad_s == 3.0 &&
+          r.config.joint[PAN].position.acceleration_rad_s2 == 40.0);
 }
 
 static void a_head_goes_no_faster_than_its_file_whatever_its_limit(void)
@@ -149,8 +154,8 @@ static void a_head_gets_down_to_a_lowered_speed_by_deceleration(void)
     }
 }
 
-/* A joint that moves is given 0.8 rad/s^2, where it could brake with 40: from 0.2 rad/s it needs 0.025 rad and 0.002 rad of the
- * step, from 0.05 rad/s 0.0020625 rad. Its range is -1 to 2 rad. */
+/* A joint that moves is given 0.8 rad/s^2, where it could brake with 40: from 0.2 rad/s it needs
+ * 0.025 rad and 0.002 rad of the step, from 0.05 rad/s 0.0020625 rad. Its range is -1 to 2 rad. */
 static void a_lowered_acceleration_is_taken_as_soon_as_it_is_enough(void)
 {
     static const struct {
@@ -204,7 +209,8 @@ static void a_lowered_acceleration_is_taken_as_soon_as_it_is_enough(void)
         }
         step_joints(&r, 1);
         CHECK(r.joints.braking_rad_s2[PAN] == (CASES[i].enough ? 0.8 : 40.0));
-        CHECK(fabs(speed(&r, PAN) - CASES[i].velocity_rad_s) <= (CASES[i].enough ? 0.008 : 0.4) + 1e-12);
+        CHECK(fabs(speed(&r, PAN) - CASES[i].velocity_rad_s) <=
+              (CASES[i].enough ? 0.008 : 0.4) + 1e-12);
         CHECK(r.joints.braking_rad_s2[TILT] == 40.0);
     }
 }
@@ -318,16 +324,19 @@ static void a_belt_keeps_limits_that_change_while_it_moves_and_at_rest(void)
         begin(&r);
         r.limits[BELT].acceleration_u_s2 = 5.0;
         command(&r, BELT, sign * 6.0);
-        CHECK(step_joints(&r, 1) == REASON_JOINT_ACCELERATION && close_to(r.velocity_rad_s[BELT], sign * 0.05));
+        CHECK(step_joints(&r, 1) == REASON_JOINT_ACCELERATION &&
+              close_to(r.velocity_rad_s[BELT], sign * 0.05));
         step_joints(&r, 200);
         CHECK(r.velocity_rad_s[BELT] == sign * 6.0);
         r.limits[BELT] = (axis_limits){2.0, 5.0, 4.0, INFINITY};
         CHECK(step_joints(&r, 1) == (REASON_JOINT_VELOCITY | REASON_JOINT_ACCELERATION));
         CHECK(close_to(r.velocity_rad_s[BELT], sign * 5.96));
-        CHECK(step_joints(&r, 120) == REASON_JOINT_VELOCITY && r.velocity_rad_s[BELT] == sign * 2.0);
+        CHECK(step_joints(&r, 120) == REASON_JOINT_VELOCITY &&
+              r.velocity_rad_s[BELT] == sign * 2.0);
         r.limits[BELT].velocity_u_s = 80.0; /* no more than its file's */
         command(&r, BELT, sign * 50.0);
-        CHECK(step_joints(&r, 300) == REASON_JOINT_VELOCITY && r.velocity_rad_s[BELT] == sign * 8.0);
+        CHECK(step_joints(&r, 300) == REASON_JOINT_VELOCITY &&
+              r.velocity_rad_s[BELT] == sign * 8.0);
     }
 }
 
@@ -357,10 +366,12 @@ static void limits_changed_without_power_hold_from_the_first_motion_on(void)
 }
 
 /* --- reasons by joint: belts are the even ones, heads the odd ones */
-static bool named_are(const joints_rig *r, uint32_t velocity, uint32_t acceleration, uint32_t position)
+static bool named_are(const joints_rig *r, uint32_t velocity, uint32_t acceleration,
+                      uint32_t position)
 {
     const reasons_shown *named = &r->named;
-    return named->joint_velocity == velocity && named->joint_acceleration == acceleration && named->joint_position == position;
+    return named->joint_velocity == velocity && named->joint_acceleration == acceleration &&
+           named->joint_position == position;
 }
 
 static void each_reason_names_the_joints_that_it_comes_from(void)
@@ -371,7 +382,8 @@ static void each_reason_names_the_joints_that_it_comes_from(void)
         uint32_t bit = 1U << j;
         bool belt = j % 2 == 0;
         command(&r, j, belt ? 90.0 : 5.0);
-        CHECK(step_joints(&r, 1) == (belt ? REASON_JOINT_VELOCITY | REASON_JOINT_ACCELERATION : (uint32_t)REASON_JOINT_POSITION));
+        CHECK(step_joints(&r, 1) == (belt ? REASON_JOINT_VELOCITY | REASON_JOINT_ACCELERATION
+                                          : (uint32_t)REASON_JOINT_POSITION));
         CHECK(belt ? named_are(&r, bit, bit, 0) : named_are(&r, 0, 0, bit));
         command(&r, j, belt ? 30.0 : 1.0);
         CHECK(step_joints(&r, 1) == (belt ? REASON_JOINT_ACCELERATION : 0U));
@@ -387,7 +399,8 @@ static void several_joints_of_one_reason_are_all_named(void)
     begin_with(&r, heads_and_belts());
     command(&r, 0, 3.0), command(&r, 2, 90.0), command(&r, 4, -90.0), command(&r, 6, 0.0);
     command(&r, 1, 5.0), command(&r, 3, 1.0), command(&r, 5, -5.0);
-    CHECK(step_joints(&r, 1) == (REASON_JOINT_VELOCITY | REASON_JOINT_ACCELERATION | REASON_JOINT_POSITION));
+    CHECK(step_joints(&r, 1) ==
+          (REASON_JOINT_VELOCITY | REASON_JOINT_ACCELERATION | REASON_JOINT_POSITION));
     CHECK(named_are(&r, 0x14, 0x15, 0x22));
     CHECK(step_joints(&r, 1000) == (REASON_JOINT_VELOCITY | REASON_JOINT_POSITION));
     CHECK(named_are(&r, 0x14, 0, 0x22));

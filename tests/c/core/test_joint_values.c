@@ -27,7 +27,8 @@ static void an_angle_is_that_of_its_joint_where_it_counts(void)
         CHECK(is_there ? setpoint_of(&from, joint, SETPOINT_POSITION) == position_rad
                        : isnan(setpoint_of(&from, joint, SETPOINT_POSITION)));
         from.positioned = is_there ? 0xFFU & ~(1U << joint) : 0xFF;
-        CHECK(!setpoint_position(&from, joint, &position_rad) && isnan(setpoint_of(&from, joint, SETPOINT_POSITION)));
+        CHECK(!setpoint_position(&from, joint, &position_rad) &&
+              isnan(setpoint_of(&from, joint, SETPOINT_POSITION)));
         from = all_of(8);
         from.enabled = 0;
         CHECK(!setpoint_position(&from, joint, &position_rad));
@@ -45,9 +46,12 @@ static void a_speed_a_duty_and_a_torque_are_those_of_their_joint(void)
     for (uint32_t joint = 0; joint <= JOINTS_MAX; joint++) {
         setpoints from = all_of(6);
         bool is_there = joint < 6;
-        CHECK(setpoint_of(&from, joint, SETPOINT_VELOCITY) == (is_there ? from.joint[joint].velocity_rad_s : 0.0));
-        CHECK(setpoint_of(&from, joint, SETPOINT_DUTY) == (is_there ? from.joint[joint].duty : 0.0));
-        CHECK(setpoint_of(&from, joint, SETPOINT_TORQUE) == (is_there ? from.joint[joint].torque_n_m : 0.0));
+        CHECK(setpoint_of(&from, joint, SETPOINT_VELOCITY) ==
+              (is_there ? from.joint[joint].velocity_rad_s : 0.0));
+        CHECK(setpoint_of(&from, joint, SETPOINT_DUTY) ==
+              (is_there ? from.joint[joint].duty : 0.0));
+        CHECK(setpoint_of(&from, joint, SETPOINT_TORQUE) ==
+              (is_there ? from.joint[joint].torque_n_m : 0.0));
         from.joint[joint % JOINTS_MAX].velocity_rad_s = INFINITY;
         CHECK(setpoint_of(&from, joint, SETPOINT_VELOCITY) == 0.0);
         from = all_of(JOINTS_MAX + 1); /* no more joints than there are */
@@ -58,7 +62,11 @@ static void a_speed_a_duty_and_a_torque_are_those_of_their_joint(void)
 static void a_number_is_scaled_and_kept_within_its_ends(void)
 {
     setpoints from = all_of(4);
-    setpoint_scale scale = {.joint = 2, .kind = SETPOINT_VELOCITY, .raw_per_si = 10.0, .raw_min = -500.0, .raw_max = 600.0};
+    setpoint_scale scale = {.joint = 2,
+                            .kind = SETPOINT_VELOCITY,
+                            .raw_per_si = 10.0,
+                            .raw_min = -500.0,
+                            .raw_max = 600.0};
     CHECK(scaled(&from, true, &scale) == 30.0 && scaled(&from, false, &scale) == 0.0);
     from.joint[2].velocity_rad_s = -3.0;
     CHECK(scaled(&from, true, &scale) == -30.0);

@@ -5,7 +5,8 @@
 static void an_angle_is_its_counters_distance_from_zero(void)
 {
     core_config config = ackermann(WHEELBASE_M);
-    config.joint[2].position.zero_count = 1000, config.joint[2].counter_bits = 12, config.joint[2].rad_per_count = -1e-3;
+    config.joint[2].position.zero_count = 1000, config.joint[2].counter_bits = 12,
+    config.joint[2].rad_per_count = -1e-3;
     odometry_state state;
     odometry_init(&state, &config);
     state.joint[2].count = 1200;
@@ -55,7 +56,8 @@ static void an_arc_has_the_angles_of_its_middle(void)
     CHECK(state.used.determined == 0);
 }
 
-/* Of a swerve base with a silent joint too, whose arc begins where the last one ended, not at the last look. */
+/* Of a swerve base with a silent joint too, whose arc begins where the last one ended, not at
+ * the last look. */
 static void an_arc_begins_where_the_last_one_ended_also_while_a_joint_is_silent(void)
 {
     core_config config = swerve_of_four();
@@ -92,7 +94,8 @@ static void the_slip_of_an_arc_is_smoothed(void)
         state.angle_rad[j] = 0.0;
     }
     const double rim_m[JOINTS_MAX] = {0.03, 0.01}, twist_u[AXES] = {0.02, 0.0};
-    double left_m = kinematics_residual(&config, state.angle_rad, 15, rim_m, twist_u), slip_m_s = 0.05;
+    double left_m = kinematics_residual(&config, state.angle_rad, 15, rim_m, twist_u),
+           slip_m_s = 0.05;
     CHECK(left_m > 1e-3);
     state.spread.slip_m_s = slip_m_s;
     modules_slip(&state, &config, 15, rim_m, twist_u, 0.1);

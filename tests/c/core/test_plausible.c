@@ -45,7 +45,8 @@ static wheel begun(double speed_rad_s)
 }
 
 /* Seconds until a fault; INFINITY: none within them. */
-static double until_fault(wheel *w, double seconds, double turns_rad_s, double reported_rad_s, double setpoint_rad_s)
+static double until_fault(wheel *w, double seconds, double turns_rad_s, double reported_rad_s,
+                          double setpoint_rad_s)
 {
     for (int step = 1; step <= (int)(seconds / STEP_S + 0.5); step++) {
         w->joint.stamp_ns += STEP_NS;
@@ -68,20 +69,27 @@ static void each_check_has_its_fault_and_its_time(void)
     for (int sign = -1; sign <= 1; sign += 2) {
         double s = sign;
         wheel w = begun(-5.0 * s);
-        CHECK(near(until_fault(&w, 3.0, -5.0 * s, -5.0 * s, 5.0 * s), 0.51) && w.why.fault == FAULT_DIRECTION);
-        CHECK(w.why.setpoint_rad_s == 5.0 * s && near(w.why.measured_rad_s, -5.0 * s) && w.why.reported_rad_s == -5.0 * s);
+        CHECK(near(until_fault(&w, 3.0, -5.0 * s, -5.0 * s, 5.0 * s), 0.51) &&
+              w.why.fault == FAULT_DIRECTION);
+        CHECK(w.why.setpoint_rad_s == 5.0 * s && near(w.why.measured_rad_s, -5.0 * s) &&
+              w.why.reported_rad_s == -5.0 * s);
         CHECK(w.why.since_ns == 2 * STEP_NS && w.why.joint == 0 && w.state.doubted == 1);
         w = begun(0.0);
-        CHECK(near(until_fault(&w, 3.0, 0.0, NAN, 5.0 * s), 1.01) && w.why.fault == FAULT_STALL && isnan(w.why.reported_rad_s));
+        CHECK(near(until_fault(&w, 3.0, 0.0, NAN, 5.0 * s), 1.01) && w.why.fault == FAULT_STALL &&
+              isnan(w.why.reported_rad_s));
         w = begun(5.0 * s);
-        CHECK(near(until_fault(&w, 3.0, 5.0 * s, 5.0 * s, 12.0 * s), 1.01) && w.why.fault == FAULT_FOLLOWING_ERROR);
+        CHECK(near(until_fault(&w, 3.0, 5.0 * s, 5.0 * s, 12.0 * s), 1.01) &&
+              w.why.fault == FAULT_FOLLOWING_ERROR);
         w = begun(12.0 * s);
-        CHECK(near(until_fault(&w, 3.0, 12.0 * s, 12.0 * s, 5.0 * s), 0.51) && w.why.fault == FAULT_RUNAWAY);
+        CHECK(near(until_fault(&w, 3.0, 12.0 * s, 12.0 * s, 5.0 * s), 0.51) &&
+              w.why.fault == FAULT_RUNAWAY);
         w = begun(12.0 * s);
-        CHECK(near(until_fault(&w, 3.0, 12.0 * s, 12.0 * s, 0.0), 0.51) && w.why.fault == FAULT_RUNAWAY);
+        CHECK(near(until_fault(&w, 3.0, 12.0 * s, 12.0 * s, 0.0), 0.51) &&
+              w.why.fault == FAULT_RUNAWAY);
         w = begun(5.0 * s);
         double found_s = until_fault(&w, 3.0, 5.0 * s, 0.0, 5.0 * s);
-        CHECK(found_s > 1.0 && found_s < 1.5 && w.why.fault == FAULT_IMPLAUSIBLE_FEEDBACK && near(w.why.measured_rad_s, 5.0 * s));
+        CHECK(found_s > 1.0 && found_s < 1.5 && w.why.fault == FAULT_IMPLAUSIBLE_FEEDBACK &&
+              near(w.why.measured_rad_s, 5.0 * s));
     }
 }
 
@@ -108,7 +116,8 @@ static void what_is_within_its_tolerance_is_no_fault(void)
 static void a_time_of_zero_switches_a_check_off(void)
 {
     wheel w = begun(-5.0);
-    w.config.direction_s = w.config.stall_s = w.config.following_s = w.config.runaway_s = w.config.apart_s = 0.0;
+    w.config.direction_s = w.config.stall_s = w.config.following_s = w.config.runaway_s =
+        w.config.apart_s = 0.0;
     w.config.jumps_max = 0;
     CHECK(isinf(until_fault(&w, 3.0, -5.0, 50.0, 5.0)));
     CHECK(isinf(until_fault(&w, 3.0, 0.0, 0.0, 15.0)));
@@ -174,7 +183,8 @@ static void jumps_count_within_a_second(void)
     w.joint.jumps = 2;
     CHECK(isinf(until_fault(&w, 0.5, 5.0, 5.0, 5.0)));
     w.joint.jumps++;
-    CHECK(near(until_fault(&w, 0.5, 5.0, 5.0, 5.0), STEP_S) && w.why.fault == FAULT_IMPLAUSIBLE_FEEDBACK);
+    CHECK(near(until_fault(&w, 0.5, 5.0, 5.0, 5.0), STEP_S) &&
+          w.why.fault == FAULT_IMPLAUSIBLE_FEEDBACK);
 }
 
 static void a_reported_velocity_that_is_wild_is_no_velocity_whatever_its_mean(void)
@@ -186,7 +196,8 @@ static void a_reported_velocity_that_is_wild_is_no_velocity_whatever_its_mean(vo
             found_s = step * STEP_S;
         }
     }
-    CHECK(found_s < 1.5 && w.why.fault == FAULT_IMPLAUSIBLE_FEEDBACK && fabs(w.why.reported_rad_s) == 343.0);
+    CHECK(found_s < 1.5 && w.why.fault == FAULT_IMPLAUSIBLE_FEEDBACK &&
+          fabs(w.why.reported_rad_s) == 343.0);
 }
 
 static void the_same_sample_again_is_none_and_a_velocity_that_comes_late_is_none_either(void)
@@ -194,7 +205,8 @@ static void the_same_sample_again_is_none_and_a_velocity_that_comes_late_is_none
     wheel w = begun(NAN);
     plausible_state before = w.state;
     CHECK(taken(&w, 1e9, 1e9));
-    CHECK(before.stamp_ns == w.state.stamp_ns && before.measured_rad_s == 0.0 && w.state.measured_rad_s == 0.0);
+    CHECK(before.stamp_ns == w.state.stamp_ns && before.measured_rad_s == 0.0 &&
+          w.state.measured_rad_s == 0.0);
     CHECK(isinf(until_fault(&w, 2.0, 5.0, NAN, 5.0)));
     CHECK(isinf(until_fault(&w, 2.0, 5.0, 5.0, 5.0)));
     CHECK(near(w.state.reported_rad_s, 5.0));
@@ -252,14 +264,16 @@ static void each_tolerance_ends_where_it_says(void)
     for (size_t i = 0; i < sizeof CASES / sizeof CASES[0]; i++) {
         wheel w = steady(CASES[i].measured_rad_s, CASES[i].reported_rad_s);
         w.state.rough_rad_s = CASES[i].rough_rad_s;
-        CHECK(plausible(&w.state, &w.config, &w.joint, CASES[i].reported_rad_s, CASES[i].setpoint_rad_s, &w.why));
+        CHECK(plausible(&w.state, &w.config, &w.joint, CASES[i].reported_rad_s,
+                        CASES[i].setpoint_rad_s, &w.why));
         CHECK(w.state.suspicious == CASES[i].suspicious && w.state.doubted == 0);
     }
     wheel first = steady(0.0, 0.0), second = first;
     first.state.rough_rad_s = second.state.rough_rad_s = 6.3;
     CHECK(plausible(&first.state, &first.config, &first.joint, 0.0, 0.0, &first.why));
     second.config.beyond_rad_s = first.state.rough_rad_s; /* exactly as much as there may be */
-    CHECK(plausible(&second.state, &second.config, &second.joint, 0.0, 0.0, &second.why) && second.state.suspicious == 0);
+    CHECK(plausible(&second.state, &second.config, &second.joint, 0.0, 0.0, &second.why) &&
+          second.state.suspicious == 0);
 }
 
 static void what_comes_nearer_begins_its_time_anew(void)
@@ -268,10 +282,12 @@ static void what_comes_nearer_begins_its_time_anew(void)
         double measured_rad_s, nearest_rad_s, setpoint_rad_s;
         uint32_t faster, suspicious, anew;
     } CASES[] = {
-        {-1.0, -2.0, 2.0, 1, DIRECTION, 1},    {-2.0, -2.0, 2.0, 1, DIRECTION, 0},     {0.125, -0.125, 2.0, 1, STALL, 1},
-        {4.125, 4.0, 12.0, 1, FOLLOWING, 0},   {4.126, 4.0, 12.0, 1, FOLLOWING, 1},    {3.0, 4.0, 12.0, 1, FOLLOWING, 0},
-        {4.0, 4.0, 12.0, 0, FOLLOWING, 1},     {4.0, 4.0, 12.0, 1, IMPLAUSIBLE, 1},    {4.0, 4.0, 12.0, 1, STALL, 0},
-        {12.875, 13.0, 6.0, 0, RUNAWAY, 0},    {12.874, 13.0, 6.0, 0, RUNAWAY, 1},     {14.0, 13.0, 6.0, 0, RUNAWAY, 0},
+        {-1.0, -2.0, 2.0, 1, DIRECTION, 1},    {-2.0, -2.0, 2.0, 1, DIRECTION, 0},
+        {0.125, -0.125, 2.0, 1, STALL, 1},     {4.125, 4.0, 12.0, 1, FOLLOWING, 0},
+        {4.126, 4.0, 12.0, 1, FOLLOWING, 1},   {3.0, 4.0, 12.0, 1, FOLLOWING, 0},
+        {4.0, 4.0, 12.0, 0, FOLLOWING, 1},     {4.0, 4.0, 12.0, 1, IMPLAUSIBLE, 1},
+        {4.0, 4.0, 12.0, 1, STALL, 0},         {12.875, 13.0, 6.0, 0, RUNAWAY, 0},
+        {12.874, 13.0, 6.0, 0, RUNAWAY, 1},    {14.0, 13.0, 6.0, 0, RUNAWAY, 0},
         {-12.874, -13.0, -6.0, 1, RUNAWAY, 1}, {-4.126, -4.0, -12.0, 0, FOLLOWING, 1},
     };
     for (size_t i = 0; i < sizeof CASES / sizeof CASES[0]; i++) {
@@ -289,7 +305,8 @@ static void what_comes_nearer_begins_its_time_anew(void)
                                                            : 3;
         bool was = (CASES[i].suspicious >> check & 1) != 0;
         CHECK(w.state.since_ns[check] == (CASES[i].anew || !was ? w.joint.stamp_ns : 1));
-        CHECK(w.state.nearest_rad_s == (CASES[i].anew ? CASES[i].measured_rad_s : CASES[i].nearest_rad_s));
+        CHECK(w.state.nearest_rad_s ==
+              (CASES[i].anew ? CASES[i].measured_rad_s : CASES[i].nearest_rad_s));
         CHECK(w.state.faster == (CASES[i].setpoint_rad_s > CASES[i].measured_rad_s));
     }
 }
@@ -301,17 +318,21 @@ static void a_check_is_due_at_its_time_and_the_first_of_several_is_named(void)
         w.state.suspicious = STALL, w.state.faster = 1;
         w.state.since_ns[1] = w.joint.stamp_ns - 1000000000 + 1 - late;
         CHECK(plausible(&w.state, &w.config, &w.joint, NAN, 5.0, &w.why) == !late);
-        CHECK(!late || (w.why.fault == FAULT_STALL && w.why.since_ns == w.joint.stamp_ns - 1000000000));
+        CHECK(!late ||
+              (w.why.fault == FAULT_STALL && w.why.since_ns == w.joint.stamp_ns - 1000000000));
     }
     wheel w = steady(-7.0, -7.0);
-    w.state.suspicious = DIRECTION | FOLLOWING | RUNAWAY, w.state.faster = 1, w.state.nearest_rad_s = -7.0;
+    w.state.suspicious = DIRECTION | FOLLOWING | RUNAWAY, w.state.faster = 1,
+    w.state.nearest_rad_s = -7.0;
     w.joint.stamp_ns += 4 * STEP_NS, w.joint.position_rad = 5 * -7.0 * STEP_S;
     w.state.since_ns[0] = w.state.since_ns[2] = w.state.since_ns[3] = w.joint.stamp_ns - 2000000000;
     CHECK(!plausible(&w.state, &w.config, &w.joint, -7.0, 0.5, &w.why));
-    CHECK(w.why.fault == FAULT_FOLLOWING_ERROR && w.why.measured_rad_s < -6.9); /* too slow a set-point for a direction */
+    /* too slow a set-point for a direction */
+    CHECK(w.why.fault == FAULT_FOLLOWING_ERROR && w.why.measured_rad_s < -6.9);
 }
 
-static void speeds_are_smoothed_over_a_fifth_of_a_second_and_samples_that_come_faster_are_taken_together(void)
+static void
+speeds_are_smoothed_over_a_fifth_of_a_second_and_samples_that_come_faster_are_taken_together(void)
 {
     wheel w = begun(2.0);
     w.joint.stamp_ns += 4999999;
@@ -319,14 +340,17 @@ static void speeds_are_smoothed_over_a_fifth_of_a_second_and_samples_that_come_f
     CHECK(!plausible_due(&w.state, &w.joint));
     w.joint.stamp_ns += 1;
     CHECK(plausible_due(&w.state, &w.joint));
-    CHECK(plausible(&w.state, &w.config, &w.joint, 3.0, 2.0, &w.why) && w.state.stamp_ns == w.joint.stamp_ns);
-    CHECK(fabs(w.state.measured_rad_s - (2.0 + (1.0 - 2.0 * 0.005) / 0.205)) < 1e-12 && w.state.position_rad == 1.0);
+    CHECK(plausible(&w.state, &w.config, &w.joint, 3.0, 2.0, &w.why) &&
+          w.state.stamp_ns == w.joint.stamp_ns);
+    CHECK(fabs(w.state.measured_rad_s - (2.0 + (1.0 - 2.0 * 0.005) / 0.205)) < 1e-12 &&
+          w.state.position_rad == 1.0);
     double reported_rad_s = 2.0 + 1.0 * 0.005 / 0.205;
     CHECK(fabs(w.state.reported_rad_s - reported_rad_s) < 1e-12);
     CHECK(fabs(w.state.rough_rad_s - (3.0 - reported_rad_s) * 0.005 / 0.205) < 1e-12);
     w = begun(0.0);
     CHECK(isinf(until_fault(&w, 0.2, 5.0, NAN, 5.0)));
-    CHECK(w.state.measured_rad_s > 2.9 && w.state.measured_rad_s < 3.4 && w.state.reported_rad_s == w.state.measured_rad_s);
+    CHECK(w.state.measured_rad_s > 2.9 && w.state.measured_rad_s < 3.4 &&
+          w.state.reported_rad_s == w.state.measured_rad_s);
 }
 
 static void jumps_of_a_second_ago_still_count_and_older_ones_do_not(void)
@@ -335,10 +359,12 @@ static void jumps_of_a_second_ago_still_count_and_older_ones_do_not(void)
         wheel w = steady(5.0, 5.0);
         w.state.jumped_ns = w.joint.stamp_ns - 1000000000 - late;
         w.state.jumps = 7, w.state.jumps_before = 5, w.joint.jumps = 8;
-        CHECK(plausible(&w.state, &w.config, &w.joint, 5.0, 5.0, &w.why) == late && w.state.jumps == 8);
+        CHECK(plausible(&w.state, &w.config, &w.joint, 5.0, 5.0, &w.why) == late &&
+              w.state.jumps == 8);
         CHECK(w.state.jumps_before == (late ? 7U : 5U));
         CHECK(w.state.jumped_ns == (late ? w.joint.stamp_ns : w.joint.stamp_ns - 1000000000));
-        CHECK(late || (w.why.fault == FAULT_IMPLAUSIBLE_FEEDBACK && w.why.since_ns == w.state.jumped_ns));
+        CHECK(late ||
+              (w.why.fault == FAULT_IMPLAUSIBLE_FEEDBACK && w.why.since_ns == w.state.jumped_ns));
     }
 }
 

@@ -1,12 +1,21 @@
 /* SPDX-License-Identifier: Apache-2.0
- * drive_walk.h: one table of what becomes of a drive in every mode after every event, for the machines of all media. */
+ * drive_walk.h: one table of what becomes of a drive in every mode after every event, for the
+ * machines of all media. */
 #ifndef MOTORD_TESTS_DRIVE_WALK_H
 #define MOTORD_TESTS_DRIVE_WALK_H
 
 #include "check.h"
 #include "drive_state.h"
 
-typedef enum { FROM_OFF, FROM_READY, FROM_ARMED, FROM_STOPPING, FROM_UNRESPONSIVE, FROM_BACK, FROM_COUNT } walk_from;
+typedef enum {
+    FROM_OFF,
+    FROM_READY,
+    FROM_ARMED,
+    FROM_STOPPING,
+    FROM_UNRESPONSIVE,
+    FROM_BACK,
+    FROM_COUNT
+} walk_from;
 typedef enum { ON_RS485, ON_CAN, ON_BOARD, ON_BRIDGE, ON_ASYNCIO, ON_ASYNCIO_CAN } walk_kind;
 enum { FROM_ANY = -1, ANY = -1 };
 
@@ -19,8 +28,8 @@ typedef enum {
     EVENT_COUNT
 } walk_event;
 
-/* One drive whose wheel turns whatever it is sent. The core's set-points are fresh, enabled, and not zero. What cannot occur on a
- * medium is NULL. */
+/* One drive whose wheel turns whatever it is sent. The core's set-points are fresh, enabled, and
+ * not zero. What cannot occur on a medium is NULL. */
 typedef struct {
     walk_kind kind;
     void (*begin)(void); /* OFF, or where there is no set-up READY */
@@ -42,8 +51,9 @@ typedef struct {
 } walk_medium;
 
 #undef LEADS_TO
-#define LEADS_TO(event, off, ready, armed, stopping, unresponsive, back)                                                         \
-    {DRIVE_##off, DRIVE_##ready, DRIVE_##armed, DRIVE_##stopping, DRIVE_##unresponsive, DRIVE_##back},
+#define LEADS_TO(event, off, ready, armed, stopping, unresponsive, back)                           \
+    {DRIVE_##off,      DRIVE_##ready,        DRIVE_##armed,                                        \
+     DRIVE_##stopping, DRIVE_##unresponsive, DRIVE_##back},
 static const uint32_t WALK_LEADS_TO[EVENT_COUNT][FROM_COUNT] = {
 #include "drive_walk_table.h"
 };
@@ -117,7 +127,8 @@ static inline bool walk_cannot_occur(walk_kind kind, int event, int from)
 {
     for (size_t i = 0; i < sizeof WALK_GAPS / sizeof WALK_GAPS[0]; i++) {
         const walk_gap *gap = &WALK_GAPS[i];
-        if (gap->kind == kind && (gap->event == ANY || gap->event == event) && (gap->from == FROM_ANY || gap->from == from)) {
+        if (gap->kind == kind && (gap->event == ANY || gap->event == event) &&
+            (gap->from == FROM_ANY || gap->from == from)) {
             return true;
         }
     }
@@ -140,7 +151,8 @@ static inline int walk_all(const walk_medium *medium, uint32_t cells, const char
             medium->go_on(WALK_SETTLES_NS);
             uint32_t mode = WALK_LEADS_TO[event][from];
             if (medium->state()->mode != mode) {
-                fprintf(stderr, "%s: from %u by event %u: mode %u, not %u\n", name, from, event, medium->state()->mode, mode);
+                fprintf(stderr, "%s: from %u by event %u: mode %u, not %u\n", name, from, event,
+                        medium->state()->mode, mode);
             }
             CHECK(medium->state()->mode == mode);
             if (WALK_SENDS_POWER_OFF[event][from] && medium->power_offs() == power_offs) {

@@ -1,9 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
- * drive_walk_table.h: what becomes of a drive in every mode after every event, on all media. Read by C (drive_walk.h) and by
- * Python (tests/contract/lines/drive_walk.py); it has no include guard.
+ * drive_walk_table.h: what becomes of a drive in every mode after every event, on all media. Read
+ * by C (drive_walk.h) and by Python (tests/contract/lines/drive_walk.py); it has no include guard.
  *
- * LEADS_TO(event, the mode that it leads to from OFF, READY, ARMED, STOPPING, UNRESPONSIVE and BACK). A quick stop goes on for a
- * second: the wheel turns. What happens to a drive that is silent is not reported. */
+ * LEADS_TO(event, the mode that it leads to from OFF, READY, ARMED, STOPPING, UNRESPONSIVE and
+ * BACK). A quick stop goes on for a second: the wheel turns. What happens to a drive that is
+ * silent is not reported. */
 LEADS_TO(SETPOINTS_OLD, OFF, READY, READY, READY, UNRESPONSIVE, BACK)
 LEADS_TO(SETPOINTS_NOT_ENABLED, OFF, READY, READY, READY, UNRESPONSIVE, BACK)
 LEADS_TO(REQUESTED_OFF, OFF, OFF, OFF, OFF, OFF, OFF)
@@ -26,8 +27,8 @@ SENDS_POWER_OFF(LOST_SETUP, ARMED)
 SENDS_POWER_OFF(LOST_SETUP, STOPPING)
 SENDS_POWER_OFF(STILL_ENABLED, READY)
 
-/* CANNOT_OCCUR(medium, event or ANY, from or ANY, why). Media: RS485, CAN, BOARD, BRIDGE in C; ASYNCIO: Modbus and CAN there;
- * ASYNCIO_CAN: only CAN there. */
+/* CANNOT_OCCUR(medium, event or ANY, from or ANY, why). Media: RS485, CAN, BOARD, BRIDGE in C;
+ * ASYNCIO: Modbus and CAN there; ASYNCIO_CAN: only CAN there. */
 CANNOT_OCCUR(CAN, LOST_SETUP, ANY, "no field of its table shows whether it has kept its set-up")
 CANNOT_OCCUR(BRIDGE, ANY, OFF, "it has no set-up: it is READY as soon as its thread runs")
 CANNOT_OCCUR(BRIDGE, ANY, UNRESPONSIVE, "it gives no replies that could fail to come")
@@ -37,21 +38,32 @@ CANNOT_OCCUR(BRIDGE, ANSWERS_AGAIN, ANY, "it gives no replies that could come ag
 CANNOT_OCCUR(BRIDGE, DISABLED_ITSELF, ANY, "nothing on its pins reports whether it has power")
 CANNOT_OCCUR(BRIDGE, STILL_ENABLED, ANY, "nothing on its pins reports whether it has power")
 CANNOT_OCCUR(BRIDGE, LOST_SETUP, ANY, "it has no set-up that could be lost")
-CANNOT_OCCUR(BRIDGE, REQUESTED_OFF, ANY, "it has no set-up that could be undone: PWM_OFF is its stand-down")
+CANNOT_OCCUR(BRIDGE, REQUESTED_OFF, ANY,
+             "it has no set-up that could be undone: PWM_OFF is its stand-down")
 CANNOT_OCCUR(BRIDGE, REQUESTED_READY, ANY, "it has no set-up that could be requested")
-CANNOT_OCCUR(ASYNCIO, ANY, BACK, "its set-up begins as soon as it answers: it is OFF until it is READY")
-CANNOT_OCCUR(ASYNCIO, REQUESTED_READY, READY, "the end of a set-up requests it, and only in OFF one goes on")
-CANNOT_OCCUR(ASYNCIO, REQUESTED_READY, ARMED, "the end of a set-up requests it, and only in OFF one goes on")
-CANNOT_OCCUR(ASYNCIO, REQUESTED_READY, STOPPING, "the end of a set-up requests it, and only in OFF one goes on")
-CANNOT_OCCUR(ASYNCIO, REQUESTED_READY, UNRESPONSIVE, "the end of a set-up requests it, and only in OFF one goes on")
-CANNOT_OCCUR(ASYNCIO_CAN, LOST_SETUP, ANY, "the line reads nothing that shows whether it has kept its set-up")
+CANNOT_OCCUR(ASYNCIO, ANY, BACK,
+             "its set-up begins as soon as it answers: it is OFF until it is READY")
+CANNOT_OCCUR(ASYNCIO, REQUESTED_READY, READY,
+             "the end of a set-up requests it, and only in OFF one goes on")
+CANNOT_OCCUR(ASYNCIO, REQUESTED_READY, ARMED,
+             "the end of a set-up requests it, and only in OFF one goes on")
+CANNOT_OCCUR(ASYNCIO, REQUESTED_READY, STOPPING,
+             "the end of a set-up requests it, and only in OFF one goes on")
+CANNOT_OCCUR(ASYNCIO, REQUESTED_READY, UNRESPONSIVE,
+             "the end of a set-up requests it, and only in OFF one goes on")
+CANNOT_OCCUR(ASYNCIO_CAN, LOST_SETUP, ANY,
+             "the line reads nothing that shows whether it has kept its set-up")
 
 /* DIFFERS(medium, event, from, the mode that it leads to there, why) */
 DIFFERS(ASYNCIO, FALLS_SILENT, OFF, UNRESPONSIVE, "the line sets it up, and gets no reply")
-DIFFERS(ASYNCIO, LINE_ENDS, READY, OFF, "the medium is closed after the power-off: nothing is known of the drive")
-DIFFERS(ASYNCIO, LINE_ENDS, ARMED, OFF, "the medium is closed after the power-off: nothing is known of the drive")
-DIFFERS(ASYNCIO, LINE_ENDS, STOPPING, OFF, "the medium is closed after the power-off: nothing is known of the drive")
-DIFFERS(ASYNCIO, LINE_ENDS, UNRESPONSIVE, OFF, "the medium is closed after the power-off: nothing is known of the drive")
+DIFFERS(ASYNCIO, LINE_ENDS, READY, OFF,
+        "the medium is closed after the power-off: nothing is known of the drive")
+DIFFERS(ASYNCIO, LINE_ENDS, ARMED, OFF,
+        "the medium is closed after the power-off: nothing is known of the drive")
+DIFFERS(ASYNCIO, LINE_ENDS, STOPPING, OFF,
+        "the medium is closed after the power-off: nothing is known of the drive")
+DIFFERS(ASYNCIO, LINE_ENDS, UNRESPONSIVE, OFF,
+        "the medium is closed after the power-off: nothing is known of the drive")
 DIFFERS(ASYNCIO, ANSWERS_AGAIN, UNRESPONSIVE, READY, "the line sets it up again by itself")
 DIFFERS(ASYNCIO, DISABLED_ITSELF, ARMED, READY, "the line sets it up again by itself")
 DIFFERS(ASYNCIO, LOST_SETUP, READY, READY, "the line sets it up again by itself")

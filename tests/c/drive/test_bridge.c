@@ -63,11 +63,12 @@ static bridge_config config_of(int fd)
 
 static setpoints duty_of(double duty, uint32_t enabled, int64_t stamp_ns)
 {
-    return (setpoints){.stamp_ns = stamp_ns, .enabled = enabled, .joint_count = 1, .joint = {{.duty = duty}}};
+    return (setpoints){
+        .stamp_ns = stamp_ns, .enabled = enabled, .joint_count = 1, .joint = {{.duty = duty}}};
 }
 
-static double level_at(bridge_state *state, const bridge_control *control, double duty, uint32_t enabled, int64_t age_ns,
-                       int64_t now_ns)
+static double level_at(bridge_state *state, const bridge_control *control, double duty,
+                       uint32_t enabled, int64_t age_ns, int64_t now_ns)
 {
     const bridge_config config = config_of(3);
     setpoints newest = duty_of(duty, enabled, now_ns - age_ns);
@@ -87,7 +88,8 @@ static void only_armed_enabled_and_fresh_set_points_move(void)
     CHECK(level_at(&state, &arm, 7.0, 1, 0, START_NS + 4 * MS) == 1.0);
     CHECK(level_at(&state, &arm, -7.0, 1, 0, START_NS + 4 * MS) == 1.0);
     CHECK(level_at(&state, &arm, (double)NAN, 1, 0, START_NS + 4 * MS) == 0.0);
-    CHECK(level_at(&state, &arm, 0.5, 0, 0, START_NS + 5 * MS) == 0.0 && state.drive.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
+    CHECK(level_at(&state, &arm, 0.5, 0, 0, START_NS + 5 * MS) == 0.0 &&
+          state.drive.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 6 * MS) == 0.0);
 }
 
@@ -95,14 +97,17 @@ static void what_is_old_or_late_brakes_and_then_lets_go(void)
 {
     bridge_state state = {0};
     bridge_control arm = {.mode = PWM_ARMED, .number = 1};
-    CHECK(level_at(&state, &arm, 0.5, 1, 101 * MS, START_NS) == 0.0 && state.drive.mode == DRIVE_READY);
+    CHECK(level_at(&state, &arm, 0.5, 1, 101 * MS, START_NS) == 0.0 &&
+          state.drive.mode == DRIVE_READY);
     arm.number++;
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + MS) == 0.5);
-    CHECK(level_at(&state, &arm, 0.5, 1, 101 * MS, START_NS + 2 * MS) == 0.0 && state.drive.stopping);
+    CHECK(level_at(&state, &arm, 0.5, 1, 101 * MS, START_NS + 2 * MS) == 0.0 &&
+          state.drive.stopping);
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 302 * MS) == 0.0 && !state.drive.stopping);
     arm.number++;
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 303 * MS) == 0.5);
-    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 500 * MS) == 0.0 && state.drive.fault_reasons == DRIVE_FAULT_LEFT_ALONE);
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 500 * MS) == 0.0 &&
+          state.drive.fault_reasons == DRIVE_FAULT_LEFT_ALONE);
     bridge_control stop = {.mode = PWM_STOP, .number = 9};
     CHECK(level_at(&state, &stop, 0.5, 1, 0, START_NS + 501 * MS) == 0.0 && !state.drive.stopping);
     arm.number = 10;
@@ -118,7 +123,8 @@ static void a_stop_that_an_arming_overtakes_unseen_takes_the_power(void)
     bridge_control arm = {.mode = PWM_ARMED, .number = 1};
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS) == 0.5);
     arm.number = 3;
-    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + MS) == 0.0 && state.drive.mode == DRIVE_READY);
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + MS) == 0.0 &&
+          state.drive.mode == DRIVE_READY);
     CHECK(state.drive.request_seen == 3 && state.drive.fault_reasons == 0 && !state.drive.stopping);
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 2 * MS) == 0.0);
     arm.number = 4;
@@ -126,8 +132,8 @@ static void a_stop_that_an_arming_overtakes_unseen_takes_the_power(void)
     bridge_control stop = {.mode = PWM_STOP, .number = 5};
     CHECK(level_at(&state, &stop, 0.5, 1, 0, START_NS + 4 * MS) == 0.0 && state.drive.stopping);
     arm.number = 7; /* it brakes, and a power-off may have been overtaken */
-    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 5 * MS) == 0.0 && state.drive.mode == DRIVE_READY &&
-          !state.drive.stopping);
+    CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 5 * MS) == 0.0 &&
+          state.drive.mode == DRIVE_READY && !state.drive.stopping);
     arm.number = 9; /* it has no power: there is nothing to take */
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 6 * MS) == 0.5);
 }
@@ -198,8 +204,8 @@ static void arm_line_1(void)
     pwm_line_put_control(1, &(bridge_control){.mode = PWM_ARMED, .number = ++requests});
 }
 
-/* With set-points of `duty`; 0: with none. A busy machine may have held up this program, and the thread has stopped, as it must:
- * a motor that is to turn is armed again. */
+/* With set-points of `duty`; 0: with none. A busy machine may have held up this program, and the
+ * thread has stopped, as it must: a motor that is to turn is armed again. */
 static bool comes_true(int fd, unsigned long duty_ns, double duty)
 {
     for (int i = 0; i < 10000; i++) {
@@ -236,7 +242,8 @@ static void the_thread_writes_the_files_and_ends_at_rest(void)
     CHECK(comes_true(fd, 0, 0.0));
     CHECK(comes_true(fd, 25000, 0.5)); /* when it does not brake any more */
     CHECK(pwm_line_stop(1) == 0 && duty_in(fd) == 0);
-    CHECK(pwm_line_read_report(1, &report) == 0 && report.running == 0 && report.error == 0 && report.cycles > 0);
+    CHECK(pwm_line_read_report(1, &report) == 0 && report.running == 0 && report.error == 0 &&
+          report.cycles > 0);
     CHECK(report.rest_error == 0);
     CHECK(close(fd) == 0);
 }
@@ -318,7 +325,8 @@ static void lines_that_take_the_power_do_so_though_the_duty_cannot_be_taken_back
     config.output[2] = (bridge_pin){.fd = -1, .bit = 5, .base = {0.0, 1.0, 1.0, 1.0}};
     config.output_count = 3;
     CHECK(changed_at_a_failure(&config, 0.5, -0.5) == POWER_BIT);
-    CHECK((changed_at_a_failure(&config, -0.5, 0.5) & POWER_BIT) != 0 && (bits_set_to & POWER_BIT) == 0);
+    CHECK((changed_at_a_failure(&config, -0.5, 0.5) & POWER_BIT) != 0 &&
+          (bits_set_to & POWER_BIT) == 0);
 }
 
 int main(void)

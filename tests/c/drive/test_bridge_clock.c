@@ -14,7 +14,8 @@ static const int64_t MS = 1000000;
 static exchange shared;
 static _Atomic int64_t slept_s;
 
-/* In the C library's place: a computer that was suspended for so long. CLOCK_MONOTONIC stood still meanwhile. */
+/* In the C library's place: a computer that was suspended for so long. CLOCK_MONOTONIC stood
+ * still meanwhile. */
 int clock_gettime(clockid_t clock, struct timespec *out)
 {
     long failed = syscall(SYS_clock_gettime, clock, out);
@@ -55,7 +56,8 @@ static void set_points_from_before_a_suspend_take_the_power(void)
         .joint = {{.sign = 1.0}},
         .output = {{.fd = fd, .period_ns = 50000, .slope = {0.0, 0.0, 1.0, 1.0}}},
     };
-    const setpoints newest = {.stamp_ns = clock_now_ns(), .enabled = 1, .joint_count = 1, .joint = {{.duty = 0.5}}};
+    const setpoints newest = {
+        .stamp_ns = clock_now_ns(), .enabled = 1, .joint_count = 1, .joint = {{.duty = 0.5}}};
     bridge_report report;
     exchange_init(&shared);
     CHECK(exchange_put_setpoints(&shared, 0, &newest) == 0);

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_bridge_steps: the levels of a bridge's pins, step by step and to the nanosecond; and each edge of its config. */
+ * test_bridge_steps: the levels of a bridge's pins, step by step and to the nanosecond; and each
+ * edge of its config. */
 #include <errno.h>
 #include <float.h>
 #include <math.h>
@@ -22,11 +23,15 @@ static bridge_config two_motors(void)
         .stopping_ns = 300 * MS,
         .joint_count = 2,
         .output_count = 2,
-        .joint = {{.sign = 1.0, .rest_mode = BRIDGE_BRAKE}, {.index = 1, .sign = -1.0, .rest_mode = BRIDGE_COAST}},
+        .joint = {{.sign = 1.0, .rest_mode = BRIDGE_BRAKE},
+                  {.index = 1, .sign = -1.0, .rest_mode = BRIDGE_COAST}},
     };
     for (uint32_t i = 0; i < 2; i++) {
-        config.output[i] =
-            (bridge_pin){.joint = i, .fd = -1, .bit = i, .base = {0.1, 0.2, 0.3, 0.4}, .slope = {0.05, 0.15, 0.25, 0.35}};
+        config.output[i] = (bridge_pin){.joint = i,
+                                        .fd = -1,
+                                        .bit = i,
+                                        .base = {0.1, 0.2, 0.3, 0.4},
+                                        .slope = {0.05, 0.15, 0.25, 0.35}};
     }
     return config;
 }
@@ -44,7 +49,9 @@ static bench begun(void)
 {
     bench b = {.config = two_motors(),
                .now_ns = START_NS,
-               .newest = {.enabled = 1, .joint_count = 2, .joint = {{.duty = 0.5}, {.duty = 0.5}, {.duty = 0.7}}}};
+               .newest = {.enabled = 1,
+                          .joint_count = 2,
+                          .joint = {{.duty = 0.5}, {.duty = 0.5}, {.duty = 0.7}}}};
     return b;
 }
 
@@ -95,7 +102,8 @@ static void each_mode_has_its_level(void)
     }
     requests(&b, PWM_STOP);
     CHECK(b.level[0] == 0.2 && b.level[1] == 0.2);
-    CHECK(steps_on(&b, 300 * MS - 1)[1] == 0.2 && steps_on(&b, 1)[1] == 0.1 && !b.state.drive.stopping);
+    CHECK(steps_on(&b, 300 * MS - 1)[1] == 0.2 && steps_on(&b, 1)[1] == 0.1 &&
+          !b.state.drive.stopping);
     requests(&b, PWM_ARMED);
     CHECK(b.state.drive.mode == DRIVE_ARMED);
     requests(&b, PWM_OFF);
@@ -127,7 +135,8 @@ static void a_servo_gets_the_pulses_of_its_newest_position(void)
 {
     bench b = servo();
     b.newest.position_rad[0] = 0.4;
-    CHECK(bridge_config_check(&b.config) == 0 && steps_on(&b, 0)[0] == 0.0); /* no power, no pulses */
+    /* no power, no pulses */
+    CHECK(bridge_config_check(&b.config) == 0 && steps_on(&b, 0)[0] == 0.0);
     CHECK(is(requests(&b, PWM_ARMED)[0], 0.5 + 0.125));
     const double at_rad[] = {0.0, -0.2, -0.8, -0.84, -1.2, -7.0, 0.8, 0.84, 1.2, 7.0};
     const double levels[] = {0.5, 0.4375, 0.25, 0.25, 0.25, 0.25, 0.75, 0.75, 0.75, 0.75};
@@ -145,7 +154,8 @@ static void a_servo_may_turn_as_far_as_it_likes_and_stands_in_its_middle_at_zero
     for (int i = 0; i < 5; i++) {
         bench b = servo();
         b.config.joint[0].full_rad = full_rad[i];
-        b.config.output[0].base[BRIDGE_REVERSE] = 0.4; /* at zero it counts as one that goes forward */
+        /* at zero it counts as one that goes forward */
+        b.config.output[0].base[BRIDGE_REVERSE] = 0.4;
         b.newest.position_rad[0] = 0.5 * full_rad[i];
         CHECK(bridge_config_check(&b.config) == 0 && is(requests(&b, PWM_ARMED)[0], 0.5 + 0.125));
         b.newest.position_rad[0] = 0.0;
@@ -162,7 +172,8 @@ static void each_servo_has_a_position_of_its_own(void)
     b.config.output[1] = b.config.output[0];
     b.config.output[1].joint = 1, b.config.output[1].bit = 1;
     b.config.joint[0].index = 2;
-    b.config.joint[1] = (bridge_joint){.index = 1, .sign = 1.0, .full_rad = 0.4, .rest_mode = BRIDGE_COAST};
+    b.config.joint[1] =
+        (bridge_joint){.index = 1, .sign = 1.0, .full_rad = 0.4, .rest_mode = BRIDGE_COAST};
     b.newest.joint_count = 3, b.newest.positioned = 6;
     b.newest.position_rad[0] = 7.0, b.newest.position_rad[1] = 0.2, b.newest.position_rad[2] = -0.4;
     requests(&b, PWM_ARMED);
@@ -175,12 +186,14 @@ static void each_servo_has_a_position_of_its_own(void)
     b.newest.position_rad[1] = 0.4;
     steps_on(&b, MS);
     CHECK(is(b.level[0], 0.5625) && is(b.level[1], 0.4375));
-    for (uint32_t known = 0; known < 4; known++) { /* of those that have had no position yet, the pulses wait */
+    /* of those that have had no position yet, the pulses wait */
+    for (uint32_t known = 0; known < 4; known++) {
         bench c = b;
         c.state = (bridge_state){0}, c.control = (bridge_control){0};
         c.newest.positioned = (known & 1U ? 4U : 0U) | (known & 2U ? 2U : 0U);
         requests(&c, PWM_ARMED);
-        CHECK((c.level[0] != 0.0) == ((known & 1U) != 0) && (c.level[1] != 0.0) == ((known & 2U) != 0));
+        CHECK((c.level[0] != 0.0) == ((known & 1U) != 0) &&
+              (c.level[1] != 0.0) == ((known & 2U) != 0));
     }
 }
 
@@ -191,7 +204,8 @@ static void as_many_servos_as_there_may_be_have_one_each(void)
     b.newest.positioned = (1U << JOINTS_MAX) - 1U;
     b.config.output[0].pumps = 1; /* what lies behind the joints in memory is not zero */
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        b.config.joint[j] = (bridge_joint){.index = j, .sign = 1.0, .full_rad = 0.8, .rest_mode = BRIDGE_COAST};
+        b.config.joint[j] =
+            (bridge_joint){.index = j, .sign = 1.0, .full_rad = 0.8, .rest_mode = BRIDGE_COAST};
         b.newest.position_rad[j] = 0.1 * j;
     }
     CHECK(bridge_config_check(&b.config) == 0);
@@ -222,7 +236,8 @@ static void a_servo_without_a_position_holds_the_one_before(void)
 
 static void a_servo_that_stops_keeps_its_place_and_then_gets_no_pulses(void)
 {
-    for (int how = 0; how < 3; how++) { /* a request, set-points that are old or not enabled any more */
+    /* a request, set-points that are old or not enabled any more */
+    for (int how = 0; how < 3; how++) {
         bench b = servo();
         b.newest.position_rad[0] = 0.4;
         requests(&b, PWM_ARMED);
@@ -277,7 +292,8 @@ static void one_that_brakes_goes_on_whatever_is_requested_but_no_power(void)
     int64_t until_ns = b.now_ns + 300 * MS;
     CHECK(b.state.drive.stopping && b.state.brake_until_ns == until_ns);
     requests(&b, PWM_ARMED);
-    CHECK(b.state.drive.mode == DRIVE_READY && b.state.drive.stopping && b.level[0] == 0.2 && b.level[1] == 0.2);
+    CHECK(b.state.drive.mode == DRIVE_READY && b.state.drive.stopping && b.level[0] == 0.2 &&
+          b.level[1] == 0.2);
     requests(&b, PWM_STOP); /* its line ends */
     CHECK(b.state.drive.stopping && b.state.brake_until_ns == until_ns && b.level[0] == 0.2);
     CHECK(b.state.drive.fault_reasons == 0);
@@ -289,7 +305,8 @@ static void one_that_brakes_goes_on_whatever_is_requested_but_no_power(void)
     CHECK(b.state.drive.mode == DRIVE_ARMED);
 }
 
-/* The core may enable it later; once it has, even between two looks, the end of that takes the power. */
+/* The core may enable it later; once it has, even between two looks, the end of that takes the
+ * power. */
 static void one_that_was_enabled_and_is_no_more_has_no_power(void)
 {
     bench b = begun();
@@ -301,30 +318,36 @@ static void one_that_was_enabled_and_is_no_more_has_no_power(void)
     CHECK(b.state.drive.mode == DRIVE_ARMED);
     b.state.enabled_count = 6;
     steps_on(&b, MS);
-    CHECK(b.state.drive.fault_reasons == DRIVE_FAULT_NOT_ENABLED && b.level[0] == 0.1 && !b.state.drive.stopping);
+    CHECK(b.state.drive.fault_reasons == DRIVE_FAULT_NOT_ENABLED && b.level[0] == 0.1 &&
+          !b.state.drive.stopping);
     requests(&b, PWM_ARMED);
     b.newest.enabled = 1;
     steps_on(&b, MS);
     CHECK(b.state.drive.mode == DRIVE_ARMED && is(b.level[0], 0.3 + 0.25 * 0.5));
     b.newest.enabled = 0;
     steps_on(&b, MS);
-    CHECK(b.state.drive.fault_reasons == DRIVE_FAULT_NOT_ENABLED && b.state.drive.mode == DRIVE_READY);
+    CHECK(b.state.drive.fault_reasons == DRIVE_FAULT_NOT_ENABLED &&
+          b.state.drive.mode == DRIVE_READY);
 }
 
 static void a_level_is_rounded_to_whole_nanoseconds_of_the_period(void)
 {
     bridge_pin pin = {.period_ns = 1000};
-    CHECK(bridge_duty_ns(&pin, 0.05) == 50 && bridge_duty_ns(&pin, 0.00145) == 1 && bridge_duty_ns(&pin, 0.00155) == 2);
-    CHECK(bridge_duty_ns(&pin, 0.0) == 0 && bridge_duty_ns(&pin, 1.0) == 1000 && bridge_duty_ns(&pin, 1.05) == 1000);
+    CHECK(bridge_duty_ns(&pin, 0.05) == 50 && bridge_duty_ns(&pin, 0.00145) == 1 &&
+          bridge_duty_ns(&pin, 0.00155) == 2);
+    CHECK(bridge_duty_ns(&pin, 0.0) == 0 && bridge_duty_ns(&pin, 1.0) == 1000 &&
+          bridge_duty_ns(&pin, 1.05) == 1000);
     pin.period_ns = (UINT64_C(1) << 53) + 3; /* the nearest double is more */
     CHECK(bridge_duty_ns(&pin, 1.0) == pin.period_ns);
     pin.period_ns = 1000;
     pin.inverted = 1;
-    CHECK(bridge_duty_ns(&pin, 0.0) == 1000 && bridge_duty_ns(&pin, 1.0) == 0 && bridge_duty_ns(&pin, INFINITY) == 0);
+    CHECK(bridge_duty_ns(&pin, 0.0) == 1000 && bridge_duty_ns(&pin, 1.0) == 0 &&
+          bridge_duty_ns(&pin, INFINITY) == 0);
 }
 
 #define ALLOWED(field, value) expects(0, &config, (config = two_motors(), config.field = value, 0))
-#define REFUSED(field, value) expects(-EINVAL, &config, (config = two_motors(), config.field = value, 0))
+#define REFUSED(field, value)                                                                      \
+    expects(-EINVAL, &config, (config = two_motors(), config.field = value, 0))
 
 static void expects(int verdict, const bridge_config *config, int changed)
 {

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The thread of a line of bridges, on a plain file: what the loop and asyncio send it leaves before its next cycle. */
+ * The thread of a line of bridges, on a plain file: what the loop and asyncio send it leaves
+ * before its next cycle. */
 #include <errno.h>
 #include <linux/gpio.h>
 #include <stdarg.h>
@@ -54,7 +55,8 @@ static void wait_for_duty(int fd, unsigned long duty_ns)
 static void put(double duty)
 {
     const uint64_t one = 1;
-    const setpoints newest = {.stamp_ns = clock_now_ns(), .enabled = 1, .joint_count = 1, .joint = {{.duty = duty}}};
+    const setpoints newest = {
+        .stamp_ns = clock_now_ns(), .enabled = 1, .joint_count = 1, .joint = {{.duty = duty}}};
     CHECK(exchange_put_setpoints(&shared, 0, &newest) == 0);
     CHECK(write(exchange_line_wake(&shared, 0), &one, sizeof one) == sizeof one);
 }

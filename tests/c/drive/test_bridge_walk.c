@@ -32,7 +32,8 @@ static void begin_bridge(void)
         .joint = {{.sign = 1.0, .rest_mode = BRIDGE_BRAKE}},
         .output = {{.fd = -1, .base = {0.0, 0.1, 0.2, 0.2}, .slope = {0.0, 0.0, 0.7, 0.7}}},
     };
-    b.newest = (setpoints){.enabled = 1, .joint_count = 1, .joint = {{.duty = 0.5}}, .stamp_ns = b.now_ns};
+    b.newest =
+        (setpoints){.enabled = 1, .joint_count = 1, .joint = {{.duty = 0.5}}, .stamp_ns = b.now_ns};
     CHECK(bridge_config_check(&b.config) == 0);
 }
 

@@ -5,21 +5,24 @@
 
 static const int64_t NOW_NS = 5000000000;
 enum { MODES = 5, REQUESTS = 6 };
-static const uint32_t MODE[MODES] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_UNRESPONSIVE, DRIVE_BACK};
-static const uint32_t REQUEST[REQUESTS] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_STAND_DOWN, DRIVE_UNRESPONSIVE, DRIVE_BACK};
+static const uint32_t MODE[MODES] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_UNRESPONSIVE,
+                                     DRIVE_BACK};
+static const uint32_t REQUEST[REQUESTS] = {DRIVE_OFF,        DRIVE_READY,        DRIVE_ARMED,
+                                           DRIVE_STAND_DOWN, DRIVE_UNRESPONSIVE, DRIVE_BACK};
 
 static drive_view good_view(void)
 {
     return (drive_view){.now_ns = NOW_NS, .fresh = true, .enabled = true, .enabled_count = 7};
 }
 
-/* ------------------------------------------------------------------------------------------------- requests */
+/* ----------------------------------------------------------------------------- requests */
 /* By mode and request: the mode that follows where nothing is against it. */
 static const uint32_t FOLLOWS[MODES][REQUESTS] = {
     {DRIVE_OFF, DRIVE_READY, DRIVE_OFF, DRIVE_OFF, DRIVE_OFF, DRIVE_OFF},
     {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_READY, DRIVE_READY, DRIVE_READY},
     {DRIVE_OFF, DRIVE_ARMED, DRIVE_ARMED, DRIVE_READY, DRIVE_ARMED, DRIVE_ARMED},
-    {DRIVE_OFF, DRIVE_UNRESPONSIVE, DRIVE_UNRESPONSIVE, DRIVE_UNRESPONSIVE, DRIVE_UNRESPONSIVE, DRIVE_UNRESPONSIVE},
+    {DRIVE_OFF, DRIVE_UNRESPONSIVE, DRIVE_UNRESPONSIVE, DRIVE_UNRESPONSIVE, DRIVE_UNRESPONSIVE,
+     DRIVE_UNRESPONSIVE},
     {DRIVE_OFF, DRIVE_READY, DRIVE_BACK, DRIVE_BACK, DRIVE_BACK, DRIVE_BACK},
 };
 
@@ -37,21 +40,30 @@ static void each_request_leads_where_the_table_says(void)
 {
     for (int m = 0; m < MODES; m++) {
         for (int r = 0; r < REQUESTS; r++) {
-            drive_state drive = {
-                .mode = MODE[m], .request_seen = 3, .fault_reasons = 8, .still_enabled = 2, .enabled = 1, .epoch = 4};
+            drive_state drive = {.mode = MODE[m],
+                                 .request_seen = 3,
+                                 .fault_reasons = 8,
+                                 .still_enabled = 2,
+                                 .enabled = 1,
+                                 .epoch = 4};
             drive_view view = good_view();
             mode_request request = {.count = 4, .mode = REQUEST[r]};
             drive_answer answer = drive_obey(&drive, &request, &view);
             drive_request event = event_of(MODE[m], REQUEST[r]);
             bool begins = event == REQUEST_SET_UP || event == REQUEST_ARM;
-            CHECK(drive.mode == FOLLOWS[m][r] && answer.request == event && !answer.overtaken && drive.request_seen == 4);
-            CHECK(answer.stop == (MODE[m] == DRIVE_ARMED && REQUEST[r] == DRIVE_OFF ? STOP_POWER_OFF : STOP_NOTHING));
-            CHECK(drive.fault_reasons == (begins ? 0 : 8) && drive.still_enabled == (begins ? 0 : 2));
+            CHECK(drive.mode == FOLLOWS[m][r] && answer.request == event && !answer.overtaken &&
+                  drive.request_seen == 4);
+            CHECK(answer.stop == (MODE[m] == DRIVE_ARMED && REQUEST[r] == DRIVE_OFF
+                                      ? STOP_POWER_OFF
+                                      : STOP_NOTHING));
+            CHECK(drive.fault_reasons == (begins ? 0 : 8) &&
+                  drive.still_enabled == (begins ? 0 : 2));
             CHECK(drive.epoch == (event == REQUEST_SET_UP ? 5 : 4));
             CHECK(drive.enabled == (event == REQUEST_ARM || event == REQUEST_STAND_DOWN ? 2 : 1));
             CHECK(drive.enabled_count == (event == REQUEST_ARM ? 7 : 0));
             answer = drive_obey(&drive, &request, &view);
-            CHECK(answer.request == REQUEST_NONE && answer.stop == STOP_NOTHING && !answer.overtaken);
+            CHECK(answer.request == REQUEST_NONE && answer.stop == STOP_NOTHING &&
+                  !answer.overtaken);
         }
     }
 }
@@ -74,7 +86,8 @@ static void nothing_is_armed_while_anything_is_against_it(void)
     }
 }
 
-/* One that was never seen may have been a stop: what may have power loses it, and is not armed by the one after it. */
+/* One that was never seen may have been a stop: what may have power loses it, and is not armed
+ * by the one after it. */
 static void a_request_that_was_overtaken_counts_as_a_stop(void)
 {
     for (int m = 0; m < MODES; m++) {
@@ -91,14 +104,16 @@ static void a_request_that_was_overtaken_counts_as_a_stop(void)
                 CHECK(answer.overtaken && answer.stop == (powered ? STOP_POWER_OFF : STOP_NOTHING));
                 CHECK(!drive.stopping && !drive.off_due);
                 bool arms = MODE[m] == DRIVE_READY && REQUEST[r] == DRIVE_ARMED && !powered;
-                CHECK((drive.mode == DRIVE_ARMED) == arms && (answer.request == REQUEST_ARM) == arms);
-                CHECK(drive.back == (answer.request != REQUEST_OFF && answer.request != REQUEST_SET_UP));
+                CHECK((drive.mode == DRIVE_ARMED) == arms &&
+                      (answer.request == REQUEST_ARM) == arms);
+                CHECK(drive.back ==
+                      (answer.request != REQUEST_OFF && answer.request != REQUEST_SET_UP));
             }
         }
     }
 }
 
-/* ------------------------------------------------------------------------------------------------- guarding */
+/* ----------------------------------------------------------------------------- guarding */
 static void one_without_a_place_to_begin_from_gets_no_power(void)
 {
     drive_state drive = {.mode = DRIVE_READY};
@@ -106,26 +121,36 @@ static void one_without_a_place_to_begin_from_gets_no_power(void)
     view.position_unknown = true;
     mode_request request = {.count = 1, .mode = DRIVE_ARMED};
     CHECK(drive_obey(&drive, &request, &view).request == REQUEST_SEEN && drive.mode == DRIVE_READY);
-    CHECK(drive.fault_reasons == DRIVE_FAULT_POSITION_UNKNOWN && drive_guard(&drive, &view) == STOP_NOTHING);
+    CHECK(drive.fault_reasons == DRIVE_FAULT_POSITION_UNKNOWN &&
+          drive_guard(&drive, &view) == STOP_NOTHING);
     drive = (drive_state){.mode = DRIVE_READY, .fault_reasons = DRIVE_FAULT_LEFT_ALONE};
     CHECK(drive_obey(&drive, &request, &view).request == REQUEST_SEEN);
-    CHECK(drive.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_POSITION_UNKNOWN)); /* it is not forgotten */
+    /* it is not forgotten */
+    CHECK(drive.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_POSITION_UNKNOWN));
     drive = (drive_state){.mode = DRIVE_ARMED, .enabled = 1};
-    CHECK(drive_guard(&drive, &view) == STOP_POWER_OFF && drive.mode == DRIVE_READY && !drive.stopping);
+    CHECK(drive_guard(&drive, &view) == STOP_POWER_OFF && drive.mode == DRIVE_READY &&
+          !drive.stopping);
     CHECK(drive.fault_reasons == DRIVE_FAULT_POSITION_UNKNOWN && drive.enabled == 2);
     view.fresh = false; /* it may be moving */
     drive = (drive_state){.mode = DRIVE_ARMED};
-    CHECK(drive_guard(&drive, &view) == STOP_QUICK && drive.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
+    CHECK(drive_guard(&drive, &view) == STOP_QUICK &&
+          drive.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
 }
 
 /* The first of them that is true decides. */
 static void an_armed_drive_is_taken_back_for_each_reason_in_its_order(void)
 {
     for (uint32_t bits = 0; bits < 64; bits++) {
-        bool fresh = bits & 1, alone = bits & 2, enabled = bits & 4, was = bits & 8, between = bits & 16, armed = bits & 32;
-        drive_state drive = {.mode = armed ? DRIVE_ARMED : DRIVE_READY, .was_enabled = was, .enabled = 1};
+        bool fresh = bits & 1, alone = bits & 2, enabled = bits & 4, was = bits & 8,
+             between = bits & 16, armed = bits & 32;
+        drive_state drive = {
+            .mode = armed ? DRIVE_ARMED : DRIVE_READY, .was_enabled = was, .enabled = 1};
         drive.enabled_count = between ? 6 : 7;
-        drive_view view = {.now_ns = NOW_NS, .fresh = fresh, .left_alone = alone, .enabled = enabled, .enabled_count = 7};
+        drive_view view = {.now_ns = NOW_NS,
+                           .fresh = fresh,
+                           .left_alone = alone,
+                           .enabled = enabled,
+                           .enabled_count = 7};
         drive_stop stop = drive_guard(&drive, &view);
         uint32_t why = !armed                         ? 0
                        : !fresh                       ? DRIVE_FAULT_SETPOINTS_OLD
@@ -133,8 +158,11 @@ static void an_armed_drive_is_taken_back_for_each_reason_in_its_order(void)
                        : !enabled && (was || between) ? DRIVE_FAULT_NOT_ENABLED
                                                       : 0;
         bool quick = why == DRIVE_FAULT_SETPOINTS_OLD || why == DRIVE_FAULT_LEFT_ALONE;
-        CHECK(drive.fault_reasons == why && stop == (quick ? STOP_QUICK : why != 0 ? STOP_POWER_OFF : STOP_NOTHING));
-        CHECK(drive.mode == (armed && why == 0 ? DRIVE_ARMED : DRIVE_READY) && drive.enabled == (why != 0 ? 2 : 1));
+        CHECK(drive.fault_reasons == why && stop == (quick      ? STOP_QUICK
+                                                     : why != 0 ? STOP_POWER_OFF
+                                                                : STOP_NOTHING));
+        CHECK(drive.mode == (armed && why == 0 ? DRIVE_ARMED : DRIVE_READY) &&
+              drive.enabled == (why != 0 ? 2 : 1));
         CHECK(drive.stopping == quick && drive.off_by_ns == (quick ? NOW_NS + 1000000000 : 0));
         CHECK(drive.was_enabled == (was || (armed && why == 0 && enabled)));
         CHECK(drive_is_changed(&drive) == (why != 0) && !drive_is_changed(&drive));
@@ -144,13 +172,15 @@ static void an_armed_drive_is_taken_back_for_each_reason_in_its_order(void)
 static void a_last_power_off_counts_by_what_the_drive_reports(void)
 {
     drive_last_off off = {0};
-    CHECK(!drive_is_off(&off, true, 0, NOW_NS) && !drive_is_off(&off, false, 2, NOW_NS)); /* it has not gone out */
+    /* it has not gone out */
+    CHECK(!drive_is_off(&off, true, 0, NOW_NS) && !drive_is_off(&off, false, 2, NOW_NS));
     off.suffices = true;
     CHECK(!drive_is_off(&off, true, 0, NOW_NS));
     off.first_ns = off.newest_ns = NOW_NS;
     CHECK(drive_is_off(&off, true, 1, 0) && drive_is_off(&off, false, 2, 0));
     off.suffices = false;
-    CHECK(drive_is_off(&off, true, 0, 0) && !drive_is_off(&off, true, 1, NOW_NS) && !drive_is_off(&off, true, 2, NOW_NS));
+    CHECK(drive_is_off(&off, true, 0, 0) && !drive_is_off(&off, true, 1, NOW_NS) &&
+          !drive_is_off(&off, true, 2, NOW_NS));
 }
 
 static void without_a_report_a_drive_has_to_speak_between_two_power_offs(void)
@@ -159,7 +189,8 @@ static void without_a_report_a_drive_has_to_speak_between_two_power_offs(void)
     CHECK(!drive_is_off(&off, false, 2, NOW_NS) && drive_is_off(&off, false, 2, NOW_NS + 1));
     CHECK(drive_is_off(&off, false, 2, NOW_NS + 10) && !drive_is_off(&off, false, 2, NOW_NS + 11));
     off.newest_ns = NOW_NS;
-    CHECK(!drive_is_off(&off, false, 2, NOW_NS) && !drive_is_off(&off, false, 2, NOW_NS + 1)); /* once alone */
+    /* once alone */
+    CHECK(!drive_is_off(&off, false, 2, NOW_NS) && !drive_is_off(&off, false, 2, NOW_NS + 1));
 }
 
 static void a_drive_is_left_alone_when_it_got_nothing_for_longer_than_its_watchdog_waits(void)
@@ -167,7 +198,8 @@ static void a_drive_is_left_alone_when_it_got_nothing_for_longer_than_its_watchd
     CHECK(!drive_left_alone(NOW_NS - 5, NOW_NS, 5) && drive_left_alone(NOW_NS - 6, NOW_NS, 5));
     CHECK(!drive_left_alone(NOW_NS, NOW_NS, 1) && drive_left_alone(0, NOW_NS, 1));
     CHECK(!drive_left_alone(0, NOW_NS, 0) && !drive_left_alone(0, NOW_NS, -1)); /* it has none */
-    CHECK(!drive_left_alone(NOW_NS + 6, NOW_NS, 5));                            /* it got something meanwhile */
+    /* it got something meanwhile */
+    CHECK(!drive_left_alone(NOW_NS + 6, NOW_NS, 5));
 }
 
 static void only_an_armed_drive_moves_by_fresh_set_points_that_are_enabled(void)
@@ -176,7 +208,8 @@ static void only_an_armed_drive_moves_by_fresh_set_points_that_are_enabled(void)
         for (uint32_t bits = 0; bits < 8; bits++) {
             bool fresh = bits & 1, enabled = bits & 2, wants = bits & 4, moved = bits & 2;
             drive_state drive = {.mode = MODE[m], .sent_motion = moved};
-            CHECK(drive_may_move(&drive, fresh, enabled) == (MODE[m] == DRIVE_ARMED && fresh && enabled));
+            CHECK(drive_may_move(&drive, fresh, enabled) ==
+                  (MODE[m] == DRIVE_ARMED && fresh && enabled));
             bool cycled = MODE[m] == DRIVE_ARMED || MODE[m] == DRIVE_READY;
             CHECK(drive_has_to_rest(&drive, wants) == (cycled && moved && !wants));
         }
@@ -190,7 +223,8 @@ static void the_power_goes_off_at_rest_or_in_time_but_not_before_the_stop_has_ar
         drive_state drive = {.mode = DRIVE_READY, .stopping = stopping, .off_by_ns = NOW_NS};
         drive.stop = pending ? STOP_QUICK : STOP_NOTHING;
         bool off = stopping && !pending && (rests || late);
-        CHECK(drive_end_stopping(&drive, rests, late ? NOW_NS : NOW_NS - 1) == (off ? STOP_POWER_OFF : STOP_NOTHING));
+        CHECK(drive_end_stopping(&drive, rests, late ? NOW_NS : NOW_NS - 1) ==
+              (off ? STOP_POWER_OFF : STOP_NOTHING));
         CHECK(drive.stopping == (stopping && !off));
     }
 }
@@ -201,28 +235,34 @@ static void its_own_report_takes_its_power_where_it_was_not_armed(void)
         for (uint32_t bits = 0; bits < 24; bits++) {
             uint32_t word = bits % 3;
             bool settled = bits / 3 & 1, stopping = bits / 6 & 1, pending = bits / 12 & 1;
-            drive_state drive = {.mode = MODE[m], .enabled = word, .stopping = stopping, .still_enabled = 1};
+            drive_state drive = {
+                .mode = MODE[m], .enabled = word, .stopping = stopping, .still_enabled = 1};
             drive.stop = pending ? STOP_POWER_OFF : STOP_NOTHING;
             drive_stop stop = drive_check_power(&drive, 2, settled);
             bool itself = MODE[m] == DRIVE_ARMED && word == 0;
             bool nobody = MODE[m] == DRIVE_READY && word == 1 && settled && !stopping && !pending;
             CHECK(stop == (itself || nobody ? STOP_POWER_OFF : STOP_NOTHING));
             CHECK(drive.mode == (itself ? DRIVE_OFF : MODE[m]));
-            CHECK(drive.fault_reasons == (itself ? DRIVE_FAULT_DISABLED_ITSELF : nobody ? DRIVE_FAULT_STILL_ENABLED : 0U));
+            CHECK(drive.fault_reasons == (itself   ? DRIVE_FAULT_DISABLED_ITSELF
+                                          : nobody ? DRIVE_FAULT_STILL_ENABLED
+                                                   : 0U));
             CHECK(drive.still_enabled == (nobody ? 2U : word == 0 && !itself ? 0U : 1U));
         }
     }
     drive_state drive = {.mode = DRIVE_READY, .enabled = 1, .still_enabled = 0};
-    CHECK(drive_check_power(&drive, 2, true) == STOP_POWER_OFF && drive.fault_reasons == 0 && drive.still_enabled == 1);
+    CHECK(drive_check_power(&drive, 2, true) == STOP_POWER_OFF && drive.fault_reasons == 0 &&
+          drive.still_enabled == 1);
     drive.enabled = 1, drive.still_enabled = 2;
-    CHECK(drive_check_power(&drive, 2, true) == STOP_POWER_OFF && drive.fault_reasons == 0 && drive.still_enabled == 3);
+    CHECK(drive_check_power(&drive, 2, true) == STOP_POWER_OFF && drive.fault_reasons == 0 &&
+          drive.still_enabled == 3);
 }
 
 static void a_stop_that_has_arrived_brings_back_what_was_unresponsive(void)
 {
     for (int m = 0; m < MODES; m++) {
         for (int back = 0; back < 2; back++) {
-            drive_state drive = {.mode = MODE[m], .stop = STOP_POWER_OFF, .enabled = 1, .back = back == 1};
+            drive_state drive = {
+                .mode = MODE[m], .stop = STOP_POWER_OFF, .enabled = 1, .back = back == 1};
             CHECK(drive_stop_done(&drive) == (back == 1));
             CHECK(drive.stop == STOP_NOTHING && drive.enabled == 2 && !drive.back);
             CHECK(drive.mode == (back == 1 ? DRIVE_BACK : MODE[m]));
@@ -234,14 +274,17 @@ static void in_every_mode_a_drive_that_does_not_answer_keeps_nothing_but_its_rea
 {
     for (int m = 0; m < MODES; m++) {
         for (uint32_t bits = 0; bits < 8; bits++) {
-            drive_state drive = {.mode = MODE[m], .enabled = 1, .fault_reasons = DRIVE_FAULT_LEFT_ALONE};
+            drive_state drive = {
+                .mode = MODE[m], .enabled = 1, .fault_reasons = DRIVE_FAULT_LEFT_ALONE};
             drive.stopping = bits & 1, drive.back = bits >> 1 & 1, drive.off_due = bits >> 2 & 1;
             drive.stop = STOP_QUICK;
             drive_unresponsive(&drive);
-            CHECK(drive.mode == DRIVE_UNRESPONSIVE && drive.enabled == 2 && drive.stop == STOP_QUICK);
+            CHECK(drive.mode == DRIVE_UNRESPONSIVE && drive.enabled == 2 &&
+                  drive.stop == STOP_QUICK);
             CHECK(drive.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_UNRESPONSIVE));
             CHECK(!drive.stopping && !drive.back && !drive.off_due);
-            CHECK(drive_answers(&drive) == STOP_POWER_OFF && drive.back && drive.mode == DRIVE_UNRESPONSIVE);
+            CHECK(drive_answers(&drive) == STOP_POWER_OFF && drive.back &&
+                  drive.mode == DRIVE_UNRESPONSIVE);
             CHECK(drive_stop_done(&drive) && drive.mode == DRIVE_BACK && !drive.back);
         }
     }
@@ -251,7 +294,8 @@ static void one_that_has_lost_its_set_up_gets_a_power_off(void)
 {
     for (int m = 0; m < MODES; m++) {
         drive_state drive = {.mode = MODE[m], .enabled = 1, .stopping = true};
-        CHECK(drive_lost_setup(&drive) == STOP_POWER_OFF && drive.mode == DRIVE_OFF && !drive.stopping);
+        CHECK(drive_lost_setup(&drive) == STOP_POWER_OFF && drive.mode == DRIVE_OFF &&
+              !drive.stopping);
         CHECK(drive.fault_reasons == DRIVE_FAULT_LOST_SETUP && drive.enabled == 2);
     }
 }
@@ -260,9 +304,11 @@ static void reasons_gather(void)
 {
     drive_state drive = {.mode = DRIVE_ARMED, .enabled = 1};
     drive_take_back(&drive, DRIVE_FAULT_LEFT_ALONE, DRIVE_READY);
-    CHECK(drive.fault_reasons == DRIVE_FAULT_LEFT_ALONE && drive.mode == DRIVE_READY && drive.enabled == 2);
+    CHECK(drive.fault_reasons == DRIVE_FAULT_LEFT_ALONE && drive.mode == DRIVE_READY &&
+          drive.enabled == 2);
     drive_take_back(&drive, DRIVE_FAULT_UNRESPONSIVE, DRIVE_UNRESPONSIVE);
-    CHECK(drive.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_UNRESPONSIVE) && drive.mode == DRIVE_UNRESPONSIVE);
+    CHECK(drive.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_UNRESPONSIVE) &&
+          drive.mode == DRIVE_UNRESPONSIVE);
     CHECK(!drive_is_cycled(&drive));
 }
 

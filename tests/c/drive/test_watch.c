@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_watch: who may move, and how a move ends. Tables: one field of the input changed, and what comes of it. */
+ * test_watch: who may move, and how a move ends. Tables: one field of the input changed, and
+ * what comes of it. */
 #include "core_rig.h"
 
 static const change ARMING[] = {
@@ -39,13 +40,15 @@ static void arming_needs_everything_in_the_tick_of_the_edge(void)
         ready(&r, &config);
         r.input.control.armed = 1;
         step_with(&r, &ARMING[i]);
-        CHECK(r.shown.armed == ARMING[i].expected && r.shown.enabled == r.shown.armed && r.out.enabled == r.shown.armed);
+        CHECK(r.shown.armed == ARMING[i].expected && r.shown.enabled == r.shown.armed &&
+              r.out.enabled == r.shown.armed);
         CHECK(((r.shown.reasons & REASON_NOT_ARMED) != 0) == !r.shown.armed && zero(&r));
         if (r.shown.armed || !r.input.control.armed) {
             continue;
         }
         /* no later, when all is well again: it takes another edge */
-        r.input.control.stop = r.input.control.estop = r.input.control.fault = r.input.suspended = 0;
+        r.input.control.stop = r.input.control.estop = r.input.control.fault = r.input.suspended =
+            0;
         r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.0;
         for (int j = 0; j < 4; j++) {
             r.input.feedback[j].drive_faults = 0;
@@ -66,8 +69,9 @@ static void arming_needs_everything_in_the_tick_of_the_edge(void)
 static void a_stale_command_arms_and_moves_nothing(void)
 {
     static const change STALE[] = {
-        AGE_OF(command.stamp_ns, 300000000, 0), AGE_OF(command.stamp_ns, 300000001, 1), AGE_OF(command.stamp_ns, -10000001, 1),
-        AGE_OF(command.stamp_ns, NEVER, 1),     AGE_OF(command.expires_ns, 0, 0),       AGE_OF(command.expires_ns, 1, 1),
+        AGE_OF(command.stamp_ns, 300000000, 0), AGE_OF(command.stamp_ns, 300000001, 1),
+        AGE_OF(command.stamp_ns, -10000001, 1), AGE_OF(command.stamp_ns, NEVER, 1),
+        AGE_OF(command.expires_ns, 0, 0),       AGE_OF(command.expires_ns, 1, 1),
     };
     core_config config = good_config();
     for (int i = 0; i < COUNT_OF(STALE); i++) {
@@ -121,11 +125,13 @@ static void each_cause_has_its_fault_at_once_moving_or_held_by_a_stop(void)
                 CHECK(r.shown.faults == expected && r.shown.armed == (expected == 0));
                 CHECK(((r.shown.reasons & REASON_FAULT) != 0) == (expected != 0));
                 CHECK(((r.shown.reasons & REASON_STOP_REQUESTED) != 0) == stopped);
-                CHECK(r.out.enabled == (expected == 0 || action != STOP_COAST) && r.out.enabled == r.shown.enabled);
+                CHECK(r.out.enabled == (expected == 0 || action != STOP_COAST) &&
+                      r.out.enabled == r.shown.enabled);
                 if (expected == 0) {
                     continue;
                 }
-                bool at_once = action >= STOP_COAST || action == STOP_BRAKE || expected == FAULT_SUSPENDED;
+                bool at_once =
+                    action >= STOP_COAST || action == STOP_BRAKE || expected == FAULT_SUSPENDED;
                 CHECK(zero(&r) == at_once);
                 for (int j = 0; j < 4; j++) {
                     CHECK(r.shown.joint[j].setpoint_rad_s == r.out.joint[j].velocity_rad_s &&
@@ -154,7 +160,8 @@ static void suspension_and_a_bad_time_step_are_sent_of_without_their_consequence
         go(&r, 0.4, 0.1);
         prepare(&r);
         core_step(&r.state, &r.input, BAD_S[i], &r.out, &r.shown);
-        CHECK(r.shown.faults == FAULT_TIME_STEP && r.shown.dt_s == 0.0 && zero(&r) && r.shown.armed == 0);
+        CHECK(r.shown.faults == FAULT_TIME_STEP && r.shown.dt_s == 0.0 && zero(&r) &&
+              r.shown.armed == 0);
     }
     /* after a pause the ramp goes on as if it had been a tenth of a second */
     config.limits.linear = (axis_limits){10.0, 1.0, 1.5, INFINITY};
@@ -165,7 +172,8 @@ static void suspension_and_a_bad_time_step_are_sent_of_without_their_consequence
     prepare(&r);
     r.input.command.linear_m_s = 0.5;
     core_step(&r.state, &r.input, 0.2, &r.out, &r.shown);
-    CHECK(fabs(r.shown.setpoint_linear_m_s - 0.1) < 1e-12 && r.shown.dt_s == 0.2 && r.shown.faults == 0);
+    CHECK(fabs(r.shown.setpoint_linear_m_s - 0.1) < 1e-12 && r.shown.dt_s == 0.2 &&
+          r.shown.faults == 0);
     prepare(&r);
     core_step(&r.state, &r.input, 0.05, &r.out, &r.shown);
     CHECK(fabs(r.shown.setpoint_linear_m_s - 0.15) < 1e-12);
@@ -202,9 +210,12 @@ static void who_is_received_and_since_when(void)
     r.input.feedback[2].stamp_ns = r.input.now_ns - 7 * MS_NS;
     r.input.feedback[3].stamp_ns = r.input.now_ns - 251 * MS_NS;
     step(&r);
-    CHECK(isinf(r.shown.joint[0].feedback_age_s) && r.shown.joint[0].stale == 1 && r.shown.joint[0].enabled == 2);
-    CHECK(isnan(r.shown.joint[0].voltage_v) && isnan(r.shown.joint[0].current_a) && isnan(r.shown.joint[0].temperature_c));
-    CHECK(r.shown.joint[1].feedback_age_s == 0.0 && r.shown.joint[1].stale == 0 && r.shown.joint[1].enabled == 1);
+    CHECK(isinf(r.shown.joint[0].feedback_age_s) && r.shown.joint[0].stale == 1 &&
+          r.shown.joint[0].enabled == 2);
+    CHECK(isnan(r.shown.joint[0].voltage_v) && isnan(r.shown.joint[0].current_a) &&
+          isnan(r.shown.joint[0].temperature_c));
+    CHECK(r.shown.joint[1].feedback_age_s == 0.0 && r.shown.joint[1].stale == 0 &&
+          r.shown.joint[1].enabled == 1);
     CHECK(fabs(r.shown.joint[2].feedback_age_s - 0.007) < 1e-12 && r.shown.joint[2].stale == 0);
     CHECK(fabs(r.shown.joint[3].feedback_age_s - 0.251) < 1e-12 && r.shown.joint[3].stale == 1);
     CHECK(r.shown.joint[1].voltage_v == 0.0 && r.shown.odometry_degraded == 1);
@@ -262,7 +273,8 @@ static void a_reset_clears_faults_when_every_cause_is_gone_and_never_arms(void)
     r.input.control.fault = 0;
     r.input.command.linear_m_s = 0.0;
     r.input.control.reset_count++;
-    CHECK(tick(&r)->faults == FAULT_EXTERNAL && r.shown.setpoint_linear_m_s > 0.3); /* it is still on its ramp */
+    /* it is still on its ramp */
+    CHECK(tick(&r)->faults == FAULT_EXTERNAL && r.shown.setpoint_linear_m_s > 0.3);
     ticks(&r, 1000);
     CHECK(r.shown.faults == FAULT_EXTERNAL && r.shown.at_rest == 1); /* one count asks once */
     r.input.control.reset_count++;
@@ -283,7 +295,8 @@ static void limits_replace_each_other_as_a_group_or_not_at_all(void)
     r.input.command.linear_m_s = 0.6, r.input.command.angular_rad_s = 0.0;
     CHECK(ticks(&r, 1000)->setpoint_linear_m_s == 0.6);
     r.input.control.limits.linear.velocity_u_s = 0.2;
-    CHECK(ticks(&r, 1000)->setpoint_linear_m_s == 0.2 && (r.shown.reasons & REASON_LINEAR_VELOCITY));
+    CHECK(ticks(&r, 1000)->setpoint_linear_m_s == 0.2 &&
+          (r.shown.reasons & REASON_LINEAR_VELOCITY));
     r.input.control.limits.linear.velocity_u_s = 0.5;
     r.input.control.limits.angular.jerk_u_s3 = NAN;
     CHECK(ticks(&r, 1000)->setpoint_linear_m_s == 0.2 && r.shown.faults == 0);
@@ -291,8 +304,10 @@ static void limits_replace_each_other_as_a_group_or_not_at_all(void)
     CHECK(ticks(&r, 1000)->setpoint_linear_m_s == 0.5);
     r.input.control.limits.angular.velocity_u_s = 0.3;
     r.input.command.angular_rad_s = -0.4;
-    CHECK(ticks(&r, 1000)->setpoint_angular_rad_s == -0.3 && (r.shown.reasons & REASON_ANGULAR_VELOCITY));
-    CHECK(r.shown.wanted_angular_rad_s == -0.4 && r.shown.wanted_linear_m_s == 0.6 && r.shown.saturation == 1.0);
+    CHECK(ticks(&r, 1000)->setpoint_angular_rad_s == -0.3 &&
+          (r.shown.reasons & REASON_ANGULAR_VELOCITY));
+    CHECK(r.shown.wanted_angular_rad_s == -0.4 && r.shown.wanted_linear_m_s == 0.6 &&
+          r.shown.saturation == 1.0);
 }
 
 static void in_a_curve_each_wheel_has_its_own_speed_and_duty(void)
@@ -305,11 +320,13 @@ static void in_a_curve_each_wheel_has_its_own_speed_and_duty(void)
         config.joint[0].pwm.duty_max = clamped ? 0.2 : 1.0;
         start(&r, &config);
         go(&r, 0.4, 0.1);
-        CHECK(r.shown.reasons == (clamped ? (uint32_t)REASON_DUTY_CLAMPED : 0) && r.shown.saturation == 1.0);
+        CHECK(r.shown.reasons == (clamped ? (uint32_t)REASON_DUTY_CLAMPED : 0) &&
+              r.shown.saturation == 1.0);
         for (int j = 0; j < 4; j++) {
             double speed_rad_s = (0.4 + (j % 2 == 0 ? -0.1 : 0.1) * 0.25) / 0.1;
             double duty = clamped && j == 0 ? 0.2 : 0.05 + speed_rad_s * 0.95 / 12.5;
-            CHECK(fabs(r.out.joint[j].velocity_rad_s - speed_rad_s) < 1e-9 && fabs(r.out.joint[j].duty - duty) < 1e-9);
+            CHECK(fabs(r.out.joint[j].velocity_rad_s - speed_rad_s) < 1e-9 &&
+                  fabs(r.out.joint[j].duty - duty) < 1e-9);
             CHECK(r.shown.joint[j].setpoint_rad_s == r.out.joint[j].velocity_rad_s);
             CHECK(r.shown.joint[j].duty == r.out.joint[j].duty);
         }

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_watch_rare: several causes in one tick, a second fault after a first, and requests in the middle of a move. */
+ * test_watch_rare: several causes in one tick, a second fault after a first, and requests in the
+ * middle of a move. */
 #include "core_rig.h"
 
 static void all_causes_of_one_tick_are_sent(void)
@@ -15,8 +16,9 @@ static void all_causes_of_one_tick_are_sent(void)
     r.input.feedback[1].drive_faults = 8;
     r.input.feedback[2].enabled = 0;
     core_step(&r.state, &r.input, 0.0, &r.out, &r.shown);
-    CHECK(r.shown.faults == (FAULT_ESTOP | FAULT_EXTERNAL | FAULT_HEARTBEAT_LOST | FAULT_FEEDBACK_STALE | FAULT_DRIVE |
-                             FAULT_DRIVE_DISABLED | FAULT_TIME_STEP));
+    CHECK(r.shown.faults ==
+          (FAULT_ESTOP | FAULT_EXTERNAL | FAULT_HEARTBEAT_LOST | FAULT_FEEDBACK_STALE |
+           FAULT_DRIVE | FAULT_DRIVE_DISABLED | FAULT_TIME_STEP));
     CHECK(zero(&r) && r.shown.armed == 0);
 }
 
@@ -43,7 +45,8 @@ static void a_reset_during_an_emergency_stop_clears_nothing(void)
     CHECK(tick(&r)->faults == 0);
 }
 
-/* The wheels turn on: what brakes them needs its power for the whole time, to the nanosecond, at the second fault as well. */
+/* The wheels turn on: what brakes them needs its power for the whole time, to the nanosecond, at
+ * the second fault as well. */
 static void each_brake_holds_its_power_for_two_seconds(void)
 {
     core_config config = good_config();

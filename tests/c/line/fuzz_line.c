@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_line.c: a line's machine among drives, requests and set-points that do what they like. Whatever comes: motion is
- * sent only to what is armed and only while the core wants it, the silence is kept, no value is taken from another's
- * answer, each stop ends, and the end comes. */
+ * fuzz_line.c: a line's machine among drives, requests and set-points that do what they like.
+ * Whatever comes: motion is sent only to what is armed and only while the core wants it, the
+ * silence is kept, no value is taken from another's answer, each stop ends, and the end comes. */
 #include <math.h>
 
 #include "line_wire.h"
@@ -47,7 +47,8 @@ static void requests(uint8_t choice)
     }
 }
 
-/* The answer of an honest drive: its status is 100 + its unit, so that each value says whose it is. */
+/* The answer of an honest drive: its status is 100 + its unit, so that each value says whose it
+ * is. */
 static uint32_t honest(const uint8_t *request, uint8_t *out)
 {
     if (request[1] == WRITE) {
@@ -104,8 +105,9 @@ static bool may_move(uint32_t drive)
 {
     const setpoints *from = &w.machine.newest;
     double wanted = drive < from->joint_count ? from->joint[drive].velocity_rad_s : 0.0;
-    return w.machine.drive[drive].state.mode == DRIVE_ARMED && from->enabled == 1 && from->stamp_ns > 0 &&
-           w.now_ns - from->stamp_ns <= w.table.setpoint_timeout_ns && isfinite(wanted) && wanted != 0.0;
+    return w.machine.drive[drive].state.mode == DRIVE_ARMED && from->enabled == 1 &&
+           from->stamp_ns > 0 && w.now_ns - from->stamp_ns <= w.table.setpoint_timeout_ns &&
+           isfinite(wanted) && wanted != 0.0;
 }
 
 static void judge_request(const uint8_t *request)
@@ -153,7 +155,9 @@ static void pass_time(uint8_t choice)
 {
     if (w.machine.work != WORK_NONE) {
         int64_t answered_ns = w.machine.end_ns + DEVICE_NS + w.count * CHARACTER_NS;
-        w.now_ns = w.count > 0 ? answered_ns : choice % 4 == 0 ? w.machine.end_ns + 1 : w.machine.until_ns;
+        w.now_ns = w.count > 0       ? answered_ns
+                   : choice % 4 == 0 ? w.machine.end_ns + 1
+                                     : w.machine.until_ns;
         w.now_ns = w.now_ns > silent_ns ? w.now_ns : silent_ns;
     } else if (choice % 8 == 1) {
         w.now_ns += (int64_t)next_byte() * MS / 4;

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_rtu.c: whatever is received, an answer is one: it begins as it must, is whole, and its check sum is right by another
- * arithmetic than the one that is tested; and a good answer behind any garbage is found. */
+ * fuzz_rtu.c: whatever is received, an answer is one: it begins as it must, is whole, and its check
+ * sum is right by another arithmetic than the one that is tested; and a good answer behind any
+ * garbage is found. */
 #include "check.h"
 #include "rtu.h"
 
@@ -19,17 +20,21 @@ static bool sealed(const uint8_t *frame, uint32_t count, uint32_t seal)
             crc = (crc & 1) != 0 ? crc >> 1 ^ (seal == SEAL_CRC16 ? 0xA001U : 0x8CU) : crc >> 1;
         }
     }
-    return seal == SEAL_CRC16 ? frame[covered] == (crc & 0xFF) && frame[covered + 1] == crc >> 8 : frame[covered] == crc;
+    return seal == SEAL_CRC16 ? frame[covered] == (crc & 0xFF) && frame[covered + 1] == crc >> 8
+                              : frame[covered] == crc;
 }
 
 static line_frame frame_of(const uint8_t *data)
 {
-    line_frame frame = {.request_seal = data[0] & 1 ? SEAL_CRC16 : SEAL_CRC8, .has_exceptions = data[0] >> 1 & 1};
+    line_frame frame = {.request_seal = data[0] & 1 ? SEAL_CRC16 : SEAL_CRC8,
+                        .has_exceptions = data[0] >> 1 & 1};
     frame.reply_seal = frame.request_seal;
     frame.request_bytes = 4 + data[1] % 16;
     frame.reply_bytes = data[0] & 4 ? frame.request_bytes : 4U + data[2] % 24;
     frame.echo_bytes =
-        data[0] & 8 ? 1 + data[3] % (frame.request_bytes < frame.reply_bytes ? frame.request_bytes : frame.reply_bytes) : 0;
+        data[0] & 8 ? 1 + data[3] % (frame.request_bytes < frame.reply_bytes ? frame.request_bytes
+                                                                             : frame.reply_bytes)
+                    : 0;
     frame.match_bytes = 1 + data[3] % 3;
     memcpy(frame.match, data + 4, FRAME_MATCH_MAX);
     memcpy(frame.request, data + 12, frame.request_bytes);
@@ -37,7 +42,8 @@ static line_frame frame_of(const uint8_t *data)
     return frame;
 }
 
-static void judge(const line_frame *frame, uint32_t echo, const uint8_t *bytes, uint32_t count, received found)
+static void judge(const line_frame *frame, uint32_t echo, const uint8_t *bytes, uint32_t count,
+                  received found)
 {
     if (found.kind == RECEIVED_ANSWER) {
         const uint8_t *at = bytes + found.offset;
@@ -48,7 +54,8 @@ static void judge(const line_frame *frame, uint32_t echo, const uint8_t *bytes, 
     } else if (found.kind == RECEIVED_REFUSED) {
         const uint8_t *at = bytes + found.offset;
         CHECK(frame->has_exceptions && found.offset + 5 <= count);
-        CHECK(at[0] == frame->request[0] && at[1] == (frame->request[1] | 0x80) && at[2] == found.exception);
+        CHECK(at[0] == frame->request[0] && at[1] == (frame->request[1] | 0x80) &&
+              at[2] == found.exception);
         CHECK(sealed(at, 5, SEAL_CRC16));
     }
     if (echo == 1 && found.kind != RECEIVED_BAD) {
@@ -78,13 +85,15 @@ static void once(const uint8_t *given, size_t size)
                frame.echo_bytes > 0 ? frame.echo_bytes : frame.match_bytes);
         rtu_seal(bytes + count, frame.reply_bytes, frame.reply_seal);
         bool whole = frame.reply_bytes >
-                     rtu_seal_bytes(frame.reply_seal) + (frame.echo_bytes > 0 ? frame.echo_bytes : frame.match_bytes) - 1;
+                     rtu_seal_bytes(frame.reply_seal) +
+                         (frame.echo_bytes > 0 ? frame.echo_bytes : frame.match_bytes) - 1;
         count += frame.reply_bytes;
         received found = rtu_find_answer(&frame, frame.request, 0, bytes, count);
         CHECK(!whole || (found.kind != RECEIVED_MORE && found.offset <= begin));
     }
     for (uint32_t received_bytes = 0; received_bytes <= count; received_bytes += 1 + data[33] % 7) {
-        judge(&frame, echo, bytes, received_bytes, rtu_find_answer(&frame, frame.request, echo, bytes, received_bytes));
+        judge(&frame, echo, bytes, received_bytes,
+              rtu_find_answer(&frame, frame.request, echo, bytes, received_bytes));
     }
     /* at the very end of its room: a look beyond the last byte is seen by the sanitizer */
     static uint8_t room[FUZZ_MAX + 64];

@@ -23,7 +23,8 @@ enum { POWERED = 1, SET_UP = 2 }; /* bits of CONDITION */
 
 static const int64_t MS = 1000000, DEVICE_NS = 500000, CHARACTER_NS = 86805, GAP_NS = 1750000;
 
-/* A wire with its drives; `dead` has a bit for each that neither receives nor answers, `mute` for each that receives. */
+/* A wire with its drives; `dead` has a bit for each that neither receives nor answers, `mute`
+ * for each that receives. */
 typedef struct {
     line_table table;
     line_machine machine;
@@ -39,9 +40,10 @@ typedef struct {
     bool old, not_enabled; /* the core's set-points */
     uint32_t motion_sent;  /* frames with a speed that is not zero */
     bool echoes;
-    bool babbles;                         /* a device sends a byte a millisecond, unasked */
-    uint32_t unacknowledged;              /* bit n: frame n of a power-off is not answered: what turns loses its power by it */
-    bool keeps_power;                     /* ... but for one that does not do it */
+    bool babbles;            /* a device sends a byte a millisecond, unasked */
+    uint32_t unacknowledged; /* bit n: frame n of a power-off is not answered: what turns loses its
+                                power by it */
+    bool keeps_power;        /* ... but for one that does not do it */
     uint32_t power_offs[LINE_DRIVES_MAX]; /* frames of `disarm` received by each */
     uint32_t released[LINE_DRIVES_MAX];   /* of them the last frame */
     uint32_t sent_off[LINE_DRIVES_MAX];   /* sent to each, received or not, as the next one */
@@ -87,12 +89,16 @@ static inline line_drive drive_of(uint32_t joint)
                         .probe = 2};
     drive.cyclic[0].frame = frame_of(unit, WRITE, SPEED, 0);
     drive.cyclic[0].setpoint_count = 1;
-    drive.cyclic[0].setpoint[0] =
-        (line_setpoint){.joint = joint, .byte = 4, .form = FORM_I16, .raw_per_si = 100.0, .raw_min = -1000.0, .raw_max = 1000.0};
+    drive.cyclic[0].setpoint[0] = (line_setpoint){.joint = joint,
+                                                  .byte = 4,
+                                                  .form = FORM_I16,
+                                                  .raw_per_si = 100.0,
+                                                  .raw_min = -1000.0,
+                                                  .raw_max = 1000.0};
     drive.cyclic[1].frame = frame_of(unit, READ, STATUS, 1);
     drive.cyclic[1].field_count = 1;
-    drive.cyclic[1].field[0] =
-        (line_field){.joint = joint, .kind = FIELD_VELOCITY, .byte = 3, .form = FORM_I16, .si_per_raw = 0.01};
+    drive.cyclic[1].field[0] = (line_field){
+        .joint = joint, .kind = FIELD_VELOCITY, .byte = 3, .form = FORM_I16, .si_per_raw = 0.01};
     drive.quick_stop[0] = frame_of(unit, WRITE, CONTROL, QUICK_STOP);
     drive.disarm[0] = frame_of(unit, WRITE, CONTROL, DISABLE);
     drive.disarm[1] = frame_of(unit, WRITE, RELEASE, 0);
@@ -124,10 +130,12 @@ static inline void answer_on_the_wire(const uint8_t *request)
         memcpy(w.bytes, request, 8);
         w.count = 8;
     }
-    bool power_off = request[1] == WRITE && (request[3] == RELEASE || (request[3] == CONTROL && request[5] == DISABLE));
+    bool power_off = request[1] == WRITE &&
+                     (request[3] == RELEASE || (request[3] == CONTROL && request[5] == DISABLE));
     w.sent_off[number] += power_off;
     w.motion_sent += request[1] == WRITE && request[3] == SPEED && (request[4] | request[5]) != 0;
-    w.quick_stop_sent[number] += request[1] == WRITE && request[3] == CONTROL && request[5] == QUICK_STOP;
+    w.quick_stop_sent[number] +=
+        request[1] == WRITE && request[3] == CONTROL && request[5] == QUICK_STOP;
     if ((w.dead >> number & 1) != 0) {
         return;
     }
@@ -137,7 +145,8 @@ static inline void answer_on_the_wire(const uint8_t *request)
     if (power_off && w.power_off_ns[number] == 0) {
         w.power_off_ns[number] = w.now_ns;
     }
-    if (request[1] == WRITE && request[3] == CONTROL && request[5] == QUICK_STOP && w.quick_stop_ns[number] == 0) {
+    if (request[1] == WRITE && request[3] == CONTROL && request[5] == QUICK_STOP &&
+        w.quick_stop_ns[number] == 0) {
         w.quick_stop_ns[number] = w.now_ns;
     }
     bool unacknowledged = power_off && (w.unacknowledged >> (request[3] == RELEASE) & 1) != 0;
@@ -171,7 +180,8 @@ static inline void answer_on_the_wire(const uint8_t *request)
 static inline void go_on(void)
 {
     int64_t stamp_ns = w.old ? w.machine.newest.stamp_ns : w.now_ns;
-    w.machine.newest = (setpoints){.stamp_ns = stamp_ns, .enabled = !w.not_enabled, .joint_count = w.table.drive_count};
+    w.machine.newest = (setpoints){
+        .stamp_ns = stamp_ns, .enabled = !w.not_enabled, .joint_count = w.table.drive_count};
     for (uint32_t i = 0; i < w.table.drive_count; i++) {
         w.machine.newest.joint[i].velocity_rad_s = 1.0;
     }
@@ -181,10 +191,12 @@ static inline void go_on(void)
         line_machine_sent(&w.machine, w.now_ns);
         answer_on_the_wire(w.out.send);
         if (w.count == 0 && !w.babbles) {
-            w.now_ns += (w.machine.until_ns - w.now_ns) / 2; /* a look in the middle of the waiting */
+            /* a look in the middle of the waiting */
+            w.now_ns += (w.machine.until_ns - w.now_ns) / 2;
         }
     } else if (!w.babbles) {
-        CHECK(w.out.wake_ns > w.now_ns || w.machine.answered); /* it never asks to be woken at once for nothing */
+        /* it never asks to be woken at once for nothing */
+        CHECK(w.out.wake_ns > w.now_ns || w.machine.answered);
         w.now_ns = w.out.wake_ns;
     }
     if (w.babbles) {

@@ -1,12 +1,15 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_drive: one drive of a line by itself: what each change of its state sets, keeps and forgets. */
+ * test_line_drive: one drive of a line by itself: what each change of its state sets, keeps and
+ * forgets. */
 #include "line_wire.h"
 
 static line_drive_state *begin_drive(void)
 {
     begin_with(2, 0);
-    w.machine.newest = (setpoints){
-        .stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{.velocity_rad_s = 1.0}, {.velocity_rad_s = 1.0}}};
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns,
+                                   .enabled = 1,
+                                   .joint_count = 2,
+                                   .joint = {{.velocity_rad_s = 1.0}, {.velocity_rad_s = 1.0}}};
     w.machine.notify = false;
     return &w.machine.drive[0];
 }
@@ -24,14 +27,16 @@ static void a_stop_begins_with_its_first_frame_whatever_was_in_transit(void)
 {
     line_drive_state *drive = begin_drive();
     for (uint32_t current = 0; current < 2; current++) {
-        drive->stop_place = 1, drive->stop_done = 3, drive->stop_failures = 2, drive->stop_refused = true;
+        drive->stop_place = 1, drive->stop_done = 3, drive->stop_failures = 2,
+        drive->stop_refused = true;
         drive->stage = STAGE_READ;
         for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
             drive->direction_sent[direction] = DIRECTION_FORWARD;
         }
         w.machine.current = current;
         line_stop_now(&w.machine, 0, STOP_POWER_OFF);
-        CHECK(drive->state.stop == STOP_POWER_OFF && drive->stop_place == 0 && drive->stop_done == 0);
+        CHECK(drive->state.stop == STOP_POWER_OFF && drive->stop_place == 0 &&
+              drive->stop_done == 0);
         CHECK(drive->stop_failures == 0 && !drive->stop_refused && drive->stage == STAGE_IDLE);
         for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
             CHECK(drive->direction_sent[direction] == DIRECTION_UNKNOWN);
@@ -45,7 +50,8 @@ static void reasons_gather(void)
     line_drive_state *drive = begin_armed();
     drive->state.enabled = 1;
     drive_take_back(&drive->state, DRIVE_FAULT_LEFT_ALONE, DRIVE_READY);
-    CHECK(drive->state.fault_reasons == DRIVE_FAULT_LEFT_ALONE && drive->state.mode == DRIVE_READY && drive->state.enabled == 2);
+    CHECK(drive->state.fault_reasons == DRIVE_FAULT_LEFT_ALONE &&
+          drive->state.mode == DRIVE_READY && drive->state.enabled == 2);
     drive_take_back(&drive->state, DRIVE_FAULT_UNRESPONSIVE, DRIVE_UNRESPONSIVE);
     CHECK(drive->state.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_UNRESPONSIVE) &&
           drive->state.mode == DRIVE_UNRESPONSIVE);
@@ -56,8 +62,10 @@ static void one_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_o
     line_drive_state *drive = begin_drive();
     w.machine.table.broadcast_stop_count = 2;
     line_stop_before_setup(&w.machine, 0, w.now_ns);
-    CHECK(drive->may_turn && drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == 0 && drive->state.stopping);
-    CHECK(drive->state.stop == STOP_QUICK && drive->state.off_by_ns == w.now_ns + 1000 * MS && drive->due_ns == w.now_ns);
+    CHECK(drive->may_turn && drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == 0 &&
+          drive->state.stopping);
+    CHECK(drive->state.stop == STOP_QUICK && drive->state.off_by_ns == w.now_ns + 1000 * MS &&
+          drive->due_ns == w.now_ns);
     CHECK(w.machine.broadcasts == 2 && w.machine.drive[1].state.stop == STOP_NOTHING);
 }
 
@@ -75,7 +83,8 @@ static void guarded(line_drive_state *drive, uint32_t why, uint32_t stop)
     CHECK(drive->state.fault_reasons == why && drive->state.stop == stop &&
           drive->state.mode == (why == 0 ? DRIVE_ARMED : DRIVE_READY));
     CHECK(drive->state.stopping == (stop == STOP_QUICK));
-    CHECK(stop != STOP_QUICK || (drive->state.off_by_ns == w.now_ns + 1000 * MS && drive->due_ns == w.now_ns));
+    CHECK(stop != STOP_QUICK ||
+          (drive->state.off_by_ns == w.now_ns + 1000 * MS && drive->due_ns == w.now_ns));
 }
 
 static void an_armed_drive_is_stopped_when_set_points_grow_old(void)
@@ -130,7 +139,9 @@ static void a_stop_does_not_wait_for_its_turn(void)
         w.machine.newest.joint[0].velocity_rad_s = how == 2 ? 1.0 : 0.0;
         drive->due_ns = how == 3 ? w.now_ns - MS : w.now_ns + 9 * MS;
         line_guard(&w.machine, 0, w.now_ns);
-        CHECK(drive->due_ns == (how == 0 ? w.now_ns : how == 3 ? w.now_ns - MS : w.now_ns + 9 * MS));
+        CHECK(drive->due_ns == (how == 0   ? w.now_ns
+                                : how == 3 ? w.now_ns - MS
+                                           : w.now_ns + 9 * MS));
     }
 }
 
@@ -143,7 +154,9 @@ static void one_that_does_not_come_to_rest_loses_its_power_when_its_time_is_over
         drive->state.stop = how == 2 ? STOP_QUICK : STOP_NOTHING;
         drive->state.off_by_ns = how == 3 ? w.now_ns + 1 : w.now_ns;
         line_guard(&w.machine, 0, w.now_ns);
-        CHECK(drive->state.stop == (how == 0 ? STOP_POWER_OFF : how == 2 ? STOP_QUICK : STOP_NOTHING));
+        CHECK(drive->state.stop == (how == 0   ? STOP_POWER_OFF
+                                    : how == 2 ? STOP_QUICK
+                                               : STOP_NOTHING));
         CHECK(drive->state.stopping == (how == 2 || how == 3));
     }
 }
@@ -178,10 +191,13 @@ static void a_set_up_begins_anew_but_for_a_stop_that_is_pending(void)
             }
             w.machine.joint[0].feedback.velocity_rad_s = 5.0;
             obey(DRIVE_READY, 0);
-            CHECK(drive->state.mode == DRIVE_READY && drive->state.epoch == 5 && !drive->state.back);
-            CHECK(drive->state.fault_reasons == 0 && drive->failures == 0 && drive->state.still_enabled == 0);
+            CHECK(drive->state.mode == DRIVE_READY && drive->state.epoch == 5 &&
+                  !drive->state.back);
+            CHECK(drive->state.fault_reasons == 0 && drive->failures == 0 &&
+                  drive->state.still_enabled == 0);
             CHECK(drive->may_turn == (pending != 0) && drive->state.sent_motion == (pending != 0));
-            CHECK(drive->state.stop == (pending == 1 ? STOP_QUICK : STOP_NOTHING) && drive->state.stopping == (pending == 2));
+            CHECK(drive->state.stop == (pending == 1 ? STOP_QUICK : STOP_NOTHING) &&
+                  drive->state.stopping == (pending == 2));
             CHECK(drive->cycle_count == 0 && drive->extra_next == 0 && drive->cycle_start_ns == 0);
             CHECK(drive->due_ns == w.now_ns && drive->answered_ns == w.now_ns);
             for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
@@ -206,23 +222,27 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
         drive->state.stop = against == 3 ? STOP_POWER_OFF : STOP_NOTHING;
         w.machine.control.shut_down = against == 4;
         obey(DRIVE_ARMED, against == 5 ? 1 : 0);
-        bool armed = against == 0 || against == 5; /* what was not seen may have been a stop: there is nothing to stop */
+        /* what was not seen may have been a stop: there is nothing to stop */
+        bool armed = against == 0 || against == 5;
         CHECK((drive->state.mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
         if (armed) {
-            CHECK(!drive->state.was_enabled && drive->state.enabled_count == 8 && drive->state.fault_reasons == 0);
-            CHECK(drive->state.still_enabled == 0 && drive->state.enabled == 2 && drive->last_sent[1][1] == 0 &&
-                  drive->last_sent[0][0] == 0);
+            CHECK(!drive->state.was_enabled && drive->state.enabled_count == 8 &&
+                  drive->state.fault_reasons == 0);
+            CHECK(drive->state.still_enabled == 0 && drive->state.enabled == 2 &&
+                  drive->last_sent[1][1] == 0 && drive->last_sent[0][0] == 0);
         }
     }
 }
 
-/* It has power where it is armed, stopping, or sent motion. Unseen requests may have been a stop. */
+/* It has power where it is armed, stopping, or sent motion. Unseen requests may have been a
+ * stop. */
 static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it(void)
 {
     for (uint32_t has = 0; has < 4; has++) {
         for (uint32_t unseen = 0; unseen < 2; unseen++) {
             for (uint32_t mode = DRIVE_OFF; mode <= DRIVE_STAND_DOWN; mode++) {
-                if (mode != DRIVE_OFF && mode != DRIVE_READY && mode != DRIVE_ARMED && mode != DRIVE_STAND_DOWN) {
+                if (mode != DRIVE_OFF && mode != DRIVE_READY && mode != DRIVE_ARMED &&
+                    mode != DRIVE_STAND_DOWN) {
                     continue;
                 }
                 line_drive_state *drive = begin_drive();
@@ -236,7 +256,8 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
                 w.machine.current = 0;
                 obey(mode, unseen);
                 bool off = has != 0 && (unseen != 0 || mode == DRIVE_OFF);
-                CHECK(drive->state.stop == (off ? STOP_POWER_OFF : STOP_NOTHING) && drive->state.stopping == (has == 2 && !off));
+                CHECK(drive->state.stop == (off ? STOP_POWER_OFF : STOP_NOTHING) &&
+                      drive->state.stopping == (has == 2 && !off));
                 uint32_t expected = mode == DRIVE_OFF ? DRIVE_OFF : DRIVE_READY;
                 if (mode == DRIVE_ARMED && !off && has != 2) {
                     expected = DRIVE_ARMED;
@@ -245,11 +266,12 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
                     expected = DRIVE_ARMED; /* one that is armed is set up */
                 }
                 CHECK(drive->state.mode == expected);
-                CHECK(mode != DRIVE_OFF ||
-                      (!drive->state.back && drive->stage == STAGE_IDLE && w.machine.current == LINE_DRIVES_MAX));
+                CHECK(mode != DRIVE_OFF || (!drive->state.back && drive->stage == STAGE_IDLE &&
+                                            w.machine.current == LINE_DRIVES_MAX));
                 bool stands_down = has == 1 && unseen == 0 && mode == DRIVE_STAND_DOWN;
                 CHECK(drive->due_ns == (stands_down ? w.now_ns : w.now_ns + 9 * MS));
-                CHECK(has != 1 || !(stands_down || off) || mode == DRIVE_OFF || drive->state.enabled == 2);
+                CHECK(has != 1 || !(stands_down || off) || mode == DRIVE_OFF ||
+                      drive->state.enabled == 2);
             }
         }
     }
@@ -271,20 +293,25 @@ static void frames_of_a_stop_are_sent_until_each_is_done(void)
     line_drive_state *drive = begin_drive();
     line_frame frame;
     line_stop_now(&w.machine, 0, STOP_POWER_OFF);
-    CHECK(line_next_stop(&w.machine, 0, &frame) && frame.request[3] == CONTROL && frame.request[5] == DISABLE);
+    CHECK(line_next_stop(&w.machine, 0, &frame) && frame.request[3] == CONTROL &&
+          frame.request[5] == DISABLE);
     drive->stop_done = 1;
-    CHECK(line_next_stop(&w.machine, 0, &frame) && frame.request[3] == RELEASE && drive->stop_place == 1);
+    CHECK(line_next_stop(&w.machine, 0, &frame) && frame.request[3] == RELEASE &&
+          drive->stop_place == 1);
     drive->stop_done = 2;
-    CHECK(line_next_stop(&w.machine, 0, &frame) && frame.request[3] == CONTROL && drive->stop_place == 0);
+    CHECK(line_next_stop(&w.machine, 0, &frame) && frame.request[3] == CONTROL &&
+          drive->stop_place == 0);
     drive->stop_done = 3;
     drive->state.enabled = 1;
-    CHECK(!line_next_stop(&w.machine, 0, &frame) && drive->state.stop == STOP_NOTHING && drive->state.enabled == 2 &&
-          !w.machine.notify);
+    CHECK(!line_next_stop(&w.machine, 0, &frame) && drive->state.stop == STOP_NOTHING &&
+          drive->state.enabled == 2 && !w.machine.notify);
     line_stop_now(&w.machine, 0, STOP_QUICK);
-    CHECK(line_next_stop(&w.machine, 0, &frame) && frame.request[3] == CONTROL && frame.request[5] == QUICK_STOP);
+    CHECK(line_next_stop(&w.machine, 0, &frame) && frame.request[3] == CONTROL &&
+          frame.request[5] == QUICK_STOP);
     drive->stop_done = 1;
     drive->state.back = true;
-    CHECK(!line_next_stop(&w.machine, 0, &frame) && drive->state.mode == DRIVE_BACK && !drive->state.back && w.machine.notify);
+    CHECK(!line_next_stop(&w.machine, 0, &frame) && drive->state.mode == DRIVE_BACK &&
+          !drive->state.back && w.machine.notify);
 }
 
 static void after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_first(void)
@@ -297,7 +324,8 @@ static void after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_fir
     drive->stop_place = 1, drive->stop_done = 2;
     CHECK(line_next_stop(&w.machine, 0, &frame) && drive->stop_place == 2 && frame.request[5] == 1);
     drive->stop_done = 6;
-    CHECK(line_next_stop(&w.machine, 0, &frame) && drive->stop_place == 0 && frame.request[3] == CONTROL);
+    CHECK(line_next_stop(&w.machine, 0, &frame) && drive->stop_place == 0 &&
+          frame.request[3] == CONTROL);
 }
 
 static void a_change_of_one_is_not_lost_where_another_has_none(void)
@@ -309,7 +337,8 @@ static void a_change_of_one_is_not_lost_where_another_has_none(void)
     CHECK(w.machine.notify);
     drive->state.stop = STOP_POWER_OFF;
     drive->stop_done = UINT32_MAX;
-    CHECK(!line_next_stop(&w.machine, 0, &frame) && w.machine.notify && drive->state.stop == STOP_NOTHING);
+    CHECK(!line_next_stop(&w.machine, 0, &frame) && w.machine.notify &&
+          drive->state.stop == STOP_NOTHING);
 }
 
 int main(void)

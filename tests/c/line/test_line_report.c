@@ -20,7 +20,8 @@ static void a_line_reports_what_it_counts(void)
         w.machine.joint[j].fault_word = 100 + j;
     }
     look();
-    CHECK(report.echo == 2 && report.shut_down == 0 && report.exchanges == 11 && report.answers == 12);
+    CHECK(report.echo == 2 && report.shut_down == 0 && report.exchanges == 11 &&
+          report.answers == 12);
     CHECK(report.noise_bytes == 13 && report.setpoints_ns == 14);
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         CHECK(report.fault_word[j] == 100 + j);
@@ -34,8 +35,10 @@ static void a_line_reports_what_it_counts(void)
 
 static void fill(line_drive_state *drive, uint32_t n)
 {
-    drive->count = (drive_report){.cycles = n + 20, .exchanges = n + 21, .unresponsive = n + 22, .received_ns = n + 23};
-    drive->state = (drive_state){.mode = n + 1, .fault_reasons = n + 2, .request_seen = n + 3, .enabled = n + 4};
+    drive->count = (drive_report){
+        .cycles = n + 20, .exchanges = n + 21, .unresponsive = n + 22, .received_ns = n + 23};
+    drive->state = (drive_state){
+        .mode = n + 1, .fault_reasons = n + 2, .request_seen = n + 3, .enabled = n + 4};
     drive->state.stopping = n == 0, drive->state.sent_motion = n != 0;
     drive->may_turn = n == 0;
     drive->failures = n + 5, drive->last_failure = n + 6, drive->last_exception = n + 7;
@@ -51,11 +54,13 @@ static void each_drive_is_sent_by_itself(void)
     look();
     for (uint32_t n = 0; n < LINE_DRIVES_MAX; n++) {
         const drive_report *to = &report.drive[n];
-        CHECK(to->mode == n + 1 && to->fault_reasons == n + 2 && to->request_seen == n + 3 && to->enabled == n + 4);
+        CHECK(to->mode == n + 1 && to->fault_reasons == n + 2 && to->request_seen == n + 3 &&
+              to->enabled == n + 4);
         CHECK(to->stopping == (n == 0) && to->sent_motion == (n != 0) && to->may_turn == (n == 0));
         CHECK(to->failures == n + 5 && to->last_failure == n + 6 && to->last_exception == n + 7);
         CHECK(to->turnaround_ns == n + 8 && to->deadline_ns == n + 9 && to->cycle_ns == n + 10);
-        CHECK(to->cycles == n + 20 && to->exchanges == n + 21 && to->unresponsive == n + 22 && to->received_ns == n + 23);
+        CHECK(to->cycles == n + 20 && to->exchanges == n + 21 && to->unresponsive == n + 22 &&
+              to->received_ns == n + 23);
     }
     w.machine.table.drive[1].reply_timeout_ns = 200 * MS; /* of the robot file: it is in force */
     look();

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Stops on a line where a drive is missing, on a wire of virtual time: which is sent a stop, when, and which is believed. */
+ * Stops on a line where a drive is missing, on a wire of virtual time: which is sent a stop,
+ * when, and which is believed. */
 #include "line_wire.h"
 
 static int64_t shut_down(void)
@@ -24,7 +25,8 @@ static void drives_that_are_off_are_sent_one_gap_apart(void)
     }
 }
 
-/* Drives that are ready have their cycles until then; behind its power-off each one is left as it is. */
+/* Drives that are ready have their cycles until then; behind its power-off each one is left as
+ * it is. */
 static void once_the_power_goes_off_nothing_else_is_sent(void)
 {
     begin_with(2, 0);
@@ -35,7 +37,8 @@ static void once_the_power_goes_off_nothing_else_is_sent(void)
     }
     w.machine.control.shut_down = 1;
     uint32_t frames = 0, power_offs = 0;
-    for (int64_t limit_ns = w.now_ns + 2000 * MS; w.machine.end.stage != END_SILENT && w.now_ns < limit_ns;) {
+    for (int64_t limit_ns = w.now_ns + 2000 * MS;
+         w.machine.end.stage != END_SILENT && w.now_ns < limit_ns;) {
         uint32_t before = w.sent_off[0] + w.sent_off[1];
         go_on();
         if (w.machine.end.stage == END_POWER_OFF) {
@@ -56,7 +59,8 @@ static void missing_drives_do_not_keep_the_power_of_the_others_on(void)
     CHECK(w.power_offs[2] >= 2 && w.power_offs[3] >= 2);
 }
 
-/* Whatever is in transit when the end comes: a cycle's exchange that is its third failure, a probe, nothing. */
+/* Whatever is in transit when the end comes: a cycle's exchange that is its third failure, a
+ * probe, nothing. */
 static void a_missing_drive_is_sent_to_switch_off_at_the_end_whatever_was_in_transit(void)
 {
     for (uint32_t steps = 0; steps < 60; steps++) {
@@ -208,8 +212,10 @@ static void drives_that_another_program_left_running_stop_before_they_lose_their
 {
     begin_with(2, 0);
     line_take_over(&w.machine, w.now_ns);
-    CHECK(w.machine.drive[0].state.fault_reasons == 0 && w.machine.drive[1].state.fault_reasons == 0);
-    CHECK(!w.machine.drive[2].may_turn && !w.machine.drive[2].state.stopping); /* the table has none */
+    CHECK(w.machine.drive[0].state.fault_reasons == 0 &&
+          w.machine.drive[1].state.fault_reasons == 0);
+    /* the table has none */
+    CHECK(!w.machine.drive[2].may_turn && !w.machine.drive[2].state.stopping);
     w.turning = 1;
     int64_t began_ns = w.now_ns;
     while (w.now_ns < began_ns + 500 * MS) {
@@ -217,7 +223,8 @@ static void drives_that_another_program_left_running_stop_before_they_lose_their
         CHECK(!w.machine.drive[0].state.sent_motion && !w.machine.drive[1].state.sent_motion);
     }
     for (uint32_t i = 0; i < 2; i++) {
-        CHECK(w.quick_stop_ns[i] > 0 && w.quick_stop_ns[i] < began_ns + 50 * MS && w.machine.drive[i].may_turn);
+        CHECK(w.quick_stop_ns[i] > 0 && w.quick_stop_ns[i] < began_ns + 50 * MS &&
+              w.machine.drive[i].may_turn);
         CHECK(w.machine.drive[i].state.mode == DRIVE_READY);
     }
     CHECK(w.machine.drive[0].state.stopping && w.power_offs[0] == 0);
@@ -356,7 +363,8 @@ static void one_that_waits_for_its_power_off_is_not_armed(void)
     request(0, DRIVE_STAND_DOWN);
     request(0, DRIVE_ARMED); /* the stop was not seen by itself */
     look_without_bytes();
-    CHECK(w.machine.drive[0].state.mode == DRIVE_READY && w.machine.drive[0].state.stop == STOP_POWER_OFF);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_READY &&
+          w.machine.drive[0].state.stop == STOP_POWER_OFF);
     for (uint32_t i = 0; i < 20; i++) {
         go_on();
     }

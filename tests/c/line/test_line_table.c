@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Which tables of a serial line are refused, and by which name: each number at the edge of what it may be, and beyond. */
+ * Which tables of a serial line are refused, and by which name: each number at the edge of what
+ * it may be, and beyond. */
 #include <math.h>
 
 #include "line_wire.h"
@@ -10,7 +11,8 @@ static const double INFINITE = (double)INFINITY, NO_NUMBER = (double)NAN;
 static char bad_name[FIELD_NAME_BYTES];
 static line_table t, good;
 static line_drive *const d = &t.drive[0];
-static line_frame *const write_frame = &t.drive[0].cyclic[0].frame, *const read_frame = &t.drive[0].cyclic[1].frame;
+static line_frame *const write_frame = &t.drive[0].cyclic[0].frame, *const read_frame =
+                                                                        &t.drive[0].cyclic[1].frame;
 static line_setpoint *const setpoint = &t.drive[0].cyclic[0].setpoint[0];
 static line_field *const field = &t.drive[0].cyclic[1].field[0];
 
@@ -24,17 +26,17 @@ static bool refused(const char *name)
     return line_table_check(&t, bad_name) == bad_name && strcmp(bad_name, name) == 0;
 }
 
-#define GOOD(field, value)                                                                                                       \
-    do {                                                                                                                         \
-        t = good;                                                                                                                \
-        (field) = (value);                                                                                                       \
-        CHECK(is_good());                                                                                                        \
+#define GOOD(field, value)                                                                         \
+    do {                                                                                           \
+        t = good;                                                                                  \
+        (field) = (value);                                                                         \
+        CHECK(is_good());                                                                          \
     } while (0)
-#define BAD(field, value, name)                                                                                                  \
-    do {                                                                                                                         \
-        t = good;                                                                                                                \
-        (field) = (value);                                                                                                       \
-        CHECK(refused(name));                                                                                                    \
+#define BAD(field, value, name)                                                                    \
+    do {                                                                                           \
+        t = good;                                                                                  \
+        (field) = (value);                                                                         \
+        CHECK(refused(name));                                                                      \
     } while (0)
 
 static void the_numbers_of_a_line(void)
@@ -106,7 +108,8 @@ static void a_request_and_its_reply(void)
     const char *const request = "drive[0].request_bytes";
     BAD(write_frame->request_seal, SEAL_WITH_REQUEST, "drive[0].request_seal");
     GOOD(write_frame->request_seal, SEAL_XMODEM);
-    BAD(read_frame->reply_seal, SEAL_WITH_REQUEST, "drive[0].reply_seal"); /* that is for replies that name no request */
+    /* that is for replies that name no request */
+    BAD(read_frame->reply_seal, SEAL_WITH_REQUEST, "drive[0].reply_seal");
     BAD(read_frame->reply_seal, SEAL_WITH_REQUEST + 1, "drive[0].reply_seal");
     GOOD(read_frame->reply_seal, SEAL_CRC8);
     BAD(read_frame->request_bytes, 2, request); /* its check sum alone */
@@ -156,13 +159,15 @@ static void a_reply_that_names_no_request_is_known_by_its_check_sum_or_whole(voi
     const char *const match = "drive[0].match";
     t = good;
     d->cyclic[1].field_count = 0;
-    *read_frame = (line_frame){.exact = 1, .request_bytes = 2, .reply_bytes = 3, .reply_seal = SEAL_WITH_REQUEST};
+    *read_frame = (line_frame){
+        .exact = 1, .request_bytes = 2, .reply_bytes = 3, .reply_seal = SEAL_WITH_REQUEST};
     CHECK(is_good()); /* its check sum is over the request as well */
     read_frame->request_bytes = 1;
     CHECK(refused(match));
     read_frame->request_bytes = 2, read_frame->reply_bytes = 2;
     CHECK(refused(match));
-    *read_frame = (line_frame){.exact = 1, .request_bytes = 2, .reply_bytes = 3, .reply_seal = SEAL_CRC16};
+    *read_frame =
+        (line_frame){.exact = 1, .request_bytes = 2, .reply_bytes = 3, .reply_seal = SEAL_CRC16};
     CHECK(refused(match));
     *read_frame = (line_frame){.exact = 1, .request_bytes = 1, .reply_bytes = 1, .match_bytes = 1};
     CHECK(is_good()); /* each of its bytes is known */
@@ -175,7 +180,8 @@ static void a_reply_that_names_no_request_is_known_by_its_check_sum_or_whole(voi
     read_frame->echo_bytes = 0, read_frame->request_bytes = 3, read_frame->reply_seal = SEAL_CRC8;
     CHECK(refused(match));
     t = good;
-    write_frame->request_seal = write_frame->reply_seal = SEAL_XMODEM; /* only a servo's reply has the seal of its request */
+    /* only a servo's reply has the seal of its request */
+    write_frame->request_seal = write_frame->reply_seal = SEAL_XMODEM;
     CHECK(refused("drive[0].reply_seal"));
 }
 
@@ -248,9 +254,10 @@ static void a_field_lies_in_its_reply(void)
 
 static void set_direction(line_drive *drive, uint32_t place)
 {
-    drive->direction[place] = (line_direction){.rest = frame_of(1, WRITE, CONTROL, DIRECTION_REST),
-                                               .forward = frame_of(1, WRITE, CONTROL, DIRECTION_FORWARD),
-                                               .reverse = frame_of(1, WRITE, CONTROL, DIRECTION_REVERSE)};
+    drive->direction[place] =
+        (line_direction){.rest = frame_of(1, WRITE, CONTROL, DIRECTION_REST),
+                         .forward = frame_of(1, WRITE, CONTROL, DIRECTION_FORWARD),
+                         .reverse = frame_of(1, WRITE, CONTROL, DIRECTION_REVERSE)};
 }
 
 static void fill_lists(void)
@@ -280,9 +287,11 @@ static void fill_lists(void)
     }
     d->idle[0] = d->cyclic[0].frame;
     t.drive_count = LINE_DRIVES_MAX;
-    d->cyclic_count = DRIVE_CYCLIC_MAX, d->extra_count = DRIVE_EXTRA_MAX, d->direction_count = DRIVE_DIRECTIONS_MAX;
+    d->cyclic_count = DRIVE_CYCLIC_MAX, d->extra_count = DRIVE_EXTRA_MAX,
+    d->direction_count = DRIVE_DIRECTIONS_MAX;
     d->quick_stop_count = d->disarm_count = t.broadcast_stop_count = DRIVE_STOP_MAX;
-    d->cyclic[0].setpoint_count = EXCHANGE_SETPOINTS_MAX, d->cyclic[1].field_count = EXCHANGE_FIELDS_MAX;
+    d->cyclic[0].setpoint_count = EXCHANGE_SETPOINTS_MAX,
+    d->cyclic[1].field_count = EXCHANGE_FIELDS_MAX;
     d->idle_count = 1;
 }
 
@@ -292,24 +301,25 @@ static void full_lists_are_looked_at_to_their_last_entry(void)
     const struct {
         uint32_t *number;
         const char *name;
-    } last[] = {{&d->cyclic[DRIVE_CYCLIC_MAX - 1].frame.request_bytes, "drive[0].request_bytes"},
-                {&d->cyclic[0].setpoint[EXCHANGE_SETPOINTS_MAX - 1].joint, "drive[0].setpoint.joint"},
-                {&d->cyclic[1].field[EXCHANGE_FIELDS_MAX - 1].joint, "drive[0].field.joint"},
-                {&d->extra[DRIVE_EXTRA_MAX - 1].frame.request_bytes, "drive[0].request_bytes"},
-                {&d->direction[0].joint, "drive[0].direction.joint"},
-                {&last_direction->joint, "drive[0].direction.joint"},
-                {&last_direction->kind, "drive[0].direction.joint"},
-                {&last_direction->rest.request_bytes, "drive[0].request_bytes"},
-                {&last_direction->forward.request_bytes, "drive[0].request_bytes"},
-                {&last_direction->reverse.request_bytes, "drive[0].request_bytes"},
-                {&d->quick_stop[0].request_bytes, "drive[0].request_bytes"},
-                {&d->disarm[0].request_bytes, "drive[0].request_bytes"},
-                {&d->quick_stop[DRIVE_STOP_MAX - 1].request_bytes, "drive[0].request_bytes"},
-                {&d->disarm[DRIVE_STOP_MAX - 1].request_bytes, "drive[0].request_bytes"},
-                {&d->idle[0].request_bytes, "drive[0].request_bytes"},
-                {&t.broadcast_stop[0].request_bytes, "broadcast_stop[0].request_bytes"},
-                {&t.broadcast_stop[DRIVE_STOP_MAX - 1].request_bytes, "broadcast_stop[5].request_bytes"},
-                {&t.drive[LINE_DRIVES_MAX - 1].tries, "drive[7].tries"}};
+    } last[] = {
+        {&d->cyclic[DRIVE_CYCLIC_MAX - 1].frame.request_bytes, "drive[0].request_bytes"},
+        {&d->cyclic[0].setpoint[EXCHANGE_SETPOINTS_MAX - 1].joint, "drive[0].setpoint.joint"},
+        {&d->cyclic[1].field[EXCHANGE_FIELDS_MAX - 1].joint, "drive[0].field.joint"},
+        {&d->extra[DRIVE_EXTRA_MAX - 1].frame.request_bytes, "drive[0].request_bytes"},
+        {&d->direction[0].joint, "drive[0].direction.joint"},
+        {&last_direction->joint, "drive[0].direction.joint"},
+        {&last_direction->kind, "drive[0].direction.joint"},
+        {&last_direction->rest.request_bytes, "drive[0].request_bytes"},
+        {&last_direction->forward.request_bytes, "drive[0].request_bytes"},
+        {&last_direction->reverse.request_bytes, "drive[0].request_bytes"},
+        {&d->quick_stop[0].request_bytes, "drive[0].request_bytes"},
+        {&d->disarm[0].request_bytes, "drive[0].request_bytes"},
+        {&d->quick_stop[DRIVE_STOP_MAX - 1].request_bytes, "drive[0].request_bytes"},
+        {&d->disarm[DRIVE_STOP_MAX - 1].request_bytes, "drive[0].request_bytes"},
+        {&d->idle[0].request_bytes, "drive[0].request_bytes"},
+        {&t.broadcast_stop[0].request_bytes, "broadcast_stop[0].request_bytes"},
+        {&t.broadcast_stop[DRIVE_STOP_MAX - 1].request_bytes, "broadcast_stop[5].request_bytes"},
+        {&t.drive[LINE_DRIVES_MAX - 1].tries, "drive[7].tries"}};
     fill_lists();
     CHECK(is_good());
     for (uint32_t i = 0; i < sizeof last / sizeof last[0]; i++) {
@@ -332,8 +342,10 @@ static void what_is_not_counted_is_not_looked_at(void)
     const line_table full = t;
     t = good;
     memcpy(&d->extra, &full.drive[0].extra, sizeof d->extra);
-    d->cyclic[2].frame.request_bytes = d->extra[0].frame.request_bytes = d->quick_stop[1].request_bytes = 999;
-    d->disarm[2].request_bytes = d->idle[0].request_bytes = d->direction[0].rest.request_bytes = 999;
+    d->cyclic[2].frame.request_bytes = d->extra[0].frame.request_bytes =
+        d->quick_stop[1].request_bytes = 999;
+    d->disarm[2].request_bytes = d->idle[0].request_bytes = d->direction[0].rest.request_bytes =
+        999;
     d->direction[0].joint = t.broadcast_stop[0].request_bytes = 999;
     t.drive[2].tries = 0;
     CHECK(is_good());
@@ -368,7 +380,8 @@ static void a_servo_s_packet_has_room_for_its_head(void)
 {
     const struct {
         uint32_t seal, request_min, request_max, reply_min;
-    } KINDS[] = {{SEAL_SUM, 6, FRAME_BYTES_MAX, 6}, {SEAL_STUFFED, 10, 3 * FRAME_BYTES_MAX / 4 - 2, 11}};
+    } KINDS[] = {{SEAL_SUM, 6, FRAME_BYTES_MAX, 6},
+                 {SEAL_STUFFED, 10, 3 * FRAME_BYTES_MAX / 4 - 2, 11}};
     for (uint32_t i = 0; i < 2; i++) {
         line_frame packet = {.request_seal = KINDS[i].seal, .request_bytes = KINDS[i].request_min};
         CHECK(line_frame_is_good(&packet)); /* one that is not answered */
@@ -378,7 +391,10 @@ static void a_servo_s_packet_has_room_for_its_head(void)
         CHECK(!line_frame_is_good(&packet));
         packet.request_bytes = KINDS[i].request_max + 1;
         CHECK(!line_frame_is_good(&packet));
-        packet = (line_frame){.request_seal = KINDS[i].seal, .request_bytes = 20, .reply_seal = KINDS[i].seal, .match_bytes = 5};
+        packet = (line_frame){.request_seal = KINDS[i].seal,
+                              .request_bytes = 20,
+                              .reply_seal = KINDS[i].seal,
+                              .match_bytes = 5};
         packet.reply_bytes = KINDS[i].reply_min;
         CHECK(line_frame_is_good(&packet));
         packet.reply_bytes = KINDS[i].reply_min - 1;
@@ -390,7 +406,8 @@ static void a_servo_s_packet_has_room_for_its_head(void)
         CHECK(!line_frame_is_good(&packet));
         packet.echo_bytes = 0, packet.exact = 1;
         CHECK(!line_frame_is_good(&packet));
-        packet = (line_frame){.request_seal = KINDS[i].seal, .request_bytes = 20, .reply_seal = KINDS[i].seal};
+        packet = (line_frame){
+            .request_seal = KINDS[i].seal, .request_bytes = 20, .reply_seal = KINDS[i].seal};
         CHECK(line_frame_is_good(&packet)); /* it is not answered */
     }
 }

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The trace of a line: off it keeps nothing, on it keeps the newest entries, and what was overwritten is known. */
+ * The trace of a line: off it keeps nothing, on it keeps the newest entries, and what was
+ * overwritten is known. */
 #include <errno.h>
 #include <string.h>
 
@@ -22,9 +23,11 @@ static void an_entry_is_read_as_it_was_put(void)
     trace_bytes(1, true, 5, BYTES, sizeof BYTES);
     trace_bytes(1, false, 6, BYTES, 2);
     CHECK(line_trace_newest(1) == 2 && line_trace_newest(0) == 0);
-    CHECK(line_trace_read(1, 1, &found) == 1 && found.stamp_ns == 5 && found.outward == 1 && found.bytes == 3);
+    CHECK(line_trace_read(1, 1, &found) == 1 && found.stamp_ns == 5 && found.outward == 1 &&
+          found.bytes == 3);
     CHECK(memcmp(found.data, BYTES, sizeof BYTES) == 0);
-    CHECK(line_trace_read(1, 2, &found) == 1 && found.stamp_ns == 6 && found.outward == 0 && found.bytes == 2);
+    CHECK(line_trace_read(1, 2, &found) == 1 && found.stamp_ns == 6 && found.outward == 0 &&
+          found.bytes == 2);
     CHECK(line_trace_read(1, 3, &found) == 0 && line_trace_read(1, 0, &found) == 0);
 }
 
@@ -37,12 +40,14 @@ static void the_oldest_entries_are_overwritten(void)
     }
     CHECK(line_trace_read(2, 1, &found) == 0);
     CHECK(line_trace_read(2, 2, &found) == 1 && found.stamp_ns == 2);
-    CHECK(line_trace_read(2, TRACE_ENTRIES + 1, &found) == 1 && found.stamp_ns == TRACE_ENTRIES + 1);
+    CHECK(line_trace_read(2, TRACE_ENTRIES + 1, &found) == 1 &&
+          found.stamp_ns == TRACE_ENTRIES + 1);
 }
 
 static void of_too_many_bytes_the_first_are_kept(void)
 {
-    static const uint8_t many[TRACE_BYTES_MAX + 1] = {7, [TRACE_BYTES_MAX - 1] = 8, [TRACE_BYTES_MAX] = 9};
+    static const uint8_t many[TRACE_BYTES_MAX + 1] = {7, [TRACE_BYTES_MAX - 1] = 8,
+                                                      [TRACE_BYTES_MAX] = 9};
     trace_entry found;
     CHECK(line_trace_switch(3, 1) == 0);
     trace_bytes(3, false, 1, many, sizeof many);

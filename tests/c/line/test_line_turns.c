@@ -27,7 +27,11 @@ static void look(void)
 
 static void put(uint64_t id, uint32_t drive, uint32_t urgent)
 {
-    line_request request = {.id = id, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .drive = drive, .urgent = urgent};
+    line_request request = {.id = id,
+                            .expires_ns = INT64_MAX,
+                            .turnaround_ns = 5 * MS,
+                            .drive = drive,
+                            .urgent = urgent};
     request.frame = frame_of((uint8_t)(drive + 1), READ, STATUS, 1);
     CHECK(line_machine_request(m, &request));
 }
@@ -45,7 +49,7 @@ static void forget_request(void)
     m->worker = LINE_DRIVES_MAX;
 }
 
-/* ----------------------------------------------------------------------------------------------------- stops */
+/* -------------------------------------------------------------------------------- stops */
 static void who_answers_is_stopped_before_who_does_not_and_among_these_the_least_tried(void)
 {
     static const struct {
@@ -70,7 +74,7 @@ static void who_answers_is_stopped_before_who_does_not_and_among_these_the_least
     CHECK(w.out.send == NULL);
 }
 
-/* ----------------------------------------------------------------------------------------------------- cycles */
+/* ------------------------------------------------------------------------------- cycles */
 static void the_drive_that_is_due_first_has_its_turn(void)
 {
     for (uint32_t first = 0; first < 3; first++) {
@@ -92,7 +96,7 @@ static void the_drive_that_is_due_first_has_its_turn(void)
     CHECK(is_sent(WORK_CYCLE, 0));
 }
 
-/* -------------------------------------------------------------------------------------------------- the slot */
+/* ----------------------------------------------------------------------------- the slot */
 static void a_request_goes_between_two_cycles_where_it_fits(void)
 {
     int64_t takes_ns = 15 * CHARACTER_NS + 5 * MS + GAP_NS;
@@ -101,7 +105,8 @@ static void a_request_goes_between_two_cycles_where_it_fits(void)
         put(7, LINE_DRIVES_MAX, 0);
         look();
         CHECK(short_ns == 0 ? is_sent(WORK_REQUEST, LINE_DRIVES_MAX) : w.out.send == NULL);
-        CHECK(short_ns == 0 || w.out.wake_ns == w.now_ns + takes_ns - 1); /* the drive's turn: the slot's is later */
+        /* the drive's turn: the slot's is later */
+        CHECK(short_ns == 0 || w.out.wake_ns == w.now_ns + takes_ns - 1);
     }
     begin_ready(1, 0);
     m->drive[0].state.mode = DRIVE_OFF; /* no drive has a turn */
@@ -116,7 +121,8 @@ static void the_slot_has_a_turn_of_its_own_like_a_drive(void)
     put(7, LINE_DRIVES_MAX, 0);
     m->slot_due_ns = w.now_ns;
     look();
-    CHECK(is_sent(WORK_REQUEST, LINE_DRIVES_MAX) && m->slot_turn == 1 && m->slot_due_ns == w.now_ns + 20 * MS);
+    CHECK(is_sent(WORK_REQUEST, LINE_DRIVES_MAX) && m->slot_turn == 1 &&
+          m->slot_due_ns == w.now_ns + 20 * MS);
     begin_ready(1, 0);
     put(7, LINE_DRIVES_MAX, 0);
     m->slot_due_ns = w.now_ns; /* both are: the slot goes first, for it is asked once in a period */
@@ -148,12 +154,14 @@ static void requests_and_probes_take_turns_but_for_urgent_ones(void)
         forget_request();
     }
     put(8, LINE_DRIVES_MAX, 1);
-    for (uint32_t turn = 6; turn < 8; turn++) { /* the urgent one goes first, then again the probe's turn */
+    /* the urgent one goes first, then again the probe's turn */
+    for (uint32_t turn = 6; turn < 8; turn++) {
         m->drive[1].probe_at_ns = 0;
         m->slot_due_ns = w.now_ns;
         m->slot_turn = 7;
         look();
-        CHECK(turn == 6 ? is_sent(WORK_REQUEST, LINE_DRIVES_MAX) && m->transaction.request_id == 8 : is_sent(WORK_PROBE, 1));
+        CHECK(turn == 6 ? is_sent(WORK_REQUEST, LINE_DRIVES_MAX) && m->transaction.request_id == 8
+                        : is_sent(WORK_PROBE, 1));
         forget_request();
     }
     m->request_count = 0;
@@ -166,7 +174,7 @@ static void requests_and_probes_take_turns_but_for_urgent_ones(void)
     }
 }
 
-/* ------------------------------------------------------------------------------------- a line that is not silent */
+/* ------------------------------------------------------------ a line that is not silent */
 static void a_turn_that_does_not_come_for_a_quarter_of_a_second_is_a_failure(void)
 {
     for (int64_t early_ns = 1; early_ns >= 0; early_ns--) {
@@ -178,7 +186,8 @@ static void a_turn_that_does_not_come_for_a_quarter_of_a_second_is_a_failure(voi
         m->newest.stamp_ns = w.now_ns;
         m->free_ns = w.now_ns + MS;
         look();
-        CHECK(w.out.send == NULL && m->drive[0].failures == (early_ns == 0) && m->drive[1].failures == 0);
+        CHECK(w.out.send == NULL && m->drive[0].failures == (early_ns == 0) &&
+              m->drive[1].failures == 0);
         CHECK(m->drive[2].failures == 0);
     }
 }
@@ -206,14 +215,15 @@ static void only_a_drive_that_may_turn_is_asked_on_a_noisy_line(void)
         m->drive[0].probe_at_ns = m->drive[1].probe_at_ns = 0;
         m->ours_ns = 0, m->free_ns = INT64_MAX;
         look();
-        CHECK(w.out.send == NULL && m->urgent_by_ns == w.now_ns + GAP_NS + 20 * MS && w.out.wake_ns == m->urgent_by_ns);
+        CHECK(w.out.send == NULL && m->urgent_by_ns == w.now_ns + GAP_NS + 20 * MS &&
+              w.out.wake_ns == m->urgent_by_ns);
         w.now_ns = m->urgent_by_ns;
         look();
         CHECK(is_sent(WORK_PROBE, may_turn != 0 ? 0 : 1));
     }
 }
 
-/* ----------------------------------------------------------------------------------------------- the next look */
+/* ------------------------------------------------------------------------ the next look */
 static void begin_resting(void)
 {
     begin_ready(2, 0);
@@ -246,7 +256,8 @@ static void what_rests_is_looked_at_seldom_and_what_may_move_often(void)
     m->drive[0].state.was_enabled = true;
     CHECK(next_look_in() == 3 * MS);
     begin_resting();
-    m->end = (line_ending){.stage = END_RESTING, .rest_by_ns = w.now_ns + 900 * MS, .off_by_ns = w.now_ns + 900 * MS};
+    m->end = (line_ending){
+        .stage = END_RESTING, .rest_by_ns = w.now_ns + 900 * MS, .off_by_ns = w.now_ns + 900 * MS};
     m->drive[0].state.stopping = true, m->drive[0].state.off_by_ns = w.now_ns + 900 * MS;
     CHECK(next_look_in() == MOVING_NS && m->end.stage == END_RESTING);
     begin_resting();
@@ -295,13 +306,14 @@ static void a_stop_waits_for_the_gap_alone(void)
     CHECK(is_sent(WORK_STOP, 0));
 }
 
-/* ------------------------------------------------------------------------------------------------- each step */
+/* ---------------------------------------------------------------------------- each step */
 static void what_a_step_reports_is_of_that_step(void)
 {
     begin_ready(2, RESTING_NS);
     m->feedback_mask = 6, m->notify = m->answered = true, m->round_trip_ns = 5;
     look();
-    CHECK(w.out.feedback_mask == 0 && m->feedback_mask == 0 && !m->notify && !m->answered && m->round_trip_ns == 0);
+    CHECK(w.out.feedback_mask == 0 && m->feedback_mask == 0 && !m->notify && !m->answered &&
+          m->round_trip_ns == 0);
     CHECK(!w.out.notify && !w.out.answered);
     m->control.drive[2].count++; /* there is no third drive */
     m->control.drive[2].mode = DRIVE_OFF;
@@ -314,12 +326,13 @@ static void what_a_step_reports_is_of_that_step(void)
     put(7, 0, 0);
     m->request[0].expires_ns = w.now_ns;
     look();
-    CHECK(w.out.notify && w.out.answered && m->answer.kind == ANSWER_EXPIRED && w.out.wake_ns == w.now_ns);
+    CHECK(w.out.notify && w.out.answered && m->answer.kind == ANSWER_EXPIRED &&
+          w.out.wake_ns == w.now_ns);
     look();
     CHECK(!w.out.notify && !w.out.answered);
 }
 
-/* ----------------------------------------------------------------------------------------------------- a kick */
+/* ------------------------------------------------------------------------------- a kick */
 static void a_new_set_point_makes_the_drives_due_that_it_is_for(void)
 {
     for (uint32_t against = 0; against < 5; against++) {
@@ -331,11 +344,15 @@ static void a_new_set_point_makes_the_drives_due_that_it_is_for(void)
         m->table.drive[2] = drive_of(2); /* there is no third drive */
         m->drive[1].state.mode = against == 2 ? DRIVE_READY : DRIVE_ARMED;
         m->drive[1].due_ns = against == 3 ? w.now_ns - MS : due_ns;
-        m->table.drive[1].direction_count = against == 4 ? 1 : 0; /* its cycle's set-point is kept */
+        /* its cycle's set-point is kept */
+        m->table.drive[1].direction_count = against == 4 ? 1 : 0;
         m->drive[1].frozen.joint[1].velocity_rad_s = -7.0;
         line_machine_kick(m, w.now_ns);
-        int64_t expected_ns = against == 0 || against == 4 ? w.now_ns : against == 3 ? w.now_ns - MS : due_ns;
-        CHECK(m->drive[1].due_ns == expected_ns && m->drive[0].due_ns == due_ns && m->drive[2].due_ns == due_ns);
+        int64_t expected_ns = against == 0 || against == 4 ? w.now_ns
+                              : against == 3               ? w.now_ns - MS
+                                                           : due_ns;
+        CHECK(m->drive[1].due_ns == expected_ns && m->drive[0].due_ns == due_ns &&
+              m->drive[2].due_ns == due_ns);
         CHECK(m->drive[1].frozen.joint[1].velocity_rad_s == -7.0);
     }
     begin_ready(1, 30 * MS);

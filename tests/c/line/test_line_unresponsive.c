@@ -17,7 +17,8 @@ static void look(void)
     go_on();
     if (w.out.send != NULL) {
         CHECK(sent_count < SENT_MAX);
-        sent[sent_count++] = (sent_frame){w.machine.start_ns, w.out.send[1], w.out.send[3], w.out.send[4], w.out.send[5]};
+        sent[sent_count++] = (sent_frame){w.machine.start_ns, w.out.send[1], w.out.send[3],
+                                          w.out.send[4], w.out.send[5]};
     }
 }
 
@@ -68,7 +69,8 @@ static bool is_quick_stop(const sent_frame *frame)
 
 static bool is_zero(const sent_frame *frame)
 {
-    return frame->function == WRITE && frame->address == SPEED && frame->high == 0 && frame->low == 0;
+    return frame->function == WRITE && frame->address == SPEED && frame->high == 0 &&
+           frame->low == 0;
 }
 
 static void one_that_may_turn_is_sent_a_quick_stop_and_zero_between_the_questions(void)
@@ -81,7 +83,8 @@ static void one_that_may_turn_is_sent_a_quick_stop_and_zero_between_the_question
         CHECK(is_quick_stop(&sent[i]) && is_zero(&sent[i + 1]));
         CHECK(sent[i + 2].function == READ && sent[i + 2].address == STATUS);
     }
-    CHECK(w.machine.drive[0].count.unresponsive == 1 && w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_UNRESPONSIVE);
+    CHECK(w.machine.drive[0].count.unresponsive == 1 &&
+          w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_UNRESPONSIVE);
 }
 
 static void the_first_round_comes_at_once_and_the_pauses_double_up_to_two_seconds(void)
@@ -94,7 +97,8 @@ static void the_first_round_comes_at_once_and_the_pauses_double_up_to_two_second
     for (uint32_t i = 0; i < 9; i++) {
         int64_t pause_ns = sent[i + 1].at_ns - sent[i].at_ns;
         int64_t reply_ns = w.machine.drive[0].deadline_ns + 40 * MS;
-        CHECK(pause_ns >= pauses_ms[i] * MS && pause_ns <= (pauses_ms[i] > 0 ? pauses_ms[i] * MS : reply_ns) + MS / 2);
+        CHECK(pause_ns >= pauses_ms[i] * MS &&
+              pause_ns <= (pauses_ms[i] > 0 ? pauses_ms[i] * MS : reply_ns) + MS / 2);
     }
 }
 
@@ -121,7 +125,8 @@ static void without_a_probe_it_is_asked_for_its_first_extra_range_and_without_th
         look_for(1000 * MS);
         CHECK(sent_count >= 3);
         for (uint32_t i = 0; i < sent_count; i++) {
-            CHECK(extras == 1 ? sent[i].function == READ && sent[i].address == EXTRA : is_zero(&sent[i]));
+            CHECK(extras == 1 ? sent[i].function == READ && sent[i].address == EXTRA
+                              : is_zero(&sent[i]));
         }
     }
 }
@@ -136,7 +141,8 @@ static void the_probe_may_be_the_first_of_the_cycle(void)
     CHECK(sent_count >= 3 && is_zero(&sent[0]) && is_zero(&sent[1]) && is_zero(&sent[2]));
 }
 
-/* It answers again: power off first, and only then may it be set up; the next silence begins with a quick stop anew. */
+/* It answers again: power off first, and only then may it be set up; the next silence begins
+ * with a quick stop anew. */
 static void one_that_answers_is_sent_off_and_is_back(void)
 {
     begin_with(1, 0);
@@ -144,9 +150,11 @@ static void one_that_answers_is_sent_off_and_is_back(void)
         w.dead = 0;
         become_unresponsive_while_it_may_turn();
         look_for(450 * MS); /* so that the round breaks off in its middle */
-        CHECK(is_quick_stop(&sent[0]) && is_zero(&sent[1]) && w.machine.drive[0].count.unresponsive == times);
+        CHECK(is_quick_stop(&sent[0]) && is_zero(&sent[1]) &&
+              w.machine.drive[0].count.unresponsive == times);
         CHECK(sent[1].at_ns - sent[0].at_ns < 90 * MS && sent[2].at_ns - sent[1].at_ns < 90 * MS);
-        CHECK(sent[3].at_ns - sent[2].at_ns >= 100 * MS && sent[3].at_ns - sent[2].at_ns < 101 * MS);
+        CHECK(sent[3].at_ns - sent[2].at_ns >= 100 * MS &&
+              sent[3].at_ns - sent[2].at_ns < 101 * MS);
         w.dead = 0;
         w.power_offs[0] = 0;
         while (w.machine.drive[0].state.mode != DRIVE_BACK) {
@@ -166,13 +174,15 @@ static void a_stop_that_had_begun_is_over_when_a_drive_falls_silent(void)
         go_on();
     }
     w.machine.newest.stamp_ns = 0;
-    line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out); /* old set-points: it comes to rest */
+    /* old set-points: it comes to rest */
+    line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out);
     CHECK(w.machine.drive[0].state.stopping);
     become_unresponsive();
     CHECK(!w.machine.drive[0].state.stopping && w.machine.drive[0].state.stop == STOP_NOTHING);
 }
 
-/* Whatever it was in the middle of: its next cycle and its next round of probes begin at their beginning. */
+/* Whatever it was in the middle of: its next cycle and its next round of probes begin at their
+ * beginning. */
 static void one_that_falls_silent_in_its_cycle_begins_anew_and_holds_no_other_up(void)
 {
     begin_with(2, 0);
@@ -184,8 +194,8 @@ static void one_that_falls_silent_in_its_cycle_begins_anew_and_holds_no_other_up
         memset(drive->direction_sent, 1, sizeof drive->direction_sent);
         w.machine.current = current;
         line_becomes_unresponsive(&w.machine, 0, w.now_ns);
-        CHECK(drive->state.mode == DRIVE_UNRESPONSIVE && drive->stage == STAGE_IDLE && drive->probe_place == 0 &&
-              !drive->state.back);
+        CHECK(drive->state.mode == DRIVE_UNRESPONSIVE && drive->stage == STAGE_IDLE &&
+              drive->probe_place == 0 && !drive->state.back);
         CHECK(w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
         for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
             CHECK(drive->direction_sent[direction] == DIRECTION_UNKNOWN);
@@ -201,7 +211,8 @@ static void the_first_round_is_as_long_as_what_stops_the_drive(void)
         line_drive *table = &w.machine.table.drive[0];
         table->cyclic[0].setpoint_count = writes > 0;
         table->cyclic[1].setpoint_count = 1;
-        table->cyclic_count = writes == 2 ? 2 : 1; /* what lies behind the last is no exchange of it */
+        /* what lies behind the last is no exchange of it */
+        table->cyclic_count = writes == 2 ? 2 : 1;
         w.machine.drive[0].may_turn = true;
         line_becomes_unresponsive(&w.machine, 0, w.now_ns);
         CHECK(w.machine.drive[0].probes_at_once == 1 + writes + 1);

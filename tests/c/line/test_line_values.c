@@ -30,17 +30,19 @@ static int64_t sent_raw(void)
     return rtu_read(built.request + setpoint->byte, setpoint->form);
 }
 
-/* --------------------------------------------------------------------------------------------- into requests */
+/* ------------------------------------------------------------------------ into requests */
 static void a_set_point_is_scaled_rounded_and_clamped(void)
 {
     static const struct {
         double wanted_rad_s;
         int64_t raw;
-    } cases[] = {{1.0, 100}, {-1.0, -100}, {0.026, 3}, {0.0249, 2}, {9.99, 999}, {10.02, 1000}, {-1e9, -1000}, {0.001, 0}};
+    } cases[] = {{1.0, 100},  {-1.0, -100},  {0.026, 3},    {0.0249, 2},
+                 {9.99, 999}, {10.02, 1000}, {-1e9, -1000}, {0.001, 0}};
     for (uint32_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
         begin(cases[i].wanted_rad_s);
         CHECK(line_build(m, JOINT, 0, &built) == (cases[i].raw != 0) && sent_raw() == cases[i].raw);
-        CHECK(drive->last_sent[0][0] == cases[i].raw && rtu_is_sealed(built.request, 8, SEAL_CRC16));
+        CHECK(drive->last_sent[0][0] == cases[i].raw &&
+              rtu_is_sealed(built.request, 8, SEAL_CRC16));
         CHECK(memcmp(built.request, table->cyclic[0].frame.request, 4) == 0);
     }
     begin(-2.0);
@@ -117,7 +119,8 @@ static void what_differs_from_what_was_sent_last_is_found_in_each_exchange(void)
         m->newest.joint[JOINT].velocity_rad_s = where == 1 ? 0.0 : 1.0;
         m->newest.joint[3].velocity_rad_s = where == 2 ? -0.5 : 0.0;
         m->newest.joint[4].velocity_rad_s = where == 3 ? 0.5 : 0.0;
-        CHECK(line_differs(m, JOINT) == (where != 0) && line_wants_motion(m, JOINT) == (where != 1));
+        CHECK(line_differs(m, JOINT) == (where != 0) &&
+              line_wants_motion(m, JOINT) == (where != 1));
         CHECK(!line_differs(m, 0) && !line_wants_motion(m, 0));
     }
 }
@@ -133,7 +136,8 @@ static void the_last_exchange_of_a_drive_is_the_last_that_counts(void)
     CHECK(line_differs(m, JOINT) && line_wants_motion(m, JOINT));
 }
 
-/* Magnitude and direction go out one by one: both are of the cycle's set-point, but a stop waits for no cycle. */
+/* Magnitude and direction go out one by one: both are of the cycle's set-point, but a stop waits
+ * for no cycle. */
 static void where_directions_are_sent_a_cycle_keeps_its_set_point(void)
 {
     begin(2.0);
@@ -155,7 +159,8 @@ static void where_directions_are_sent_a_cycle_keeps_its_set_point(void)
     drive->frozen.joint[JOINT].velocity_rad_s = 0.0;
     CHECK(line_direction_wanted(m, JOINT, 0) == DIRECTION_REST);
     drive->frozen.joint[JOINT].velocity_rad_s = 1.0, m->newest.joint[JOINT].velocity_rad_s = 0.0;
-    CHECK(line_wanted(m, JOINT, JOINT, SETPOINT_VELOCITY) == 0.0 && line_direction_wanted(m, JOINT, 0) == DIRECTION_REST);
+    CHECK(line_wanted(m, JOINT, JOINT, SETPOINT_VELOCITY) == 0.0 &&
+          line_direction_wanted(m, JOINT, 0) == DIRECTION_REST);
 }
 
 static void a_drive_at_rest_is_sent_its_idle_request(void)
@@ -176,10 +181,11 @@ static void a_drive_at_rest_is_sent_its_idle_request(void)
     }
 }
 
-/* ----------------------------------------------------------------------------------------------- from replies */
+/* ------------------------------------------------------------------------- from replies */
 static void add_field(uint32_t place, uint32_t kind, uint32_t byte, uint32_t form)
 {
-    turn->field[place] = (line_field){.joint = JOINT, .kind = kind, .byte = byte, .form = form, .si_per_raw = 0.5};
+    turn->field[place] =
+        (line_field){.joint = JOINT, .kind = kind, .byte = byte, .form = form, .si_per_raw = 0.5};
     turn->field_count = place + 1;
 }
 
@@ -191,7 +197,8 @@ static void read_at(int64_t stamp_ns)
 static void each_field_goes_where_its_meaning_says(void)
 {
     begin(0.0);
-    static const uint32_t KINDS[] = {FIELD_COUNT, FIELD_VELOCITY, FIELD_CURRENT, FIELD_VOLTAGE, FIELD_TEMPERATURE};
+    static const uint32_t KINDS[] = {FIELD_COUNT, FIELD_VELOCITY, FIELD_CURRENT, FIELD_VOLTAGE,
+                                     FIELD_TEMPERATURE};
     for (uint32_t i = 0; i < 5; i++) {
         add_field(i, KINDS[i], 2 * i, FORM_I16);
         rtu_write(reply + 2 * i, FORM_I16, -10 - (int64_t)i);
@@ -200,7 +207,8 @@ static void each_field_goes_where_its_meaning_says(void)
     turn->field[5].byte = 20;
     read_at(77);
     const joint_feedback *feedback = &joint->feedback;
-    CHECK(feedback->count == (uint64_t)-10 && feedback->velocity_rad_s == -5.5 && feedback->current_a == -6.0);
+    CHECK(feedback->count == (uint64_t)-10 && feedback->velocity_rad_s == -5.5 &&
+          feedback->current_a == -6.0);
     CHECK(feedback->voltage_v == -6.5 && feedback->temperature_c == -7.0);
     CHECK(joint->count_ns == 77 && joint->velocity_ns == 77 && joint->newest_ns == 77);
     CHECK(isnan(m->joint[0].feedback.velocity_rad_s) && m->joint[0].newest_ns == 0);
@@ -208,7 +216,8 @@ static void each_field_goes_where_its_meaning_says(void)
     turn->field[0].mask = 0x0FF0;
     rtu_write(reply, FORM_U16, 0x1234);
     read_at(78);
-    CHECK(feedback->count == 0x23 && joint->count_ns == 78 && joint->velocity_ns == 77 && joint->newest_ns == 78);
+    CHECK(feedback->count == 0x23 && joint->count_ns == 78 && joint->velocity_ns == 77 &&
+          joint->newest_ns == 78);
     add_field(0, FIELD_CURRENT, 0, FORM_U16);
     read_at(79);
     CHECK(joint->count_ns == 78 && joint->velocity_ns == 77 && joint->newest_ns == 79);
@@ -243,7 +252,8 @@ static void a_fault_word_stops_by_what_is_not_harmless_and_is_reported_when_it_c
     CHECK(!m->notify && joint->newest_ns == 5);
     rtu_write(reply, FORM_U16, 0x6);
     read_at(6);
-    CHECK(m->notify && joint->fault_word == 0x6 && joint->feedback.drive_faults == 0x2 && m->joint[0].fault_word == 0);
+    CHECK(m->notify && joint->fault_word == 0x6 && joint->feedback.drive_faults == 0x2 &&
+          m->joint[0].fault_word == 0);
     read_at(7); /* what else is to be reported stays so */
     CHECK(m->notify);
     m->notify = false;
@@ -266,7 +276,8 @@ static void whether_it_is_enabled_and_kept_its_set_up_is_shown_by_a_mask(void)
     turn->field[0].equals_mask = 0x0F, turn->field[0].equals = 0x3;
     turn->field[1].equals_mask = turn->field[2].equals_mask = 0xFF;
     turn->field[1].equals = turn->field[2].equals = 9;
-    rtu_write(reply, FORM_U16, 0x73), rtu_write(reply + 2, FORM_U16, 0x109), rtu_write(reply + 4, FORM_U16, 9);
+    rtu_write(reply, FORM_U16, 0x73), rtu_write(reply + 2, FORM_U16, 0x109),
+        rtu_write(reply + 4, FORM_U16, 9);
     read_at(5);
     CHECK(drive->state.enabled == 1 && !drive->lost_setup && joint->newest_ns == 0);
     rtu_write(reply, FORM_U16, 0x72), rtu_write(reply + 2, FORM_U16, 8);
@@ -277,7 +288,7 @@ static void whether_it_is_enabled_and_kept_its_set_up_is_shown_by_a_mask(void)
     CHECK(drive->lost_setup);
 }
 
-/* ------------------------------------------------------------------------------------------------ to the core */
+/* -------------------------------------------------------------------------- to the core */
 static void feedback_has_the_stamp_of_what_the_core_integrates(void)
 {
     for (uint32_t has = 0; has < 8; has++) {
@@ -289,11 +300,13 @@ static void feedback_has_the_stamp_of_what_the_core_integrates(void)
         line_publish(m, JOINT);
         int64_t other_ns = (has & 4) != 0 ? 13 : 14;
         CHECK(joint->feedback.stamp_ns == ((has & 1) != 0 ? 11 : (has & 2) != 0 ? 12 : other_ns));
-        CHECK(joint->feedback.epoch == 5 && joint->feedback.enabled == 1 && m->feedback_mask == 1U << JOINT);
+        CHECK(joint->feedback.epoch == 5 && joint->feedback.enabled == 1 &&
+              m->feedback_mask == 1U << JOINT);
         CHECK(m->joint[0].feedback.epoch == 0 && m->joint[0].feedback.enabled == 2);
     }
     begin(0.0);
-    joint->counts = 1, joint->count_ns = 0, drive->answered_ns = 14; /* a count that was never read has no stamp */
+    /* a count that was never read has no stamp */
+    joint->counts = 1, joint->count_ns = 0, drive->answered_ns = 14;
     line_publish(m, JOINT);
     CHECK(joint->feedback.stamp_ns == 0);
     joint->counts = 0, joint->measures = 1, joint->velocity_ns = 0;
@@ -319,9 +332,11 @@ static void what_is_forgotten_is_not_known_of_any_of_its_joints(void)
         const line_joint_state *one = &m->joint[j];
         bool ours = (drive->joints >> j & 1) != 0;
         CHECK(one->feedback.enabled == (ours ? 2U : 1U) && one->feedback.epoch == (ours ? 7U : 0U));
-        CHECK(one->feedback.stamp_ns == (ours ? 0 : 3) && (isnan(one->feedback.velocity_rad_s) != 0) == ours);
+        CHECK(one->feedback.stamp_ns == (ours ? 0 : 3) &&
+              (isnan(one->feedback.velocity_rad_s) != 0) == ours);
         int64_t stamp_ns = ours ? 0 : 6;
-        CHECK(one->count_ns == stamp_ns && one->velocity_ns == stamp_ns && one->newest_ns == stamp_ns);
+        CHECK(one->count_ns == stamp_ns && one->velocity_ns == stamp_ns &&
+              one->newest_ns == stamp_ns);
     }
     CHECK(drive->state.enabled == 2 && !drive->lost_setup);
 }

@@ -10,9 +10,13 @@ static void begin_line(void)
     line_exchange *condition = &w.table.drive[0].cyclic[2];
     condition->frame = frame_of(1, READ, CONDITION, 1);
     condition->field_count = 2;
-    condition->field[0] =
-        (line_field){.kind = FIELD_ENABLED, .byte = 3, .form = FORM_U16, .equals_mask = POWERED, .equals = POWERED};
-    condition->field[1] = (line_field){.kind = FIELD_KEPT, .byte = 3, .form = FORM_U16, .equals_mask = SET_UP, .equals = SET_UP};
+    condition->field[0] = (line_field){.kind = FIELD_ENABLED,
+                                       .byte = 3,
+                                       .form = FORM_U16,
+                                       .equals_mask = POWERED,
+                                       .equals = POWERED};
+    condition->field[1] = (line_field){
+        .kind = FIELD_KEPT, .byte = 3, .form = FORM_U16, .equals_mask = SET_UP, .equals = SET_UP};
     w.table.drive[0].cyclic_count = 3;
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
     w.condition = SET_UP;

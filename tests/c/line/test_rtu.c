@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * rtu.c, every line and every border: check sums of the standards, numbers on the wire, and which bytes are an answer. */
+ * rtu.c, every line and every border: check sums of the standards, numbers on the wire, and
+ * which bytes are an answer. */
 #include <string.h>
 
 #include "check.h"
@@ -10,7 +11,8 @@ enum { ROOM = 300 };
 /* V1.02 of the serial line guide, 6.2.2: the CRC of 02 07 is 0x1241 as a number, sent 41 12. */
 static void check_sums_are_those_of_the_standards(void)
 {
-    const uint8_t read_holding[] = {0x01, 0x03, 0x00, 0x00, 0x00, 0x0A}, digits[] = "123456789", two[] = {0x02, 0x07};
+    const uint8_t read_holding[] = {0x01, 0x03, 0x00, 0x00, 0x00, 0x0A}, digits[] = "123456789",
+                  two[] = {0x02, 0x07};
     CHECK(rtu_crc16(two, 2) == 0x1241);
     CHECK(rtu_crc16(read_holding, 6) == 0xCDC5);
     CHECK(rtu_crc16(digits, 9) == 0x4B37);
@@ -57,7 +59,8 @@ static void a_seal_is_good_and_any_other_bit_is_not(void)
 static void numbers_stand_on_the_wire_as_their_form_says(void)
 {
     static const uint8_t wire[4] = {0x81, 0x02, 0xF3, 0x04};
-    static const int64_t read[] = {0x81, -0x7F, 0x8102, -0x7EFE, 0x8102F304, -0x7EFD0CFC, 0xF3048102, -0x0CFB7EFE};
+    static const int64_t read[] = {0x81,       -0x7F,       0x8102,     -0x7EFE,
+                                   0x8102F304, -0x7EFD0CFC, 0xF3048102, -0x0CFB7EFE};
     static const uint32_t size[] = {1, 1, 2, 2, 4, 4, 4, 4};
     for (uint32_t form = FORM_U8; form <= FORM_I32_LOW_FIRST; form++) {
         uint8_t back[5] = {0x99, 0x99, 0x99, 0x99, 0x99};
@@ -131,7 +134,8 @@ static received find(const line_frame *frame, uint32_t echo, const uint8_t *byte
 
 static bool is(received found, received_kind kind, uint32_t offset, uint32_t echoed)
 {
-    return found.kind == kind && (kind == RECEIVED_MORE || kind == RECEIVED_BAD || found.offset == offset) &&
+    return found.kind == kind &&
+           (kind == RECEIVED_MORE || kind == RECEIVED_BAD || found.offset == offset) &&
            (kind != RECEIVED_ANSWER || found.echoed == echoed);
 }
 
@@ -334,10 +338,15 @@ static void the_short_frames_of_others_have_a_seal_of_one_byte(void)
     CHECK(is(find(&frame, 0, reply, 10), RECEIVED_MORE, 0, 0));
 }
 
-/* RoboClaw packet serial: the answer to a read has the sum of what was asked in it, that to a write is 0xFF. */
+/* RoboClaw packet serial: the answer to a read has the sum of what was asked in it, that to a
+ * write is 0xFF. */
 static void an_answer_that_does_not_say_what_it_answers_is_all_that_comes(void)
 {
-    line_frame asked = {.request_bytes = 2, .reply_bytes = 4, .reply_seal = SEAL_WITH_REQUEST, .exact = 1, .request = {0x80, 24}};
+    line_frame asked = {.request_bytes = 2,
+                        .reply_bytes = 4,
+                        .reply_seal = SEAL_WITH_REQUEST,
+                        .exact = 1,
+                        .request = {0x80, 24}};
     uint8_t reply[5] = {0x00, 0xF0, 0, 0, 0xFF}, sealed[4] = {0x80, 24, 0x00, 0xF0};
     rtu_write(reply + 2, FORM_U16, rtu_xmodem(0, sealed, 4));
     CHECK(is(find(&asked, 0, reply, 3), RECEIVED_MORE, 0, 0));
@@ -353,9 +362,11 @@ static void an_answer_that_does_not_say_what_it_answers_is_all_that_comes(void)
                             .exact = 1,
                             .request = {0x80, 34}};
     rtu_seal(last_sent.request, 8, SEAL_XMODEM);
-    CHECK(rtu_seal_bytes(SEAL_XMODEM) == 2 && rtu_read(last_sent.request + 6, FORM_U16) == rtu_xmodem(0, last_sent.request, 6));
+    CHECK(rtu_seal_bytes(SEAL_XMODEM) == 2 &&
+          rtu_read(last_sent.request + 6, FORM_U16) == rtu_xmodem(0, last_sent.request, 6));
     CHECK(is(find(&last_sent, 0, reply + 4, 1), RECEIVED_ANSWER, 0, 0));
-    CHECK(find(&last_sent, 0, reply + 3, 1).kind == RECEIVED_BAD && find(&last_sent, 0, reply + 3, 2).kind == RECEIVED_BAD);
+    CHECK(find(&last_sent, 0, reply + 3, 1).kind == RECEIVED_BAD &&
+          find(&last_sent, 0, reply + 3, 2).kind == RECEIVED_BAD);
     CHECK(is(find(&last_sent, 0, reply, 0), RECEIVED_MORE, 0, 0));
 }
 

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fast_wire.h: a line's machine on a wire of virtual time, with Dynamixels that answer a fast sync read in one packet. */
+ * fast_wire.h: a line's machine on a wire of virtual time, with Dynamixels that answer a fast
+ * sync read in one packet. */
 #ifndef MOTORD_TESTS_FAST_WIRE_H
 #define MOTORD_TESTS_FAST_WIRE_H
 
@@ -9,7 +10,16 @@
 #include "check.h"
 #include "line_machine.h"
 
-enum { SERVOS = 3, GOAL = 104, PRESENT = 128, TORQUE = 64, DATA = 4, HEAD = 8, BLOCK = DATA + 4, ALL = 0xFE };
+enum {
+    SERVOS = 3,
+    GOAL = 104,
+    PRESENT = 128,
+    TORQUE = 64,
+    DATA = 4,
+    HEAD = 8,
+    BLOCK = DATA + 4,
+    ALL = 0xFE
+};
 static const int64_t MS = 1000000, CHARACTER_NS = 10000, DELAY_NS = 50000;
 
 static struct {
@@ -21,7 +31,8 @@ static struct {
     uint32_t errors;         /* bit n: it refuses */
     uint32_t swapped;        /* 1: the second and the third one answer in the wrong order */
     bool alert, echoes, old; /* old: they do not know the instruction */
-    uint32_t cut, flip;      /* of the packet of all: 0, or so many bytes come only; 1 + the byte that has a wrong bit */
+    uint32_t cut, flip; /* of the packet of all: 0, or so many bytes come only; 1 + the byte that
+                           has a wrong bit */
     int32_t goal[SERVOS];
     bool torque[SERVOS];
     uint32_t fast, plain, asked;
@@ -30,17 +41,19 @@ static struct {
 } s;
 static const line_machine *const m = &s.machine;
 
-static inline line_frame packet(uint32_t unit, uint32_t code, const uint8_t *parameters, uint32_t count, uint32_t data)
+static inline line_frame packet(uint32_t unit, uint32_t code, const uint8_t *parameters,
+                                uint32_t count, uint32_t data)
 {
     uint32_t length = count + 3;
-    line_frame frame = {.request_bytes = 10 + count,
-                        .reply_bytes = 11 + data,
-                        .match_bytes = 5,
-                        .match = {0xFF, 0xFF, 0xFD, 0, (uint8_t)unit},
-                        .request_seal = SEAL_STUFFED,
-                        .reply_seal = SEAL_STUFFED,
-                        .has_exceptions = 1,
-                        .request = {0xFF, 0xFF, 0xFD, 0, (uint8_t)unit, (uint8_t)length, 0, (uint8_t)code}};
+    line_frame frame = {
+        .request_bytes = 10 + count,
+        .reply_bytes = 11 + data,
+        .match_bytes = 5,
+        .match = {0xFF, 0xFF, 0xFD, 0, (uint8_t)unit},
+        .request_seal = SEAL_STUFFED,
+        .reply_seal = SEAL_STUFFED,
+        .has_exceptions = 1,
+        .request = {0xFF, 0xFF, 0xFD, 0, (uint8_t)unit, (uint8_t)length, 0, (uint8_t)code}};
     memcpy(frame.request + HEAD, parameters, count);
     rtu_finish(&frame);
     return frame;
@@ -49,7 +62,8 @@ static inline line_frame packet(uint32_t unit, uint32_t code, const uint8_t *par
 static inline line_drive servo(uint32_t joint)
 {
     uint32_t unit = joint + 1;
-    const uint8_t goal[] = {GOAL, 0, 0, 0, 0, 0}, read[] = {PRESENT, 0, DATA, 0}, torque[] = {TORQUE, 0, 1, 0};
+    const uint8_t goal[] = {GOAL, 0, 0, 0, 0, 0}, read[] = {PRESENT, 0, DATA, 0},
+                  torque[] = {TORQUE, 0, 1, 0};
     const uint8_t off[] = {TORQUE, 0, 0};
     line_drive drive = {.tries = 3,
                         .extra_every = 50,
@@ -62,16 +76,24 @@ static inline line_drive servo(uint32_t joint)
                         .probe = 2};
     drive.cyclic[0].frame = packet(unit, 3, goal, sizeof goal, 0);
     drive.cyclic[0].setpoint_count = 1;
-    drive.cyclic[0].setpoint[0] = (line_setpoint){
-        .joint = joint, .byte = 10, .form = FORM_I32_LE, .raw_per_si = 100.0, .raw_min = -3000.0, .raw_max = 3000.0};
+    drive.cyclic[0].setpoint[0] = (line_setpoint){.joint = joint,
+                                                  .byte = 10,
+                                                  .form = FORM_I32_LE,
+                                                  .raw_per_si = 100.0,
+                                                  .raw_min = -3000.0,
+                                                  .raw_max = 3000.0};
     drive.cyclic[1].frame = packet(unit, 2, read, sizeof read, DATA);
     drive.cyclic[1].field_count = 1;
-    drive.cyclic[1].field[0] =
-        (line_field){.joint = joint, .kind = FIELD_VELOCITY, .byte = 9, .form = FORM_I32_LE, .si_per_raw = 0.01};
+    drive.cyclic[1].field[0] = (line_field){
+        .joint = joint, .kind = FIELD_VELOCITY, .byte = 9, .form = FORM_I32_LE, .si_per_raw = 0.01};
     drive.extra[0].frame = packet(unit, 2, torque, sizeof torque, 1);
     drive.extra[0].field_count = 1;
-    drive.extra[0].field[0] =
-        (line_field){.joint = joint, .kind = FIELD_ENABLED, .byte = 9, .equals_mask = 1, .equals = 1, .si_per_raw = 1.0};
+    drive.extra[0].field[0] = (line_field){.joint = joint,
+                                           .kind = FIELD_ENABLED,
+                                           .byte = 9,
+                                           .equals_mask = 1,
+                                           .equals = 1,
+                                           .si_per_raw = 1.0};
     drive.quick_stop[0] = packet(unit, 3, goal, sizeof goal, 0);
     drive.disarm[0] = packet(unit, 3, off, sizeof off, 0);
     return drive;
@@ -79,34 +101,36 @@ static inline line_drive servo(uint32_t joint)
 
 static inline line_table table_of(uint32_t echo)
 {
-    line_table table = {.drive_count = SERVOS,
-                        .echo = echo,
-                        .character_ns = (double)CHARACTER_NS,
-                        .gap_ns = 10000,
-                        .setpoint_timeout_ns = 100 * MS,
-                        .rest_velocity_rad_s = 0.1,
-                        .group = {.used = 1,
-                                  .fast = 1,
-                                  .data_byte = 10,
-                                  .write_bytes = 12,
-                                  .read_bytes = 12,
-                                  .write = {0xFF, 0xFF, 0xFD, 0, ALL, 7, 0, 0x83, GOAL, 0, DATA, 0},
-                                  .read = {0xFF, 0xFF, 0xFD, 0, ALL, 7, 0, 0x82, PRESENT, 0, DATA, 0}}};
+    line_table table = {
+        .drive_count = SERVOS,
+        .echo = echo,
+        .character_ns = (double)CHARACTER_NS,
+        .gap_ns = 10000,
+        .setpoint_timeout_ns = 100 * MS,
+        .rest_velocity_rad_s = 0.1,
+        .group = {.used = 1,
+                  .fast = 1,
+                  .data_byte = 10,
+                  .write_bytes = 12,
+                  .read_bytes = 12,
+                  .write = {0xFF, 0xFF, 0xFD, 0, ALL, 7, 0, 0x83, GOAL, 0, DATA, 0},
+                  .read = {0xFF, 0xFF, 0xFD, 0, ALL, 7, 0, 0x82, PRESENT, 0, DATA, 0}}};
     for (uint32_t i = 0; i < SERVOS; i++) {
         table.drive[i] = servo(i);
     }
     return table;
 }
 
-/* ------------------------------------------------------------------------------------------------ their answers */
+/* ------------------------------------------------------------------------ their answers */
 static inline void status(uint32_t number, const uint8_t *data, uint32_t count)
 {
     if ((s.silent >> number & 1) != 0) {
         return;
     }
-    line_frame reply = {.request_bytes = 11 + count,
-                        .request_seal = SEAL_STUFFED,
-                        .request = {0xFF, 0xFF, 0xFD, 0, (uint8_t)(number + 1), (uint8_t)(4 + count), 0, 0x55}};
+    line_frame reply = {
+        .request_bytes = 11 + count,
+        .request_seal = SEAL_STUFFED,
+        .request = {0xFF, 0xFF, 0xFD, 0, (uint8_t)(number + 1), (uint8_t)(4 + count), 0, 0x55}};
     reply.request[HEAD] = (s.errors >> number & 1) != 0 ? 7 : 0;
     if (count > 0) {
         memcpy(reply.request + 9, data, count);
@@ -121,7 +145,8 @@ static inline void answer_together(const uint8_t *units, uint32_t count)
 {
     uint8_t *to = s.bytes + s.count;
     uint32_t length = HEAD - 7 + count * BLOCK, at = HEAD;
-    const uint8_t head[HEAD] = {0xFF, 0xFF, 0xFD, 0, ALL, (uint8_t)length, (uint8_t)(length >> 8), 0x55};
+    const uint8_t head[HEAD] = {0xFF, 0xFF, 0xFD, 0, ALL, (uint8_t)length, (uint8_t)(length >> 8),
+                                0x55};
     memcpy(to, head, HEAD);
     for (uint32_t i = 0; i < count; i++) {
         uint32_t number = units[s.swapped != 0 && i > 0 ? count - i : i] - 1U;
@@ -173,13 +198,14 @@ static inline uint32_t obey(const uint8_t *wire)
         status(unit - 1, value, plain[10]);
     } else if (plain[7] == 3) {
         s.torque[unit - 1] = plain[8] == TORQUE ? plain[10] != 0 : s.torque[unit - 1];
-        s.goal[unit - 1] = plain[8] == GOAL ? (int32_t)rtu_read(plain + 10, FORM_I32_LE) : s.goal[unit - 1];
+        s.goal[unit - 1] =
+            plain[8] == GOAL ? (int32_t)rtu_read(plain + 10, FORM_I32_LE) : s.goal[unit - 1];
         status(unit - 1, NULL, 0);
     }
     return bytes;
 }
 
-/* -------------------------------------------------------------------------------------------------- the machine */
+/* -------------------------------------------------------------------------- the machine */
 static inline void look(double velocity_rad_s)
 {
     s.machine.newest = (setpoints){.stamp_ns = s.now_ns, .enabled = 1, .joint_count = SERVOS};

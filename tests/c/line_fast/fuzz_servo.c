@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_servo.c: bus servos that do what they like, and a wire that does. Whatever comes: a status is one by another
- * arithmetic than the tested one, what was stuffed is what is unstuffed, motion is sent only to who is armed and only while
- * the core wants it, no value is another servo's, each stop ends, and the end comes. */
+ * fuzz_servo.c: bus servos that do what they like, and a wire that does. Whatever comes: a status
+ * is one by another arithmetic than the tested one, what was stuffed is what is unstuffed, motion
+ * is sent only to who is armed and only while the core wants it, no value is another servo's,
+ * each stop ends, and the end comes. */
 #include <math.h>
 
 #include "servo_wire.h"
@@ -12,8 +13,9 @@ enum { FUZZ_MAX = 224, SERVOS = 3 };
 
 static const int64_t STEP_MS = 1000000;
 
-/* ------------------------------------------------------------------------------------------------ packets */
-/* CRC-16 of the manual's polynomial, a bit at a time from the other end: reflected in, reflected out. */
+/* ------------------------------------------------------------------------------ packets */
+/* CRC-16 of the manual's polynomial, a bit at a time from the other end: reflected in, reflected
+ * out. */
 static uint16_t other_crc(const uint8_t *bytes, uint32_t count)
 {
     uint32_t crc = 0;
@@ -27,9 +29,10 @@ static uint16_t other_crc(const uint8_t *bytes, uint32_t count)
 static void packets(const uint8_t *data)
 {
     uint32_t count = data[0] % 32;
-    line_frame status = {.request_bytes = 11 + count,
-                         .request_seal = SEAL_STUFFED,
-                         .request = {0xFF, 0xFF, 0xFD, 0, data[1], (uint8_t)(4 + count), 0, 0x55, data[2] & 0x80}};
+    line_frame status = {
+        .request_bytes = 11 + count,
+        .request_seal = SEAL_STUFFED,
+        .request = {0xFF, 0xFF, 0xFD, 0, data[1], (uint8_t)(4 + count), 0, 0x55, data[2] & 0x80}};
     for (uint32_t i = 0; i < count; i++) {
         static const uint8_t likely[4] = {0xFF, 0xFF, 0xFD, 0x00};
         status.request[9 + i] = data[3] & 1 ? likely[data[4 + i] & 3] : data[4 + i];
@@ -38,28 +41,34 @@ static void packets(const uint8_t *data)
     memcpy(before, status.request + 9, count);
     rtu_finish(&status);
     CHECK(status.request_bytes >= 11 + count && status.request_bytes <= 11 + count + count / 3 + 1);
-    CHECK(rtu_unstuff(status.request, status.request_bytes, after) == 11 + count && memcmp(after + 9, before, count) == 0);
+    CHECK(rtu_unstuff(status.request, status.request_bytes, after) == 11 + count &&
+          memcmp(after + 9, before, count) == 0);
     uint16_t stated = (uint16_t)rtu_read(status.request + status.request_bytes - 2, FORM_U16_LE);
     CHECK(stated == other_crc(status.request, status.request_bytes - 2));
     uint32_t garbage = data[40] % 32;
     memcpy(wire, data + 41, garbage);
     memcpy(wire + garbage, status.request, status.request_bytes);
-    line_frame asked = {.reply_bytes = 11 + count, .match_bytes = 5, .reply_seal = SEAL_STUFFED, .has_exceptions = 1};
+    line_frame asked = {.reply_bytes = 11 + count,
+                        .match_bytes = 5,
+                        .reply_seal = SEAL_STUFFED,
+                        .has_exceptions = 1};
     memcpy(asked.match, (const uint8_t[]){0xFF, 0xFF, 0xFD, 0, data[1]}, 5);
     received found = rtu_hunt(&asked, wire, 0, wire, garbage + status.request_bytes);
-    CHECK(found.kind == RECEIVED_REFUSED || (found.kind == RECEIVED_ANSWER && found.offset <= garbage));
+    CHECK(found.kind == RECEIVED_REFUSED ||
+          (found.kind == RECEIVED_ANSWER && found.offset <= garbage));
     uint8_t *flipped = wire + garbage + data[74] % status.request_bytes;
     *flipped ^= (uint8_t)(1U << data[75] % 8);
     found = rtu_hunt(&asked, wire, garbage, wire, garbage + status.request_bytes);
     CHECK(found.kind == RECEIVED_MORE); /* CRC-16 sees one bit */
 }
 
-/* ------------------------------------------------------------------------------------------------ the machine */
+/* -------------------------------------------------------------------------- the machine */
 static bool may_move(uint32_t number)
 {
     const setpoints *from = &s.machine.newest;
-    return s.machine.drive[number].state.mode == DRIVE_ARMED && from->enabled == 1 && from->stamp_ns > 0 &&
-           s.now_ns - from->stamp_ns <= s.table.setpoint_timeout_ns && isfinite(from->joint[number].velocity_rad_s) &&
+    return s.machine.drive[number].state.mode == DRIVE_ARMED && from->enabled == 1 &&
+           from->stamp_ns > 0 && s.now_ns - from->stamp_ns <= s.table.setpoint_timeout_ns &&
+           isfinite(from->joint[number].velocity_rad_s) &&
            from->joint[number].velocity_rad_s != 0.0;
 }
 
@@ -95,7 +104,8 @@ static void judge(const uint8_t *packet)
     CHECK(s.machine.end.stage != END_SILENT);
     for (uint32_t at = 7; packet[4] == 0x83 && at + 1 < bytes; at += 3) {
         CHECK(packet[at] >= 7 && packet[at] < 7 + SERVOS);
-        CHECK(signed_goal(packet + at + 1) == 0 || (may_move(packet[at] - 7U) && s.machine.end.stage == END_NOT));
+        CHECK(signed_goal(packet + at + 1) == 0 ||
+              (may_move(packet[at] - 7U) && s.machine.end.stage == END_NOT));
     }
     CHECK(packet[4] != 3 || packet[5] != GOAL || signed_goal(packet + 6) == 0);
 }

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * servo_wire.h: a line's machine on a wire of virtual time, with bus servos that answer one request together. */
+ * servo_wire.h: a line's machine on a wire of virtual time, with bus servos that answer one
+ * request together. */
 #ifndef MOTORD_TESTS_SERVO_WIRE_H
 #define MOTORD_TESTS_SERVO_WIRE_H
 
@@ -28,7 +29,8 @@ typedef struct {
 
 static servo_wire s;
 
-static inline line_frame servo_packet(uint8_t unit, uint8_t code, const uint8_t *parameters, uint8_t count, uint32_t data)
+static inline line_frame servo_packet(uint8_t unit, uint8_t code, const uint8_t *parameters,
+                                      uint8_t count, uint32_t data)
 {
     line_frame frame = {.request_bytes = 6U + count,
                         .reply_bytes = unit == 0xFE ? 0 : 6 + data,
@@ -63,16 +65,24 @@ static inline line_drive servo_drive(uint32_t joint)
                         .probe = 2};
     drive.cyclic[0].frame = servo_write(unit, GOAL, 0);
     drive.cyclic[0].setpoint_count = 1;
-    drive.cyclic[0].setpoint[0] = (line_setpoint){
-        .joint = joint, .byte = 6, .form = FORM_M16_LE, .raw_per_si = 100.0, .raw_min = -3000.0, .raw_max = 3000.0};
+    drive.cyclic[0].setpoint[0] = (line_setpoint){.joint = joint,
+                                                  .byte = 6,
+                                                  .form = FORM_M16_LE,
+                                                  .raw_per_si = 100.0,
+                                                  .raw_min = -3000.0,
+                                                  .raw_max = 3000.0};
     drive.cyclic[1].frame = servo_packet(unit, 2, read, 2, 2);
     drive.cyclic[1].field_count = 1;
-    drive.cyclic[1].field[0] =
-        (line_field){.joint = joint, .kind = FIELD_VELOCITY, .byte = 5, .form = FORM_M16_LE, .si_per_raw = 0.01};
+    drive.cyclic[1].field[0] = (line_field){
+        .joint = joint, .kind = FIELD_VELOCITY, .byte = 5, .form = FORM_M16_LE, .si_per_raw = 0.01};
     drive.extra[0].frame = servo_packet(unit, 2, torque, 2, 1);
     drive.extra[0].field_count = 1;
-    drive.extra[0].field[0] =
-        (line_field){.joint = joint, .kind = FIELD_ENABLED, .byte = 5, .equals_mask = 1, .equals = 1, .si_per_raw = 1.0};
+    drive.extra[0].field[0] = (line_field){.joint = joint,
+                                           .kind = FIELD_ENABLED,
+                                           .byte = 5,
+                                           .equals_mask = 1,
+                                           .equals = 1,
+                                           .si_per_raw = 1.0};
     drive.quick_stop[0] = servo_write(unit, GOAL, 0);
     drive.disarm[0] = servo_write(unit, TORQUE, 0);
     return drive;
@@ -155,10 +165,12 @@ static inline uint32_t obey_packet(const uint8_t *packet)
     return bytes;
 }
 
-/* One look; the core's set-points are new, `velocity_rad_s` for each joint plus a tenth of its number. */
+/* One look; the core's set-points are new, `velocity_rad_s` for each joint plus a tenth of its
+ * number. */
 static inline void servos_step(double velocity_rad_s, uint32_t enabled)
 {
-    s.machine.newest = (setpoints){.stamp_ns = s.now_ns, .enabled = enabled, .joint_count = s.table.drive_count};
+    s.machine.newest =
+        (setpoints){.stamp_ns = s.now_ns, .enabled = enabled, .joint_count = s.table.drive_count};
     for (uint32_t i = 0; i < s.table.drive_count; i++) {
         s.machine.newest.joint[i].velocity_rad_s = velocity_rad_s + 0.1 * i;
     }

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The fast sync read of Dynamixels: all answer in one packet, and plain sync reads follow while one of them fails. */
+ * The fast sync read of Dynamixels: all answer in one packet, and plain sync reads follow while
+ * one of them fails. */
 #include "fast_wire.h"
 
 static void one_packet_answers_for_all(void)
@@ -10,8 +11,10 @@ static void one_packet_answers_for_all(void)
         go_on(-2.0, 100 * MS);
         CHECK(s.fast - fast >= 9 && s.plain == 0 && s.asked == 7 && m->noise_bytes == 0);
         for (uint32_t i = 0; i < SERVOS; i++) {
-            CHECK(measures(i, -2.0 + 0.1 * i) && m->drive[i].count.no_reply == 0 && m->drive[i].count.bad_reply == 0);
-            CHECK(s.now_ns - m->joint[i].feedback.stamp_ns < 15 * MS && m->joint[i].feedback.stamp_ns < s.now_ns);
+            CHECK(measures(i, -2.0 + 0.1 * i) && m->drive[i].count.no_reply == 0 &&
+                  m->drive[i].count.bad_reply == 0);
+            CHECK(s.now_ns - m->joint[i].feedback.stamp_ns < 15 * MS &&
+                  m->joint[i].feedback.stamp_ns < s.now_ns);
             CHECK(m->drive[i].smoothed_ns < 2 * MS && m->joint[i].feedback.enabled == 1);
         }
     }
@@ -30,7 +33,8 @@ static void plain_reads_follow_while_a_servo_is_missing(void)
         CHECK(m->drive[missing].state.mode == DRIVE_UNRESPONSIVE && s.goal[missing] == 0);
         for (uint32_t i = 0; i < SERVOS; i++) {
             uint64_t lost = m->drive[i].count.no_reply + m->drive[i].count.bad_reply;
-            CHECK(i == missing || (m->drive[i].state.mode == DRIVE_ARMED && m->drive[i].failures == 0));
+            CHECK(i == missing ||
+                  (m->drive[i].state.mode == DRIVE_ARMED && m->drive[i].failures == 0));
             CHECK(i == missing || (measures(i, 2.0 + 0.1 * i) && lost == (i > missing ? 1U : 0U)));
         }
         CHECK(before == 0);
@@ -61,7 +65,8 @@ static void a_packet_that_is_cut_or_damaged_anywhere_says_nothing_wrong(void)
         for (uint32_t i = 0; i < SERVOS; i++) {
             uint64_t lost = m->drive[i].count.no_reply + m->drive[i].count.bad_reply;
             CHECK(measures(i, 1.0 + 0.1 * i) && m->drive[i].state.mode == DRIVE_ARMED && lost <= 1);
-            bool before = at < whole ? HEAD + (i + 1) * BLOCK <= at : HEAD + (i + 1) * BLOCK <= at - whole;
+            bool before =
+                at < whole ? HEAD + (i + 1) * BLOCK <= at : HEAD + (i + 1) * BLOCK <= at - whole;
             CHECK((lost == 0) == before);
         }
         go_on(1.0, 300 * MS);
@@ -81,7 +86,8 @@ static void a_block_of_another_servo_is_not_taken(void)
     }
     s.swapped = 0;
     go_on(1.0, 15 * MS);
-    CHECK(m->drive[0].count.bad_reply == 0 && m->drive[1].count.bad_reply == 1 && m->drive[2].count.bad_reply == 1);
+    CHECK(m->drive[0].count.bad_reply == 0 && m->drive[1].count.bad_reply == 1 &&
+          m->drive[2].count.bad_reply == 1);
     go_on(1.0, 50 * MS);
     CHECK(measures(1, 1.1) && measures(2, 1.2));
 }
@@ -119,7 +125,8 @@ static void a_late_packet_of_all_answers_no_plain_read(void)
     answer_together(units, SERVOS);
     for (uint32_t looks = 0; looks == 0 || m->work == WORK_GROUP; looks++) {
         CHECK(m->work == WORK_GROUP && looks < 3);
-        line_machine_step(&s.machine, looks == 0 ? m->until_ns - 1 : m->until_ns, s.bytes, s.count, &s.out);
+        line_machine_step(&s.machine, looks == 0 ? m->until_ns - 1 : m->until_ns, s.bytes, s.count,
+                          &s.out);
         s.count = 0;
     }
     CHECK(m->noise_bytes == HEAD + SERVOS * BLOCK);

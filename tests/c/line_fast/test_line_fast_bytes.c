@@ -21,11 +21,13 @@ static void a_packet_whose_length_takes_two_bytes_answers_for_all(void)
         rtu_write(block + 2, FORM_I32_LE, 700 + i);
         rtu_seal(bytes, HEAD + (i + 1) * (MANY + 4), SEAL_STUFFED);
     }
-    line_machine_step(&s.machine, m->end_ns + DELAY_NS + WHOLE * CHARACTER_NS, bytes, WHOLE, &s.out);
+    line_machine_step(&s.machine, m->end_ns + DELAY_NS + WHOLE * CHARACTER_NS, bytes, WHOLE,
+                      &s.out);
     CHECK(m->group.waiting == 0 && m->noise_bytes == 0);
     for (uint32_t i = 0; i < SERVOS; i++) {
         CHECK(measures(i, 7.0 + 0.01 * i) && m->drive[i].failures == 0);
-        int64_t behind_ns = (SERVOS - 1 - i) * (MANY + 4) * CHARACTER_NS; /* all of it came at once */
+        /* all of it came at once */
+        int64_t behind_ns = (SERVOS - 1 - i) * (MANY + 4) * CHARACTER_NS;
         CHECK(m->drive[i].smoothed_ns == DELAY_NS + behind_ns + 1);
     }
 }
@@ -95,7 +97,8 @@ static void each_block_is_one_answer_though_the_packet_comes_byte_by_byte(void)
         line_machine_step(&s.machine, s.now_ns, s.bytes + n, 1, &s.out);
     }
     s.count = 0;
-    CHECK(m->group.waiting == 0 && m->answers == answers + SERVOS && m->group.taken_count == SERVOS);
+    CHECK(m->group.waiting == 0 && m->answers == answers + SERVOS &&
+          m->group.taken_count == SERVOS);
 }
 
 static void a_block_behind_the_last_one_is_no_answer(void)

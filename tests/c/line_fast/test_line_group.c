@@ -15,11 +15,14 @@ static void one_request_carries_all_set_points_and_reads_all(void)
         uint32_t writes = s.sync_writes, reads = s.sync_reads;
         servos_go_on(1.0, 100 * SERVO_MS);
         CHECK(s.goal[0] == 100 && s.goal[1] == 110 && s.goal[2] == 120);
-        CHECK(s.sync_writes - writes >= 9 && s.sync_writes - writes <= 12 && s.sync_reads - reads == s.sync_writes - writes);
+        CHECK(s.sync_writes - writes >= 9 && s.sync_writes - writes <= 12 &&
+              s.sync_reads - reads == s.sync_writes - writes);
         CHECK(s.asked_last == 7);
         for (uint32_t i = 0; i < 3; i++) {
-            CHECK(fabs(m->joint[i].feedback.velocity_rad_s - (1.0 + 0.1 * i)) < 1e-9 && m->joint[i].feedback.enabled == 1);
-            CHECK(s.now_ns - m->joint[i].feedback.stamp_ns < 15 * SERVO_MS && m->joint[i].feedback.stamp_ns < s.now_ns);
+            CHECK(fabs(m->joint[i].feedback.velocity_rad_s - (1.0 + 0.1 * i)) < 1e-9 &&
+                  m->joint[i].feedback.enabled == 1);
+            CHECK(s.now_ns - m->joint[i].feedback.stamp_ns < 15 * SERVO_MS &&
+                  m->joint[i].feedback.stamp_ns < s.now_ns);
             CHECK(m->drive[i].count.no_reply == 0 && m->drive[i].count.bad_reply == 0);
         }
         CHECK(m->noise_bytes == 0 && m->echo == (s.echoes ? ECHO_FIRST : ECHO_NONE));
@@ -36,7 +39,8 @@ static void each_reply_is_stamped_after_the_one_before(void)
         servos_step(1.0, 1);
     }
     CHECK(m->joint[1].feedback.stamp_ns > m->joint[0].feedback.stamp_ns);
-    CHECK(m->joint[2].feedback.stamp_ns >= m->joint[1].feedback.stamp_ns); /* all of them came at once */
+    /* all of them came at once */
+    CHECK(m->joint[2].feedback.stamp_ns >= m->joint[1].feedback.stamp_ns);
 }
 
 static void who_is_not_armed_gets_no_set_point(void)
@@ -81,7 +85,8 @@ static void who_does_not_answer_takes_no_other_answer_away(void)
             oldest_ns = age_ns > oldest_ns ? age_ns : oldest_ns;
         }
     }
-    CHECK(oldest_ns < 50 * SERVO_MS); /* so long was waited once for who did not answer, and a period */
+    CHECK(oldest_ns < 50 * SERVO_MS); /* so long was waited once for who did not answer, and a
+                                         period */
     CHECK(m->drive[2].count.cycles - before > 100);
     CHECK(m->drive[1].state.mode == DRIVE_UNRESPONSIVE && m->drive[1].count.no_reply >= 3);
     CHECK(s.goal[0] == 200 && s.goal[2] == 220);
@@ -101,16 +106,19 @@ static void a_damaged_reply_is_counted_as_such_and_its_servo_keeps_its_set_point
         servos_step(1.0, 1);
     }
     s.damaged = 0;
-    CHECK(m->drive[0].state.mode == DRIVE_ARMED && m->noise_bytes == 8 && m->drive[1].failures == 0);
+    CHECK(m->drive[0].state.mode == DRIVE_ARMED && m->noise_bytes == 8 &&
+          m->drive[1].failures == 0);
     CHECK(fabs(m->joint[0].feedback.velocity_rad_s - 1.0) < 1e-9);
     servos_go_on(3.0, 12 * SERVO_MS);
     CHECK(s.goal[0] == 300 && s.goal[1] == 310);
     servos_go_on(3.0, 400 * SERVO_MS);
-    CHECK(m->drive[0].state.mode == DRIVE_ARMED && m->drive[0].failures == 0 && m->drive[0].count.bad_reply == 1);
+    CHECK(m->drive[0].state.mode == DRIVE_ARMED && m->drive[0].failures == 0 &&
+          m->drive[0].count.bad_reply == 1);
     CHECK(fabs(m->joint[0].feedback.velocity_rad_s - 3.0) < 1e-9);
 }
 
-/* A reply to the request before is a good reply of this servo: only its time distinguishes it from the one that is due. */
+/* A reply to the request before is a good reply of this servo: only its time distinguishes it
+ * from the one that is due. */
 static void a_late_reply_is_not_taken_for_the_next_request_s(void)
 {
     servos_begin(2, ECHO_NONE);
@@ -131,7 +139,8 @@ static void a_late_reply_is_not_taken_for_the_next_request_s(void)
         servos_step(2.0, 1);
         CHECK(s.goal[0] == 200 || s.goal[0] == 100);
     }
-    CHECK(s.goal[0] == 200 && (s.asked_last & 1) == 0); /* held: not asked, and its set-points go on */
+    /* held: not asked, and its set-points go on */
+    CHECK(s.goal[0] == 200 && (s.asked_last & 1) == 0);
     servos_go_on(2.0, 400 * SERVO_MS);
     CHECK((s.asked_last & 1) != 0 && m->joint[0].feedback.stamp_ns > failed_ns + 100 * SERVO_MS);
     CHECK(m->drive[0].state.mode == DRIVE_ARMED);
@@ -266,13 +275,15 @@ static void servos_take_turns_in_reporting_whether_they_have_power(void)
             CHECK(m->drive[i].extra_due == (round / 8 == 2 || (round % 8 + i) % 4 == 0));
             CHECK(m->drive[i].stage == STAGE_IDLE && m->drive[i].cycle_start_ns == s.now_ns);
         }
-        CHECK(m->current == LINE_DRIVES_MAX && m->drive[3].cycle_start_ns == 0 && m->group.waiting == 7);
+        CHECK(m->current == LINE_DRIVES_MAX && m->drive[3].cycle_start_ns == 0 &&
+              m->group.waiting == 7);
         CHECK(!m->drive[3].state.sent_motion);
     }
     begin_ready(2);
     s.machine.drive[0].state.mode = s.machine.drive[1].state.mode = DRIVE_OFF;
     s.machine.drive[0].cycle_motion = true;
-    CHECK(!line_group_begin(&s.machine, s.now_ns, &out) && out.request_bytes == 0 && !m->drive[0].cycle_motion);
+    CHECK(!line_group_begin(&s.machine, s.now_ns, &out) && out.request_bytes == 0 &&
+          !m->drive[0].cycle_motion);
 }
 
 static void only_a_servo_whose_time_has_come_is_asked(void)
@@ -283,7 +294,8 @@ static void only_a_servo_whose_time_has_come_is_asked(void)
         s.machine.drive[0].silent_until_ns = s.now_ns + (late == 1);
         s.machine.drive[0].held_until_ns = s.now_ns + (late == 2);
         s.machine.drive[0].state.mode = late == 3 ? DRIVE_UNRESPONSIVE : DRIVE_READY;
-        CHECK(line_group_begin(&s.machine, s.now_ns, &out) && m->group.waiting == (late == 0 ? 3 : 2));
+        CHECK(line_group_begin(&s.machine, s.now_ns, &out) &&
+              m->group.waiting == (late == 0 ? 3 : 2));
         CHECK(out.reply_bytes == (late == 0 ? 16 : 8));
     }
 }
@@ -295,7 +307,8 @@ static void what_was_sent_motion_counts_as_moving_until_it_was_sent_zero(void)
     line_machine *machine = &s.machine;
     machine->drive[0].state.mode = machine->drive[1].state.mode = DRIVE_ARMED;
     machine->newest.joint[1].velocity_rad_s = 0.0;
-    machine->drive[0].cycle_motion = machine->drive[1].cycle_motion = machine->drive[1].state.sent_motion = true;
+    machine->drive[0].cycle_motion = machine->drive[1].cycle_motion =
+        machine->drive[1].state.sent_motion = true;
     CHECK(line_group_begin(machine, s.now_ns, &out));
     CHECK(m->drive[0].cycle_motion && m->drive[0].state.sent_motion);
     CHECK(!m->drive[1].cycle_motion && m->drive[1].state.sent_motion); /* its zero may be lost */
@@ -312,8 +325,10 @@ static void a_servo_whose_place_is_not_known_gets_none_and_one_that_does_not_ans
     CHECK(line_group_begin(machine, s.now_ns, &out) && out.request[4] == 0x82);
     for (int may_turn = 0; may_turn < 2; may_turn++) {
         begin_ready(2);
-        machine->drive[0].state.mode = DRIVE_UNRESPONSIVE, machine->drive[0].may_turn = may_turn == 1;
-        CHECK(line_group_begin(machine, s.now_ns, &out) && out.request[4] == (may_turn ? 0x83 : 0x82));
+        machine->drive[0].state.mode = DRIVE_UNRESPONSIVE,
+        machine->drive[0].may_turn = may_turn == 1;
+        CHECK(line_group_begin(machine, s.now_ns, &out) &&
+              out.request[4] == (may_turn ? 0x83 : 0x82));
         CHECK(!may_turn || (out.request[7] == 7 && out.request[8] == 0 && out.request[9] == 0));
     }
 }
@@ -330,7 +345,8 @@ static void the_first_replies_of_a_group_show_whether_the_adapter_receives_itsel
         s.machine.echo = ECHO_UNKNOWN;
         uint64_t answers = m->answers;
         servos_step(1.0, 1);
-        CHECK(m->echo == (echoes ? ECHO_FIRST : ECHO_NONE) && m->answers == answers + 2 && s.out.notify);
+        CHECK(m->echo == (echoes ? ECHO_FIRST : ECHO_NONE) && m->answers == answers + 2 &&
+              s.out.notify);
     }
 }
 
@@ -347,18 +363,22 @@ static void a_group_of_stuffed_packets_has_its_units_and_its_length(void)
     group->read[7] = 0x82;
     group->write_bytes = group->read_bytes = sizeof WRITE, group->data_byte = 10;
     for (uint32_t i = 0; i < 2; i++) {
-        const line_frame frame = {.request_seal = SEAL_STUFFED,
-                                  .request_bytes = 14,
-                                  .request = {0xFF, 0xFF, 0xFD, 0, (uint8_t)(21 + i), 7, 0, 3, GOAL, 0}};
+        const line_frame frame = {
+            .request_seal = SEAL_STUFFED,
+            .request_bytes = 14,
+            .request = {0xFF, 0xFF, 0xFD, 0, (uint8_t)(21 + i), 7, 0, 3, GOAL, 0}};
         machine->table.drive[i].cyclic[0].frame = machine->table.drive[i].cyclic[1].frame = frame;
         machine->table.drive[i].cyclic[0].setpoint[0].byte = 10;
         machine->drive[i].state.mode = DRIVE_ARMED;
     }
     CHECK(line_group_begin(machine, s.now_ns, &out) && out.request_bytes == 20 + 16);
-    CHECK(rtu_read(out.request + 5, FORM_U16_LE) == 7 + 6 && rtu_read(out.request + 20 + 5, FORM_U16_LE) == 7 + 2);
-    CHECK(out.request[12] == 21 && out.request[13] == 100 && out.request[14] == 0 && out.request[15] == 22);
+    CHECK(rtu_read(out.request + 5, FORM_U16_LE) == 7 + 6 &&
+          rtu_read(out.request + 20 + 5, FORM_U16_LE) == 7 + 2);
+    CHECK(out.request[12] == 21 && out.request[13] == 100 && out.request[14] == 0 &&
+          out.request[15] == 22);
     CHECK(out.request[20 + 12] == 21 && out.request[20 + 13] == 22);
-    CHECK(out.request[4] == 0xFE && out.request[7] == 0x83 && out.request[20 + 4] == 0xFE && out.request[20 + 7] == 0x82);
+    CHECK(out.request[4] == 0xFE && out.request[7] == 0x83 && out.request[20 + 4] == 0xFE &&
+          out.request[20 + 7] == 0x82);
     for (uint32_t i = 0; i < 2; i++) {
         machine->table.drive[i].cyclic[1].frame.reply_seal = SEAL_STUFFED;
         machine->table.drive[i].cyclic[1].frame.reply_bytes = 15;
@@ -382,7 +402,8 @@ static void replies_that_come_byte_by_byte_are_the_same_replies(void)
         s.count = 0;
         for (uint32_t i = 0; i < count; i++) {
             CHECK(m->work == WORK_GROUP && m->end_ns == ended_ns);
-            line_machine_step(&s.machine, ended_ns + (int64_t)(i + 1) * SERVO_CHARACTER_NS, bytes + i, 1, &s.out);
+            line_machine_step(&s.machine, ended_ns + (int64_t)(i + 1) * SERVO_CHARACTER_NS,
+                              bytes + i, 1, &s.out);
         }
         CHECK(m->answers == answers + 3 && m->group.waiting == 0 && m->noise_bytes == 0);
         for (uint32_t i = 0; i < 3; i++) {
@@ -392,7 +413,8 @@ static void replies_that_come_byte_by_byte_are_the_same_replies(void)
     }
 }
 
-/* An adapter that receives itself brings its own request first: anything else says that both have sent at once. */
+/* An adapter that receives itself brings its own request first: anything else says that both
+ * have sent at once. */
 static void a_collision_ends_the_exchange_and_silence_does_not(void)
 {
     static const uint8_t OTHER[] = {0x55};

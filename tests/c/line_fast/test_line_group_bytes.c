@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_group_bytes: what comes after a request to all servos, byte by byte: replies, noise between them, too much. */
+ * test_line_group_bytes: what comes after a request to all servos, byte by byte: replies, noise
+ * between them, too much. */
 #include "servo_wire.h"
 
 static const int64_t SERVO_MS = 1000000;
@@ -40,7 +41,8 @@ static void noise_before_between_and_behind_replies_is_counted_and_takes_none_aw
         come(bytes, count, m->end_ns + SERVO_MS);
         CHECK(m->group.waiting == 0 && m->noise_bytes - noise == 6);
         for (uint32_t i = 0; i < 3; i++) {
-            CHECK(m->drive[i].failures == 0 && m->joint[i].feedback.velocity_rad_s == (10 + i) * 0.01);
+            CHECK(m->drive[i].failures == 0 &&
+                  m->joint[i].feedback.velocity_rad_s == (10 + i) * 0.01);
         }
     }
 }
@@ -54,7 +56,8 @@ static void a_late_reply_behind_one_that_is_due_is_no_noise(void)
     int64_t failed_ns = m->until_ns;
     s.machine.drive[1].held_until_ns = failed_ns + 900 * SERVO_MS;
     come(bytes, 0, failed_ns);
-    CHECK(m->drive[0].failures == 0 && m->drive[1].count.no_reply == 1 && m->drive[1].count.late == 0);
+    CHECK(m->drive[0].failures == 0 && m->drive[1].count.no_reply == 1 &&
+          m->drive[1].count.late == 0);
     for (int64_t now_ns = failed_ns; m->work != WORK_GROUP; now_ns += SERVO_MS) {
         come(bytes, 0, now_ns);
     }
@@ -94,7 +97,8 @@ static void replies_that_come_at_once_are_stamped_one_reply_apart(void)
     int64_t now_ns = m->end_ns + SERVO_MS;
     come(bytes, count, now_ns);
     int64_t apart_ns = m->joint[1].feedback.stamp_ns - m->joint[0].feedback.stamp_ns;
-    CHECK(apart_ns == 8 * SERVO_CHARACTER_NS && m->joint[2].feedback.stamp_ns - m->joint[1].feedback.stamp_ns == apart_ns);
+    CHECK(apart_ns == 8 * SERVO_CHARACTER_NS &&
+          m->joint[2].feedback.stamp_ns - m->joint[1].feedback.stamp_ns == apart_ns);
     CHECK(m->round_trip_ns == now_ns - m->start_ns && !s.out.notify);
 }
 
@@ -108,7 +112,8 @@ static void more_than_there_is_room_for_ends_the_exchange(void)
             come(bytes, first, m->end_ns + SERVO_MS / 10);
             CHECK(m->group.waiting == 3);
             come(bytes, RECEIVED_BYTES_MAX - first + more, m->end_ns + SERVO_MS / 5);
-            CHECK(m->group.waiting == 0 && m->drive[0].count.bad_reply == 1 && m->drive[1].count.bad_reply == 1);
+            CHECK(m->group.waiting == 0 && m->drive[0].count.bad_reply == 1 &&
+                  m->drive[1].count.bad_reply == 1);
             CHECK(m->transaction.received_bytes <= RECEIVED_BYTES_MAX);
         }
     }
@@ -122,7 +127,8 @@ static void set_points_without_a_reply_take_their_time(void)
 {
     group_goes_out(2, ECHO_NONE);
     do {
-        s.machine.drive[0].silent_until_ns = s.machine.drive[1].silent_until_ns = s.now_ns + 900 * SERVO_MS;
+        s.machine.drive[0].silent_until_ns = s.machine.drive[1].silent_until_ns =
+            s.now_ns + 900 * SERVO_MS;
         servos_step(1.0, 1);
     } while (m->work != WORK_GROUP || m->group.waiting != 0);
     come(s.bytes, 0, m->until_ns - 1); /* its bytes are still on the wire */
@@ -131,14 +137,17 @@ static void set_points_without_a_reply_take_their_time(void)
     CHECK(m->drive[0].failures == 0 && m->drive[1].failures == 0 && m->round_trip_ns == 0);
 }
 
-/* The first replies decide whether the adapter receives itself; silence decides nothing, and no reply is no time. */
+/* The first replies decide whether the adapter receives itself; silence decides nothing, and no
+ * reply is no time. */
 static void silence_neither_decides_an_echo_nor_measures_a_round_trip(void)
 {
     for (uint32_t silent = 1; silent < 4; silent++) {
         group_goes_out(2, ECHO_NONE);
         s.machine.echo = ECHO_UNKNOWN;
         uint8_t bytes[32];
-        uint32_t count = silent == 1 ? put_reply(bytes, 0, 1) : silent == 2 ? put_reply(bytes, 0, 0) : 0;
+        uint32_t count = silent == 1   ? put_reply(bytes, 0, 1)
+                         : silent == 2 ? put_reply(bytes, 0, 0)
+                                       : 0;
         come(bytes, count, m->end_ns + SERVO_MS / 10);
         come(bytes, 0, m->until_ns);
         CHECK(m->echo == (silent == 3 ? ECHO_UNKNOWN : ECHO_NONE) && (silent == 3 || s.out.notify));

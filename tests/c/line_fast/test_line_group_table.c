@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_group_table: which tables of bus servos are refused: what one request cannot carry, what its answers cannot be. */
+ * test_line_group_table: which tables of bus servos are refused: what one request cannot carry,
+ * what its answers cannot be. */
 #include "servo_wire.h"
 
 static void a_group_that_cannot_be_is_refused(void)
@@ -8,9 +9,9 @@ static void a_group_that_cannot_be_is_refused(void)
     servos_begin(2, ECHO_NONE);
     CHECK(line_table_check(&s.table, name) == NULL);
     line_table good = s.table;
-#define REFUSED(change)                                                                                                          \
-    s.table = good;                                                                                                              \
-    change;                                                                                                                      \
+#define REFUSED(change)                                                                            \
+    s.table = good;                                                                                \
+    change;                                                                                        \
     CHECK(!line_group_is_good(&s.table) && line_table_check(&s.table, name) != NULL)
     REFUSED(s.table.group.used = 2);
     REFUSED(s.table.group.write_bytes = GROUP_HEAD_MAX + 1);
@@ -21,7 +22,8 @@ static void a_group_that_cannot_be_is_refused(void)
     REFUSED(s.table.group.data_byte = 7); /* a set-point would not be carried */
     REFUSED(s.table.drive[1].cyclic_count = 1);
     REFUSED(s.table.drive[1].cyclic[0].setpoint_count = 0);
-    REFUSED(s.table.drive[1].cyclic[0].setpoint[1] = (line_setpoint){.byte = 5}; s.table.drive[1].cyclic[0].setpoint_count = 2);
+    REFUSED(s.table.drive[1].cyclic[0].setpoint[1] = (line_setpoint){.byte = 5};
+            s.table.drive[1].cyclic[0].setpoint_count = 2);
     REFUSED(s.table.drive[1].cyclic[1].frame.reply_bytes = 0);
     REFUSED(s.table.drive[1].direction_count = 1);
     REFUSED(s.table.drive[1].cyclic[1].setpoint[0] = s.table.drive[1].cyclic[0].setpoint[0];
@@ -31,7 +33,8 @@ static void a_group_that_cannot_be_is_refused(void)
     REFUSED(s.table.drive[1].cyclic[0].frame.request_seal = SEAL_STUFFED);
     REFUSED(s.table.drive[1].cyclic[1].frame.request_seal = SEAL_STUFFED);
     REFUSED(s.table.drive[1].cyclic[1].frame.reply_seal = SEAL_STUFFED);
-    REFUSED(s.table.drive[1].idle[0] = s.table.drive[1].cyclic[0].frame; s.table.drive[1].idle_count = 1);
+    REFUSED(s.table.drive[1].idle[0] = s.table.drive[1].cyclic[0].frame;
+            s.table.drive[1].idle_count = 1);
     s.table = good;
     s.table.group.used = 0;
     s.table.group.write_bytes = 0;
@@ -72,7 +75,8 @@ static void a_group_has_room_for_its_set_points(void)
 /* Stuffing adds a byte to three at most. */
 static void all_that_is_sent_to_a_group_fits_into_one_request(void)
 {
-    static const uint32_t SEALS[] = {SEAL_SUM, SEAL_STUFFED}, MOST[] = {FRAME_BYTES_MAX, 3 * FRAME_BYTES_MAX / 4};
+    static const uint32_t SEALS[] = {SEAL_SUM, SEAL_STUFFED},
+                          MOST[] = {FRAME_BYTES_MAX, 3 * FRAME_BYTES_MAX / 4};
     for (uint32_t kind = 0; kind < 2; kind++) {
         servos_begin(2, ECHO_NONE);
         seal_all(SEALS[kind]);
@@ -81,8 +85,10 @@ static void all_that_is_sent_to_a_group_fits_into_one_request(void)
             group->write_bytes = 7 + size / 10 % 10;
             group->read_bytes = 7 + size % 10;
             uint32_t request_bytes = 20 + size / 100, each = 2 + request_bytes - group->data_byte;
-            s.table.drive[0].cyclic[0].frame.request_bytes = s.table.drive[1].cyclic[0].frame.request_bytes = request_bytes;
-            uint32_t sent = group->write_bytes + group->read_bytes + 2 * rtu_seal_bytes(SEALS[kind]) + 2 * each;
+            s.table.drive[0].cyclic[0].frame.request_bytes =
+                s.table.drive[1].cyclic[0].frame.request_bytes = request_bytes;
+            uint32_t sent =
+                group->write_bytes + group->read_bytes + 2 * rtu_seal_bytes(SEALS[kind]) + 2 * each;
             CHECK(line_group_is_good(&s.table) == (sent <= MOST[kind]));
         }
     }

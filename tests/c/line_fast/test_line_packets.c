@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a line does for controllers whose answers name no unit, and whose zero regulates: packets of a RoboClaw. */
+ * What a line does for controllers whose answers name no unit, and whose zero regulates: packets
+ * of a RoboClaw. */
 #include "line_wire.h"
 
 enum { UNIT = 0x80, SPEEDS = 37, DUTIES = 34, STATE_OF = 90 };
@@ -23,8 +24,11 @@ static line_frame sent_by(uint8_t unit, uint8_t command)
 
 static line_frame asked_by(uint8_t unit)
 {
-    return (line_frame){
-        .request_bytes = 2, .reply_bytes = 4, .reply_seal = SEAL_WITH_REQUEST, .exact = 1, .request = {unit, STATE_OF}};
+    return (line_frame){.request_bytes = 2,
+                        .reply_bytes = 4,
+                        .reply_seal = SEAL_WITH_REQUEST,
+                        .exact = 1,
+                        .request = {unit, STATE_OF}};
 }
 
 static void begin_packets(uint32_t drives)
@@ -49,7 +53,8 @@ static void begin_packets(uint32_t drives)
 static void look(bool answers, int16_t speed)
 {
     uint32_t enabled = w.machine.newest.enabled;
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = enabled, .joint_count = w.table.drive_count};
+    w.machine.newest =
+        (setpoints){.stamp_ns = w.now_ns, .enabled = enabled, .joint_count = w.table.drive_count};
     w.machine.newest.joint[0].velocity_rad_s = 1.0;
     line_machine_step(&w.machine, w.now_ns, w.bytes, w.count, &w.out);
     w.count = 0;
@@ -88,7 +93,8 @@ static void zero_regulates_only_who_is_armed_or_coming_to_rest(void)
     request(0, DRIVE_READY);
     for (uint32_t i = 0; i < 50; i++) {
         look(true, 0);
-        CHECK(sent_bytes <= 2 || (sent_bytes == 6 && sent[1] == DUTIES && rtu_read(sent + 2, FORM_I16) == 0));
+        CHECK(sent_bytes <= 2 ||
+              (sent_bytes == 6 && sent[1] == DUTIES && rtu_read(sent + 2, FORM_I16) == 0));
     }
     request(0, DRIVE_ARMED);
     look_until_sent(SPEEDS);
@@ -96,7 +102,8 @@ static void zero_regulates_only_who_is_armed_or_coming_to_rest(void)
     w.machine.control.shut_down = 1;
     look_until_sent(SPEEDS);
     for (uint32_t i = 0; i < 10; i++) {
-        CHECK(sent_bytes == 2 || (sent[1] == SPEEDS && rtu_read(sent + 2, FORM_I16) == 0)); /* it turns: held at zero */
+        /* it turns: held at zero */
+        CHECK(sent_bytes == 2 || (sent[1] == SPEEDS && rtu_read(sent + 2, FORM_I16) == 0));
         look(true, 300);
     }
     look_until_sent(DUTIES);
@@ -156,7 +163,10 @@ static void a_range_that_the_register_cannot_hold_is_refused(void)
     static const struct {
         uint32_t form;
         double least, most;
-    } forms[] = {{FORM_U8, 0.0, 255.0}, {FORM_I8, -128.0, 127.0}, {FORM_U16, 0.0, 65535.0}, {FORM_I16, -32768.0, 32767.0}};
+    } forms[] = {{FORM_U8, 0.0, 255.0},
+                 {FORM_I8, -128.0, 127.0},
+                 {FORM_U16, 0.0, 65535.0},
+                 {FORM_I16, -32768.0, 32767.0}};
     char name[FIELD_NAME_BYTES];
     begin_with(1, 0);
     line_setpoint *setpoint = &w.table.drive[0].cyclic[0].setpoint[0];

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Where a position on a serial line may begin: in every target of every exchange, and in the table. */
+ * Where a position on a serial line may begin: in every target of every exchange, and in the
+ * table. */
 #include "position_wire.h"
 
 static void a_request_is_sent_only_when_each_of_its_places_is_known(void)
@@ -29,7 +30,8 @@ static void begin_with_one_place(void)
     begin();
     m->now_ns = w.now_ns;
     for (uint32_t j = 0; j < 4; j++) {
-        m->joint[j].place = (position_place){.measured = j == 0 ? HERE : (double)NAN, .sent = NAN, .measured_ns = w.now_ns};
+        m->joint[j].place = (position_place){
+            .measured = j == 0 ? HERE : (double)NAN, .sent = NAN, .measured_ns = w.now_ns};
     }
 }
 
@@ -118,8 +120,8 @@ static void tables_by_which_a_position_could_go_astray_are_refused(void)
     CHECK(refused("drive[0].idle_count"));
     begin();
     w.table.drive[0].direction_count = 1;
-    w.table.drive[0].direction[0].rest = w.table.drive[0].direction[0].forward = w.table.drive[0].direction[0].reverse =
-        w.table.drive[0].cyclic[0].frame;
+    w.table.drive[0].direction[0].rest = w.table.drive[0].direction[0].forward =
+        w.table.drive[0].direction[0].reverse = w.table.drive[0].cyclic[0].frame;
     CHECK(refused("drive[0].direction_count"));
     begin();
     CHECK(line_table_check(&w.table, (char[FIELD_NAME_BYTES]){0}) == NULL);
@@ -145,7 +147,8 @@ static void a_position_is_looked_for_in_every_place_of_every_exchange(void)
     drive->cyclic[1].field_count = 1, drive->cyclic[1].field[0] = reads_back.field[0];
     CHECK(refused("drive[0].field_count"));
     drive->cyclic[1].setpoint[1] = drive->cyclic[1].setpoint[0];
-    drive->cyclic[1].setpoint[0].kind = SETPOINT_VELOCITY, drive->cyclic[1].setpoint[0].raw_offset = 0.0;
+    drive->cyclic[1].setpoint[0].kind = SETPOINT_VELOCITY,
+    drive->cyclic[1].setpoint[0].raw_offset = 0.0;
     drive->cyclic[1].setpoint[0].raw_min = -100.0, drive->cyclic[1].setpoint[0].raw_per_s = 0.0;
     CHECK(is_good());
     drive->cyclic[1].setpoint_count = 2;

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Positions on a serial line: 0 is a place like any other, so what must not move is sent nothing. */
+ * Positions on a serial line: 0 is a place like any other, so what must not move is sent
+ * nothing. */
 #include "position_wire.h"
 
 static void a_position_is_scaled_from_its_zero_and_held_within_its_range(void)
@@ -7,8 +8,9 @@ static void a_position_is_scaled_from_its_zero_and_held_within_its_range(void)
     static const struct {
         double position_rad;
         int16_t raw;
-    } cases[] = {{0.0, 2000}, {0.5, 1500},  {-0.5, 2500}, {0.0004, 2000}, {0.0006, 1999}, {1.9, 100},
-                 {1.91, 100}, {-2.0, 4000}, {-2.1, 4000}, {40.0, 100},    {FAR, 100},     {-FAR, 4000}};
+    } cases[] = {{0.0, 2000},    {0.5, 1500}, {-0.5, 2500}, {0.0004, 2000},
+                 {0.0006, 1999}, {1.9, 100},  {1.91, 100},  {-2.0, 4000},
+                 {-2.1, 4000},   {40.0, 100}, {FAR, 100},   {-FAR, 4000}};
     begin();
     arm_it();
     for (uint32_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
@@ -83,7 +85,8 @@ static void old_set_points_stop_it_without_a_position(void)
     CHECK(targets == sent);
 }
 
-/* Its probes are its stop and a question: the first set-point exchange "with zeros" would be a place to go to. */
+/* Its probes are its stop and a question: the first set-point exchange "with zeros" would be a
+ * place to go to. */
 static void one_that_does_not_answer_is_sent_its_stop_and_no_position(void)
 {
     begin();
@@ -102,8 +105,12 @@ static void whether_its_counter_has_a_reference_is_reported(void)
     for (uint32_t mask = 0; mask < 2; mask++) {
         begin();
         w.table.drive[0].cyclic[1].field_count = 3;
-        w.table.drive[0].cyclic[1].field[2] = (line_field){
-            .kind = FIELD_REFERENCED, .byte = 3, .form = FORM_U16, .equals_mask = 8 << mask, .equals = 8, .si_per_raw = 1.0};
+        w.table.drive[0].cyclic[1].field[2] = (line_field){.kind = FIELD_REFERENCED,
+                                                           .byte = 3,
+                                                           .form = FORM_U16,
+                                                           .equals_mask = 8 << mask,
+                                                           .equals = 8,
+                                                           .si_per_raw = 1.0};
         CHECK(line_machine_init(m, &w.table, 0, w.now_ns) == 0);
         CHECK(m->joint[0].feedback.referenced == 2);
         request(0, DRIVE_READY);
@@ -113,8 +120,9 @@ static void whether_its_counter_has_a_reference_is_reported(void)
     }
 }
 
-/* ------------------------------------------------------------------------------------------ where it begins */
-/* It is at 1500: a target of 0.5 rad. 2 rad/s are 2000 counts/s, 200 in the time that a place counts. */
+/* ---------------------------------------------------------------------- where it begins */
+/* It is at 1500: a target of 0.5 rad. 2 rad/s are 2000 counts/s, 200 in the time that a place
+ * counts. */
 static void begin_at_limited_speed(void)
 {
     begin();
@@ -141,7 +149,8 @@ static void the_first_target_is_the_place_where_it_is_and_later_ones_move_from_t
         want(1.0, 1);
         look();
         if (targets != before) {
-            CHECK(abs(newest_target - last_target) <= (int)((double)(w.now_ns - last_ns) * 2e-6) + 1);
+            CHECK(abs(newest_target - last_target) <=
+                  (int)((double)(w.now_ns - last_ns) * 2e-6) + 1);
             last_ns = w.now_ns;
             last_target = newest_target;
         }
@@ -176,8 +185,10 @@ static void a_first_target_far_from_its_place_takes_the_power(void)
         arm_it();
         go_to(0.5, 1, 100 * MS);
         bool armed = m->drive[0].state.mode == DRIVE_ARMED;
-        CHECK(armed == cases[i].goes && (targets > 0) == cases[i].goes && (w.power_offs[0] > 0) != cases[i].goes);
-        CHECK(((m->drive[0].state.fault_reasons & DRIVE_FAULT_POSITION_UNKNOWN) != 0) != cases[i].goes);
+        CHECK(armed == cases[i].goes && (targets > 0) == cases[i].goes &&
+              (w.power_offs[0] > 0) != cases[i].goes);
+        CHECK(((m->drive[0].state.fault_reasons & DRIVE_FAULT_POSITION_UNKNOWN) != 0) !=
+              cases[i].goes);
     }
 }
 
@@ -203,7 +214,8 @@ static void what_is_beyond_its_range_old_or_unknown_is_not_armed(void)
     }
 }
 
-/* Armed, and before its first target its place is lost: no power. Its targets are signed, and so is its place. */
+/* Armed, and before its first target its place is lost: no power. Its targets are signed, and so
+ * is its place. */
 static void a_place_that_is_lost_before_the_first_target_takes_the_power(void)
 {
     begin_at_limited_speed();

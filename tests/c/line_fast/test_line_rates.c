@@ -1,12 +1,14 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What one dead drive costs the others: their rate, and the age of what is known of them. On a wire of virtual time. */
+ * What one dead drive costs the others: their rate, and the age of what is known of them. On a
+ * wire of virtual time. */
 #include "line_wire.h"
 
 enum { DRIVES = 4, DEAD = 3 };
 
 static const int64_t S = 1000000000;
 
-/* Of one stretch of time: the slowest living drive's cycles, and the longest time between two of its samples. */
+/* Of one stretch of time: the slowest living drive's cycles, and the longest time between two of
+ * its samples. */
 typedef struct {
     uint64_t cycles;
     int64_t age_ns;
@@ -54,12 +56,14 @@ static void begin_four(int64_t period_ns)
 }
 
 /* `healthy` is of four seconds. */
-static void judge(const char *when, int64_t period_ns, figures healthy, figures now, uint64_t seconds)
+static void judge(const char *when, int64_t period_ns, figures healthy, figures now,
+                  uint64_t seconds)
 {
     double rate = (double)(now.cycles * 4) / (double)(healthy.cycles * seconds);
     int64_t two_cycles_ns = 2 * 4 * S / (int64_t)healthy.cycles;
-    printf("  asked every %3.0f ms, %s: %.1f %% of the rate, oldest sample %.1f ms of %.1f\n", (double)period_ns / 1e6, when,
-           100.0 * rate, (double)now.age_ns / 1e6, (double)two_cycles_ns / 1e6);
+    printf("  asked every %3.0f ms, %s: %.1f %% of the rate, oldest sample %.1f ms of %.1f\n",
+           (double)period_ns / 1e6, when, 100.0 * rate, (double)now.age_ns / 1e6,
+           (double)two_cycles_ns / 1e6);
     CHECK(rate >= 0.9);
     CHECK(now.age_ns <= two_cycles_ns);
 }
@@ -80,7 +84,8 @@ static void the_others_keep_nine_tenths_of_their_rate_and_samples_of_two_cycles(
 
 int main(void)
 {
-    the_others_keep_nine_tenths_of_their_rate_and_samples_of_two_cycles(1 * MS); /* more than the wire carries */
+    /* more than the wire carries */
+    the_others_keep_nine_tenths_of_their_rate_and_samples_of_two_cycles(1 * MS);
     the_others_keep_nine_tenths_of_their_rate_and_samples_of_two_cycles(50 * MS);
     the_others_keep_nine_tenths_of_their_rate_and_samples_of_two_cycles(100 * MS);
     return checks_report("line rates");

@@ -1,14 +1,18 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Packets of bus servos. The bytes are those of the makers' manuals and SDKs, not of our own code. */
+ * Packets of bus servos. The bytes are those of the makers' manuals and SDKs, not of our own
+ * code. */
 #include <string.h>
 
 #include "check.h"
 #include "rtu.h"
 
-/* ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, examples: ping of ID 1 and its status; read of position and its status. */
+/* ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, examples: ping of ID 1 and its status; read of
+ * position and its status. */
 static const uint8_t PING[] = {0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x03, 0x00, 0x01, 0x19, 0x4E};
-static const uint8_t PONG[] = {0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x07, 0x00, 0x55, 0x00, 0x06, 0x04, 0x26, 0x65, 0x5D};
-static const uint8_t POSITION[] = {0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x08, 0x00, 0x55, 0x00, 0xA6, 0x00, 0x00, 0x00, 0x8C, 0xC0};
+static const uint8_t PONG[] = {0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x07, 0x00,
+                               0x55, 0x00, 0x06, 0x04, 0x26, 0x65, 0x5D};
+static const uint8_t POSITION[] = {0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x08, 0x00, 0x55,
+                                   0x00, 0xA6, 0x00, 0x00, 0x00, 0x8C, 0xC0};
 
 static line_frame read_of(uint32_t reply_bytes)
 {
@@ -71,13 +75,15 @@ static void a_status_is_found_whole_good_and_of_the_right_servo_only(void)
     frame.match[4] = 2;
     CHECK(found_in(&frame, POSITION, sizeof POSITION).kind == RECEIVED_MORE);
     frame = read_of(sizeof POSITION - 1);
-    CHECK(found_in(&frame, POSITION, sizeof POSITION).kind == RECEIVED_MORE); /* of another request */
+    /* of another request */
+    CHECK(found_in(&frame, POSITION, sizeof POSITION).kind == RECEIVED_MORE);
 }
 
 static void an_error_number_is_a_refusal_and_an_alert_is_none(void)
 {
-    line_frame status = {
-        .request_bytes = 11, .request_seal = SEAL_STUFFED, .request = {0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x04, 0x00, 0x55, 0x07}};
+    line_frame status = {.request_bytes = 11,
+                         .request_seal = SEAL_STUFFED,
+                         .request = {0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x04, 0x00, 0x55, 0x07}};
     line_frame frame = read_of(11);
     rtu_finish(&status);
     received found = found_in(&frame, status.request, status.request_bytes);
@@ -100,8 +106,9 @@ static void stuffing_is_taken_out_and_put_in(void)
                                       {0xFF, 0xFD, 0xFD, 0xFF}};
     static const uint32_t extra[] = {1, 1, 1, 0, 0};
     for (uint32_t i = 0; i < 5; i++) {
-        line_frame status = {
-            .request_bytes = 15, .request_seal = SEAL_STUFFED, .request = {0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x08, 0x00, 0x55, 0x00}};
+        line_frame status = {.request_bytes = 15,
+                             .request_seal = SEAL_STUFFED,
+                             .request = {0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x08, 0x00, 0x55, 0x00}};
         memcpy(status.request + 9, data[i], 4);
         uint8_t plain[FRAME_BYTES_MAX];
         rtu_finish(&status);
@@ -109,7 +116,8 @@ static void stuffing_is_taken_out_and_put_in(void)
         line_frame frame = read_of(15);
         received found = found_in(&frame, status.request, status.request_bytes);
         CHECK(found.kind == RECEIVED_ANSWER && found.bytes == 15 + extra[i]);
-        CHECK(rtu_unstuff(status.request, status.request_bytes, plain) == 15 && memcmp(plain + 9, data[i], 4) == 0);
+        CHECK(rtu_unstuff(status.request, status.request_bytes, plain) == 15 &&
+              memcmp(plain + 9, data[i], 4) == 0);
     }
     uint8_t most[FRAME_BYTES_MAX + 1] = {0}, plain[FRAME_BYTES_MAX];
     CHECK(rtu_unstuff(most, FRAME_BYTES_MAX, plain) == FRAME_BYTES_MAX);
@@ -121,20 +129,25 @@ static void a_head_is_stuffed_between_length_and_check_sum_only(void)
 {
     enum { COUNT = 20, NOT_STUFFED = 2 };
     for (uint32_t at = 2; at < COUNT - 1; at++) {
-        for (uint32_t other = 0; other < 5; other++) { /* which of the four bytes is another one; 4: none */
+        /* which of the four bytes is another one; 4: none */
+        for (uint32_t other = 0; other < 5; other++) {
             uint8_t wire[COUNT] = {0}, plain[FRAME_BYTES_MAX];
             wire[at - 2] = wire[at - 1] = 0xFF, wire[at] = wire[at + 1] = 0xFD;
             if (other < 4) {
                 wire[at - 2 + other] ^= 0x40;
             }
-            uint32_t taken = at >= 9 && at + 1 < COUNT - NOT_STUFFED && other == 4 ? 1 : 0, next = at + 1 + taken;
+            uint32_t taken = at >= 9 && at + 1 < COUNT - NOT_STUFFED && other == 4 ? 1 : 0,
+                     next = at + 1 + taken;
             CHECK(rtu_unstuff(wire, COUNT, plain) == COUNT - taken);
-            CHECK(memcmp(plain, wire, at + 1) == 0 && memcmp(plain + at + 1, wire + next, COUNT - next) == 0);
+            CHECK(memcmp(plain, wire, at + 1) == 0 &&
+                  memcmp(plain + at + 1, wire + next, COUNT - next) == 0);
             line_frame frame = {.request_bytes = COUNT, .request_seal = SEAL_STUFFED};
             memcpy(frame.request, wire, COUNT);
-            uint32_t put = at >= 9 && at < COUNT - NOT_STUFFED && (other == 3 || other == 4) ? 1 : 0;
+            uint32_t put =
+                at >= 9 && at < COUNT - NOT_STUFFED && (other == 3 || other == 4) ? 1 : 0;
             rtu_finish(&frame);
-            CHECK(frame.request_bytes == COUNT + put && frame.request[5] == COUNT + put - 7 && frame.request[6] == 0);
+            CHECK(frame.request_bytes == COUNT + put && frame.request[5] == COUNT + put - 7 &&
+                  frame.request[6] == 0);
             CHECK(rtu_is_sealed(frame.request, COUNT + put, SEAL_STUFFED));
             if (put == 1) {
                 CHECK(frame.request[at] == 0xFD && frame.request[at + 1] == 0xFD);
@@ -147,7 +160,8 @@ static void a_first_byte_is_never_taken_out(void)
 {
     static const uint8_t WIRE[] = {0xFD, 0xFD, 0x00, 0x00, 0x00};
     uint8_t plain[FRAME_BYTES_MAX];
-    CHECK(rtu_unstuff(WIRE, sizeof WIRE, plain) == sizeof WIRE && memcmp(plain, WIRE, sizeof WIRE) == 0);
+    CHECK(rtu_unstuff(WIRE, sizeof WIRE, plain) == sizeof WIRE &&
+          memcmp(plain, WIRE, sizeof WIRE) == 0);
 }
 
 static void the_longest_packet_has_room_for_its_stuffing(void)
@@ -159,16 +173,19 @@ static void the_longest_packet_has_room_for_its_stuffing(void)
     CHECK(rtu_is_sealed(frame.request, FRAME_BYTES_MAX - 1, SEAL_STUFFED));
     /* what does not fit is cut, and the frame stays within its place: a head at its very end, */
     frame = (line_frame){.request_bytes = FRAME_BYTES_MAX, .request_seal = SEAL_STUFFED};
-    frame.request[FRAME_BYTES_MAX - 5] = frame.request[FRAME_BYTES_MAX - 4] = 0xFF, frame.request[FRAME_BYTES_MAX - 3] = 0xFD;
+    frame.request[FRAME_BYTES_MAX - 5] = frame.request[FRAME_BYTES_MAX - 4] = 0xFF,
+                                    frame.request[FRAME_BYTES_MAX - 3] = 0xFD;
     rtu_finish(&frame);
     CHECK(frame.request_bytes == FRAME_BYTES_MAX - 1);
     /* and nothing but heads */
-    frame = (line_frame){.request_bytes = FRAME_BYTES_MAX, .reply_bytes = 77, .request_seal = SEAL_STUFFED};
+    frame = (line_frame){
+        .request_bytes = FRAME_BYTES_MAX, .reply_bytes = 77, .request_seal = SEAL_STUFFED};
     for (uint32_t i = 0; i < FRAME_BYTES_MAX; i++) {
         frame.request[i] = i % 3 == 2 ? 0xFD : 0xFF;
     }
     rtu_finish(&frame);
-    CHECK(frame.request_bytes <= FRAME_BYTES_MAX && frame.request_bytes >= FRAME_BYTES_MAX - 1 && frame.reply_bytes == 77);
+    CHECK(frame.request_bytes <= FRAME_BYTES_MAX && frame.request_bytes >= FRAME_BYTES_MAX - 1 &&
+          frame.reply_bytes == 77);
     CHECK(rtu_is_sealed(frame.request, frame.request_bytes, SEAL_STUFFED));
 }
 
@@ -216,10 +233,12 @@ static void values_stand_low_byte_first_but_those_of_one_series(void)
     CHECK(rtu_read(minus_zero_high_first, FORM_M16_BIT10) == 0);
     /* bits that no number of this form has are no zero: who looks for one does not find it */
     const uint8_t beyond[2] = {0x08, 0x00}, beyond_below[2] = {0x0C, 0x01};
-    CHECK(rtu_read(beyond, FORM_M16_BIT10) == 0x800 && rtu_read(beyond_below, FORM_M16_BIT10) == -0x801);
+    CHECK(rtu_read(beyond, FORM_M16_BIT10) == 0x800 &&
+          rtu_read(beyond_below, FORM_M16_BIT10) == -0x801);
     /* a counter of twelve bits goes on below zero as it does above: -1 is one before 0 */
     const uint8_t below[2] = {0x01, 0x80};
-    CHECK(((uint64_t)rtu_masked(rtu_read(below, FORM_M16_LE), 0xFFF, FORM_M16_LE) & 0xFFF) == 0xFFF);
+    CHECK(((uint64_t)rtu_masked(rtu_read(below, FORM_M16_LE), 0xFFF, FORM_M16_LE) & 0xFFF) ==
+          0xFFF);
 }
 
 static void a_status_is_never_taken_for_an_instruction(void)
@@ -236,7 +255,8 @@ static void a_status_is_never_taken_for_an_instruction(void)
     CHECK(!rtu_answer_is_request(&frame, frame.request));
     uint8_t both[16];
     memcpy(both, frame.request, 8);
-    CHECK(rtu_find_answer(&frame, frame.request, 2, both, 8).kind == RECEIVED_MORE); /* so far it is an echo */
+    /* so far it is an echo */
+    CHECK(rtu_find_answer(&frame, frame.request, 2, both, 8).kind == RECEIVED_MORE);
     memcpy(both + 8, (const uint8_t[]){0xFF, 0xFF, 0x01, 0x04, 0x00, 0x12, 0x03}, 7);
     rtu_seal(both + 8, 8, SEAL_SUM);
     received found = rtu_find_answer(&frame, frame.request, 2, both, 16);

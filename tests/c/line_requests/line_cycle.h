@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_cycle.h: one drive of a line whose cycle is stepped by hand, frame by frame and answer by answer. */
+ * line_cycle.h: one drive of a line whose cycle is stepped by hand, frame by frame and answer by
+ * answer. */
 #ifndef MOTORD_TESTS_LINE_CYCLE_H
 #define MOTORD_TESTS_LINE_CYCLE_H
 
@@ -15,21 +16,28 @@ static inline void begin_directions(double wanted_rad_s)
     begin_with(2, 0);
     line_drive *table = &w.table.drive[0];
     table->direction_count = 1;
-    table->direction[0] = (line_direction){.rest = frame_of(1, WRITE, DIRECTION, DIRECTION_REST),
-                                           .forward = frame_of(1, WRITE, DIRECTION, DIRECTION_FORWARD),
-                                           .reverse = frame_of(1, WRITE, DIRECTION, DIRECTION_REVERSE)};
+    table->direction[0] =
+        (line_direction){.rest = frame_of(1, WRITE, DIRECTION, DIRECTION_REST),
+                         .forward = frame_of(1, WRITE, DIRECTION, DIRECTION_FORWARD),
+                         .reverse = frame_of(1, WRITE, DIRECTION, DIRECTION_REVERSE)};
     table->cyclic[0].setpoint[0].magnitude = 1;
     table->cyclic[0].setpoint[0].raw_min = 0.0;
     table->extra_count = 2;
     for (uint32_t i = 0; i < 2; i++) {
         table->extra[i].frame = frame_of(1, READ, (uint8_t)(EXTRA + i), 1);
         table->extra[i].field_count = 1;
-        table->extra[i].field[0] =
-            (line_field){.kind = FIELD_ENABLED, .byte = 3, .form = FORM_U16, .equals_mask = 0xff, .equals = 1, .si_per_raw = 1.0};
+        table->extra[i].field[0] = (line_field){.kind = FIELD_ENABLED,
+                                                .byte = 3,
+                                                .form = FORM_U16,
+                                                .equals_mask = 0xff,
+                                                .equals = 1,
+                                                .si_per_raw = 1.0};
     }
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
-    w.machine.newest =
-        (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = 2, .joint = {{.velocity_rad_s = wanted_rad_s}}};
+    w.machine.newest = (setpoints){.stamp_ns = w.now_ns,
+                                   .enabled = 1,
+                                   .joint_count = 2,
+                                   .joint = {{.velocity_rad_s = wanted_rad_s}}};
     drive = &w.machine.drive[0];
     drive->state.mode = DRIVE_ARMED;
     drive->state.enabled = drive->enabled_before = 1;

@@ -1,10 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A line before its first step: nothing is left of before, each drive knows its joints, and what may turn is sent a stop. */
+ * A line before its first step: nothing is left of before, each drive knows its joints, and what
+ * may turn is sent a stop. */
 #include <errno.h>
 
 #include "line_wire.h"
 
-static const int64_t HOST_NS = 20 * 1000000; /* added to what a drive may take: a computer is late */
+/* added to what a drive may take: a computer is late */
+static const int64_t HOST_NS = 20 * 1000000;
 
 static line_table table_of(uint32_t drives)
 {
@@ -35,11 +37,14 @@ static void a_line_begins_with_nothing_of_before(void)
     CHECK(m->echo == 1 && m->worker == LINE_DRIVES_MAX && m->current == LINE_DRIVES_MAX);
     CHECK(m->slot_due_ns == 7000 * MS && m->slot_period_ns == 10 * MS);
     CHECK(m->ours_ns == 7000 * MS + GAP_NS && m->free_ns == 7000 * MS + GAP_NS);
-    CHECK(m->exchanges == 0 && m->noise_bytes == 0 && m->end.stage == END_NOT && m->broadcasts == 0);
+    CHECK(m->exchanges == 0 && m->noise_bytes == 0 && m->end.stage == END_NOT &&
+          m->broadcasts == 0);
     for (uint32_t i = 0; i < 2; i++) {
         const line_drive_state *drive = &m->drive[i];
-        CHECK(drive->state.mode == DRIVE_OFF && drive->state.enabled == 2 && drive->state.stop == STOP_NOTHING);
-        CHECK(drive->due_ns == 7000 * MS && drive->deadline_ns == m->table.drive[i].turnaround_ns && !drive->may_turn);
+        CHECK(drive->state.mode == DRIVE_OFF && drive->state.enabled == 2 &&
+              drive->state.stop == STOP_NOTHING);
+        CHECK(drive->due_ns == 7000 * MS && drive->deadline_ns == m->table.drive[i].turnaround_ns &&
+              !drive->may_turn);
         CHECK(m->table.drive[i].turnaround_ns > table.drive[i].turnaround_ns);
         CHECK(m->table.drive[i].turnaround_ns <= table.drive[i].turnaround_ns + HOST_NS);
     }
@@ -70,10 +75,12 @@ static void each_drive_that_may_turn_is_sent_to_stop_and_no_other(void)
 
 static line_field field(uint32_t joint, uint32_t kind)
 {
-    return (line_field){.joint = joint, .kind = kind, .byte = 3, .form = FORM_I16, .si_per_raw = 0.01};
+    return (line_field){
+        .joint = joint, .kind = kind, .byte = 3, .form = FORM_I16, .si_per_raw = 0.01};
 }
 
-/* Joints are those of set-points and of what is measured, in each exchange; a level of the drive has none. */
+/* Joints are those of set-points and of what is measured, in each exchange; a level of the drive
+ * has none. */
 static void each_drive_knows_its_joints(void)
 {
     line_table table = table_of(1);
@@ -116,11 +123,13 @@ static void nothing_behind_a_list_is_looked_at(void)
     drive->extra[0].field[0] = field(5, FIELD_VELOCITY);
     table.drive[1] = drive_of(6);
     init(&table, 0);
-    CHECK(w.machine.drive[0].joints == 1 && w.machine.drive[1].joints == 0 && w.machine.slot_period_ns == 20 * MS);
+    CHECK(w.machine.drive[0].joints == 1 && w.machine.drive[1].joints == 0 &&
+          w.machine.slot_period_ns == 20 * MS);
     CHECK(w.machine.drive[1].due_ns == 0);
 }
 
-/* Its targets say whether a place has a sign: without one, the upper half of its range is not below zero. */
+/* Its targets say whether a place has a sign: without one, the upper half of its range is not
+ * below zero. */
 static void a_place_has_a_sign_where_its_targets_have_one(void)
 {
     for (uint32_t has_sign = 0; has_sign < 2; has_sign++) {
@@ -132,7 +141,8 @@ static void a_place_has_a_sign_where_its_targets_have_one(void)
                                                        .raw_per_si = 1000.0,
                                                        .raw_max = 30000.0,
                                                        .raw_per_s = 1000.0};
-        drive->cyclic[1].field[0] = (line_field){.kind = FIELD_COUNT, .byte = 3, .form = FORM_U16, .si_per_raw = 1.0};
+        drive->cyclic[1].field[0] =
+            (line_field){.kind = FIELD_COUNT, .byte = 3, .form = FORM_U16, .si_per_raw = 1.0};
         CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
         w.place = -1536;
         request(0, DRIVE_READY);

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_cycle: the cycle of one drive, frame by frame: ways, set-points, what is read, and how it ends. */
+ * test_line_cycle: the cycle of one drive, frame by frame: ways, set-points, what is read, and
+ * how it ends. */
 #include "line_cycle.h"
 
 /* A whole cycle: what is sent, and all of it is answered. */
@@ -10,42 +11,51 @@ static void goes(const uint32_t *frames, uint32_t count)
         CHECK(sends() == frames[i]);
         answers_with(0);
     }
-    CHECK(sends() == NO_FRAME && drive->stage == STAGE_IDLE && w.machine.current == LINE_DRIVES_MAX);
+    CHECK(sends() == NO_FRAME && drive->stage == STAGE_IDLE &&
+          w.machine.current == LINE_DRIVES_MAX);
     drive->cycle_count = 1;
 }
-#define GOES(...) goes((const uint32_t[]){__VA_ARGS__}, sizeof((const uint32_t[]){__VA_ARGS__}) / sizeof(uint32_t))
+#define GOES(...)                                                                                  \
+    goes((const uint32_t[]){__VA_ARGS__},                                                          \
+         sizeof((const uint32_t[]){__VA_ARGS__}) / sizeof(uint32_t))
 
 static void rest_is_sent_before_another_direction_and_that_after_its_first_magnitude(void)
 {
     begin_directions(1.0);
-    uint32_t rest = frame_to(DIRECTION, DIRECTION_REST), forward = frame_to(DIRECTION, DIRECTION_FORWARD),
+    uint32_t rest = frame_to(DIRECTION, DIRECTION_REST),
+             forward = frame_to(DIRECTION, DIRECTION_FORWARD),
              reverse = frame_to(DIRECTION, DIRECTION_REVERSE);
-    uint32_t fast = frame_to(SPEED, 100), slow = frame_to(SPEED, 50), still = frame_to(SPEED, 0), status = frame_to(STATUS, 1);
+    uint32_t fast = frame_to(SPEED, 100), slow = frame_to(SPEED, 50), still = frame_to(SPEED, 0),
+             status = frame_to(STATUS, 1);
     GOES(rest, fast, forward, status);
-    CHECK(drive->direction_sent[0] == DIRECTION_FORWARD && drive->direction_last[0] == DIRECTION_FORWARD &&
-          drive->state.sent_motion);
+    CHECK(drive->direction_sent[0] == DIRECTION_FORWARD &&
+          drive->direction_last[0] == DIRECTION_FORWARD && drive->state.sent_motion);
     want(0.5);
     GOES(slow, status);
     want(-0.5);
     GOES(rest, slow, reverse, status);
-    CHECK(drive->direction_sent[0] == DIRECTION_REVERSE && drive->direction_last[0] == DIRECTION_REVERSE);
+    CHECK(drive->direction_sent[0] == DIRECTION_REVERSE &&
+          drive->direction_last[0] == DIRECTION_REVERSE);
     want(0.0);
     GOES(still, rest, status);
-    CHECK(drive->direction_sent[0] == DIRECTION_REST && drive->direction_last[0] == DIRECTION_REVERSE &&
-          !drive->state.sent_motion);
+    CHECK(drive->direction_sent[0] == DIRECTION_REST &&
+          drive->direction_last[0] == DIRECTION_REVERSE && !drive->state.sent_motion);
     GOES(still, status);
     want(0.5);
     GOES(slow, forward, status);
-    CHECK(drive->direction_sent[0] == DIRECTION_FORWARD && drive->direction_last[0] == DIRECTION_FORWARD);
+    CHECK(drive->direction_sent[0] == DIRECTION_FORWARD &&
+          drive->direction_last[0] == DIRECTION_FORWARD);
 }
 
 static void a_direction_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known(void)
 {
     begin_directions(1.0);
-    GOES(frame_to(DIRECTION, DIRECTION_REST), frame_to(SPEED, 100), frame_to(DIRECTION, DIRECTION_FORWARD), frame_to(STATUS, 1));
+    GOES(frame_to(DIRECTION, DIRECTION_REST), frame_to(SPEED, 100),
+         frame_to(DIRECTION, DIRECTION_FORWARD), frame_to(STATUS, 1));
     want(-1.0);
     line_cycle_begin(&w.machine, 0, w.now_ns);
-    CHECK(sends() == frame_to(DIRECTION, DIRECTION_REST) && drive->direction_sent[0] == DIRECTION_UNKNOWN);
+    CHECK(sends() == frame_to(DIRECTION, DIRECTION_REST) &&
+          drive->direction_sent[0] == DIRECTION_UNKNOWN);
     answers_with(0);
     CHECK(drive->direction_sent[0] == DIRECTION_REST && drive->place == 1);
     CHECK(sends() == frame_to(SPEED, 100));
@@ -53,7 +63,8 @@ static void a_direction_that_is_not_acknowledged_or_not_wanted_any_more_is_not_k
     CHECK(sends() == frame_to(DIRECTION, DIRECTION_REVERSE));
     want(0.0); /* while it is in transit */
     answers_with(0);
-    CHECK(drive->direction_sent[0] == DIRECTION_UNKNOWN && drive->direction_last[0] == DIRECTION_FORWARD);
+    CHECK(drive->direction_sent[0] == DIRECTION_UNKNOWN &&
+          drive->direction_last[0] == DIRECTION_FORWARD);
 }
 
 /* Two exchanges of set-points: one of them that is not zero is a motion. */
@@ -68,7 +79,8 @@ static void a_motion_in_any_exchange_is_a_motion(void)
         table->cyclic[1].setpoint[0].joint = 1;
         table->cyclic_count = 3;
         w.machine.newest.joint[which].velocity_rad_s = 1.0;
-        GOES(frame_to(SPEED, which == 0 ? 100 : 0), frame_to(SPEED, which == 1 ? 100 : 0), frame_to(STATUS, 1));
+        GOES(frame_to(SPEED, which == 0 ? 100 : 0), frame_to(SPEED, which == 1 ? 100 : 0),
+             frame_to(STATUS, 1));
         CHECK(drive->state.sent_motion);
         w.machine.newest.joint[which].velocity_rad_s = 0.0;
         GOES(frame_to(SPEED, 0), frame_to(SPEED, 0), frame_to(STATUS, 1));
@@ -81,15 +93,18 @@ static void each_of_several_directions_is_sent(void)
     begin_directions(1.0);
     line_drive *table = &w.machine.table.drive[0];
     table->direction_count = 2;
-    table->direction[1] = (line_direction){.rest = frame_of(1, WRITE, DIRECTION + 1, DIRECTION_REST),
-                                           .forward = frame_of(1, WRITE, DIRECTION + 1, DIRECTION_FORWARD),
-                                           .reverse = frame_of(1, WRITE, DIRECTION + 1, DIRECTION_REVERSE)};
+    table->direction[1] =
+        (line_direction){.rest = frame_of(1, WRITE, DIRECTION + 1, DIRECTION_REST),
+                         .forward = frame_of(1, WRITE, DIRECTION + 1, DIRECTION_FORWARD),
+                         .reverse = frame_of(1, WRITE, DIRECTION + 1, DIRECTION_REVERSE)};
     drive->direction_sent[0] = DIRECTION_FORWARD;
     uint32_t fast = frame_to(SPEED, 100), status = frame_to(STATUS, 1);
-    GOES(frame_to(DIRECTION + 1, DIRECTION_REST), fast, frame_to(DIRECTION + 1, DIRECTION_FORWARD), status);
+    GOES(frame_to(DIRECTION + 1, DIRECTION_REST), fast, frame_to(DIRECTION + 1, DIRECTION_FORWARD),
+         status);
     want(-1.0);
     GOES(frame_to(DIRECTION, DIRECTION_REST), frame_to(DIRECTION + 1, DIRECTION_REST), fast,
-         frame_to(DIRECTION, DIRECTION_REVERSE), frame_to(DIRECTION + 1, DIRECTION_REVERSE), status);
+         frame_to(DIRECTION, DIRECTION_REVERSE), frame_to(DIRECTION + 1, DIRECTION_REVERSE),
+         status);
 }
 
 /* Rest would take its brake off: it comes with the power-off. */
@@ -136,7 +151,8 @@ static void cycles_follow_each_other_by_their_period_and_late_ones_are_not_caugh
     drive->due_ns = w.now_ns;
     drive->cycle_start_ns = drive->cycle_ns = 0;
     line_cycle_begin(&w.machine, 0, w.now_ns);
-    CHECK(drive->due_ns == w.now_ns + 20 * MS && drive->cycle_start_ns == w.now_ns && drive->cycle_ns == 0);
+    CHECK(drive->due_ns == w.now_ns + 20 * MS && drive->cycle_start_ns == w.now_ns &&
+          drive->cycle_ns == 0);
     CHECK(drive->stage == STAGE_REST && drive->place == 0 && w.machine.current == 0);
     w.now_ns += 24 * MS;
     line_cycle_begin(&w.machine, 0, w.now_ns);
@@ -165,7 +181,8 @@ static void ends(void)
     drive->stage = STAGE_EXTRA, drive->place = 1;
     uint64_t cycles = drive->count.cycles, count = drive->cycle_count;
     CHECK(!line_next_in_cycle(&w.machine, 0, w.now_ns, &frame));
-    CHECK(drive->count.cycles == cycles + 1 && drive->cycle_count == count + 1 && w.machine.feedback_mask == 1);
+    CHECK(drive->count.cycles == cycles + 1 && drive->cycle_count == count + 1 &&
+          w.machine.feedback_mask == 1);
     CHECK(drive->stage == STAGE_IDLE && w.machine.current == LINE_DRIVES_MAX);
 }
 
@@ -181,7 +198,8 @@ static void the_end_of_a_cycle_judges_what_the_drive_reported(void)
     CHECK(drive->state.mode == DRIVE_ARMED && drive->state.stop == STOP_NOTHING);
     drive->state.enabled = drive->enabled_before = 0;
     ends();
-    CHECK(drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == DRIVE_FAULT_DISABLED_ITSELF &&
+    CHECK(drive->state.mode == DRIVE_OFF &&
+          drive->state.fault_reasons == DRIVE_FAULT_DISABLED_ITSELF &&
           drive->state.stop == STOP_POWER_OFF);
     for (uint32_t how = 0; how < 3; how++) {
         begin_directions(0.0);
@@ -189,7 +207,8 @@ static void the_end_of_a_cycle_judges_what_the_drive_reported(void)
         drive->state.stopping = how != 2, drive->state.off_by_ns = INT64_MAX;
         w.machine.joint[0].feedback.velocity_rad_s = how == 1 ? 0.2 : 0.05;
         ends();
-        CHECK(drive->state.stop == (how == 0 ? STOP_POWER_OFF : STOP_NOTHING) && drive->state.stopping == (how == 1));
+        CHECK(drive->state.stop == (how == 0 ? STOP_POWER_OFF : STOP_NOTHING) &&
+              drive->state.stopping == (how == 1));
     }
 }
 
@@ -199,7 +218,8 @@ static void why_a_drive_disabled_itself_is_read_before_it_is_switched_off(void)
     begin_directions(1.0);
     drive->direction_sent[0] = DIRECTION_FORWARD;
     line_drive *table = &w.machine.table.drive[0];
-    table->cyclic[1].field[0] = (line_field){.kind = FIELD_FAULT, .byte = 3, .form = FORM_U16, .si_per_raw = 1.0};
+    table->cyclic[1].field[0] =
+        (line_field){.kind = FIELD_FAULT, .byte = 3, .form = FORM_U16, .si_per_raw = 1.0};
     table->cyclic[1].field_count = 1;
     drive->cycle_count = 4;
     for (uint32_t cycle = 0; cycle < 2; cycle++) {
@@ -216,7 +236,8 @@ static void why_a_drive_disabled_itself_is_read_before_it_is_switched_off(void)
         CHECK(sends() == NO_FRAME);
     }
     CHECK(w.machine.joint[0].fault_word == 8);
-    CHECK(drive->state.mode == DRIVE_OFF && drive->state.fault_reasons == DRIVE_FAULT_DISABLED_ITSELF &&
+    CHECK(drive->state.mode == DRIVE_OFF &&
+          drive->state.fault_reasons == DRIVE_FAULT_DISABLED_ITSELF &&
           drive->state.stop == STOP_POWER_OFF);
 }
 
@@ -233,7 +254,8 @@ static void an_armed_drive_that_has_its_power_back_after_a_cycle_is_taken_back_a
         CHECK(drive->state.stop == (how == 0 ? STOP_POWER_OFF : STOP_NOTHING));
     }
     begin_directions(0.0);
-    drive->state.mode = DRIVE_READY, drive->enabled_before = 0; /* without power before it was armed, in the same cycle */
+    /* without power before it was armed, in the same cycle */
+    drive->state.mode = DRIVE_READY, drive->enabled_before = 0;
     request(0, DRIVE_ARMED);
     w.machine.newest.stamp_ns = w.now_ns;
     line_obey_request(&w.machine, 0, w.now_ns);
@@ -259,9 +281,12 @@ static void one_that_is_enabled_without_being_armed_is_switched_off(void)
         drive->state.fault_reasons = drive->state.reported_reasons = DRIVE_FAULT_LEFT_ALONE;
         ends();
         bool nobody = how == 0 || how == 6;
-        CHECK(drive->state.stop == (nobody ? STOP_POWER_OFF : how == 4 ? STOP_QUICK : STOP_NOTHING));
+        CHECK(drive->state.stop == (nobody     ? STOP_POWER_OFF
+                                    : how == 4 ? STOP_QUICK
+                                               : STOP_NOTHING));
         CHECK(drive->state.still_enabled == (how == 6 ? 3 : nobody ? 2 : 1));
-        CHECK(drive->state.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | (how == 6 ? (uint32_t)DRIVE_FAULT_STILL_ENABLED : 0)));
+        CHECK(drive->state.fault_reasons ==
+              (DRIVE_FAULT_LEFT_ALONE | (how == 6 ? (uint32_t)DRIVE_FAULT_STILL_ENABLED : 0)));
         CHECK(w.machine.notify == (how == 6));
     }
     drive->state.stop = STOP_NOTHING, drive->state.mode = DRIVE_READY;
@@ -277,7 +302,8 @@ static void the_core_gets_feedback_of_a_cycle_with_the_last_of_what_it_reads(voi
     begin_directions(0.0);
     drive->direction_sent[0] = DIRECTION_REST;
     drive->cycle_count = 4;
-    w.machine.table.drive[0].cyclic[2] = w.machine.table.drive[0].cyclic[1]; /* behind the last one */
+    /* behind the last one */
+    w.machine.table.drive[0].cyclic[2] = w.machine.table.drive[0].cyclic[1];
     line_cycle_begin(&w.machine, 0, w.now_ns);
     w.machine.feedback_mask = 0;
     CHECK(sends() == frame_to(SPEED, 0));
@@ -285,13 +311,15 @@ static void the_core_gets_feedback_of_a_cycle_with_the_last_of_what_it_reads(voi
     CHECK(w.machine.feedback_mask == 0);
     CHECK(sends() == frame_to(STATUS, 1));
     answers_with(150);
-    CHECK(w.machine.feedback_mask == 1 && w.machine.joint[0].feedback.velocity_rad_s == 1.5 && drive->stage == STAGE_READ);
+    CHECK(w.machine.feedback_mask == 1 && w.machine.joint[0].feedback.velocity_rad_s == 1.5 &&
+          drive->stage == STAGE_READ);
     CHECK(drive->answered_ns == w.machine.end_ns && drive->count.received_ns == w.now_ns);
     drive->stage = STAGE_IDLE; /* it was stopped */
     CHECK(sends() == NO_FRAME);
 }
 
-/* Of two that are written and nothing that is read the first answer says all; else it is the last one that is read. */
+/* Of two that are written and nothing that is read the first answer says all; else it is the
+ * last one that is read. */
 static void what_is_sent_says_nothing_to_the_core_while_something_is_still_to_be_read(void)
 {
     for (uint32_t reads = 0; reads < 2; reads++) {

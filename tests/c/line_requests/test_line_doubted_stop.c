@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_doubted_stop: a stop whose acknowledgements may be answers to older requests, and its neighbours. */
+ * test_line_doubted_stop: a stop whose acknowledgements may be answers to older requests, and
+ * its neighbours. */
 #include "line_wire.h"
 
 /* As of bus servos: an answer to a write does not say which one. */
@@ -10,8 +11,9 @@ static void answer_alike(line_frame *frame)
     memcpy(frame->match, (const uint8_t[]){1, WRITE}, 2);
 }
 
-/* After a request that it did not answer each answer may be the one to that, for as long as its stop is sent again: so
- * many of them prove the stop as are more than it owes. Its neighbour goes on meanwhile. */
+/* After a request that it did not answer each answer may be the one to that, for as long as its
+ * stop is sent again: so many of them prove the stop as are more than it owes. Its neighbour
+ * goes on meanwhile. */
 static void a_stop_whose_acknowledgements_may_be_late_ends_and_keeps_no_neighbour_waiting(void)
 {
     for (uint32_t i = 0; i < 8; i++) {
@@ -72,7 +74,8 @@ static void a_stop_is_not_kept_back_by_that_of_a_neighbour_whose_answers_are_in_
     for (int64_t end_ns = w.now_ns + 500 * MS; w.now_ns < end_ns;) {
         go_on();
     }
-    CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.sent_off[0] == 8 && w.sent_off[1] == 2);
+    CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.sent_off[0] == 8 &&
+          w.sent_off[1] == 2);
 }
 
 int main(void)

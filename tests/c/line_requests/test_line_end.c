@@ -2,7 +2,8 @@
  * How a line ends: rest, then power off, then silence, each at its time at the latest. */
 #include "line_wire.h"
 
-static const int64_t REST_NS = 350 * 1000000, END_NS = 480 * 1000000, POWER_OFF_END_NS = 2980LL * 1000000;
+static const int64_t REST_NS = 350 * 1000000, END_NS = 480 * 1000000,
+                     POWER_OFF_END_NS = 2980LL * 1000000;
 
 static void look_at(int64_t now_ns)
 {
@@ -22,9 +23,11 @@ static void an_armed_drive_is_stopped_at_once_and_one_that_is_not_is_left_as_it_
     w.machine.control.shut_down = 1;
     look_at(w.now_ns);
     CHECK(w.machine.end.stage == END_RESTING && !w.machine.notify && w.machine.broadcasts == 2);
-    CHECK(armed->state.mode == DRIVE_READY && armed->state.stopping && armed->state.stop == STOP_QUICK);
+    CHECK(armed->state.mode == DRIVE_READY && armed->state.stopping &&
+          armed->state.stop == STOP_QUICK);
     CHECK(armed->due_ns == w.now_ns && armed->state.off_by_ns == w.now_ns + REST_NS);
-    CHECK(!ready->state.stopping && ready->state.stop == STOP_NOTHING && ready->due_ns == w.now_ns + 1000 * MS);
+    CHECK(!ready->state.stopping && ready->state.stop == STOP_NOTHING &&
+          ready->due_ns == w.now_ns + 1000 * MS);
 }
 
 /* What has to be over before the power goes off; all of it by itself. */
@@ -44,8 +47,8 @@ static void the_power_goes_off_when_every_stop_and_every_broadcast_is_done(void)
         first->state.stop = STOP_NOTHING;
         w.machine.broadcasts = 0;
         look_at(w.now_ns + MS);
-        CHECK(w.machine.end.stage == END_POWER_OFF && first->state.stop == STOP_POWER_OFF && last->state.stop == STOP_POWER_OFF &&
-              !w.machine.notify);
+        CHECK(w.machine.end.stage == END_POWER_OFF && first->state.stop == STOP_POWER_OFF &&
+              last->state.stop == STOP_POWER_OFF && !w.machine.notify);
         first->state.stop = STOP_NOTHING;
         look_at(w.now_ns + 2 * MS);
         CHECK(w.machine.end.stage == END_POWER_OFF);
@@ -67,7 +70,8 @@ static void what_does_not_come_to_rest_loses_its_power_all_the_same_and_the_end_
     look_at(begun_ns + REST_NS);
     CHECK(w.machine.end.stage == END_POWER_OFF && !w.machine.drive[0].state.stopping &&
           w.machine.drive[0].state.stop == STOP_POWER_OFF);
-    w.machine.drive[0].stop_sent = w.machine.drive[1].stop_sent = (1U << w.machine.table.drive[0].disarm_count) - 1;
+    w.machine.drive[0].stop_sent = w.machine.drive[1].stop_sent =
+        (1U << w.machine.table.drive[0].disarm_count) - 1;
     look_at(begun_ns + END_NS - 1);
     CHECK(w.machine.end.stage == END_POWER_OFF && !w.machine.notify);
     look_at(begun_ns + END_NS);
@@ -75,10 +79,12 @@ static void what_does_not_come_to_rest_loses_its_power_all_the_same_and_the_end_
 }
 
 /* One that is not received may receive: a silent neighbour does not take its time away. */
-static void the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_but_not_for_ever(void)
+static void
+the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_but_not_for_ever(void)
 {
     uint32_t frames = drive_of(1).disarm_count, all = (1U << frames) - 1;
-    for (uint32_t missing = 0; missing <= frames; missing++) { /* the last one comes late in the last run */
+    /* the last one comes late in the last run */
+    for (uint32_t missing = 0; missing <= frames; missing++) {
         bool comes = missing == frames;
         begin_with(2, 0);
         w.machine.control.shut_down = 1;
@@ -106,17 +112,22 @@ static void a_change_is_not_lost_while_the_end_has_none(void)
     CHECK(w.machine.notify && w.machine.end.stage == END_NOT);
 }
 
-/* What lies behind the last drive, shaped like one that moves and stops, is no drive: it is not looked at, nor changed. */
+/* What lies behind the last drive, shaped like one that moves and stops, is no drive: it is not
+ * looked at, nor changed. */
 static void eight_drives_are_all_there_are(void)
 {
-    line_drive_state mover = {.state.mode = DRIVE_ARMED, .state.stop = STOP_QUICK, .state.stopping = true, .may_turn = true};
+    line_drive_state mover = {.state.mode = DRIVE_ARMED,
+                              .state.stop = STOP_QUICK,
+                              .state.stopping = true,
+                              .may_turn = true};
     begin_with(LINE_DRIVES_MAX, 0);
     uint8_t behind[sizeof w.machine.joint];
     memcpy(w.machine.joint, &mover, sizeof mover < sizeof behind ? sizeof mover : sizeof behind);
     memcpy(behind, w.machine.joint, sizeof behind);
     w.machine.control.shut_down = 1;
     look_at(w.now_ns);
-    CHECK(w.machine.end.stage == END_POWER_OFF && memcmp(behind, w.machine.joint, sizeof behind) == 0);
+    CHECK(w.machine.end.stage == END_POWER_OFF &&
+          memcmp(behind, w.machine.joint, sizeof behind) == 0);
     for (uint32_t i = 0; i < LINE_DRIVES_MAX; i++) {
         CHECK(w.machine.drive[i].state.stop == STOP_POWER_OFF);
         w.machine.drive[i].state.stop = STOP_NOTHING;

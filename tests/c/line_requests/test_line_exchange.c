@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_exchange: one request on a serial line, to the nanosecond: how long it is waited for, and what came of it. */
+ * test_line_exchange: one request on a serial line, to the nanosecond: how long it is waited
+ * for, and what came of it. */
 #include "line_wire.h"
 
 static const int64_t SENT_NS = 8 * CHARACTER_NS, HOST_NS = 20 * MS;
@@ -13,7 +14,8 @@ static line_frame read_frame(uint8_t unit)
 
 static line_request line_request_of(uint32_t drive, line_frame frame)
 {
-    return (line_request){.id = 77, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .drive = drive, .frame = frame};
+    return (line_request){
+        .id = 77, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .drive = drive, .frame = frame};
 }
 
 static void look(const uint8_t *bytes, uint32_t count)
@@ -26,7 +28,8 @@ static void send(void)
 {
     w.now_ns = m->free_ns > w.now_ns ? m->free_ns : w.now_ns;
     look(NULL, 0);
-    CHECK(w.out.send == m->transaction.frame.request && w.out.send_bytes == m->transaction.frame.request_bytes && !m->sent);
+    CHECK(w.out.send == m->transaction.frame.request &&
+          w.out.send_bytes == m->transaction.frame.request_bytes && !m->sent);
     line_machine_sent(m, w.now_ns);
 }
 
@@ -69,21 +72,24 @@ static void fail(void)
     look(NULL, 0);
 }
 
-/* ------------------------------------------------------------------------------------------- how long it takes */
+/* -------------------------------------------------------------------- how long it takes */
 static void a_request_takes_the_time_of_its_bytes_and_is_waited_for(void)
 {
     begin_with(2, 0);
     m->urgent_by_ns = 5;
     send_request(0, read_frame(1));
-    CHECK(m->urgent_by_ns == 0 && m->sent && m->exchanges == 1 && m->start_ns == w.now_ns && m->end_ns == w.now_ns + SENT_NS);
-    CHECK(m->bound_ns == 5 * MS + HOST_NS && m->until_ns == m->end_ns + m->bound_ns + line_reply_ns(m, &m->transaction.frame));
+    CHECK(m->urgent_by_ns == 0 && m->sent && m->exchanges == 1 && m->start_ns == w.now_ns &&
+          m->end_ns == w.now_ns + SENT_NS);
+    CHECK(m->bound_ns == 5 * MS + HOST_NS &&
+          m->until_ns == m->end_ns + m->bound_ns + line_reply_ns(m, &m->transaction.frame));
     CHECK(m->ours_ns == m->end_ns + GAP_NS && m->free_ns == m->ours_ns);
     int64_t until_ns = m->until_ns;
     w.now_ns = until_ns - 1;
     look(NULL, 0);
     CHECK(m->work == WORK_REQUEST && !m->answered && w.out.wake_ns == until_ns);
     fail();
-    CHECK(m->work == WORK_NONE && m->worker == LINE_DRIVES_MAX && m->answered && m->answer.kind == ANSWER_NO_REPLY);
+    CHECK(m->work == WORK_NONE && m->worker == LINE_DRIVES_MAX && m->answered &&
+          m->answer.kind == ANSWER_NO_REPLY);
     line_request next = line_request_of(1, read_frame(2));
     CHECK(line_machine_request(m, &next));
     w.now_ns = m->free_ns;
@@ -110,12 +116,14 @@ static void each_kind_of_request_is_waited_for_as_long_as_its_drive_may_take(voi
     CHECK(bound_of(WORK_CYCLE, 0) == 7 * MS && bound_of(WORK_CYCLE, 1) == 6 * MS);
     CHECK(bound_of(WORK_STOP, 0) == 9 * MS + HOST_NS && bound_of(WORK_STOP, 1) == 5 * MS + HOST_NS);
     CHECK(bound_of(WORK_REQUEST, 0) == 3 * MS + HOST_NS);
-    CHECK(bound_of(WORK_BROADCAST, LINE_DRIVES_MAX) == 9 * MS); /* no drive answers: the slowest has to have received it */
+    /* no drive answers: the slowest has to have received it */
+    CHECK(bound_of(WORK_BROADCAST, LINE_DRIVES_MAX) == 9 * MS);
     CHECK(bound_of(WORK_BROADCAST, 2) == 9 * MS);
     m->table.drive[1].turnaround_ns = 11 * MS + HOST_NS;
     CHECK(bound_of(WORK_BROADCAST, LINE_DRIVES_MAX) == 11 * MS);
     m->table.drive[0].reply_timeout_ns = 1;
-    CHECK(bound_of(WORK_CYCLE, 0) == 1 && bound_of(WORK_STOP, 0) == 1 && bound_of(WORK_STOP, 1) == 11 * MS + HOST_NS);
+    CHECK(bound_of(WORK_CYCLE, 0) == 1 && bound_of(WORK_STOP, 0) == 1 &&
+          bound_of(WORK_STOP, 1) == 11 * MS + HOST_NS);
     begin_with(LINE_DRIVES_MAX, 0);
     CHECK(bound_of(WORK_BROADCAST, LINE_DRIVES_MAX) == 5 * MS);
 }
@@ -127,7 +135,8 @@ static void a_wait_is_as_short_as_is_usual_while_another_drive_has_to_be_stopped
         begin_with(3, 0);
         m->drive[1].smoothed_ns = 12 * MS; /* usual: that and half a millisecond */
         send_request(1, read_frame(2));
-        int64_t long_ns = m->until_ns, short_ns = m->end_ns + 12 * MS + MS / 2 + line_reply_ns(m, &m->transaction.frame);
+        int64_t long_ns = m->until_ns,
+                short_ns = m->end_ns + 12 * MS + MS / 2 + line_reply_ns(m, &m->transaction.frame);
         CHECK(short_ns < long_ns);
         m->drive[waiting].state.stop = waiting < 3 ? STOP_QUICK : STOP_NOTHING;
         m->drive[3].state.stop = STOP_QUICK; /* there is no fourth drive */
@@ -142,7 +151,8 @@ static void a_wait_is_as_short_as_is_usual_while_another_drive_has_to_be_stopped
     m->drive[1].smoothed_ns = 10 * MS;
     m->drive[0].state.stop = STOP_QUICK;
     look(NULL, 0);
-    CHECK(m->until_ns == w.now_ns + 1 && m->work == WORK_REQUEST); /* it is over with the next look */
+    /* it is over with the next look */
+    CHECK(m->until_ns == w.now_ns + 1 && m->work == WORK_REQUEST);
     begin_with(2, 0);
     m->drive[0].state.stop = m->drive[1].state.stop = STOP_POWER_OFF;
     m->until_ns = 77;
@@ -162,7 +172,8 @@ static void an_answer_to_a_broadcast_is_an_answer(void)
     memcpy(before, m->joint, sizeof before);
     send_request(LINE_DRIVES_MAX, read_frame(9));
     answer();
-    CHECK(m->answered && m->answer.kind == ANSWER_OK && memcmp(before, m->joint, sizeof before) == 0);
+    CHECK(m->answered && m->answer.kind == ANSWER_OK &&
+          memcmp(before, m->joint, sizeof before) == 0);
 }
 
 static void a_broadcast_is_waited_for_as_long_as_it_says(void)
@@ -178,7 +189,7 @@ static void a_broadcast_is_waited_for_as_long_as_it_says(void)
     CHECK(m->answered && m->answer.kind == ANSWER_NO_REPLY && m->work == WORK_STOP);
 }
 
-/* ------------------------------------------------------------------------------------------------ what came of it */
+/* ---------------------------------------------------------------------- what came of it */
 static void an_answer_is_handed_on_with_its_time_and_nothing_beside_it(void)
 {
     uint8_t bytes[10] = {0x55, 0x66};
@@ -187,9 +198,12 @@ static void an_answer_is_handed_on_with_its_time_and_nothing_beside_it(void)
     uint32_t count = reply_of(&m->transaction.frame, bytes + 2);
     int64_t sent_ns = w.now_ns;
     receive_after(3 * MS, bytes, count + 2);
-    CHECK(m->answered && m->answer.id == 77 && m->answer.kind == ANSWER_OK && m->answer.sent_ns == sent_ns);
-    CHECK(m->answer.done_ns == w.now_ns && m->answer.stamp_ns == sent_ns + (w.now_ns - sent_ns) / 2);
-    CHECK(m->answer.reply_bytes == 7 && memcmp(m->answer.reply, bytes + 2, 7) == 0 && m->answer.echoed == 0);
+    CHECK(m->answered && m->answer.id == 77 && m->answer.kind == ANSWER_OK &&
+          m->answer.sent_ns == sent_ns);
+    CHECK(m->answer.done_ns == w.now_ns &&
+          m->answer.stamp_ns == sent_ns + (w.now_ns - sent_ns) / 2);
+    CHECK(m->answer.reply_bytes == 7 && memcmp(m->answer.reply, bytes + 2, 7) == 0 &&
+          m->answer.echoed == 0);
     CHECK(m->answers == 1 && m->noise_bytes == 2 && m->round_trip_ns == w.now_ns - sent_ns);
     CHECK(m->ours_ns == w.now_ns + GAP_NS && m->work == WORK_NONE && m->worker == LINE_DRIVES_MAX);
     CHECK(w.out.answered && w.out.notify && w.out.wake_ns == w.now_ns);
@@ -205,7 +219,8 @@ static void a_refusal_is_handed_on_with_its_number(void)
     begin_with(1, 0);
     send_request(0, read_frame(1));
     receive_after(2 * MS, refusal, 5);
-    CHECK(m->answered && m->answer.kind == ANSWER_REFUSED && m->answer.exception == 4 && m->answer.reply_bytes == 0);
+    CHECK(m->answered && m->answer.kind == ANSWER_REFUSED && m->answer.exception == 4 &&
+          m->answer.reply_bytes == 0);
     CHECK(m->answers == 1 && m->noise_bytes == 0 && m->round_trip_ns == 0);
 }
 
@@ -216,16 +231,19 @@ static void what_is_no_answer_is_counted_once(void)
     receive_after(MS, (const uint8_t[]){7, 8, 9}, 3);
     CHECK(!m->answered && m->noise_bytes == 0);
     fail();
-    CHECK(m->answered && m->answer.kind == ANSWER_BAD_REPLY && m->noise_bytes == 3 && m->answers == 0);
+    CHECK(m->answered && m->answer.kind == ANSWER_BAD_REPLY && m->noise_bytes == 3 &&
+          m->answers == 0);
     CHECK(m->drive[0].count.bad_reply == 1 && m->drive[0].count.no_reply == 0);
     CHECK(m->ours_ns == w.now_ns + GAP_NS);
 }
 
-/* One byte is the whole answer of a controller that names no unit; after a failure no drive is asked until it has passed. */
+/* One byte is the whole answer of a controller that names no unit; after a failure no drive is
+ * asked until it has passed. */
 static void an_answer_of_one_byte_is_an_answer(void)
 {
     line_frame frame = read_frame(1);
-    frame.exact = 1, frame.reply_bytes = frame.match_bytes = 1, frame.reply_seal = SEAL_NONE, frame.match[0] = 0xFF;
+    frame.exact = 1, frame.reply_bytes = frame.match_bytes = 1, frame.reply_seal = SEAL_NONE,
+    frame.match[0] = 0xFF;
     begin_with(1, 0);
     m->echo = ECHO_NONE;
     send_request(0, frame);
@@ -243,7 +261,9 @@ static void an_answer_of_one_byte_is_an_answer(void)
 static void a_broadcast_is_over_in_silence(void)
 {
     begin_with(LINE_DRIVES_MAX, 0);
-    line_frame frame = {.request_bytes = 8, .request_seal = SEAL_CRC16, .request = {0, WRITE, 0, CONTROL, 0, QUICK_STOP}};
+    line_frame frame = {.request_bytes = 8,
+                        .request_seal = SEAL_CRC16,
+                        .request = {0, WRITE, 0, CONTROL, 0, QUICK_STOP}};
     rtu_seal(frame.request, 8, SEAL_CRC16);
     m->table.broadcast_stop_count = 2;
     m->table.broadcast_stop[0] = m->table.broadcast_stop[1] = frame;
@@ -252,15 +272,18 @@ static void a_broadcast_is_over_in_silence(void)
     m->drive[0].state.mode = DRIVE_READY; /* its turn has come, and waits */
     send();
     m->drive[0].state.mode = DRIVE_OFF;
-    CHECK(m->work == WORK_BROADCAST && m->broadcasts == 2 && m->transaction.frame.request[5] == QUICK_STOP);
+    CHECK(m->work == WORK_BROADCAST && m->broadcasts == 2 &&
+          m->transaction.frame.request[5] == QUICK_STOP);
     fail(); /* no drive answers, and the next one goes out */
-    CHECK(w.out.send != NULL && m->work == WORK_BROADCAST && m->broadcasts == 1 && m->transaction.frame.request[5] == DISABLE);
+    CHECK(w.out.send != NULL && m->work == WORK_BROADCAST && m->broadcasts == 1 &&
+          m->transaction.frame.request[5] == DISABLE);
     line_machine_sent(m, w.now_ns);
     fail();
-    CHECK(w.out.send == NULL && m->work == WORK_NONE && m->broadcasts == 0 && m->answers == 0 && m->round_trip_ns == 0);
+    CHECK(w.out.send == NULL && m->work == WORK_NONE && m->broadcasts == 0 && m->answers == 0 &&
+          m->round_trip_ns == 0);
 }
 
-/* -------------------------------------------------------------------------------------------------- the echo */
+/* ----------------------------------------------------------------------------- the echo */
 static void the_first_read_finds_out_whether_the_adapter_receives_itself(void)
 {
     uint8_t bytes[16];
@@ -296,7 +319,8 @@ static void when_no_reply_is_understood_the_echo_is_not_known_any_more(void)
             send_request(1, read_frame(2));
             fail();
             CHECK(m->drive[1].failures == second);
-            CHECK(m->echo == (first == 3 && second == 3 ? (uint32_t)ECHO_UNKNOWN : (uint32_t)ECHO_FIRST));
+            CHECK(m->echo ==
+                  (first == 3 && second == 3 ? (uint32_t)ECHO_UNKNOWN : (uint32_t)ECHO_FIRST));
         }
     }
 }
@@ -304,7 +328,8 @@ static void when_no_reply_is_understood_the_echo_is_not_known_any_more(void)
 /* A drive that is asked whether it is back: its echo is no answer. */
 static void an_unresponsive_drive_is_not_back_because_the_adapter_receives_itself(void)
 {
-    for (uint32_t reads = 0; reads < 4; reads++) { /* by what it can be read: an exchange, one extra, two, nothing */
+    /* by what it can be read: an exchange, one extra, two, nothing */
+    for (uint32_t reads = 0; reads < 4; reads++) {
         begin_with(1, ECHO_UNKNOWN);
         line_drive *table = &m->table.drive[0];
         table->probe = reads == 0 ? 1 : 0;
@@ -316,13 +341,15 @@ static void an_unresponsive_drive_is_not_back_because_the_adapter_receives_itsel
         uint8_t echo[8];
         memcpy(echo, m->transaction.frame.request, 8);
         receive_after(MS, echo, 8);
-        CHECK((m->drive[0].state.mode == DRIVE_UNRESPONSIVE && m->work == WORK_PROBE) == (reads < 3));
+        CHECK((m->drive[0].state.mode == DRIVE_UNRESPONSIVE && m->work == WORK_PROBE) ==
+              (reads < 3));
     }
 }
 
 static void noise_without_end_ends_the_wait(void)
 {
-    static uint8_t noise[RECEIVED_BYTES_MAX + 1]; /* a write may be answered by a byte more than a read */
+    /* a write may be answered by a byte more than a read */
+    static uint8_t noise[RECEIVED_BYTES_MAX + 1];
     memset(noise, 0x55, RECEIVED_BYTES_MAX);
     begin_with(1, 0);
     send_request(0, read_frame(1));
@@ -331,7 +358,8 @@ static void noise_without_end_ends_the_wait(void)
     receive_after(MS, noise, 2);
     CHECK(m->work == WORK_REQUEST && !m->answered);
     receive_after(MS, noise, 1);
-    CHECK(m->answered && m->answer.kind == ANSWER_BAD_REPLY && m->noise_bytes == RECEIVED_BYTES_MAX);
+    CHECK(m->answered && m->answer.kind == ANSWER_BAD_REPLY &&
+          m->noise_bytes == RECEIVED_BYTES_MAX);
     begin_with(1, 0);
     send_request(0, read_frame(1));
     (void)reply_of(&m->transaction.frame, noise + RECEIVED_BYTES_MAX - 7);
@@ -353,7 +381,8 @@ static void what_comes_while_no_drive_shall_answer_is_noise_but_for_an_echo(void
         CHECK(m->work == WORK_REQUEST);
         w.now_ns++;
         look(NULL, 0);
-        CHECK(m->answered && m->answer.kind == ANSWER_OK && m->answer.reply_bytes == 0 && m->round_trip_ns == 0);
+        CHECK(m->answered && m->answer.kind == ANSWER_OK && m->answer.reply_bytes == 0 &&
+              m->round_trip_ns == 0);
     }
 }
 

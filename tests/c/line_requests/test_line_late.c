@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Drives that answer late, on a wire of virtual time: whose request a reply belongs to, and how old its values are. A
- * drive answers in the order of its requests. Its counter is the time itself, in tenths of a millisecond. */
+ * Drives that answer late, on a wire of virtual time: whose request a reply belongs to, and how old
+ * its values are. A drive answers in the order of its requests. Its counter is the time itself,
+ * in tenths of a millisecond. */
 #include <math.h>
 
 #include "line_wire.h"
@@ -42,7 +43,8 @@ static void begin_late(uint32_t drives, bool one_look, uint32_t seed)
     for (uint32_t i = 0; i < drives; i++) {
         line_drive *drive = &w.table.drive[i];
         uint8_t unit = (uint8_t)(i + 1);
-        drive->cyclic[1].field[0] = (line_field){.joint = i, .kind = FIELD_COUNT, .byte = 3, .form = FORM_U16, .si_per_raw = 1.0};
+        drive->cyclic[1].field[0] = (line_field){
+            .joint = i, .kind = FIELD_COUNT, .byte = 3, .form = FORM_U16, .si_per_raw = 1.0};
         if (one_look) {
             drive->cyclic[1].setpoint[0] = drive->cyclic[0].setpoint[0];
             drive->cyclic[1].setpoint_count = 1;
@@ -70,14 +72,16 @@ static void serve(const uint8_t *request)
     bool late = !good && late_every > 0 && random_below(late_every) == 0;
     bool lost = !good && lose_every > 0 && random_below(lose_every) == 0;
     asked[number]++;
-    int64_t begin_ns = w.machine.end_ns > busy_until_ns[number] ? w.machine.end_ns : busy_until_ns[number];
+    int64_t begin_ns =
+        w.machine.end_ns > busy_until_ns[number] ? w.machine.end_ns : busy_until_ns[number];
     int64_t ready_ns = begin_ns + (turns_around_slowly ? 4 * MS : DEVICE_NS) + (late ? late_ns : 0);
     uint32_t count = (uint32_t)((samples_late ? ready_ns : w.machine.end_ns) / TICK_NS);
     queued *to = &queue[queue_count];
     *to = (queued){.bytes = request[1] == READ ? 7 : 8};
     memcpy(to->reply, request, 8);
     if (request[1] == READ) {
-        memcpy(to->reply, (const uint8_t[]){request[0], READ, 2, (uint8_t)(count >> 8), (uint8_t)count}, 5);
+        memcpy(to->reply,
+               (const uint8_t[]){request[0], READ, 2, (uint8_t)(count >> 8), (uint8_t)count}, 5);
         rtu_seal(to->reply, 7, SEAL_CRC16);
     }
     to->at_ns = ready_ns + to->bytes * CHARACTER_NS;
@@ -108,7 +112,8 @@ static int64_t next_event_ns(int64_t wake_ns)
     return wake_ns > w.now_ns ? wake_ns : w.now_ns + 1;
 }
 
-/* No value is older than its stamp by more than a cycle; where the drive takes it at once, no speed is seen that was not. */
+/* No value is older than its stamp by more than a cycle; where the drive takes it at once, no
+ * speed is seen that was not. */
 static void judge(void)
 {
     if ((w.out.feedback_mask & 1) == 0 || w.machine.joint[0].feedback.stamp_ns == 0) {
@@ -118,7 +123,8 @@ static void judge(void)
     if (now->stamp_ns == last_stamp_ns) {
         return;
     }
-    int64_t behind = (int16_t)(uint16_t)((uint32_t)(now->stamp_ns / TICK_NS) - (uint32_t)now->count);
+    int64_t behind =
+        (int16_t)(uint16_t)((uint32_t)(now->stamp_ns / TICK_NS) - (uint32_t)now->count);
     int64_t sample_ns = now->stamp_ns - behind * TICK_NS;
     CHECK(behind * TICK_NS <= 2 * MS);
     if (last_stamp_ns > 0) {
@@ -135,7 +141,8 @@ static void judge(void)
 
 static void look(void)
 {
-    w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = w.table.drive_count};
+    w.machine.newest =
+        (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = w.table.drive_count};
     for (uint32_t i = 0; i < w.table.drive_count; i++) {
         w.machine.newest.joint[i].velocity_rad_s = 1.0;
     }
@@ -251,7 +258,8 @@ static void a_lost_reply_of_a_drive_of_one_look_costs_a_short_pause(void)
     CHECK(published > 200 && longest_pause_ns <= 400 * MS);
 }
 
-/* So late that no request waits for it any more: it comes right after the next request, sooner than the drive can answer. */
+/* So late that no request waits for it any more: it comes right after the next request, sooner
+ * than the drive can answer. */
 static void a_reply_that_comes_sooner_than_the_drive_can_answer_is_not_its_answer(void)
 {
     begin_late(1, true, 7);
@@ -265,7 +273,8 @@ static void a_reply_that_comes_sooner_than_the_drive_can_answer_is_not_its_answe
         lose_every = 0;
         int64_t failed_ns = w.now_ns;
         uint32_t before = asked[0];
-        while (asked[0] < before + 2 || w.machine.work == WORK_NONE) { /* the drain is over, and one is on the wire */
+        /* the drain is over, and one is on the wire */
+        while (asked[0] < before + 2 || w.machine.work == WORK_NONE) {
             look();
         }
         CHECK(w.now_ns > failed_ns);
@@ -326,8 +335,10 @@ static void replies_quicker_than_the_wire_are_answers_also_after_a_lost_one(void
 
 static line_request read_of(uint64_t id, uint8_t address)
 {
-    return (line_request){
-        .id = id, .expires_ns = w.now_ns + 1000 * MS, .turnaround_ns = 5 * MS, .frame = frame_of(1, READ, address, 1)};
+    return (line_request){.id = id,
+                          .expires_ns = w.now_ns + 1000 * MS,
+                          .turnaround_ns = 5 * MS,
+                          .frame = frame_of(1, READ, address, 1)};
 }
 
 /* The replies of two registers look alike: the first one's, late, is not given to the second. */
@@ -338,7 +349,8 @@ static void a_late_reply_to_one_read_is_not_the_answer_to_another(void)
         line_request first = read_of(1, STATUS), second = read_of(2, BOTH);
         late_ns = ms * MS;
         late_every = 1;
-        CHECK(line_machine_request(&w.machine, &first) && line_machine_request(&w.machine, &second));
+        CHECK(line_machine_request(&w.machine, &first) &&
+              line_machine_request(&w.machine, &second));
         while (!w.machine.answered) {
             look();
         }
@@ -354,12 +366,16 @@ static void a_late_reply_to_one_read_is_not_the_answer_to_another(void)
     }
 }
 
-/* What a stop acknowledges late was sent before something else: that it has been received now is not known. */
+/* What a stop acknowledges late was sent before something else: that it has been received now is
+ * not known. */
 static void the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer_one(void)
 {
     begin_late(1, false, 1);
-    line_request off = {
-        .id = 1, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .urgent = 1, .frame = frame_of(1, WRITE, CONTROL, DISABLE)};
+    line_request off = {.id = 1,
+                        .expires_ns = INT64_MAX,
+                        .turnaround_ns = 5 * MS,
+                        .urgent = 1,
+                        .frame = frame_of(1, WRITE, CONTROL, DISABLE)};
     line_request on = off;
     on.id = 2;
     on.frame = frame_of(1, WRITE, CONTROL, 8);
@@ -405,7 +421,8 @@ static void a_stuffed_reply_is_read_without_what_stuffing_has_added(void)
     line_machine *machine = &w.machine;
     begin_with(1, 0);
     memcpy(machine->transaction.received + 3, status.request, status.request_bytes);
-    const received whole = {.kind = RECEIVED_ANSWER, .offset = 3, .bytes = status.request_bytes}, none = {.offset = 3};
+    const received whole = {.kind = RECEIVED_ANSWER, .offset = 3, .bytes = status.request_bytes},
+                   none = {.offset = 3};
     machine->transaction.frame.reply_seal = SEAL_STUFFED;
     CHECK(line_reply(machine, &whole) == machine->transaction.plain);
     CHECK(memcmp(machine->transaction.plain + 9, VALUE, sizeof VALUE) == 0);

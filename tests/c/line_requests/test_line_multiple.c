@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Function 16 is acknowledged without its values: an acknowledgement that comes late says nothing of another value. */
+ * Function 16 is acknowledged without its values: an acknowledgement that comes late says
+ * nothing of another value. */
 #include "line_wire.h"
 
 enum { MULTIPLE = 16, ARM = 8 };
@@ -33,7 +34,8 @@ static void send_next(void)
 /* Nothing comes in time. */
 static void request_in_vain(const line_frame *frame)
 {
-    line_request one = {.id = 1, .expires_ns = w.now_ns + 1000 * MS, .turnaround_ns = 5 * MS, .frame = *frame};
+    line_request one = {
+        .id = 1, .expires_ns = w.now_ns + 1000 * MS, .turnaround_ns = 5 * MS, .frame = *frame};
     CHECK(line_machine_request(&w.machine, &one));
     send_next();
     CHECK(memcmp(w.out.send, frame->request, frame->request_bytes) == 0);
@@ -85,7 +87,8 @@ static void one_of_another_register_is_certain(void)
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING);
 }
 
-/* The echo of function 6 has the value in it. Between two that are equal a third write may have changed it back. */
+/* The echo of function 6 has the value in it. Between two that are equal a third write may have
+ * changed it back. */
 static void equal_echoes_are_the_same_but_for_a_write_between_them(void)
 {
     for (int between = 0; between < 2; between++) {

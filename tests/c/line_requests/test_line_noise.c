@@ -34,7 +34,8 @@ static void a_power_off_goes_out(void)
     request(0, DRIVE_OFF);
     babble_for(2 * FRAME_NS + 30 * MS);
     CHECK(w.power_offs[0] == 2 && w.released[0] == 1 && w.power_offs[1] == 0);
-    CHECK(w.machine.drive[0].state.stop == STOP_NOTHING); /* its answers are found among the noise */
+    /* its answers are found among the noise */
+    CHECK(w.machine.drive[0].state.stop == STOP_NOTHING);
 }
 
 static void a_quick_stop_goes_out(void)
@@ -55,7 +56,8 @@ static void all_drives_are_switched_off_at_the_end(void)
     babble_for(500 * MS);
     CHECK(w.machine.end.stage == END_SILENT);
     for (uint32_t i = 0; i < 2; i++) {
-        CHECK(w.quick_stop_ns[i] > 0 && w.released[i] > 0 && w.machine.drive[i].state.stop == STOP_NOTHING);
+        CHECK(w.quick_stop_ns[i] > 0 && w.released[i] > 0 &&
+              w.machine.drive[i].state.stop == STOP_NOTHING);
     }
 }
 
@@ -76,7 +78,10 @@ static void an_urgent_request_goes_out_and_no_other(void)
 {
     begin_turning(1);
     babble_for(10 * MS);
-    line_request request = {.id = 1, .expires_ns = INT64_MAX, .turnaround_ns = 5 * MS, .frame = frame_of(1, READ, STATUS, 1)};
+    line_request request = {.id = 1,
+                            .expires_ns = INT64_MAX,
+                            .turnaround_ns = 5 * MS,
+                            .frame = frame_of(1, READ, STATUS, 1)};
     CHECK(line_machine_request(&w.machine, &request));
     uint64_t before = w.machine.exchanges;
     babble_for(100 * MS);
@@ -85,10 +90,12 @@ static void an_urgent_request_goes_out_and_no_other(void)
     request.urgent = 1;
     CHECK(line_machine_request(&w.machine, &request));
     babble_for(FRAME_NS);
-    CHECK(w.machine.exchanges == before + 1 && w.machine.request_count == 1 && w.machine.request[0].id == 1);
+    CHECK(w.machine.exchanges == before + 1 && w.machine.request_count == 1 &&
+          w.machine.request[0].id == 1);
 }
 
-/* Nothing can be asked: no drive is known to be there. One that may turn is sent its stop again and again. */
+/* Nothing can be asked: no drive is known to be there. One that may turn is sent its stop again
+ * and again. */
 static void its_drives_become_unresponsive_and_are_sent_to_stop(void)
 {
     begin_turning(2);
@@ -112,7 +119,8 @@ static void its_drives_become_unresponsive_and_are_sent_to_stop(void)
     for (int64_t end_ns = w.now_ns + 5000 * MS; w.now_ns < end_ns;) {
         go_on();
     }
-    CHECK(w.machine.drive[0].state.mode == DRIVE_BACK && w.machine.drive[1].state.mode == DRIVE_BACK);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_BACK &&
+          w.machine.drive[1].state.mode == DRIVE_BACK);
 }
 
 static void noise_before_a_turn_that_has_just_come_is_no_failure(void)

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_outcomes: what comes of each answer of a drive, of each failure, and of the frames of a stop. */
+ * test_line_outcomes: what comes of each answer of a drive, of each failure, and of the frames
+ * of a stop. */
 #include "line_cycle.h"
 
 static void a_reply_that_took_longer_than_usual_gives_no_value(void)
@@ -15,7 +16,8 @@ static void a_reply_that_took_longer_than_usual_gives_no_value(void)
         w.machine.joint[0].feedback.velocity_rad_s = 7.0;
         uint64_t exchanges = drive->count.exchanges;
         answers_with(150);
-        CHECK(w.machine.joint[0].feedback.velocity_rad_s == (late == 1 ? 7.0 : 1.5) && drive->place == 2);
+        CHECK(w.machine.joint[0].feedback.velocity_rad_s == (late == 1 ? 7.0 : 1.5) &&
+              drive->place == 2);
         CHECK(drive->count.exchanges == exchanges + 1);
     }
 }
@@ -35,7 +37,8 @@ static void an_answer_after_its_watchdog_stops_an_armed_drive(void)
         w.machine.table.drive[0].watchdog_ns = how == 3 ? 0 : how == 4 ? 1 : 500 * MS;
         answers_with(0);
         bool alone = how == 0 || how == 4;
-        CHECK(drive->state.fault_reasons == (alone ? (uint32_t)DRIVE_FAULT_LEFT_ALONE : 0) && drive->state.stopping == alone);
+        CHECK(drive->state.fault_reasons == (alone ? (uint32_t)DRIVE_FAULT_LEFT_ALONE : 0) &&
+              drive->state.stopping == alone);
         CHECK(drive->failures == 0 && drive->place == !alone); /* its cycle is over then */
     }
 }
@@ -65,16 +68,18 @@ static void an_unresponsive_drive_that_answers_is_sent_to_switch_off_first(void)
     w.machine.end_ns = w.now_ns;
     drive->smoothed_ns = 0;
     answers_with(0);
-    CHECK(drive->state.back && drive->state.stop == STOP_POWER_OFF && drive->state.mode == DRIVE_UNRESPONSIVE &&
-          drive->smoothed_ns == DEVICE_NS + 1);
+    CHECK(drive->state.back && drive->state.stop == STOP_POWER_OFF &&
+          drive->state.mode == DRIVE_UNRESPONSIVE && drive->smoothed_ns == DEVICE_NS + 1);
 }
 
 static void each_failure_is_counted_by_its_kind(void)
 {
     static const struct {
         uint32_t failure, no_reply, bad_reply, refused;
-    } KINDS[] = {
-        {ANSWER_NO_REPLY, 1, 0, 0}, {ANSWER_BAD_REPLY, 0, 1, 0}, {ANSWER_NEVER_SILENT, 0, 1, 0}, {ANSWER_REFUSED, 0, 0, 1}};
+    } KINDS[] = {{ANSWER_NO_REPLY, 1, 0, 0},
+                 {ANSWER_BAD_REPLY, 0, 1, 0},
+                 {ANSWER_NEVER_SILENT, 0, 1, 0},
+                 {ANSWER_REFUSED, 0, 0, 1}};
     for (uint32_t i = 0; i < 4; i++) {
         for (uint32_t current = 0; current < 2; current++) {
             begin_directions(0.0);
@@ -83,14 +88,18 @@ static void each_failure_is_counted_by_its_kind(void)
             w.machine.current = current;
             drive->deadline_ns = 1 * MS;
             line_drive_failed(&w.machine, 0, KINDS[i].failure, 4, w.now_ns);
-            CHECK(drive->failures == 1 && drive->last_failure == KINDS[i].failure && drive->last_exception == 4);
-            CHECK(drive->count.no_reply == KINDS[i].no_reply && drive->count.bad_reply == KINDS[i].bad_reply);
+            CHECK(drive->failures == 1 && drive->last_failure == KINDS[i].failure &&
+                  drive->last_exception == 4);
+            CHECK(drive->count.no_reply == KINDS[i].no_reply &&
+                  drive->count.bad_reply == KINDS[i].bad_reply);
             CHECK(drive->count.refused == KINDS[i].refused && drive->count.exchanges == 1);
             bool refused = KINDS[i].refused != 0;
             CHECK(drive->deadline_ns == (refused ? 1 : 2) * MS && drive->owed_count == !refused);
-            int64_t late_ns = w.machine.end_ns + w.machine.table.drive[0].turnaround_ns + 8 * CHARACTER_NS;
+            int64_t late_ns =
+                w.machine.end_ns + w.machine.table.drive[0].turnaround_ns + 8 * CHARACTER_NS;
             CHECK(drive->silent_until_ns == (refused ? 0 : late_ns));
-            CHECK(drive->stage == STAGE_IDLE && w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
+            CHECK(drive->stage == STAGE_IDLE &&
+                  w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
         }
     }
 }
@@ -112,12 +121,15 @@ static void so_many_failures_as_it_has_tries_make_it_unresponsive(void)
         drive->failures = failures;
         drive->due_ns = 1;
         line_drive_not_reached(&w.machine, 0, w.now_ns);
-        CHECK(drive->due_ns == w.now_ns && drive->last_failure == ANSWER_NEVER_SILENT && drive->last_exception == 0);
-        CHECK((drive->state.mode == DRIVE_UNRESPONSIVE) == (failures == 2) && drive->count.bad_reply == 1);
+        CHECK(drive->due_ns == w.now_ns && drive->last_failure == ANSWER_NEVER_SILENT &&
+              drive->last_exception == 0);
+        CHECK((drive->state.mode == DRIVE_UNRESPONSIVE) == (failures == 2) &&
+              drive->count.bad_reply == 1);
     }
 }
 
-/* The frame of the newest stop that was not received is not sent again at once at the end: each is to be sent. */
+/* The frame of the newest stop that was not received is not sent again at once at the end: each
+ * is to be sent. */
 static void at_the_end_a_frame_that_fails_makes_room_for_the_next(void)
 {
     for (uint32_t how = 0; how < 3; how++) {
@@ -131,7 +143,8 @@ static void at_the_end_a_frame_that_fails_makes_room_for_the_next(void)
         w.machine.end.stage = how == 0 ? 0 : 2;
         w.machine.table.drive[0].tries = 100;
         line_drive_failed(&w.machine, 0, ANSWER_NO_REPLY, 0, w.now_ns);
-        CHECK(drive->stop_failures == 1 && drive->stop_place == (how == 1) && drive->stop_done == 0);
+        CHECK(drive->stop_failures == 1 && drive->stop_place == (how == 1) &&
+              drive->stop_done == 0);
     }
 }
 
@@ -166,8 +179,10 @@ static void a_frame_of_a_stop_that_is_refused_so_often_counts_as_done(void)
             drive->failures = 0;
             line_drive_failed(&w.machine, 0, ANSWER_REFUSED, 1, w.now_ns);
         }
-        CHECK(drive->stop_done == (older != 0 ? 1 : 3) && drive->stop_refused == (older == 0) && drive->stop_failures == 0);
-        w.machine.transaction.frame.request[5] ^= 0x40; /* what becomes of an older one changes nothing */
+        CHECK(drive->stop_done == (older != 0 ? 1 : 3) && drive->stop_refused == (older == 0) &&
+              drive->stop_failures == 0);
+        /* what becomes of an older one changes nothing */
+        w.machine.transaction.frame.request[5] ^= 0x40;
         drive->failures = 0, drive->stop_failures = 2;
         line_drive_failed(&w.machine, 0, ANSWER_REFUSED, 1, w.now_ns);
         CHECK(drive->stop_refused == (older == 0));

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_owed: how late a reply may be, how soon is too soon, and what is learned of a drive's turn-around. */
+ * test_line_owed: how late a reply may be, how soon is too soon, and what is learned of a
+ * drive's turn-around. */
 #include "line_wire.h"
 
 static line_drive_state *drive;
@@ -30,14 +31,18 @@ static void a_reply_may_be_late_for_twice_its_bound_and_at_least_120_ms(void)
         begin_asking();
         w.machine.table.drive[0].turnaround_ns = BOUNDS[i].turnaround_ms * MS;
         line_owe(&w.machine, 0);
-        CHECK(drive->owed_count == 1 && drive->owed[0].count == 1 && drive->failed_ns == w.machine.end_ns);
+        CHECK(drive->owed_count == 1 && drive->owed[0].count == 1 &&
+              drive->failed_ns == w.machine.end_ns);
         CHECK(drive->owed[0].until_ns == reply_after(BOUNDS[i].late_ms * MS));
-        CHECK(line_may_be_late(&w.machine, 0, &w.machine.transaction.frame, drive->owed[0].until_ns - 1));
-        CHECK(!line_may_be_late(&w.machine, 0, &w.machine.transaction.frame, drive->owed[0].until_ns));
+        CHECK(line_may_be_late(&w.machine, 0, &w.machine.transaction.frame,
+                               drive->owed[0].until_ns - 1));
+        CHECK(!line_may_be_late(&w.machine, 0, &w.machine.transaction.frame,
+                                drive->owed[0].until_ns));
     }
 }
 
-/* Less than half of the least that it ever took, by more than half a millisecond, within two seconds of a failure. */
+/* Less than half of the least that it ever took, by more than half a millisecond, within two
+ * seconds of a failure. */
 static void a_reply_that_comes_too_soon_after_a_failure_is_doubtful_once(void)
 {
     static const struct {
@@ -86,11 +91,14 @@ static void only_the_reply_to_a_known_request_is_doubted(void)
     }
 }
 
-/* What repeats its request says the same whichever it answers, while no other write may have come between. */
+/* What repeats its request says the same whichever it answers, while no other write may have
+ * come between. */
 static void a_reply_that_repeats_its_request_may_be_an_older_one_s_after_another_write(void)
 {
-    line_frame write = frame_of(1, WRITE, CONTROL, 1), other = frame_of(1, WRITE, SPEED, 1), read = frame_of(1, READ, STATUS, 1);
-    write.echo_bytes = 1, write.request_bytes = 3, write.reply_bytes = 9; /* the shortest that there is */
+    line_frame write = frame_of(1, WRITE, CONTROL, 1), other = frame_of(1, WRITE, SPEED, 1),
+               read = frame_of(1, READ, STATUS, 1);
+    /* the shortest that there is */
+    write.echo_bytes = 1, write.request_bytes = 3, write.reply_bytes = 9;
     for (uint32_t between = 0; between < 3; between++) {
         begin_asking();
         w.machine.transaction.frame = write;
@@ -125,7 +133,8 @@ static void a_turn_around_is_learned_with_its_spread(void)
     CHECK(line_expected_turnaround_ns(&w.machine, 0) == 7 * MS);
     w.machine.table.drive[0].reply_timeout_ns = 1;
     CHECK(line_expected_turnaround_ns(&w.machine, 0) == 1);
-    for (int64_t took_ns = -5; took_ns <= 1; took_ns += 3) { /* on a pseudo-terminal bytes take no time at all */
+    /* on a pseudo-terminal bytes take no time at all */
+    for (int64_t took_ns = -5; took_ns <= 1; took_ns += 3) {
         begin_asking();
         drive->smoothed_ns = 0;
         line_learn_turnaround(&w.machine, 0, reply_after(took_ns));
@@ -134,14 +143,18 @@ static void a_turn_around_is_learned_with_its_spread(void)
     begin_asking();
     drive->smoothed_ns = 0;
     line_learn_turnaround(&w.machine, 0, reply_after(8 * MS));
-    CHECK(drive->smoothed_ns == 8 * MS + 1 && drive->variation_ns == 4 * MS && drive->deadline_ns == 24 * MS + 1);
+    CHECK(drive->smoothed_ns == 8 * MS + 1 && drive->variation_ns == 4 * MS &&
+          drive->deadline_ns == 24 * MS + 1);
     line_learn_turnaround(&w.machine, 0, reply_after(16 * MS + 1));
-    CHECK(drive->smoothed_ns == 9 * MS + 1 && drive->variation_ns == 5 * MS && drive->usual_ns == 29 * MS + 1);
+    CHECK(drive->smoothed_ns == 9 * MS + 1 && drive->variation_ns == 5 * MS &&
+          drive->usual_ns == 29 * MS + 1);
     line_learn_turnaround(&w.machine, 0, reply_after(1 * MS + 1));
-    CHECK(drive->smoothed_ns == 8 * MS + 1 && drive->variation_ns == 5 * MS + 750000 && drive->deadline_ns == 31 * MS + 1);
+    CHECK(drive->smoothed_ns == 8 * MS + 1 && drive->variation_ns == 5 * MS + 750000 &&
+          drive->deadline_ns == 31 * MS + 1);
 }
 
-/* No later than the middle of the exchange, and than half of its shortest turn-around after the request. */
+/* No later than the middle of the exchange, and than half of its shortest turn-around after the
+ * request. */
 static void a_value_was_taken_in_the_middle_or_soon_after_the_request(void)
 {
     begin_asking();
@@ -152,7 +165,8 @@ static void a_value_was_taken_in_the_middle_or_soon_after_the_request(void)
     CHECK(line_stamp(&w.machine, 0, w.machine.start_ns + 90 * MS) == w.machine.start_ns + 7 * MS);
 }
 
-/* It is there, and that is all that is known: what it sent may be another's, and one of those that are owed has come. */
+/* It is there, and that is all that is known: what it sent may be another's, and one of those
+ * that are owed has come. */
 static void a_doubtful_reply_ends_the_cycle_and_holds_the_drive(void)
 {
     for (uint32_t current = 0; current < 2; current++) {
@@ -161,10 +175,12 @@ static void a_doubtful_reply_ends_the_cycle_and_holds_the_drive(void)
         drive->stage = STAGE_READ;
         w.machine.current = current;
         line_doubt(&w.machine, 0, w.now_ns + MS);
-        CHECK(drive->count.exchanges == 1 && drive->count.received_ns == w.now_ns + MS && drive->stage == STAGE_IDLE);
+        CHECK(drive->count.exchanges == 1 && drive->count.received_ns == w.now_ns + MS &&
+              drive->stage == STAGE_IDLE);
         CHECK(w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
         CHECK(drive->owed_count == 1 && drive->owed[0].count == 1); /* two were, and one has come */
-        CHECK(drive->held_until_ns == drive->owed[0].until_ns && drive->held_until_ns == reply_after(2 * 200 * MS));
+        CHECK(drive->held_until_ns == drive->owed[0].until_ns &&
+              drive->held_until_ns == reply_after(2 * 200 * MS));
     }
     begin_asking();
     line_doubt(&w.machine, 0, w.now_ns + MS); /* nothing else was owed: it may come yet */
@@ -183,9 +199,12 @@ static void one_owed_reply_too_many_holds_the_drive_until_all_have_had_their_tim
         line_owe(&w.machine, 0);
         CHECK(drive->owed_count == (i < OWED_MAX ? i + 1U : OWED_MAX));
     }
-    CHECK(drive->held_until_ns == drive->owed[OWED_MAX - 1].until_ns && drive->held_until_ns == reply_after(4 * 200 * MS));
-    CHECK(drive->owed[0].look.head[2] == 3 && drive->owed[OWED_MAX - 1].look.head[2] == 2 + OWED_MAX); /* the oldest went */
-    w.machine.start_ns = drive->held_until_ns;                                                         /* all of that is over */
+    CHECK(drive->held_until_ns == drive->owed[OWED_MAX - 1].until_ns &&
+          drive->held_until_ns == reply_after(4 * 200 * MS));
+    /* the oldest went */
+    CHECK(drive->owed[0].look.head[2] == 3 &&
+          drive->owed[OWED_MAX - 1].look.head[2] == 2 + OWED_MAX);
+    w.machine.start_ns = drive->held_until_ns; /* all of that is over */
     line_owe(&w.machine, 0);
     CHECK(drive->owed_count == 1 && drive->owed[0].count == 1);
 }
@@ -206,7 +225,8 @@ static void the_shortest_turn_around_is_that_of_a_certain_reply(void)
     int64_t until_ns = drive->owed[0].until_ns;
     w.machine.end_ns += 7 * MS;
     line_settle(&w.machine, 0, reply_after(3 * MS)); /* perhaps the older one's: it is owed on */
-    CHECK(drive->least_ns == 0 && drive->owed_count == 1 && drive->owed[0].until_ns == until_ns + 7 * MS);
+    CHECK(drive->least_ns == 0 && drive->owed_count == 1 &&
+          drive->owed[0].until_ns == until_ns + 7 * MS);
     for (uint32_t how = 0; how < 2; how++) {
         begin_asking();
         w.machine.transaction.frame.exact = how == 0;
@@ -237,17 +257,21 @@ static void a_reply_that_is_owed_again_leaves_the_others_in_their_order(void)
             begin_asking();
             for (uint32_t i = 0; i <= count; i++) {
                 line_frame frame = write_to(i < count ? i : again);
-                drive->probe_at_ns = drive->probe_pause_ns = drive->answered_ns = drive->smoothed_ns = 7;
+                drive->probe_at_ns = drive->probe_pause_ns = drive->answered_ns =
+                    drive->smoothed_ns = 7;
                 owe(&frame);
             }
             CHECK(drive->owed_count == count && drive->held_until_ns == 0);
-            CHECK(drive->owed[count - 1].until_ns == reply_after((count < OWED_MAX ? count + 1 : OWED_MAX) * 200 * MS));
+            CHECK(drive->owed[count - 1].until_ns ==
+                  reply_after((count < OWED_MAX ? count + 1 : OWED_MAX) * 200 * MS));
             for (uint32_t i = 0; i < count; i++) {
                 line_frame frame = write_to(i == count - 1 ? again : i < again ? i : i + 1);
-                CHECK(memcmp(drive->owed[i].look.head, frame.request, drive->owed[i].look.head_bytes) == 0);
+                CHECK(memcmp(drive->owed[i].look.head, frame.request,
+                             drive->owed[i].look.head_bytes) == 0);
                 CHECK(drive->owed[i].count == (i == count - 1 ? 2U : 1U));
             }
-            CHECK(drive->probe_at_ns == 7 && drive->probe_pause_ns == 7 && drive->answered_ns == 7 && drive->smoothed_ns == 7);
+            CHECK(drive->probe_at_ns == 7 && drive->probe_pause_ns == 7 &&
+                  drive->answered_ns == 7 && drive->smoothed_ns == 7);
         }
     }
 }
@@ -264,7 +288,8 @@ static void a_certain_reply_ends_the_wait_for_all_older_ones(void)
         line_frame frame = w.machine.transaction.frame = write_to(certain);
         line_settle(&w.machine, 0, reply_after(MS));
         CHECK(drive->owed_count == 3 - certain);
-        CHECK(drive->owed[2 - certain].until_ns == reply_after((3 - certain) * 200 * MS)); /* its own may come twice */
+        /* its own may come twice */
+        CHECK(drive->owed[2 - certain].until_ns == reply_after((3 - certain) * 200 * MS));
         CHECK(!line_may_be_late(&w.machine, 0, &frame, w.now_ns));
     }
 }

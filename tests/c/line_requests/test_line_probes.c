@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_probes: what a drive of a line loses when it becomes unresponsive, and how long what is urgent waits for silence. */
+ * test_line_probes: what a drive of a line loses when it becomes unresponsive, and how long what
+ * is urgent waits for silence. */
 #include "line_wire.h"
 
 static void one_that_becomes_unresponsive_forgets_what_it_was_sent(void)
@@ -11,17 +12,21 @@ static void one_that_becomes_unresponsive_forgets_what_it_was_sent(void)
         drive->may_turn = how != 1;
         drive->state.stop = STOP_POWER_OFF;
         drive->state.stopping = drive->state.back = true;
-        drive->stage = STAGE_READ, drive->probe_place = 2, drive->probe_pause_ns = 7, drive->probe_at_ns = 1;
+        drive->stage = STAGE_READ, drive->probe_place = 2, drive->probe_pause_ns = 7,
+        drive->probe_at_ns = 1;
         for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
             drive->direction_sent[direction] = DIRECTION_FORWARD;
         }
         w.machine.current = how == 1 ? 1 : 0;
         w.machine.end.stage = how == 2 ? 2 : how == 1 ? 1 : 0;
         line_becomes_unresponsive(&w.machine, 0, w.now_ns);
-        CHECK(drive->state.mode == DRIVE_UNRESPONSIVE && (drive->state.fault_reasons & DRIVE_FAULT_UNRESPONSIVE) != 0 &&
+        CHECK(drive->state.mode == DRIVE_UNRESPONSIVE &&
+              (drive->state.fault_reasons & DRIVE_FAULT_UNRESPONSIVE) != 0 &&
               drive->count.unresponsive == (how != 3));
-        CHECK(drive->state.stop == (how == 2 ? STOP_POWER_OFF : STOP_NOTHING) && !drive->state.stopping && !drive->state.back);
-        CHECK(drive->stage == STAGE_IDLE && drive->probe_place == 0 && drive->probe_pause_ns == 100 * MS);
+        CHECK(drive->state.stop == (how == 2 ? STOP_POWER_OFF : STOP_NOTHING) &&
+              !drive->state.stopping && !drive->state.back);
+        CHECK(drive->stage == STAGE_IDLE && drive->probe_place == 0 &&
+              drive->probe_pause_ns == 100 * MS);
         /* one quick stop, one set-point of zero, and a question; or the question alone */
         CHECK(drive->probe_at_ns == w.now_ns && drive->probes_at_once == (how == 1 ? 1 : 3));
         for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
@@ -45,7 +50,8 @@ static void probes_of_one_that_may_turn_stop_it_in_each_round(void)
             line_next_probe(&w.machine, 0, w.now_ns, &frame);
             bool at_once = round == 0 && i < 2;
             CHECK(i == 0   ? frame.request[3] == CONTROL && frame.request[5] == QUICK_STOP
-                  : i == 1 ? frame.request[1] == WRITE && frame.request[3] == SPEED && frame.request[5] == 0
+                  : i == 1 ? frame.request[1] == WRITE && frame.request[3] == SPEED &&
+                                 frame.request[5] == 0
                            : frame.request[1] == READ && frame.request[3] == STATUS);
             CHECK(drive->probe_at_ns == (at_once ? w.now_ns : w.now_ns + pause_ns));
             CHECK(drive->probe_place == (i + 1) % 3);
@@ -78,7 +84,8 @@ static void the_first_unresponsive_drive_whose_time_has_come_is_asked(void)
         m->drive[i].state.mode = DRIVE_UNRESPONSIVE;
         m->drive[i].probe_at_ns = m->drive[i].silent_until_ns = w.now_ns;
     }
-    CHECK(line_due_probe(m, false, w.now_ns) == 1 && line_due_probe(m, true, w.now_ns) == LINE_DRIVES_MAX);
+    CHECK(line_due_probe(m, false, w.now_ns) == 1 &&
+          line_due_probe(m, true, w.now_ns) == LINE_DRIVES_MAX);
     m->drive[2].may_turn = true;
     CHECK(line_due_probe(m, false, w.now_ns) == 1 && line_due_probe(m, true, w.now_ns) == 2);
     m->drive[2].probe_at_ns++;
@@ -114,7 +121,8 @@ static void what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_fo
     begin_with(1, 0);
     w.machine.broadcasts = 1;
     w.machine.ours_ns = w.now_ns; /* then the gap comes first */
-    CHECK(!line_ends_patience(&w.machine, w.now_ns) && w.machine.urgent_by_ns == w.now_ns + GAP_NS + 20 * MS);
+    CHECK(!line_ends_patience(&w.machine, w.now_ns) &&
+          w.machine.urgent_by_ns == w.now_ns + GAP_NS + 20 * MS);
     w.machine.urgent_by_ns = 0;
     w.machine.noisy = true; /* it was in vain the last time */
     w.machine.ours_ns = w.now_ns + 3 * MS;

@@ -1,11 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The queue of requests from outside the cycle by itself: its order, its end, what expires, whose turn it is. */
+ * The queue of requests from outside the cycle by itself: its order, its end, what expires,
+ * whose turn it is. */
 #include "line_wire.h"
 
 static void put(uint64_t id, uint32_t drive, uint32_t urgent, int64_t expires_ns)
 {
-    CHECK(
-        line_machine_request(&w.machine, &(line_request){.id = id, .drive = drive, .urgent = urgent, .expires_ns = expires_ns}));
+    CHECK(line_machine_request(
+        &w.machine,
+        &(line_request){.id = id, .drive = drive, .urgent = urgent, .expires_ns = expires_ns}));
 }
 
 static void holds(const uint64_t *ids, uint32_t count)
@@ -48,8 +50,10 @@ static void a_full_queue_refuses_the_next_one_and_nothing_beside_it_is_changed(v
     }
     wanted.request[LINE_REQUESTS_MAX / 2] = urgent;
     wanted.request_count = LINE_REQUESTS_MAX;
-    CHECK(line_machine_request(&w.machine, &urgent) && memcmp(&w.machine, &wanted, sizeof wanted) == 0);
-    CHECK(!line_machine_request(&w.machine, &urgent) && memcmp(&w.machine, &wanted, sizeof wanted) == 0);
+    CHECK(line_machine_request(&w.machine, &urgent) &&
+          memcmp(&w.machine, &wanted, sizeof wanted) == 0);
+    CHECK(!line_machine_request(&w.machine, &urgent) &&
+          memcmp(&w.machine, &wanted, sizeof wanted) == 0);
     wanted.request_count--; /* the last but one goes, the last one moves up */
     wanted.request[LINE_REQUESTS_MAX - 2] = wanted.request[LINE_REQUESTS_MAX - 1];
     line_drop_request(&w.machine, LINE_REQUESTS_MAX - 2);
@@ -63,7 +67,8 @@ static void what_has_expired_is_answered_one_at_a_time_wherever_it_waits(void)
     put(2, 0, 0, w.now_ns);
     put(3, 0, 0, w.now_ns - 1);
     line_expire_request(&w.machine, w.now_ns);
-    CHECK(w.machine.answered && w.machine.answer.id == 2 && w.machine.answer.kind == ANSWER_EXPIRED);
+    CHECK(w.machine.answered && w.machine.answer.id == 2 &&
+          w.machine.answer.kind == ANSWER_EXPIRED);
     line_expire_request(&w.machine, w.now_ns);
     holds((const uint64_t[]){1, 3}, 2);
     w.machine.answered = false;
@@ -92,7 +97,8 @@ static void a_request_to_a_drive_that_is_left_alone_lets_the_next_one_go_first(v
     for (uint64_t id = 2; id <= LINE_REQUESTS_MAX; id++) {
         put(id, 0, 0, INT64_MAX);
     }
-    CHECK(line_pick_request(&w.machine, w.now_ns) == LINE_REQUESTS_MAX); /* a full queue, and each has to wait */
+    /* a full queue, and each has to wait */
+    CHECK(line_pick_request(&w.machine, w.now_ns) == LINE_REQUESTS_MAX);
 }
 
 int main(void)

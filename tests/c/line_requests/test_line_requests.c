@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Requests from outside the cycle, on a wire of virtual time: which one is sent, in which order, and whose reply it gets. */
+ * Requests from outside the cycle, on a wire of virtual time: which one is sent, in which order,
+ * and whose reply it gets. */
 #include "line_wire.h"
 
 enum { READ_ID = 100, STOP_ID = 200 };
@@ -12,7 +13,8 @@ static line_request request_of(uint64_t id, uint32_t drive, bool urgent)
                           .turnaround_ns = 5 * MS,
                           .drive = drive,
                           .urgent = urgent,
-                          .frame = urgent ? frame_of(unit, WRITE, CONTROL, DISABLE) : frame_of(unit, READ, STATUS, 1)};
+                          .frame = urgent ? frame_of(unit, WRITE, CONTROL, DISABLE)
+                                          : frame_of(unit, READ, STATUS, 1)};
 }
 
 static void put(line_request request)
@@ -33,7 +35,8 @@ static bool step_until_answered(void)
 static bool is_sent(uint8_t unit, uint8_t function, uint8_t address)
 {
     const uint8_t *request = w.machine.transaction.frame.request;
-    return w.out.send != NULL && request[0] == unit && request[1] == function && request[3] == address;
+    return w.out.send != NULL && request[0] == unit && request[1] == function &&
+           request[3] == address;
 }
 
 static void an_urgent_request_leaves_the_one_on_the_wire_alone(void)
@@ -64,7 +67,8 @@ static void the_one_on_the_wire_does_not_expire_behind_an_urgent_one(void)
         go_on();
     }
     put(request_of(STOP_ID, 1, true));
-    line_machine_step(&w.machine, read.expires_ns + MS, w.bytes, 0, &w.out); /* its reply is not here yet */
+    /* its reply is not here yet */
+    line_machine_step(&w.machine, read.expires_ns + MS, w.bytes, 0, &w.out);
     CHECK(!w.machine.answered && w.machine.work == WORK_REQUEST);
     w.now_ns = read.expires_ns + MS;
     CHECK(step_until_answered());
@@ -80,7 +84,8 @@ static void one_that_waits_too_long_is_not_sent(void)
     stop.expires_ns = w.now_ns;
     put(stop);
     CHECK(step_until_answered());
-    CHECK(w.machine.answer.id == STOP_ID && w.machine.answer.kind == ANSWER_EXPIRED && w.power_offs[0] == 0);
+    CHECK(w.machine.answer.id == STOP_ID && w.machine.answer.kind == ANSWER_EXPIRED &&
+          w.power_offs[0] == 0);
 }
 
 static void urgent_requests_overtake_what_waits_and_keep_their_own_order(void)
@@ -97,7 +102,8 @@ static void urgent_requests_overtake_what_waits_and_keep_their_own_order(void)
     }
 }
 
-/* A read for each drive that always follows the last one, beside full cycles: the wire is never free. */
+/* A read for each drive that always follows the last one, beside full cycles: the wire is never
+ * free. */
 static void reads_without_end_do_not_keep_an_urgent_request_from_being_sent(void)
 {
     begin_with(3, 0);
@@ -110,7 +116,8 @@ static void reads_without_end_do_not_keep_an_urgent_request_from_being_sent(void
     for (uint32_t answers = 0; answers < 200; answers++) {
         CHECK(step_until_answered());
         if (w.machine.answer.id >= STOP_ID) {
-            CHECK(w.machine.answer.id == STOP_ID && w.machine.answer.kind == ANSWER_OK && answers <= 101);
+            CHECK(w.machine.answer.id == STOP_ID && w.machine.answer.kind == ANSWER_OK &&
+                  answers <= 101);
             return;
         }
         put(request_of(w.machine.answer.id, (uint32_t)(w.machine.answer.id - READ_ID), false));
@@ -133,7 +140,8 @@ static void the_one_on_the_wire_is_still_answered_when_the_line_is_shut_down(voi
     CHECK(step_until_answered());
     CHECK(w.machine.answer.id == READ_ID && w.machine.answer.kind == ANSWER_OK);
     CHECK(step_until_answered());
-    CHECK(w.machine.answer.id == STOP_ID && w.machine.answer.kind == ANSWER_EXPIRED); /* the end has its own power-off */
+    /* the end has its own power-off */
+    CHECK(w.machine.answer.id == STOP_ID && w.machine.answer.kind == ANSWER_EXPIRED);
     while (w.machine.end.stage != END_SILENT) {
         go_on();
     }

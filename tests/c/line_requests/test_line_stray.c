@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_stray: bytes that belong to no answer: whose late reply they are, or noise, or our own request. */
+ * test_line_stray: bytes that belong to no answer: whose late reply they are, or noise, or our
+ * own request. */
 #include "line_wire.h"
 
 static line_machine *const m = &w.machine;
@@ -43,7 +44,8 @@ static bool owes(uint32_t count, uint8_t first)
 {
     bool right = drive->owed_count == count;
     for (uint32_t i = 0; right && i < count; i++) {
-        right = drive->owed[i].look.head[2] == first + i && drive->owed[i].look.reply_bytes == 5U + first + i;
+        right = drive->owed[i].look.head[2] == first + i &&
+                drive->owed[i].look.reply_bytes == 5U + first + i;
     }
     return right;
 }
@@ -125,10 +127,12 @@ static void each_drive_has_its_own_late_replies(void)
     m->transaction.frame = frame;
     line_owe(m, 1);
     stray(2, 2);
-    CHECK(m->drive[1].count.late == 1 && m->drive[1].owed_count == 0 && drive->owed_count == 1 && drive->count.late == 0);
+    CHECK(m->drive[1].count.late == 1 && m->drive[1].owed_count == 0 && drive->owed_count == 1 &&
+          drive->count.late == 0);
     m->drive[1] = *drive; /* two that wait for the same: the first one's */
     stray(1, 2);
-    CHECK(drive->count.late == 1 && m->drive[1].count.late == 0 && m->drive[1].owed_count == 1 && m->noise_bytes == 0);
+    CHECK(drive->count.late == 1 && m->drive[1].count.late == 0 && m->drive[1].owed_count == 1 &&
+          m->noise_bytes == 0);
     m->drive[2] = m->drive[1]; /* there is no third drive */
     m->drive[1].owed_count = 0;
     stray(1, 2);
@@ -147,7 +151,7 @@ static void noise_is_kept_as_long_as_the_longest_reply(void)
     CHECK(drive->count.late == 1);
 }
 
-/* ------------------------------------------------------------------------------------------ beside an answer */
+/* --------------------------------------------------------------------- beside an answer */
 static uint64_t noise_of(uint32_t echo, const uint8_t *bytes, uint32_t count, received verdict)
 {
     begin_with(1, 0);
@@ -168,11 +172,13 @@ static void what_stands_before_and_behind_an_answer_is_noise(void)
     CHECK(noise_of(ECHO_NONE, bytes, 10, answer) == 3);
     CHECK(m->stray_bytes == 3 && m->stray[0] == 1 && m->stray[2] == 3);
     CHECK(noise_of(ECHO_NONE, bytes, 12, answer) == 5);
-    CHECK(noise_of(ECHO_NONE, bytes, 6, (received){.kind = RECEIVED_ANSWER, .offset = 3, .bytes = 1}) == 5);
+    CHECK(noise_of(ECHO_NONE, bytes, 6,
+                   (received){.kind = RECEIVED_ANSWER, .offset = 3, .bytes = 1}) == 5);
     answer.offset = 0;
     CHECK(noise_of(ECHO_NONE, bytes + 3, 7, answer) == 0);
     bytes[10] = 0xAB, bytes[11] = 0xCD;
-    CHECK(noise_of(ECHO_NONE, bytes + 3, 9, answer) == 2 && m->stray[0] == 0xAB && m->stray[1] == 0xCD);
+    CHECK(noise_of(ECHO_NONE, bytes + 3, 9, answer) == 2 && m->stray[0] == 0xAB &&
+          m->stray[1] == 0xCD);
     memcpy(bytes, frame.request, 8);
     (void)reply_of(1, 2, bytes + 8);
     answer = (received){.kind = RECEIVED_ANSWER, .offset = 8, .bytes = 7, .echoed = 1};

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * How often and how long a line tries: reads by turns, deadlines that back off, stops that a drive refuses. */
+ * How often and how long a line tries: reads by turns, deadlines that back off, stops that a
+ * drive refuses. */
 #include "line_wire.h"
 
 enum { EXTRA = 0x40, EXTRAS = 3, SENT_MAX = 64 };
@@ -31,8 +32,12 @@ static void begin_with_extras(uint32_t reports_enabled)
         drive->extra[i].frame = frame_of(1, READ, (uint8_t)(EXTRA + i), 1);
     }
     drive->extra[0].field_count = reports_enabled;
-    drive->extra[0].field[0] =
-        (line_field){.kind = FIELD_ENABLED, .byte = 3, .form = FORM_U16, .equals_mask = 0xFFFF, .equals = 1, .si_per_raw = 1.0};
+    drive->extra[0].field[0] = (line_field){.kind = FIELD_ENABLED,
+                                            .byte = 3,
+                                            .form = FORM_U16,
+                                            .equals_mask = 0xFFFF,
+                                            .equals = 1,
+                                            .si_per_raw = 1.0};
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
 }
 
@@ -68,7 +73,7 @@ static void until_a_drive_has_reported_whether_it_is_enabled_only_that_is_read(v
     }
 }
 
-/* --------------------------------------------------------------------------------------------------- back-off */
+/* ----------------------------------------------------------------------------- back-off */
 static void fail_once(void)
 {
     uint64_t before = w.machine.drive[0].count.no_reply;
@@ -102,7 +107,8 @@ static void a_deadline_doubles_with_each_reply_that_is_missing_up_to_the_drive_s
     CHECK(w.machine.drive[0].deadline_ns == 10 * MS && w.machine.drive[0].failures == 0);
 }
 
-/* The reply may come as late as the drive's bound allows: it must not be taken for the next one's. */
+/* The reply may come as late as the drive's bound allows: it must not be taken for the next
+ * one's. */
 static void after_a_missing_reply_the_drive_is_left_alone_for_its_whole_bound(void)
 {
     begin_with(1, 0);
@@ -127,7 +133,7 @@ static void after_a_missing_reply_the_drive_is_left_alone_for_its_whole_bound(vo
     CHECK(w.machine.start_ns >= end_ns + 60 * MS);
 }
 
-/* -------------------------------------------------------------------------------------------- refused stops */
+/* ------------------------------------------------------------------------ refused stops */
 static void shut_down_until(uint32_t shut)
 {
     w.machine.control.shut_down = 1;
@@ -137,10 +143,12 @@ static void shut_down_until(uint32_t shut)
     }
 }
 
-static void a_frame_of_a_stop_that_is_refused_is_sent_as_often_as_the_drive_s_tries_and_the_next_one_then(void)
+static void
+a_frame_of_a_stop_that_is_refused_is_sent_as_often_as_the_drive_s_tries_and_the_next_one_then(void)
 {
     begin_with(1, 0);
-    w.table.drive[0].disarm[1] = frame_of(1, WRITE, CONTROL, 0); /* both to the register that it refuses */
+    /* both to the register that it refuses */
+    w.table.drive[0].disarm[1] = frame_of(1, WRITE, CONTROL, 0);
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
     w.refused = CONTROL;
     shut_down_until(3);
@@ -167,7 +175,8 @@ static void a_new_stop_has_all_of_its_tries(void)
     CHECK(w.refusals >= 3 && w.released[0] >= 1);
 }
 
-/* Two drives; after so many failures the first one refuses a register, and loses its power otherwise. */
+/* Two drives; after so many failures the first one refuses a register, and loses its power
+ * otherwise. */
 static void run_refusing(uint32_t failures, uint32_t unanswered)
 {
     begin_with(2, 0);
@@ -181,13 +190,16 @@ static void run_refusing(uint32_t failures, uint32_t unanswered)
     request(0, DRIVE_STAND_DOWN);
     request(0, DRIVE_OFF);
     go_on();
-    for (uint32_t lost = 0; w.machine.drive[0].state.stop != STOP_NOTHING; lost += w.mute && w.out.send != NULL) {
-        w.mute = w.refusals == 3 && lost < unanswered; /* the frame behind the refused one, the first times */
+    for (uint32_t lost = 0; w.machine.drive[0].state.stop != STOP_NOTHING;
+         lost += w.mute && w.out.send != NULL) {
+        /* the frame behind the refused one, the first times */
+        w.mute = w.refusals == 3 && lost < unanswered;
         go_on();
     }
 }
 
-static void a_drive_that_refuses_one_frame_of_its_power_off_gets_the_others_while_the_line_runs(void)
+static void
+a_drive_that_refuses_one_frame_of_its_power_off_gets_the_others_while_the_line_runs(void)
 {
     for (uint32_t failures = 0; failures < 3; failures++) {
         run_refusing(failures, 0);

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * How a line ends whose drives do not acknowledge their power-off: it counts when a read behind it says so. */
+ * How a line ends whose drives do not acknowledge their power-off: it counts when a read behind
+ * it says so. */
 #include "line_wire.h"
 
 static const int64_t END_NS = 480 * 1000000;
@@ -23,8 +24,8 @@ static line_field power_field(uint32_t joint)
                         .si_per_raw = 1.0};
 }
 
-/* Drives whose status says whether they have power; `reports` false: it says nothing of it. `frames`: of their power-off
- * those that they do not acknowledge. */
+/* Drives whose status says whether they have power; `reports` false: it says nothing of it.
+ * `frames`: of their power-off those that they do not acknowledge. */
 static void begin_frames(uint32_t drives, bool reports, uint32_t frames)
 {
     begin_with(drives, 0);
@@ -79,7 +80,8 @@ static void a_drive_that_says_it_has_no_power_ends_the_line_after_one_power_off(
     uint32_t before[2] = {w.sent_off[0], w.sent_off[1]};
     line_report report = ends(0);
     for (uint32_t i = 0; i < 2; i++) {
-        CHECK(report.drive[i].stop_waits == 0 && w.sent_off[i] == before[i] + w.table.drive[i].disarm_count);
+        CHECK(report.drive[i].stop_waits == 0 &&
+              w.sent_off[i] == before[i] + w.table.drive[i].disarm_count);
     }
     CHECK(w.turning == 0);
 }
@@ -142,7 +144,8 @@ static const uint8_t *next_read(void)
     for (uint32_t looks = 0; looks < 200; looks++) {
         go_on();
         const uint8_t *request = w.machine.transaction.frame.request;
-        if (w.out.send != NULL && w.machine.work == WORK_STOP && request[3] != CONTROL && request[3] != RELEASE) {
+        if (w.out.send != NULL && w.machine.work == WORK_STOP && request[3] != CONTROL &&
+            request[3] != RELEASE) {
             return request;
         }
     }
@@ -176,7 +179,8 @@ static void while_the_line_goes_on_an_unanswered_power_off_is_sent_once(void)
     for (int64_t end_ns = w.now_ns + 500 * MS; w.now_ns < end_ns;) {
         go_on();
     }
-    CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.sent_off[0] == before + w.table.drive[0].disarm_count);
+    CHECK(w.machine.drive[0].state.stop == STOP_NOTHING &&
+          w.sent_off[0] == before + w.table.drive[0].disarm_count);
 }
 
 static void what_it_reported_before_it_got_another_power_off_is_not_reported_any_more(void)
@@ -195,7 +199,8 @@ static void what_it_reported_before_it_got_another_power_off_is_not_reported_any
     CHECK(report.drive[0].enabled == 2);
 }
 
-/* It refuses the read twice, says that it has power, and so on: only refusals in a row are counted. */
+/* It refuses the read twice, says that it has power, and so on: only refusals in a row are
+ * counted. */
 static void a_read_that_is_refused_now_and_then_is_made_again(void)
 {
     begin_unanswered(1, true);
@@ -210,18 +215,20 @@ static void a_read_that_is_refused_now_and_then_is_made_again(void)
     CHECK(w.refusals == 4 && w.turning == 0 && report.drive[0].stop_waits == 0);
 }
 
-/* Read, write, read, and two extra reads, each of a register of its own. `place`: of the one that reports power, numbered in
- * this order; 5: none does. */
+/* Read, write, read, and two extra reads, each of a register of its own. `place`: of the one that
+ * reports power, numbered in this order; 5: none does. */
 static void begin_reads(uint32_t place, uint32_t probe, uint32_t extra_count)
 {
     begin_unanswered(1, false);
     line_drive *table = &w.table.drive[0];
     line_exchange write = table->cyclic[0], read = table->cyclic[1];
-    line_exchange *turns[] = {&table->cyclic[0], &table->cyclic[1], &table->cyclic[2], &table->extra[0], &table->extra[1]};
+    line_exchange *turns[] = {&table->cyclic[0], &table->cyclic[1], &table->cyclic[2],
+                              &table->extra[0], &table->extra[1]};
     const uint8_t registers[] = {STATUS, SPEED, OTHER_STATUS, EXTRA, EXTRA + 1};
     for (uint32_t i = 0; i < 5; i++) {
         *turns[i] = registers[i] == SPEED ? write : read;
-        turns[i]->frame = frame_of(1, registers[i] == SPEED ? WRITE : READ, registers[i], registers[i] == SPEED ? 77 : 1);
+        turns[i]->frame = frame_of(1, registers[i] == SPEED ? WRITE : READ, registers[i],
+                                   registers[i] == SPEED ? 77 : 1);
         if (i == place) {
             turns[i]->field[0] = power_field(0);
         }
@@ -238,17 +245,18 @@ static void the_first_that_reports_its_power_is_read_else_the_one_that_probes_it
 {
     const struct {
         uint32_t place, probe, extra_count, reads;
-    } cases[] = {{0, 3, 2, STATUS},       {2, 1, 2, OTHER_STATUS}, {3, 1, 2, EXTRA},
-                 {4, 1, 2, EXTRA + 1},    {4, 3, 1, OTHER_STATUS}, /* behind the last one: not looked at */
-                 {5, 3, 2, OTHER_STATUS}, {5, 1, 2, STATUS},       {5, 2, 2, SPEED},
-                 {5, 0, 2, EXTRA},        {5, 0, 0, STATUS}};
+    } cases[] = {{0, 3, 2, STATUS},    {2, 1, 2, OTHER_STATUS}, {3, 1, 2, EXTRA},
+                 {4, 1, 2, EXTRA + 1}, {4, 3, 1, OTHER_STATUS}, {5, 3, 2, OTHER_STATUS},
+                 {5, 1, 2, STATUS},    {5, 2, 2, SPEED},        {5, 0, 2, EXTRA},
+                 {5, 0, 0, STATUS}};
     for (uint32_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
         for (int keeps = 0; keeps < 2; keeps++) {
             begin_reads(cases[i].place, cases[i].probe, cases[i].extra_count);
             w.keeps_power = keeps != 0;
             bool says = cases[i].reads != SPEED && i < 4;
             const uint8_t *request = next_read();
-            CHECK(request[3] == cases[i].reads && request[1] == (cases[i].reads == SPEED ? WRITE : READ));
+            CHECK(request[3] == cases[i].reads &&
+                  request[1] == (cases[i].reads == SPEED ? WRITE : READ));
             line_report report = ends(0);
             CHECK(report.drive[0].stop_waits == (says && keeps) && w.motion_sent == 0);
         }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_command.c: whatever comes as a datagram, the core gets numbers, of a lease that lives; and without the token
- * no source commands. */
+ * fuzz_command.c: whatever comes as a datagram, the core gets numbers, of a lease that lives; and
+ * without the token no source commands. */
 #include "check.h"
 #include "rt.h"
 
@@ -12,12 +12,13 @@ enum { FUZZ_MAX = 256 };
 
 static const int64_t NOW_NS = 5000000000;
 
-static const core_config BASE = {.joint_count = 4,
-                                 .limits = {.linear.velocity_u_s = 1e6, .angular.velocity_u_s = 1e6},
-                                 .joint = {{.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
-                                           {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.1},
-                                           {.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.2},
-                                           {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.2}}};
+static const core_config BASE = {
+    .joint_count = 4,
+    .limits = {.linear.velocity_u_s = 1e6, .angular.velocity_u_s = 1e6},
+    .joint = {{.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
+              {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.1},
+              {.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.2},
+              {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.2}}};
 
 /* No base: two joints that take positions, and one that takes velocities. */
 static const core_config HEAD = {
@@ -30,7 +31,8 @@ static const core_config HEAD = {
 
 static void granted(arbiter *a, const core_config *robot)
 {
-    lease_permissions permissions = {.lease = {{.number = 1, .priority = 10, .lifetime_ns = 300000000}}};
+    lease_permissions permissions = {
+        .lease = {{.number = 1, .priority = 10, .lifetime_ns = 300000000}}};
     memset(permissions.lease[0].token, 'a', TOKEN_BYTES);
     arbiter_init(a, robot, NULL);
     arbiter_grant(a, &permissions);
@@ -49,7 +51,8 @@ static size_t shaped(uint8_t *bytes, size_t size, const core_config *robot)
     }
     head.magic = how & 1 ? COMMAND_MAGIC : head.magic;
     bool positions = (how & 128) != 0;
-    head.version = how & 1 ? (positions ? COMMAND_VERSION_POSITIONS : COMMAND_VERSION) : head.version;
+    head.version =
+        how & 1 ? (positions ? COMMAND_VERSION_POSITIONS : COMMAND_VERSION) : head.version;
     head.kind = how & 2 ? (uint16_t)(1 + bytes[11] % 3) : head.kind;
     head.stamp_ns = how & 4 ? NOW_NS : head.stamp_ns;
     head.lifetime_ms = how & 8 ? 0 : head.lifetime_ms;
@@ -72,7 +75,8 @@ static void check_joints(const arbiter *a, const core_config *robot, int code)
     CHECK(joints.named == 0 || robot->independent == 1);
     for (uint32_t j = 0; j < robot->joint_count; j++) {
         const joint_config *joint = &robot->joint[j];
-        double range_rad = fmax(joint->position.position_max_rad, -joint->position.position_min_rad);
+        double range_rad =
+            fmax(joint->position.position_max_rad, -joint->position.position_min_rad);
         double most_u = joint->position.used ? range_rad : joint->velocity_max_rad_s;
         CHECK(!(joints.named >> j & 1U) || fabs(joints.value_u[j]) <= 10.0 * most_u);
     }
@@ -86,7 +90,8 @@ static void once(const uint8_t *data, size_t size)
     memcpy(bytes, data, FUZZ_MAX);
     const core_config *robot = bytes[9] & 1 ? &HEAD : &BASE; /* the token is not yet there */
     size_t length = shaped(bytes, size, robot);
-    uint8_t *last = room + sizeof room - length; /* a look beyond the last byte is seen by the sanitizer */
+    /* a look beyond the last byte is seen by the sanitizer */
+    uint8_t *last = room + sizeof room - length;
     memcpy(last, bytes, length);
     bool right = length >= 24 && memcmp(bytes + 8, "aaaaaaaaaaaaaaaa", TOKEN_BYTES) == 0;
     twist_command out;

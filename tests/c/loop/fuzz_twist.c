@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_twist.c: whatever a stranger on DDS sends as TwistStamped, nothing beyond its bytes is looked at, and its age is one. */
+ * fuzz_twist.c: whatever a stranger on DDS sends as TwistStamped, nothing beyond its bytes is
+ * looked at, and its age is one. */
 #include <math.h>
 #include <string.h>
 
@@ -12,12 +13,14 @@ enum { FUZZ_MAX = 160 };
 static void once(const uint8_t *data, size_t size)
 {
     static uint8_t room[FUZZ_MAX];
-    uint8_t *last = room + sizeof room - size; /* a look beyond the last byte is seen by the sanitizer */
+    uint8_t *last = room + sizeof room - size; /* a look beyond the last byte is seen by the
+                                                  sanitizer */
     memcpy(last, data, size);
     if (size > 16 && data[size - 1] % 2 != 0) {
         last[0] = 0;
         last[1] &= 1;
-        last[last[1] == 1 ? 13 : 14] = last[last[1] == 1 ? 14 : 13] = last[last[1] == 1 ? 15 : 12] = 0;
+        last[last[1] == 1 ? 13 : 14] = last[last[1] == 1 ? 14 : 13] = last[last[1] == 1 ? 15 : 12] =
+            0;
     }
     stamped_twist twist = {0};
     double age_s = -1.0;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Leases in detail: whose token it is, how old and how new a command may be, who is held over the end of a lease, and
- * what is reported. */
+ * Leases in detail: whose token it is, how old and how new a command may be, who is held over the
+ * end of a lease, and what is reported. */
 #include <math.h>
 #include <string.h>
 
@@ -148,7 +148,8 @@ static void a_lease_goes_on_when_others_come_and_go(void)
     CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.1);
     lease_permissions other = {.lease = {[5] = b.permissions.lease[0]}};
     arbiter_grant(&b.arbiter, &other);
-    CHECK(obeyed().linear_m_s == 0.1 && b.arbiter.report.commander == 1 && lease_of(5)->sequence == 1);
+    CHECK(obeyed().linear_m_s == 0.1 && b.arbiter.report.commander == 1 &&
+          lease_of(5)->sequence == 1);
 }
 
 static void who_came_first_commands_among_equals_and_the_higher_one_in_any_place(void)
@@ -162,7 +163,8 @@ static void who_came_first_commands_among_equals_and_the_higher_one_in_any_place
     begin();
     b.permissions.lease[0].priority = 20;
     arbiter_grant(&b.arbiter, &b.permissions);
-    CHECK(say(1, 1, 0.2) == 0 && say(0, 1, 0.1) == 0); /* the lower one was first, and comes later in the list */
+    /* the lower one was first, and comes later in the list */
+    CHECK(say(1, 1, 0.2) == 0 && say(0, 1, 0.1) == 0);
     CHECK(obeyed().linear_m_s == 0.1);
 }
 
@@ -175,7 +177,8 @@ static void what_is_obeyed_carries_its_stamp_and_sequence_and_the_stamp_stays(vo
     int64_t stamp_ns = b.now_ns;
     b.now_ns += LIFE_NS;
     out = obeyed();
-    CHECK(out.stamp_ns == stamp_ns && out.expires_ns == 0 && out.linear_m_s == 0.0 && b.arbiter.report.commander == 0);
+    CHECK(out.stamp_ns == stamp_ns && out.expires_ns == 0 && out.linear_m_s == 0.0 &&
+          b.arbiter.report.commander == 0);
 }
 
 static void a_release_ends_a_lease_s_command_at_once_and_is_accepted(void)
@@ -210,7 +213,8 @@ static void the_interval_between_commands_is_smoothed_over_eight(void)
     b.now_ns += 9;
     CHECK(say(0, 3, 0.1) == 0 && lease_of(0)->interval_ns == 2);
     b.now_ns += 802;
-    CHECK(say(0, 4, 0.1) == 0 && lease_of(0)->interval_ns == 102 && lease_of(0)->taken_ns == b.now_ns);
+    CHECK(say(0, 4, 0.1) == 0 && lease_of(0)->interval_ns == 102 &&
+          lease_of(0)->taken_ns == b.now_ns);
     b.now_ns += 22;
     CHECK(say(0, 5, 0.1) == 0 && lease_of(0)->interval_ns == 92);
 }

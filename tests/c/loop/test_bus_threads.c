@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Two threads command under one lease while it changes hands: the daemon sees each lease's numbers grow one by one. A thread
- * that holds the lock has the priority of the one that waits for it. */
+ * Two threads command under one lease while it changes hands: the daemon sees each lease's numbers
+ * grow one by one. A thread that holds the lock has the priority of the one that waits for it. */
 #include <errno.h>
 #include <poll.h>
 #include <pthread.h>
@@ -22,10 +22,12 @@ static _Atomic int senders = 2;
 /* As the receiver's thread and as Python: neither loses what it sent while there was a lease. */
 static void *commands(void *direct)
 {
-    command_datagram own = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_TWIST};
+    command_datagram own = {
+        .magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_TWIST};
     for (int n = 0; n < COMMANDS;) {
-        int error = direct != NULL ? outlet_send_direct(&shared, &(stamped_twist){.linear_m_s = 1.0}, 1, 1)
-                                   : outlet_send(&shared, &own, sizeof own, -1);
+        int error = direct != NULL
+                        ? outlet_send_direct(&shared, &(stamped_twist){.linear_m_s = 1.0}, 1, 1)
+                        : outlet_send(&shared, &own, sizeof own, -1);
         CHECK(error == 0 || error == -EAGAIN || error == -ENOTCONN);
         n += error == 0;
         (void)sched_yield();
@@ -46,13 +48,16 @@ static int received(int lease, uint64_t *sequence)
     return count;
 }
 
-/* As the scheduler sees this thread: below zero with a real-time priority, its own or a lent one. */
+/* As the scheduler sees this thread: below zero with a real-time priority, its own or a lent
+ * one. */
 static int priority(void)
 {
     FILE *file = fopen("/proc/thread-self/stat", "r");
     int found = 0;
     CHECK(file != NULL &&
-          fscanf(file, "%*d (%*[^)]) %*c %*d %*d %*d %*d %*d %*u %*u %*u %*u %*u %*u %*u %*d %*d %d", &found) == 1);
+          fscanf(file,
+                 "%*d (%*[^)]) %*c %*d %*d %*d %*d %*d %*u %*u %*u %*u %*u %*u %*u %*d %*d %d",
+                 &found) == 1);
     CHECK(fclose(file) == 0);
     return found;
 }
@@ -69,13 +74,15 @@ static void a_thread_that_holds_the_lock_of_a_higher_one_has_its_priority(void)
     pthread_t thread;
     pthread_attr_t attr;
     outlet_init(&o);
-    CHECK(pthread_attr_init(&attr) == 0 && pthread_attr_setinheritsched(&attr, PTHREAD_EXPLICIT_SCHED) == 0);
+    CHECK(pthread_attr_init(&attr) == 0 &&
+          pthread_attr_setinheritsched(&attr, PTHREAD_EXPLICIT_SCHED) == 0);
     CHECK(pthread_attr_setschedpolicy(&attr, SCHED_FIFO) == 0);
     CHECK(pthread_attr_setschedparam(&attr, &(struct sched_param){.sched_priority = 1}) == 0);
     CHECK(priority() >= 0 && pthread_mutex_lock(&o.lock) == 0);
     int error = pthread_create(&thread, &attr, waits_for_the_lock, &o);
     if (error == EPERM) {
-        fprintf(stderr, "bus_threads: no right to real-time priorities: the lent one is not tested\n");
+        fprintf(stderr,
+                "bus_threads: no right to real-time priorities: the lent one is not tested\n");
     } else {
         CHECK(error == 0);
         for (int tries = 0; priority() >= 0; tries++) {

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Commands of the second process: what a TwistStamped says, how old it is, and under which number it goes out. */
+ * Commands of the second process: what a TwistStamped says, how old it is, and under which
+ * number it goes out. */
 #include <errno.h>
 #include <math.h>
 #include <string.h>
@@ -50,7 +51,8 @@ static void a_twist_is_read_in_both_byte_orders(void)
             stamped_twist found;
             size_t bytes = encoded(raw, frame_bytes, order, twist);
             CHECK(twist_parse(raw, bytes, &found) == 0);
-            CHECK(found.linear_m_s == 0.25 && found.lateral_m_s == 0.75 && found.angular_rad_s == -0.5);
+            CHECK(found.linear_m_s == 0.25 && found.lateral_m_s == 0.75 &&
+                  found.angular_rad_s == -0.5);
             CHECK(found.stamp_s == -1.5);
             CHECK(twist_parse(raw, bytes - 1, &found) == 1 + TWIST_NOT_ONE);
         }
@@ -82,7 +84,8 @@ static void another_encoding_or_length_is_no_twist(void)
     bytes = encoded(raw, 5, LITTLE, twist);
     raw[0] = 1;
     CHECK(twist_parse(raw, bytes, &found) == 1 + TWIST_NOT_ONE);
-    for (uint64_t frame_bytes = 1000; frame_bytes <= UINT32_MAX; frame_bytes = 2 * frame_bytes + 1) {
+    for (uint64_t frame_bytes = 1000; frame_bytes <= UINT32_MAX;
+         frame_bytes = 2 * frame_bytes + 1) {
         bytes = encoded(raw, 5, LITTLE, twist);
         put(raw + 12, frame_bytes, 4, LITTLE);
         CHECK(twist_parse(raw, bytes, &found) == 1 + TWIST_NOT_ONE);
@@ -123,17 +126,22 @@ static void a_lease_numbers_all_that_goes_out_under_it(void)
     int first[2], second[2];
     const uint8_t a[LEASE_TOKEN_BYTES] = {'a'}, b[LEASE_TOKEN_BYTES] = {'b'};
     const stamped_twist twist = {.linear_m_s = 0.5, .angular_rad_s = -0.25};
-    command_datagram own = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_RELEASE, .stamp_ns = 5};
-    CHECK(socketpair(AF_UNIX, SOCK_DGRAM, 0, first) == 0 && socketpair(AF_UNIX, SOCK_DGRAM, 0, second) == 0);
+    command_datagram own = {
+        .magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_RELEASE, .stamp_ns = 5};
+    CHECK(socketpair(AF_UNIX, SOCK_DGRAM, 0, first) == 0 &&
+          socketpair(AF_UNIX, SOCK_DGRAM, 0, second) == 0);
     memset(&o, 0x55, sizeof o);
     outlet_init(&o);
-    CHECK(outlet_send_direct(&o, &twist, 7, 1) == -ENOTCONN && outlet_send(&o, &own, sizeof own, -1) == -ENOTCONN);
+    CHECK(outlet_send_direct(&o, &twist, 7, 1) == -ENOTCONN &&
+          outlet_send(&o, &own, sizeof own, -1) == -ENOTCONN);
     CHECK(outlet_direct(&o) == 0 && outlet_let_go(&o) == 0);
     outlet_hold(&o, first[0], a, 41);
     CHECK(outlet_send_direct(&o, &twist, 7, 1) == 0 && outlet_direct(&o) == 1);
     command_datagram came = received(first[1]);
-    CHECK(came.magic == COMMAND_MAGIC && came.version == COMMAND_VERSION && came.kind == COMMAND_TWIST);
-    CHECK(came.sequence == 42 && came.stamp_ns == 7 && came.lifetime_ms == 0 && memcmp(came.token, a, sizeof a) == 0);
+    CHECK(came.magic == COMMAND_MAGIC && came.version == COMMAND_VERSION &&
+          came.kind == COMMAND_TWIST);
+    CHECK(came.sequence == 42 && came.stamp_ns == 7 && came.lifetime_ms == 0 &&
+          memcmp(came.token, a, sizeof a) == 0);
     CHECK(came.linear_m_s == 0.5 && came.angular_rad_s == -0.25);
     CHECK(outlet_send(&o, &own, sizeof own, -1) == 0);
     came = received(first[1]);
@@ -157,7 +165,8 @@ static void who_has_not_seen_the_newest_command_does_not_override_it(void)
     int pair[2];
     const uint8_t token[LEASE_TOKEN_BYTES] = {1};
     const stamped_twist rest = {0};
-    joint_datagram wheels = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_JOINTS};
+    joint_datagram wheels = {
+        .magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_JOINTS};
     CHECK(socketpair(AF_UNIX, SOCK_DGRAM, 0, pair) == 0);
     outlet_init(&o);
     outlet_hold(&o, pair[0], token, 0);
@@ -182,10 +191,13 @@ static void while_python_stands_still_nothing_is_handed_on(void)
     outlet_hold(&o, pair[0], token, 0);
     CHECK(outlet_send_direct(&o, &twist, 1, begin_ns) == -EHOSTDOWN); /* it never was alive */
     outlet_alive(&o, begin_ns);
-    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns + OUTLET_ALIVE_NS) == 0 && received(pair[1]).sequence == 1);
-    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns + OUTLET_ALIVE_NS + 1) == -EHOSTDOWN && outlet_direct(&o) == 1);
+    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns + OUTLET_ALIVE_NS) == 0 &&
+          received(pair[1]).sequence == 1);
+    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns + OUTLET_ALIVE_NS + 1) == -EHOSTDOWN &&
+          outlet_direct(&o) == 1);
     outlet_alive(&o, begin_ns + OUTLET_ALIVE_NS + 1);
-    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns + OUTLET_ALIVE_NS + 1) == 0 && received(pair[1]).sequence == 2);
+    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns + OUTLET_ALIVE_NS + 1) == 0 &&
+          received(pair[1]).sequence == 2);
     (void)close(pair[0]);
     (void)close(pair[1]);
 }

@@ -18,7 +18,8 @@ static lease_permission grant_of(uint8_t letter, uint32_t priority)
     return grant;
 }
 
-static command_datagram command_of(uint8_t letter, uint64_t sequence, int64_t stamp_ns, double linear_m_s)
+static command_datagram command_of(uint8_t letter, uint64_t sequence, int64_t stamp_ns,
+                                   double linear_m_s)
 {
     command_datagram command = {.magic = COMMAND_MAGIC,
                                 .version = COMMAND_VERSION,
@@ -44,7 +45,8 @@ static double speed_m_s(arbiter *a, int64_t now_ns, bool may_move)
 
 static void two_sources(arbiter *a)
 {
-    lease_permissions permissions = {.lease = {grant_of('a', 10), grant_of('b', 20), grant_of('c', 20)}};
+    lease_permissions permissions = {
+        .lease = {grant_of('a', 10), grant_of('b', 20), grant_of('c', 20)}};
     arbiter_init(a, NULL, NULL);
     arbiter_grant(a, &permissions);
 }
@@ -59,7 +61,8 @@ static void the_highest_commands_and_among_equals_the_first(void)
     CHECK(say(&a, command_of('c', 1, START_NS, 0.3), START_NS, true) == 0);
     CHECK(say(&a, command_of('b', 1, START_NS, 0.2), START_NS, true) == 0);
     CHECK(speed_m_s(&a, START_NS, true) == 0.3 && a.report.commander == 'c');
-    command_datagram release = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_RELEASE};
+    command_datagram release = {
+        .magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_RELEASE};
     memset(release.token, 'c', TOKEN_BYTES);
     CHECK(say(&a, release, START_NS, true) == 0);
     CHECK(speed_m_s(&a, START_NS, true) == 0.2);
@@ -80,7 +83,8 @@ static void a_source_that_requests_motion_through_a_stop_is_held_until_it_reques
     CHECK(say(&a, command_of('a', 4, START_NS, 0.0), START_NS, true) == 0);
     CHECK(say(&a, command_of('a', 5, START_NS, 0.1), START_NS, true) == 0);
     CHECK(speed_m_s(&a, START_NS, true) == 0.1);
-    CHECK(say(&a, command_of('a', 6, START_NS, -INFINITY), START_NS, true) == 1 + REFUSED_NOT_FINITE);
+    CHECK(say(&a, command_of('a', 6, START_NS, -INFINITY), START_NS, true) ==
+          1 + REFUSED_NOT_FINITE);
     CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 'a');
 }
 
@@ -111,7 +115,8 @@ static void motion_that_is_commanded_too_often_is_refused_and_a_stop_never(void)
         CHECK(++taken < 100);
     }
     CHECK(taken == 5 && a.report.refused[REFUSED_RATE] == 1); /* four may come early */
-    CHECK(say(&a, command_of('a', sequence++, START_NS, 0.0), START_NS, true) == 0 && speed_m_s(&a, START_NS, true) == 0.0);
+    CHECK(say(&a, command_of('a', sequence++, START_NS, 0.0), START_NS, true) == 0 &&
+          speed_m_s(&a, START_NS, true) == 0.0);
     CHECK(say(&a, command_of('a', sequence++, START_NS, 0.1), START_NS, true) == 1 + REFUSED_RATE);
     int64_t later_ns = START_NS + 11 * MS;
     CHECK(say(&a, command_of('a', sequence++, later_ns, 0.1), later_ns, true) == 0);
@@ -132,7 +137,8 @@ static void each_refusal_is_counted_by_its_kind(void)
     bad.lifetime_ms = 20;
     CHECK(say(&a, bad, START_NS + 20 * MS, true) == 1 + REFUSED_AGE);
     CHECK(say(&a, command_of('a', 7, START_NS + 11 * MS, 0.1), START_NS, true) == 1 + REFUSED_AGE);
-    CHECK(say(&a, good, START_NS, true) == 0 && say(&a, good, START_NS, true) == 1 + REFUSED_SEQUENCE);
+    CHECK(say(&a, good, START_NS, true) == 0 &&
+          say(&a, good, START_NS, true) == 1 + REFUSED_SEQUENCE);
     const uint64_t refused[REFUSAL_KINDS] = {2, 0, 1, 2, 1, 0};
     CHECK(memcmp(a.report.refused, refused, sizeof refused) == 0 && a.report.accepted == 1);
 }
@@ -166,18 +172,21 @@ static void a_wake_up_takes_a_bounded_number_of_datagrams(void)
     CHECK(ingress_wait(&in, clock_now_ns() + 10000 * MS));
     uint64_t taken = 0, now = 0;
     while ((now = ingress_take(&in, &a, true)) > 0) {
-        CHECK(now <= 9 && (taken > 0 || now == 9)); /* eight of who floods, and the other one's beside them */
+        /* eight of who floods, and the other one's beside them */
+        CHECK(now <= 9 && (taken > 0 || now == 9));
         taken += now;
     }
     CHECK(taken == sent && sent > 1);
     uint8_t long_one[JOINT_COMMAND_BYTES + 8] = {0};
     CHECK(send(ends[1], long_one, sizeof long_one, 0) > 0 && ingress_take(&in, &a, true) == 1);
     CHECK(a.report.refused[REFUSED_FORM] == 1);
-    CHECK(close(ends[0]) == 0 && close(ends[1]) == 0 && close(others[0]) == 0 && close(others[1]) == 0);
+    CHECK(close(ends[0]) == 0 && close(ends[1]) == 0 && close(others[0]) == 0 &&
+          close(others[1]) == 0);
     CHECK(close(in.epoll_fd) == 0);
 }
 
-static joint_datagram joints_of(uint64_t sequence, double left_rad_s, double right_rad_s, double other_right_rad_s)
+static joint_datagram joints_of(uint64_t sequence, double left_rad_s, double right_rad_s,
+                                double other_right_rad_s)
 {
     joint_datagram joints = {.magic = COMMAND_MAGIC,
                              .version = COMMAND_VERSION,
@@ -205,18 +214,22 @@ static void more_than_ten_times_the_limit_is_refused_and_commands_zero(void)
     lease_permissions permissions = {.lease = {grant_of('a', 10)}};
     arbiter_init(&a, &base, &now);
     arbiter_grant(&a, &permissions);
-    CHECK(say(&a, command_of('a', 1, START_NS, -10.0), START_NS, true) == 0); /* the robot file's limit counts, too */
+    /* the robot file's limit counts, too */
+    CHECK(say(&a, command_of('a', 1, START_NS, -10.0), START_NS, true) == 0);
     CHECK(speed_m_s(&a, START_NS, true) == -10.0);
-    CHECK(say(&a, command_of('a', 2, START_NS, 10.001), START_NS, true) == 1 + REFUSED_OUT_OF_RANGE);
+    CHECK(say(&a, command_of('a', 2, START_NS, 10.001), START_NS, true) ==
+          1 + REFUSED_OUT_OF_RANGE);
     CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 'a');
     command_datagram turn = command_of('a', 3, START_NS, 0.5);
     turn.angular_rad_s = -1e308;
-    CHECK(say(&a, turn, START_NS, true) == 1 + REFUSED_OUT_OF_RANGE && speed_m_s(&a, START_NS, true) == 0.0);
+    CHECK(say(&a, turn, START_NS, true) == 1 + REFUSED_OUT_OF_RANGE &&
+          speed_m_s(&a, START_NS, true) == 0.0);
     turn.sequence = 30, turn.angular_rad_s = 20.0; /* ten times the limit is not more */
     CHECK(say(&a, turn, START_NS, true) == 0);
     now.linear.velocity_u_s = 2.0;
     CHECK(say(&a, command_of('a', 40, START_NS, 20.0), START_NS, true) == 0);
-    CHECK(say(&a, command_of('a', 50, START_NS, 1e308), START_NS, false) == 1 + REFUSED_OUT_OF_RANGE);
+    CHECK(say(&a, command_of('a', 50, START_NS, 1e308), START_NS, false) ==
+          1 + REFUSED_OUT_OF_RANGE);
     CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.refused[REFUSED_OUT_OF_RANGE] == 3);
 }
 
@@ -274,8 +287,10 @@ static void wheels_of_a_side_go_together_within_a_hundredth_of_the_fastest_wheel
 {
     double twist_u_s[AXES];
     CHECK(twist_of(2.0, 6.0, 2.0, 3.0, twist_u_s) && twist_u_s[AXIS_LATERAL] == 0.0);
-    CHECK(fabs(twist_u_s[AXIS_LINEAR] - 0.4) < 1e-12 && fabs(twist_u_s[AXIS_ANGULAR] - 0.8) < 1e-12);
-    CHECK(twist_of(0.0, 0.0, 0.0, 0.0, twist_u_s) && twist_u_s[AXIS_LINEAR] == 0.0 && twist_u_s[AXIS_ANGULAR] == 0.0);
+    CHECK(fabs(twist_u_s[AXIS_LINEAR] - 0.4) < 1e-12 &&
+          fabs(twist_u_s[AXIS_ANGULAR] - 0.8) < 1e-12);
+    CHECK(twist_of(0.0, 0.0, 0.0, 0.0, twist_u_s) && twist_u_s[AXIS_LINEAR] == 0.0 &&
+          twist_u_s[AXIS_ANGULAR] == 0.0);
     /* each of them, by a little more and a little less than a hundredth from the middle of both */
     CHECK(goes(10.095, 0.0, 9.905, 0.0) && !goes(10.105, 0.0, 9.895, 0.0));
     CHECK(goes(0.0, 10.095, 0.0, 4.9525) && !goes(0.0, 10.105, 0.0, 4.9475));
@@ -298,10 +313,10 @@ static void wheels_of_a_side_go_together_within_a_hundredth_of_the_fastest_wheel
 static void a_turn_on_the_spot_counts_where_the_steering_cannot(void)
 {
     static arbiter a;
-    static core_config base = {
-        .joint_count = 2,
-        .limits = LIMITS,
-        .joint = {{.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1}, {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.1}}};
+    static core_config base = {.joint_count = 2,
+                               .limits = LIMITS,
+                               .joint = {{.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
+                                         {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.1}}};
     lease_permissions permissions = {.lease = {grant_of('a', 10)}};
     arbiter_init(&a, &base, NULL);
     arbiter_grant(&a, &permissions);
@@ -311,27 +326,31 @@ static void a_turn_on_the_spot_counts_where_the_steering_cannot(void)
     base.module_count = 2;
     base.module[0] = (wheel_module){.x_m = 0.3, .steering = 2};
     base.module[1] = (wheel_module){.traction = 1};
-    base.joint[1].position = (position_config){.used = 1, .position_min_rad = -0.5, .position_max_rad = 0.5};
+    base.joint[1].position =
+        (position_config){.used = 1, .position_min_rad = -0.5, .position_max_rad = 0.5};
     command.sequence = 2;
     CHECK(say(&a, command, START_NS, true) == 0 && a.report.on_spot == 1);
     command.sequence = 3;
     command.linear_m_s = 0.1;
     CHECK(say(&a, command, START_NS, true) == 0 && a.report.on_spot == 1 && a.report.sideways == 0);
     command.sequence = 4;
-    command.linear_m_s = 0.0, command.lateral_m_s = 0.1; /* counts as the other thing that it cannot do */
+    /* counts as the other thing that it cannot do */
+    command.linear_m_s = 0.0, command.lateral_m_s = 0.1;
     CHECK(say(&a, command, START_NS, true) == 0 && a.report.on_spot == 1 && a.report.sideways == 1);
     CHECK(say(&a, command_of('a', 5, START_NS, 0.0), START_NS, true) == 0);
     CHECK(a.report.on_spot == 1 && a.report.sideways == 1);
 }
 
-/* Version 1 ends before the lateral speed, which is zero; a base that cannot strafe obeys the rest, and the command counts. */
+/* Version 1 ends before the lateral speed, which is zero; a base that cannot strafe obeys the
+ * rest, and the command counts. */
 static void a_command_of_either_version_is_obeyed(void)
 {
     static arbiter a;
     static const core_config two_sides = {
         .joint_count = 2,
         .limits = LIMITS,
-        .joint = {{.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1}, {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.1}}};
+        .joint = {{.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
+                  {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.1}}};
     lease_permissions permissions = {.lease = {grant_of('a', 10)}};
     twist_command out;
     arbiter_init(&a, &two_sides, NULL);
@@ -344,7 +363,8 @@ static void a_command_of_either_version_is_obeyed(void)
     command.version = COMMAND_VERSION_PLANE;
     command.sequence = 2;
     CHECK(arbiter_submit(&a, &command, COMMAND_BYTES, START_NS, true) == 1 + REFUSED_FORM);
-    CHECK(arbiter_submit(&a, &command, COMMAND_BYTES_PLANE, START_NS, true) == 0 && a.report.sideways == 1);
+    CHECK(arbiter_submit(&a, &command, COMMAND_BYTES_PLANE, START_NS, true) == 0 &&
+          a.report.sideways == 1);
     arbiter_command(&a, START_NS, true, &out);
     CHECK(out.linear_m_s == 0.1 && out.lateral_m_s == 0.0);
     command.version = COMMAND_VERSION;

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_command_joints: datagrams for joints without a base: positions, velocities, and what of them a joint does not take. */
+ * test_command_joints: datagrams for joints without a base: positions, velocities, and what of
+ * them a joint does not take. */
 #include "steered_bases.h"
 
 #include <float.h>
@@ -12,7 +13,8 @@ static arbiter *begun_at(const core_config *config, uint32_t place)
     static arbiter a;
     lease_permissions permissions;
     memset(&permissions, 0, sizeof permissions);
-    permissions.lease[place] = (lease_permission){.number = 1, .priority = 10, .lifetime_ns = 300 * MS_NS};
+    permissions.lease[place] =
+        (lease_permission){.number = 1, .priority = 10, .lifetime_ns = 300 * MS_NS};
     memset(permissions.lease[place].token, LETTER, TOKEN_BYTES);
     arbiter_init(&a, config, &config->limits);
     arbiter_grant(&a, &permissions);
@@ -63,12 +65,14 @@ static void each_joint_takes_what_it_is_sent_for_it(void)
     joint_position_datagram joints = datagram_of(1);
     CHECK(submit(a, &joints) == 0);
     joint_command command = commanded(a);
-    CHECK(command.named == 3 && command.value_u[0] == 0.5 && command.value_u[1] == 2.0 && command.value_u[2] == 0.0);
+    CHECK(command.named == 3 && command.value_u[0] == 0.5 && command.value_u[1] == 2.0 &&
+          command.value_u[2] == 0.0);
     joints = datagram_of(2);
     joints.positions = 5, joints.velocities = 0;
     CHECK(submit(a, &joints) == 0);
     command = commanded(a);
-    CHECK(command.named == 5 && command.value_u[0] == 0.5 && command.value_u[1] == 0.0 && command.value_u[2] == -0.3);
+    CHECK(command.named == 5 && command.value_u[0] == 0.5 && command.value_u[1] == 0.0 &&
+          command.value_u[2] == -0.3);
 }
 
 static void joints_are_commanded_under_whichever_lease_it_is(void)
@@ -113,13 +117,15 @@ static void a_twist_but_zero_is_refused_where_there_is_no_base(void)
     core_config config = head_and_belt();
     for (uint32_t axes = 0; axes < 8; axes++) {
         arbiter *a = begun(&config);
-        command_datagram twist = {.magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_TWIST};
+        command_datagram twist = {
+            .magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_TWIST};
         twist.sequence = 1, twist.stamp_ns = NOW_NS;
         twist.linear_m_s = axes & 1U ? 0.1 : 0.0;
         twist.angular_rad_s = axes & 2U ? 0.1 : 0.0;
         twist.lateral_m_s = axes & 4U ? 0.1 : 0.0;
         memset(twist.token, LETTER, TOKEN_BYTES);
-        CHECK(arbiter_submit(a, &twist, sizeof twist, NOW_NS, true) == (axes == 0 ? 0 : 1 + REFUSED_JOINTS));
+        CHECK(arbiter_submit(a, &twist, sizeof twist, NOW_NS, true) ==
+              (axes == 0 ? 0 : 1 + REFUSED_JOINTS));
         CHECK(commanded(a).named == 0);
     }
 }
@@ -139,7 +145,8 @@ static void as_many_joints_as_there_may_be_are_commanded(void)
     joint_command command = commanded(a);
     CHECK(command.named == 0xFF);
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        CHECK(command.value_u[j] == (j % 2 == 0 ? joints.head.velocity_rad_s[j] : joints.position_rad[j]));
+        CHECK(command.value_u[j] ==
+              (j % 2 == 0 ? joints.head.velocity_rad_s[j] : joints.position_rad[j]));
     }
     joints.head.version = COMMAND_VERSION, joints.head.sequence = 2;
     CHECK(arbiter_submit(a, &joints.head, sizeof joints.head, NOW_NS, true) == 0);
@@ -177,7 +184,8 @@ static void what_is_not_named_of_a_base_s_wheels_comes_to_rest(void)
         CHECK(submit(a, &joints) == CASES[i].result);
         twist_command twist;
         arbiter_command(a, NOW_NS, true, &twist);
-        CHECK(close_to(twist.linear_m_s, CASES[i].linear_m_s) && close_to(twist.angular_rad_s, CASES[i].angular_rad_s));
+        CHECK(close_to(twist.linear_m_s, CASES[i].linear_m_s) &&
+              close_to(twist.angular_rad_s, CASES[i].angular_rad_s));
     }
 }
 
@@ -185,10 +193,12 @@ static void what_is_not_named_of_a_base_s_wheels_comes_to_rest(void)
 static void speeds_that_are_no_twist_of_numbers_are_refused_and_the_base_comes_to_rest(void)
 {
     static const double MOST = DBL_MAX;
-    static const double SPEEDS_RAD_S[][4] = {{-MOST, MOST, -MOST, MOST}, {MOST, MOST, MOST, MOST}, {MOST, -MOST, MOST, -MOST},
-                                             {-MOST, 0.0, -MOST, 0.0},   {0.0, MOST, 0.0, MOST},   {MOST, MOST, -MOST, -MOST},
+    static const double SPEEDS_RAD_S[][4] = {{-MOST, MOST, -MOST, MOST}, {MOST, MOST, MOST, MOST},
+                                             {MOST, -MOST, MOST, -MOST}, {-MOST, 0.0, -MOST, 0.0},
+                                             {0.0, MOST, 0.0, MOST},     {MOST, MOST, -MOST, -MOST},
                                              {0.0, 0.0, 0.0, MOST},      {MOST, 1.0, MOST, 1.0}};
-    static const double RADII_M[] = {0.1, 10.0}; /* and levers are 0.25 m long: sums are finite, or not */
+    /* and levers are 0.25 m long: sums are finite, or not */
+    static const double RADII_M[] = {0.1, 10.0};
     for (int i = 0; i < COUNT_OF(SPEEDS_RAD_S) * COUNT_OF(RADII_M); i++) {
         core_config base = good_config();
         for (int j = 0; j < 4; j++) {
@@ -209,7 +219,8 @@ static void speeds_that_are_no_twist_of_numbers_are_refused_and_the_base_comes_t
         memcpy(joints.head.velocity_rad_s, SPEEDS_RAD_S[i / 2], sizeof SPEEDS_RAD_S[0]);
         joints.head.sequence = 2;
         int result = submit(a, &joints);
-        CHECK(result == 1 + REFUSED_NOT_FINITE || result == 1 + REFUSED_JOINTS || result == 1 + REFUSED_OUT_OF_RANGE);
+        CHECK(result == 1 + REFUSED_NOT_FINITE || result == 1 + REFUSED_JOINTS ||
+              result == 1 + REFUSED_OUT_OF_RANGE);
         CHECK(a->report.refused[result - 1] == 1 && a->report.lease[3].wants_motion == 0);
         arbiter_command(a, NOW_NS, true, &r.input.command);
         CHECK(r.input.command.sequence == 2 && r.input.command.linear_m_s == 0.0);
@@ -232,7 +243,8 @@ static void wheels_that_strafe_are_a_lateral_speed(void)
     CHECK(submit(a, &joints) == 0);
     twist_command twist;
     arbiter_command(a, NOW_NS, true, &twist);
-    CHECK(close_to(twist.lateral_m_s, 0.1) && close_to(twist.linear_m_s, 0.0) && close_to(twist.angular_rad_s, 0.0));
+    CHECK(close_to(twist.lateral_m_s, 0.1) && close_to(twist.linear_m_s, 0.0) &&
+          close_to(twist.angular_rad_s, 0.0));
 }
 
 static void without_a_lease_in_command_no_joint_is_named(void)
@@ -281,7 +293,8 @@ static void an_angle_or_a_speed_far_out_of_range_is_refused(void)
     arbiter *a = begun(&config);
     for (int i = 0; i < COUNT_OF(CASES); i++) {
         joint_position_datagram joints = datagram_of((uint64_t)i + 1);
-        joints.position_rad[0] = CASES[i].pan_rad, joints.head.velocity_rad_s[1] = CASES[i].belt_rad_s;
+        joints.position_rad[0] = CASES[i].pan_rad,
+        joints.head.velocity_rad_s[1] = CASES[i].belt_rad_s;
         CHECK(submit(a, &joints) == CASES[i].result);
     }
 }
@@ -301,7 +314,8 @@ static void an_angle_or_a_speed_is_measured_by_the_farther_end_of_its_range(void
             CHECK(submit(a, &joints) == 0);
             joints.head.sequence = 2, joints.position_rad[0] = sign * 20.1;
             CHECK(submit(a, &joints) == 1 + REFUSED_OUT_OF_RANGE);
-            joints.head.sequence = 3, joints.position_rad[0] = 0.0, joints.head.velocity_rad_s[1] = sign * 20.1;
+            joints.head.sequence = 3, joints.position_rad[0] = 0.0,
+            joints.head.velocity_rad_s[1] = sign * 20.1;
             CHECK(submit(a, &joints) == 1 + REFUSED_OUT_OF_RANGE);
         }
     }
@@ -345,7 +359,8 @@ static void a_datagram_has_the_length_of_its_version(void)
         bool known = version == COMMAND_VERSION || version == COMMAND_VERSION_PLANE;
         joints = datagram_of((uint64_t)version + 1);
         joints.head.version = version, joints.head.velocity_rad_s[0] = 0.0;
-        CHECK(arbiter_submit(a, &joints, sizeof joints.head, NOW_NS, true) == (known ? 0 : 1 + REFUSED_FORM));
+        CHECK(arbiter_submit(a, &joints, sizeof joints.head, NOW_NS, true) ==
+              (known ? 0 : 1 + REFUSED_FORM));
     }
 }
 

@@ -32,7 +32,8 @@ static void a_contact_that_was_open_between_two_ticks_stops(void)
     guard_config config = open_is_high();
     CHECK(estop_judge(&config, &(estop_reading){.known = true, .opened = true}) == ESTOP_ACTIVE);
     config.estop_high = 0;
-    CHECK(estop_judge(&config, &(estop_reading){.known = true, .high = true, .opened = true}) == ESTOP_ACTIVE);
+    CHECK(estop_judge(&config, &(estop_reading){.known = true, .high = true, .opened = true}) ==
+          ESTOP_ACTIVE);
 }
 
 static void a_level_that_is_not_known_stops_whatever_else_is_given(void)
@@ -73,16 +74,20 @@ static void without_pins_nothing_stops_and_nothing_is_written(void)
 static void a_pin_that_cannot_be_written_is_sent_with_its_reason(void)
 {
     guard g;
-    guard_init(&g, &(guard_config){.watchdog = 1, .watchdog_fd = -1, .watchdog_every_ticks = 1, .heartbeat_timeout_ns = MS});
+    guard_init(&g, &(guard_config){.watchdog = 1,
+                                   .watchdog_fd = -1,
+                                   .watchdog_every_ticks = 1,
+                                   .heartbeat_timeout_ns = MS});
     CHECK(ioctl(-1, GPIO_V2_LINE_SET_VALUES_IOCTL, &(struct gpio_v2_line_values){0}) != 0);
-    const int reason = errno; /* EBADF; an emulator that does not know the request has another one */
+    /* EBADF; an emulator that does not know the request has another one */
+    const int reason = errno;
     guard_drive_watchdog(&g, &(watchdog_input){.now_ns = START_NS, .heartbeat_ns = START_NS});
     CHECK(g.watchdog_edges == 1 && g.watchdog_errno == reason && g.watchdog_well == 1);
     guard_rest(&g);
     CHECK(g.watchdog_well == 0);
 }
 
-/* ------------------------------------------------------------------------------------------------- the watchdog */
+/* ------------------------------------------------------------------------- the watchdog */
 typedef struct {
     guard_config config;
     watchdog_state state;
@@ -194,10 +199,13 @@ static void a_heartbeat_that_never_came_is_none_however_young_the_clock_is(void)
 
 static void a_heartbeat_of_the_future_is_no_sign_of_life(void)
 {
-    guard_config config = {.watchdog = 1, .watchdog_every_ticks = 1, .heartbeat_timeout_ns = 500 * MS};
+    guard_config config = {
+        .watchdog = 1, .watchdog_every_ticks = 1, .heartbeat_timeout_ns = 500 * MS};
     for (int64_t ahead_ns = 10 * MS; ahead_ns < 2000 * MS; ahead_ns += 990 * MS) {
         watchdog_state state = {0};
-        bool well = watchdog_step(&state, &config, &(watchdog_input){.now_ns = START_NS, .heartbeat_ns = START_NS + ahead_ns});
+        bool well = watchdog_step(
+            &state, &config,
+            &(watchdog_input){.now_ns = START_NS, .heartbeat_ns = START_NS + ahead_ns});
         CHECK(well == (ahead_ns == 10 * MS)); /* written meanwhile */
     }
 }
@@ -208,7 +216,8 @@ static void after_a_hang_the_first_edge_comes_when_its_time_has_passed(void)
     r.config.watchdog_every_ticks = 10;
     (void)edges_in(&r, 505, true, true);
     (void)edges_in(&r, 600, false, true);
-    CHECK(!r.state.high && edges_in(&r, 9, true, true) == 0 && edges_in(&r, 1, true, true) == 1 && r.state.high);
+    CHECK(!r.state.high && edges_in(&r, 9, true, true) == 0 && edges_in(&r, 1, true, true) == 1 &&
+          r.state.high);
 }
 
 static void a_config_that_makes_no_sense_is_refused(void)

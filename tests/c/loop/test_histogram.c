@@ -8,9 +8,11 @@
 
 static void buckets_are_narrow_and_in_order(void)
 {
-    CHECK(histogram_bucket(INT64_MIN) == 0 && histogram_bucket(-1) == 0 && histogram_bucket(0) == 0);
+    CHECK(histogram_bucket(INT64_MIN) == 0 && histogram_bucket(-1) == 0 &&
+          histogram_bucket(0) == 0);
     CHECK(histogram_bucket(INT64_MAX) == HISTOGRAM_BUCKETS - 1);
-    CHECK(histogram_bucket_floor_ns(HISTOGRAM_BUCKETS + 5) == histogram_bucket_floor_ns(HISTOGRAM_BUCKETS - 1));
+    CHECK(histogram_bucket_floor_ns(HISTOGRAM_BUCKETS + 5) ==
+          histogram_bucket_floor_ns(HISTOGRAM_BUCKETS - 1));
     for (uint32_t bucket = 0; bucket < HISTOGRAM_BUCKETS; bucket++) {
         int64_t floor_ns = histogram_bucket_floor_ns(bucket);
         CHECK(histogram_bucket(floor_ns) == bucket);
@@ -18,7 +20,8 @@ static void buckets_are_narrow_and_in_order(void)
             CHECK(histogram_bucket(floor_ns - 1) == bucket - 1);
         }
         if (bucket + 1 < HISTOGRAM_BUCKETS && bucket >= HISTOGRAM_SUB_BUCKETS) {
-            CHECK((histogram_bucket_floor_ns(bucket + 1) - floor_ns) * HISTOGRAM_SUB_BUCKETS <= floor_ns);
+            CHECK((histogram_bucket_floor_ns(bucket + 1) - floor_ns) * HISTOGRAM_SUB_BUCKETS <=
+                  floor_ns);
         }
     }
 }
@@ -64,10 +67,13 @@ static void few_samples_have_exact_percentiles_from_the_lowest_to_the_highest_bu
         histogram_add(&h, value_ns);
     }
     histogram_copy(&copy, &h);
-    CHECK(copy.samples == 10 && histogram_percentile_ns(&copy, 0.1) == 0 && histogram_percentile_ns(&copy, 0.5) == 4);
-    const int64_t beyond_ns = INT64_C(1) << 41, before_ns = histogram_bucket_floor_ns(HISTOGRAM_BUCKETS - 2);
+    CHECK(copy.samples == 10 && histogram_percentile_ns(&copy, 0.1) == 0 &&
+          histogram_percentile_ns(&copy, 0.5) == 4);
+    const int64_t beyond_ns = INT64_C(1) << 41,
+                  before_ns = histogram_bucket_floor_ns(HISTOGRAM_BUCKETS - 2);
     CHECK(histogram_bucket(beyond_ns) == HISTOGRAM_BUCKETS - 1);
-    CHECK(histogram_bucket_floor_ns(HISTOGRAM_BUCKETS) == histogram_bucket_floor_ns(HISTOGRAM_BUCKETS - 1));
+    CHECK(histogram_bucket_floor_ns(HISTOGRAM_BUCKETS) ==
+          histogram_bucket_floor_ns(HISTOGRAM_BUCKETS - 1));
     histogram_clear(&h);
     histogram_add(&h, before_ns);
     histogram_add(&h, beyond_ns);

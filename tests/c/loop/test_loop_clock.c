@@ -16,7 +16,8 @@ static loop_work work;
 static int64_t now_ns;
 static int64_t slept_ns;
 
-/* In the C library's place: a computer that was suspended for so long. CLOCK_MONOTONIC stood still meanwhile. */
+/* In the C library's place: a computer that was suspended for so long. CLOCK_MONOTONIC stood
+ * still meanwhile. */
 int clock_gettime(clockid_t clock, struct timespec *out)
 {
     long failed = syscall(SYS_clock_gettime, clock, out);
@@ -30,7 +31,8 @@ int clock_gettime(clockid_t clock, struct timespec *out)
 
 static core_config base(void)
 {
-    axis_limits axis = {.velocity_u_s = 1, .acceleration_u_s2 = 5, .deceleration_u_s2 = 5, .jerk_u_s3 = INFINITY};
+    axis_limits axis = {
+        .velocity_u_s = 1, .acceleration_u_s2 = 5, .deceleration_u_s2 = 5, .jerk_u_s3 = INFINITY};
     core_config config = {
         .joint_count = 2,
         .limits = {.linear = axis, .angular = axis, .lateral = axis},
@@ -49,12 +51,12 @@ static core_config base(void)
         .twist_variance_floor_rad2_s2 = 1e-6,
     };
     for (uint32_t joint = 0; joint < config.joint_count; joint++) {
-        config.joint[joint] =
-            (joint_config){.row = {1.0, 0.0, joint == 0 ? -0.2 : 0.2},
-                           .wheel_radius_m = 0.1,
-                           .velocity_min_rad_s = -20,
-                           .velocity_max_rad_s = 20,
-                           .pwm = {.duty_min = -1, .duty_max = 1, .slew_per_s = INFINITY, .full_duty_rad_s = 20}};
+        config.joint[joint] = (joint_config){
+            .row = {1.0, 0.0, joint == 0 ? -0.2 : 0.2},
+            .wheel_radius_m = 0.1,
+            .velocity_min_rad_s = -20,
+            .velocity_max_rad_s = 20,
+            .pwm = {.duty_min = -1, .duty_max = 1, .slew_per_s = INFINITY, .full_duty_rad_s = 20}};
     }
     return config;
 }
@@ -62,14 +64,17 @@ static core_config base(void)
 static void receive_drives(void)
 {
     for (uint32_t joint = 0; joint < 2; joint++) {
-        joint_feedback feedback = {.stamp_ns = now_ns, .velocity_rad_s = work.out.joint[joint].velocity_rad_s, .enabled = 2};
+        joint_feedback feedback = {.stamp_ns = now_ns,
+                                   .velocity_rad_s = work.out.joint[joint].velocity_rad_s,
+                                   .enabled = 2};
         CHECK(exchange_put_feedback(&work.exchange, joint, &feedback) == 0);
     }
 }
 
 static void beat(uint32_t armed)
 {
-    const core_control control = {.heartbeat_ns = now_ns, .armed = armed, .limits = work.core.config.limits};
+    const core_control control = {
+        .heartbeat_ns = now_ns, .armed = armed, .limits = work.core.config.limits};
     exchange_put_control(&work.exchange, &control);
 }
 
@@ -100,7 +105,8 @@ static void drive(void)
     const core_config config = base();
     memset(&work, 0, sizeof work);
     CHECK(loop_work_init(&work, &loop, &config) == 0);
-    exchange_put_permissions(&work.exchange, &(lease_permissions){.lease = {{.number = 1, .lifetime_ns = 300 * MS}}});
+    exchange_put_permissions(
+        &work.exchange, &(lease_permissions){.lease = {{.number = 1, .lifetime_ns = 300 * MS}}});
     now_ns = clock_now_ns();
     beat(0);
     receive_drives();
@@ -111,7 +117,8 @@ static void drive(void)
         CHECK(command(0.5) == 0);
         tick(MS);
     }
-    CHECK(work.core.snapshot.armed == 1 && work.core.snapshot.faults == 0 && work.core.snapshot.setpoint_linear_m_s == 0.5);
+    CHECK(work.core.snapshot.armed == 1 && work.core.snapshot.faults == 0 &&
+          work.core.snapshot.setpoint_linear_m_s == 0.5);
 }
 
 static void a_clock_that_has_not_moved_between_two_ticks_is_no_fault(void)
@@ -123,7 +130,8 @@ static void a_clock_that_has_not_moved_between_two_ticks_is_no_fault(void)
     loop_tick(&work, now_ns, now_ns);
     CHECK(work.core.snapshot.faults == 0 && work.core.snapshot.setpoint_linear_m_s == 0.5);
     tick(10 * MS);
-    CHECK(work.core.snapshot.faults == 0 && work.core.snapshot.armed == 1 && work.core.snapshot.setpoint_linear_m_s < 0.5);
+    CHECK(work.core.snapshot.faults == 0 && work.core.snapshot.armed == 1 &&
+          work.core.snapshot.setpoint_linear_m_s < 0.5);
     CHECK(work.core.snapshot.dt_s == 10e-3 && work.core.snapshot.tick == tick_before + 1);
 }
 
@@ -176,7 +184,8 @@ static void after_a_suspend_the_base_stands_at_once_disarmed_by_a_fault(void)
     for (uint32_t i = 0; i < 100; i++) { /* the drives answer again, and the source goes on */
         (void)command(0.5);
         tick(MS);
-        CHECK(work.out.joint[0].velocity_rad_s == 0.0 && work.core.snapshot.faults == FAULT_SUSPENDED);
+        CHECK(work.out.joint[0].velocity_rad_s == 0.0 &&
+              work.core.snapshot.faults == FAULT_SUSPENDED);
     }
 }
 
@@ -197,7 +206,8 @@ static void what_was_stamped_before_a_suspend_is_not_fresh_after_it(void)
     CHECK(work.core.snapshot.joint[0].stale == 1 && work.core.snapshot.joint[1].stale == 1);
     CHECK(work.input.control.heartbeat_ns == 0);
     CHECK(work.arbiter.report.commander == 0 && work.arbiter.report.lease[0].fresh == 0);
-    CHECK(arbiter_submit(&work.arbiter, &on_its_direction, sizeof on_its_direction, now_ns, true) == 1 + REFUSED_AGE);
+    CHECK(arbiter_submit(&work.arbiter, &on_its_direction, sizeof on_its_direction, now_ns, true) ==
+          1 + REFUSED_AGE);
     now_ns = clock_now_ns();
     receive_drives();
     exchange_put_imu(&work.exchange, &(imu_sample){.stamp_ns = now_ns});

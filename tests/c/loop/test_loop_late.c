@@ -39,7 +39,8 @@ static void only_ticks_that_are_late_are_kept_in_order(void)
     late_open(&log_now);
     (void)one_tick(0);
     CHECK(!late_take(&log_now, &out));
-    late_tick first = one_tick(4000 * INT64_C(1000000000)), second = one_tick(5000 * INT64_C(1000000000));
+    late_tick first = one_tick(4000 * INT64_C(1000000000)),
+              second = one_tick(5000 * INT64_C(1000000000));
     CHECK(late_take(&log_now, &out) && out.deadline_ns == first.deadline_ns);
     CHECK(out.stage_ns[STAGE_WAKE] == 4000 * INT64_C(1000000000) && out.cpu >= 0);
     CHECK(late_take(&log_now, &out) && out.deadline_ns == second.deadline_ns);
@@ -78,7 +79,8 @@ static void page_faults_are_those_of_the_tick(void)
     late_open(&log_now);
     int64_t begin_ns = clock_now_ns();
     late_begin(&log_now, begin_ns, begin_ns);
-    char *fresh = mmap(NULL, PAGES * PAGE, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+    char *fresh =
+        mmap(NULL, PAGES * PAGE, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
     CHECK(fresh != MAP_FAILED);
     (void)madvise(fresh, PAGES * PAGE, MADV_NOHUGEPAGE);
     for (size_t page = 0; page < PAGES; page++) {

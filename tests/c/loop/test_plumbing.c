@@ -34,14 +34,17 @@ static bool slots_are_apart(const mailbox *m)
     return (1U << m->back | 1U << m->front | 1U << (m->middle & 3)) == 7;
 }
 
-/* Also in the moments between: what the reader holds is not written to, and what the writer fills is not read. */
+/* Also in the moments between: what the reader holds is not written to, and what the writer
+ * fills is not read. */
 static void writer_reader_and_the_newest_value_never_share_a_slot(void)
 {
-    mailbox m = {.middle = UINT32_MAX, .back = UINT32_MAX, .front = UINT32_MAX}; /* whatever was there before */
+    /* whatever was there before */
+    mailbox m = {.middle = UINT32_MAX, .back = UINT32_MAX, .front = UINT32_MAX};
     uint32_t slot[MAILBOX_SLOTS] = {0}, value = 0;
     mailbox_init(&m);
     CHECK(mailbox_take(&m, slot, &value, sizeof value) == 0);
-    for (uint32_t turn = 0, pattern = 0xB5C3; turn < 64; turn++, pattern = pattern << 15 | pattern >> 1) {
+    for (uint32_t turn = 0, pattern = 0xB5C3; turn < 64;
+         turn++, pattern = pattern << 15 | pattern >> 1) {
         if ((pattern & 1) != 0) {
             mailbox_put(&m, slot, &turn, sizeof turn);
         } else {
@@ -106,8 +109,10 @@ static void each_value_has_a_box_of_its_own(void)
     CHECK(exchange_take_setpoints(&x, LINES_MAX, &out) == -EINVAL);
     uint64_t takes = exchange_line_takes(&x, 1);
     CHECK(exchange_take_setpoints(&x, 1, &out) == 0 && exchange_line_takes(&x, 1) == takes + 1);
-    CHECK(exchange_line_wake(&x, 0) == -1 && exchange_set_line_wake(&x, 0, 7) == 0 && exchange_line_wake(&x, 0) == 7);
-    CHECK(exchange_set_line_wake(&x, LINES_MAX, 7) == -EINVAL && exchange_line_wake(&x, LINES_MAX) == -1);
+    CHECK(exchange_line_wake(&x, 0) == -1 && exchange_set_line_wake(&x, 0, 7) == 0 &&
+          exchange_line_wake(&x, 0) == 7);
+    CHECK(exchange_set_line_wake(&x, LINES_MAX, 7) == -EINVAL &&
+          exchange_line_wake(&x, LINES_MAX) == -1);
 }
 
 /* Whatever was in the memory before: nothing of it is a value, a wake-up or a count. */
@@ -125,19 +130,25 @@ static void an_exchange_begins_empty_in_memory_that_was_used_before(void)
     imu_sample sample;
     memset(&x, 0xAA, sizeof x);
     exchange_init(&x);
-    CHECK(exchange_take_permissions(&x, &permissions) == 0 && memcmp(&permissions, &no_permissions, sizeof permissions) == 0);
-    CHECK(exchange_take_commands(&x, &report) == 0 && memcmp(&report, &no_report, sizeof report) == 0);
-    CHECK(exchange_take_control(&x, &control) == 0 && memcmp(&control, &no_control, sizeof control) == 0);
+    CHECK(exchange_take_permissions(&x, &permissions) == 0 &&
+          memcmp(&permissions, &no_permissions, sizeof permissions) == 0);
+    CHECK(exchange_take_commands(&x, &report) == 0 &&
+          memcmp(&report, &no_report, sizeof report) == 0);
+    CHECK(exchange_take_control(&x, &control) == 0 &&
+          memcmp(&control, &no_control, sizeof control) == 0);
     CHECK(exchange_take_imu(&x, &sample) == 0 && memcmp(&sample, &no_sample, sizeof sample) == 0);
     for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
-        CHECK(exchange_take_feedback(&x, joint, &feedback) == 0 && feedback.stamp_ns == 0 && feedback.count == 0);
+        CHECK(exchange_take_feedback(&x, joint, &feedback) == 0 && feedback.stamp_ns == 0 &&
+              feedback.count == 0);
     }
     for (uint32_t line = 0; line < LINES_MAX; line++) {
         CHECK(exchange_line_takes(&x, line) == 0 && exchange_enabled_count(&x, line) == 0);
         CHECK(exchange_line_wake(&x, line) == -1);
-        CHECK(exchange_take_setpoints(&x, line, &out) == 0 && memcmp(&out, &no_setpoints, sizeof out) == 0);
+        CHECK(exchange_take_setpoints(&x, line, &out) == 0 &&
+              memcmp(&out, &no_setpoints, sizeof out) == 0);
     }
-    CHECK(slots_are_apart(&x.permissions.mailbox) && slots_are_apart(&x.commands.mailbox) && slots_are_apart(&x.control.mailbox));
+    CHECK(slots_are_apart(&x.permissions.mailbox) && slots_are_apart(&x.commands.mailbox) &&
+          slots_are_apart(&x.control.mailbox));
     CHECK(slots_are_apart(&x.imu.mailbox));
     for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
         CHECK(slots_are_apart(&x.feedback[joint].mailbox));
@@ -164,8 +175,8 @@ static void a_line_is_sent_how_often_its_set_points_became_enabled(void)
     CHECK(exchange_enabled_count(&x, LINES_MAX + 1) == 0);
 }
 
-/* What a line's thread finds at the moment in which the set-points are copied: their second half lies in a page that cannot be
- * read before it has looked. */
+/* What a line's thread finds at the moment in which the set-points are copied: their second half
+ * lies in a page that cannot be read before it has looked. */
 static exchange looked_at;
 static uint8_t *second_half;
 static volatile uint64_t count_meanwhile;
@@ -180,7 +191,8 @@ static void look_meanwhile(int signal)
 static void no_count_is_ahead_of_its_set_points(void)
 {
     size_t page_bytes = (size_t)sysconf(_SC_PAGESIZE);
-    uint8_t *pages = mmap(NULL, 2 * page_bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+    uint8_t *pages =
+        mmap(NULL, 2 * page_bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
     CHECK(pages != MAP_FAILED);
     second_half = pages + page_bytes;
     setpoints *value = (setpoints *)(void *)(second_half - offsetof(setpoints, joint)), out;
@@ -188,7 +200,8 @@ static void no_count_is_ahead_of_its_set_points(void)
     exchange_init(&looked_at);
     *value = (setpoints){.enabled = 1};
     count_meanwhile = 9;
-    CHECK(sigaction(SIGSEGV, &look, &before) == 0 && mprotect(second_half, page_bytes, PROT_NONE) == 0);
+    CHECK(sigaction(SIGSEGV, &look, &before) == 0 &&
+          mprotect(second_half, page_bytes, PROT_NONE) == 0);
     CHECK(exchange_put_setpoints(&looked_at, 0, value) == 0);
     CHECK(sigaction(SIGSEGV, &before, NULL) == 0 && munmap(pages, 2 * page_bytes) == 0);
     CHECK(count_meanwhile == 0 && exchange_enabled_count(&looked_at, 0) == 1);
@@ -196,7 +209,13 @@ static void no_count_is_ahead_of_its_set_points(void)
 }
 
 /* Offsets as docs/state-page.md gives them, not as page.c has them. */
-enum { LAYOUT_VERSION_AT = 8, SLOT_STRIDE_AT = 20, WRITER_PID_AT = 28, PUBLISHED_AT = 32, SLOTS_AT = 64 };
+enum {
+    LAYOUT_VERSION_AT = 8,
+    SLOT_STRIDE_AT = 20,
+    WRITER_PID_AT = 28,
+    PUBLISHED_AT = 32,
+    SLOTS_AT = 64
+};
 
 static void set_word(uint8_t *page, size_t offset, uint64_t value)
 {
@@ -219,7 +238,8 @@ static void a_page_is_read_as_it_was_written(uint8_t *page)
     }
 }
 
-/* A reader that comes while a slot is written sees an odd number: here the number itself is what is written. */
+/* A reader that comes while a slot is written sees an odd number: here the number itself is what
+ * is written. */
 static void a_slot_is_marked_while_it_is_written(uint8_t *page)
 {
     uint64_t mark;
@@ -248,7 +268,8 @@ static void a_page_begins_empty_in_memory_that_was_used_before(uint8_t *page)
     robot_state read;
     memset(page, 0xAA, PAGE_BYTES + 64);
     CHECK(page_init(page) == 0 && page_read(page, &read) == -ENODATA);
-    CHECK(memcmp(page, "MOTORD\0\1", 8) == 0 && place(page, LAYOUT_VERSION_AT) == PAGE_LAYOUT_VERSION);
+    CHECK(memcmp(page, "MOTORD\0\1", 8) == 0 &&
+          place(page, LAYOUT_VERSION_AT) == PAGE_LAYOUT_VERSION);
     CHECK(place(page, WRITER_PID_AT) == (uint32_t)getpid());
     uint32_t stride = place(page, SLOT_STRIDE_AT);
     for (uint32_t slot = 0; slot < 4; slot++) {
@@ -270,7 +291,8 @@ static void a_page_that_cannot_be_trusted_is_refused(uint8_t *page)
     page[LAYOUT_VERSION_AT]--;
     CHECK(page_read(page, &read) == 0);
     memcpy(&stride, page + SLOT_STRIDE_AT, sizeof stride);
-    /* nine were written, so the newest is in the first slot: as if the writer had stopped within it */
+    /* nine were written, so the newest is in the first slot: as if the writer had stopped within
+     * it */
     set_word(page, SLOTS_AT, 2 * 9 - 1);
     CHECK(page_read(page, &read) == -EAGAIN);
     set_word(page, SLOTS_AT, 2 * 9);
@@ -325,12 +347,17 @@ static void a_journal_holds_what_went_in_and_what_came_out(void)
         journal_after(journal, &input, 0.001, &out, &snapshot);
     }
     memcpy(written, journal + WRITTEN_AT, sizeof written);
-    CHECK(written[0] == JOURNAL_RECORDS + 1 && written[1] == 1 + JOURNAL_RECORDS / JOURNAL_CHECKPOINT_EVERY);
+    CHECK(written[0] == JOURNAL_RECORDS + 1 &&
+          written[1] == 1 + JOURNAL_RECORDS / JOURNAL_CHECKPOINT_EVERY);
     const uint8_t *records = journal + place(journal, RECORDS_AT);
-    CHECK(holds(records, JOURNAL_RECORDS + 1, &record, sizeof record)); /* the first slot, for the second time */
-    CHECK(record.tick == JOURNAL_RECORDS + 1 && record.dt_s == 0.001 && record.digest == journal_digest(&snapshot));
-    CHECK(memcmp(&record.input, &input, sizeof input) == 0 && memcmp(&record.out, &out, sizeof out) == 0);
-    CHECK(holds(records + place(journal, RECORD_STRIDE_AT), 2, &record, sizeof record) && record.tick == 2);
+    /* the first slot, for the second time */
+    CHECK(holds(records, JOURNAL_RECORDS + 1, &record, sizeof record));
+    CHECK(record.tick == JOURNAL_RECORDS + 1 && record.dt_s == 0.001 &&
+          record.digest == journal_digest(&snapshot));
+    CHECK(memcmp(&record.input, &input, sizeof input) == 0 &&
+          memcmp(&record.out, &out, sizeof out) == 0);
+    CHECK(holds(records + place(journal, RECORD_STRIDE_AT), 2, &record, sizeof record) &&
+          record.tick == 2);
     const uint8_t *states = journal + place(journal, CHECKPOINTS_AT);
     CHECK(holds(states + place(journal, CHECKPOINT_STRIDE_AT), 2, &kept, sizeof kept));
     CHECK(kept.tick == JOURNAL_CHECKPOINT_EVERY);
@@ -346,16 +373,22 @@ static void a_journal_begins_empty_and_says_how_it_is_laid_out(void)
     CHECK(journal != NULL);
     memset(journal, 0xAA, journal_bytes());
     CHECK(journal_init(journal) == 0);
-    CHECK(memcmp(journal, "MOTORDJ\1", 8) == 0 && place(journal, LAYOUT_VERSION_AT) == JOURNAL_LAYOUT_VERSION);
-    CHECK(place(journal, RECORD_COUNT_AT) == JOURNAL_RECORDS && place(journal, CHECKPOINT_COUNT_AT) == JOURNAL_CHECKPOINTS);
-    CHECK(place(journal, RECORD_BYTES_AT) == sizeof(journal_record) && place(journal, CHECKPOINT_BYTES_AT) == sizeof(core_state));
+    CHECK(memcmp(journal, "MOTORDJ\1", 8) == 0 &&
+          place(journal, LAYOUT_VERSION_AT) == JOURNAL_LAYOUT_VERSION);
+    CHECK(place(journal, RECORD_COUNT_AT) == JOURNAL_RECORDS &&
+          place(journal, CHECKPOINT_COUNT_AT) == JOURNAL_CHECKPOINTS);
+    CHECK(place(journal, RECORD_BYTES_AT) == sizeof(journal_record) &&
+          place(journal, CHECKPOINT_BYTES_AT) == sizeof(core_state));
     CHECK(place(journal, JOURNAL_WRITER_PID_AT) == (uint32_t)getpid());
     all_zero(journal + WRITTEN_AT, 16);
     for (uint32_t i = 0; i < JOURNAL_RECORDS; i++) {
-        all_zero(journal + place(journal, RECORDS_AT) + i * (size_t)place(journal, RECORD_STRIDE_AT), 8);
+        all_zero(
+            journal + place(journal, RECORDS_AT) + i * (size_t)place(journal, RECORD_STRIDE_AT), 8);
     }
     for (uint32_t i = 0; i < JOURNAL_CHECKPOINTS; i++) {
-        all_zero(journal + place(journal, CHECKPOINTS_AT) + i * (size_t)place(journal, CHECKPOINT_STRIDE_AT), 8);
+        all_zero(journal + place(journal, CHECKPOINTS_AT) +
+                     i * (size_t)place(journal, CHECKPOINT_STRIDE_AT),
+                 8);
     }
     free(journal);
 }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What threads share, shared by real threads: for ThreadSanitizer, and for the values themselves. Each value
- * that crosses is made from one number, so half of one and half of another is seen. */
+ * What threads share, shared by real threads: for ThreadSanitizer, and for the values themselves.
+ * Each value that crosses is made from one number, so half of one and half of another is seen. */
 #include <errno.h>
 #include <math.h>
 #include <pthread.h>
@@ -39,9 +39,11 @@ static void *writes(void *unused)
     memset(&state, 0, sizeof state);
     for (uint64_t n = 1; n <= ROUNDS; n++) {
         double f = (double)n;
-        joint_feedback feedback = {.stamp_ns = (int64_t)n, .count = n, .velocity_rad_s = f, .temperature_c = f};
+        joint_feedback feedback = {
+            .stamp_ns = (int64_t)n, .count = n, .velocity_rad_s = f, .temperature_c = f};
         CHECK(exchange_put_feedback(x, 3, &feedback) == 0);
-        exchange_put_commands(x, &(command_report){.accepted = n, .lease = {{.linear_m_s = f, .angular_rad_s = f}}});
+        exchange_put_commands(
+            x, &(command_report){.accepted = n, .lease = {{.linear_m_s = f, .angular_rad_s = f}}});
         state.tick = n;
         state.x_m = f;
         state.joint[JOINTS_MAX - 1].jumps = (uint32_t)n;
@@ -65,12 +67,14 @@ static void *takes(void *unused)
     while (!done || last < ROUNDS) {
         bool is_new = exchange_take_feedback(x, 3, &feedback) == 1;
         CHECK(is_new ? feedback.count > last : feedback.count == last);
-        CHECK((uint64_t)feedback.stamp_ns == feedback.count && feedback.velocity_rad_s == (double)feedback.count &&
+        CHECK((uint64_t)feedback.stamp_ns == feedback.count &&
+              feedback.velocity_rad_s == (double)feedback.count &&
               feedback.temperature_c == (double)feedback.count);
         last = feedback.count;
         fresh += is_new;
         (void)exchange_take_commands(x, &report);
-        CHECK(report.lease[0].linear_m_s == (double)report.accepted && report.lease[0].angular_rad_s == (double)report.accepted);
+        CHECK(report.lease[0].linear_m_s == (double)report.accepted &&
+              report.lease[0].angular_rad_s == (double)report.accepted);
         (void)sched_yield();
     }
     CHECK(fresh > 0);
@@ -86,7 +90,8 @@ static void *reads_the_page(void *unused)
         int code = page_read(page, &state);
         CHECK(code == 0 || code == -EAGAIN || (code == -ENODATA && last == 0));
         if (code == 0) {
-            CHECK(state.tick >= last && state.x_m == (double)state.tick && state.joint[JOINTS_MAX - 1].jumps == state.tick);
+            CHECK(state.tick >= last && state.x_m == (double)state.tick &&
+                  state.joint[JOINTS_MAX - 1].jumps == state.tick);
             last = state.tick;
         }
         (void)sched_yield();
@@ -142,7 +147,8 @@ static void *writes_the_trace(void *unused)
 
 static void entries_of_a_trace_are_whole_or_refused(void)
 {
-    pthread_t threads[] = {spawn(reads_the_trace, NULL), spawn(reads_the_trace, NULL), spawn(writes_the_trace, NULL)};
+    pthread_t threads[] = {spawn(reads_the_trace, NULL), spawn(reads_the_trace, NULL),
+                           spawn(writes_the_trace, NULL)};
     for (size_t i = 0; i < sizeof threads / sizeof *threads; i++) {
         CHECK(pthread_join(threads[i], NULL) == 0);
     }
@@ -152,8 +158,9 @@ static void values_cross_whole_and_in_order(void)
 {
     exchange_init(&shared_exchange);
     CHECK(page_init(page) == 0);
-    pthread_t threads[] = {spawn(takes, NULL), spawn(reads_the_page, NULL), spawn(reads_the_page, NULL),
-                           spawn(reads_the_histogram, NULL), spawn(writes, NULL)};
+    pthread_t threads[] = {spawn(takes, NULL), spawn(reads_the_page, NULL),
+                           spawn(reads_the_page, NULL), spawn(reads_the_histogram, NULL),
+                           spawn(writes, NULL)};
     for (size_t i = 0; i < sizeof threads / sizeof *threads; i++) {
         CHECK(pthread_join(threads[i], NULL) == 0);
     }
@@ -163,7 +170,8 @@ static core_config base(void)
 {
     core_config config;
     memset(&config, 0, sizeof config);
-    axis_limits axis = {.velocity_u_s = 1, .acceleration_u_s2 = 5, .deceleration_u_s2 = 5, .jerk_u_s3 = INFINITY};
+    axis_limits axis = {
+        .velocity_u_s = 1, .acceleration_u_s2 = 5, .deceleration_u_s2 = 5, .jerk_u_s3 = INFINITY};
     config.joint_count = 2;
     config.limits = (base_limits){.linear = axis, .angular = axis, .lateral = axis};
     /* long: a slow machine is no fault here */
@@ -173,14 +181,14 @@ static core_config base(void)
     config.pose_variance_floor_m2 = config.heading_variance_floor_rad2 = 1e-6;
     config.twist_variance_floor_m2_s2 = config.twist_variance_floor_rad2_s2 = 1e-6;
     for (uint32_t joint = 0; joint < 2; joint++) {
-        config.joint[joint] =
-            (joint_config){.row = {1.0, 0.0, joint == 0 ? -0.2 : 0.2},
-                           .wheel_radius_m = 0.1,
-                           .velocity_min_rad_s = -20,
-                           .velocity_max_rad_s = 20,
-                           .rad_per_count = 0.001,
-                           .counter_bits = 32,
-                           .pwm = {.duty_min = -1, .duty_max = 1, .slew_per_s = INFINITY, .full_duty_rad_s = 20}};
+        config.joint[joint] = (joint_config){
+            .row = {1.0, 0.0, joint == 0 ? -0.2 : 0.2},
+            .wheel_radius_m = 0.1,
+            .velocity_min_rad_s = -20,
+            .velocity_max_rad_s = 20,
+            .rad_per_count = 0.001,
+            .counter_bits = 32,
+            .pwm = {.duty_min = -1, .duty_max = 1, .slew_per_s = INFINITY, .full_duty_rad_s = 20}};
     }
     return config;
 }
@@ -210,7 +218,8 @@ static void *is_the_line(void *unused)
 
 static int door[2];
 
-/* asyncio's thread: beats, commands, looks, until enough ticks have gone by with the wheels turning. */
+/* asyncio's thread: beats, commands, looks, until enough ticks have gone by with the wheels
+ * turning. */
 static void *is_asyncio(void *config)
 {
     exchange *x = loop_exchange();
@@ -218,11 +227,14 @@ static void *is_asyncio(void *config)
     robot_state state;
     static histogram h;
     static command_report commands;
-    exchange_put_permissions(x, &(lease_permissions){.lease = {{.number = 1, .lifetime_ns = 1000000000}}});
+    exchange_put_permissions(
+        x, &(lease_permissions){.lease = {{.number = 1, .lifetime_ns = 1000000000}}});
     bool turned = false;
     for (uint64_t n = 1; !turned || status.ticks < LOOP_TICKS; n++) {
         int64_t now_ns = clock_now_ns();
-        core_control control = {.heartbeat_ns = now_ns, .armed = n % 100 > 20, .limits = ((core_config *)config)->limits};
+        core_control control = {.heartbeat_ns = now_ns,
+                                .armed = n % 100 > 20,
+                                .limits = ((core_config *)config)->limits};
         double linear_m_s = n % 100 > 40 ? 0.3 : 0;
         exchange_put_control(x, &control);
         command_datagram command = {.magic = COMMAND_MAGIC,
@@ -254,12 +266,15 @@ static void check_rest(const void *shared_page)
     loop_status_read(&status);
     CHECK(!status.running && status.ticks >= LOOP_TICKS);
     for (uint32_t line = 0; line < LINES_MAX; line++) {
-        CHECK(exchange_take_setpoints(loop_exchange(), line, &last) >= 0 && last.enabled == 0 && last.joint_count == 2);
-        CHECK(last.joint[0].velocity_rad_s == 0 && last.joint[0].duty == 0 && last.joint[1].velocity_rad_s == 0);
+        CHECK(exchange_take_setpoints(loop_exchange(), line, &last) >= 0 && last.enabled == 0 &&
+              last.joint_count == 2);
+        CHECK(last.joint[0].velocity_rad_s == 0 && last.joint[0].duty == 0 &&
+              last.joint[1].velocity_rad_s == 0);
     }
     CHECK(loop_state_read(&own) == 0 && page_read(shared_page, &shared) == 0);
     CHECK(memcmp(&own, &shared, sizeof own) == 0);
-    CHECK(!own.armed && !own.enabled && own.setpoint_linear_m_s == 0 && own.stamp_ns == last.stamp_ns);
+    CHECK(!own.armed && !own.enabled && own.setpoint_linear_m_s == 0 &&
+          own.stamp_ns == last.stamp_ns);
 }
 
 static void the_loop_runs_between_asyncio_and_a_line(void)

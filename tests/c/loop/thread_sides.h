@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * thread_sides.h: the loop's side of a line's thread, and the socket pair that stands for its medium. */
+ * thread_sides.h: the loop's side of a line's thread, and the socket pair that stands for its
+ * medium. */
 #ifndef MOTORD_TESTS_THREAD_SIDES_H
 #define MOTORD_TESTS_THREAD_SIDES_H
 

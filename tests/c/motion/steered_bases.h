@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * steered_bases.h: bases whose wheels are steered, of each kind, and joints without a base, around good_config(). */
+ * steered_bases.h: bases whose wheels are steered, of each kind, and joints without a base,
+ * around good_config(). */
 #ifndef MOTORD_TESTS_STEERED_BASES_H
 #define MOTORD_TESTS_STEERED_BASES_H
 
@@ -34,7 +35,8 @@ static inline joint_config turning_within(double range_rad)
 }
 
 /* Without modules and joints yet, but for a module behind the last one, which does not count. */
-static inline core_config empty_base(uint32_t joints, uint32_t modules, uint32_t steering, uint32_t traction)
+static inline core_config empty_base(uint32_t joints, uint32_t modules, uint32_t steering,
+                                     uint32_t traction)
 {
     core_config base = good_config();
     memset(base.joint, 0, sizeof base.joint);
@@ -64,7 +66,8 @@ static inline core_config tricycle(void)
     return base;
 }
 
-/* Two wheels behind roll, joints 0 and 1; two in front, or behind them, are steered by joints 2 and 3. */
+/* Two wheels behind roll, joints 0 and 1; two in front, or behind them, are steered by joints 2
+ * and 3. */
 static inline core_config ackermann(double wheelbase_m)
 {
     core_config base = empty_base(4, 4, 3, 1);
@@ -84,7 +87,8 @@ static inline core_config swerve(void)
     base.joint[0] = base.joint[2] = turning_within(3.2);
     base.joint[1] = base.joint[3] = rolling();
     base.module[0] = (wheel_module){.x_m = 0.3, .y_m = 0.1, .steering = 1, .traction = 2};
-    base.module[1] = (wheel_module){.x_m = -0.2, .y_m = -0.2, .angle_rad = 0.3, .steering = 3, .traction = 4};
+    base.module[1] =
+        (wheel_module){.x_m = -0.2, .y_m = -0.2, .angle_rad = 0.3, .steering = 3, .traction = 4};
     return base;
 }
 

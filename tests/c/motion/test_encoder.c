@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Every line of encoder.c: the kernel's own event structure through a pipe, a counter's file, and the thread of bridges with
- * both. */
+ * Every line of encoder.c: the kernel's own event structure through a pipe, a counter's file, and
+ * the thread of bridges with both. */
 #include <errno.h>
 #include <fcntl.h>
 #include <linux/gpio.h>
@@ -21,7 +21,11 @@ static _Alignas(64) exchange mailboxes;
 
 static encoder_config edges_on(int fd)
 {
-    return (encoder_config){.kind = ENCODER_EDGES, .fd = fd, .a_offset = LINE_A, .b_offset = LINE_B, .rad_per_count = PER_COUNT};
+    return (encoder_config){.kind = ENCODER_EDGES,
+                            .fd = fd,
+                            .a_offset = LINE_A,
+                            .b_offset = LINE_B,
+                            .rad_per_count = PER_COUNT};
 }
 
 typedef struct {
@@ -64,8 +68,10 @@ static void events_of_the_kernel_are_counted(void)
     (void)encoder_velocity_rad_s(&state, &config, START_NS + 40 * MS);
     turn(&w, 40, MS);
     CHECK(encoder_read(&state, &config, START_NS) == 0 && state.count == 80);
-    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 80 * MS) - 1000.0 * PER_COUNT) < 1e-9);
-    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 89 * MS) - 100.0 * PER_COUNT) < 1e-9);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 80 * MS) - 1000.0 * PER_COUNT) <
+          1e-9);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 89 * MS) - 100.0 * PER_COUNT) <
+          1e-9);
     CHECK(encoder_velocity_rad_s(&state, &config, START_NS + 400 * MS) == 0.0);
     turn(&w, BURST, MS); /* more than one look takes */
     CHECK(encoder_read(&state, &config, START_NS) == 0 && state.count == 80 + 1024);
@@ -84,11 +90,13 @@ static void events_of_the_kernel_are_counted(void)
 }
 
 /* Edges by hand: the levels of A and B after each, one of them changed. */
-static void go_to(encoder_state *state, const encoder_config *config, uint32_t levels, int64_t stamp_ns)
+static void go_to(encoder_state *state, const encoder_config *config, uint32_t levels,
+                  int64_t stamp_ns)
 {
     uint32_t changed = state->levels ^ levels;
     CHECK(changed == 1 || changed == 2);
-    encoder_edge(state, config, changed == 2 ? LINE_A : LINE_B, (levels & changed) != 0, 0, stamp_ns);
+    encoder_edge(state, config, changed == 2 ? LINE_A : LINE_B, (levels & changed) != 0, 0,
+                 stamp_ns);
 }
 
 static void backward_counts_down_from_wherever_it_turns_round(void)
@@ -131,7 +139,8 @@ static void a_counter_goes_by_the_shorter_arc(void)
 
 static void a_wheel_is_no_faster_than_one_count_in_the_time_of_its_silence(void)
 {
-    const encoder_config config = {.kind = ENCODER_COUNTER, .ceiling = UINT64_MAX, .rad_per_count = 1.0};
+    const encoder_config config = {
+        .kind = ENCODER_COUNTER, .ceiling = UINT64_MAX, .rad_per_count = 1.0};
     encoder_state state;
     encoder_init(&state, &config);
     encoder_counter(&state, &config, 0, START_NS);
@@ -139,14 +148,19 @@ static void a_wheel_is_no_faster_than_one_count_in_the_time_of_its_silence(void)
     CHECK(encoder_velocity_rad_s(&state, &config, START_NS) == 0.0); /* from when on? */
     encoder_counter(&state, &config, 0, START_NS + 10 * MS);
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 10 * MS) + 1000.0) < 1e-6);
-    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 10 * MS + MS / 2) + 1000.0) < 1e-6);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 10 * MS + MS / 2) + 1000.0) <
+          1e-6);
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 12 * MS) + 500.0) < 1e-6);
-    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 250 * MS) + 1000.0 / 240.0) < 1e-6);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 250 * MS) + 1000.0 / 240.0) <
+          1e-6);
     CHECK(encoder_velocity_rad_s(&state, &config, START_NS + 261 * MS) == 0.0);
     encoder_counter(&state, &config, 1, START_NS + 300 * MS);
-    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 300 * MS) - 1000.0 / 290.0) < 1e-6);
-    encoder_counter(&state, &config, 2, START_NS + 300 * MS + 999); /* noise: so near that it is no speed */
-    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 300 * MS + 999) - 1000.0 / 290.0) < 1e-6);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 300 * MS) - 1000.0 / 290.0) <
+          1e-6);
+    /* noise: so near that it is no speed */
+    encoder_counter(&state, &config, 2, START_NS + 300 * MS + 999);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 300 * MS + 999) -
+               1000.0 / 290.0) < 1e-6);
 }
 
 static int file_that_says(const char *text)
@@ -156,7 +170,8 @@ static int file_that_says(const char *text)
     return fd;
 }
 
-/* In one piece, as the kernel's files are; the tail of a longer number stays behind the line's end. */
+/* In one piece, as the kernel's files are; the tail of a longer number stays behind the line's
+ * end. */
 static void say(int fd, const char *text)
 {
     CHECK(pwrite(fd, text, strlen(text), 0) == (ssize_t)strlen(text));
@@ -188,10 +203,12 @@ static void a_counter_is_read_from_its_file(void)
     CHECK(encoder_config_check(&config) == -EINVAL);
 }
 
-/* The kernel's files are whole numbers and a line's end; whatever else they hold is not taken for more. */
+/* The kernel's files are whole numbers and a line's end; whatever else they hold is not taken
+ * for more. */
 static void a_file_that_holds_nothing_or_more_than_a_number_is_read_with_care(void)
 {
-    encoder_config config = {.kind = ENCODER_COUNTER, .ceiling = UINT64_MAX, .rad_per_count = PER_COUNT};
+    encoder_config config = {
+        .kind = ENCODER_COUNTER, .ceiling = UINT64_MAX, .rad_per_count = PER_COUNT};
     encoder_state state;
     encoder_init(&state, &config);
     config.fd = file_that_says("");
@@ -238,10 +255,12 @@ static encoder_state counting(const encoder_config *config)
 
 static void silence_slows_a_wheel_down_and_a_quarter_of_a_second_stops_it(void)
 {
-    const encoder_config config = {.kind = ENCODER_COUNTER, .ceiling = UINT64_MAX, .rad_per_count = 1.0};
+    const encoder_config config = {
+        .kind = ENCODER_COUNTER, .ceiling = UINT64_MAX, .rad_per_count = 1.0};
     encoder_state state = counting(&config);
     int64_t last_ns = START_NS + 10 * MS;
-    CHECK(fabs(encoder_velocity_rad_s(&state, &config, last_ns + MS + MS / 20) - 1e9 / 1050000.0) < 1e-9);
+    CHECK(fabs(encoder_velocity_rad_s(&state, &config, last_ns + MS + MS / 20) - 1e9 / 1050000.0) <
+          1e-9);
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, last_ns + 250 * MS) - 4.0) < 1e-9);
     CHECK(encoder_velocity_rad_s(&state, &config, last_ns + 250 * MS + 1) == 0.0);
     state = counting(&config);
@@ -299,7 +318,10 @@ static void the_thread_of_bridges_feeds_back_what_its_encoders_count(void)
         .joint = {{.index = 0, .sign = 1.0, .encoder = edges_on(w.in)},
                   {.index = 1,
                    .sign = 1.0,
-                   .encoder = {.kind = ENCODER_COUNTER, .fd = counter, .ceiling = UINT64_MAX, .rad_per_count = -1.0}},
+                   .encoder = {.kind = ENCODER_COUNTER,
+                               .fd = counter,
+                               .ceiling = UINT64_MAX,
+                               .rad_per_count = -1.0}},
                   {.index = 2, .sign = 1.0}},
         .output = {{.fd = duty, .period_ns = 50000, .slope = {0.0, 0.0, 1.0, 1.0}}},
     };
@@ -326,7 +348,8 @@ static void the_thread_of_bridges_feeds_back_what_its_encoders_count(void)
         (void)nanosleep(&moment, NULL);
         CHECK(pwm_line_read_report(0, &report) == 0);
     } while (report.running && tries++ < 4000);
-    CHECK(!report.running && report.error == ENODEV && report.error_output == -2 && report.encoder_lost == 4);
+    CHECK(!report.running && report.error == ENODEV && report.error_output == -2 &&
+          report.encoder_lost == 4);
     CHECK(pwm_line_stop(0) == 0);
 }
 
@@ -346,7 +369,10 @@ static void what_a_board_says_is_fed_back_with_its_own_time(void)
         .output_count = 1,
         .joint = {{.index = 0,
                    .sign = 1.0,
-                   .encoder = {.kind = ENCODER_REPORTED, .fd = -1, .ceiling = UINT64_MAX, .rad_per_count = -0.5}},
+                   .encoder = {.kind = ENCODER_REPORTED,
+                               .fd = -1,
+                               .ceiling = UINT64_MAX,
+                               .rad_per_count = -0.5}},
                   {.index = 1, .sign = 1.0}},
         .output = {{.fd = duty, .period_ns = 50000, .slope = {0.0, 0.0, 1.0, 1.0}}},
     };

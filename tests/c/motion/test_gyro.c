@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Every line of the gyro's part of the core, for the sanitizers, with hostile samples. What it promises is tested in
- * tests/rt/odometry/test_gyro.py. */
+ * Every line of the gyro's part of the core, for the sanitizers, with hostile samples. What it
+ * promises is tested in tests/rt/odometry/test_gyro.py. */
 #include "check.h"
 #include "exchange.h"
 
@@ -36,7 +36,8 @@ static void say(sensor *s, double rate_rad_s, int samples, bool wheels_rest)
 {
     for (int i = 0; i < samples; i++) {
         s->now_ns += SAMPLE_NS;
-        imu_sample sample = {.stamp_ns = s->now_ns, .angular_rad_s = {0.0, 0.0, rate_rad_s}, .epoch = s->epoch};
+        imu_sample sample = {
+            .stamp_ns = s->now_ns, .angular_rad_s = {0.0, 0.0, rate_rad_s}, .epoch = s->epoch};
         gyro_take(&s->state, &CONFIG, &sample, s->now_ns, wheels_rest);
     }
 }
@@ -105,7 +106,8 @@ static void a_part_of_the_angle_that_is_not_known_is_no_turn(void)
     say(&s, 0.6, 2, false);
     is_broken_once(&s);
     s = on_the_move();
-    imu_sample sample = {.stamp_ns = s.now_ns + 1, .angular_rad_s = {0.0, 0.0, 0.6}, .saturated = 1};
+    imu_sample sample = {
+        .stamp_ns = s.now_ns + 1, .angular_rad_s = {0.0, 0.0, 0.6}, .saturated = 1};
     gyro_take(&s.state, &CONFIG, &sample, s.now_ns + 1, false);
     say(&s, 0.6, 1, false);
     is_broken_once(&s);
@@ -133,7 +135,8 @@ static void the_zero_is_the_mean_of_a_second_that_begins_when_the_chassis_has_co
     for (int i = 0; i < 200; i++) { /* a second more: as good as the first, and a little wander */
         say(&s, i % 2 == 0 ? 0.101 : 0.099, 1, true);
     }
-    double before = mean_variance_rad2_s2 + 1e-9, after = before * mean_variance_rad2_s2 / (before + mean_variance_rad2_s2);
+    double before = mean_variance_rad2_s2 + 1e-9,
+           after = before * mean_variance_rad2_s2 / (before + mean_variance_rad2_s2);
     CHECK(fabs(s.state.bias_variance_rad2_s2 / after - 1.0) < 0.02);
     CHECK(s.state.still == 1);
 }
@@ -176,13 +179,16 @@ static void hostile_samples_leave_finite_numbers(void)
     for (size_t r = 0; r < sizeof RATES / sizeof RATES[0]; r++) {
         for (size_t t = 0; t < sizeof STAMPS / sizeof STAMPS[0]; t++) {
             for (uint32_t saturated = 0; saturated < 2; saturated++) {
-                imu_sample sample = {
-                    .stamp_ns = STAMPS[t], .angular_rad_s = {NAN, NAN, RATES[r]}, .saturated = saturated, .epoch = (uint32_t)t};
+                imu_sample sample = {.stamp_ns = STAMPS[t],
+                                     .angular_rad_s = {NAN, NAN, RATES[r]},
+                                     .saturated = saturated,
+                                     .epoch = (uint32_t)t};
                 double turn_rad = 0.0;
                 gyro_take(&s.state, &CONFIG, &sample, s.now_ns, saturated != 0);
                 say(&s, RATES[r], 2, false);
                 (void)turned(&s, &turn_rad);
-                CHECK(isfinite(turn_rad) && isfinite(s.state.yaw_rad) && isfinite(s.state.bias_rad_s));
+                CHECK(isfinite(turn_rad) && isfinite(s.state.yaw_rad) &&
+                      isfinite(s.state.bias_rad_s));
             }
         }
     }
@@ -203,7 +209,7 @@ static void turning_against_the_wheels_is_remembered(void)
     }
 }
 
-/* ------------------------------------------------------------------------------------- to the nanosecond, to the bit */
+/* -------------------------------------------------------- to the nanosecond, to the bit */
 typedef struct {
     gyro_state state;
     gyro_config config;
@@ -223,14 +229,16 @@ static void report_at(exact *e, int64_t stamp_ns, double rate_rad_s, bool wheels
     gyro_take(&e->state, &e->config, &sample, stamp_ns, wheels_rest);
 }
 
-/* At rest from START_NS on: this many samples between 0.5 s and 1.5 s later, `apart` to both sides of `middle`. */
+/* At rest from START_NS on: this many samples between 0.5 s and 1.5 s later, `apart` to both
+ * sides of `middle`. */
 static void rest(exact *e, int samples, double middle_rad_s, double apart_rad_s)
 {
     const int64_t settled_ns = START_NS + 500000000;
     report_at(e, START_NS, middle_rad_s, true);
     report_at(e, settled_ns - 1, 9.0, true); /* the chassis swings to the last */
     for (int i = 0; i < samples - 1; i++) {
-        report_at(e, settled_ns + i * 50000000, middle_rad_s + (i % 2 == 0 ? apart_rad_s : -apart_rad_s), true);
+        report_at(e, settled_ns + i * 50000000,
+                  middle_rad_s + (i % 2 == 0 ? apart_rad_s : -apart_rad_s), true);
     }
     report_at(e, settled_ns + 999999999, middle_rad_s + apart_rad_s, true);
 }
@@ -312,10 +320,11 @@ static bool stands_at(exact e, double rate_rad_s)
 static void it_stands_within_a_hundredth_or_five_deviations_of_its_noise(void)
 {
     exact unresponsive = at_rest(0.0), noisy = at_rest(0.01);
-    CHECK(stands_at(unresponsive, 0.01) && stands_at(unresponsive, -0.01) && !stands_at(unresponsive, 0.0101) &&
-          !stands_at(unresponsive, -0.011));
+    CHECK(stands_at(unresponsive, 0.01) && stands_at(unresponsive, -0.01) &&
+          !stands_at(unresponsive, 0.0101) && !stands_at(unresponsive, -0.011));
     double limit_rad_s = 5.0 * sqrt(20e-4 / 19.0);
-    CHECK(stands_at(noisy, 0.999 * limit_rad_s * sqrt(0.1)) && stands_at(noisy, 0.0512) && !stands_at(noisy, 0.0515));
+    CHECK(stands_at(noisy, 0.999 * limit_rad_s * sqrt(0.1)) && stands_at(noisy, 0.0512) &&
+          !stands_at(noisy, 0.0515));
     noisy = at_rest(0.001); /* five deviations of it are less than a hundredth */
     CHECK(stands_at(noisy, 0.0099));
 }
@@ -351,7 +360,8 @@ static void a_gap_as_long_as_the_timeout_is_still_none(void)
     CHECK(gyro_status(&e.state, &e.config, e.state.stamp_ns + 500000001) == GYRO_STALE);
     double yaw_rad = e.state.yaw_rad;
     report_at(&e, e.state.stamp_ns + 500000001, 0.2, false);
-    CHECK(e.state.epoch == 1 && e.state.yaw_rad == yaw_rad); /* what was not received is not integrated */
+    /* what was not received is not integrated */
+    CHECK(e.state.epoch == 1 && e.state.yaw_rad == yaw_rad);
 }
 
 static void a_broken_integral_is_stale_at_once_and_its_rest_begins_anew(void)
@@ -359,7 +369,8 @@ static void a_broken_integral_is_stale_at_once_and_its_rest_begins_anew(void)
     double turn_rad, variance_rad2;
     exact e = at_rest(0.0);
     CHECK(e.state.still == 1);
-    imu_sample saturated = {.stamp_ns = RESTED_NS + 1, .angular_rad_s = {0.0, 0.0, 0.0}, .saturated = 1};
+    imu_sample saturated = {
+        .stamp_ns = RESTED_NS + 1, .angular_rad_s = {0.0, 0.0, 0.0}, .saturated = 1};
     gyro_take(&e.state, &e.config, &saturated, RESTED_NS + 1, true);
     CHECK(e.state.still == 0 && gyro_status(&e.state, &e.config, RESTED_NS + 1) == GYRO_STALE);
     CHECK(!gyro_turn(&e.state, &e.config, RESTED_NS + 1, &turn_rad, &variance_rad2));
@@ -401,7 +412,8 @@ static void the_variance_of_a_turn_is_of_its_noise_its_scale_and_the_age_of_its_
     double turn_rad, variance_rad2;
     exact e = at_rest(0.001);
     e.config.turn_variance_rad2_per_rad = 3e-7;
-    for (int64_t at_ns = RESTED_NS + 100000000; at_ns <= RESTED_NS + 10000000000; at_ns += 100000000) {
+    for (int64_t at_ns = RESTED_NS + 100000000; at_ns <= RESTED_NS + 10000000000;
+         at_ns += 100000000) {
         report_at(&e, at_ns, 0.5, false);
     }
     CHECK(!gyro_turn(&e.state, &e.config, RESTED_NS + 9800000000, &turn_rad, &variance_rad2));
@@ -421,7 +433,8 @@ static void a_quarter_of_the_wheels_turn_is_noise_and_one_radian_against_them_is
     }
     CHECK(!gyro_reversed(&state, 1.0, -0.25) && state.opposed_rad == 0.0);
     CHECK(!gyro_reversed(&state, 1.0, -0.245) && state.opposed_rad == 0.0);
-    CHECK(!gyro_reversed(&state, 0.5, -0.1275) && !gyro_reversed(&state, 0.5, -0.1275)); /* one radian, not more */
+    /* one radian, not more */
+    CHECK(!gyro_reversed(&state, 0.5, -0.1275) && !gyro_reversed(&state, 0.5, -0.1275));
     CHECK(state.opposed_rad == 1.0 && gyro_reversed(&state, 1e-6, -1e-6));
 }
 

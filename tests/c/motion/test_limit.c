@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_limit: one step of the ramp in numbers, and whole ramps against what is physically the shortest time. */
+ * test_limit: one step of the ramp in numbers, and whole ramps against what is physically the
+ * shortest time. */
 #include <float.h>
 #include <math.h>
 
@@ -7,7 +8,8 @@
 #include "core.h"
 
 static const double DT_S = 0.01;
-static const base_limits PLAIN = {{2.0, 1.0, 1.5, INFINITY}, {4.0, 3.0, 4.0, INFINITY}, {1.5, 0.8, 1.2, INFINITY}};
+static const base_limits PLAIN = {
+    {2.0, 1.0, 1.5, INFINITY}, {4.0, 3.0, 4.0, INFINITY}, {1.5, 0.8, 1.2, INFINITY}};
 static const base_limits SOFT = {{2.0, 1.0, 1.5, 8.0}, {4.0, 3.0, 4.0, 30.0}, {1.5, 0.8, 1.2, 6.0}};
 
 static bool near(double value, double expected)
@@ -57,11 +59,14 @@ static const struct {
 static void one_step_keeps_each_limit_and_says_which_one(void)
 {
     for (size_t i = 0; i < sizeof STEPS / sizeof STEPS[0]; i++) {
-        limit_state axis[AXES] = {{STEPS[i].from[0], 0.0}, {STEPS[i].from[1], 0.0}, {STEPS[i].from[2], 0.0}};
-        uint32_t reason = ramp_step(axis, AXES, STEPS[i].soft ? &SOFT : &PLAIN, NULL, STEPS[i].goal, DT_S, STEPS[i].urgent);
+        limit_state axis[AXES] = {
+            {STEPS[i].from[0], 0.0}, {STEPS[i].from[1], 0.0}, {STEPS[i].from[2], 0.0}};
+        uint32_t reason = ramp_step(axis, AXES, STEPS[i].soft ? &SOFT : &PLAIN, NULL, STEPS[i].goal,
+                                    DT_S, STEPS[i].urgent);
         for (int a = 0; a < AXES; a++) {
             CHECK(near(axis[a].velocity_u_s, STEPS[i].expected[a]));
-            CHECK(fabs(axis[a].acceleration_u_s2 - (STEPS[i].expected[a] - STEPS[i].from[a]) / DT_S) < 1e-9);
+            CHECK(fabs(axis[a].acceleration_u_s2 -
+                       (STEPS[i].expected[a] - STEPS[i].from[a]) / DT_S) < 1e-9);
         }
         CHECK(reason == STEPS[i].reason);
     }
@@ -83,7 +88,9 @@ static void an_acceleration_goes_on_in_its_direction_and_counts_for_nothing_agai
 /* The shortest time in which a speed can change by so much. */
 static double shortest_s(double change, double acceleration, double jerk)
 {
-    return change >= acceleration * acceleration / jerk ? change / acceleration + acceleration / jerk : 2.0 * sqrt(change / jerk);
+    return change >= acceleration * acceleration / jerk
+               ? change / acceleration + acceleration / jerk
+               : 2.0 * sqrt(change / jerk);
 }
 
 static uint64_t noise = 88172645463325252U;
@@ -99,22 +106,27 @@ static void a_ramp_takes_the_shortest_time_and_is_soft_at_both_ends(void)
     for (int round = 0; round < 400; round++) {
         int a = round % AXES;
         base_limits limits = SOFT;
-        axis_limits *of = a == AXIS_LINEAR ? &limits.linear : a == AXIS_ANGULAR ? &limits.angular : &limits.lateral;
+        axis_limits *of = a == AXIS_LINEAR    ? &limits.linear
+                          : a == AXIS_ANGULAR ? &limits.angular
+                                              : &limits.lateral;
         *of = (axis_limits){5.0, any(0.5, 4.0), any(0.5, 4.0), any(2.0, 50.0)};
         bool falls = round % 3 == 0, back = round % 5 == 0;
-        double sign = back ? -1.0 : 1.0, from = falls ? any(0.5, 3.0) : 0.0, goal[AXES] = {0.0, 0.0};
+        double sign = back ? -1.0 : 1.0, from = falls ? any(0.5, 3.0) : 0.0,
+               goal[AXES] = {0.0, 0.0};
         goal[a] = falls ? 0.0 : sign * any(0.2, 3.0);
         limit_state axis[AXES] = {0};
         axis[a].velocity_u_s = sign * from;
         double apart = round % 2 == 0 ? any(0.0, 0.5) : 0.0; /* neither end at zero */
         goal[a] += sign * apart, axis[a].velocity_u_s += sign * apart;
-        double bound = falls ? of->deceleration_u_s2 : of->acceleration_u_s2, last = 0.0, most = 0.0;
+        double bound = falls ? of->deceleration_u_s2 : of->acceleration_u_s2, last = 0.0,
+               most = 0.0;
         int steps = 0;
         for (; axis[a].velocity_u_s != goal[a] && steps < 5000; steps++) {
             double before = axis[a].velocity_u_s;
             ramp_step(axis, AXES, &limits, NULL, goal, DT_S, false);
             double now = (axis[a].velocity_u_s - before) / DT_S * (falls ? -sign : sign);
-            CHECK(now > 0.0 && now <= bound + 1e-9 && fabs(now - last) <= of->jerk_u_s3 * DT_S + 1e-9);
+            CHECK(now > 0.0 && now <= bound + 1e-9 &&
+                  fabs(now - last) <= of->jerk_u_s3 * DT_S + 1e-9);
             last = now;
             most = fmax(most, now);
         }
@@ -125,7 +137,8 @@ static void a_ramp_takes_the_shortest_time_and_is_soft_at_both_ends(void)
 }
 
 /* From `from` to zero, eased so that it passes zero with no more than `gains`, and on to `to`. */
-static double shortest_through_zero_s(double from, double to, double gains, double loses, double jerk)
+static double shortest_through_zero_s(double from, double to, double gains, double loses,
+                                      double jerk)
 {
     double most = fmin(loses, sqrt(jerk * from + 0.5 * gains * gains));
     double eased = (most * most + most * most - gains * gains) / (2.0 * jerk);
@@ -164,15 +177,17 @@ static core_config with_slew(double slew_per_s)
 {
     core_config base = {.joint_count = 2};
     for (int j = 0; j < 2; j++) {
-        base.joint[j] = (joint_config){
-            .row = {1.0, 0.0, (2.0 * j - 1.0) * 0.25}, .wheel_radius_m = 0.1, .pwm = {0.2, -1.0, 1.0, slew_per_s, 16.0}};
+        base.joint[j] = (joint_config){.row = {1.0, 0.0, (2.0 * j - 1.0) * 0.25},
+                                       .wheel_radius_m = 0.1,
+                                       .pwm = {0.2, -1.0, 1.0, slew_per_s, 16.0}};
     }
     return base;
 }
 
 static void a_duty_slew_bounds_how_fast_a_wheel_grows_faster(void)
 {
-    /* 0.1 a second of 16 rad/s over 0.8 of the duty: 2 rad/s2 at the wheel, 0.2 m/s2, 0.8 rad/s2 in a turn */
+    /* 0.1 a second of 16 rad/s over 0.8 of the duty: 2 rad/s2 at the wheel, 0.2 m/s2, 0.8 rad/s2
+     * in a turn */
     core_config base = with_slew(0.1);
     static const struct {
         double from[AXES], goal[AXES], expected[AXES];
@@ -196,7 +211,8 @@ static void a_duty_slew_bounds_how_fast_a_wheel_grows_faster(void)
             CHECK(reason == REASON_LINEAR_DECELERATION || reason == REASON_ANGULAR_ACCELERATION);
             continue;
         }
-        CHECK(near(axis[0].velocity_u_s, CASES[i].expected[0]) && near(axis[1].velocity_u_s, CASES[i].expected[1]));
+        CHECK(near(axis[0].velocity_u_s, CASES[i].expected[0]) &&
+              near(axis[1].velocity_u_s, CASES[i].expected[1]));
         CHECK(reason == CASES[i].reason);
     }
 }
@@ -205,10 +221,12 @@ static void what_is_within_a_step_is_reached_exactly(void)
 {
     for (int round = 0; round < 1000; round++) {
         double goal[AXES] = {any(-1.0, 1.0), any(-1.0, 1.0)};
-        limit_state axis[AXES] = {{goal[0] + any(-0.009, 0.009), 0.0}, {goal[1] + any(-0.02, 0.02), 0.0}};
+        limit_state axis[AXES] = {{goal[0] + any(-0.009, 0.009), 0.0},
+                                  {goal[1] + any(-0.02, 0.02), 0.0}};
         CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, DT_S, false) == 0);
         CHECK(axis[0].velocity_u_s == goal[0] && axis[1].velocity_u_s == goal[1]);
-        double dt_s = any(0.001, 0.05); /* a distance divided by it and multiplied by it is rounded */
+        /* a distance divided by it and multiplied by it is rounded */
+        double dt_s = any(0.001, 0.05);
         axis[0] = axis[1] = (limit_state){0};
         goal[0] = any(-0.9, 0.9) * dt_s, goal[1] = any(-0.9, 0.9) * dt_s;
         CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, dt_s, false) == 0);
@@ -219,19 +237,25 @@ static void what_is_within_a_step_is_reached_exactly(void)
 static void the_largest_numbers_that_there_are_are_numbers(void)
 {
     limit_state axis[AXES] = {{DBL_MAX, 0.0}};
-    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){0.0, 0.0}, DT_S, false) == REASON_LINEAR_DECELERATION);
+    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){0.0, 0.0}, DT_S, false) ==
+          REASON_LINEAR_DECELERATION);
     CHECK(axis[0].velocity_u_s == DBL_MAX && near(axis[0].acceleration_u_s2, -1.5));
     axis[0] = (limit_state){0};
-    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){DBL_MAX, 0.0}, DT_S, false) == REASON_LINEAR_ACCELERATION);
+    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){DBL_MAX, 0.0}, DT_S, false) ==
+          REASON_LINEAR_ACCELERATION);
     CHECK(near(axis[0].velocity_u_s, 0.01));
     axis[0] = (limit_state){0};
-    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){1.0, 0.0}, DBL_MAX, true) == 0 && axis[0].velocity_u_s == 1.0);
+    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){1.0, 0.0}, DBL_MAX, true) == 0 &&
+          axis[0].velocity_u_s == 1.0);
     axis[0] = (limit_state){-DBL_MAX, 0.0}; /* the distance overflows */
-    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){DBL_MAX, 0.0}, DT_S, false) == 0);
+    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){DBL_MAX, 0.0}, DT_S, false) ==
+          0);
     CHECK(axis[0].velocity_u_s == 0.0 && axis[0].acceleration_u_s2 == 0.0);
-    const axis_limits endless = {1e300, INFINITY, INFINITY, INFINITY}, plain = {1.0, 1.0, 1.0, INFINITY};
+    const axis_limits endless = {1e300, INFINITY, INFINITY, INFINITY},
+                      plain = {1.0, 1.0, 1.0, INFINITY};
     for (int a = 0; a < AXES; a++) { /* the acceleration overflows */
-        base_limits limits = {a == 0 ? endless : plain, a == 1 ? endless : plain, a == 2 ? endless : plain};
+        base_limits limits = {a == 0 ? endless : plain, a == 1 ? endless : plain,
+                              a == 2 ? endless : plain};
         limit_state still[AXES] = {{0.0, 0.0}};
         double goal[AXES] = {0.0};
         goal[a] = 1e10;
@@ -248,8 +272,10 @@ static void what_is_no_number_rests_and_what_is_no_goal_is_zero(void)
             limit_state axis[AXES] = {{1.0, 0.5}, {1.0, 0.5}};
             double goal[AXES] = {1.0, 1.0};
             axis[a].velocity_u_s = BAD[i];
-            CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, DT_S, false) == 0 && axis[0].velocity_u_s == 0.0);
-            CHECK(axis[1].velocity_u_s == 0.0 && axis[0].acceleration_u_s2 == 0.0 && axis[1].acceleration_u_s2 == 0.0);
+            CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, DT_S, false) == 0 &&
+                  axis[0].velocity_u_s == 0.0);
+            CHECK(axis[1].velocity_u_s == 0.0 && axis[0].acceleration_u_s2 == 0.0 &&
+                  axis[1].acceleration_u_s2 == 0.0);
             axis[0] = axis[1] = (limit_state){1.0, 0.5};
             axis[a].acceleration_u_s2 = BAD[i];
             CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, DT_S, false) == 0 &&
@@ -259,7 +285,8 @@ static void what_is_no_number_rests_and_what_is_no_goal_is_zero(void)
                   axis[0].velocity_u_s + axis[1].velocity_u_s == 0.0);
             axis[0] = axis[1] = (limit_state){1.0, 0.0};
             goal[a] = BAD[i];
-            CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, DT_S, false) == REASON_LINEAR_DECELERATION);
+            CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, DT_S, false) ==
+                  REASON_LINEAR_DECELERATION);
             CHECK(near(axis[0].velocity_u_s, 0.985) && near(axis[1].velocity_u_s, 0.985));
             axis[0] = axis[1] = (limit_state){0};
             CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, DT_S, false) == 0);
@@ -267,16 +294,20 @@ static void what_is_no_number_rests_and_what_is_no_goal_is_zero(void)
         }
     }
     limit_state axis[AXES] = {{1.0, 0.5}, {1.0, 0.5}};
-    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){0.5, 0.5}, 0.0, false) == 0 && axis[0].velocity_u_s == 0.0);
+    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){0.5, 0.5}, 0.0, false) == 0 &&
+          axis[0].velocity_u_s == 0.0);
     axis[0] = axis[1] = (limit_state){1.0, 0.5};
-    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){0.5, 0.5}, 0.0, true) == 0 && axis[0].velocity_u_s == 0.0);
+    CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){0.5, 0.5}, 0.0, true) == 0 &&
+          axis[0].velocity_u_s == 0.0);
     axis[0] = axis[1] = (limit_state){0};
     core_config base = with_slew(INFINITY); /* no slew is no limit */
-    CHECK(ramp_step(axis, AXES, &PLAIN, &base, (const double[AXES]){1.0, 0.0}, DT_S, false) == REASON_LINEAR_ACCELERATION);
+    CHECK(ramp_step(axis, AXES, &PLAIN, &base, (const double[AXES]){1.0, 0.0}, DT_S, false) ==
+          REASON_LINEAR_ACCELERATION);
     CHECK(near(axis[0].velocity_u_s, 0.01));
     axis[0] = axis[1] = (limit_state){0.001, 0.0};
     ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){-0.0, -0.0}, DT_S, false);
-    CHECK(axis[0].velocity_u_s == 0.0 && !signbit(axis[0].velocity_u_s) && !signbit(axis[1].velocity_u_s));
+    CHECK(axis[0].velocity_u_s == 0.0 && !signbit(axis[0].velocity_u_s) &&
+          !signbit(axis[1].velocity_u_s));
 }
 
 int main(void)

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_limit_ease: how fast one step may be where the next ones must be slower, against a search that tries it out. */
+ * test_limit_ease: how fast one step may be where the next ones must be slower, against a search
+ * that tries it out. */
 #include <math.h>
 
 #include "check.h"
@@ -40,7 +41,8 @@ static bool turns_gently(double first, double gap, double step, double after)
 }
 
 /* The largest for which it holds; it holds for all that are smaller. */
-static double largest(bool (*holds)(double, double, double, double), double gap, double step, double after)
+static double largest(bool (*holds)(double, double, double, double), double gap, double step,
+                      double after)
 {
     double low = 0.0, high = 2.0 * gap + 2.0 * after;
     for (int i = 0; i < 200; i++) {
@@ -52,10 +54,13 @@ static double largest(bool (*holds)(double, double, double, double), double gap,
 
 static double step_of(double from, double goal, double gains, double jerk, uint32_t expected)
 {
-    base_limits limits = {.linear = {1e6, gains, FAST_U_S2, jerk}, .angular = {1.0, 1.0, 1.0, INFINITY}};
+    base_limits limits = {.linear = {1e6, gains, FAST_U_S2, jerk},
+                          .angular = {1.0, 1.0, 1.0, INFINITY}};
     double sense = goal > from ? 1.0 : -1.0;
-    limit_state axis[AXES] = {{from, sense * FAST_U_S2}}; /* as fast as it likes already: the growth bounds nothing */
-    uint32_t reason = ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){goal, 0.0}, DT_S, false);
+    /* as fast as it likes already: the growth bounds nothing */
+    limit_state axis[AXES] = {{from, sense * FAST_U_S2}};
+    uint32_t reason =
+        ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){goal, 0.0}, DT_S, false);
     CHECK(reason == expected);
     CHECK(fabs(axis[0].velocity_u_s - from - axis[0].acceleration_u_s2 * DT_S) < 1e-9);
     return sense * axis[0].acceleration_u_s2;
@@ -81,7 +86,8 @@ static void a_speed_is_eased_before_it_changes_its_sign_as_late_as_can_be(void)
 {
     int eased = 0;
     for (int round = 0; round < 4000; round++) {
-        double gains = any(0.2, 4.0), jerk = any(2.0, 400.0), gap = gains * any(0.1, round % 2 == 0 ? 3.0 : 60.0);
+        double gains = any(0.2, 4.0), jerk = any(2.0, 400.0),
+               gap = gains * any(0.1, round % 2 == 0 ? 3.0 : 60.0);
         double from = gap * DT_S, step = jerk * DT_S;
         double expected = largest(turns_gently, gap, step, gains);
         CHECK(same(step_of(from, -1000.0, gains, jerk, REASON_LINEAR_ACCELERATION), expected));

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_modules: the motion of a base from its rims and the angles of its wheels, against the equations of the textbook
- * (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3). */
+ * test_modules: the motion of a base from its rims and the angles of its wheels, against the
+ * equations of the textbook (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3). */
 #include "steered_bases.h"
 
 /* What one wheel says of the twist. */
@@ -9,8 +9,10 @@ typedef struct {
     double rim;
 } equation;
 
-/* Of the joints that are known: what rolls, and what does not slide. A base that does not strafe has no lateral axis. */
-static int equations(const core_config *base, const double *angle_rad, uint32_t joints, const double *rim, equation *out)
+/* Of the joints that are known: what rolls, and what does not slide. A base that does not strafe
+ * has no lateral axis. */
+static int equations(const core_config *base, const double *angle_rad, uint32_t joints,
+                     const double *rim, equation *out)
 {
     double y = kinematics_strafes(base) ? 1.0 : 0.0;
     int count = 0;
@@ -19,7 +21,8 @@ static int equations(const core_config *base, const double *angle_rad, uint32_t 
         if (at->steering != 0 && !(joints & 1U << (at->steering - 1))) {
             continue;
         }
-        double angle = at->angle_rad + (at->steering != 0 ? angle_rad[at->steering - 1] : 0.0), c = cos(angle), s = sin(angle);
+        double angle = at->angle_rad + (at->steering != 0 ? angle_rad[at->steering - 1] : 0.0),
+               c = cos(angle), s = sin(angle);
         out[count++] = (equation){{-s, at->x_m * c + at->y_m * s, c * y}, 0.0};
         if (at->traction != 0 && joints & 1U << (at->traction - 1)) {
             out[count++] = (equation){{c, at->x_m * s - at->y_m * c, s * y}, rim[at->traction - 1]};
@@ -34,7 +37,8 @@ static double left_over(const equation *one, const double *twist_u)
 }
 
 /* Of least squares: what is left over is at right angles to every column. */
-static void check_least_squares(const core_config *base, const double *angle_rad, uint32_t joints, const double *rim)
+static void check_least_squares(const core_config *base, const double *angle_rad, uint32_t joints,
+                                const double *rim)
 {
     equation one[2 * JOINTS_MAX];
     double twist_u[AXES] = {0.0}, square = 0.0;
@@ -56,18 +60,22 @@ static void check_least_squares(const core_config *base, const double *angle_rad
         }
         CHECK(close_to(sum, 0.0));
     }
-    twist_u[0] += any(-1.0, 1.0), twist_u[1] += any(-1.0, 1.0), twist_u[2] += any(-1.0, 1.0); /* any motion has a residual */
+    /* any motion has a residual */
+    twist_u[0] += any(-1.0, 1.0), twist_u[1] += any(-1.0, 1.0), twist_u[2] += any(-1.0, 1.0);
     for (int i = 0; i < count; i++) {
         square += left_over(&one[i], twist_u) * left_over(&one[i], twist_u);
     }
-    CHECK(close_to(kinematics_residual(base, angle_rad, joints, rim, twist_u), sqrt(square / count)));
+    CHECK(
+        close_to(kinematics_residual(base, angle_rad, joints, rim, twist_u), sqrt(square / count)));
 }
 
 static void the_motion_is_that_of_least_squares_at_any_angle(void)
 {
-    core_config bases[] = {bicycle(), tricycle(), ackermann(WHEELBASE_M), ackermann(-WHEELBASE_M), swerve()};
+    core_config bases[] = {bicycle(), tricycle(), ackermann(WHEELBASE_M), ackermann(-WHEELBASE_M),
+                           swerve()};
     for (int i = 0; i < COUNT_OF(bases); i++) { /* one more, which does not count */
-        bases[i].module[bases[i].module_count] = (wheel_module){.x_m = 1.0, .y_m = 0.5, .traction = 1};
+        bases[i].module[bases[i].module_count] =
+            (wheel_module){.x_m = 1.0, .y_m = 0.5, .traction = 1};
     }
     for (int round = 0; round < 500; round++) {
         const core_config *base = &bases[round % COUNT_OF(bases)];
@@ -79,7 +87,8 @@ static void the_motion_is_that_of_least_squares_at_any_angle(void)
     }
 }
 
-/* A wheel whose angle is not known says nothing, and one whose rim is not known that it does not slide. */
+/* A wheel whose angle is not known says nothing, and one whose rim is not known that it does not
+ * slide. */
 static void joints_without_feedback_leave_their_equations_out(void)
 {
     static const uint32_t ENOUGH[] = {0x7, 0xB, 0xD, 0xE, 0x3, 0x5, 0x6, 0x9, 0xA};
@@ -115,7 +124,8 @@ static void too_few_joints_determine_nothing(void)
     }
 }
 
-/* Two wheels on nearly one line: an error of a rim would be one of the turn a thousand times as large. */
+/* Two wheels on nearly one line: an error of a rim would be one of the turn a thousand times as
+ * large. */
 static void a_base_that_hangs_on_a_thread_is_not_determined(void)
 {
     static const struct {
@@ -140,12 +150,15 @@ static void wheels_share_the_axes_that_they_determine(void)
     core_config base = good_config();
     twist_inverse found;
     kinematics_invert(&base, 0xF, &found);
-    CHECK(found.determined == 1 && found.joints == 0xF && found.strafes == 0 && found.shared == 2.0);
+    CHECK(found.determined == 1 && found.joints == 0xF && found.strafes == 0 &&
+          found.shared == 2.0);
     base.joint[4] = base.joint[3]; /* no joint of it */
     kinematics_invert(&base, 0xFF, &found);
-    CHECK(found.determined == 1 && found.shared == 2.0 && found.inverse[0][4] == 0.0 && found.inverse[0][3] > 0.0);
+    CHECK(found.determined == 1 && found.shared == 2.0 && found.inverse[0][4] == 0.0 &&
+          found.inverse[0][3] > 0.0);
     kinematics_invert(&base, 0x7, &found);
-    CHECK(found.determined == 1 && found.joints == 0x7 && found.shared == 1.5 && found.inverse[0][3] == 0.0);
+    CHECK(found.determined == 1 && found.joints == 0x7 && found.shared == 1.5 &&
+          found.inverse[0][3] == 0.0);
     for (int j = 0; j < 4; j++) {
         base.joint[j].row.y = j % 3 == 0 ? 1.0 : -1.0;
     }
@@ -169,14 +182,17 @@ static void of_a_base_with_modules_the_inverse_is_that_of_wheels_straight_ahead(
     CHECK(found.determined == 0 && found.joints == 0 && found.shared == 1.0);
 }
 
-/* Also of a base with one module only; and a joint that is not there neither counts nor hides what the others do. */
+/* Also of a base with one module only; and a joint that is not there neither counts nor hides
+ * what the others do. */
 static void wheel_speeds_alone_are_a_twist_where_they_fit_together(void)
 {
-    double twist_u_s[AXES + 1] = {9.0, 9.0, 9.0, 7.0}, velocity_rad_s[JOINTS_MAX] = {3.0, 7.0, 3.0, 7.0, 1e6};
+    double twist_u_s[AXES + 1] = {9.0, 9.0, 9.0, 7.0},
+                            velocity_rad_s[JOINTS_MAX] = {3.0, 7.0, 3.0, 7.0, 1e6};
     core_config base = good_config();
     base.joint[4] = base.joint[3];
     CHECK(joints_twist(&base, velocity_rad_s, twist_u_s));
-    CHECK(close_to(twist_u_s[0], 0.5) && close_to(twist_u_s[1], 0.8) && twist_u_s[2] == 0.0 && twist_u_s[3] == 7.0);
+    CHECK(close_to(twist_u_s[0], 0.5) && close_to(twist_u_s[1], 0.8) && twist_u_s[2] == 0.0 &&
+          twist_u_s[3] == 7.0);
     velocity_rad_s[2] = 4.0;
     CHECK(!joints_twist(&base, velocity_rad_s, twist_u_s));
     velocity_rad_s[2] = 3.0;
@@ -194,7 +210,8 @@ static void a_wheel_turns_as_its_row_of_the_twist(void)
     double wheel_rad_s[JOINTS_MAX] = {7.0, 7.0, 7.0, 7.0, 7.0};
     base.joint[2].row.y = 1.0, base.joint[3].wheel_radius_m = 0.2;
     kinematics_wheels(&base, twist_u_s, wheel_rad_s);
-    CHECK(close_to(wheel_rad_s[0], 3.0) && close_to(wheel_rad_s[1], 7.0) && close_to(wheel_rad_s[2], 6.0));
+    CHECK(close_to(wheel_rad_s[0], 3.0) && close_to(wheel_rad_s[1], 7.0) &&
+          close_to(wheel_rad_s[2], 6.0));
     CHECK(close_to(wheel_rad_s[3], 3.5) && wheel_rad_s[4] == 7.0);
 }
 

@@ -7,13 +7,14 @@
 #include "core.h"
 #include "torque_loop.h"
 
-/* ----------------------------------------------------------------------------------------------------- angles */
+/* ------------------------------------------------------------------------------- angles */
 static const double PI = 3.14159265358979323846;
 
 static void an_angle_is_wrapped_into_half_a_turn_to_both_sides(void)
 {
     CHECK(angle_wrap(PI) == PI && angle_wrap(-PI) == -PI && angle_wrap(3.0) == 3.0);
-    CHECK(fabs(angle_wrap(4.0) - (4.0 - 2.0 * PI)) < 1e-15 && fabs(angle_wrap(-4.0) + 4.0 - 2.0 * PI) < 1e-15);
+    CHECK(fabs(angle_wrap(4.0) - (4.0 - 2.0 * PI)) < 1e-15 &&
+          fabs(angle_wrap(-4.0) + 4.0 - 2.0 * PI) < 1e-15);
     CHECK(fabs(angle_wrap(nextafter(PI, 4.0)) + PI) < 1e-15);
 }
 
@@ -50,7 +51,8 @@ static void the_angle_of_a_vector_is_right_to_the_last_bits_whatever_its_length(
     for (int n = 0; n < 3; n++) {
         for (int i = -31416; i <= 31416; i++) {
             double y = length[n] * sin(i * 1e-4), x = length[n] * cos(i * 1e-4);
-            long double off_rad = fabsl((long double)angle_of(y, x) - atan2l((long double)y, (long double)x));
+            long double off_rad =
+                fabsl((long double)angle_of(y, x) - atan2l((long double)y, (long double)x));
             CHECK(off_rad < 4.6e-16L && fabs(angle_of(y, x)) <= PI);
         }
     }
@@ -68,28 +70,38 @@ static void on_the_axes_the_angle_is_exact_and_nearly_so_on_the_diagonals(void)
     CHECK(angle_of(0.0, 0.0) == 0.0 && angle_of(-0.0, 0.0) == 0.0 && angle_of(0.0, -0.0) == 0.0);
 }
 
-/* -------------------------------------------------------------------------------------------------------- PWM */
+/* ---------------------------------------------------------------------------------- PWM */
 static void no_speed_that_is_a_number_or_no_time_is_no_duty(void)
 {
-    const pwm_config config = {.dead_band = 0.1, .duty_min = -1.0, .duty_max = 1.0, .slew_per_s = 1.0, .full_duty_rad_s = 10.0};
-    const double bad_dt_s[] = {0.0, -1.0, (double)NAN}, bad_rad_s[] = {(double)NAN, (double)INFINITY, -(double)INFINITY};
+    const pwm_config config = {.dead_band = 0.1,
+                               .duty_min = -1.0,
+                               .duty_max = 1.0,
+                               .slew_per_s = 1.0,
+                               .full_duty_rad_s = 10.0};
+    const double bad_dt_s[] = {0.0, -1.0, (double)NAN},
+                 bad_rad_s[] = {(double)NAN, (double)INFINITY, -(double)INFINITY};
     for (int i = 0; i < 3; i++) {
-        pwm_output no_time = pwm_step(&config, 0.0, 5.0, bad_dt_s[i]), no_speed = pwm_step(&config, 0.0, bad_rad_s[i], 0.05);
-        CHECK(no_time.duty == 0.0 && no_time.reasons == 0 && no_speed.duty == 0.0 && no_speed.reasons == 0);
+        pwm_output no_time = pwm_step(&config, 0.0, 5.0, bad_dt_s[i]),
+                   no_speed = pwm_step(&config, 0.0, bad_rad_s[i], 0.05);
+        CHECK(no_time.duty == 0.0 && no_time.reasons == 0 && no_speed.duty == 0.0 &&
+              no_speed.reasons == 0);
     }
     CHECK(fabs(pwm_step(&config, 0.0, 5.0, 0.05).duty - 0.15) < 1e-15);
 }
 
-/* ------------------------------------------------------------------------------------------------- speed loop */
+/* --------------------------------------------------------------------------- speed loop */
 
 static void the_torque_is_the_error_s_share_and_its_integral(void)
 {
     const speed_loop_config loop = torque_loop(0.5, 4.0, 3.0);
     speed_loop_state state = {.begun = 1};
-    CHECK(fabs(loop_step(&state, &loop, 3.0, 1.0, 0.1) - (1.0 + 0.8)) < 1e-12 && fabs(state.integral_u - 0.8) < 1e-12);
-    CHECK(fabs(loop_step(&state, &loop, 1.0, 2.0, 0.1) - (-0.5 + 0.4)) < 1e-12 && fabs(state.integral_u - 0.4) < 1e-12);
+    CHECK(fabs(loop_step(&state, &loop, 3.0, 1.0, 0.1) - (1.0 + 0.8)) < 1e-12 &&
+          fabs(state.integral_u - 0.8) < 1e-12);
+    CHECK(fabs(loop_step(&state, &loop, 1.0, 2.0, 0.1) - (-0.5 + 0.4)) < 1e-12 &&
+          fabs(state.integral_u - 0.4) < 1e-12);
     CHECK(!signbit(loop_step(&(speed_loop_state){.begun = 1}, &loop, 0.0, 0.0, 0.1)));
-    CHECK(!signbit(loop_step(&(speed_loop_state){.begun = 1, .integral_u = -0.0}, &loop, -0.0, 0.0, 0.1)));
+    CHECK(!signbit(
+        loop_step(&(speed_loop_state){.begun = 1, .integral_u = -0.0}, &loop, -0.0, 0.0, 0.1)));
 }
 
 static void the_integral_is_held_where_it_would_drive_the_torque_beyond_its_limit(void)
@@ -98,7 +110,8 @@ static void the_integral_is_held_where_it_would_drive_the_torque_beyond_its_limi
     speed_loop_state state = {.begun = 1, .integral_u = 1.0};
     CHECK(loop_step(&state, &loop, 10.0, 0.0, 0.01) == 3.0 && state.integral_u == 1.0);
     CHECK(loop_step(&state, &loop, -20.0, 0.0, 0.01) == -3.0 && state.integral_u == 1.0);
-    state.integral_u = 3.0; /* back from the limit it comes at once: the error is against what was wanted */
+    state.integral_u = 3.0; /* back from the limit it comes at once: the error is against what was
+                               wanted */
     const speed_loop_config weak = torque_loop(0.0, 4.0, 2.0);
     CHECK(loop_step(&state, &weak, -1.0, 0.0, 0.1) == 2.0 && state.integral_u == 2.0);
     state.integral_u = -3.0; /* so from the other side */
@@ -122,14 +135,15 @@ static void what_cannot_be_reckoned_empties_the_integral(void)
     CHECK(loop_step(&state, &loop, 1.0, 0.0, 0.0) == 0.0 && state.integral_u == 0.0);
 }
 
-/* ---------------------------------------------------------------------------------------------------- drift */
-static const core_config FOUR_WHEELS = {.joint_count = 4,
-                                        .twist_variance_floor_m2_s2 = 1e-5,
-                                        .twist_variance_floor_rad2_s2 = 2e-5,
-                                        .joint = {{.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
-                                                  {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.1},
-                                                  {.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
-                                                  {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.2}}};
+/* -------------------------------------------------------------------------------- drift */
+static const core_config FOUR_WHEELS = {
+    .joint_count = 4,
+    .twist_variance_floor_m2_s2 = 1e-5,
+    .twist_variance_floor_rad2_s2 = 2e-5,
+    .joint = {{.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
+              {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.1},
+              {.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
+              {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.2}}};
 
 /* Where the wheels go meanwhile is not known: as far as their set-points say, either way. */
 static void a_blind_base_is_as_uncertain_as_its_set_points_may_have_carried_it(void)
@@ -142,20 +156,24 @@ static void a_blind_base_is_as_uncertain_as_its_set_points_may_have_carried_it(v
     state.linear_m_s = -0.3;
     state.angular_rad_s = 0.5;
     state.twist_covariance[0] = state.twist_covariance[2] = 0.0;
-    const joint_setpoint wheels[JOINTS_MAX] = {
-        {.velocity_rad_s = 2.0}, {.velocity_rad_s = -1.0}, {.velocity_rad_s = -1.0}, {.velocity_rad_s = 2.0}};
-    odometry_drift(&state, &FOUR_WHEELS, wheels, 0.1); /* the fastest 0.04 m: 0.04 m straight on, or 0.16 rad */
+    const joint_setpoint wheels[JOINTS_MAX] = {{.velocity_rad_s = 2.0},
+                                               {.velocity_rad_s = -1.0},
+                                               {.velocity_rad_s = -1.0},
+                                               {.velocity_rad_s = 2.0}};
+    /* the fastest 0.04 m: 0.04 m straight on, or 0.16 rad */
+    odometry_drift(&state, &FOUR_WHEELS, wheels, 0.1);
     CHECK(fabs(state.pose_covariance[0] - (0.01 + 0.04 * (0.2 + 0.04))) < 1e-15);
     CHECK(fabs(state.pose_covariance[3] - (0.04 + 0.04 * (0.4 + 0.04))) < 1e-15);
     CHECK(fabs(state.pose_covariance[5] - (0.09 + 0.16 * (0.6 + 0.16))) < 1e-15);
-    CHECK(fabs(state.twist_covariance[0] - (1e-5 + 0.09)) < 1e-15 && fabs(state.twist_covariance[2] - (2e-5 + 0.25)) < 1e-15);
+    CHECK(fabs(state.twist_covariance[0] - (1e-5 + 0.09)) < 1e-15 &&
+          fabs(state.twist_covariance[2] - (2e-5 + 0.25)) < 1e-15);
     state.twist_covariance[0] = state.twist_covariance[2] = 7.0; /* it was more uncertain before */
     odometry_drift(&state, &FOUR_WHEELS, (const joint_setpoint[JOINTS_MAX]){{0}}, 0.1);
     CHECK(state.twist_covariance[0] == 7.0 && state.twist_covariance[2] == 7.0);
     CHECK(fabs(state.pose_covariance[5] - (0.09 + 0.16 * (0.6 + 0.16))) < 1e-15);
 }
 
-/* ------------------------------------------------------------------------------------------------------ check */
+/* -------------------------------------------------------------------------------- check */
 static core_config config;
 static char bad_name[FIELD_NAME_BYTES];
 
@@ -225,7 +243,8 @@ static void a_joint_s_numbers_have_their_range(void)
     is_between(&joint->pwm.duty_min, -1.0, 0.0, "joint[1].pwm.duty_min");
     is_between(&joint->pwm.duty_max, 0.0, 1.0, "joint[1].pwm.duty_max");
     is_between(&joint->pwm.slew_per_s, 1e-12, (double)INFINITY, "joint[1].pwm.slew_per_s");
-    is_between(&joint->speed_loop.correction_max_u, 0.0, 1e9, "joint[1].speed_loop.correction_max_u");
+    is_between(&joint->speed_loop.correction_max_u, 0.0, 1e9,
+               "joint[1].speed_loop.correction_max_u");
     is_between(&joint->rad_per_count, 1e-12, 1e9, "joint[1].rad_per_count");
     joint->rad_per_count = -1e-12;
     CHECK(is_good());
@@ -237,7 +256,8 @@ static void a_joint_s_numbers_have_their_range(void)
 
 static void counters_are_as_wide_as_drives_have_them(void)
 {
-    const uint64_t widths = 1ULL << 0 | 1ULL << 8 | 1ULL << 12 | 1ULL << 15 | 1ULL << 16 | 1ULL << 24 | 1ULL << 32;
+    const uint64_t widths =
+        1ULL << 0 | 1ULL << 8 | 1ULL << 12 | 1ULL << 15 | 1ULL << 16 | 1ULL << 24 | 1ULL << 32;
     reset_config();
     for (uint32_t bits = 0; bits <= 66; bits++) {
         config.joint[0].counter_bits = bits;
@@ -277,7 +297,8 @@ static void limits_are_named_with_and_without_their_base(void)
     reset_config();
     config.limits.angular.jerk_u_s3 = 0.0;
     memset(bad_name, 0, sizeof bad_name);
-    CHECK(base_limits_check(&config.limits, bad_name) == bad_name && strcmp(bad_name, "angular.jerk_u_s3") == 0);
+    CHECK(base_limits_check(&config.limits, bad_name) == bad_name &&
+          strcmp(bad_name, "angular.jerk_u_s3") == 0);
     CHECK(refused("limits.angular.jerk_u_s3"));
 }
 

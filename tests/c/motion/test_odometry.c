@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_odometry: counters that are narrow, late or wrong, and the pose against the same in other words. */
+ * test_odometry: counters that are narrow, late or wrong, and the pose against the same in other
+ * words. */
 #include <math.h>
 #include <string.h>
 
@@ -33,7 +34,8 @@ static base begun(uint32_t bits)
     return b;
 }
 
-static const joint_odometry *received(base *b, int64_t after_ns, int64_t counts, double velocity_rad_s)
+static const joint_odometry *received(base *b, int64_t after_ns, int64_t counts,
+                                      double velocity_rad_s)
 {
     const uint32_t stale[JOINTS_MAX] = {0};
     const joint_setpoint setpoint[JOINTS_MAX] = {0};
@@ -56,10 +58,12 @@ static void a_turn_that_was_not_seen_is_sent_by_the_velocity_or_not_at_all(void)
     for (int sign = -1; sign <= 1; sign += 2) {
         base b = begun(15);
         received(&b, STEP_NS, 0, 34.0 * sign);
-        CHECK(near(received(&b, 11 * STEP_NS, 19792 * sign, 34.0 * sign)->position_rad, 19792 * sign * COUNT_RAD));
+        CHECK(near(received(&b, 11 * STEP_NS, 19792 * sign, 34.0 * sign)->position_rad,
+                   19792 * sign * COUNT_RAD));
         CHECK(b.state.degraded == 0);
         received(&b, 30 * STEP_NS, 100, 34.0 * sign); /* beyond the timeout */
-        CHECK(b.state.degraded == 1 && near(b.state.joint[0].position_rad, 19792 * sign * COUNT_RAD + 34.0 * 0.25 * sign));
+        CHECK(b.state.degraded == 1 &&
+              near(b.state.joint[0].position_rad, 19792 * sign * COUNT_RAD + 34.0 * 0.25 * sign));
         received(&b, 11 * STEP_NS, 10000, NAN);
         CHECK(b.state.degraded == 1 && isnan(b.state.joint[0].velocity_rad_s));
         received(&b, STEP_NS, 0, 0.0);
@@ -74,10 +78,12 @@ static void a_counter_that_was_wrong_once_is_taken_back_and_one_that_stays_is_fo
     received(&b, STEP_NS, 0, NAN);
     received(&b, STEP_NS, 1000, NAN);
     CHECK(received(&b, STEP_NS, 1000000, NAN)->jumps == 1 && b.state.degraded == 1);
-    CHECK(near(received(&b, STEP_NS, -998000, NAN)->position_rad, 3000 * COUNT_RAD) && b.state.degraded == 0);
+    CHECK(near(received(&b, STEP_NS, -998000, NAN)->position_rad, 3000 * COUNT_RAD) &&
+          b.state.degraded == 0);
     CHECK(received(&b, STEP_NS, 1000000, NAN)->jumps == 2);
     CHECK(received(&b, STEP_NS, -3000000, NAN)->jumps == 3);
-    CHECK(near(received(&b, STEP_NS, 500, NAN)->position_rad, 3500 * COUNT_RAD) && b.state.joint[0].jumps == 3);
+    CHECK(near(received(&b, STEP_NS, 500, NAN)->position_rad, 3500 * COUNT_RAD) &&
+          b.state.joint[0].jumps == 3);
     CHECK(near(b.state.joint[0].velocity_rad_s, 500 * COUNT_RAD / 0.01) && b.state.degraded == 0);
 }
 
@@ -88,7 +94,8 @@ static void a_counter_that_comes_late_catches_up(void)
     for (int i = 0; i < 9; i++) {
         received(&b, STEP_NS, 0, NAN);
     }
-    CHECK(near(received(&b, STEP_NS, 18000, NAN)->position_rad, 18000 * COUNT_RAD) && b.state.joint[0].jumps == 0);
+    CHECK(near(received(&b, STEP_NS, 18000, NAN)->position_rad, 18000 * COUNT_RAD) &&
+          b.state.joint[0].jumps == 0);
     CHECK(b.state.joint[0].velocity_rad_s <= 1.5 * 35.0);
     CHECK(received(&b, STEP_NS, 18000, NAN)->jumps == 1);
 }
@@ -113,14 +120,21 @@ static void expect_arc(expected_pose *e, const core_config *config, double left_
 {
     double moved_m = 0.5 * (left_m + right_m), turn_rad = (right_m - left_m) / 0.5, b = 0.5;
     double middle_rad = e->heading_rad + 0.5 * turn_rad, s = sin(middle_rad), c = cos(middle_rad);
-    long double h = e->heading_rad, radius_m = fabs(turn_rad) > 1e-9 ? (long double)moved_m / (long double)turn_rad : 0.0L;
-    e->x_m += fabs(turn_rad) > 1e-9 ? (double)(radius_m * (sinl(h + (long double)turn_rad) - sinl(h))) : moved_m * c;
-    e->y_m += fabs(turn_rad) > 1e-9 ? (double)(radius_m * (cosl(h) - cosl(h + (long double)turn_rad))) : moved_m * s;
+    long double h = e->heading_rad, radius_m = fabs(turn_rad) > 1e-9
+                                                   ? (long double)moved_m / (long double)turn_rad
+                                                   : 0.0L;
+    e->x_m += fabs(turn_rad) > 1e-9
+                  ? (double)(radius_m * (sinl(h + (long double)turn_rad) - sinl(h)))
+                  : moved_m * c;
+    e->y_m += fabs(turn_rad) > 1e-9
+                  ? (double)(radius_m * (cosl(h) - cosl(h + (long double)turn_rad)))
+                  : moved_m * s;
     double pose[3][3] = {{1, 0, -moved_m * s}, {0, 1, moved_m * c}, {0, 0, 1}};
     double wheels[3][2] = {{0.5 * c + moved_m * s / (2 * b), 0.5 * c - moved_m * s / (2 * b)},
                            {0.5 * s - moved_m * c / (2 * b), 0.5 * s + moved_m * c / (2 * b)},
                            {-1 / b, 1 / b}};
-    double of_side[2] = {config->distance_variance_m2_per_m * fabs(left_m), config->distance_variance_m2_per_m * fabs(right_m)};
+    double of_side[2] = {config->distance_variance_m2_per_m * fabs(left_m),
+                         config->distance_variance_m2_per_m * fabs(right_m)};
     double next[3][3] = {0};
     for (int i = 0; i < 3; i++) {
         for (int j = 0; j < 3; j++) {
@@ -149,11 +163,15 @@ static bool close_to(double value, double expected)
 static void check_pose(const odometry_state *state, const expected_pose *e)
 {
     CHECK(fabs(state->x_m - e->x_m) < 1e-9 && fabs(state->y_m - e->y_m) < 1e-9);
-    CHECK(fabs(remainder(state->heading_rad - e->heading_rad, 2.0 * 3.14159265358979323846)) < 1e-9);
+    CHECK(fabs(remainder(state->heading_rad - e->heading_rad, 2.0 * 3.14159265358979323846)) <
+          1e-9);
     CHECK(near(state->distance_m, e->distance_m) && near(state->turned_rad, e->turned_rad));
-    CHECK(close_to(state->pose_covariance[0], e->p[0][0]) && close_to(state->pose_covariance[1], e->p[0][1]));
-    CHECK(close_to(state->pose_covariance[2], e->p[0][2]) && close_to(state->pose_covariance[3], e->p[1][1]));
-    CHECK(close_to(state->pose_covariance[4], e->p[1][2]) && close_to(state->pose_covariance[5], e->p[2][2]));
+    CHECK(close_to(state->pose_covariance[0], e->p[0][0]) &&
+          close_to(state->pose_covariance[1], e->p[0][1]));
+    CHECK(close_to(state->pose_covariance[2], e->p[0][2]) &&
+          close_to(state->pose_covariance[3], e->p[1][1]));
+    CHECK(close_to(state->pose_covariance[4], e->p[1][2]) &&
+          close_to(state->pose_covariance[5], e->p[2][2]));
 }
 
 static uint64_t noise = 88172645463325252U;
@@ -164,7 +182,8 @@ static int64_t any(int64_t least, int64_t most)
     return least + (int64_t)(noise % (uint64_t)(most - least + 1));
 }
 
-/* Four wheels, of other sizes and counts; those of a side go together, along one exact arc. Each step is looked at. */
+/* Four wheels, of other sizes and counts; those of a side go together, along one exact arc. Each
+ * step is looked at. */
 static void pose_and_covariance_are_those_of_exact_arcs(void)
 {
     core_config config = begun(32).config;
@@ -176,8 +195,10 @@ static void pose_and_covariance_are_those_of_exact_arcs(void)
     config.joint[3].rad_per_count = -COUNT_RAD;
     odometry_state state;
     odometry_init(&state, &config);
-    CHECK(state.twist_covariance[0] == 1e-3 && state.twist_covariance[1] == 0.0 && state.twist_covariance[2] == 2e-3);
-    CHECK(state.pose_covariance[0] == 1e-4 && state.pose_covariance[3] == 1e-4 && state.pose_covariance[5] == 1e-4);
+    CHECK(state.twist_covariance[0] == 1e-3 && state.twist_covariance[1] == 0.0 &&
+          state.twist_covariance[2] == 2e-3);
+    CHECK(state.pose_covariance[0] == 1e-4 && state.pose_covariance[3] == 1e-4 &&
+          state.pose_covariance[5] == 1e-4);
     expected_pose e = {.p = {{1e-4, 0, 0}, {0, 1e-4, 0}, {0, 0, 1e-4}}};
     joint_feedback feedback[JOINTS_MAX] = {0};
     const uint32_t stale[JOINTS_MAX] = {0};
@@ -210,18 +231,23 @@ static void pose_and_covariance_are_those_of_exact_arcs(void)
         expect_arc(&e, &config, side_m[0], side_m[1]);
         check_pose(&state, &e);
         double elapsed_s = (double)after_ns * 1e-9, moved_m = 0.5 * (side_m[0] + side_m[1]);
-        double turn_rad = (side_m[1] - side_m[0]) / 0.5, l2 = 1e-4 * fabs(side_m[0]), r2 = 1e-4 * fabs(side_m[1]);
-        CHECK(near(state.linear_m_s, moved_m / elapsed_s) && near(state.angular_rad_s, turn_rad / elapsed_s));
+        double turn_rad = (side_m[1] - side_m[0]) / 0.5, l2 = 1e-4 * fabs(side_m[0]),
+               r2 = 1e-4 * fabs(side_m[1]);
+        CHECK(near(state.linear_m_s, moved_m / elapsed_s) &&
+              near(state.angular_rad_s, turn_rad / elapsed_s));
         CHECK(close_to(state.twist_covariance[0], 1e-3 + 0.25 * (l2 + r2) / elapsed_s / elapsed_s));
         CHECK(close_to(state.twist_covariance[1], (r2 - l2) / elapsed_s / elapsed_s));
-        CHECK(close_to(state.twist_covariance[2], 2e-3 + (4.0 * (l2 + r2) + 1e-3 * fabs(turn_rad)) / elapsed_s / elapsed_s));
+        CHECK(close_to(state.twist_covariance[2],
+                       2e-3 + (4.0 * (l2 + r2) + 1e-3 * fabs(turn_rad)) / elapsed_s / elapsed_s));
         CHECK(state.degraded == 0 && state.blind == 0 && state.stamp_ns == feedback[0].stamp_ns);
         for (int j = 0; j < 4; j++) {
             CHECK(near(state.joint[j].position_rad, position_rad[j]) && state.joint[j].jumps == 0);
         }
     }
     odometry_reset(&state, &config);
-    e = (expected_pose){.distance_m = e.distance_m, .turned_rad = e.turned_rad, .p = {{1e-4, 0, 0}, {0, 1e-4, 0}, {0, 0, 1e-4}}};
+    e = (expected_pose){.distance_m = e.distance_m,
+                        .turned_rad = e.turned_rad,
+                        .p = {{1e-4, 0, 0}, {0, 1e-4, 0}, {0, 0, 1e-4}}};
     check_pose(&state, &e);
     CHECK(state.epoch == 1 && near(state.joint[2].position_rad, position_rad[2]));
 }
@@ -246,8 +272,10 @@ static void without_a_side_the_deviations_grow_by_the_distance(void)
 {
     base b = begun(32);
     b.config.joint_count = 4;
-    b.config.joint[2] = b.config.joint[0], b.config.joint[3] = b.config.joint[1], b.config.joint[4] = b.config.joint[0];
-    b.state.pose_covariance[0] = 0.04, b.state.pose_covariance[3] = 0.09, b.state.pose_covariance[5] = 0.01;
+    b.config.joint[2] = b.config.joint[0], b.config.joint[3] = b.config.joint[1],
+    b.config.joint[4] = b.config.joint[0];
+    b.state.pose_covariance[0] = 0.04, b.state.pose_covariance[3] = 0.09,
+    b.state.pose_covariance[5] = 0.01;
     b.state.linear_m_s = -0.6, b.state.angular_rad_s = 0.4;
     b.config.twist_variance_floor_m2_s2 = 1e-3, b.config.twist_variance_floor_rad2_s2 = 2e-3;
     const joint_setpoint wheels[JOINTS_MAX] = {{.velocity_rad_s = -2.0},
@@ -257,9 +285,11 @@ static void without_a_side_the_deviations_grow_by_the_distance(void)
                                                {.velocity_rad_s = 9.0}};
     odometry_drift(&b.state, &b.config, wheels, 0.5);
     double moved_m = 0.2, turn_rad = (0.2 + 0.2) / 0.5; /* all at 4 rad/s, 0.1 m, half a second */
-    CHECK(near(sqrt(b.state.pose_covariance[0]), 0.2 + moved_m) && near(sqrt(b.state.pose_covariance[3]), 0.3 + moved_m));
+    CHECK(near(sqrt(b.state.pose_covariance[0]), 0.2 + moved_m) &&
+          near(sqrt(b.state.pose_covariance[3]), 0.3 + moved_m));
     CHECK(near(sqrt(b.state.pose_covariance[5]), 0.1 + turn_rad));
-    CHECK(near(b.state.twist_covariance[0], 1e-3 + 0.36) && near(b.state.twist_covariance[2], 2e-3 + 0.16));
+    CHECK(near(b.state.twist_covariance[0], 1e-3 + 0.36) &&
+          near(b.state.twist_covariance[2], 2e-3 + 0.16));
     b.state.twist_covariance[0] = b.state.twist_covariance[2] = 5.0;
     odometry_drift(&b.state, &b.config, (const joint_setpoint[JOINTS_MAX]){{0}}, 0.5);
     CHECK(b.state.twist_covariance[0] == 5.0 && b.state.twist_covariance[2] == 5.0);
@@ -329,11 +359,13 @@ static void what_a_counter_can_mean_decides_what_is_believed(void)
         {32, 1, 9000, 20.0, NAN, 0.0, 1, 1},
         {32, 1, 9000, 20.0, 85.1, 0.0, 1, 1}, /* 52.55 rad/s: no wheel is so fast */
         {32, 1, 9000, 20.0, 84.9, 0.5245, 1, 1},
-        {32, 40, 200000, 20.0, 20.0, 20.0 * 0.25, 1, 1},      /* as long as feedback counts, no longer */
-        {16, 40, 30000, 14.0, 14.5, 30000 * COUNT_RAD, 0, 1}, /* too long ago to count its turns by the velocity */
+        {32, 40, 200000, 20.0, 20.0, 20.0 * 0.25, 1, 1}, /* as long as feedback counts, no longer */
+        /* too long ago to count its turns by the velocity */
+        {16, 40, 30000, 14.0, 14.5, 30000 * COUNT_RAD, 0, 1},
         {15, 11, 19792, 34.0, 34.0, 19792 * COUNT_RAD, 0, 0},
-        {15, 11, 19792, 14.0, 54.0, 34.0 * 0.11, 0, 1},  /* it has changed too much */
-        {12, 1, 1300, NAN, NAN, 1300 * COUNT_RAD, 0, 0}, /* a turn less would be faster than any wheel */
+        {15, 11, 19792, 14.0, 54.0, 34.0 * 0.11, 0, 1}, /* it has changed too much */
+        /* a turn less would be faster than any wheel */
+        {12, 1, 1300, NAN, NAN, 1300 * COUNT_RAD, 0, 0},
         {12, 1, -1300, NAN, NAN, -1300 * COUNT_RAD, 0, 0},
     };
     for (size_t i = 0; i < sizeof CASES / sizeof CASES[0]; i++) {
@@ -341,10 +373,12 @@ static void what_a_counter_can_mean_decides_what_is_believed(void)
         received(&b, STEP_NS, 0, CASES[i].before_rad_s);
         received(&b, CASES[i].steps * STEP_NS, CASES[i].counts, CASES[i].velocity_rad_s);
         if (CASES[i].bits == 16) {
-            CHECK(b.state.degraded == 1 && near(b.state.joint[0].position_rad, 0.5 * (14.0 + 14.5) * 0.25));
+            CHECK(b.state.degraded == 1 &&
+                  near(b.state.joint[0].position_rad, 0.5 * (14.0 + 14.5) * 0.25));
             continue;
         }
-        CHECK(near(b.state.joint[0].position_rad, CASES[i].travel_rad) && b.state.joint[0].jumps == CASES[i].jumps);
+        CHECK(near(b.state.joint[0].position_rad, CASES[i].travel_rad) &&
+              b.state.joint[0].jumps == CASES[i].jumps);
         CHECK(b.state.degraded == CASES[i].degraded);
         CHECK(near(b.state.distance_m, fabs(CASES[i].travel_rad) * 0.1));
     }
@@ -356,11 +390,14 @@ static void an_origin_that_moved_is_no_travel(void)
     base b = begun(32);
     received(&b, STEP_NS, 0, 4.0);
     b.feedback[0].epoch++, b.feedback[1].epoch++;
-    CHECK(near(received(&b, STEP_NS, 100000, 6.0)->position_rad, 0.05) && b.state.joint[0].jumps == 0 && b.state.degraded == 1);
-    CHECK(near(received(&b, STEP_NS, 100, 6.0)->position_rad, 0.05 + 100 * COUNT_RAD) && b.state.degraded == 0);
+    CHECK(near(received(&b, STEP_NS, 100000, 6.0)->position_rad, 0.05) &&
+          b.state.joint[0].jumps == 0 && b.state.degraded == 1);
+    CHECK(near(received(&b, STEP_NS, 100, 6.0)->position_rad, 0.05 + 100 * COUNT_RAD) &&
+          b.state.degraded == 0);
 }
 
-/* Without a counter: what the drive measures, else what it was sent, for as long as feedback counts. */
+/* Without a counter: what the drive measures, else what it was sent, for as long as feedback
+ * counts. */
 static void without_a_counter_the_velocity_or_the_set_point_is_integrated(void)
 {
     static const uint32_t stale[JOINTS_MAX] = {0};
@@ -380,17 +417,20 @@ static void without_a_counter_the_velocity_or_the_set_point_is_integrated(void)
         joint_setpoint wheels[JOINTS_MAX] = {{.velocity_rad_s = CASES[i].setpoint_rad_s},
                                              {.velocity_rad_s = CASES[i].setpoint_rad_s}};
         for (int j = 0; j < 2; j++) {
-            b.feedback[j].stamp_ns += CASES[i].steps * STEP_NS, b.feedback[j].velocity_rad_s = CASES[i].velocity_rad_s;
+            b.feedback[j].stamp_ns += CASES[i].steps * STEP_NS,
+                b.feedback[j].velocity_rad_s = CASES[i].velocity_rad_s;
         }
         odometry_step(&b.state, &b.config, b.feedback, stale, wheels);
         CHECK(near(b.state.joint[1].position_rad - before_rad, CASES[i].travel_rad));
         CHECK(b.state.joint[1].jumps == jumps + CASES[i].jumps && b.state.degraded == 1);
-        CHECK(isnan(CASES[i].velocity_rad_s) ? isnan(b.state.joint[1].velocity_rad_s)
-                                             : b.state.joint[1].velocity_rad_s == CASES[i].velocity_rad_s);
+        CHECK(isnan(CASES[i].velocity_rad_s)
+                  ? isnan(b.state.joint[1].velocity_rad_s)
+                  : b.state.joint[1].velocity_rad_s == CASES[i].velocity_rad_s);
     }
 }
 
-/* One of two wheels of a side falls silent, comes again, and brings nothing until it has a reference. */
+/* One of two wheels of a side falls silent, comes again, and brings nothing until it has a
+ * reference. */
 static void a_wheel_that_was_silent_begins_anew_and_says_so(void)
 {
     core_config config = begun(32).config;
@@ -412,9 +452,11 @@ static void a_wheel_that_was_silent_begins_anew_and_says_so(void)
         }
         odometry_step(&state, &config, feedback, stale, wheels);
         CHECK(state.degraded == stale[2] && state.blind == 0 && state.stamp_ns == step * STEP_NS);
-        CHECK(near(state.distance_m, (step - 1) * 1000 * COUNT_RAD * 0.1) && fabs(state.heading_rad) < 1e-12);
+        CHECK(near(state.distance_m, (step - 1) * 1000 * COUNT_RAD * 0.1) &&
+              fabs(state.heading_rad) < 1e-12);
     }
-    CHECK(near(state.joint[2].position_rad, 4000 * COUNT_RAD)); /* how far it went without feedback is not known */
+    /* how far it went without feedback is not known */
+    CHECK(near(state.joint[2].position_rad, 4000 * COUNT_RAD));
     stale[0] = stale[2] = 1;
     odometry_step(&state, &config, feedback, stale, wheels);
     CHECK(state.blind == 1 && state.degraded == 1);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_odometry_bases: the odometry of bases that strafe and of those that are steered, and what a look at the errors takes in
- * where wheels fall silent or a gyro begins. */
+ * test_odometry_bases: the odometry of bases that strafe and of those that are steered, and what a
+ * look at the errors takes in where wheels fall silent or a gyro begins. */
 #include "steered_bases.h"
 
 static const int64_t STEP_NS = 10000000;
@@ -76,7 +76,8 @@ static void only_a_joint_whose_angle_is_estimated_begins_at_an_angle(void)
     for (uint32_t estimated = 0; estimated < 2; estimated++) {
         base b;
         core_config config = ackermann(WHEELBASE_M);
-        config.joint[3].position.reference = estimated ? REFERENCE_ESTIMATED : config.joint[2].position.reference;
+        config.joint[3].position.reference =
+            estimated ? REFERENCE_ESTIMATED : config.joint[2].position.reference;
         config.joint[0].position.reference = REFERENCE_ESTIMATED; /* it rolls: it has no angle */
         begin_with(&b, config);
         for (int j = 0; j < JOINTS_MAX; j++) {
@@ -112,7 +113,8 @@ static void the_covariances_of_a_speed_sideways_are_the_rates_of_the_errors(void
     const spread_state *spread = &b.state.spread;
     const double *lateral = b.state.lateral_covariance;
     double per_s = 1e9 / (double)SPREAD_EVERY_NS;
-    CHECK(spread->linear_lateral_m2_s != 0.0 && spread->lateral2_m2_s > 0.0 && spread->lateral_angular_m_rad_s != 0.0);
+    CHECK(spread->linear_lateral_m2_s != 0.0 && spread->lateral2_m2_s > 0.0 &&
+          spread->lateral_angular_m_rad_s != 0.0);
     CHECK(fabs(lateral[0] - spread->linear_lateral_m2_s * per_s) < 1e-15);
     CHECK(fabs(lateral[1] - 1e-3 - spread->lateral2_m2_s * per_s) < 1e-15);
     CHECK(fabs(lateral[2] - spread->lateral_angular_m_rad_s * per_s) < 1e-15);
@@ -123,7 +125,8 @@ static void the_covariances_of_a_speed_sideways_are_the_rates_of_the_errors(void
 static void same_pose_variance(const odometry_state *a, const odometry_state *b)
 {
     for (int i = 0; i < 6; i++) {
-        CHECK(fabs(a->pose_covariance[i] - b->pose_covariance[i]) <= 1e-12 * fabs(b->pose_covariance[i]));
+        CHECK(fabs(a->pose_covariance[i] - b->pose_covariance[i]) <=
+              1e-12 * fabs(b->pose_covariance[i]));
     }
 }
 
@@ -161,7 +164,8 @@ static void all_but(base *b, uint32_t out)
     }
 }
 
-/* It brought a sample before it fell silent, or brings some before it is one of the others again: not all of its way is known. */
+/* It brought a sample before it fell silent, or brings some before it is one of the others
+ * again: not all of its way is known. */
 static void a_wheel_that_is_left_out_has_no_travel_in_a_look(void)
 {
     enum { OUT = 3 };
@@ -177,7 +181,8 @@ static void a_wheel_that_is_left_out_has_no_travel_in_a_look(void)
         const uint32_t stale[JOINTS_MAX] = {[OUT] = 1};
         all_but(&b, OUT);
         step_with_stale(&b, stale);
-        CHECK(b.state.spread.rim_m[OUT] == 0.0 && b.state.joint[OUT].pending_rad == 0.0 && b.state.degraded == 1);
+        CHECK(b.state.spread.rim_m[OUT] == 0.0 && b.state.joint[OUT].pending_rad == 0.0 &&
+              b.state.degraded == 1);
         for (int times = 0; times < 2; times++) {
             comes(&b, OUT, STEP_NS, 3000);
             step_with_stale(&b, RECEIVED);
@@ -185,7 +190,8 @@ static void a_wheel_that_is_left_out_has_no_travel_in_a_look(void)
         CHECK(close_to(b.state.joint[OUT].pending_rad, 3000 * COUNT_RAD));
         all_but(&b, OUT);
         step_with_stale(&b, RECEIVED);
-        CHECK(b.state.spread.rim_m[OUT] == 0.0 && b.state.joint[OUT].pending_rad == 0.0 && b.state.degraded == 1);
+        CHECK(b.state.spread.rim_m[OUT] == 0.0 && b.state.joint[OUT].pending_rad == 0.0 &&
+              b.state.degraded == 1);
         CHECK(b.state.distance_m == 0.0);
     }
 }
@@ -196,19 +202,22 @@ static void gyro_turns(base *b, double yaw_rad)
     b->state.gyro.yaw_rad = yaw_rad;
 }
 
-/* What was done before has the wheels' errors, and this arc is the first of the gyro's; as well with the most wheels. */
+/* What was done before has the wheels' errors, and this arc is the first of the gyro's; as well
+ * with the most wheels. */
 static void before_the_gyro_takes_over_what_the_wheels_have_done_is_looked_at(void)
 {
     for (uint32_t wheels = 2; wheels <= JOINTS_MAX; wheels += 2) {
         static const int64_t COUNTS[JOINTS_MAX] = {3000, 5000, 3500, 4000, 3100, 4100, 3200, 4200};
         base b;
         begin_with(&b, sides(wheels));
-        b.config.gyro = (gyro_config){.used = 1, .timeout_s = 0.05, .turn_variance_rad2_per_rad = 1e-3};
+        b.config.gyro =
+            (gyro_config){.used = 1, .timeout_s = 0.05, .turn_variance_rad2_per_rad = 1e-3};
         all_come(&b, STEP_NS, NOTHING_NEW);
         all_come(&b, SPREAD_EVERY_NS, COUNTS);
         gyro_turns(&b, 0.0);
         all_come(&b, STEP_NS, COUNTS); /* from here on it has a reference */
-        CHECK(b.state.by_gyro == 0 && b.state.gyro.referenced == 1 && b.state.spread.rim_m[1] > 0.0);
+        CHECK(b.state.by_gyro == 0 && b.state.gyro.referenced == 1 &&
+              b.state.spread.rim_m[1] > 0.0);
         odometry_state expected = b.state;
         spread_look(&expected, &b.config, expected.spread.stamp_ns);
         CHECK(expected.pose_covariance[5] > b.state.pose_covariance[5]);
@@ -235,7 +244,8 @@ static void one_side_alone_beside_a_wheel_that_begins_is_sent_as_degraded(void)
         comes(&b, first, STEP_NS, 1000);
         comes(&b, 1 - first, 2 * STEP_NS, 0);
         step_with_stale(&b, RECEIVED);
-        CHECK(b.state.degraded == 1 && b.state.distance_m == 0.0 && b.state.stamp_ns == 2 * STEP_NS);
+        CHECK(b.state.degraded == 1 && b.state.distance_m == 0.0 &&
+              b.state.stamp_ns == 2 * STEP_NS);
         comes(&b, 0, STEP_NS, 1000), comes(&b, 1, STEP_NS, 1000);
         step_with_stale(&b, RECEIVED);
         CHECK(b.state.degraded == 0 && close_to(b.state.distance_m, rim_m(&b, 0, 1000)));
@@ -259,8 +269,10 @@ static void a_first_arc_without_a_beginning_moves_the_base_and_measures_no_speed
         CHECK(b.state.stamp_ns == 0);
         all_come(&b, STEP_NS, COUNTS);
         CHECK(b.state.stamp_ns == 2 * STEP_NS && b.state.distance_m > 0.0 && b.state.degraded == 0);
-        CHECK(b.state.linear_m_s == 0.0 && b.state.angular_rad_s == 0.0 && b.state.lateral_m_s == 0.0);
-        CHECK(b.state.twist_covariance[0] == 1e-3 && b.state.twist_covariance[2] == 2e-3 && b.state.spread.slip_m_s == 0.0);
+        CHECK(b.state.linear_m_s == 0.0 && b.state.angular_rad_s == 0.0 &&
+              b.state.lateral_m_s == 0.0);
+        CHECK(b.state.twist_covariance[0] == 1e-3 && b.state.twist_covariance[2] == 2e-3 &&
+              b.state.spread.slip_m_s == 0.0);
     }
 }
 

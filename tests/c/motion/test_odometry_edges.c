@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_odometry_edges: where a travel is just believed and where not any more, and what a beginning and a reset leave. */
+ * test_odometry_edges: where a travel is just believed and where not any more, and what a
+ * beginning and a reset leave. */
 #include <math.h>
 #include <string.h>
 
@@ -42,7 +43,8 @@ static void comes(base *b, int j, int64_t after_ns, int64_t counts, double veloc
     b->feedback[j].velocity_rad_s = velocity_rad_s;
 }
 
-static const joint_odometry *received(base *b, int64_t after_ns, int64_t counts, double velocity_rad_s)
+static const joint_odometry *received(base *b, int64_t after_ns, int64_t counts,
+                                      double velocity_rad_s)
 {
     for (int j = 0; j < 2; j++) {
         comes(b, j, after_ns, counts, velocity_rad_s);
@@ -66,19 +68,23 @@ static void a_narrow_counter_goes_on_beyond_its_end(void)
     for (int j = 0; j < 2; j++) {
         b.feedback[j].count = 4;
     }
-    CHECK(near(received(&b, STEP_NS, 0, NAN)->position_rad, 10 * COUNT_RAD) && b.state.joint[0].jumps == 0);
+    CHECK(near(received(&b, STEP_NS, 0, NAN)->position_rad, 10 * COUNT_RAD) &&
+          b.state.joint[0].jumps == 0);
     for (int j = 0; j < 2; j++) {
         b.feedback[j].count = 65500;
     }
-    CHECK(near(received(&b, STEP_NS, 0, NAN)->position_rad, -30 * COUNT_RAD) && b.state.joint[0].jumps == 0);
+    CHECK(near(received(&b, STEP_NS, 0, NAN)->position_rad, -30 * COUNT_RAD) &&
+          b.state.joint[0].jumps == 0);
 }
 
 static void what_a_joint_can_reach_is_worked_out_at_the_beginning(void)
 {
     base b = begun(16);
     const joint_constants *c = &b.state.joint[0].constant;
-    CHECK(c->reach_rad_s == 52.5 && c->counter_bits_unused == 48 && near(c->counter_round_rad, 65536 * COUNT_RAD));
-    CHECK(near(c->counter_unused_max_rad, 16384 * COUNT_RAD) && near(c->counter_slack_rad, 4 * COUNT_RAD));
+    CHECK(c->reach_rad_s == 52.5 && c->counter_bits_unused == 48 &&
+          near(c->counter_round_rad, 65536 * COUNT_RAD));
+    CHECK(near(c->counter_unused_max_rad, 16384 * COUNT_RAD) &&
+          near(c->counter_slack_rad, 4 * COUNT_RAD));
     b.config.joint[0].velocity_min_rad_s = -40.0;
     b.config.joint[0].counter_bits = 32;
     odometry_init(&b.state, &b.config);
@@ -99,18 +105,21 @@ static void a_reset_waits_for_both_sides_anew(void)
         comes(&b, first, STEP_NS, 1000, NAN);
         odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
         odometry_reset(&b.state, &b.config);
-        CHECK(b.state.gyro.referenced == 0 && b.state.joint[first].pending_rad == 0.0 && b.state.degraded == 0);
+        CHECK(b.state.gyro.referenced == 0 && b.state.joint[first].pending_rad == 0.0 &&
+              b.state.degraded == 0);
         int64_t stamp_ns = b.state.stamp_ns;
         comes(&b, 1 - first, STEP_NS, 1000, NAN);
         odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
-        CHECK(b.state.distance_m == 0.0 && b.state.stamp_ns == stamp_ns && b.state.joint[1 - first].pending_rad > 0.0);
+        CHECK(b.state.distance_m == 0.0 && b.state.stamp_ns == stamp_ns &&
+              b.state.joint[1 - first].pending_rad > 0.0);
         comes(&b, first, STEP_NS, 1000, NAN);
         odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
         CHECK(near(b.state.distance_m, 1000 * COUNT_RAD * 0.1) && near(b.state.turned_rad, 0.0));
     }
 }
 
-/* A counter of one turn, silent for so long that it may have turned once: the velocities say whether it has. */
+/* A counter of one turn, silent for so long that it may have turned once: the velocities say
+ * whether it has. */
 static void whole_turns_are_sent_by_velocities_that_are_sure_enough(void)
 {
     static const struct {
@@ -118,7 +127,8 @@ static void whole_turns_are_sent_by_velocities_that_are_sure_enough(void)
         double before_rad_s, after_rad_s;
         bool believed;
     } CASES[] = {
-        {11, 19505, 34.0 - 10.85, 34.0 + 10.85, true}, /* 1.19 of change and 0.37 of error: a quarter turn is 1.57 */
+        /* 1.19 of change and 0.37 of error: a quarter turn is 1.57 */
+        {11, 19505, 34.0 - 10.85, 34.0 + 10.85, true},
         {11, 19505, 34.0 - 10.90, 34.0 + 10.90, false},
         {11, 27640, 34.0, 34.0, true}, /* 1.56 rad beside what was measured */
         {11, 27744, 34.0, 34.0, false},
@@ -138,7 +148,8 @@ static void whole_turns_are_sent_by_velocities_that_are_sure_enough(void)
     }
 }
 
-/* --- 52.5 rad/s can be reached: 2737.9 counts in a step, and four; and what the steps before did not use */
+/* --- 52.5 rad/s can be reached: 2737.9 counts in a step, and four; and what the steps before
+ * did not use */
 
 static void what_was_refused_is_no_reach_once_a_sample_was_believed(void)
 {
@@ -156,7 +167,8 @@ static void an_estimate_is_taken_back_by_the_counts_that_follow(void)
     for (int times = 1; times <= 3; times++) {
         CHECK(near(received(&b, STEP_NS, 90000, 30.0)->position_rad,
                    ((times - 1) * 1000) * COUNT_RAD + (times == 1 ? 0.25 : 0.30)));
-        CHECK(received(&b, STEP_NS, -89000, 30.0)->jumps == (uint32_t)times && b.state.degraded == 0);
+        CHECK(received(&b, STEP_NS, -89000, 30.0)->jumps == (uint32_t)times &&
+              b.state.degraded == 0);
         CHECK(near(b.state.joint[0].position_rad, times * 1000 * COUNT_RAD));
     }
 }
@@ -182,7 +194,8 @@ static void a_counter_that_stays_where_it_jumped_to_is_followed_from_there(void)
         CHECK(received(&b, STEP_NS, counts, NAN)->jumps == (far ? 2 : 1));
         CHECK(near(b.state.joint[0].position_rad, far ? 0.0 : 2741 * COUNT_RAD));
         for (int step = 1; step <= 3 && !far; step++) {
-            CHECK(near(received(&b, STEP_NS, 500, NAN)->position_rad, (2741 + step * 500) * COUNT_RAD));
+            CHECK(near(received(&b, STEP_NS, 500, NAN)->position_rad,
+                       (2741 + step * 500) * COUNT_RAD));
             CHECK(b.state.joint[0].jumps == 1 && b.state.degraded == 0);
         }
     }
@@ -198,7 +211,8 @@ static void a_speed_is_that_of_the_time_in_which_the_distance_was_covered(void)
     for (int i = 0; i < 3; i++) {
         received(&b, STEP_NS, 0, NAN);
     }
-    CHECK(near(received(&b, STEP_NS, -2741, NAN)->velocity_rad_s, -2741 * COUNT_RAD / 0.01)); /* within the slack */
+    /* within the slack */
+    CHECK(near(received(&b, STEP_NS, -2741, NAN)->velocity_rad_s, -2741 * COUNT_RAD / 0.01));
     b = begun(32);
     for (int i = 0; i < 3; i++) {
         received(&b, STEP_NS, 0, NAN);
@@ -230,7 +244,8 @@ static void after_one_that_was_refused_all_the_time_since_the_last_good_one_coun
         received(&b, STEP_NS, 0, NAN);
     }
     received(&b, STEP_NS, 90000, NAN);
-    CHECK(received(&b, STEP_NS, 6000 - 90000, NAN)->jumps == 1); /* the steps before the jump were not used */
+    /* the steps before the jump were not used */
+    CHECK(received(&b, STEP_NS, 6000 - 90000, NAN)->jumps == 1);
 }
 
 static void a_new_origin_that_is_near_is_no_travel_either(void)
@@ -238,7 +253,8 @@ static void a_new_origin_that_is_near_is_no_travel_either(void)
     base b = begun(32);
     received(&b, STEP_NS, 0, 4.0);
     b.feedback[0].epoch++, b.feedback[1].epoch++;
-    CHECK(near(received(&b, STEP_NS, 1000, 6.0)->position_rad, 0.05) && b.state.joint[0].jumps == 0 && b.state.degraded == 1);
+    CHECK(near(received(&b, STEP_NS, 1000, 6.0)->position_rad, 0.05) &&
+          b.state.joint[0].jumps == 0 && b.state.degraded == 1);
     CHECK(b.state.joint[0].epoch == 1);
 }
 
@@ -256,7 +272,8 @@ static void an_estimate_among_several_samples_of_a_side_is_not_forgotten(void)
         odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
         comes(&b, 1, 2 * STEP_NS, 1000, 20.0);
         odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
-        CHECK(b.state.degraded == 1 && near(b.state.distance_m, seed ? 0.0 : 1000 * COUNT_RAD * 0.1));
+        CHECK(b.state.degraded == 1 &&
+              near(b.state.distance_m, seed ? 0.0 : 1000 * COUNT_RAD * 0.1));
     }
 }
 
@@ -278,7 +295,8 @@ static void a_wheel_that_is_not_received_is_sent_of_whatever_the_others_bring(vo
     }
 }
 
-/* By series for small turns, by the sine for others: right to the last bits on both sides of the change. */
+/* By series for small turns, by the sine for others: right to the last bits on both sides of the
+ * change. */
 static void the_chord_of_an_arc_is_right_to_the_last_bits(void)
 {
     static const double HALF_RAD[] = {1e-4, 0.05, 0.0999, 0.1001, 0.14, 0.3, 0.9};
@@ -294,17 +312,21 @@ static void the_chord_of_an_arc_is_right_to_the_last_bits(void)
         comes(&b, 1, STEP_NS, travel + turn, NAN);
         odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
         long double half_rad = (long double)turn * (long double)COUNT_RAD * 0.1L / 0.5L;
-        long double chord_m = (long double)travel * (long double)COUNT_RAD * 0.1L * sinl(half_rad) / half_rad;
+        long double chord_m =
+            (long double)travel * (long double)COUNT_RAD * 0.1L * sinl(half_rad) / half_rad;
         CHECK(fabs((double)(hypotl(b.state.x_m, b.state.y_m) / chord_m - 1.0L)) < 1.5e-15);
     }
 }
 
-/* Then the heading is as uncertain as the gyro, whatever the wheels scrub, and has nothing to do with the way's error. */
+/* Then the heading is as uncertain as the gyro, whatever the wheels scrub, and has nothing to do
+ * with the way's error. */
 static void a_turn_by_the_gyro_has_the_gyro_s_variance(void)
 {
     base b = begun(32);
-    b.config.gyro =
-        (gyro_config){.used = 1, .timeout_s = 0.05, .heading_variance_rad2_per_s = 1e-5, .turn_variance_rad2_per_rad = 1e-3};
+    b.config.gyro = (gyro_config){.used = 1,
+                                  .timeout_s = 0.05,
+                                  .heading_variance_rad2_per_s = 1e-5,
+                                  .turn_variance_rad2_per_rad = 1e-3};
     received(&b, STEP_NS, 0, NAN);
     gyro_state *gyro = &b.state.gyro;
     gyro->stamp_ns = gyro->bias_stamp_ns = b.feedback[0].stamp_ns;
@@ -316,9 +338,12 @@ static void a_turn_by_the_gyro_has_the_gyro_s_variance(void)
     gyro->yaw_rad = 0.02;
     odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
     spread_look(&b.state, &b.config, b.feedback[0].stamp_ns);
-    double turn_rad2 = 0.01 * (1e-5 + 2.0 * 0.02 * 0.02 * 1e-9) + 1e-3 * 0.02, moved_m = 1200 * COUNT_RAD * 0.1;
-    CHECK(b.state.by_gyro == 1 && near(b.state.heading_rad, 0.02) && near(b.state.distance_m, moved_m));
-    CHECK(fabs(b.state.pose_covariance[5] / turn_rad2 - 1.0) < 1e-9 && b.state.twist_covariance[1] == 0.0);
+    double turn_rad2 = 0.01 * (1e-5 + 2.0 * 0.02 * 0.02 * 1e-9) + 1e-3 * 0.02,
+           moved_m = 1200 * COUNT_RAD * 0.1;
+    CHECK(b.state.by_gyro == 1 && near(b.state.heading_rad, 0.02) &&
+          near(b.state.distance_m, moved_m));
+    CHECK(fabs(b.state.pose_covariance[5] / turn_rad2 - 1.0) < 1e-9 &&
+          b.state.twist_covariance[1] == 0.0);
     CHECK(fabs(b.state.pose_covariance[2] / (-0.5 * turn_rad2 * moved_m * sin(0.01)) - 1.0) < 1e-9);
 }
 
@@ -351,10 +376,12 @@ static void no_variance_of_the_pose_is_below_its_floor(void)
     received(&b, SPREAD_EVERY_NS - 1, 0, NAN); /* not yet looked at */
     CHECK(b.state.pose_covariance[0] < 1e-4 && b.state.pose_covariance[5] < 2e-4);
     received(&b, 1, 0, NAN);
-    CHECK(b.state.pose_covariance[0] == 1e-4 && b.state.pose_covariance[3] == 1e-4 && b.state.pose_covariance[5] == 2e-4);
+    CHECK(b.state.pose_covariance[0] == 1e-4 && b.state.pose_covariance[3] == 1e-4 &&
+          b.state.pose_covariance[5] == 2e-4);
 }
 
-/* One wheel of a side begins anew while the other is silent: what the other side goes meanwhile is no arc. */
+/* One wheel of a side begins anew while the other is silent: what the other side goes meanwhile
+ * is no arc. */
 static void a_side_that_only_begins_makes_no_turn(void)
 {
     for (int side = 0; side < 2; side++) {
@@ -371,7 +398,8 @@ static void a_side_that_only_begins_makes_no_turn(void)
             }
             odometry_step(&b.state, &b.config, b.feedback, stale, b.setpoint);
             int arcs = step < 3 ? step : step - 1;
-            CHECK(near(b.state.distance_m, arcs * 1000 * COUNT_RAD * 0.1) && near(b.state.turned_rad, 0.0));
+            CHECK(near(b.state.distance_m, arcs * 1000 * COUNT_RAD * 0.1) &&
+                  near(b.state.turned_rad, 0.0));
             CHECK(b.state.blind == 0 && b.state.degraded == (step == 2 || step == 3));
         }
     }
@@ -388,13 +416,15 @@ static void a_side_that_is_received_later_makes_no_turn(void)
             comes(&b, 0, STEP_NS, 1000, NAN);
             comes(&b, 1, STEP_NS, 1000, NAN);
             odometry_step(&b.state, &b.config, b.feedback, stale, b.setpoint);
-            CHECK(b.state.blind == (step < 2) && b.state.degraded == (step < 3) && near(b.state.turned_rad, 0.0));
+            CHECK(b.state.blind == (step < 2) && b.state.degraded == (step < 3) &&
+                  near(b.state.turned_rad, 0.0));
             CHECK(near(b.state.distance_m, step < 3 ? 0.0 : 1000 * COUNT_RAD * 0.1));
         }
     }
 }
 
-/* The newest stamp was that of a wheel that is silent now: no time has passed since then, and no speed is measured. */
+/* The newest stamp was that of a wheel that is silent now: no time has passed since then, and no
+ * speed is measured. */
 static void samples_that_are_no_newer_than_the_last_arc_show_no_speed(void)
 {
     for (int64_t short_ns = 0; short_ns < 2; short_ns++) {
@@ -406,11 +436,13 @@ static void samples_that_are_no_newer_than_the_last_arc_show_no_speed(void)
         for (int step = 0; step < 3; step++) {
             stale[2] = step == 2;
             for (int j = 0; j < 4; j++) {
-                comes(&b, j, step == 0 ? STEP_NS + (j == 2 ? STEP_NS + short_ns : 0) : STEP_NS, 100, NAN);
+                comes(&b, j, step == 0 ? STEP_NS + (j == 2 ? STEP_NS + short_ns : 0) : STEP_NS, 100,
+                      NAN);
             }
             odometry_step(&b.state, &b.config, b.feedback, stale, b.setpoint);
         }
-        CHECK(near(b.state.distance_m, 200 * COUNT_RAD * 0.1) && near(b.state.linear_m_s, 100 * COUNT_RAD * 0.1 / 0.01));
+        CHECK(near(b.state.distance_m, 200 * COUNT_RAD * 0.1) &&
+              near(b.state.linear_m_s, 100 * COUNT_RAD * 0.1 / 0.01));
     }
 }
 

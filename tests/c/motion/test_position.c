@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_position: one step of a joint to an angle against a search that tries it out, whole motions, and whether it follows. */
+ * test_position: one step of a joint to an angle against a search that tries it out, whole
+ * motions, and whether it follows. */
 #include "steered_bases.h"
 
 static const double DT_S = 0.01;
@@ -11,7 +12,8 @@ static position_config fast(double velocity_rad_s, double acceleration_rad_s2)
     return own;
 }
 
-static position_profile stepped(position_profile profile, const position_config *own, double goal_rad, double dt_s)
+static position_profile stepped(position_profile profile, const position_config *own,
+                                double goal_rad, double dt_s)
 {
     position_step(&profile, own, goal_rad, dt_s);
     return profile;
@@ -33,7 +35,8 @@ static void a_joint_brakes_as_late_as_can_be(void)
 {
     for (int round = 0; round < 2000; round++) {
         position_config own = fast(1e3, any(2.0, 50.0));
-        double left_rad = any(0.001, 2.0), from_rad = any(-1.0, 1.0), sign = round % 2 == 0 ? 1.0 : -1.0;
+        double left_rad = any(0.001, 2.0), from_rad = any(-1.0, 1.0),
+               sign = round % 2 == 0 ? 1.0 : -1.0;
         double fastest_rad_s = largest_that_brakes(left_rad, own.acceleration_rad_s2);
         position_profile profile = {from_rad, sign * fastest_rad_s};
         profile = stepped(profile, &own, from_rad + sign * left_rad, DT_S);
@@ -53,22 +56,29 @@ static void a_goal_is_not_passed_whatever_time_its_steps_take(void)
 {
     for (int round = 0; round < 2000; round++) {
         position_config own = fast(any(0.2, 10.0), any(2.0, 50.0));
-        double v = own.velocity_rad_s, a = own.acceleration_rad_s2, goal_rad = any(-3.0, 3.0), distance_rad = fabs(goal_rad);
+        double v = own.velocity_rad_s, a = own.acceleration_rad_s2, goal_rad = any(-3.0, 3.0),
+               distance_rad = fabs(goal_rad);
         position_profile profile = {0.0, 0.0};
         int steps = 0;
-        for (; (profile.position_rad != goal_rad || profile.velocity_rad_s != 0.0) && steps < 100000; steps++) {
+        for (;
+             (profile.position_rad != goal_rad || profile.velocity_rad_s != 0.0) && steps < 100000;
+             steps++) {
             position_profile before = profile;
             double dt_s = any_time_s();
             position_step(&profile, &own, goal_rad, dt_s);
-            CHECK(fabs(profile.velocity_rad_s) <= v && fabs(profile.velocity_rad_s - before.velocity_rad_s) <= a * dt_s + 1e-12);
-            CHECK(close_to(profile.position_rad, before.position_rad + profile.velocity_rad_s * dt_s));
-            CHECK(fabs(profile.position_rad) <= distance_rad + 1e-12 && profile.position_rad * goal_rad >= 0.0);
+            CHECK(fabs(profile.velocity_rad_s) <= v &&
+                  fabs(profile.velocity_rad_s - before.velocity_rad_s) <= a * dt_s + 1e-12);
+            CHECK(close_to(profile.position_rad,
+                           before.position_rad + profile.velocity_rad_s * dt_s));
+            CHECK(fabs(profile.position_rad) <= distance_rad + 1e-12 &&
+                  profile.position_rad * goal_rad >= 0.0);
         }
         CHECK(steps < 100000);
     }
 }
 
-/* Its goals change, and go, while it moves: each is within the range, and so is what it needs to come to rest. */
+/* Its goals change, and go, while it moves: each is within the range, and so is what it needs to
+ * come to rest. */
 static void a_range_is_not_left_whatever_time_its_steps_take(void)
 {
     for (int round = 0; round < 200; round++) {
@@ -77,7 +87,8 @@ static void a_range_is_not_left_whatever_time_its_steps_take(void)
         double goal_rad = 3.0;
         for (int i = 0; i < 5000; i++) {
             if (any(0.0, 1.0) < 0.01) {
-                goal_rad = any(0.0, 1.0) < 0.2 ? (double)NAN : fmin(fmax(any(-6.0, 6.0), -3.0), 3.0);
+                goal_rad =
+                    any(0.0, 1.0) < 0.2 ? (double)NAN : fmin(fmax(any(-6.0, 6.0), -3.0), 3.0);
             }
             position_step(&profile, &own, goal_rad, any_time_s());
             CHECK(fabs(profile.position_rad) <= 3.0 + 1e-12);
@@ -89,17 +100,23 @@ static void a_motion_takes_the_shortest_time_and_ends_exactly_at_its_goal(void)
 {
     for (int round = 0; round < 300; round++) {
         position_config own = fast(any(0.2, 3.0), any(2.0, 50.0));
-        double v = own.velocity_rad_s, a = own.acceleration_rad_s2, goal_rad = any(-3.0, 3.0), distance_rad = fabs(goal_rad);
+        double v = own.velocity_rad_s, a = own.acceleration_rad_s2, goal_rad = any(-3.0, 3.0),
+               distance_rad = fabs(goal_rad);
         position_profile profile = {0.0, 0.0};
         int steps = 0;
-        for (; (profile.position_rad != goal_rad || profile.velocity_rad_s != 0.0) && steps < 5000; steps++) {
+        for (; (profile.position_rad != goal_rad || profile.velocity_rad_s != 0.0) && steps < 5000;
+             steps++) {
             position_profile before = profile;
             position_step(&profile, &own, goal_rad, DT_S);
-            CHECK(fabs(profile.velocity_rad_s) <= v && fabs(profile.velocity_rad_s - before.velocity_rad_s) <= a * DT_S + 1e-12);
-            CHECK(close_to(profile.position_rad, before.position_rad + profile.velocity_rad_s * DT_S));
-            CHECK(fabs(profile.position_rad) <= distance_rad && profile.position_rad * goal_rad >= 0.0);
+            CHECK(fabs(profile.velocity_rad_s) <= v &&
+                  fabs(profile.velocity_rad_s - before.velocity_rad_s) <= a * DT_S + 1e-12);
+            CHECK(close_to(profile.position_rad,
+                           before.position_rad + profile.velocity_rad_s * DT_S));
+            CHECK(fabs(profile.position_rad) <= distance_rad &&
+                  profile.position_rad * goal_rad >= 0.0);
         }
-        double shortest_s = distance_rad * a > v * v ? distance_rad / v + v / a : 2.0 * sqrt(distance_rad / a);
+        double shortest_s =
+            distance_rad * a > v * v ? distance_rad / v + v / a : 2.0 * sqrt(distance_rad / a);
         /* the last of the way, less than a dt^2, takes some steps more */
         double last_s = (5.0 + 0.5 * log(1.0 + v / (a * DT_S))) * DT_S;
         CHECK(steps * DT_S >= shortest_s - DT_S && steps * DT_S <= shortest_s + last_s);
@@ -121,9 +138,10 @@ static void one_step_in_numbers(void)
         {0.5, 0.0, 0.5, 0.5, 0.0},
         {0.5, 0.05, 0.5, 0.5, 0.0},
         {0.5, -0.1, 0.5, 0.5, 0.0},
-        {0.0, 0.0, 0.0005, 0.0004142135623730951, 0.04142135623730951}, /* v dt + v^2 / 2 a = 0.0005 */
-        {0.0, 0.0, 1e-20, 1e-20, 1e-18},                                /* within rounding of where it is */
-        {0.0, 1.0, 0.001, 0.009, 0.9},                                  /* nearer than it can brake: it passes it */
+        /* v dt + v^2 / 2 a = 0.0005 */
+        {0.0, 0.0, 0.0005, 0.0004142135623730951, 0.04142135623730951},
+        {0.0, 0.0, 1e-20, 1e-20, 1e-18}, /* within rounding of where it is */
+        {0.0, 1.0, 0.001, 0.009, 0.9},   /* nearer than it can brake: it passes it */
         {0.0, 0.3, 0.0015, 0.002, 0.2},
         {0.0, -1.0, 1.0, -0.009, -0.9}, /* away from it: it brakes first */
         {0.0, 1.0, NAN, 0.009, 0.9},    /* no goal: it brakes */
@@ -140,7 +158,8 @@ static void one_step_in_numbers(void)
     for (int i = 0; i < COUNT_OF(CASES); i++) {
         position_profile profile = {CASES[i].from_rad, CASES[i].from_rad_s};
         profile = stepped(profile, &own, CASES[i].goal_rad, DT_S);
-        CHECK(fabs(profile.position_rad - CASES[i].to_rad) < 1e-12 && fabs(profile.velocity_rad_s - CASES[i].to_rad_s) < 1e-12);
+        CHECK(fabs(profile.position_rad - CASES[i].to_rad) < 1e-12 &&
+              fabs(profile.velocity_rad_s - CASES[i].to_rad_s) < 1e-12);
     }
     CHECK(stepped((position_profile){0.0, 0.0}, &own, 1e-20, DT_S).position_rad == 1e-20);
     CHECK(isnan(stepped((position_profile){NAN, 1.0}, &own, 0.0, DT_S).position_rad));
@@ -172,8 +191,10 @@ static void a_time_that_is_none_is_no_step(void)
         position_profile profile = stepped((position_profile){0.3, 1.0}, &own, 1.0, TIMES_S[i]);
         CHECK(profile.position_rad == 0.3 && profile.velocity_rad_s == 0.0);
     }
-    position_profile profile = stepped((position_profile){0.0, 0.0}, &own, 1e9, 1e9); /* the longest there is */
-    CHECK(profile.position_rad > 0.999e9 && profile.position_rad < 1e9 && close_to(profile.velocity_rad_s, 1.0));
+    /* the longest there is */
+    position_profile profile = stepped((position_profile){0.0, 0.0}, &own, 1e9, 1e9);
+    CHECK(profile.position_rad > 0.999e9 && profile.position_rad < 1e9 &&
+          close_to(profile.velocity_rad_s, 1.0));
 }
 
 /* --- does it follow? */
@@ -185,21 +206,26 @@ static void a_joint_follows_while_it_is_near_or_comes_nearer(void)
     own.following_rad = 0.2, own.following_s = 0.5;
     position_following following = {0, 0.0};
     CHECK(position_follows(&following, &own, 0.2, 0.0, FIRST_NS) && following.since_ns == 0);
-    CHECK(position_follows(&following, &own, 0.445, 1.0, FIRST_NS) && following.since_ns == 0); /* it may lag by 0.25 s */
+    /* it may lag by 0.25 s */
+    CHECK(position_follows(&following, &own, 0.445, 1.0, FIRST_NS) && following.since_ns == 0);
     CHECK(position_follows(&following, &own, 0.445, -1.0, FIRST_NS) && following.since_ns == 0);
     CHECK(position_follows(&following, &own, NAN, 0.0, FIRST_NS) && following.since_ns == 0);
-    CHECK(position_follows(&following, &own, 0.46, 1.0, FIRST_NS) && following.since_ns == FIRST_NS);
+    CHECK(position_follows(&following, &own, 0.46, 1.0, FIRST_NS) &&
+          following.since_ns == FIRST_NS);
     CHECK(following.nearest_rad == 0.46);
     /* by a tenth of what is allowed it comes nearer */
-    CHECK(position_follows(&following, &own, 0.441, 0.0, FIRST_NS + 400 * MS_NS) && following.since_ns == FIRST_NS);
+    CHECK(position_follows(&following, &own, 0.441, 0.0, FIRST_NS + 400 * MS_NS) &&
+          following.since_ns == FIRST_NS);
     CHECK(position_follows(&following, &own, 0.43, 0.0, FIRST_NS + 450 * MS_NS));
     CHECK(following.since_ns == FIRST_NS + 450 * MS_NS && following.nearest_rad == 0.43);
     CHECK(position_follows(&following, &own, 0.43, 0.0, FIRST_NS + 949 * MS_NS));
     CHECK(!position_follows(&following, &own, 0.43, 0.0, FIRST_NS + 950 * MS_NS));
     CHECK(!position_follows(&following, &own, 0.43, 0.0, FIRST_NS + 2000 * MS_NS));
     CHECK(!position_follows(&following, &own, 0.6, 0.0, FIRST_NS + 2000 * MS_NS));
-    CHECK(position_follows(&following, &own, 0.1, 0.0, FIRST_NS + 2001 * MS_NS) && following.since_ns == 0);
-    CHECK(position_follows(&following, &own, 0.6, 0.0, FIRST_NS + 2002 * MS_NS) && following.nearest_rad == 0.6);
+    CHECK(position_follows(&following, &own, 0.1, 0.0, FIRST_NS + 2001 * MS_NS) &&
+          following.since_ns == 0);
+    CHECK(position_follows(&following, &own, 0.6, 0.0, FIRST_NS + 2002 * MS_NS) &&
+          following.nearest_rad == 0.6);
 }
 
 static void without_a_time_nothing_is_checked(void)

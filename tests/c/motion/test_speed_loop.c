@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Wheels that a torque turns, for the sanitizers: every line of speed_loop.c and of what core.c does with it, with hostile
- * numbers among them. What they promise is tested in tests/rt/control/test_speed_loop.py. */
+ * Wheels that a torque turns, for the sanitizers: every line of speed_loop.c and of what core.c
+ * does with it, with hostile numbers among them. What they promise is tested in
+ * tests/rt/control/test_speed_loop.py. */
 #include "check.h"
 #include "core.h"
 #include "torque_loop.h"
@@ -10,7 +11,8 @@
 #include <string.h>
 
 static const int64_t TICK_NS = 1000000;
-static const double HOSTILE[] = {NAN, INFINITY, -INFINITY, 0.0, -0.0, DBL_MIN, DBL_MAX, -DBL_MAX, 1.0, -1.0};
+static const double HOSTILE[] = {NAN,     INFINITY, -INFINITY, 0.0, -0.0,
+                                 DBL_MIN, DBL_MAX,  -DBL_MAX,  1.0, -1.0};
 static const double TORQUE_MAX_N_M = 8.0;
 enum { HOSTILE_COUNT = sizeof HOSTILE / sizeof HOSTILE[0], WHEELS = 2 };
 
@@ -55,7 +57,8 @@ static const robot_state *tick(base *b, double velocity_rad_s)
     b->input.control.heartbeat_ns = b->input.command.stamp_ns = b->input.now_ns;
     b->input.command.expires_ns = b->input.now_ns + 1000000000;
     for (uint32_t j = 0; j < WHEELS; j++) {
-        b->input.feedback[j] = (joint_feedback){.stamp_ns = b->input.now_ns, .velocity_rad_s = velocity_rad_s, .enabled = 1};
+        b->input.feedback[j] = (joint_feedback){
+            .stamp_ns = b->input.now_ns, .velocity_rad_s = velocity_rad_s, .enabled = 1};
     }
     core_step(&b->state, &b->input, 1e-3, &b->out, &b->shown);
     return &b->shown;
@@ -77,9 +80,11 @@ static void the_torque_is_a_number_within_its_limit(void)
 {
     const speed_loop_config config = torque_loop(1.0, 4.0, TORQUE_MAX_N_M);
     for (int i = 0; i < HOSTILE_COUNT * HOSTILE_COUNT * HOSTILE_COUNT; i++) {
-        speed_loop_state state = {.integral_u = HOSTILE[i % HOSTILE_COUNT], .begun = (uint32_t)i % 3};
+        speed_loop_state state = {.integral_u = HOSTILE[i % HOSTILE_COUNT],
+                                  .begun = (uint32_t)i % 3};
         double torque_n_m = loop_step(&state, &config, HOSTILE[i / HOSTILE_COUNT % HOSTILE_COUNT],
-                                      HOSTILE[i / HOSTILE_COUNT / HOSTILE_COUNT], i % 2 == 0 ? 1e-3 : HOSTILE[i % 7]);
+                                      HOSTILE[i / HOSTILE_COUNT / HOSTILE_COUNT],
+                                      i % 2 == 0 ? 1e-3 : HOSTILE[i % 7]);
         CHECK(fabs(torque_n_m) <= TORQUE_MAX_N_M);
     }
 }
@@ -92,10 +97,12 @@ static void a_wheel_that_is_too_slow_is_pushed_until_it_is_disarmed(void)
     for (int i = 0; i < 500; i++) {
         tick(&b, 1.0);
     }
-    CHECK(b.out.joint[0].torque_n_m > 1.0 && b.out.joint[1].torque_n_m == b.out.joint[0].torque_n_m);
+    CHECK(b.out.joint[0].torque_n_m > 1.0 &&
+          b.out.joint[1].torque_n_m == b.out.joint[0].torque_n_m);
     b.input.control.armed = 0;
     tick(&b, 1.0);
-    CHECK(b.out.enabled == 0 && b.out.joint[0].torque_n_m == 0.0 && b.state.speed_loop[0].integral_u == 0.0);
+    CHECK(b.out.enabled == 0 && b.out.joint[0].torque_n_m == 0.0 &&
+          b.state.speed_loop[0].integral_u == 0.0);
 }
 
 static void a_wheel_beyond_all_speed_is_let_go(void)
@@ -106,7 +113,8 @@ static void a_wheel_beyond_all_speed_is_let_go(void)
     tick(&b, 13.0);
     CHECK(b.shown.faults == 0);
     tick(&b, -14.0);
-    CHECK(b.state.faults == FAULT_OVERSPEED && b.out.joint[0].torque_n_m == 0.0 && b.out.joint[1].torque_n_m == 0.0);
+    CHECK(b.state.faults == FAULT_OVERSPEED && b.out.joint[0].torque_n_m == 0.0 &&
+          b.out.joint[1].torque_n_m == 0.0);
     for (int i = 0; i < 100; i++) {
         tick(&b, 0.0);
     }

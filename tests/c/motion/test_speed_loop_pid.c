@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The speed loop by its exact numbers: feed-forward, derivative, limits, and what goes on without a step. */
+ * The speed loop by its exact numbers: feed-forward, derivative, limits, and what goes on
+ * without a step. */
 #include "check.h"
 #include "torque_loop.h"
 
@@ -10,7 +11,10 @@ static const double DT_S = 0.01;
 static speed_loop_config duty_loop(void)
 {
     return (speed_loop_config){
-        .gains = {.gain_u_s_per_rad = 0.02, .integral_u_per_rad = 0.1, .static_u = 0.05, .viscous_u_s_per_rad = 0.04},
+        .gains = {.gain_u_s_per_rad = 0.02,
+                  .integral_u_per_rad = 0.1,
+                  .static_u = 0.05,
+                  .viscous_u_s_per_rad = 0.04},
         .filter_s = 0.03,
         .correction_max_u = 0.25,
         .output_min_u = -1.0,
@@ -30,11 +34,13 @@ static void feed_forward_is_friction_in_the_direction_of_the_set_point_and_inert
     config.gains.gain_u_s_per_rad = config.gains.integral_u_per_rad = 0.0;
     for (double sign = -1.0; sign <= 1.0; sign += 2.0) {
         speed_loop_state state = {.begun = 1};
-        double rising = sign * (0.05 + 0.04 * 2.0 + 0.001 * 2.0 / DT_S), steady = sign * (0.05 + 0.04 * 2.0);
+        double rising = sign * (0.05 + 0.04 * 2.0 + 0.001 * 2.0 / DT_S),
+               steady = sign * (0.05 + 0.04 * 2.0);
         config.gains.acceleration_u_s2_per_rad = 0.001;
         CHECK(near(loop_step(&state, &config, sign * 2.0, 0.0, DT_S), rising));
         CHECK(near(loop_step(&state, &config, sign * 2.0, 0.0, DT_S), steady));
-        CHECK(near(loop_step(&state, &config, sign * 1.0, 1.0, DT_S), sign * (0.05 + 0.04 - 0.001 / DT_S)));
+        CHECK(near(loop_step(&state, &config, sign * 1.0, 1.0, DT_S),
+                   sign * (0.05 + 0.04 - 0.001 / DT_S)));
         CHECK(loop_step(&state, &config, 0.0, 1.0, DT_S) == 0.0); /* at once: no kick */
     }
 }
@@ -84,20 +90,25 @@ static void what_a_limit_of_the_output_cuts_off_is_not_summed_up(void)
     }
     double held = state.integral_u;
     CHECK(state.output_u < 0.003 && held < -0.16 && held > -0.18);
-    CHECK(loop_step(&state, &config, 5.0, 4.9, DT_S) > 0.0 && state.integral_u > held); /* and it comes back at once */
+    /* and it comes back at once */
+    CHECK(loop_step(&state, &config, 5.0, 4.9, DT_S) > 0.0 && state.integral_u > held);
 }
 
 static void the_integral_is_held_by_what_is_cut_off_and_not_by_the_output(void)
 {
     speed_loop_config config = duty_loop();
-    speed_loop_state state = {.begun = 1}; /* forward, far too fast: the correction is at its limit */
+    /* forward, far too fast: the correction is at its limit */
+    speed_loop_state state = {.begun = 1};
     for (int i = 0; i < 10; i++) {
-        CHECK(near(loop_step(&state, &config, 8.0, 28.0, DT_S), 0.37 - 0.25) && state.integral_u == 0.0);
+        CHECK(near(loop_step(&state, &config, 8.0, 28.0, DT_S), 0.37 - 0.25) &&
+              state.integral_u == 0.0);
     }
     config.output_max_u = 0.3;
-    state = (speed_loop_state){.begun = 1}; /* the feed-forward alone is beyond the limit, and the wheel too fast */
+    state = (speed_loop_state){.begun = 1}; /* the feed-forward alone is beyond the limit, and the
+                                               wheel too fast */
     CHECK(loop_step(&state, &config, 10.0, 11.0, DT_S) == 0.3 && near(state.integral_u, -0.001));
-    config.gains.integral_u_per_rad = 0.0; /* what is to go goes, also while the output is limited */
+    /* what is to go goes, also while the output is limited */
+    config.gains.integral_u_per_rad = 0.0;
     state = (speed_loop_state){.begun = 1, .integral_u = 0.2};
     CHECK(loop_step(&state, &config, 10.0, 1.0, DT_S) == 0.3 && near(state.integral_u, 0.196));
     speed_loop_config none = torque_loop(1.0, 4.0, 0.0);
@@ -124,7 +135,8 @@ static void a_change_of_gains_goes_on_from_the_output_of_before(void)
         loop_step(&state, &config, 5.0, 4.0, DT_S);
     }
     CHECK(fabs(state.output_u - (0.02 + 0.05 * 5.0 + 0.05 * 1.0)) < 1e-6);
-    CHECK(near(loop_step(&state, &config, 5.0, 4.0, 10.0), 0.02 + 0.05 * 5.0 + 0.05 * 1.0) && state.integral_u == 0.0);
+    CHECK(near(loop_step(&state, &config, 5.0, 4.0, 10.0), 0.02 + 0.05 * 5.0 + 0.05 * 1.0) &&
+          state.integral_u == 0.0);
 }
 
 static void a_loop_that_begins_at_a_wheel_that_turns_begins_without_output(void)
@@ -132,7 +144,8 @@ static void a_loop_that_begins_at_a_wheel_that_turns_begins_without_output(void)
     speed_loop_config config = torque_loop(1.0, 4.0, 8.0);
     speed_loop_state state = {0};
     CHECK(near(loop_step(&state, &config, 0.0, 3.0, DT_S), -4.0 * 3.0 * DT_S));
-    config.gains.acceleration_u_s2_per_rad = 0.5; /* nothing is known of how the set-point has risen */
+    /* nothing is known of how the set-point has risen */
+    config.gains.acceleration_u_s2_per_rad = 0.5;
     speed_loop_state rising = {.output_u = 0.5};
     loop_step(&rising, &config, 2.0, 1.0, DT_S);
     CHECK(near(rising.integral_u, 0.5 - 1.0 + 4.0 * 1.0 * DT_S));
@@ -144,15 +157,18 @@ static void at_rest_a_duty_is_zero_and_a_torque_where_friction_holds_the_wheel(v
 {
     speed_loop_config duty = duty_loop(), torque = torque_loop(1.0, 4.0, 8.0);
     speed_loop_state state = {.begun = 1, .integral_u = 0.2, .output_u = 0.2};
-    CHECK(loop_step(&state, &duty, 0.0, 0.05, DT_S) < 0.2 && state.integral_u != 0.0); /* not slower than rest */
+    /* not slower than rest */
+    CHECK(loop_step(&state, &duty, 0.0, 0.05, DT_S) < 0.2 && state.integral_u != 0.0);
     CHECK(loop_step(&state, &duty, 1e-9, 0.0, DT_S) != 0.0);
-    CHECK(loop_step(&state, &duty, 0.0, -0.049, DT_S) == 0.0 && state.integral_u == 0.0 && state.output_u == 0.0);
+    CHECK(loop_step(&state, &duty, 0.0, -0.049, DT_S) == 0.0 && state.integral_u == 0.0 &&
+          state.output_u == 0.0);
     state.integral_u = 0.2;
     CHECK(loop_step(&state, &torque, 0.0, 0.0, DT_S) == 0.2); /* a slope */
     torque.gains.static_u = 0.2;
     CHECK(loop_step(&state, &torque, 0.0, 0.0, DT_S) == 0.2);
     torque.gains.static_u = 0.21;
-    CHECK(loop_step(&state, &torque, 0.0, 0.0, DT_S) == 0.0 && state.integral_u == 0.0 && state.begun == 1);
+    CHECK(loop_step(&state, &torque, 0.0, 0.0, DT_S) == 0.0 && state.integral_u == 0.0 &&
+          state.begun == 1);
 }
 
 static void gains_are_finite_and_not_negative(void)
@@ -174,7 +190,8 @@ static void numbers_beyond_all_range_are_no_output(void)
     speed_loop_config config = torque_loop(1e9, 1e9, 1e9);
     config.gains.derivative_u_s2_per_rad = 1e9;
     speed_loop_state state = {.begun = 1};
-    CHECK(loop_step(&state, &config, 1e308, 0.0, DT_S) == 0.0 && state.integral_u == 0.0 && state.begun == 0);
+    CHECK(loop_step(&state, &config, 1e308, 0.0, DT_S) == 0.0 && state.integral_u == 0.0 &&
+          state.begun == 0);
     state = (speed_loop_state){.begun = 1};
     CHECK(loop_step(&state, &config, (double)NAN, 0.0, DT_S) == 0.0 && state.begun == 0);
     state = (speed_loop_state){.begun = 1};

@@ -1,11 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_spread: pose and covariances of a base with mecanum wheels by the formulas of the textbook, written out anew; what
- * steering that measures nothing adds, and how uncertain a base becomes whose wheels are not seen. */
+ * test_spread: pose and covariances of a base with mecanum wheels by the formulas of the textbook,
+ * written out anew; what steering that measures nothing adds, and how uncertain a base becomes
+ * whose wheels are not seen. */
 #include "steered_bases.h"
 
 enum { WHEELS = 4 };
 
-static const double SMOOTHED_S = 0.2; /* SLIP_TIME_S of spread.c, of which nothing else is taken from there */
+static const double SMOOTHED_S = 0.2; /* SLIP_TIME_S of spread.c, of which nothing else is taken
+                                         from there */
 static const double RIM_M[WHEELS] = {0.05, 0.031, 0.02, 0.047};
 static const int64_t BEFORE_NS = 1000000000, STEP_NS = 50000000;
 
@@ -32,10 +34,12 @@ typedef struct {
     double of[3][3];
 } expected_errors;
 
-static expected_errors expected_of(const odometry_state *s, const core_config *config, double elapsed_s)
+static expected_errors expected_of(const odometry_state *s, const core_config *config,
+                                   double elapsed_s)
 {
     expected_errors e = {0};
-    const double *in[3] = {s->used.inverse[AXIS_LINEAR], s->used.inverse[AXIS_LATERAL], s->used.inverse[AXIS_ANGULAR]};
+    const double *in[3] = {s->used.inverse[AXIS_LINEAR], s->used.inverse[AXIS_LATERAL],
+                           s->used.inverse[AXIS_ANGULAR]};
     double moved[3] = {0}, sum = 0.0;
     for (int i = 0; i < 3; i++) {
         for (int j = 0; j < WHEELS; j++) {
@@ -44,13 +48,16 @@ static expected_errors expected_of(const odometry_state *s, const core_config *c
     }
     for (int j = 0; j < WHEELS && elapsed_s > 0.0; j++) {
         const wheel_row *row = &config->joint[j].row;
-        double left_m = RIM_M[j] - (row->x * moved[0] + row->y * moved[1] + row->lever_m * moved[2]);
+        double left_m =
+            RIM_M[j] - (row->x * moved[0] + row->y * moved[1] + row->lever_m * moved[2]);
         sum += pow(left_m / (SMOOTHED_S + elapsed_s), 2.0);
     }
     e.slip_m_s = sqrt(sum / WHEELS);
     e.turn_rad = moved[2];
     for (int j = 0; j < WHEELS; j++) {
-        double travel_m2 = WHEELS / 3.0 * (1e-4 * fabs(RIM_M[j]) + 2.0 * SMOOTHED_S * e.slip_m_s * e.slip_m_s * elapsed_s);
+        double travel_m2 =
+            WHEELS / 3.0 *
+            (1e-4 * fabs(RIM_M[j]) + 2.0 * SMOOTHED_S * e.slip_m_s * e.slip_m_s * elapsed_s);
         for (int i = 0; i < 9; i++) {
             e.of[i / 3][i % 3] += in[i / 3][j] * in[i % 3][j] * travel_m2;
         }
@@ -83,19 +90,22 @@ static bool near(double value, double expected)
 }
 
 /* Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4: P' = F P F' + G Q G'. */
-static void check_pose(const odometry_state *s, const double *p, const expected_errors *e, const double *moved_m,
-                       double middle_rad)
+static void check_pose(const odometry_state *s, const double *p, const expected_errors *e,
+                       const double *moved_m, double middle_rad)
 {
     double x = moved_m[0], y = moved_m[1], c = cos(middle_rad), sn = sin(middle_rad);
-    double f[3][3] = {{1, 0, -y}, {0, 1, x}, {0, 0, 1}}, g[3][3] = {{c, -sn, -0.5 * y}, {sn, c, 0.5 * x}, {0, 0, 1}};
-    double before[3][3] = {{p[0], p[1], p[2]}, {p[1], p[3], p[4]}, {p[2], p[4], p[5]}}, q[3][3], first[3][3], second[3][3];
+    double f[3][3] = {{1, 0, -y}, {0, 1, x}, {0, 0, 1}},
+           g[3][3] = {{c, -sn, -0.5 * y}, {sn, c, 0.5 * x}, {0, 0, 1}};
+    double before[3][3] = {{p[0], p[1], p[2]}, {p[1], p[3], p[4]}, {p[2], p[4], p[5]}}, q[3][3],
+           first[3][3], second[3][3];
     memcpy(q, e->of, sizeof q);
     carried(f, before, first);
     carried(g, q, second);
     const int at[6][2] = {{0, 0}, {0, 1}, {0, 2}, {1, 1}, {1, 2}, {2, 2}};
     for (int i = 0; i < 6; i++) {
         double scrub = i == 5 ? 1e-3 * fabs(e->turn_rad) : 0.0;
-        CHECK(near(s->pose_covariance[i], first[at[i][0]][at[i][1]] + second[at[i][0]][at[i][1]] + scrub));
+        CHECK(near(s->pose_covariance[i],
+                   first[at[i][0]][at[i][1]] + second[at[i][0]][at[i][1]] + scrub));
     }
 }
 
@@ -115,12 +125,14 @@ static void a_look_carries_the_wheels_errors_and_their_slip_into_pose_and_twist(
     spread_look(&s, &config, BEFORE_NS + STEP_NS);
     CHECK(near(s.spread.slip_m_s, e.slip_m_s) && e.slip_m_s > 1e-3);
     check_pose(&s, p, &e, moved_m, 0.45);
-    CHECK(near(s.spread.linear2_m2_s, e.of[0][0] / 0.05) && near(s.spread.lateral2_m2_s, e.of[1][1] / 0.05));
+    CHECK(near(s.spread.linear2_m2_s, e.of[0][0] / 0.05) &&
+          near(s.spread.lateral2_m2_s, e.of[1][1] / 0.05));
     CHECK(near(s.spread.angular2_rad2_s, (e.of[2][2] + 1e-3 * fabs(e.turn_rad)) / 0.05));
     CHECK(near(s.spread.linear_lateral_m2_s, e.of[0][1] / 0.05));
     CHECK(near(s.spread.linear_angular_m_rad_s, e.of[0][2] / 0.05));
     CHECK(near(s.spread.lateral_angular_m_rad_s, e.of[1][2] / 0.05));
-    CHECK(s.spread.stamp_ns == BEFORE_NS + STEP_NS && s.spread.x_m == 0.0 && s.spread.rim_m[0] == 0.0);
+    CHECK(s.spread.stamp_ns == BEFORE_NS + STEP_NS && s.spread.x_m == 0.0 &&
+          s.spread.rim_m[0] == 0.0);
 }
 
 /* How long it took is not known: no slip, and no rate. */
@@ -134,7 +146,8 @@ static void the_first_look_adds_errors_without_a_time(void)
     s.spread.x_m = moved_m[0], s.spread.y_m = moved_m[1];
     expected_errors e = expected_of(&s, &config, 0.0);
     spread_look(&s, &config, BEFORE_NS);
-    CHECK(s.spread.slip_m_s == 0.0 && s.spread.linear2_m2_s == 0.0 && s.spread.angular2_rad2_s == 0.0);
+    CHECK(s.spread.slip_m_s == 0.0 && s.spread.linear2_m2_s == 0.0 &&
+          s.spread.angular2_rad2_s == 0.0);
     check_pose(&s, p, &e, moved_m, 0.0);
 }
 
@@ -156,13 +169,15 @@ static void a_curve_sideways_ends_where_the_textbook_says(void)
             const wheel_row *row = &config.joint[j].row;
             double rim_m = row->x * x + row->y * y + row->lever_m * turn;
             feedback[j].stamp_ns = step * STEP_NS;
-            feedback[j].count = step == 1 ? 0 : (uint64_t)llround(rim_m / config.joint[j].wheel_radius_m * 1e7);
+            feedback[j].count =
+                step == 1 ? 0 : (uint64_t)llround(rim_m / config.joint[j].wheel_radius_m * 1e7);
             feedback[j].velocity_rad_s = NAN;
         }
         s.heading_rad = s.spread.heading_rad = from;
         odometry_step(&s, &config, feedback, stale, setpoint);
     }
-    double ahead = (sin(turn) * x - (1.0 - cos(turn)) * y) / turn, left = ((1.0 - cos(turn)) * x + sin(turn) * y) / turn;
+    double ahead = (sin(turn) * x - (1.0 - cos(turn)) * y) / turn,
+           left = ((1.0 - cos(turn)) * x + sin(turn) * y) / turn;
     CHECK(fabs(s.x_m - (cos(from) * ahead - sin(from) * left)) < 1e-7);
     CHECK(fabs(s.y_m - (sin(from) * ahead + cos(from) * left)) < 1e-7);
     CHECK(fabs(s.heading_rad - from - turn) < 1e-7 && fabs(s.turned_rad - turn) < 1e-7);
@@ -175,7 +190,8 @@ static void a_curve_sideways_ends_where_the_textbook_says(void)
 static void only_wheels_that_determine_the_motion_have_a_part_in_the_slip(void)
 {
     static const uint32_t JOINTS[] = {0xB, 0xD, 0x7, 0xE, 0xF};
-    static const double LEVER_M[WHEELS] = {-0.4, 0.3, 0.35, -0.2}, BEFORE_M_S[WHEELS] = {0.02, -0.03, 0.7, 0.05};
+    static const double LEVER_M[WHEELS] = {-0.4, 0.3, 0.35, -0.2},
+                        BEFORE_M_S[WHEELS] = {0.02, -0.03, 0.7, 0.05};
     for (int i = 0; i < COUNT_OF(JOINTS); i++) {
         static odometry_state s;
         core_config config = mecanum();
@@ -189,12 +205,14 @@ static void only_wheels_that_determine_the_motion_have_a_part_in_the_slip(void)
         s.spread.stamp_ns = BEFORE_NS;
         double moved_m = 0.0, turn_rad = 0.0, sum = 0.0, count = 0.0;
         for (int j = 0; j < WHEELS; j++) {
-            moved_m += s.used.inverse[AXIS_LINEAR][j] * RIM_M[j], turn_rad += s.used.inverse[AXIS_ANGULAR][j] * RIM_M[j];
+            moved_m += s.used.inverse[AXIS_LINEAR][j] * RIM_M[j],
+                turn_rad += s.used.inverse[AXIS_ANGULAR][j] * RIM_M[j];
         }
         spread_look(&s, &config, BEFORE_NS + STEP_NS);
         for (int j = 0; j < WHEELS; j++) {
             double left_m = RIM_M[j] - moved_m - LEVER_M[j] * turn_rad - BEFORE_M_S[j] * 0.05;
-            double expected_m_s = JOINTS[i] >> j & 1U ? BEFORE_M_S[j] + left_m / (SMOOTHED_S + 0.05) : 0.0;
+            double expected_m_s =
+                JOINTS[i] >> j & 1U ? BEFORE_M_S[j] + left_m / (SMOOTHED_S + 0.05) : 0.0;
             CHECK(near(s.spread.residual_m_s[j], expected_m_s));
             sum += expected_m_s * expected_m_s, count += JOINTS[i] >> j & 1U;
         }
@@ -204,7 +222,8 @@ static void only_wheels_that_determine_the_motion_have_a_part_in_the_slip(void)
 
 /* --- steering that measures nothing */
 
-/* The variance of the heading after a way of the rims with these angles, of a base that has no other errors. */
+/* The variance of the heading after a way of the rims with these angles, of a base that has no
+ * other errors. */
 static double steered_rad2(core_config config, const double *angle_rad, double rim_m)
 {
     static odometry_state s;
@@ -221,7 +240,8 @@ static double steered_rad2(core_config config, const double *angle_rad, double r
     return s.pose_covariance[5];
 }
 
-/* It may point beside it by 0.03 rad for a metre, which turns the base by as much over its lever. */
+/* It may point beside it by 0.03 rad for a metre, which turns the base by as much over its
+ * lever. */
 static double beside_rad2(double distance_m, double lever2_m2)
 {
     return 0.03 * 0.03 * 1.0 * distance_m / lever2_m2;
@@ -248,9 +268,12 @@ static void of_more_wheels_that_are_estimated_the_worst_counts(void)
         for (int farther = 0; farther < 2; farther++) {
             core_config base = swerve();
             base.module[1].x_m = farther ? -0.4 : -0.2;
-            double first_m2 = 0.3 * 0.3 + 0.1 * 0.1, second_m2 = farther ? 0.4 * 0.4 + 0.2 * 0.2 : 2.0 * 0.2 * 0.2;
-            base.joint[0].position.reference = estimated & 1U ? REFERENCE_ESTIMATED : REFERENCE_ABSOLUTE;
-            base.joint[2].position.reference = estimated & 2U ? REFERENCE_ESTIMATED : REFERENCE_ABSOLUTE;
+            double first_m2 = 0.3 * 0.3 + 0.1 * 0.1,
+                   second_m2 = farther ? 0.4 * 0.4 + 0.2 * 0.2 : 2.0 * 0.2 * 0.2;
+            base.joint[0].position.reference =
+                estimated & 1U ? REFERENCE_ESTIMATED : REFERENCE_ABSOLUTE;
+            base.joint[2].position.reference =
+                estimated & 2U ? REFERENCE_ESTIMATED : REFERENCE_ABSOLUTE;
             double first_rad2 = estimated & 1U ? beside_rad2(0.5, first_m2) : 0.0;
             double second_rad2 = estimated & 2U ? beside_rad2(0.5, second_m2) : 0.0;
             CHECK(near(steered_rad2(base, straight_rad, 0.5), fmax(first_rad2, second_rad2)));
@@ -275,7 +298,8 @@ static void a_wheel_in_the_middle_that_is_estimated_turns_nothing(void)
     core_config base = swerve();
     base.joint[0].position.reference = REFERENCE_ESTIMATED;
     base.module[0].x_m = base.module[0].y_m = 0.0;
-    CHECK(steered_rad2(base, straight_rad, 0.5) == 0.0 && steered_rad2(base, straight_rad, 0.0) == 0.0);
+    CHECK(steered_rad2(base, straight_rad, 0.5) == 0.0 &&
+          steered_rad2(base, straight_rad, 0.0) == 0.0);
 }
 
 /* --- wheels that are not seen */
@@ -297,16 +321,20 @@ static void a_blind_base_that_strafes_may_have_gone_ahead_and_sideways(void)
     s.pose_covariance[0] = 0.04, s.pose_covariance[3] = 0.09, s.pose_covariance[5] = 0.01;
     s.lateral_m_s = -0.3;
     s.lateral_covariance[0] = 0.02, s.lateral_covariance[1] = 0.0, s.lateral_covariance[2] = 0.03;
-    const joint_setpoint wheels[JOINTS_MAX] = {{.velocity_rad_s = 1.0}, {.velocity_rad_s = -2.0}, {.velocity_rad_s = 1.5}};
+    const joint_setpoint wheels[JOINTS_MAX] = {
+        {.velocity_rad_s = 1.0}, {.velocity_rad_s = -2.0}, {.velocity_rad_s = 1.5}};
     odometry_drift(&s, &config, wheels, 0.1); /* the fastest 0.02 m */
-    double distance_m = 0.02 * (all_of(s.used.inverse[AXIS_LINEAR]) + all_of(s.used.inverse[AXIS_LATERAL]));
+    double distance_m =
+        0.02 * (all_of(s.used.inverse[AXIS_LINEAR]) + all_of(s.used.inverse[AXIS_LATERAL]));
     CHECK(distance_m > 0.03 && near(s.pose_covariance[0], pow(0.2 + distance_m, 2.0)));
     CHECK(near(s.pose_covariance[3], pow(0.3 + distance_m, 2.0)));
     CHECK(near(s.pose_covariance[5], pow(0.1 + 0.02 * all_of(s.used.inverse[AXIS_ANGULAR]), 2.0)));
-    CHECK(s.lateral_covariance[0] == 0.02 && near(s.lateral_covariance[1], 1e-3 + 0.09) && s.lateral_covariance[2] == 0.03);
+    CHECK(s.lateral_covariance[0] == 0.02 && near(s.lateral_covariance[1], 1e-3 + 0.09) &&
+          s.lateral_covariance[2] == 0.03);
     s.lateral_covariance[1] = 7.0; /* it was more uncertain before */
     odometry_drift(&s, &config, wheels, 0.1);
-    CHECK(s.lateral_covariance[0] == 0.02 && s.lateral_covariance[1] == 7.0 && s.lateral_covariance[2] == 0.03);
+    CHECK(s.lateral_covariance[0] == 0.02 && s.lateral_covariance[1] == 7.0 &&
+          s.lateral_covariance[2] == 0.03);
 }
 
 /* As uncertain as one wheel of each side: neither is left out. */
@@ -316,11 +344,13 @@ static void a_blind_base_that_does_not_strafe_has_no_variance_sideways(void)
     core_config config = mecanum();
     config.joint_count = 2;
     config.twist_variance_floor_m2_s2 = 1e-3;
-    config.joint[0].row = (wheel_row){1.0, 0.0, -0.25}, config.joint[1].row = (wheel_row){1.0, 0.0, 0.25};
+    config.joint[0].row = (wheel_row){1.0, 0.0, -0.25},
+    config.joint[1].row = (wheel_row){1.0, 0.0, 0.25};
     odometry_init(&s, &config);
     odometry_drift(&s, &config, (const joint_setpoint[JOINTS_MAX]){{.velocity_rad_s = 2.0}}, 0.1);
     CHECK(near(s.pose_covariance[0], 0.02 * 0.02) && near(s.pose_covariance[5], 0.08 * 0.08));
-    CHECK(s.lateral_covariance[0] == 0.0 && s.lateral_covariance[1] == 0.0 && s.lateral_covariance[2] == 0.0);
+    CHECK(s.lateral_covariance[0] == 0.0 && s.lateral_covariance[1] == 0.0 &&
+          s.lateral_covariance[2] == 0.0);
 }
 
 static double blind_turn_rad(const core_config *config, const double *angle_rad)
@@ -342,7 +372,8 @@ static void a_blind_base_with_steered_wheels_may_have_turned_as_they_point(void)
     const core_config two = bicycle(), four = swerve_of_four();
     for (int i = -6; i <= 6; i += 3) {
         double angle_rad[JOINTS_MAX] = {NAN, 0.1 * i};
-        CHECK(fabs(blind_turn_rad(&two, angle_rad) - 0.05 * tan(0.1 * abs(i)) / WHEELBASE_M) < 1e-12);
+        CHECK(fabs(blind_turn_rad(&two, angle_rad) - 0.05 * tan(0.1 * abs(i)) / WHEELBASE_M) <
+              1e-12);
     }
     const double unknown_rad[JOINTS_MAX] = {NAN, NAN}; /* as if straight ahead */
     CHECK(blind_turn_rad(&two, unknown_rad) == 0.0);

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_steer: which curves a steering reaches, where its wheels point, and how fast they roll, in numbers. */
+ * test_steer: which curves a steering reaches, where its wheels point, and how fast they roll,
+ * in numbers. */
 #include "steer.h"
 #include "steered_bases.h"
 
@@ -37,7 +38,8 @@ static void the_reach_of_a_wheel_in_front_or_behind_is_that_of_its_circle(void)
         /* turned across, nothing drives it on the spot: 80 degrees are its most */
         base = with_range(base, -1.6, 1.6);
         steer = begun(&base);
-        CHECK(close_to(steer.curvature_max_per_m, 5.67 / fabs(x_m)) && close_to(steer.curvature_min_per_m, -5.67 / fabs(x_m)));
+        CHECK(close_to(steer.curvature_max_per_m, 5.67 / fabs(x_m)) &&
+              close_to(steer.curvature_min_per_m, -5.67 / fabs(x_m)));
         CHECK(steer.turns_on_spot == 0 && !kinematics_spins(&base));
     }
 }
@@ -91,7 +93,8 @@ static void the_wheel_with_the_least_reach_counts(void)
 {
     for (int tight = 2; tight <= 3; tight++) {
         core_config base = ackermann(WHEELBASE_M);
-        base.joint[tight].position.position_min_rad = -0.2, base.joint[tight].position.position_max_rad = 0.25;
+        base.joint[tight].position.position_min_rad = -0.2,
+        base.joint[tight].position.position_max_rad = 0.25;
         double y_m = base.module[tight - 2].y_m;
         steer_state steer = begun(&base);
         CHECK(close_to(steer.curvature_max_per_m, sin(0.25) / (0.3 * cos(0.25) + y_m * sin(0.25))));
@@ -146,8 +149,10 @@ static void other_bases_turn_on_the_spot(void)
 {
     core_config base = swerve();
     steer_state steer = begun(&base);
-    CHECK(steer.turns_on_spot == 1 && isinf(steer.curvature_max_per_m) && isinf(steer.curvature_min_per_m));
-    CHECK(steer.curvature_max_per_m > 0.0 && steer.curvature_min_per_m < 0.0 && kinematics_spins(&base));
+    CHECK(steer.turns_on_spot == 1 && isinf(steer.curvature_max_per_m) &&
+          isinf(steer.curvature_min_per_m));
+    CHECK(steer.curvature_max_per_m > 0.0 && steer.curvature_min_per_m < 0.0 &&
+          kinematics_spins(&base));
     base = good_config();
     CHECK(kinematics_spins(&base));
     base.module_count = 1; /* a single fixed wheel */
@@ -202,22 +207,28 @@ static void a_goal_is_brought_to_what_the_steering_and_the_limits_allow(void)
     };
     base_limits limits = good_config().limits;
     for (int i = 0; i < COUNT_OF(CASES); i++) {
-        steer_state steer = {
-            .curvature_min_per_m = -1.5, .curvature_max_per_m = 1.0, .turns_on_spot = CASES[i].spins, .pace_rad_s = 1.0};
-        double wanted[AXES] = {CASES[i].linear_m_s, CASES[i].angular_rad_s}, goal[AXES] = {7.0, 7.0};
+        steer_state steer = {.curvature_min_per_m = -1.5,
+                             .curvature_max_per_m = 1.0,
+                             .turns_on_spot = CASES[i].spins,
+                             .pace_rad_s = 1.0};
+        double wanted[AXES] = {CASES[i].linear_m_s, CASES[i].angular_rad_s},
+               goal[AXES] = {7.0, 7.0};
         CHECK(steer_within_reach(&steer, &limits, wanted, goal) == CASES[i].reasons);
         CHECK(close_to(goal[0], CASES[i].goal_m_s) && close_to(goal[1], CASES[i].goal_rad_s));
     }
     /* the turn is the tighter limit: 0.5 m/s in a circle of 0.1 m */
     steer_state steer = {.curvature_min_per_m = -10.0, .curvature_max_per_m = 10.0};
     double goal[AXES];
-    CHECK(steer_within_reach(&steer, &limits, (const double[AXES]){0.5, 5.0}, goal) == REASON_ANGULAR_VELOCITY);
+    CHECK(steer_within_reach(&steer, &limits, (const double[AXES]){0.5, 5.0}, goal) ==
+          REASON_ANGULAR_VELOCITY);
     CHECK(close_to(goal[0], 0.2) && goal[1] == 2.0);
     CHECK(steer_within_reach(&steer, &limits, (const double[AXES]){-2.0, 10.0}, goal) ==
           (REASON_LINEAR_VELOCITY | REASON_ANGULAR_VELOCITY));
     CHECK(close_to(goal[0], -0.4) && goal[1] == 2.0);
-    CHECK(steer_within_reach(&steer, &limits, (const double[AXES]){1.0, 2.0}, goal) == 0 && goal[0] == 1.0 && goal[1] == 2.0);
-    CHECK(steer_within_reach(&steer, &limits, (const double[AXES]){4.0, 8.0}, goal) == REASON_LINEAR_VELOCITY);
+    CHECK(steer_within_reach(&steer, &limits, (const double[AXES]){1.0, 2.0}, goal) == 0 &&
+          goal[0] == 1.0 && goal[1] == 2.0);
+    CHECK(steer_within_reach(&steer, &limits, (const double[AXES]){4.0, 8.0}, goal) ==
+          REASON_LINEAR_VELOCITY);
 }
 
 /* --- directions */
@@ -252,18 +263,24 @@ static void a_wheel_points_along_its_motion_or_against_it_whichever_is_nearer(vo
     for (int i = 0; i < COUNT_OF(CASES); i++) {
         core_config base = with_range(bicycle(), CASES[i].least_rad, CASES[i].most_rad);
         base.module[0].angle_rad = CASES[i].zero_rad;
-        base.joint[1].position.velocity_rad_s = 1e3, base.joint[1].position.acceleration_rad_s2 = 1e6;
+        base.joint[1].position.velocity_rad_s = 1e3,
+        base.joint[1].position.acceleration_rad_s2 = 1e6;
         steer_state steer = begun(&base);
         steer.profile[1].position_rad = CASES[i].near_rad;
-        double motion[AXES] = {cos(CASES[i].rolls_to_rad), sin(CASES[i].rolls_to_rad) / WHEELBASE_M}, goal[AXES];
+        double motion[AXES] = {cos(CASES[i].rolls_to_rad),
+                               sin(CASES[i].rolls_to_rad) / WHEELBASE_M},
+               goal[AXES];
         double angle_rad[JOINTS_MAX] = {0.0, -30.0}, rate_max_s;
         memcpy(goal, motion, sizeof goal);
-        CHECK(steer_goal(&steer, &base, (const limit_state[AXES]){{0}}, angle_rad, goal, &rate_max_s) == REASON_STEERING);
-        CHECK(CASES[i].reached ? close_to(steer.misaligned_rad - 30.0, CASES[i].aim_rad) : isinf(steer.misaligned_rad));
+        CHECK(steer_goal(&steer, &base, (const limit_state[AXES]){{0}}, angle_rad, goal,
+                         &rate_max_s) == REASON_STEERING);
+        CHECK(CASES[i].reached ? close_to(steer.misaligned_rad - 30.0, CASES[i].aim_rad)
+                               : isinf(steer.misaligned_rad));
         for (int step = 0; step < 1000; step++) {
             steer_joints(&steer, &base, motion, goal, 1e-3);
         }
-        if (fabs(CASES[i].near_rad - CASES[i].aim_rad) < M_PI) { /* the others aim again while they turn */
+        /* the others aim again while they turn */
+        if (fabs(CASES[i].near_rad - CASES[i].aim_rad) < M_PI) {
             CHECK(close_to(steer.profile[1].position_rad, CASES[i].aim_rad));
         }
     }
@@ -273,14 +290,17 @@ static void a_wheel_rolls_by_the_speed_of_the_floor_along_it(void)
 {
     core_config base = swerve();
     base.joint[3].wheel_radius_m = 0.1;
-    double twist[AXES] = {0.4, 0.7, -0.2}, angle_rad[JOINTS_MAX] = {0.5, 9.0, 7.0, 9.0}, wheel_rad_s[JOINTS_MAX];
+    double twist[AXES] = {0.4, 0.7, -0.2}, angle_rad[JOINTS_MAX] = {0.5, 9.0, 7.0, 9.0},
+           wheel_rad_s[JOINTS_MAX];
     for (int j = 0; j < JOINTS_MAX; j++) {
         wheel_rad_s[j] = 5.0;
     }
     steer_wheels(&base, twist, angle_rad, wheel_rad_s);
     CHECK(wheel_rad_s[0] == 0.0 && wheel_rad_s[2] == 0.0 && wheel_rad_s[4] == 5.0);
-    CHECK(close_to(wheel_rad_s[1], ((0.4 - 0.1 * 0.7) * cos(0.5) + (-0.2 + 0.3 * 0.7) * sin(0.5)) / 0.05));
-    CHECK(close_to(wheel_rad_s[3], ((0.4 + 0.2 * 0.7) * cos(7.3) + (-0.2 - 0.2 * 0.7) * sin(7.3)) / 0.1));
+    CHECK(close_to(wheel_rad_s[1],
+                   ((0.4 - 0.1 * 0.7) * cos(0.5) + (-0.2 + 0.3 * 0.7) * sin(0.5)) / 0.05));
+    CHECK(close_to(wheel_rad_s[3],
+                   ((0.4 + 0.2 * 0.7) * cos(7.3) + (-0.2 - 0.2 * 0.7) * sin(7.3)) / 0.1));
     angle_rad[0] = -3.0;
     steer_wheels(&base, (const double[AXES]){0.0}, angle_rad, wheel_rad_s);
     CHECK(wheel_rad_s[1] == 0.0 && !signbit(wheel_rad_s[1]));
@@ -294,15 +314,19 @@ static void pointing_as_they_should_wheels_roll_as_fast_as_the_floor(void)
     core_config base = swerve();
     steer_state steer = begun(&base);
     double twist[AXES] = {-0.4, 0.7, 0.2}, wheel_rad_s[JOINTS_MAX];
-    double first_m_s = hypot(-0.4 - 0.1 * 0.7, 0.2 + 0.3 * 0.7), second_m_s = hypot(-0.4 + 0.2 * 0.7, 0.2 - 0.2 * 0.7);
+    double first_m_s = hypot(-0.4 - 0.1 * 0.7, 0.2 + 0.3 * 0.7),
+           second_m_s = hypot(-0.4 + 0.2 * 0.7, 0.2 - 0.2 * 0.7);
     steer_speeds(&steer, &base, twist, wheel_rad_s);
-    CHECK(close_to(wheel_rad_s[1], -first_m_s / 0.05) && close_to(wheel_rad_s[3], -second_m_s / 0.05));
+    CHECK(close_to(wheel_rad_s[1], -first_m_s / 0.05) &&
+          close_to(wheel_rad_s[3], -second_m_s / 0.05));
     steer.profile[0].position_rad = 2.4; /* the nearer one is forward now */
     steer_speeds(&steer, &base, twist, wheel_rad_s);
-    CHECK(close_to(wheel_rad_s[1], first_m_s / 0.05) && close_to(wheel_rad_s[3], -second_m_s / 0.05));
+    CHECK(close_to(wheel_rad_s[1], first_m_s / 0.05) &&
+          close_to(wheel_rad_s[3], -second_m_s / 0.05));
     steer.profile[0].position_rad = 0.0, steer.profile[2].position_rad = 2.6;
     steer_speeds(&steer, &base, twist, wheel_rad_s);
-    CHECK(close_to(wheel_rad_s[1], -first_m_s / 0.05) && close_to(wheel_rad_s[3], second_m_s / 0.05));
+    CHECK(close_to(wheel_rad_s[1], -first_m_s / 0.05) &&
+          close_to(wheel_rad_s[3], second_m_s / 0.05));
     base = bicycle();
     steer = begun(&base);
     steer_speeds(&steer, &base, (const double[AXES]){0.4, 0.3}, wheel_rad_s);

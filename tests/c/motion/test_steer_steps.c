@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_steer_steps: what a tick does with wheels that are steered: the base waits for them, and they follow it. */
+ * test_steer_steps: what a tick does with wheels that are steered: the base waits for them, and
+ * they follow it. */
 #include "steer.h"
 #include "steered_bases.h"
 
@@ -19,8 +20,8 @@ typedef struct {
     uint32_t reasons;
 } slowed;
 
-static slowed slow_down(steer_state *steer, const core_config *base, const double *from_u_s, const double *goal_u_s,
-                        const double *angle_rad)
+static slowed slow_down(steer_state *steer, const core_config *base, const double *from_u_s,
+                        const double *goal_u_s, const double *angle_rad)
 {
     limit_state axis[AXES];
     slowed left;
@@ -60,16 +61,20 @@ static void a_joint_whose_angle_is_not_known_is_reported_while_it_sends_feedback
             feedback[j].referenced = 1;
         }
         CHECK(steer_unknown(&base, feedback, stale, angle_rad) == 0);
-        base.joint[2].position.used = CASES[i].used, base.joint[2].position.reference = CASES[i].reference;
-        feedback[2].referenced = CASES[i].referenced, stale[2] = CASES[i].stale, angle_rad[2] = CASES[i].angle_rad;
+        base.joint[2].position.used = CASES[i].used,
+        base.joint[2].position.reference = CASES[i].reference;
+        feedback[2].referenced = CASES[i].referenced, stale[2] = CASES[i].stale,
+        angle_rad[2] = CASES[i].angle_rad;
         CHECK(steer_unknown(&base, feedback, stale, angle_rad) == (CASES[i].unknown ? 4U : 0U));
     }
     core_config base = ackermann(WHEELBASE_M);
-    CHECK(steer_unknown(&base, (const joint_feedback[JOINTS_MAX]){{0}}, (const uint32_t[JOINTS_MAX]){0},
+    CHECK(steer_unknown(&base, (const joint_feedback[JOINTS_MAX]){{0}},
+                        (const uint32_t[JOINTS_MAX]){0},
                         (const double[JOINTS_MAX]){0.0, 0.0, NAN, NAN}) == 0xC);
     base = swerve();
     base.joint[4] = turning_within(1.0); /* no joint of it */
-    CHECK(steer_unknown(&base, (const joint_feedback[JOINTS_MAX]){{0}}, (const uint32_t[JOINTS_MAX]){0},
+    CHECK(steer_unknown(&base, (const joint_feedback[JOINTS_MAX]){{0}},
+                        (const uint32_t[JOINTS_MAX]){0},
                         (const double[JOINTS_MAX]){NAN, NAN, NAN, NAN, NAN}) == 0x5);
 }
 
@@ -91,16 +96,21 @@ static void a_base_slows_down_while_a_wheel_does_not_point_there(void)
     for (int i = 0; i < COUNT_OF(CASES) * 2; i++) {
         core_config base = bicycle();
         steer_state steer = begun(&base);
-        double off_rad = CASES[i / 2].off_rad, share = CASES[i / 2].share, angle_rad[JOINTS_MAX] = {0.0, 0.2 + off_rad};
+        double off_rad = CASES[i / 2].off_rad, share = CASES[i / 2].share,
+               angle_rad[JOINTS_MAX] = {0.0, 0.2 + off_rad};
         const double there[AXES] = {0.5, 0.5 * tan(0.2) / WHEELBASE_M}, straight[AXES] = {0.4, 0.0};
         bool moves = i % 2 == 1; /* at rest the goal counts, else the motion */
-        slowed left = slow_down(&steer, &base, moves ? there : STANDS, moves ? straight : there, angle_rad);
+        slowed left =
+            slow_down(&steer, &base, moves ? there : STANDS, moves ? straight : there, angle_rad);
         const double *goal = moves ? straight : there;
-        CHECK(isnan(off_rad) ? isinf(steer.misaligned_rad) : close_to(steer.misaligned_rad, fabs(off_rad)));
+        CHECK(isnan(off_rad) ? isinf(steer.misaligned_rad)
+                             : close_to(steer.misaligned_rad, fabs(off_rad)));
         CHECK(left.reasons == (share < 1.0 ? REASON_STEERING : 0U));
-        CHECK(close_to(left.goal_u_s[0], share * goal[0]) && close_to(left.goal_u_s[1], share * goal[1]));
+        CHECK(close_to(left.goal_u_s[0], share * goal[0]) &&
+              close_to(left.goal_u_s[1], share * goal[1]));
         CHECK(share < 1.0 || left.goal_u_s[0] == goal[0]);
-        CHECK(isinf(left.rate_max_s) == (!moves || share == 0.0)); /* at rest no direction changes */
+        /* at rest no direction changes */
+        CHECK(isinf(left.rate_max_s) == (!moves || share == 0.0));
     }
 }
 
@@ -110,7 +120,8 @@ static void the_worst_wheel_counts(void)
     core_config base = swerve();
     steer_state steer = begun(&base);
     const double goal[AXES] = {0.4, 0.0, 0.0};
-    slowed left = slow_down(&steer, &base, STANDS, goal, (const double[JOINTS_MAX]){0.1, 0.0, -0.25});
+    slowed left =
+        slow_down(&steer, &base, STANDS, goal, (const double[JOINTS_MAX]){0.1, 0.0, -0.25});
     CHECK(close_to(steer.misaligned_rad, 0.1) && close_to(left.goal_u_s[0], 0.3));
     slow_down(&steer, &base, STANDS, goal, (const double[JOINTS_MAX]){0.1, 0.0, -0.1});
     CHECK(close_to(steer.misaligned_rad, 0.2));
@@ -118,14 +129,17 @@ static void the_worst_wheel_counts(void)
         static const double UNSURE_S[] = {0.05, 0.5, 1.0};
         for (int i = 0; i < COUNT_OF(UNSURE_S); i++) {
             steer.unsure_s[j] = UNSURE_S[i];
-            left = slow_down(&steer, &base, STANDS, goal, (const double[JOINTS_MAX]){0.0, 0.0, -0.3});
-            CHECK(isinf(steer.misaligned_rad) && left.goal_u_s[0] == 0.0 && left.reasons == REASON_STEERING);
+            left =
+                slow_down(&steer, &base, STANDS, goal, (const double[JOINTS_MAX]){0.0, 0.0, -0.3});
+            CHECK(isinf(steer.misaligned_rad) && left.goal_u_s[0] == 0.0 &&
+                  left.reasons == REASON_STEERING);
         }
         steer.unsure_s[j] = 0.0;
     }
 }
 
-/* Turning about a wheel, that one points anywhere: below a millionth of the fastest speed it stands. */
+/* Turning about a wheel, that one points anywhere: below a millionth of the fastest speed it
+ * stands. */
 static void a_wheel_that_stands_points_anywhere(void)
 {
     core_config base = swerve();
@@ -141,7 +155,8 @@ static void a_wheel_that_stands_points_anywhere(void)
             for (int k = 0; k < 2; k++) {
                 angle_rad[2 * k] = -base.module[k].angle_rad;
             }
-            double x_m = base.module[1 - about].x_m - at->x_m, y_m = base.module[1 - about].y_m - at->y_m;
+            double x_m = base.module[1 - about].x_m - at->x_m,
+                   y_m = base.module[1 - about].y_m - at->y_m;
             angle_rad[2 * (1 - about)] += atan(x_m / -y_m); /* the other one rolls about it */
             steer.profile[2 * (1 - about)].position_rad = angle_rad[2 * (1 - about)];
             angle_rad[2 * about] += 0.7;
@@ -149,7 +164,8 @@ static void a_wheel_that_stands_points_anywhere(void)
             CHECK(fabs(steer.misaligned_rad - (i == 0 ? 0.0 : 0.7)) < 1e-5);
             /* it is turned only when it moves */
             steer_joints(&steer, &base, goal, STANDS, DT_S);
-            CHECK((steer.profile[2 * about].position_rad == 0.0) == (i == 0 || at->angle_rad == 0.0));
+            CHECK((steer.profile[2 * about].position_rad == 0.0) ==
+                  (i == 0 || at->angle_rad == 0.0));
         }
     }
 }
@@ -167,10 +183,12 @@ static void before_a_goal_that_turns_a_wheel_around_the_base_comes_to_rest(void)
         {&car, {-0.5, 0.0}, {0.1, 0.0}, true},
         {&car, {0.2, 0.0}, {0.25, 0.0}, false},
         {&car, {-0.2, 0.0}, {-0.25, 0.0}, false},
-        {&car, {1.0, 6.0}, {1.0, -6.0}, false}, /* while it drives, the wheel in front turns from side to side */
+        {&car, {1.0, 6.0}, {1.0, -6.0}, false}, /* while it drives, the wheel in front turns from
+                                                   side to side */
         {&car, {0.5, 6.0}, {0.2, -6.0}, false},
         {&car, {0.1, 3.0}, {0.1, -3.0}, false},
-        {&car, {0.5, 0.5}, {0.0, -1.0}, true}, /* without speed no wheel has to turn from side to side */
+        {&car, {0.5, 0.5}, {0.0, -1.0}, true}, /* without speed no wheel has to turn from side to
+                                                  side */
         {&car, {0.5, 0.0}, {0.0, 1.0}, false},
         {&car, {0.0, 1.0}, {0.0, -1.0}, true},
         {&car, {0.0, 1.0}, {0.0, 0.2}, false},
@@ -190,9 +208,11 @@ static void before_a_goal_that_turns_a_wheel_around_the_base_comes_to_rest(void)
         double angle_rad[JOINTS_MAX] = {0.0};
         for (uint32_t k = 0; k < base->module_count; k++) {
             const wheel_module *at = &base->module[k];
-            double x = CASES[i].from[0] - at->y_m * CASES[i].from[1], y = CASES[i].from[2] + at->x_m * CASES[i].from[1];
+            double x = CASES[i].from[0] - at->y_m * CASES[i].from[1],
+                   y = CASES[i].from[2] + at->x_m * CASES[i].from[1];
             if (at->steering != 0) { /* as it has to */
-                angle_rad[at->steering - 1] = steer.profile[at->steering - 1].position_rad = atan2(y, x) - at->angle_rad;
+                angle_rad[at->steering - 1] = steer.profile[at->steering - 1].position_rad =
+                    atan2(y, x) - at->angle_rad;
             }
         }
         slowed left = slow_down(&steer, base, CASES[i].from, CASES[i].goal, angle_rad);
@@ -223,11 +243,13 @@ static void the_ramp_is_paced_by_the_wheel_whose_direction_changes_fastest(void)
     for (int i = 0; i < COUNT_OF(CASES); i++) {
         steer_state steer = begun(&base);
         double direction_rad = atan2(CASES[i].from[2], CASES[i].from[0]);
-        double angle_rad[JOINTS_MAX] = {direction_rad, 0.0, direction_rad - base.module[1].angle_rad};
+        double angle_rad[JOINTS_MAX] = {direction_rad, 0.0,
+                                        direction_rad - base.module[1].angle_rad};
         slowed left = slow_down(&steer, &base, CASES[i].from, CASES[i].goal, angle_rad);
         CHECK(left.reasons == 0 && steer.misaligned_rad < 1e-9);
-        CHECK(isinf(CASES[i].rate_part) ? isinf(left.rate_max_s)
-                                        : fabs(left.rate_max_s / (steer.pace_rad_s * CASES[i].rate_part) - 1.0) < 1e-9);
+        CHECK(isinf(CASES[i].rate_part)
+                  ? isinf(left.rate_max_s)
+                  : fabs(left.rate_max_s / (steer.pace_rad_s * CASES[i].rate_part) - 1.0) < 1e-9);
     }
 }
 
@@ -240,31 +262,37 @@ static void a_step_that_is_faster_is_shortened_and_stays_straight(void)
     memcpy(axis, half, sizeof axis);
     CHECK(steer_pace(from, axis, goal, 10.0, DT_S) == REASON_STEERING);
     for (int i = 0; i < AXES; i++) {
-        CHECK(close_to(axis[i].velocity_u_s, from[i].velocity_u_s + 0.1 * (goal[i] - from[i].velocity_u_s)));
+        CHECK(close_to(axis[i].velocity_u_s,
+                       from[i].velocity_u_s + 0.1 * (goal[i] - from[i].velocity_u_s)));
         CHECK(close_to(axis[i].acceleration_u_s2, 10.0 * (goal[i] - from[i].velocity_u_s)));
     }
     for (int a = 0; a < AXES; a++) { /* also of one axis alone */
         limit_state alone[AXES] = {{0.0, 0.0}}, still[AXES] = {{0.0, 0.0}};
         double goal_u_s[AXES] = {0.0};
         alone[a].velocity_u_s = 0.5, goal_u_s[a] = 1.0;
-        CHECK(steer_pace(still, alone, goal_u_s, 10.0, DT_S) == REASON_STEERING && close_to(alone[a].velocity_u_s, 0.1));
+        CHECK(steer_pace(still, alone, goal_u_s, 10.0, DT_S) == REASON_STEERING &&
+              close_to(alone[a].velocity_u_s, 0.1));
     }
     static const double FAST_ENOUGH_S[] = {51.0, 1000.0, INFINITY};
     for (int i = 0; i < COUNT_OF(FAST_ENOUGH_S); i++) {
         memcpy(axis, half, sizeof axis);
-        CHECK(steer_pace(from, axis, goal, FAST_ENOUGH_S[i], DT_S) == 0 && memcmp(axis, half, sizeof axis) == 0);
+        CHECK(steer_pace(from, axis, goal, FAST_ENOUGH_S[i], DT_S) == 0 &&
+              memcmp(axis, half, sizeof axis) == 0);
     }
     /* exactly as fast, and without anything to do */
-    const limit_state quarter[AXES] = {{0.25, 1.0}, {0.0, 0.0}, {-0.25, -1.0}}, rest[AXES] = {{0.0, 0.0}};
+    const limit_state quarter[AXES] = {{0.25, 1.0}, {0.0, 0.0}, {-0.25, -1.0}},
+                      rest[AXES] = {{0.0, 0.0}};
     memcpy(axis, quarter, sizeof axis);
     CHECK(steer_pace(rest, axis, (const double[AXES]){1.0, 0.0, -1.0}, 1.0, 0.25) == 0);
     CHECK(memcmp(axis, quarter, sizeof axis) == 0);
     memcpy(axis, rest, sizeof axis);
-    CHECK(steer_pace(rest, axis, STANDS, INFINITY, DT_S) == 0 && memcmp(axis, rest, sizeof axis) == 0);
+    CHECK(steer_pace(rest, axis, STANDS, INFINITY, DT_S) == 0 &&
+          memcmp(axis, rest, sizeof axis) == 0);
 }
 
 /* --- after it */
-static position_profile stepped(position_profile profile, const core_config *base, uint32_t j, double goal_rad)
+static position_profile stepped(position_profile profile, const core_config *base, uint32_t j,
+                                double goal_rad)
 {
     position_step(&profile, &base->joint[j].position, goal_rad, DT_S);
     return profile;
@@ -272,7 +300,8 @@ static position_profile stepped(position_profile profile, const core_config *bas
 
 static bool same(position_profile profile, position_profile expected)
 {
-    return close_to(profile.position_rad, expected.position_rad) && close_to(profile.velocity_rad_s, expected.velocity_rad_s);
+    return close_to(profile.position_rad, expected.position_rad) &&
+           close_to(profile.velocity_rad_s, expected.velocity_rad_s);
 }
 
 static void wheels_follow_the_motion_at_rest_the_goal_and_hold_without_either(void)
@@ -284,24 +313,30 @@ static void wheels_follow_the_motion_at_rest_the_goal_and_hold_without_either(vo
     for (int i = 0; i < COUNT_OF(ONE); i++) {
         for (int j = 0; j <= 2; j += 2) {
             const wheel_module *at = &base.module[j / 2];
-            double aim_rad = atan2(ONE[i][2] + at->x_m * ONE[i][1], ONE[i][0] - at->y_m * ONE[i][1]) - at->angle_rad;
+            double aim_rad =
+                atan2(ONE[i][2] + at->x_m * ONE[i][1], ONE[i][0] - at->y_m * ONE[i][1]) -
+                at->angle_rad;
             aim_rad -= rint(aim_rad / M_PI) * M_PI;
             if (fabs(fabs(aim_rad) - 0.5 * M_PI) < 1e-6) {
                 continue; /* to either side it is as far */
             }
             steer_state steer = begun(&base);
             steer_joints(&steer, &base, ONE[i], other, DT_S);
-            CHECK(same(steer.profile[j], stepped((position_profile){0}, &base, (uint32_t)j, aim_rad)) && steer.enabled == 1);
+            CHECK(same(steer.profile[j],
+                       stepped((position_profile){0}, &base, (uint32_t)j, aim_rad)) &&
+                  steer.enabled == 1);
             steer = begun(&base);
             steer_joints(&steer, &base, STANDS, ONE[i], DT_S);
-            CHECK(same(steer.profile[j], stepped((position_profile){0}, &base, (uint32_t)j, aim_rad)));
+            CHECK(same(steer.profile[j],
+                       stepped((position_profile){0}, &base, (uint32_t)j, aim_rad)));
         }
     }
     steer_state steer = begun(&base);
     steer.profile[0] = steer.profile[2] = (position_profile){0.4, 1.0};
     steer_joints(&steer, &base, STANDS, STANDS, DT_S);
     for (int j = 0; j <= 2; j += 2) {
-        CHECK(same(steer.profile[j], stepped((position_profile){0.4, 1.0}, &base, (uint32_t)j, NAN)));
+        CHECK(
+            same(steer.profile[j], stepped((position_profile){0.4, 1.0}, &base, (uint32_t)j, NAN)));
     }
     CHECK(steer.profile[1].position_rad == 0.0 && steer.profile[3].position_rad == 0.0);
     steer.profile[0] = (position_profile){0.4, 1.0};
@@ -309,7 +344,8 @@ static void wheels_follow_the_motion_at_rest_the_goal_and_hold_without_either(vo
     CHECK(steer.profile[0].position_rad == 0.4 && steer.profile[0].velocity_rad_s == 1.0);
 }
 
-/* One that measures nothing may be anywhere when it gets its power: it gets the time of its longest move. */
+/* One that measures nothing may be anywhere when it gets its power: it gets the time of its
+ * longest move. */
 static void a_joint_that_measures_nothing_is_sure_after_its_longest_move(void)
 {
     core_config base = bicycle();
@@ -346,8 +382,10 @@ static void without_power_a_joint_is_where_it_is(void)
             steer.profile[j] = (position_profile){0.4, 1.0};
         }
         steer.enabled = 1, steer.misaligned_rad = 0.3;
-        steer_released(&steer, &base, (const double[JOINTS_MAX]){0.1, 0.1, known ? 0.1 : (double)NAN, 0.1});
-        CHECK(steer.profile[2].position_rad == (known ? 0.1 : 0.4) && steer.profile[2].velocity_rad_s == 0.0);
+        steer_released(&steer, &base,
+                       (const double[JOINTS_MAX]){0.1, 0.1, known ? 0.1 : (double)NAN, 0.1});
+        CHECK(steer.profile[2].position_rad == (known ? 0.1 : 0.4) &&
+              steer.profile[2].velocity_rad_s == 0.0);
         CHECK(steer.profile[3].position_rad == 0.4 && steer.profile[3].velocity_rad_s == 0.0);
         CHECK(steer.profile[0].position_rad == 0.4 && steer.profile[0].velocity_rad_s == 1.0);
         CHECK(steer.enabled == 0 && steer.misaligned_rad == 0.0);
@@ -382,7 +420,8 @@ static void set_points_of_joints_that_take_positions_are_those_of_their_profiles
         for (int j = 2; j < 4; j++) {
             CHECK(joint[j].duty == 0.0 && joint[j].torque_n_m == 0.0);
         }
-        CHECK(joint[0].velocity_rad_s == 5.0 && joint[1].torque_n_m == 0.25 && joint[4].duty == 0.5);
+        CHECK(joint[0].velocity_rad_s == 5.0 && joint[1].torque_n_m == 0.25 &&
+              joint[4].duty == 0.5);
         CHECK(angle_rad[0] == 0.1 && angle_rad[2] == 0.1 && angle_rad[3] == 0.3);
     }
 }
@@ -401,7 +440,8 @@ static void positions_count_with_power_where_they_are_known(void)
         CHECK(position_rad[j] == 0.0);
     }
     CHECK(steer_positions(&steer, &base, true, position_rad) == 0xC);
-    CHECK(position_rad[0] == 0.0 && position_rad[1] == 0.0 && position_rad[2] == 2.1 && position_rad[3] == 3.1);
+    CHECK(position_rad[0] == 0.0 && position_rad[1] == 0.0 && position_rad[2] == 2.1 &&
+          position_rad[3] == 3.1);
     CHECK(position_rad[4] == 9.0);
     steer.unknown = 1U << 3;
     CHECK(steer_positions(&steer, &base, true, position_rad) == 0x4 && position_rad[3] == 0.0);

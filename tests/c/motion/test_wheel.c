@@ -18,29 +18,35 @@ static double factor_of(double want_rad_s, double min_rad_s, double max_rad_s)
 
 static void a_wheel_within_its_limits_takes_nothing(void)
 {
-    CHECK(factor_of(0.0, -1.0, 2.0) == 1.0 && factor_of(2.0, -1.0, 2.0) == 1.0 && factor_of(-1.0, -1.0, 2.0) == 1.0);
+    CHECK(factor_of(0.0, -1.0, 2.0) == 1.0 && factor_of(2.0, -1.0, 2.0) == 1.0 &&
+          factor_of(-1.0, -1.0, 2.0) == 1.0);
     CHECK(factor_of(0.0, 0.0, 2.0) == 1.0);
 }
 
 static void a_wheel_beyond_its_limit_is_brought_to_it(void)
 {
     CHECK(factor_of(4.0, -1.0, 2.0) == 0.5 && factor_of(-4.0, -1.0, 2.0) == 0.25);
-    CHECK(factor_of(0.5, -1.0, 0.25) == 0.5 && factor_of(-0.5, -0.25, 9.0) == 0.5 && factor_of(0.05, -9.0, 0.025) == 0.5);
+    CHECK(factor_of(0.5, -1.0, 0.25) == 0.5 && factor_of(-0.5, -0.25, 9.0) == 0.5 &&
+          factor_of(0.05, -9.0, 0.025) == 0.5);
     CHECK(factor_of(-1.0, 0.0, 2.0) == 0.0); /* it cannot reverse */
     uint32_t rounded_up = 0;
-    for (int i = 1; i < 20000; i++) { /* never beyond by a rounding, and no less than that requires */
-        double want_rad_s = 0.3 + i * 1.37e-3, quotient = 0.3 / want_rad_s, factor = factor_of(want_rad_s, -1.0, 0.3);
+    /* never beyond by a rounding, and no less than that requires */
+    for (int i = 1; i < 20000; i++) {
+        double want_rad_s = 0.3 + i * 1.37e-3, quotient = 0.3 / want_rad_s,
+               factor = factor_of(want_rad_s, -1.0, 0.3);
         bool beyond = want_rad_s * quotient > 0.3;
         rounded_up += beyond;
         CHECK(want_rad_s * factor <= 0.3 &&
-              (beyond ? factor < quotient && nextafter(factor, 1.0) == quotient : factor == quotient));
+              (beyond ? factor < quotient && nextafter(factor, 1.0) == quotient
+                      : factor == quotient));
     }
     CHECK(rounded_up > 100);
 }
 
 static void what_is_no_number_moves_nothing(void)
 {
-    CHECK(factor_of(NAN, -1.0, 2.0) == 0.0 && factor_of(INFINITY, -1.0, 2.0) == 0.0 && factor_of(-INFINITY, -1.0, 2.0) == 0.0);
+    CHECK(factor_of(NAN, -1.0, 2.0) == 0.0 && factor_of(INFINITY, -1.0, 2.0) == 0.0 &&
+          factor_of(-INFINITY, -1.0, 2.0) == 0.0);
     CHECK(factor_of(1.0, -1.0, NAN) == 0.0 && factor_of(-1.0, NAN, 2.0) == 0.0);
 }
 
@@ -50,13 +56,18 @@ static void all_wheels_take_the_factor_of_the_worst(void)
     CHECK(saturate_factor((const double[]){2.0, 2.0, 4.0}, joints, 3) == 0.5);
     CHECK(saturate_factor((const double[]){1.0, 8.0, 8.0}, joints, 3) == 0.25);
     CHECK(saturate_factor((const double[]){1.0, 2.0, 16.0}, joints, 3) == 0.25);
-    CHECK(saturate_factor((const double[]){1.0, 2.0, 16.0}, joints, 2) == 1.0); /* of three the first two */
+    /* of three the first two */
+    CHECK(saturate_factor((const double[]){1.0, 2.0, 16.0}, joints, 2) == 1.0);
 }
 
 /* Dead band 0.2, full duty at 10 rad/s: 0.2 + 0.08 a rad/s. */
 static pwm_output step(double last_duty, double velocity_rad_s, double slew_per_s)
 {
-    pwm_config config = {.dead_band = 0.2, .duty_min = -0.6, .duty_max = 0.8, .slew_per_s = slew_per_s, .full_duty_rad_s = 10.0};
+    pwm_config config = {.dead_band = 0.2,
+                         .duty_min = -0.6,
+                         .duty_max = 0.8,
+                         .slew_per_s = slew_per_s,
+                         .full_duty_rad_s = 10.0};
     return pwm_step(&config, last_duty, velocity_rad_s, 0.01);
 }
 
@@ -68,22 +79,32 @@ static bool is_near(double value, double expected)
 static void a_duty_begins_at_the_dead_band_in_either_direction(void)
 {
     CHECK(step(0.0, 0.0, INFINITY).duty == 0.0 && step(0.5, 0.0, 1.0).duty == 0.0);
-    CHECK(is_near(step(0.0, 0.05, INFINITY).duty, 0.204) && is_near(step(0.0, -0.05, INFINITY).duty, -0.204));
-    CHECK(is_near(step(0.0, 0.5, INFINITY).duty, 0.24) && is_near(step(0.0, -2.0, INFINITY).duty, -0.36));
+    CHECK(is_near(step(0.0, 0.05, INFINITY).duty, 0.204) &&
+          is_near(step(0.0, -0.05, INFINITY).duty, -0.204));
+    CHECK(is_near(step(0.0, 0.5, INFINITY).duty, 0.24) &&
+          is_near(step(0.0, -2.0, INFINITY).duty, -0.36));
     CHECK(step(0.0, 2.0, INFINITY).reasons == 0);
-    CHECK(step(0.0, 9.0, INFINITY).duty == 0.8 && step(0.0, 9.0, INFINITY).reasons == REASON_DUTY_CLAMPED);
-    CHECK(step(0.0, -9.0, INFINITY).duty == -0.6 && step(0.0, -9.0, INFINITY).reasons == REASON_DUTY_CLAMPED);
+    CHECK(step(0.0, 9.0, INFINITY).duty == 0.8 &&
+          step(0.0, 9.0, INFINITY).reasons == REASON_DUTY_CLAMPED);
+    CHECK(step(0.0, -9.0, INFINITY).duty == -0.6 &&
+          step(0.0, -9.0, INFINITY).reasons == REASON_DUTY_CLAMPED);
 }
 
 /* Away from zero only, and from the dead band's edge where the duty is less. */
 static void a_duty_grows_no_faster_than_its_slew(void)
 {
-    CHECK(is_near(step(0.0, 5.0, 10.0).duty, 0.3) && step(0.0, 5.0, 10.0).reasons == REASON_DUTY_SLEW);
+    CHECK(is_near(step(0.0, 5.0, 10.0).duty, 0.3) &&
+          step(0.0, 5.0, 10.0).reasons == REASON_DUTY_SLEW);
     CHECK(is_near(step(0.3, 5.0, 10.0).duty, 0.4) && is_near(step(-0.3, -5.0, 10.0).duty, -0.4));
     CHECK(is_near(step(-0.3, 5.0, 10.0).duty, 0.3) && is_near(step(0.3, -5.0, 10.0).duty, -0.3));
-    CHECK(is_near(step(0.7, 1.0, 10.0).duty, 0.28) && step(0.7, 1.0, 10.0).reasons == 0); /* back at once */
+    /* back at once */
+    CHECK(is_near(step(0.7, 1.0, 10.0).duty, 0.28) && step(0.7, 1.0, 10.0).reasons == 0);
     CHECK(step(0.3, 9.0, 10.0).reasons == (REASON_DUTY_CLAMPED | REASON_DUTY_SLEW));
-    pwm_config exact = {.dead_band = 0.25, .duty_min = -1.0, .duty_max = 1.0, .slew_per_s = 12.5, .full_duty_rad_s = 6.0};
+    pwm_config exact = {.dead_band = 0.25,
+                        .duty_min = -1.0,
+                        .duty_max = 1.0,
+                        .slew_per_s = 12.5,
+                        .full_duty_rad_s = 6.0};
     pwm_output reached = pwm_step(&exact, 0.0, 1.0, 0.01);
     CHECK(reached.duty == 0.375 && reached.reasons == 0);
     exact.dead_band = 0.0;

@@ -5,10 +5,12 @@
 
 #include "rt.h"
 
-static inline speed_loop_config torque_loop(double gain_n_m_s_per_rad, double integral_n_m_per_rad, double most_n_m)
+static inline speed_loop_config torque_loop(double gain_n_m_s_per_rad, double integral_n_m_per_rad,
+                                            double most_n_m)
 {
     return (speed_loop_config){
-        .gains = {.gain_u_s_per_rad = gain_n_m_s_per_rad, .integral_u_per_rad = integral_n_m_per_rad},
+        .gains = {.gain_u_s_per_rad = gain_n_m_s_per_rad,
+                  .integral_u_per_rad = integral_n_m_per_rad},
         .filter_s = 0.05,
         .correction_max_u = most_n_m,
         .output_min_u = -most_n_m,
@@ -18,10 +20,11 @@ static inline speed_loop_config torque_loop(double gain_n_m_s_per_rad, double in
 }
 
 /* One step of it, by its own gains and limits. */
-static inline double loop_step(speed_loop_state *state, const speed_loop_config *config, double want_rad_s, double measured_rad_s,
-                               double dt_s)
+static inline double loop_step(speed_loop_state *state, const speed_loop_config *config,
+                               double want_rad_s, double measured_rad_s, double dt_s)
 {
-    speed_loop_input input = {want_rad_s, measured_rad_s, 0.05, config->output_min_u, config->output_max_u};
+    speed_loop_input input = {want_rad_s, measured_rad_s, 0.05, config->output_min_u,
+                              config->output_max_u};
     return speed_loop_step(state, config, &config->gains, &input, dt_s);
 }
 

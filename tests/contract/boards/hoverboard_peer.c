@@ -1,13 +1,17 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * Both ends of the hoverboard FOC firmware's UART, written from the firmware's sources alone (EFeru/hoverboard-firmware-hack-FOC:
- * Src/util.c, Src/main.c, Inc/config.h) and sharing nothing with motord:
+ * Both ends of the hoverboard FOC firmware's UART, written from the firmware's sources alone
+ * (EFeru/hoverboard-firmware-hack-FOC: Src/util.c, Src/main.c, Inc/config.h) and sharing nothing
+ * with motord:
  *
- * hoverboard_peer board FD [mixed]              its main board on the master side of a pty. One letter on stdin makes it mute
- *                                               ('m'), spoils its check sums ('x'), or makes it well again ('w'). Each change of
- *                                               what it drives is a line on stdout: left and right rpm, 1 when it timed out.
- * hoverboard_peer host PORT FIRST SECOND        a program that drives one: FIRST and SECOND word of the command until stdin
- *                                               ends, then zeros. Each good feedback is a line on stdout: right and left rpm,
+ * hoverboard_peer board FD [mixed]              its main board on the master side of a pty. One
+ *                                               letter on stdin makes it mute ('m'), spoils its
+ *                                               check sums ('x'), or makes it well again ('w').
+ *                                               Each change of what it drives is a line on stdout:
+ *                                               left and right rpm, 1 when it timed out.
+ * hoverboard_peer host PORT FIRST SECOND        a program that drives one: FIRST and SECOND word of
+ *                                               the command until stdin ends, then zeros. Each good
+ *                                               feedback is a line on stdout: right and left rpm,
  *                                               voltage, temperature.
  */
 #include <fcntl.h>
@@ -45,7 +49,8 @@ static int64_t now_ms(void)
 
 static uint16_t checksum_of(const SerialFeedback *f)
 {
-    return (uint16_t)(f->start ^ f->cmd1 ^ f->cmd2 ^ f->speedR_meas ^ f->speedL_meas ^ f->batVoltage ^ f->boardTemp ^ f->cmdLed);
+    return (uint16_t)(f->start ^ f->cmd1 ^ f->cmd2 ^ f->speedR_meas ^ f->speedL_meas ^
+                      f->batVoltage ^ f->boardTemp ^ f->cmdLed);
 }
 
 static int clamp(int value)
@@ -64,7 +69,7 @@ static char letter(int *ended)
     return byte;
 }
 
-/* ------------------------------------------------------------------------------------------------------ the board */
+/* ---------------------------------------------------------------------------- the board */
 static int board(int fd, int mixed)
 {
     SerialCommand command = {0};
@@ -74,7 +79,8 @@ static int board(int fd, int mixed)
     for (unsigned loop = 0; !ended; loop++) {
         uint8_t bytes[512];
         const ssize_t size = read(fd, bytes, sizeof bytes);
-        /* The firmware takes what came between two idle moments when it is as long as a command; here several may have come. */
+        /* The firmware takes what came between two idle moments when it is as long as a command;
+         * here several may have come. */
         for (ssize_t at = 0; size > 0 && size % 8 == 0 && at < size; at += 8) {
             SerialCommand in;
             memcpy(&in, bytes + at, sizeof in);
@@ -85,7 +91,8 @@ static int board(int fd, int mixed)
         }
         const int late = ++timeout > TIMEOUT_LOOPS;
         const int first = late ? 0 : clamp(command.steer), second = late ? 0 : clamp(command.speed);
-        const int left = mixed ? clamp(second + first / 2) : first, right = mixed ? clamp(second - first / 2) : second;
+        const int left = mixed ? clamp(second + first / 2) : first,
+                  right = mixed ? clamp(second - first / 2) : second;
         left_rpm += (left - left_rpm) * 0.2;
         right_rpm += (right - right_rpm) * 0.2;
         if (left != last[0] || right != last[1] || late != last[2]) {
@@ -93,9 +100,14 @@ static int board(int fd, int mixed)
             fflush(stdout);
             last[0] = left, last[1] = right, last[2] = late;
         }
-        if (loop % 2 == 0 && !mute) { /* the right motor faces the other way, and n_mot is its own */
-            SerialFeedback out = {.start = START, .cmd1 = (int16_t)first, .cmd2 = (int16_t)second, .batVoltage = 3912};
-            out.speedR_meas = (int16_t)-right_rpm, out.speedL_meas = (int16_t)left_rpm, out.boardTemp = 287;
+        /* the right motor faces the other way, and n_mot is its own */
+        if (loop % 2 == 0 && !mute) {
+            SerialFeedback out = {.start = START,
+                                  .cmd1 = (int16_t)first,
+                                  .cmd2 = (int16_t)second,
+                                  .batVoltage = 3912};
+            out.speedR_meas = (int16_t)-right_rpm, out.speedL_meas = (int16_t)left_rpm,
+            out.boardTemp = 287;
             out.checksum = (uint16_t)(checksum_of(&out) ^ spoiled);
             if (write(fd, &out, sizeof out) < 0) {
                 timeout += 0; /* no program has the other side open */
@@ -109,7 +121,7 @@ static int board(int fd, int mixed)
     return 0;
 }
 
-/* ------------------------------------------------------------------------------------------------------- the host */
+/* ----------------------------------------------------------------------------- the host */
 static void send_command(int fd, int first, int second)
 {
     SerialCommand out = {START, (int16_t)first, (int16_t)second, 0};
@@ -176,5 +188,6 @@ int main(int argc, char **argv)
     if (argc >= 3 && strcmp(argv[1], "board") == 0) {
         return board(atoi(argv[2]), argc > 3);
     }
-    return argc == 5 && strcmp(argv[1], "host") == 0 ? host(argv[2], atoi(argv[3]), atoi(argv[4])) : 2;
+    return argc == 5 && strcmp(argv[1], "host") == 0 ? host(argv[2], atoi(argv[3]), atoi(argv[4]))
+                                                     : 2;
 }

@@ -1,9 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
  * docs/mcu/motord_mcu.c as a board that turns two motors, on the master side of a pty: mcu_host FD.
- * One letter on stdin makes a fault ('f'), ends it ('g'), restarts the board ('r'), makes it mute ('m') or take nothing ('d'),
- * well again ('w'), gives it a sensor ('i') whose x axis points up, or turns its first motor by hand ('t') and lets it go ('s').
- * Each change of what the motors are sent is a line on stdout.
+ * One letter on stdin makes a fault ('f'), ends it ('g'), restarts the board ('r'), makes it mute
+ * ('m') or take nothing ('d'), well again ('w'), gives it a sensor ('i') whose x axis points up, or
+ * turns its first motor by hand ('t') and lets it go ('s'). Each change of what the motors are sent
+ * is a line on stdout.
  */
 #include "motord_mcu.h"
 
@@ -15,7 +16,8 @@
 #include <unistd.h>
 
 enum { MOTORS = 2, COUNTS_PER_TURN = 1320 };
-static const double BY_HAND_RAD_S = -4.0, RAMP_RAD_S2 = 200.0, TURN_RAD = 6.283185307179586, FULL_DUTY_RAD_S = 20.0;
+static const double BY_HAND_RAD_S = -4.0, RAMP_RAD_S2 = 200.0, TURN_RAD = 6.283185307179586,
+                    FULL_DUTY_RAD_S = 20.0;
 
 typedef struct {
     double velocity_rad_s, angle_rad;
@@ -30,15 +32,18 @@ static uint32_t now_us(void)
 
 static double toward(double value, double target, double step)
 {
-    return value < target ? (value + step < target ? value + step : target) : (value - step > target ? value - step : target);
+    return value < target ? (value + step < target ? value + step : target)
+                          : (value - step > target ? value - step : target);
 }
 
-static void turn(motor *motors, const motord_board *board, double dt_s, int by_hand, motord_measured *measured)
+static void turn(motor *motors, const motord_board *board, double dt_s, int by_hand,
+                 motord_measured *measured)
 {
     for (int i = 0; i < MOTORS; i++) {
         const double duty_rad_s = board->setpoint[i].duty * 1e-4 * FULL_DUTY_RAD_S;
         const double hand_rad_s = by_hand && i == 0 ? BY_HAND_RAD_S : 0.0;
-        const double sent_rad_s = board->setpoint[i].velocity_mrad_s * 1e-3 + duty_rad_s + hand_rad_s;
+        const double sent_rad_s =
+            board->setpoint[i].velocity_mrad_s * 1e-3 + duty_rad_s + hand_rad_s;
         motors[i].velocity_rad_s = toward(motors[i].velocity_rad_s, sent_rad_s, RAMP_RAD_S2 * dt_s);
         motors[i].angle_rad += motors[i].velocity_rad_s * dt_s;
         measured[i].count = (int32_t)(motors[i].angle_rad * COUNTS_PER_TURN / TURN_RAD);
@@ -50,7 +55,8 @@ static void turn(motor *motors, const motord_board *board, double dt_s, int by_h
 static void put(const motord_board *board)
 {
     static int last[4] = {-1, 0, 0, 0};
-    const int now[4] = {board->enabled + 2 * board->braking, (int)board->setpoint[0].velocity_mrad_s,
+    const int now[4] = {board->enabled + 2 * board->braking,
+                        (int)board->setpoint[0].velocity_mrad_s,
                         (int)board->setpoint[1].velocity_mrad_s, board->setpoint[0].duty};
     if (now[0] == last[0] && now[1] == last[1] && now[2] == last[2] && now[3] == last[3]) {
         return;
@@ -99,8 +105,9 @@ int main(int argc, char **argv)
         turn(motors, &board, (at_us - before_us) * 1e-6, by_hand, measured);
         before_us = at_us;
         if (senses) {
-            const motord_imu imu = {
-                {(int32_t)(motors[1].velocity_rad_s * 1e6), 0, MOTORD_NO_RATE}, {9807, 0, MOTORD_NO_ACCELERATION}, 0};
+            const motord_imu imu = {{(int32_t)(motors[1].velocity_rad_s * 1e6), 0, MOTORD_NO_RATE},
+                                    {9807, 0, MOTORD_NO_ACCELERATION},
+                                    0};
             motord_board_imu(&board, &imu);
         }
         const size_t length = motord_board_feedback(&board, at_us, measured, &health, sent);

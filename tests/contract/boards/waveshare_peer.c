@@ -1,10 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * waveshare_peer FD: a Waveshare UGV's driver board on the master side of a pty, written from the firmware's sources alone
- * (waveshareteam/ugv_base_ros: json_cmd.h, uart_ctrl.h, ugv_advance.h, movtion_module.h): lines of JSON, wheels that follow at
- * once, odometers in whole centimetres, a heartbeat of 3 s unless T 136 sets another, feedback when T 131 has switched it on.
- * 'm' on stdin makes it mute, 'w' well again. Each change of what it drives is a line on stdout: left and right mm/s, 1 when the
- * heartbeat has stopped it.
+ * waveshare_peer FD: a Waveshare UGV's driver board on the master side of a pty, written from the
+ * firmware's sources alone (waveshareteam/ugv_base_ros: json_cmd.h, uart_ctrl.h, ugv_advance.h,
+ * movtion_module.h): lines of JSON, wheels that follow at once, odometers in whole centimetres, a
+ * heartbeat of 3 s unless T 136 sets another, feedback when T 131 has switched it on. 'm' on stdin
+ * makes it mute, 'w' well again. Each change of what it drives is a line on stdout: left and right
+ * mm/s, 1 when the heartbeat has stopped it.
  */
 #include <fcntl.h>
 #include <poll.h>
@@ -70,7 +71,8 @@ static void say(int fd)
     char line[512];
     const int size =
         snprintf(line, sizeof line,
-                 "{\"T\":1001,\"L\":%g,\"R\":%g,\"ax\":-12,\"ay\":3,\"az\":8190,\"gx\":0,\"gy\":-1,\"gz\":2,\"mx\":211,"
+                 "{\"T\":1001,\"L\":%g,\"R\":%g,\"ax\":-12,\"ay\":3,\"az\":8190,\"gx\":0,\"gy\":-1,"
+                 "\"gz\":2,\"mx\":211,"
                  "\"my\":-87,\"mz\":400,\"odl\":%ld,\"odr\":%ld,\"v\":%d}\r\n",
                  left_m_s, right_m_s, (long)(left_m * 100.0), (long)(right_m * 100.0), 1187);
     if (write(fd, line, (size_t)size) < 0) {

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_rtu.c: the thread of a serial line: the port, the clock, the waiting. What is sent and when is the machine's. */
+ * line_rtu.c: the thread of a serial line: the port, the clock, the waiting. What is sent and
+ * when is the machine's. */
 #include <errno.h>
 #include <linux/gpio.h>
 #include <string.h>
@@ -40,7 +41,7 @@ static line_thread *life_of(uint32_t line)
     return line < LINES_MAX ? &threads[line].life : NULL;
 }
 
-/* --------------------------------------------------------------------------------------------------- the port */
+/* ----------------------------------------------------------------------------- the port */
 static void sleep_until(int64_t until_ns)
 {
     if (until_ns <= clock_now_ns()) {
@@ -53,7 +54,8 @@ static void sleep_until(int64_t until_ns)
 
 static int turn(const rtu_thread *t, bool talking)
 {
-    struct gpio_v2_line_values values = {.bits = talking == (t->config.de_active_high != 0), .mask = 1};
+    struct gpio_v2_line_values values = {.bits = talking == (t->config.de_active_high != 0),
+                                         .mask = 1};
     if (t->config.de_fd < 0) {
         return 0;
     }
@@ -79,13 +81,15 @@ static int write_all(const rtu_thread *t, const uint8_t *bytes, uint32_t count)
     return 0;
 }
 
-/* Until the last bit has left the shift register, where the driver can say so (not on ptys and some adapters). */
+/* Until the last bit has left the shift register, where the driver can say so (not on ptys and
+ * some adapters). */
 static void wait_until_sent(const rtu_thread *t)
 {
     sleep_until(t->machine.end_ns);
     int64_t limit_ns = t->machine.end_ns + DRAIN_LIMIT_NS;
     int status = TIOCSER_TEMT;
-    while (ioctl(t->life.at.fd, TIOCSERGETLSR, &status) == 0 && (status & TIOCSER_TEMT) == 0 && clock_now_ns() < limit_ns) {
+    while (ioctl(t->life.at.fd, TIOCSERGETLSR, &status) == 0 && (status & TIOCSER_TEMT) == 0 &&
+           clock_now_ns() < limit_ns) {
         sleep_until(clock_now_ns() + (int64_t)t->machine.table.character_ns);
     }
 }
@@ -111,7 +115,7 @@ static int send_request(rtu_thread *t, const line_output *out)
     return error;
 }
 
-/* ------------------------------------------------------------------------------------------------- the hand-over */
+/* ------------------------------------------------------------------------ the hand-over */
 static void put_report(rtu_thread *t, bool running, int error)
 {
     line_machine_report(&t->machine, &t->out);
@@ -139,16 +143,18 @@ static void take_requests(rtu_thread *t)
 
 static void hand_on(rtu_thread *t, const line_output *out)
 {
-    line_thread_put_feedback(&t->life, out->feedback_mask, t->machine.joint, sizeof t->machine.joint[0]);
+    line_thread_put_feedback(&t->life, out->feedback_mask, t->machine.joint,
+                             sizeof t->machine.joint[0]);
     if (out->answered) {
-        (void)ring_put(&t->answers, t->answer_place, RING_PLACES, &t->machine.answer, sizeof t->machine.answer);
+        (void)ring_put(&t->answers, t->answer_place, RING_PLACES, &t->machine.answer,
+                       sizeof t->machine.answer);
     }
     if (t->machine.round_trip_ns > 0) {
         histogram_add(&t->life.round_trips, t->machine.round_trip_ns);
     }
 }
 
-/* -------------------------------------------------------------------------------------------------- the thread */
+/* --------------------------------------------------------------------------- the thread */
 /* Bytes, a wake or the time; the bytes' number or -errno. */
 static int wait_for_wakeup(rtu_thread *t, int64_t until_ns, uint8_t *bytes, uint32_t room)
 {
@@ -199,8 +205,9 @@ static void *run(void *arg)
     return NULL;
 }
 
-/* ---------------------------------------------------------------------------------------------------- its life */
-/* The newest of the start before: a drive may have been switched off meanwhile, and its counter with it. */
+/* ----------------------------------------------------------------------------- its life */
+/* The newest of the start before: a drive may have been switched off meanwhile, and its counter
+ * with it. */
 static uint32_t last_epoch(const line_machine *m)
 {
     uint32_t epoch = 0;
@@ -215,7 +222,8 @@ static int prepare(rtu_thread *t, uint32_t line, const line_config *config, cons
     const line_slots slots = {t->control, sizeof t->control[0], t->report, sizeof t->report[0]};
     uint32_t epoch = last_epoch(&t->machine);
     int error = line_thread_prepare(&t->life, line, &config->at, &slots);
-    error = error == 0 ? line_machine_init(&t->machine, table, config->may_turn, clock_now_ns()) : error;
+    error = error == 0 ? line_machine_init(&t->machine, table, config->may_turn, clock_now_ns())
+                       : error;
     if (error == 0 && config->left_running != 0) {
         line_take_over(&t->machine, clock_now_ns());
     }
@@ -258,12 +266,14 @@ int line_put_request(uint32_t line, const line_request *request)
         return -EINVAL;
     }
     rtu_thread *t = &threads[line];
-    return line_thread_hand_over(&t->life, &t->requests, t->request_place, RING_PLACES, request, sizeof *request);
+    return line_thread_hand_over(&t->life, &t->requests, t->request_place, RING_PLACES, request,
+                                 sizeof *request);
 }
 
 int line_take_answer(uint32_t line, line_answer *out)
 {
-    return line < LINES_MAX && ring_take(&threads[line].answers, threads[line].answer_place, RING_PLACES, out, sizeof *out);
+    return line < LINES_MAX && ring_take(&threads[line].answers, threads[line].answer_place,
+                                         RING_PLACES, out, sizeof *out);
 }
 
 int line_read_report(uint32_t line, line_report *out)

@@ -5,7 +5,14 @@
 
 enum { EXCEPTION_BYTES = 5, EXCEPTION_BIT = 0x80, BYTE_BITS = 8 };
 /* Dynamixel protocol 2.0: head, instruction, error number. */
-enum { LENGTH_BYTE = 5, INSTRUCTION_BYTE = 7, ERROR_BYTE = 8, STATUS_BYTES_MIN = 11, STATUS = 0x55, ERROR_NUMBER = 0x7F };
+enum {
+    LENGTH_BYTE = 5,
+    INSTRUCTION_BYTE = 7,
+    ERROR_BYTE = 8,
+    STATUS_BYTES_MIN = 11,
+    STATUS = 0x55,
+    ERROR_NUMBER = 0x7F
+};
 
 /* A nibble at a time: 16 entries stay in one cache line. */
 static const uint16_t CRC16_NIBBLE[16] = {
@@ -38,7 +45,8 @@ uint8_t rtu_crc8(const uint8_t *bytes, uint32_t count)
     return (uint8_t)crc;
 }
 
-static uint16_t crc_high_first(uint32_t polynomial, uint16_t start, const uint8_t *bytes, uint32_t count)
+static uint16_t crc_high_first(uint32_t polynomial, uint16_t start, const uint8_t *bytes,
+                               uint32_t count)
 {
     uint32_t crc = start;
     for (uint32_t n = 0; n < count; n++) {
@@ -113,7 +121,8 @@ uint32_t rtu_sign_of(uint32_t form)
 
 uint32_t rtu_form_bytes(uint32_t form)
 {
-    bool two = form <= FORM_I16 || form == FORM_U16_LE || form == FORM_I16_LE || rtu_sign_of(form) != 0;
+    bool two =
+        form <= FORM_I16 || form == FORM_U16_LE || form == FORM_I16_LE || rtu_sign_of(form) != 0;
     return form <= FORM_I8 ? 1 : two ? 2 : 4;
 }
 
@@ -178,28 +187,34 @@ static bool is_answer(const line_frame *frame, const uint8_t *request, const uin
 {
     if (frame->reply_seal == SEAL_WITH_REQUEST) {
         uint32_t count = frame->reply_bytes - 2;
-        return rtu_read(bytes + count, FORM_U16) == rtu_xmodem(rtu_xmodem(0, request, 2), bytes, count);
+        return rtu_read(bytes + count, FORM_U16) ==
+               rtu_xmodem(rtu_xmodem(0, request, 2), bytes, count);
     }
-    return begins_as_answer(frame, request, bytes) && rtu_is_sealed(bytes, frame->reply_bytes, frame->reply_seal);
+    return begins_as_answer(frame, request, bytes) &&
+           rtu_is_sealed(bytes, frame->reply_bytes, frame->reply_seal);
 }
 
 static bool is_exception(const line_frame *frame, const uint8_t *request, const uint8_t *bytes)
 {
-    return frame->has_exceptions != 0 && frame->reply_seal != SEAL_STUFFED && bytes[0] == request[0] &&
-           bytes[1] == (request[1] | EXCEPTION_BIT) && rtu_is_sealed(bytes, EXCEPTION_BYTES, SEAL_CRC16);
+    return frame->has_exceptions != 0 && frame->reply_seal != SEAL_STUFFED &&
+           bytes[0] == request[0] && bytes[1] == (request[1] | EXCEPTION_BIT) &&
+           rtu_is_sealed(bytes, EXCEPTION_BYTES, SEAL_CRC16);
 }
 
 bool rtu_answer_is_request(const line_frame *frame, const uint8_t *request)
 {
-    bool differs = frame->reply_seal == SEAL_SUM || frame->reply_seal == SEAL_STUFFED; /* no status is like an instruction */
-    return !differs && frame->reply_bytes == frame->request_bytes && is_answer(frame, request, request);
+    /* no status is like an instruction */
+    bool differs = frame->reply_seal == SEAL_SUM || frame->reply_seal == SEAL_STUFFED;
+    return !differs && frame->reply_bytes == frame->request_bytes &&
+           is_answer(frame, request, request);
 }
 
 /* Whether a status packet with this head stands here, whole and good; MORE: it does not. */
 static received status_at(const line_frame *frame, uint32_t at, const uint8_t *bytes, uint32_t left)
 {
     received found = {.kind = RECEIVED_MORE};
-    if (left < STATUS_BYTES_MIN || memcmp(bytes, frame->match, frame->match_bytes) != 0 || bytes[INSTRUCTION_BYTE] != STATUS) {
+    if (left < STATUS_BYTES_MIN || memcmp(bytes, frame->match, frame->match_bytes) != 0 ||
+        bytes[INSTRUCTION_BYTE] != STATUS) {
         return found;
     }
     uint8_t plain[FRAME_BYTES_MAX];
@@ -209,13 +224,15 @@ static received status_at(const line_frame *frame, uint32_t at, const uint8_t *b
     }
     uint32_t error = bytes[ERROR_BYTE] & ERROR_NUMBER;
     if (error != 0 && frame->has_exceptions != 0) {
-        return (received){.kind = RECEIVED_REFUSED, .offset = at, .bytes = whole, .exception = error};
+        return (received){
+            .kind = RECEIVED_REFUSED, .offset = at, .bytes = whole, .exception = error};
     }
     bool good = error == 0 && rtu_unstuff(bytes, whole, plain) == frame->reply_bytes;
     return good ? (received){.kind = RECEIVED_ANSWER, .offset = at, .bytes = whole} : found;
 }
 
-received rtu_hunt(const line_frame *frame, const uint8_t *request, uint32_t from, const uint8_t *bytes, uint32_t count)
+received rtu_hunt(const line_frame *frame, const uint8_t *request, uint32_t from,
+                  const uint8_t *bytes, uint32_t count)
 {
     for (uint32_t at = from; at < count; at++) {
         uint32_t left = count - at;
@@ -230,17 +247,21 @@ received rtu_hunt(const line_frame *frame, const uint8_t *request, uint32_t from
             return (received){.kind = RECEIVED_ANSWER, .offset = at, .bytes = frame->reply_bytes};
         }
         if (left >= EXCEPTION_BYTES && is_exception(frame, request, bytes + at)) {
-            return (received){.kind = RECEIVED_REFUSED, .offset = at, .bytes = EXCEPTION_BYTES, .exception = bytes[at + 2]};
+            return (received){.kind = RECEIVED_REFUSED,
+                              .offset = at,
+                              .bytes = EXCEPTION_BYTES,
+                              .exception = bytes[at + 2]};
         }
     }
     return (received){.kind = RECEIVED_MORE};
 }
 
-/* FF FF FD between the length and the check sum would look like a head: one more FD follows it (ROBOTIS e-Manual, DYNAMIXEL
- * Protocol 2.0, packet process). */
+/* FF FF FD between the length and the check sum would look like a head: one more FD follows it
+ * (ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, packet process). */
 static bool is_like_a_head(const uint8_t *bytes, uint32_t at)
 {
-    return at >= INSTRUCTION_BYTE + 2 && bytes[at] == 0xFD && bytes[at - 1] == 0xFF && bytes[at - 2] == 0xFF;
+    return at >= INSTRUCTION_BYTE + 2 && bytes[at] == 0xFD && bytes[at - 1] == 0xFF &&
+           bytes[at - 2] == 0xFF;
 }
 
 uint32_t rtu_unstuff(const uint8_t *wire, uint32_t count, uint8_t *out)
@@ -271,13 +292,15 @@ void rtu_finish(line_frame *frame)
             }
         }
         frame->request_bytes = to + 2;
-        rtu_write(frame->request + LENGTH_BYTE, FORM_U16_LE, frame->request_bytes - INSTRUCTION_BYTE);
+        rtu_write(frame->request + LENGTH_BYTE, FORM_U16_LE,
+                  frame->request_bytes - INSTRUCTION_BYTE);
     }
     rtu_seal(frame->request, frame->request_bytes, frame->request_seal);
 }
 
 /* One that does not say what it answers is nothing but all that came. */
-static received whole(const line_frame *frame, const uint8_t *request, const uint8_t *bytes, uint32_t count)
+static received whole(const line_frame *frame, const uint8_t *request, const uint8_t *bytes,
+                      uint32_t count)
 {
     if (count < frame->reply_bytes) {
         return (received){.kind = RECEIVED_MORE};
@@ -286,7 +309,8 @@ static received whole(const line_frame *frame, const uint8_t *request, const uin
     return (received){.kind = good ? RECEIVED_ANSWER : RECEIVED_BAD, .bytes = good ? count : 0};
 }
 
-received rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo, const uint8_t *bytes, uint32_t count)
+received rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo,
+                         const uint8_t *bytes, uint32_t count)
 {
     if (frame->exact != 0) {
         return whole(frame, request, bytes, count);
@@ -297,7 +321,8 @@ received rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32
     if (echo == 1 && !comes_back) {
         return (received){.kind = RECEIVED_BAD};
     }
-    /* not known whether there is an echo: what is like the request is no answer, until it has come twice */
+    /* not known whether there is an echo: what is like the request is no answer, until it has
+     * come twice */
     bool passes = echo != 0 && comes_back;
     received found = rtu_hunt(frame, request, passes ? sent : 0, bytes, count);
     found.echoed = comes_back && found.offset >= sent;

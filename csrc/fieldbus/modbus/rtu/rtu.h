@@ -26,7 +26,8 @@ uint16_t rtu_crc16(const uint8_t *bytes, uint32_t count);
 uint8_t rtu_crc8(const uint8_t *bytes, uint32_t count);
 /* CRC-16/XMODEM: 0x1021, not reflected, start 0, or the crc of what came before. */
 uint16_t rtu_xmodem(uint16_t start, const uint8_t *bytes, uint32_t count);
-/* CRC-16 of Dynamixel protocol 2.0: 0x8005, not reflected, start 0 (ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, CRC). */
+/* CRC-16 of Dynamixel protocol 2.0: 0x8005, not reflected, start 0 (ROBOTIS e-Manual, DYNAMIXEL
+ * Protocol 2.0, CRC). */
 uint16_t rtu_crc16_high_first(const uint8_t *bytes, uint32_t count);
 /* Bytes that a seal takes at a frame's end. */
 uint32_t rtu_seal_bytes(uint32_t seal);
@@ -38,21 +39,27 @@ bool rtu_is_sealed(const uint8_t *frame, uint32_t count, uint32_t seal);
 uint32_t rtu_sign_of(uint32_t form);
 uint32_t rtu_form_bytes(uint32_t form);
 int64_t rtu_read(const uint8_t *bytes, uint32_t form);
-/* Of a packet that has its place for the check sum: what its seal makes of it, which may be longer: STUFFED. */
+/* Of a packet that has its place for the check sum: what its seal makes of it, which may be
+ * longer: STUFFED. */
 void rtu_finish(line_frame *frame);
-/* A packet as it stood on the wire (STUFFED) without its stuffing; its bytes, 0: more than FRAME_BYTES_MAX. */
+/* A packet as it stood on the wire (STUFFED) without its stuffing; its bytes, 0: more than
+ * FRAME_BYTES_MAX. */
 uint32_t rtu_unstuff(const uint8_t *wire, uint32_t count, uint8_t *out);
 /* raw is within the form's range. */
 void rtu_write(uint8_t *bytes, uint32_t form, int64_t raw);
-/* The value under a mask of adjacent bits, with its sign where the form has one; mask 0: all of it. */
+/* The value under a mask of adjacent bits, with its sign where the form has one; mask 0: all of
+ * it. */
 int64_t rtu_masked(int64_t raw, uint32_t mask, uint32_t form);
 
 /* True when the answer looks the same as the request: then only `echo` distinguishes them. */
 bool rtu_answer_is_request(const line_frame *frame, const uint8_t *request);
 /* The first answer or refusal from `from` on. */
-received rtu_hunt(const line_frame *frame, const uint8_t *request, uint32_t from, const uint8_t *bytes, uint32_t count);
-/* The answer to `request` (frame's, as it was sent) among what came since. echo: as line_table.echo. Garbage
- * before it is passed over; nothing but prefix, whole length and seal makes an answer. */
-received rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo, const uint8_t *bytes, uint32_t count);
+received rtu_hunt(const line_frame *frame, const uint8_t *request, uint32_t from,
+                  const uint8_t *bytes, uint32_t count);
+/* The answer to `request` (frame's, as it was sent) among what came since. echo: as
+ * line_table.echo. Garbage before it is passed over; nothing but prefix, whole length and seal
+ * makes an answer. */
+received rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo,
+                         const uint8_t *bytes, uint32_t count);
 
 #endif

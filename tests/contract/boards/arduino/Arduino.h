@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * What the sketch uses of Arduino, for this machine: of each core no more than that core has. sketch_host.cpp is behind it.
+ * What the sketch uses of Arduino, for this machine: of each core no more than that core has.
+ * sketch_host.cpp is behind it.
  */
 #ifndef ARDUINO_H
 #define ARDUINO_H
@@ -10,7 +11,8 @@
 #include <stdint.h>
 
 enum { LOW = 0, HIGH = 1, INPUT = 0, OUTPUT = 1, INPUT_PULLUP = 2, CHANGE = 1 };
-#define constrain(amount, low, high) ((amount) < (low) ? (low) : ((amount) > (high) ? (high) : (amount)))
+#define constrain(amount, low, high)                                                               \
+    ((amount) < (low) ? (low) : ((amount) > (high) ? (high) : (amount)))
 #define digitalPinToInterrupt(pin) (pin)
 
 void pinMode(uint8_t pin, uint8_t mode);
