@@ -37,6 +37,7 @@ static void begin_with_one_place(void)
 
 static void a_place_that_is_missing_is_looked_for_in_every_target_of_every_exchange(void)
 {
+    begin_with_one_place();
     line_drive *drive = &m->table.drive[0];
     add_target(0, 1, 1), add_target(2, 0, 1); /* which the table does not have */
     drive->cyclic[2].setpoint_count = 1;
@@ -45,6 +46,7 @@ static void a_place_that_is_missing_is_looked_for_in_every_target_of_every_excha
     CHECK(line_place_is_missing(m, 0));
     add_target(0, 0, 1), add_target(0, 1, 0);
     CHECK(line_place_is_missing(m, 0));
+    begin_with_one_place();
     add_target(1, 0, 1);
     drive->cyclic[1].setpoint_count = 1;
     CHECK(line_place_is_missing(m, 0));
@@ -52,6 +54,7 @@ static void a_place_that_is_missing_is_looked_for_in_every_target_of_every_excha
 
 static void all_targets_begin_anew_and_no_others(void)
 {
+    begin_with_one_place();
     line_drive *drive = &m->table.drive[0];
     add_target(0, 1, 1), add_target(1, 0, 2), add_target(1, 1, 3), add_target(2, 0, 3);
     drive->cyclic[0].setpoint_count = 2;
