@@ -119,7 +119,7 @@ walk: $(VENV)/built $(VENV)/test
 	@$(PYTHON) -m tests.walk
 
 bench: $(VENV)/built $(VENV)/bench
-	@$(PYTHON) tests/bench/run.py $(ARGS)
+	@$(PYTHON) -m tests.bench.run $(ARGS)
 
 soak: $(VENV)/built $(VENV)/test
 	@$(PYTHON) tests/soak/soak.py $(ARGS)

@@ -2,7 +2,7 @@
 """What `motord calibrate` recovers of a simulated robot that differs from its file, and by how much
 the end of a square comes closer to its beginning.
 
-python calibration.py: one JSON object.
+python -m tests.bench.calibration: one JSON object.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`make bench`: what motord costs and how late it is, beside what people use instead, in one run.
 
-python tests/bench/run.py [--quick | --smoke] [--json] [--only core,wire,...] [--skip calibration]
+python -m tests.bench.run [--quick | --smoke] [--json] [--only core,wire,...] [--skip calibration]
 
 Ends with 1 only where something is wrong (a violation, a page fault, too many instructions), never
 because a machine is slow: the sentences say what was reached. `--smoke` runs every part as briefly
@@ -16,18 +16,11 @@ import json
 import sys
 from typing import Any
 
-import board_stream
-import bus
-import bus_command
-import calibration
-import can_bus
-import core_instructions
-import culprits
-import dashboard
-import datagram
-import lateness
-import servo_bus
-import wire
+from tests.bench import calibration
+from tests.bench.bus import bus, dashboard
+from tests.bench.command import bus_command, datagram
+from tests.bench.fieldbus import board_stream, can_bus, servo_bus, wire
+from tests.bench.loop import core_instructions, culprits, lateness
 
 Verdicts = list[tuple[str, bool, bool]]
 

@@ -166,7 +166,7 @@ async def test_a_drive_whose_stop_the_bus_did_not_take_is_stopped_with_the_next_
 
 @pytest.mark.parametrize(
     "peer", ["virtual"], indirect=True
-)  # the rt engine: tests/c/can/test_can_stops.c
+)  # the rt engine: tests/c/can_drive/test_can_stops.c
 async def test_no_more_motion_is_handed_to_a_bus_that_lets_none_leave(rig, peer):
     await rig.arm()
     rig.line._gate.receives_own = True  # and no frame of ours is ever seen to leave

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Encoders of motor bridges: found, set up, and counted by the line's thread, on folders like those
-of the kernel's counters. GPIO lines need the kernel: tests/vm/guest/test_encoders.py."""
+of the kernel's counters. GPIO lines need the kernel: tests/vm/guest/pins/test_encoders.py."""
 
 import math
 import os

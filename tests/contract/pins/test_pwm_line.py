@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The thread of motor bridges on descriptors of plain files: when it writes what. What the kernel
-makes of it is in tests/vm/guest/test_gpio_pwm.py."""
+makes of it is in tests/vm/guest/pins/test_gpio_pwm.py."""
 
 import asyncio
 import errno

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pins of safety in the running loop, on descriptors that are no GPIO lines: what is lost
-stops, and who is missed by the watchdog. On real lines: tests/vm/guest/test_safety_pins.py."""
+stops, and who is missed by the watchdog. On real lines: tests/vm/guest/pins/test_safety_pins.py."""
 
 import dataclasses
 import fcntl

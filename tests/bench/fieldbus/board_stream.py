@@ -2,7 +2,7 @@
 """What a board on a stream costs, and how long it waits, with and without a thread that always
 wants the GIL. The board is the reference one, compiled for this machine.
 
-    python tests/bench/board_stream.py PORT SECONDS idle|hog   (what `measure` starts)
+    python tests/bench/fieldbus/board_stream.py PORT SECONDS idle|hog   (what `measure` starts)
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import threading
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "contract/boards"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "contract/boards"))
 
 from mcu_peer import McuPeer, compiled
 

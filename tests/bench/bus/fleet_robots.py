@@ -2,7 +2,8 @@
 """Many robots' second processes in one: each has its own robot file, runtime and adapters, as
 motord-bus has them; only the snapshots are made here and not read from a daemon's page.
 
-fleet_robots.py FIRST COUNT SETTING...   in a setting, {n} is the robot's number
+python -m tests.bench.bus.fleet_robots FIRST COUNT SETTING...
+In a setting, {n} is the robot's number.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ import sys
 import time
 from pathlib import Path
 
-from bus_encode import moving
+from tests.bench.bus.bus_encode import moving
 
 from motord.bus.runtime import Runtime
 from motord.config import load_robot
 
-ROBOT = Path(__file__).resolve().parents[2] / "config/robots/demo.toml"
+ROBOT = Path(__file__).resolve().parents[3] / "config/robots/demo.toml"
 LOOK_EVERY_S = 0.05
 
 

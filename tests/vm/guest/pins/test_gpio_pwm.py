@@ -15,7 +15,7 @@ import pytest
 from bridge_rig import laid_out, places, spec_of
 from pin_rig import LABEL, LINES, PWM, wait_until
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "contract"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "contract"))
 from loop_side import GENEROUS_S, PATIENT_S, running, until
 
 from motord.config.drives.load import find_profile, list_profiles

@@ -2,7 +2,7 @@
 """Counts the instructions of core_step() with valgrind's callgrind: a number that no load on the
 machine moves. Sources, flags and libraries are those of csrc/build_ffi.py.
 
-    python tests/bench/core_instructions.py [TICKS]
+    python tests/bench/loop/core_instructions.py [TICKS]
 
 Prints one JSON line; exit status 1 beyond the limits, 3 where valgrind is missing. `moving` and
 `rest` are means of a four-wheel base at 1 kHz with feedback of all wheels every 10th tick and, when
@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-CSRC = HERE.parent.parent / "csrc"
+CSRC = HERE.parents[2] / "csrc"
 TICKS = 20_000
 MOVING_MAX = 900.0
 FEEDBACK_MAX = 1800.0

@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from wire import ROOT, SLAVE_PRIORITY, compiled
+from tests.bench.fieldbus.wire import ROOT, SLAVE_PRIORITY, compiled
 
 HERE = Path(__file__).parent
 BUSES = {"3 STS3215, 1 Mbaud": ("feetech", 1_000_000, 3),

@@ -2,7 +2,7 @@
 """What loop and lines feel when readers of motord-bus, or itself, are stopped, killed or leak: one
 daemon, windows by turns, calm and disturbed; ratios are medians of the pairs.
 
-python disturbed.py: one JSON object.
+python -m tests.bench.bus.disturbed: one JSON object.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-import bus_at_work
-import lateness
-from tests.sim.daemon_stage import wait_until
+from tests.bench.bus import bus_at_work
+from tests.bench.loop import lateness
+from tests.sim.daemon_stage import ROOT, wait_until
 from tests.sim.planted import Planted
 
 PEER = "tests.peers.ros2.ros2_peer"
@@ -112,9 +112,7 @@ COUNTS = ("ticks", "overruns", "page_faults", "exchanges", "errors")
 @contextlib.contextmanager
 def reader(*command: str) -> Iterator[subprocess.Popen[bytes]]:
     """Once it reads; what it prints is read."""
-    process = subprocess.Popen(
-        [sys.executable, *command], stdout=subprocess.PIPE, cwd=bus_at_work.ROOT
-    )
+    process = subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE, cwd=ROOT)
     assert process.stdout is not None
     try:
         assert process.stdout.readline(), "the reader ended"

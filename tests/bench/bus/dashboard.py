@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the dashboard costs, in this run: python tests/bench/dashboard.py [--heap-s 0].
+"""What the dashboard costs, in this run: python -m tests.bench.bus.dashboard [--heap-s 0].
 
 Bytes of the page; the robot's side with one viewer against none; the loop's lateness with fifty
 viewers against none, in turns; and in Chromium, where there is one, the first paint with a
@@ -14,20 +14,16 @@ import asyncio
 import json
 import os
 import statistics
-import sys
 import tempfile
 import time
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "daemon"), str(ROOT / "hal")]
+import aiohttp
+from tests.bench.bus.dashboard_page import SLOW_DOWN, in_chromium
+from tests.sim.daemon_stage import running, wait_until
+from tests.sim.web.web_page import free_port, listens
 
-import aiohttp  # noqa: E402
-from dashboard_page import SLOW_DOWN, in_chromium  # noqa: E402
-from tests.sim.daemon_stage import running, wait_until  # noqa: E402
-from tests.sim.web.web_page import free_port, listens  # noqa: E402
-
-from motord.bus.web.assets import assets  # noqa: E402
+from motord.bus.web.assets import assets
 
 ACKNOWLEDGE = 2
 VIEWERS = 50

@@ -20,14 +20,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from datagram import PAUSE_S, _until, daemon, percentile
-from wire import ROOT, SPEC_GAP_US, slave
+from tests.bench.command.datagram import PAUSE_S, _until, daemon, percentile
+from tests.bench.fieldbus.wire import ROOT, SPEC_GAP_US, slave
 
 from motord.bus.confine import REALTIME_PRIORITY_MAX
 from motord.bus.ros2.dds.priority import set_policy
 from motord_hal.modbus.codec import seal
 
-sys.path.insert(0, str(ROOT))
 DOMAIN = 91
 INPUT = f"""
 [input.ros2]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """motord-bus beside a daemon with simulated drives: memory of both, and CPU of each publisher.
 
-python bus_at_work.py memory|cpu
+python -m tests.bench.bus.bus_at_work memory|cpu
 """
 
 from __future__ import annotations
@@ -19,10 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
-
-from tests.sim.daemon_stage import ROBOT, running, wait_until  # noqa: E402  the path is made above
+from tests.sim.daemon_stage import ROBOT, running, wait_until
 
 DOMAIN = 90
 SETTLE_S = 3.0

@@ -18,7 +18,7 @@ import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
-from wire import HERE, ROOT, SPEC_GAP_US, slave
+from tests.bench.fieldbus.wire import ROOT, SPEC_GAP_US, slave
 
 from motord.api.commands import datagram
 from motord.client import Client, ClientError
@@ -26,6 +26,8 @@ from motord.client import Client, ClientError
 PAUSE_S = (0.11, 0.14)
 """Longer than a cycle of the line, so that it is idle: the way is measured, not the queue."""
 WITHIN_S = 30.0
+HOGGED = Path(__file__).with_name("hogged.py")
+PROFILE = ROOT / "tests/bench/fieldbus/bench-drive.toml"
 ROBOT = """
 [robot]
 name = "{name}"
@@ -90,11 +92,11 @@ def daemon(
     """The daemon, armed; `more`: further sections of its robot file; `begin`: its hogs do."""
     robot = folder / "robot.toml"
     name = f"bench{uuid.uuid4().hex[:8]}"
-    text = ROBOT.format(name=name, port=port, profile=HERE / "bench-drive.toml") + more
+    text = ROBOT.format(name=name, port=port, profile=PROFILE) + more
     robot.write_text(text, encoding="utf-8")
     path = folder / f"d{hogs}.sock"
     process = subprocess.Popen(
-        [sys.executable, HERE / "hogged.py", "run", robot, "--socket", path],
+        [sys.executable, HOGGED, "run", robot, "--socket", path],
         stdout=subprocess.DEVNULL, stderr=(folder / "daemon.log").open("wb"), cwd=ROOT,
         env={**os.environ, "HOGS": str(hogs)},
     )  # fmt: skip

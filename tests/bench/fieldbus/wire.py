@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
-ROOT = HERE.parents[1]
+ROOT = HERE.parents[2]
 BUILD = ROOT / "build/bench"
 SPEC_GAP_US, SHORT_GAP_US = 1750.0, 3.5 * 10 / 115200 * 1e6
 SLAVE_PRIORITY = 60

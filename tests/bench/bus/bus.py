@@ -10,9 +10,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import bus_at_work
-import datagram
-import disturbed
+from tests.bench.bus import bus_at_work, disturbed
+from tests.bench.command import datagram
 
 HERE = Path(__file__).parent
 CDR_US, JSON_US = 0.5, 2.0

@@ -3,7 +3,7 @@
 namespace. The others' publishers are in four processes in another namespace, with the router or
 broker; a cable between the two is what the one robot sees of the network. Needs root.
 
-python fleet.py [OTHERS [KIND...]]
+python -m tests.bench.bus.fleet [OTHERS [KIND...]]
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from bus_at_work import ROBOT, cpu_s, memory_mb, stage
-from tests.peers.mqtt.mosquitto import BROKER  # the path is made by bus_at_work
+from tests.bench.bus.bus_at_work import ROBOT, cpu_s, memory_mb, stage
+from tests.peers.mqtt.mosquitto import BROKER
 from tests.peers.namespaces import THERE, Cable, cable, inside, why_not
 
 PROCESSES = 4
@@ -97,7 +97,6 @@ def bytes_on(wire: Cable) -> tuple[int, int]:
 
 def one(kind: str, others: int) -> dict[str, float]:
     """Figures of the one robot among so many others."""
-    here = str(Path(__file__).with_name("fleet_robots.py"))
     with (
         tempfile.TemporaryDirectory() as made_folder,
         cable() as wire,
@@ -119,8 +118,10 @@ def one(kind: str, others: int) -> dict[str, float]:
         for number in range(PROCESSES):
             count = each + (number < rest)
             if count:
-                fleet.enter_context(started(*inside(wire.there), sys.executable, here, str(first),
-                                            str(count), *settings(kind)))  # fmt: skip
+                fleet.enter_context(started(
+                    *inside(wire.there), sys.executable, "-m", "tests.bench.bus.fleet_robots",
+                    str(first), str(count), *settings(kind),
+                ))  # fmt: skip
             first += count
         time.sleep(JOIN_S)
         joined_s, joined = time.monotonic() - began_s, bytes_on(wire)
