@@ -6,6 +6,7 @@ import io
 import re
 import subprocess
 import tokenize
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -42,6 +43,7 @@ CSRC = [path for path in C if path.is_relative_to(ROOT / "csrc")]
 COLUMNS_MAX = 100
 FUNCTION_LINES_MAX = 60
 FILE_LINES_MAX = 500
+FOLDER_FILES_MAX = 15
 
 
 def report(rows: list[str], reason: str) -> None:
@@ -101,6 +103,19 @@ def test_a_file_has_one_subject():
         if (lines := len(path.read_text(encoding="utf-8").splitlines())) > FILE_LINES_MAX
     ]
     report(rows, f"at most {FILE_LINES_MAX} lines: split by subject")
+
+
+def test_a_folder_has_one_subject():
+    counts = Counter(
+        path.relative_to(ROOT).parent
+        for path in TRACKED
+        if path.relative_to(ROOT).parts[0] in ("csrc", "daemon", "hal", "tests")
+        and path.suffix in (".py", ".c", ".h", ".js")
+        and path.name not in ("__init__.py", "conftest.py")
+    )
+    rows = [f"{folder}: {count} code files" for folder, count in sorted(counts.items())
+            if count > FOLDER_FILES_MAX]  # fmt: skip
+    report(rows, f"at most {FOLDER_FILES_MAX} code files in a folder: move some by subject")
 
 
 def test_a_python_function_has_one_job():
