@@ -39,7 +39,7 @@ $(VENV)/made: pyproject.toml setup.py bootstrap.sh
 
 $(VENV)/built: $(VENV)/made $(shell find csrc -name '*.[ch]' -o -name '*.py')
 	@echo "compiling csrc ..." >&2
-	@$(PYTHON) csrc/build_words.py
+	@$(PYTHON) csrc/build_api.py
 	@$(PYTHON) setup.py --quiet build_ext --inplace >&2
 	@touch $@
 
@@ -88,7 +88,7 @@ check: $(VENV)/built $(VENV)/check
 	@$(VENV)/bin/ruff check . >&2
 	@$(VENV)/bin/mypy >&2
 	@$(VENV)/bin/lint-imports --no-logo >&2
-	@$(PYTHON) csrc/build_words.py --check
+	@$(PYTHON) csrc/build_api.py --check
 	@$(VENV)/bin/clang-format --dry-run --Werror $(shell find csrc docs tests -name '*.[ch]') >&2
 	@$(VENV)/bin/cppcheck -q -j2 --std=c11 -D_GNU_SOURCE --enable=warning,portability,performance \
 		--error-exitcode=1 $(addprefix -I,$(shell find csrc -type d)) csrc >&2

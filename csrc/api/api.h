@@ -269,7 +269,7 @@ typedef struct {
     double temperature_c;
     double feedback_age_s; /* INFINITY: never received */
     uint32_t drive_faults;
-    uint32_t enabled; /* as in joint_feedback */
+    uint32_t enabled; /* 1, 0, or 2: the drive cannot say */
     uint32_t stale;   /* 1: older than feedback_timeout_s */
     uint32_t jumps;   /* counter jumps refused so far */
 } joint_state;
@@ -293,8 +293,9 @@ typedef struct {
     uint32_t unknown; /* bit n: where joint n is is not known */
 } steering_state;
 
-/* The snapshot: what the core knows after a tick; the payload of the state page. Layout version
- * 1, which grows at its end. */
+enum { PAGE_LAYOUT_VERSION = 1 };
+/* The snapshot: what the core knows after a tick; the payload of the state page. A layout version
+ * grows at its end. */
 typedef struct {
     int64_t stamp_ns; /* this tick */
     uint64_t tick;
@@ -302,9 +303,9 @@ typedef struct {
     uint32_t owner;
     uint32_t reasons; /* REASON_* */
     uint32_t faults;  /* FAULT_*, latched */
-    uint32_t armed;   /* the core's own word */
-    uint32_t enabled; /* what goes to the drives */
-    uint32_t at_rest; /* set-points are zero and every fresh wheel is slower than
+    uint32_t armed;   /* 1: by the core's own word */
+    uint32_t enabled; /* 1: the drives are to have power */
+    uint32_t at_rest; /* 1: set-points are zero and every fresh wheel is slower than
                          rest_velocity_rad_s */
     uint32_t joint_count;
     uint32_t odometry_degraded; /* 1: a wheel is stale, or has no counter */

@@ -56,7 +56,7 @@ int exchange_line_wake(const exchange *x, uint32_t line);
 /* ---------------------------------------------------------------------------------- state page
  * Shared memory, one writer, any number of readers, which need no lock and cannot disturb it.
  * docs/state-page.md */
-enum { PAGE_BYTES = 16384, PAGE_LAYOUT_VERSION = 1 };
+enum { PAGE_BYTES = 16384 };
 int page_init(void *page); /* PAGE_BYTES, aligned to 64 */
 void page_write(void *page, const robot_state *state);
 /* 0; -EAGAIN overtaken in every try; -EPROTO not a page of this layout; -ENODATA empty */

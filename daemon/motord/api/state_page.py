@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from motord.api.page_file import find_page
+from motord.api.records import PAGE_LAYOUT_VERSION, PlainSnapshot
 from motord.api.snapshot import (
     GYRO_STATES,
     DeratingSnapshot,
@@ -31,7 +32,6 @@ from motord.api.snapshot import (
 from motord.api.words import FAULTS, REASONS
 
 _MAGIC = b"MOTORD\0\1"
-_LAYOUT_VERSION = 1
 _ENABLED_UNKNOWN = 2
 _PAGE_BYTES = 16384
 _HEADER = struct.Struct("=8s6I")
@@ -67,10 +67,9 @@ _FORMS: Mapping[str, tuple[str, Callable[[Any], Any] | None]] = {
     "float": ("d", None),
     "bool": ("I", bool),
     "bool | None": ("I", _known),
-    "Vector3": ("3d", None),
-    "Joints8": ("8d", None),
-    "Planar3": ("3d", None),
-    "Planar6": ("6d", None),
+    "Doubles3": ("3d", None),
+    "Doubles6": ("6d", None),
+    "Doubles8": ("8d", None),
     "Reasons": ("I", _reasons),
     "Faults": ("I", _faults),
     "FirstFault": ("I", _first_fault),
@@ -125,11 +124,7 @@ _LATERAL_NAMES = (
 _STEERING_NAMES = (
     "position_setpoints_rad", "misaligned_rad", "position_joints", "position_unknown",
 )  # fmt: skip
-_STATE = _Record(
-    Snapshot,
-    hidden=("joint_count", "odometry_degraded"),
-    only=lambda name: name not in (*_LATERAL_NAMES, *_STEERING_NAMES),
-)
+_STATE = _Record(PlainSnapshot, hidden=("joint_count", "odometry_degraded"))
 _LATERAL = _Record(Snapshot, only=lambda name: name in _LATERAL_NAMES)
 _STEERING = _Record(Snapshot, only=lambda name: name in _STEERING_NAMES)
 _SPEED_LOOP = _Record(SpeedLoopSnapshot)
@@ -220,9 +215,9 @@ class StatePage:
             os.close(fd)
         magic, version, payload_bytes, *_ = _HEADER.unpack_from(memory)
         known = _PAYLOAD_BYTES
-        if magic != _MAGIC or version != _LAYOUT_VERSION or payload_bytes < known:
+        if magic != _MAGIC or version != PAGE_LAYOUT_VERSION or payload_bytes < known:
             memory.close()
-            raise NoPage(f"{path} is not a page of layout {_LAYOUT_VERSION}, or is being made")
+            raise NoPage(f"{path} is not a page of layout {PAGE_LAYOUT_VERSION}, or is being made")
         return cls(path, memory)
 
     def __enter__(self) -> Self:

@@ -16,6 +16,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+from motord.api.records import ImuStatus, JointStatus
+
 NAN = math.nan
 
 
@@ -65,26 +67,12 @@ class Odometry:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Joint:
+class Joint(JointStatus):
     """A wheel and its drive."""
 
     drive: str = ""
     """unknown, ready, armed or unresponsive."""
     fault_words: tuple[str, ...] = ()
-    position_rad: float | None = None
-    velocity_rad_s: float | None = None
-    setpoint_rad_s: float | None = None
-    duty: float | None = None
-    current_a: float | None = None
-    voltage_v: float | None = None
-    temperature_c: float | None = None
-    feedback_age_s: float | None = None
-    """None: no feedback ever."""
-    drive_faults: int = 0
-    enabled: bool | None = None
-    """None: the drive cannot say."""
-    stale: bool = False
-    jumps: int = 0
     takes_position: bool = False
     """It goes to angles: `position_rad` is the one that it has."""
 
@@ -103,22 +91,9 @@ class Battery:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Imu:
+class Imu(ImuStatus):
     """The robot file's [imu]; about x, y, z of the base."""
 
-    state: str = ""
-    """unbiased, used, stale or reversed."""
-    angular_rad_s: tuple[float | None, ...] = ()
-    acceleration_m_s2: tuple[float | None, ...] = ()
-    bias_rad_s: float | None = None
-    """Zero-rate offset about z."""
-    bias_variance_rad2_s2: float | None = None
-    rate_variance_rad2_s2: float | None = None
-    stamp_ns: int = 0
-    """CLOCK_MONOTONIC."""
-    heading_by_gyro: bool = False
-    still: bool = False
-    refused: int = 0
     age_s: float | None = None
 
 

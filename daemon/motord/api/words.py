@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Words for the bits of the core, by bit. csrc/build_words.py writes this file from csrc/api/api.h,
+"""Words for the bits of the core, by bit. csrc/build_api.py writes this file from csrc/api/api.h,
 which has the meaning of each."""
 
 REASONS = {

@@ -7,6 +7,7 @@ python bus_encode.py [ROUNDS]: one JSON object, µs a message, each the best of 
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import sys
@@ -25,11 +26,12 @@ CALLS = 2000
 
 
 def joint(turned_rad: float) -> JointSnapshot:
-    return JointSnapshot(
-        position_rad=turned_rad, velocity_rad_s=4.0 / 3.0, setpoint_rad_s=1.3, duty=math.nan,
-        current_a=0.77, voltage_v=24.1, temperature_c=math.nan, feedback_age_s=0.0041,
-        drive_faults=0, enabled=True, stale=False, jumps=0,
-    )  # fmt: skip
+    unknown = {key.name: math.nan for key in dataclasses.fields(JointSnapshot)}
+    return JointSnapshot(**unknown | {
+        "position_rad": turned_rad, "velocity_rad_s": 4.0 / 3.0, "setpoint_rad_s": 1.3,
+        "current_a": 0.77, "voltage_v": 24.1, "feedback_age_s": 0.0041,
+        "drive_faults": 0, "enabled": True, "stale": False, "jumps": 0,
+    })  # fmt: skip
 
 
 def imu() -> ImuSnapshot:

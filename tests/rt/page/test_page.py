@@ -118,6 +118,8 @@ def test_a_page_made_anew_forgets_the_old_snapshot(page):
         "joint_state",
         "imu_state",
         "feedback_doubt",
+        "lateral_state",
+        "steering_state",
         "speed_loop_shown",
         "derating_shown",
         "reasons_shown",

@@ -4,6 +4,7 @@ sent this layout when it connects and decodes by it: docs/dashboard.md."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import struct
 from collections.abc import Iterator
@@ -18,21 +19,22 @@ VERSION = 1
 FLAGS = ("armed", "enabled", "at_rest", "odometry_degraded")
 """By bit."""
 
-_HEAD = (
+Fields = tuple[tuple[str, str], ...]
+_HEAD: Fields = (
     *(("kind", "B"), ("version", "B"), ("joints", "B"), ("state", "B"), ("flags", "B")),
     *(("sequence", "I"), ("owner", "I"), ("reasons", "I"), ("faults", "I"), ("stamp_s", "d")),
 )
-_MEASURES = (
+_MEASURES: Fields = (
     *(("x_m", "d"), ("y_m", "d"), ("heading_rad", "d"), ("distance_m", "d")),
     *(("command_age_s", "f"), ("saturation", "f")),
     *(("wanted_linear_m_s", "f"), ("wanted_lateral_m_s", "f"), ("wanted_angular_rad_s", "f")),
     *(("setpoint_linear_m_s", "f"), ("setpoint_lateral_m_s", "f"), ("setpoint_angular_rad_s", "f")),
     *(("linear_m_s", "f"), ("lateral_m_s", "f"), ("angular_rad_s", "f")),
 )
-_JOINT = (
-    *(("position_rad", "d"), ("velocity_rad_s", "f"), ("setpoint_rad_s", "f"), ("duty", "f")),
-    *(("current_a", "f"), ("voltage_v", "f"), ("temperature_c", "f"), ("feedback_age_s", "f")),
-    *(("drive_faults", "I"), ("jumps", "I"), ("enabled", "B"), ("stale", "B")),
+_CODES = {"float": "f", "U32": "I", "bool": "B", "bool | None": "B"}
+_JOINT = tuple(
+    (key.name, "d" if key.name == "position_rad" else _CODES[str(key.type)])
+    for key in dataclasses.fields(JointSnapshot)
 )
 _UNKNOWN = 2
 """`enabled` of a drive that cannot say."""
@@ -72,34 +74,22 @@ class Packer:
         if len(now.joints) != self._joints:
             return None
         flags = sum(1 << bit for bit, name in enumerate(FLAGS) if getattr(now, name))
-        joints = (value for joint in now.joints for value in _of_joint(joint))
+        joints = (value for joint in now.joints for value in _values(joint, _JOINT))
         return self._frame.pack(
             *(STATE, VERSION, self._joints, now.machine_state, flags, sequence & 0xFFFFFFFF),
             now.owner & 0xFFFFFFFF,
             sum(_BITS.get(word, 0) for word in now.reasons),
             sum(_FAULT_BITS.get(word, 0) for word in now.faults),
             now.stamp_ns / 1e9,
-            *(now.x_m, now.y_m, now.heading_rad, now.distance_m),
-            *map(_f32, _twists(now)),
+            *_values(now, _MEASURES),
             *joints,
         )
 
 
-def _twists(now: Snapshot) -> Iterator[float]:
-    yield from (now.command_age_s, now.saturation)
-    yield from (now.wanted_linear_m_s, now.wanted_lateral_m_s, now.wanted_angular_rad_s)
-    yield from (now.setpoint_linear_m_s, now.setpoint_lateral_m_s, now.setpoint_angular_rad_s)
-    yield from (now.linear_m_s, now.lateral_m_s, now.angular_rad_s)
-
-
-def _of_joint(joint: JointSnapshot) -> Iterator[float]:
-    yield joint.position_rad
-    yield from map(_f32, (joint.velocity_rad_s, joint.setpoint_rad_s, joint.duty))
-    yield from map(_f32, (joint.current_a, joint.voltage_v, joint.temperature_c))
-    yield _f32(joint.feedback_age_s)
-    yield from (joint.drive_faults, joint.jumps)
-    yield _UNKNOWN if joint.enabled is None else int(joint.enabled)
-    yield int(joint.stale)
+def _values(record: Snapshot | JointSnapshot, fields: Fields) -> Iterator[float]:
+    for name, code in fields:
+        value = getattr(record, name)
+        yield _f32(value) if code == "f" else _UNKNOWN if value is None else value
 
 
 def _f32(value: float) -> float:

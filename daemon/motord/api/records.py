@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the core shows after a tick, as plain Python values. csrc/build_api.py writes this file from
+the structures of csrc/api: the state page is decoded by these names, in their order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+I64 = int
+U64 = int
+U32 = int
+Doubles3 = tuple[float, ...]
+Doubles6 = tuple[float, ...]
+Doubles8 = tuple[float, ...]
+Reasons = tuple[str, ...]
+Faults = tuple[str, ...]
+FirstFault = str
+DeratedBy = str
+GyroState = str
+PAGE_LAYOUT_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointSnapshot:
+    """One wheel. NaN, None: its drive does not report that."""
+
+    position_rad: float  # sum of all counted turns since start, never jumps
+    velocity_rad_s: float  # measured, NaN before the first measure
+    setpoint_rad_s: float
+    duty: float
+    current_a: float
+    voltage_v: float
+    temperature_c: float
+    feedback_age_s: float  # INFINITY: never received
+    drive_faults: U32
+    enabled: bool | None
+    stale: bool  # older than feedback_timeout_s
+    jumps: U32  # counter jumps refused so far
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointStatus:
+    """A JointSnapshot, as the answer of `status` has it."""
+
+    position_rad: float | None = None  # sum of all counted turns since start, never jumps
+    velocity_rad_s: float | None = None  # measured, NaN before the first measure
+    setpoint_rad_s: float | None = None
+    duty: float | None = None
+    current_a: float | None = None
+    voltage_v: float | None = None
+    temperature_c: float | None = None
+    feedback_age_s: float | None = None  # INFINITY: never received
+    drive_faults: int = 0
+    enabled: bool | None = None
+    stale: bool = False  # older than feedback_timeout_s
+    jumps: int = 0  # counter jumps refused so far
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImuSnapshot:
+    """About the base's x, y, z. NaN: not measured, or not known yet."""
+
+    stamp_ns: I64  # of the newest sample; 0: none
+    angular_rad_s: Doubles3  # about z without its zero-rate offset, once that is known
+    acceleration_m_s2: Doubles3
+    bias_rad_s: float  # zero-rate offset about z
+    bias_variance_rad2_s2: float
+    rate_variance_rad2_s2: float  # of a sample about z
+    state: GyroState
+    heading_by_gyro: bool  # the newest turn in the pose is the gyro's, 0: the wheels'
+    still: bool  # the base stands, by wheels and gyro: the heading is held
+    refused: U32  # samples so far that were no numbers, off the scale or out of order
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImuStatus:
+    """An ImuSnapshot, as the answer of `status` has it."""
+
+    stamp_ns: int = 0  # of the newest sample; 0: none
+    angular_rad_s: tuple[float | None, ...] = ()  # about z without its zero-rate offset, once that
+    # is known
+    acceleration_m_s2: tuple[float | None, ...] = ()
+    bias_rad_s: float | None = None  # zero-rate offset about z
+    bias_variance_rad2_s2: float | None = None
+    rate_variance_rad2_s2: float | None = None  # of a sample about z
+    state: str = ""
+    heading_by_gyro: bool = False  # the newest turn in the pose is the gyro's, 0: the wheels'
+    still: bool = False  # the base stands, by wheels and gyro: the heading is held
+    refused: int = 0  # samples so far that were no numbers, off the scale or out of order
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DoubtSnapshot:
+    """Why a fault says that the feedback is not believed."""
+
+    since_ns: I64
+    setpoint_rad_s: float
+    measured_rad_s: float  # by its counter where it has one, smoothed
+    reported_rad_s: float  # the drive's own measure, as it came; NaN: none
+    fault: FirstFault
+    joint: U32
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeratingSnapshot:
+    """The joint, by its place, that slows the base most."""
+
+    since_ns: I64  # 0: none does
+    factor: float  # of the base's speed limits
+    joint: U32
+    by: DeratedBy
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedLoopSnapshot:
+    """Of one wheel: a torque in N m, or a duty."""
+
+    output_u: float  # 0: without a loop
+    integral_u: float  # of it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlainSnapshot:
+    """The robot as a whole: what is no structure by itself."""
+
+    stamp_ns: I64  # this tick
+    tick: U64
+    machine_state: U32  # as in core_control
+    owner: U32
+    reasons: Reasons
+    faults: Faults  # latched
+    armed: bool  # by the core's own word
+    enabled: bool  # the drives are to have power
+    at_rest: bool  # set-points are zero and every fresh wheel is slower than rest_velocity_rad_s
+    odometry_degraded: bool  # a wheel is stale, or has no counter
+    odometry_epoch: U32  # odometry resets so far
+    dt_s: float
+    command_age_s: float  # INFINITY: never
+    wanted_linear_m_s: float  # the command as it came in, 0 when stale or not finite
+    wanted_angular_rad_s: float
+    setpoint_linear_m_s: float  # after limits and saturation
+    setpoint_angular_rad_s: float
+    saturation: float  # common factor, 1: none
+    odometry_stamp_ns: I64  # the newest feedback that is in the pose
+    x_m: float
+    y_m: float
+    heading_rad: float  # -pi..pi
+    distance_m: float  # travelled, in any direction; never falls
+    turned_rad: float  # sum of |turn|, never falls
+    linear_m_s: float  # measured
+    angular_rad_s: float
+    pose_covariance: Doubles6  # xx, xy, xh, yy, yh, hh in m2, m rad, rad2
+    twist_covariance: Doubles3  # vv, vw, ww
