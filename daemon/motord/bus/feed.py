@@ -6,8 +6,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import AsyncIterator, Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from motord.bus.messages.forms import Form, as_message
 from motord.bus.messages.sources import Body
@@ -16,8 +15,7 @@ from motord.bus.messages.topics import TOPICS, Topic, View, wall_offset_ns
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class TopicMessage(NamedTuple):
     """A message, in the form of its feed, and its topic."""
 
     topic: Topic
@@ -41,7 +39,7 @@ class Sink(Protocol):
 
 
 class Feed:
-    """Holds one view of each topic. Filling it never waits; a slow reader loses samples."""
+    """Holds one view of each topic. Filling it never waits; a slow reader loses messages."""
 
     def __init__(self, body: Body, rates_hz: Mapping[str, float], form: Form = as_message) -> None:
         """Raises KeyError for a topic that there is not."""
@@ -71,7 +69,7 @@ class Feed:
         return min(self._period_ns.values()) / 1e9
 
     def offer(self, view: View) -> None:
-        """Kept for each topic whose time has come, by the sample's stamp; a late one is not caught
+        """Kept for each topic whose time has come, by the view's stamp; a late one is not caught
         up."""
         stamp_ns = view.snapshot.stamp_ns
         for name, due_ns in self._due_ns.items():
@@ -83,7 +81,7 @@ class Feed:
             self._newest[name] = view
             self._filled.set()
 
-    async def __aiter__(self) -> AsyncIterator[Sample]:
+    async def __aiter__(self) -> AsyncIterator[TopicMessage]:
         """Each message when it is taken; what cannot be encoded is left out, what does not fit its
         form is lost."""
         while True:
@@ -100,7 +98,7 @@ class Feed:
                 if message is not None:
                     self.taken += 1
                     self._taken_of[name] += 1
-                    yield Sample(TOPICS[name], message)
+                    yield TopicMessage(TOPICS[name], message)
 
     def _lose(self, error: ValueError) -> None:
         """Logged once."""

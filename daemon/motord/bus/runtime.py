@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 ATTACH_AGAIN_S = 0.5
 STATUS_EVERY_S = 1.0
 LOOK_MIN_S, LOOK_MAX_S = 0.001, 0.1
-LOOKS_PER_SAMPLE = 2
+LOOKS_PER_VIEW = 2
 CONFIRM_WITHIN_S = 2.0
 CONFIRM_LOOK_EVERY_S = 0.02
 
@@ -259,7 +259,7 @@ class Runtime:
 
     def _period_s(self) -> float:
         fastest_s = min((feed.period_s for feed in self.feeds.values()), default=LOOK_MAX_S)
-        return min(max(fastest_s / LOOKS_PER_SAMPLE, LOOK_MIN_S), LOOK_MAX_S)
+        return min(max(fastest_s / LOOKS_PER_VIEW, LOOK_MIN_S), LOOK_MAX_S)
 
     def _feed(self, snapshot: Snapshot) -> None:
         before = self.view

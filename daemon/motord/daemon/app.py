@@ -14,7 +14,7 @@ from pathlib import Path
 from motord.base.recent_log import RecentLog
 from motord.base.sdnotify import Notifier
 from motord.bus.publish import KINDS, open_publisher
-from motord.bus.publish.samples import Samples
+from motord.bus.publish.snapshot_feed import SnapshotFeed
 from motord.config import Robot
 from motord.control.assembly import core_config, line_specs, loop_settings
 from motord.control.health import Health, Heart
@@ -63,7 +63,7 @@ async def run(
     specs = line_specs(robot, profiles)
     name, path = robot.robot.name, path or socket_path(robot.robot.name)
     ours = {key: section for key, section in robot.publish.items() if section.kind in KINDS}
-    feeds = {key: Samples(name, section.rate_hz) for key, section in ours.items()}
+    feeds = {key: SnapshotFeed(name, section.rate_hz) for key, section in ours.items()}
     publishers = {key: open_publisher(key, section.kind, section) for key, section in ours.items()}
     bus = BusSupervisor(robot, path) if robot.has_bus and starts_bus else None
     with (
@@ -166,7 +166,7 @@ def _say_hello(operation: Operation, path: Path) -> None:
         _log.warning("%s", refusal)
 
 
-async def _watch(operation: Operation, feeds: Mapping[str, Samples]) -> None:
+async def _watch(operation: Operation, feeds: Mapping[str, SnapshotFeed]) -> None:
     """Whenever the loop has news: the machine first, the publishers after it."""
     woken = asyncio.Event()
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from motord.api.commands import POSITIONS_VERSION
 from motord.base.recent_log import RecentLog
-from motord.bus.publish.samples import Samples
+from motord.bus.publish.snapshot_feed import SnapshotFeed
 from motord.config import SocketInput
 from motord.control.health import Health
 from motord.control.leases import LEASE_MAX_S, LEASE_MIN_S, Lease
@@ -78,7 +78,7 @@ class LogParams(Params):
 def methods(
     operation: Operation,
     health: Health,
-    feeds: Mapping[str, Samples],
+    feeds: Mapping[str, SnapshotFeed],
     command_sockets: CommandSockets,
     bus: BusSupervisor | None,
     recent_log: RecentLog,

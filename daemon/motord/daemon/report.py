@@ -9,7 +9,7 @@ from typing import Any
 
 from motord.api.commands import CommandReport
 from motord.api.snapshot import Snapshot
-from motord.bus.publish.samples import Samples
+from motord.bus.publish.snapshot_feed import SnapshotFeed
 from motord.config.sections.bases import JointsBase, side_of, wheel_modules, wheel_row
 from motord.config.sections.joint.wheels import takes_position
 from motord.config.sections.model import Robot
@@ -34,7 +34,7 @@ _COMMAND = (
 def status(
     operation: Operation,
     health: Health,
-    feeds: Mapping[str, Samples],
+    feeds: Mapping[str, SnapshotFeed],
     bus: BusSupervisor | None = None,
 ) -> dict[str, Any]:
     """Everything that is known now, ready for JSON."""

@@ -250,7 +250,7 @@ async def test_a_client_is_sent_no_faster_than_it_asked_for(stage, ports):
     assert stamps[-1] - stamps[0] > 0.3
 
 
-async def test_a_reader_that_stops_reading_costs_samples_and_nothing_else_anything(stage, ports):
+async def test_a_reader_that_stops_reading_costs_messages_and_nothing_else_anything(stage, ports):
     ticks = stage.robot.status()["loop"]["ticks"]
     url = f"ws://127.0.0.1:{ports[1]}/"
     narrow = socket.socket()

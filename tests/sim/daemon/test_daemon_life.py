@@ -143,13 +143,15 @@ def test_a_reader_of_its_output_that_hangs_does_not_keep_it_from_driving(tmp_pat
         os.fdopen(writing) as stuck,
         running(tmp_path, *settings, stdout=stuck) as stage,
     ):
-        wait_until(lambda: stage.robot.status()["publishers"]["console"]["taken"] > 100, "samples")
+        wait_until(
+            lambda: stage.robot.status()["publishers"]["console"]["taken"] > 100, "snapshots"
+        )
         moving(stage)
         assert stage.robot.stop() == "armed"
         assert stage.end() == 0
 
 
-def test_samples_come_on_standard_output_and_by_udp(tmp_path):
+def test_snapshots_come_on_standard_output_and_by_udp(tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         listener.bind(("127.0.0.1", 0))
         listener.settimeout(DEADLINE_S)

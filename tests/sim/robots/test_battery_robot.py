@@ -39,10 +39,10 @@ def test_a_good_battery_is_reported_and_published_and_unknown_when_its_drives_ar
         assert (battery["current_a"], battery["temperature_c"]) == (None, None)
 
         def published():
-            sample = json.loads(stage.daemon.stdout.readline())
-            return sample["battery"]["state"] == "normal"
+            found = json.loads(stage.daemon.stdout.readline())
+            return found["battery"]["state"] == "normal"
 
-        wait_until(published, "a sample with the battery")
+        wait_until(published, "a snapshot with the battery")
         stage.sim.pull()
         wait_until(lambda: level(stage) == "unknown", "unknown")
         assert stage.robot.status()["battery"]["voltage_v"] is None

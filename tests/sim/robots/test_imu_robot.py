@@ -87,7 +87,7 @@ def test_what_is_published_is_turned_into_the_bases_axes(tmp_path):
         def published():
             return json.loads(stage.daemon.stdout.readline())["imu"]
 
-        assert wait_until(published, "a sample with the imu")["state"] in ("unbiased", "used")
+        assert wait_until(published, "a snapshot with the imu")["state"] in ("unbiased", "used")
 
 
 def test_a_chip_that_is_not_there_is_reported_once_and_the_wheels_give_the_heading(tmp_path):

@@ -39,8 +39,8 @@ BATTERY = {
 async def taken(feed, count):
     found = []
     async with asyncio.timeout(DEADLINE_S):
-        async for sample in feed:
-            found.append(sample)
+        async for message in feed:
+            found.append(message)
             if len(found) == count:
                 break
     return found
@@ -72,8 +72,8 @@ async def test_what_does_not_fit_the_form_of_a_bus_is_lost_and_the_next_is_sent(
         while not feed.dropped:
             await asyncio.sleep(0)
     feed.offer(view(2, x_m=2.0))
-    (sample,) = await task
-    assert (sample.message, feed.taken, feed.dropped) == ("odom 2", 1, 1)
+    (one,) = await task
+    assert (one.message, feed.taken, feed.dropped) == ("odom 2", 1, 1)
 
 
 @given(
@@ -92,8 +92,8 @@ def test_no_topic_is_offered_faster_than_its_rate(rate_hz, gaps_ms):
 async def test_what_cannot_be_reported_is_left_out():
     feed = Feed(BODY, {"odom": 1000.0, "loop_statistics": 1000.0, "diagnostics": 1000.0})
     feed.offer(view(1, x_m=math.nan))
-    (sample,) = await taken(feed, 1)
-    assert (sample.topic.name, feed.taken) == ("diagnostics", 1)
+    (one,) = await taken(feed, 1)
+    assert (one.topic.name, feed.taken) == ("diagnostics", 1)
 
 
 def test_a_topic_that_there_is_not_has_no_feed():

@@ -20,8 +20,8 @@ OFFSET_NS = 1_700_000_000_000_000_000
 TICK_NS = 90_000_000_000
 
 
-def message(name, sample, status=None):
-    return message_of(name, View(snapshot=sample, status=status), BODY, OFFSET_NS)
+def message(name, now, status=None):
+    return message_of(name, View(snapshot=now, status=status), BODY, OFFSET_NS)
 
 
 def stamp(sec, nanosec):
@@ -47,8 +47,8 @@ def snapshot(**changes):
 
 
 def test_odometry_is_the_pose_in_the_odometry_frame_and_the_twist_in_the_base_frame():
-    sample = snapshot(x_m=1.0, y_m=-2.0, heading_rad=math.pi / 2, linear_m_s=0.3, angular_rad_s=-1)
-    found = message("odom", sample)
+    now = snapshot(x_m=1.0, y_m=-2.0, heading_rad=math.pi / 2, linear_m_s=0.3, angular_rad_s=-1)
+    found = message("odom", now)
     assert (found.header.frame_id, found.child_frame_id) == ("odom", "base_link")
     place, turn = found.pose.pose.position, found.pose.pose.orientation
     assert (place.x, place.y, place.z) == (1.0, -2.0, 0.0)
@@ -77,9 +77,9 @@ def test_covariance_has_its_six_planar_numbers_in_their_places_and_is_symmetric(
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("field", ["x_m", "y_m", "heading_rad"])
 def test_a_pose_that_is_not_finite_is_no_odometry_and_no_transform(field, bad):
-    sample = snapshot(**{field: bad})
-    assert message("odom", sample) is None
-    assert message("tf", sample) is None
+    now = snapshot(**{field: bad})
+    assert message("odom", now) is None
+    assert message("tf", now) is None
 
 
 def test_before_the_first_feedback_there_is_no_odometry():
@@ -88,16 +88,16 @@ def test_before_the_first_feedback_there_is_no_odometry():
 
 
 def test_a_twist_that_is_not_finite_is_no_odometry_but_a_transform():
-    sample = snapshot(linear_m_s=math.nan)
-    assert message("odom", sample) is None
-    assert message("tf", sample) is not None
+    now = snapshot(linear_m_s=math.nan)
+    assert message("odom", now) is None
+    assert message("tf", now) is not None
 
 
 @given(heading_rad=st.floats(-math.pi, math.pi))
 def test_the_transform_is_the_odometry_and_its_quaternion_has_length_one(heading_rad):
-    sample = snapshot(heading_rad=heading_rad, x_m=3.0)
-    (transform,) = message("tf", sample).transforms
-    pose = message("odom", sample).pose.pose
+    now = snapshot(heading_rad=heading_rad, x_m=3.0)
+    (transform,) = message("tf", now).transforms
+    pose = message("odom", now).pose.pose
     turn = transform.transform.rotation
     assert (transform.transform.translation, turn) == (pose.position, pose.orientation)
     assert math.hypot(turn.x, turn.y, turn.z, turn.w) == pytest.approx(1.0)
@@ -105,17 +105,17 @@ def test_the_transform_is_the_odometry_and_its_quaternion_has_length_one(heading
 
 
 def test_joints_that_were_never_received_are_left_out_and_the_stamp_is_the_oldest_feedback():
-    sample = snapshot(
+    now = snapshot(
         joints=(joint(feedback_age_s=math.inf), joint(position_rad=5.0, feedback_age_s=0.25))
     )
-    found = message("joint_states", sample)
+    found = message("joint_states", now)
     assert (found.name, found.position) == (("right",), [5.0])
     assert found.header.stamp == stamp(1_700_000_089, 750_000_000)
 
 
 def test_a_joint_state_keeps_a_velocity_that_is_not_measured_as_nan_in_its_place():
-    sample = snapshot(joints=(joint(velocity_rad_s=math.nan), joint(velocity_rad_s=2.0)))
-    found = message("joint_states", sample)
+    now = snapshot(joints=(joint(velocity_rad_s=math.nan), joint(velocity_rad_s=2.0)))
+    found = message("joint_states", now)
     assert math.isnan(found.velocity[0])
     assert found.velocity[1] == 2.0
     assert found.effort == ()
@@ -127,8 +127,8 @@ def test_without_a_joint_that_has_a_position_there_is_no_joint_state():
 
 
 def test_the_battery_is_the_lowest_voltage_of_a_fresh_drive_and_the_rest_unknown():
-    sample = snapshot(joints=(joint(voltage_v=24.5), joint(voltage_v=24.1)))
-    found = message("battery_state", sample)
+    now = snapshot(joints=(joint(voltage_v=24.5), joint(voltage_v=24.1)))
+    found = message("battery_state", now)
     assert found.voltage == 24.1
     assert found.present
     assert all(map(math.isnan, (found.current, found.percentage, found.temperature)))
@@ -141,12 +141,12 @@ def test_a_stale_drive_reports_nothing_of_the_battery():
 
 
 def test_diagnostics_show_the_base_and_each_joint_by_severity():
-    sample = snapshot(
+    now = snapshot(
         machine_state=6,
         faults=("drive",),
         joints=(joint(drive_faults=0x20), joint(stale=True, feedback_age_s=math.inf)),
     )
-    base, left, right = message("diagnostics", sample).status
+    base, left, right = message("diagnostics", now).status
     assert [status.level for status in (base, left, right)] == [
         Level.ERROR, Level.ERROR, Level.STALE,
     ]  # fmt: skip

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publishers: what arrives, at which rate, and that a bad reader costs samples and nothing else."""
+"""Publishers: what arrives, at which rate, and that a bad reader costs snapshots alone."""
 
 import asyncio
 import contextlib
@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from motord.api.snapshot import JointSnapshot, Snapshot
 from motord.bus.publish import KINDS, open_publisher
-from motord.bus.publish.samples import Samples, encode
+from motord.bus.publish.snapshot_feed import SnapshotFeed, encode
 from motord.bus.publish.stdout import StdoutPublisher
 from motord.bus.publish.udp import UdpPublisher
 from motord.config import StdoutPublish, UdpPublish
@@ -43,22 +43,22 @@ def snapshot(at_ms=0, **changes):
     return Snapshot(**plain | words | rest | changes)
 
 
-async def taken(samples, count):
+async def taken(feed, count):
     found = []
     async with asyncio.timeout(DEADLINE_S):
-        async for sample in samples:
-            found.append(json.loads(sample))
+        async for raw in feed:
+            found.append(json.loads(raw))
             if len(found) == count:
                 break
     return found
 
 
 async def test_the_newest_wins_and_the_lost_are_counted():
-    samples = Samples("r2", 1000.0)
+    feed = SnapshotFeed("r2", 1000.0)
     for at_ms in (1, 2, 3):
-        samples.offer(snapshot(at_ms))
-    (sample,) = await taken(samples, 1)
-    assert (sample["tick"], samples.dropped, samples.taken) == (3, 2, 1)
+        feed.offer(snapshot(at_ms))
+    (found,) = await taken(feed, 1)
+    assert (found["tick"], feed.dropped, feed.taken) == (3, 2, 1)
 
 
 @given(
@@ -66,31 +66,31 @@ async def test_the_newest_wins_and_the_lost_are_counted():
     gaps_ms=st.lists(st.integers(0, 300), min_size=1, max_size=60),
 )
 def test_no_publisher_is_fed_faster_than_its_rate(rate_hz, gaps_ms):
-    samples = Samples("r2", rate_hz)
+    feed = SnapshotFeed("r2", rate_hz)
     at_ms, kept = 1, 0
     for gap_ms in gaps_ms:
-        samples.offer(snapshot(at_ms))
+        feed.offer(snapshot(at_ms))
         at_ms += gap_ms
-        kept = samples.dropped + (samples._newest is not None)
+        kept = feed.dropped + (feed._newest is not None)
     assert kept >= 1
     assert kept <= 2 + sum(gaps_ms) / 1000 * rate_hz
 
 
-def test_a_sample_is_the_snapshot_with_its_robot_and_its_wall_time():
+def test_json_is_the_snapshot_with_its_robot_and_its_wall_time():
     raw = encode("r2", snapshot(40, x_m=1.5), wall_ns=5_000_000_000, now_ns=140 * MS)
-    sample = json.loads(raw)
-    assert sample["wall_time_s"] == pytest.approx(4.9)
-    assert (sample["robot"], sample["x_m"], sample["reasons"]) == ("r2", 1.5, ["command_stale"])
+    found = json.loads(raw)
+    assert found["wall_time_s"] == pytest.approx(4.9)
+    assert (found["robot"], found["x_m"], found["reasons"]) == ("r2", 1.5, ["command_stale"])
     assert b"\n" not in raw
 
 
 @given(value=st.floats())
-def test_a_sample_is_json_whatever_was_measured(value):
+def test_a_snapshot_is_json_whatever_was_measured(value):
     measured = snapshot(x_m=value, joints=(joint(velocity_rad_s=value),))
-    sample = json.loads(encode("r2", measured, 0, 0), parse_constant=pytest.fail)
+    found = json.loads(encode("r2", measured, 0, 0), parse_constant=pytest.fail)
     expected = value if math.isfinite(value) else None
-    assert sample["x_m"] == expected
-    assert sample["joints"][0]["velocity_rad_s"] == expected
+    assert found["x_m"] == expected
+    assert found["joints"][0]["velocity_rad_s"] == expected
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -118,14 +118,14 @@ def test_another_package_may_offer_a_kind(tmp_path, monkeypatch):
     assert open_publisher("mine", "smoke", STDOUT).name == "mine"
 
 
-async def feeding(samples, publisher, until):
-    """Offer samples as the daemon does until the condition holds; returns the slowest turn."""
+async def feeding(feed, publisher, until):
+    """Offer snapshots as the daemon does until the condition holds; returns the slowest turn."""
     slowest_s, at_ms = 0.0, 1
     async with asyncio.timeout(DEADLINE_S), asyncio.TaskGroup() as tasks:
-        running = tasks.create_task(publisher.run(samples))
+        running = tasks.create_task(publisher.run(feed))
         while not until():
             before_s = time.monotonic()
-            samples.offer(snapshot(at_ms))
+            feed.offer(snapshot(at_ms))
             at_ms += 1
             await asyncio.sleep(0.0005)
             slowest_s = max(slowest_s, time.monotonic() - before_s)
@@ -133,12 +133,12 @@ async def feeding(samples, publisher, until):
     return slowest_s
 
 
-async def test_udp_sends_one_datagram_a_sample():
+async def test_udp_sends_one_datagram_a_snapshot():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         listener.bind(("127.0.0.1", 0))
         listener.settimeout(DEADLINE_S)
         publisher = UdpPublisher("mine", UdpPublish(kind="udp", port=listener.getsockname()[1]))
-        await feeding(Samples("r2", 1000.0), publisher, lambda: publisher.sent >= 3)
+        await feeding(SnapshotFeed("r2", 1000.0), publisher, lambda: publisher.sent >= 3)
         ticks = [json.loads(listener.recv(65536))["tick"] for _ in range(3)]
         assert ticks == sorted(set(ticks))
 
@@ -148,19 +148,19 @@ async def test_udp_without_a_listener_goes_on():
         closed.bind(("127.0.0.1", 0))
         port = closed.getsockname()[1]
     publisher = UdpPublisher("mine", UdpPublish(kind="udp", port=port))
-    await feeding(Samples("r2", 1000.0), publisher, lambda: publisher.sent >= 5)
+    await feeding(SnapshotFeed("r2", 1000.0), publisher, lambda: publisher.sent >= 5)
 
 
-async def test_udp_reports_once_that_a_sample_cannot_be_sent(caplog):
+async def test_udp_reports_once_that_a_snapshot_cannot_be_sent(caplog):
     publisher = UdpPublisher("mine", UdpPublish(kind="udp", host="255.255.255.255"))
-    await feeding(Samples("r2", 1000.0), publisher, lambda: publisher.dropped >= 5)
+    await feeding(SnapshotFeed("r2", 1000.0), publisher, lambda: publisher.dropped >= 5)
     assert len([row for row in caplog.records if row.levelname == "WARNING"]) == 1
 
 
 async def test_udp_to_what_is_no_name_at_all_is_reported_and_goes_on(caplog):
     section = UdpPublish.model_construct(kind="udp", host="broker..example", port=9870, rate_hz=1.0)
     publisher = UdpPublisher("mine", section)
-    await feeding(Samples("r2", 1000.0), publisher, lambda: bool(caplog.records))
+    await feeding(SnapshotFeed("r2", 1000.0), publisher, lambda: bool(caplog.records))
     assert "broker..example has no address" in caplog.text
 
 
@@ -174,7 +174,7 @@ def no_descriptor_left():
 async def test_udp_without_a_socket_is_reported_and_goes_on(caplog, no_descriptor_left):
     publisher = UdpPublisher("mine", UdpPublish(kind="udp"))
     no_descriptor_left()
-    await feeding(Samples("r2", 1000.0), publisher, lambda: bool(caplog.records))
+    await feeding(SnapshotFeed("r2", 1000.0), publisher, lambda: bool(caplog.records))
     assert "no socket for 127.0.0.1: Too many open files" in caplog.text
 
 
@@ -188,20 +188,20 @@ def pipe():
         yield publisher, reading
 
 
-async def test_stdout_is_a_line_a_sample(pipe):
+async def test_stdout_is_a_line_a_snapshot(pipe):
     publisher, reading = pipe
-    samples = Samples("r2", 1000.0)
-    await feeding(samples, publisher, lambda: samples.taken >= 20)
+    feed = SnapshotFeed("r2", 1000.0)
+    await feeding(feed, publisher, lambda: feed.taken >= 20)
     ticks = [json.loads(reading.readline())["tick"] for _ in range(3)]
     assert ticks == sorted(set(ticks))
 
 
-async def test_a_reader_that_stops_reading_costs_samples_and_nothing_waits(pipe):
+async def test_a_reader_that_stops_reading_costs_snapshots_and_nothing_waits(pipe):
     publisher, reading = pipe
-    samples = Samples("r2", 1000.0)
-    slowest_s = await feeding(samples, publisher, lambda: publisher.dropped >= 50)
+    feed = SnapshotFeed("r2", 1000.0)
+    slowest_s = await feeding(feed, publisher, lambda: publisher.dropped >= 50)
     assert slowest_s < DEADLINE_S / 2
-    assert samples.taken > publisher.dropped
+    assert feed.taken > publisher.dropped
     os.set_blocking(reading.fileno(), False)
     while publisher._lines.qsize():  # let the thread go before the pipe is closed
         with contextlib.suppress(BlockingIOError):
@@ -211,7 +211,7 @@ async def test_a_reader_that_stops_reading_costs_samples_and_nothing_waits(pipe)
 async def test_a_reader_that_goes_away_ends_the_publisher_and_is_reported(pipe, caplog):
     publisher, reading = pipe
     reading.close()
-    await feeding(Samples("r2", 1000.0), publisher, lambda: bool(caplog.records))
+    await feeding(SnapshotFeed("r2", 1000.0), publisher, lambda: bool(caplog.records))
     assert "closed" in caplog.text
 
 
@@ -219,16 +219,16 @@ async def test_without_standard_output_nothing_is_written_anywhere(caplog):
     with contextlib.redirect_stdout(None):
         publisher = StdoutPublisher("mine", STDOUT)
     async with asyncio.timeout(DEADLINE_S):
-        await publisher.run(Samples("r2", 1.0))
+        await publisher.run(SnapshotFeed("r2", 1.0))
     assert "no standard output" in caplog.text
 
 
 STUCK = """
 import asyncio, sys
 sys.path[:0] = sys.argv[1:]
-from tests.unit.protocols.test_publish import STDOUT, StdoutPublisher, Samples, feeding
+from tests.unit.protocols.test_publish import STDOUT, StdoutPublisher, SnapshotFeed, feeding
 publisher = StdoutPublisher("mine", STDOUT)
-asyncio.run(feeding(Samples("r2", 1000.0), publisher, lambda: publisher.dropped > 5))
+asyncio.run(feeding(SnapshotFeed("r2", 1000.0), publisher, lambda: publisher.dropped > 5))
 """
 
 

@@ -74,9 +74,9 @@ class FoxgloveAdapter:
         try:
             if self._commands is not None:
                 self._commands.server = server
-            async for sample in self._feed:
-                topic = sample.topic.name
-                self._channels[topic].log(sample.message, log_time=stamp_ns(topic, sample.message))
+            async for topic, message in self._feed:
+                time_ns = stamp_ns(topic.name, message)
+                self._channels[topic.name].log(message, log_time=time_ns)
         finally:
             async with within(STOP_WITHIN_S):
                 await asyncio.to_thread(server.stop)  # threads of it may wait for this loop

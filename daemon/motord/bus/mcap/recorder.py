@@ -2,7 +2,7 @@
 """Records to MCAP files (mcap.dev), as rosbag2 writes them: all that comes, or what was before and
 after a fault.
 
-A thread does the writing: a disk that stalls costs samples, counted, and nothing else. A disk that
+A thread does the writing: a disk that stalls costs messages, counted, and nothing else. A disk that
 is full is logged once, and tried again.
 """
 
@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 
 from motord.bus.adapters import RecorderState
 from motord.bus.commands.gate import NotTaken
-from motord.bus.feed import Sample
 from motord.bus.mcap.files import CONTINUOUS, Entry, Folder, Recording
 from motord.bus.mcap.waiting import Waiting
 from motord.bus.messages.cdr import encode
@@ -106,8 +105,9 @@ class McapRecorder:
             self._finish()
 
     async def _collect(self) -> None:
-        async for sample in self._feed:
-            self._keep(_entry(sample))
+        async for topic, message in self._feed:
+            stamp = stamp_ns(topic.name, message)
+            self._keep(Entry(topic.name, topic.type_name, stamp, message))
 
     def _keep(self, entry: Entry) -> None:
         self._feed.dropped += self._waiting.keep(entry)
@@ -250,8 +250,3 @@ class McapRecorder:
         if self._failing:
             self._failing = False
             _log.info("publish.%s: records again", self._name)
-
-
-def _entry(sample: Sample) -> Entry:
-    topic, raw = sample.topic, sample.message
-    return Entry(topic.name, topic.type_name, stamp_ns(topic.name, raw), raw)

@@ -65,7 +65,7 @@ def as_cdr(topic: Topic, body: Body) -> Make:
 
 
 def stamp_ns(topic: str, raw: bytes) -> int:
-    """The sample's own moment in a CDR message of that topic, as wall time."""
+    """The snapshot's own moment in a CDR message of that topic, as wall time."""
     sec, nanosec = _STAMP.unpack_from(raw, _STAMP_OFFSETS.get(topic, len(cdr.HEADER)))
     return int(sec * _NS + nanosec)
 

@@ -63,5 +63,5 @@ TOPICS = MappingProxyType(
 
 
 def wall_offset_ns() -> int:
-    """CLOCK_REALTIME less CLOCK_MONOTONIC, now: what turns a sample's stamp into wall time."""
+    """CLOCK_REALTIME less CLOCK_MONOTONIC, now: what turns a snapshot's stamp into wall time."""
     return time.time_ns() - time.monotonic_ns()

@@ -36,12 +36,11 @@ class MqttPublisher:
 
     async def _use(self, client: aiomqtt.Client) -> None:
         names = self._connection.names
-        for topic, message in names.births(self._description):
-            await taken(client.publish(topic, message, 1, retain=True))
+        for name, message in names.births(self._description):
+            await taken(client.publish(name, message, 1, retain=True))
         try:
-            async for sample in self._feed:
-                topic = names.data(sample.topic.name)
-                await taken(client.publish(topic, sample.message, self._qos))
+            async for topic, message in self._feed:
+                await taken(client.publish(names.data(topic.name), message, self._qos))
         finally:
             with contextlib.suppress(aiomqtt.MqttError):
                 await client.publish(*self._death, 0, retain=True)

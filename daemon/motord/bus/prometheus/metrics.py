@@ -177,7 +177,7 @@ def _commands(status: Mapping[str, Any]) -> Iterator[Family]:
     )
     refused = tuple(({"reason": why}, count) for why, count in commands["refused"].items())
     yield Family("motord_commands_refused_total", "counter", "Commands not obeyed.", refused)
-    samples = tuple(
+    dropped = tuple(
         ({"publisher": name}, feed["dropped"])
         for name, feed in {
             **status["publishers"],
@@ -185,7 +185,7 @@ def _commands(status: Mapping[str, Any]) -> Iterator[Family]:
         }.items()
     )
     yield Family(
-        "motord_samples_dropped_total", "counter", "Samples lost to slow readers.", samples
+        "motord_samples_dropped_total", "counter", "Messages lost to slow readers.", dropped
     )
     restarts = (status["bus"] or {}).get("restarts", 0)
     yield Family(

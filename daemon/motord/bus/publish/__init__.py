@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Protocol, cast
 
 from motord.bus.adapters import PUBLISHER_POINTS, find
-from motord.bus.publish.samples import Samples
+from motord.bus.publish.snapshot_feed import SnapshotFeed
 from motord.config import Publish
 
 KINDS = MappingProxyType(
@@ -19,9 +19,9 @@ KINDS = MappingProxyType(
 
 
 class Publisher(Protocol):
-    """Passes samples on. It may be as slow as it likes: what it does not take in time is lost."""
+    """Passes snapshots on. It may be as slow as it likes: what it does not take in time is lost."""
 
-    async def run(self, samples: Samples) -> None:
+    async def run(self, feed: SnapshotFeed) -> None:
         """Until cancelled; the world's faults are logged once and survived."""
         ...
 

@@ -2,8 +2,8 @@
 """JSON lines on standard output.
 
 Its reader may stop reading: then the write blocks, perhaps for ever. So a thread of its own does
-the writing, and samples are lost while it is stuck. (Making the descriptor non-blocking would make
-the shell's and other programs' so too: it is shared.)
+the writing, and snapshots are lost while it is stuck. (Making the descriptor non-blocking would
+make the shell's and other programs' so too: it is shared.)
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import queue
 import sys
 import threading
 
-from motord.bus.publish.samples import Samples
+from motord.bus.publish.snapshot_feed import SnapshotFeed
 from motord.config import Publish
 
 _log = logging.getLogger(__name__)
@@ -29,7 +29,7 @@ class StdoutPublisher:
         self.dropped = 0
         """Lost because the reader of standard output was slow."""
 
-    async def run(self, samples: Samples) -> None:
+    async def run(self, feed: SnapshotFeed) -> None:
         """As Publisher.run. Ends when it can never be read."""
         if (
             self._output is None
@@ -40,11 +40,11 @@ class StdoutPublisher:
         # a daemon thread: one that is stuck in its write does not keep the process
         threading.Thread(target=self._write, args=arguments, daemon=True).start()
         try:
-            async for sample in samples:
+            async for line in feed:
                 if self._broken.is_set():
                     _log.warning("publish.%s: standard output was closed", self._name)
                     return
-                self._hand_over(sample + b"\n")
+                self._hand_over(line + b"\n")
         finally:
             self._hand_over(None)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One datagram of JSON for each sample. Whether a program listens is not known and not checked."""
+"""One datagram of JSON for each snapshot. Whether a program listens is not known, not checked."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import logging
 import socket
 
 from motord.api.deadline import within
-from motord.bus.publish.samples import Samples
+from motord.bus.publish.snapshot_feed import SnapshotFeed
 from motord.config import UdpPublish
 
 RESOLVE_WITHIN_S = 5.0
@@ -29,12 +29,12 @@ class UdpPublisher:
         self.dropped = 0
         """What the network stack did not take."""
 
-    async def run(self, samples: Samples) -> None:
+    async def run(self, feed: SnapshotFeed) -> None:
         """As Publisher.run."""
         sender, address = await self._opened()
         with sender:
-            async for sample in samples:
-                self._send(sender, sample, address)
+            async for datagram in feed:
+                self._send(sender, datagram, address)
 
     async def _opened(self) -> tuple[socket.socket, Address]:
         """A socket for the host's address; tried again and again, logged once."""
@@ -55,9 +55,9 @@ class UdpPublisher:
                     self._say(f"no socket for {address[0]}: {error.strerror}")
             await asyncio.sleep(RESOLVE_AGAIN_S)
 
-    def _send(self, sender: socket.socket, sample: bytes, address: Address) -> None:
+    def _send(self, sender: socket.socket, datagram: bytes, address: Address) -> None:
         try:
-            sender.sendto(sample, address)
+            sender.sendto(datagram, address)
         except OSError as error:
             self.dropped += 1
             self._say(f"{self._host}:{self._port}: {error.strerror}")
@@ -65,7 +65,7 @@ class UdpPublisher:
         self.sent += 1
         if self._failing:
             self._failing = False
-            _log.info("publish.%s: goes on; %d samples were lost", self._name, self.dropped)
+            _log.info("publish.%s: goes on; %d snapshots were lost", self._name, self.dropped)
 
     def _say(self, text: str) -> None:
         if not self._failing:

@@ -72,8 +72,8 @@ class Ros2Publisher:
     async def _publish(self) -> None:
         self._describing.publish(SimpleNamespace(data=self._description))
         self._send_frames()
-        async for sample in self._feed:
-            self._publishers[sample.topic.name].publish(sample.message)
+        async for topic, message in self._feed:
+            self._publishers[topic.name].publish(message)
 
     async def _log(self) -> None:
         with self._rosout.log.listening():

@@ -84,14 +84,12 @@ class RosbridgeAdapter:
         return None
 
     async def _send(self) -> None:
-        """Each sample is written once, for all clients."""
-        async for sample in self._feed:
-            wanting = [client for client in self._clients if client.wants(sample.topic.name)]
+        """Each message is written once, for all clients."""
+        async for topic, message in self._feed:
+            wanting = [client for client in self._clients if client.wants(topic.name)]
             if wanting:
-                text = _published(sample.topic.name, sample.message)
-                self._feed.dropped += sum(
-                    client.offer(sample.topic.name, text) for client in wanting
-                )
+                text = _published(topic.name, message)
+                self._feed.dropped += sum(client.offer(topic.name, text) for client in wanting)
 
 
 def _published(topic: str, message: bytes) -> str:

@@ -36,17 +36,17 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 class Publish(Section):
     """Where the robot's state goes."""
 
-    rate_hz: float = number("samples a second at most", 0.01, 1000, "Hz", 10.0)
+    rate_hz: float = number("messages a second at most", 0.01, 1000, "Hz", 10.0)
 
 
 class StdoutPublish(Publish):
-    """A line of JSON for each sample on standard output."""
+    """A line of JSON for each snapshot on standard output."""
 
     kind: Literal["stdout"]
 
 
 class UdpPublish(Publish):
-    """A datagram of JSON for each sample."""
+    """A datagram of JSON for each snapshot."""
 
     kind: Literal["udp"]
     host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)

@@ -12,8 +12,8 @@ from typing import Any
 from motord.api.snapshot import Snapshot
 
 
-class Samples:
-    """Holds one sample between the daemon, which never waits, and one publisher."""
+class SnapshotFeed:
+    """Holds one snapshot between the daemon, which never waits, and one publisher."""
 
     def __init__(self, robot: str, rate_hz: float) -> None:
         self._robot = robot
@@ -41,7 +41,7 @@ class Samples:
         self._filled.set()
 
     async def __aiter__(self) -> AsyncIterator[bytes]:
-        """Each sample as one JSON object, without a line end."""
+        """Each snapshot as one JSON object, without a line end."""
         while True:
             await self._filled.wait()
             self._filled.clear()
@@ -61,7 +61,7 @@ def encode(
 ) -> bytes:
     """The snapshot, its robot, and its own moment as wall time: inside, there is none."""
     stamp_s = (wall_ns - (now_ns - snapshot.stamp_ns)) / 1e9
-    sample = {"robot": robot, "wall_time_s": stamp_s, **snapshot.to_json()}
+    shown = {"robot": robot, "wall_time_s": stamp_s, **snapshot.to_json()}
     if battery is not None:
-        sample["battery"] = battery
-    return json.dumps(sample, allow_nan=False, separators=(",", ":")).encode()
+        shown["battery"] = battery
+    return json.dumps(shown, allow_nan=False, separators=(",", ":")).encode()
