@@ -88,10 +88,12 @@ def number(name: str) -> str:
 def fields(struct: str) -> list[tuple[str, str, str, str]]:
     """Type, name, count of an array and comment of each."""
     body = re.search(rf"typedef struct {{\n((?: .*\n)*)}} {struct};", HEADERS)[1]
-    found = re.findall(r"\n    (\w+) (\w+)(?:\[(\w+)\])?;(?: +/\*((?s:.*?))\*/)?", f"\n{body}")
+    field = r"(\w+)\s+(\w+)(?:\[(\w+)\])?;(?: */\*((?s:.*?))\*/)?"
+    if others := re.sub(field, "", body).strip():
+        sys.exit(f"{struct}: {others} is no field with its comment behind it")
     return [
         (kind, name, number(count), re.sub(r"\s*\n[ *]*", " ", comment).strip())
-        for kind, name, count, comment in found
+        for kind, name, count, comment in re.findall(field, body)
     ]
 
 

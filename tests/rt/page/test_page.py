@@ -17,6 +17,7 @@ from motord.api.page_file import SHARED, PageFile
 
 ROOT = Path(__file__).resolve().parents[3]
 STATE_BYTES = ffi.sizeof("robot_state")
+LAYOUT = lib.PAGE_LAYOUT_VERSION
 HEADER = struct.Struct("=8s6IQ24s")
 SLOTS = 4
 
@@ -89,7 +90,7 @@ def test_the_header_is_the_documented_one(page):
         page.bytes[: HEADER.size]
     )
     assert HEADER.size == 64
-    assert (magic, layout, payload, slots) == (b"MOTORD\0\1", 1, STATE_BYTES, SLOTS)
+    assert (magic, layout, payload, slots) == (b"MOTORD\0\1", LAYOUT, STATE_BYTES, SLOTS)
     assert (pid, published, rest) == (os.getpid(), 5, bytes(24))
     newest = offset + (published - 1) % slots * stride
     (sequence,) = struct.unpack("=Q", page.bytes[newest : newest + 8])
