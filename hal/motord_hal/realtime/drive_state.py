@@ -14,6 +14,10 @@ STOPPING_WITHIN_S: float = lib.DRIVE_STOPPING_NS * 1e-9
 """After a quick stop the power stays on until the wheels are at rest, so long at most."""
 
 
+EARLY_AT_ONCE: int = lib.EARLY_AT_ONCE
+"""More set-points than this are not early one after the other."""
+
+
 class Mode(enum.IntEnum):
     OFF = lib.DRIVE_OFF
     READY = lib.DRIVE_READY
@@ -48,6 +52,17 @@ def left_alone(last_s: float, now_s: float, watchdog_s: float) -> bool:
     none."""
     watchdog_ns = round(watchdog_s * 1e9) if math.isfinite(watchdog_s) else 0
     return bool(lib.drive_left_alone(round(last_s * 1e9), round(now_s * 1e9), watchdog_ns))
+
+
+class EarlyShare:
+    """Of a line: set-points that are sent before their cycle, because they are new."""
+
+    def __init__(self) -> None:
+        self._early_ns: Any = ffi.new("int64_t *")
+
+    def take(self, period_s: float, now_ns: int) -> bool:
+        """Whether some may be; they are counted."""
+        return bool(lib.may_be_early(self._early_ns, round(period_s * 1e9), now_ns))
 
 
 class LastPowerOff:

@@ -24,10 +24,10 @@ from modbus_rig import (
 from scripted_slave import ScriptedSlave, Unit
 
 from motord.config.drives.load import find_profile
-from motord_hal.asyncio_engine.line import EARLY_AT_ONCE
 from motord_hal.base.errors import HalError
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
 from motord_hal.modbus.codec import Function
+from motord_hal.realtime.drive_state import EARLY_AT_ONCE
 
 DUTY, DUTY_WATCHDOG = 0x0100, 0x0110
 SPEED, RUN = 0x0056, 0x0066
