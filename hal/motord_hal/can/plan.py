@@ -5,7 +5,7 @@ set-points, which come back by themselves, which are asked for and how often. Pu
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from motord_hal.base.errors import ProfileError
@@ -14,10 +14,16 @@ from motord_hal.drives.can_profile import CanTable, Frame, Sender, Signal, signa
 from motord_hal.drives.profile import DriveProfile, Register, Step
 from motord_hal.fieldbus.parameter import readable
 from motord_hal.fieldbus.plan import Plan, Reading
-from motord_hal.fieldbus.ports import JointSpec
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
 
 SLOW_EVERY_CYCLES = 8
 """What may wait (current, voltage, temperature) is asked for so seldom, one frame at a time."""
+
+FIRST_WORD_S = 0.2
+"""On top of its longest silence: so long a drive may take for its first frame after opening."""
+
+STEADY_S = 1.0
+"""A line that has worked for so long is reopened at once when it fails again."""
 
 CYCLE_TOLERANCE = 0.001
 """A drive that knows its cycle interpolates over it: one that is off by more drifts by a whole
@@ -288,3 +294,10 @@ class CanPlan(Plan):
             for frame in self.table.frames_from(Sender.DRIVE)
             if frame.period_s
         )
+
+
+def wire_limit_hz(spec: LineSpec, plans: Sequence[CanPlan]) -> float:
+    """Cycles for which there is room beside what the drives send by themselves."""
+    wire = (spec.baudrate, spec.data_baudrate)
+    free = 1.0 - sum(plan.own_load(*wire) for plan in plans)
+    return max(free, 0.0) / sum(plan.cycle_time_s(*wire) for plan in plans)
