@@ -23,6 +23,7 @@ from motord_hal.ddsm import codec as ddsm
 from motord_hal.drives.profile import DriveProfile, Register
 from motord_hal.fieldbus.ports import DirectionSpec, LineSpec
 from motord_hal.modbus.codec import (
+    EXCEPTION_BYTES,
     FrameError,
     Function,
     Reply,
@@ -50,7 +51,6 @@ TRIES = 2
 REGISTERS_A_PROFILE = 24
 FITS_FROM = 0.5
 DDSM_QUERY = 0x74
-EXCEPTION_BYTES = 5
 ROBOCLAW_UNITS = range(0x80, 0x88)
 """All addresses that a RoboClaw can have."""
 ROBOCLAW_BATTERY = 24 << 8

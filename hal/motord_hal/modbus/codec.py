@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
 
+from motord_hal.base.crc import reflected_table
+
 BROADCAST_UNIT = 0
 UNIT_MAX = 247
 FRAME_BYTES_MAX = 256
@@ -60,17 +62,7 @@ class CrcError(FrameError):
     """The check sum does not fit the bytes."""
 
 
-def _crc_table() -> tuple[int, ...]:
-    rows = []
-    for byte in range(256):
-        crc = byte
-        for _ in range(8):
-            crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
-        rows.append(crc)
-    return tuple(rows)
-
-
-_CRC_TABLE = _crc_table()
+_CRC_TABLE = reflected_table(0xA001)
 
 
 def crc16(data: bytes) -> int:
