@@ -231,20 +231,8 @@ class CanPlan(Plan):
 
     def reading(self, joint: JointSpec, values: Mapping[str, int]) -> Reading | None:
         """What the raw values say of a joint; None: they are no numbers."""
-        channel = self.channel(joint)
-        sign = -1.0 if joint.inverted else 1.0
-        count = self._count(channel.position, values)
-        if count is None:
-            return None
-        return Reading(
-            count=count,
-            velocity_rad_s=self._si(channel.velocity, values) / joint.gear_ratio * sign,
-            current_a=self._si(channel.current, values),
-            voltage_v=self._si(self.profile.bus_voltage, values),
-            temperature_c=self._si(channel.temperature, values),
-            enabled=self.enabled(values),
-            fault_word=values.get(channel.fault or "", 0),
-        )
+        count = self._count(self.channel(joint).position, values)
+        return None if count is None else self._reading(joint, values, count)
 
     def _count(self, name: str | None, values: Mapping[str, int]) -> int | None:
         """The counter; of a position in turns the count that the profile makes of it."""
@@ -255,12 +243,6 @@ class CanPlan(Plan):
             return values[name] & mask
         turns = signal.to_si(values[name]) / (2.0 * math.pi)
         return round(turns * self.profile.counts_per_turn) & mask if math.isfinite(turns) else None
-
-    def _si(self, name: str | None, values: Mapping[str, int]) -> float:
-        if name is None or name not in values:
-            return math.nan
-        value = self.profile.registers[name].to_si(values[name])
-        return value if math.isfinite(value) else math.nan
 
     # ------------------------------------------------------------------------------------ bus load
     def cycle_time_s(self, bitrate: int, data_bitrate: int | None) -> float:
