@@ -20,7 +20,6 @@ from motord_hal.base.crc import reflected_table
 from motord_hal.drives.profile import Register
 
 FRAME_BYTES = 10
-UNIT_MAX = 0xFE
 _SEAL_BYTE = 9
 _CONTENT_BEGIN = 2
 _POLYNOMIAL = 0x8C

@@ -17,8 +17,6 @@ from motord_hal.base.crc import reflected_table
 
 BROADCAST_UNIT = 0
 UNIT_MAX = 247
-FRAME_BYTES_MAX = 256
-"""Serial Line V1.02, 2.3: one address, 253 of PDU, two CRC."""
 EXCEPTION_FLAG = 0x80
 
 READ_REGISTERS_MAX = 125

@@ -14,10 +14,6 @@ STOPPING_WITHIN_S: float = lib.DRIVE_STOPPING_NS * 1e-9
 """After a quick stop the power stays on until the wheels are at rest, so long at most."""
 
 
-EARLY_AT_ONCE: int = lib.EARLY_AT_ONCE
-"""More set-points than this are not early one after the other."""
-
-
 class Mode(enum.IntEnum):
     OFF = lib.DRIVE_OFF
     READY = lib.DRIVE_READY

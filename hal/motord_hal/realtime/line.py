@@ -31,7 +31,6 @@ from motord_hal.realtime.thread import (
 )
 
 DRIVES_MAX: int = lib.LINE_DRIVES_MAX
-FAULT_WORDS: int = lib.JOINTS_MAX
 
 
 class AnswerKind(enum.IntEnum):

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -40,8 +39,6 @@ URGENT_RELIABLE = Quality(alone=False)
 """Beside NEWEST: a reliable writer's word is sent again where the network lost it."""
 
 _WHY_CHARS = 150
-
-_log = logging.getLogger(__name__)
 
 
 class Ros2Commands:
