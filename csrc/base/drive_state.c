@@ -93,6 +93,15 @@ bool drive_has_to_rest(const drive_state *drive, bool wants_motion)
     return drive_is_cycled(drive) && drive->sent_motion && !wants_motion;
 }
 
+bool may_be_early(int64_t *early_ns, int64_t period_ns, int64_t now_ns)
+{
+    if (*early_ns - now_ns > (EARLY_AT_ONCE - 1) * period_ns) {
+        return false;
+    }
+    *early_ns = (*early_ns > now_ns ? *early_ns : now_ns) + period_ns;
+    return true;
+}
+
 /* 0: an armed drive stays so. `was_enabled`: since it was armed. */
 static uint32_t fault_reason(bool fresh, bool left_alone, bool enabled, bool was_enabled)
 {

@@ -7,19 +7,16 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "rt.h"
+
 static const int64_t LOOK_RESTING_NS = 20 * 1000000, LOOK_MOVING_NS = 5 * 1000000,
                      LOOK_FULL_NS = 1000000;
-
-/* What is sent before its cycle, because it is new: in the long run no more of it than there are
- * cycles, and so many at once. So a medium carries at most twice what its cycle needs, however
- * often the set-points change. */
-enum { EARLY_AT_ONCE = 4 };
 
 typedef struct {
     int64_t due_ns;   /* the next one */
     int64_t start_ns; /* of the newest; 0: there was none */
     int64_t took_ns;  /* smoothed time between two */
-    int64_t early_ns; /* until then the early ones are more than their share */
+    int64_t early_ns; /* of may_be_early */
     uint64_t count;
 } cycle_clock;
 
@@ -33,23 +30,13 @@ static inline int64_t later(int64_t a, int64_t b)
     return a > b ? a : b;
 }
 
-/* Something is to be sent early: true, and it is counted. */
-static inline bool cycle_clock_early(cycle_clock *c, int64_t period_ns, int64_t now_ns)
-{
-    if (c->early_ns - now_ns > (EARLY_AT_ONCE - 1) * period_ns) {
-        return false;
-    }
-    c->early_ns = later(c->early_ns, now_ns) + period_ns;
-    return true;
-}
-
 /* The next cycle is due now, but not before the gap after the newest one. What stops a motion is
  * never too much: each stop follows a motion, which is counted. */
 static inline void cycle_clock_bring_forward(cycle_clock *c, int64_t period_ns, int64_t gap_ns,
                                              bool stops, int64_t now_ns)
 {
     int64_t soon_ns = c->start_ns > 0 ? later(now_ns, c->start_ns + gap_ns) : now_ns;
-    if (soon_ns < c->due_ns && (stops || cycle_clock_early(c, period_ns, now_ns))) {
+    if (soon_ns < c->due_ns && (stops || may_be_early(&c->early_ns, period_ns, now_ns))) {
         c->due_ns = soon_ns;
     }
 }

@@ -187,8 +187,7 @@ class Client:
         the [input] of the robot file. Returns the source in command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
         params = drive_params(linear_m_s, angular_rad_s, lateral_m_s, **lease)
-        result: dict[str, Any] = await self.call("drive", **params)
-        return result
+        return dict(await self.call("drive", **params))
 
     async def joints(
         self,
@@ -204,8 +203,7 @@ class Client:
         requested, as long as commands come. Returns the source in command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
         params = joints_params(position_rad, velocity_rad_s, **lease)
-        result: dict[str, Any] = await self.call("joints", **params)
-        return result
+        return dict(await self.call("joints", **params))
 
     async def move(
         self,
@@ -295,9 +293,8 @@ class Client:
     async def _surely(self, method: str) -> str:
         """By datagram first, which the real-time loop reads whatever else waits; the answer comes
         over a connection of its own, which no other call can block."""
-        with contextlib.suppress(OSError, TimeoutError):  # no such socket, or the daemon is gone
-            async with within(STOP_WITHIN_S):
-                await _send(self.path, method)
+        with contextlib.suppress(OSError), stop_request.open_sender() as sender:  # or no descriptor
+            await send_stop(sender, self.path, method)
         async with Client(self.path, timeout_s=self.timeout_s) as own:
             return str((await own.call(method))["state"])
 
@@ -311,29 +308,28 @@ class Client:
 
     async def params_list(self) -> dict[str, dict[str, Any]]:
         """Every parameter with value, unit and range."""
-        result: dict[str, dict[str, Any]] = await self.call("params.list")
-        return result
+        return dict(await self.call("params.list"))
 
     async def params_get(self, *names: str) -> dict[str, float | None]:
         """Values by name; none named: all. None: no limit."""
-        result: dict[str, float | None] = await self.call("params.get", names=names)
-        return result
+        return dict(await self.call("params.get", names=names))
 
     async def params_set(self, **values: float | None) -> dict[str, float | None]:
         """All or none: `params_set(**{"limits.linear_m_s": 0.3})`. None: no limit."""
-        result: dict[str, float | None] = await self.call("params.set", **values)
-        return result
+        return dict(await self.call("params.set", **values))
 
     async def latency(self) -> dict[str, Any]:
         """The loop's histograms since its start, as percentiles and as buckets."""
-        result: dict[str, Any] = await self.call("latency")
-        return result
+        return dict(await self.call("latency"))
 
 
-async def _send(path: Path, method: str) -> None:
-    """Again while the receive queue is full. Raises OSError."""
-    with stop_request.open_sender() as sender:
-        while not stop_request.try_send(  # noqa: ASYNC110  nothing says when it has room
-            sender, path, method
-        ):
-            await asyncio.sleep(stop_request.AGAIN_S)
+async def send_stop(sender: socket.socket, path: Path, method: str) -> bool:
+    """Again while the receive queue is full. False: the daemon does not receive it."""
+    with contextlib.suppress(OSError, TimeoutError):
+        async with within(STOP_WITHIN_S):
+            while not stop_request.try_send(  # noqa: ASYNC110  nothing says when it has room
+                sender, path, method
+            ):
+                await asyncio.sleep(stop_request.AGAIN_S)
+        return True
+    return False

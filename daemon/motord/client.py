@@ -251,8 +251,7 @@ class Client:
         the [input] of the robot file. Returns the source in command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
         params = drive_params(linear_m_s, angular_rad_s, lateral_m_s, **lease)
-        result: dict[str, Any] = self.call("drive", **params)
-        return result
+        return dict(self.call("drive", **params))
 
     def joints(
         self,
@@ -268,8 +267,7 @@ class Client:
         requested, as long as commands come. Returns the source in command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
         params = joints_params(position_rad, velocity_rad_s, **lease)
-        result: dict[str, Any] = self.call("joints", **params)
-        return result
+        return dict(self.call("joints", **params))
 
     def move(
         self,
@@ -382,20 +380,16 @@ class Client:
 
     def params_list(self) -> dict[str, dict[str, Any]]:
         """Every parameter with value, unit and range."""
-        result: dict[str, dict[str, Any]] = self.call("params.list")
-        return result
+        return dict(self.call("params.list"))
 
     def params_get(self, *names: str) -> dict[str, float | None]:
         """Values by name; none named: all. None: no limit."""
-        result: dict[str, float | None] = self.call("params.get", names=names)
-        return result
+        return dict(self.call("params.get", names=names))
 
     def params_set(self, **values: float | None) -> dict[str, float | None]:
         """All or none: `params_set(**{"limits.linear_m_s": 0.3})`. None: no limit."""
-        result: dict[str, float | None] = self.call("params.set", **values)
-        return result
+        return dict(self.call("params.set", **values))
 
     def latency(self) -> dict[str, Any]:
         """The loop's histograms since its start, as percentiles and as buckets."""
-        result: dict[str, Any] = self.call("latency")
-        return result
+        return dict(self.call("latency"))

@@ -76,6 +76,12 @@ bool drive_may_move(const drive_state *drive, bool fresh, bool enabled);
 /* It moves, and the newest set-points do not: zero goes out at once, and does not wait for its
  * cycle. */
 bool drive_has_to_rest(const drive_state *drive, bool wants_motion);
+/* Set-points are to be sent before their cycle, because they are new. True: they may, which is
+ * counted. In the long run no more of them than there are cycles, and so many at once: a medium
+ * carries at most twice what its cycle needs, however often they change. `early_ns` is the
+ * medium's: until then they are more than their share. */
+enum { EARLY_AT_ONCE = 4 };
+bool may_be_early(int64_t *early_ns, int64_t period_ns, int64_t now_ns);
 /* Each returns the stop that its medium has to begin. */
 drive_stop drive_guard(drive_state *drive, const drive_view *view);
 drive_stop drive_quick_stop(drive_state *drive, uint32_t why, int64_t now_ns);

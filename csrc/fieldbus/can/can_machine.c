@@ -303,8 +303,9 @@ void can_machine_kick(can_machine *m, int64_t now_ns)
     }
     /* a pulled cable would keep more motion for later */
     bool queued = m->receives_own && m->motion_since_ns != 0;
+    int64_t *early_ns = &m->cycle.early_ns;
     m->early = differs && !queued && m->cycle.due_ns > now_ns &&
-               cycle_clock_early(&m->cycle, m->table.period_ns, now_ns);
+               may_be_early(early_ns, m->table.period_ns, now_ns);
 }
 
 int64_t can_machine_step(can_machine *m, int64_t now_ns)

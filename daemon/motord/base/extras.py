@@ -26,3 +26,10 @@ def how_to_install(extra: str) -> str:
         return f"{shlex.quote(sys.executable)} -m pip install {packages}"
     target = shlex.quote(sysconfig.get_path("purelib"))
     return f"sudo python3 -m pip install --target {target} {packages}"
+
+
+def numpy_missing() -> str:
+    """What to do about it; empty: it is installed."""
+    if importlib.util.find_spec("numpy") is not None:
+        return ""
+    return f"numpy is not installed: {how_to_install('calibrate')}"

@@ -109,6 +109,17 @@ dry_run_option = click.option(
 )
 
 
+def usual_option(name: str, kind: Any, usual: Any, text: str) -> Callable[[Any], Any]:
+    """Its help shows the default."""
+    return click.option(name, type=kind, default=usual, show_default=True, help=text)
+
+
+def plot_option(text: str) -> Callable[[Any], Any]:
+    """A picture of what was measured."""
+    kind = click.Path(path_type=Path, dir_okay=False)
+    return click.option("--plot", metavar="FILE.png", type=kind, help=text)
+
+
 def print_json(value: Any) -> None:
     """One JSON object on stdout. NaN and infinity are our own mistake: JSON has neither."""
     click.echo(json.dumps(value, ensure_ascii=False, allow_nan=False))

@@ -18,6 +18,7 @@ from motord.cli.common import (
     load_or_exit,
     print_json,
     set_option,
+    usual_option,
 )
 from motord.client import ClientError
 from motord.tools.course import DISTANCE_ERROR_MAX_PERCENT, HEADING_ERROR_MAX_RAD, draw
@@ -29,13 +30,7 @@ from motord_hal.sim.control import ControlError
 
 
 @click.command
-@click.option(
-    "--seconds",
-    type=click.FloatRange(5.0, 3600.0),
-    default=20.0,
-    show_default=True,
-    help="Duration of the course.",
-)
+@usual_option("--seconds", click.FloatRange(5.0, 3600.0), 20.0, "Duration of the course.")
 @click.option(
     "--robot",
     default="demo",
@@ -46,13 +41,7 @@ from motord_hal.sim.control import ControlError
 @set_option
 @click.option("--stay", is_flag=True, help="Keep the drives and the daemon running until Ctrl-C.")
 @click.option("--web", is_flag=True, help="Show a dashboard until Ctrl-C instead of the course.")
-@click.option(
-    "--port",
-    type=click.IntRange(1, 65535),
-    default=8088,
-    show_default=True,
-    help="TCP port of the dashboard.",
-)
+@usual_option("--port", click.IntRange(1, 65535), 8088, "TCP port of the dashboard.")
 @json_option
 def demo(
     seconds: float,

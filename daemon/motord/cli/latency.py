@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from motord.cli.common import Exit, Failure, json_option, print_json
+from motord.cli.common import Exit, Failure, json_option, print_json, usual_option
 from motord.tools.latency.compare import Comparison, ReportUnusable, compare, read_report
 from motord.tools.latency.load import LOADS
 from motord.tools.latency.plot import PlotMissing, plot, require_matplotlib
@@ -25,39 +25,26 @@ UNRESPONSIVE_PERIOD_S = 5.0
 
 
 @click.command
-@click.option(
-    "--rate-hz",
-    type=click.FloatRange(10.0, 20000.0),
-    default=1000.0,
-    show_default=True,
-    help="Loop rate.",
-)
-@click.option(
-    "--seconds",
-    type=click.FloatRange(0.2, 86400.0),
-    default=30.0,
-    show_default=True,
-    help="Duration. Ctrl-C ends early and prints the results so far.",
-)
-@click.option(
-    "--priority",
-    type=click.IntRange(0, 99),
-    default=80,
-    show_default=True,
-    help="SCHED_FIFO priority of the loop; 0 selects SCHED_OTHER.",
-)
+@usual_option("--rate-hz", click.FloatRange(10.0, 20000.0), 1000.0, "Loop rate.")
+@usual_option(
+    "--seconds", click.FloatRange(0.2, 86400.0), 30.0,
+    "Duration. Ctrl-C ends early and prints the results so far.",
+)  # fmt: skip
+@usual_option(
+    "--priority", click.IntRange(0, 99), 80,
+    "SCHED_FIFO priority of the loop; 0 selects SCHED_OTHER.",
+)  # fmt: skip
 @click.option(
     "--cpu",
     type=click.IntRange(0, 63),
     multiple=True,
     help="Bind the loop to this CPU. Repeatable. Default: any.",
 )
-@click.option(
+@usual_option(
     "--load",
-    type=click.Choice(LOADS),
-    default="none",
-    show_default=True,
-    help="Load during the measurement: computing processes, writing processes, or a thread of this "
+    click.Choice(LOADS),
+    "none",
+    "Load during the measurement: computing processes, writing processes, or a thread of this "
     "process that keeps Python's GIL busy; a process at SCHED_FIFO 90, one that forks, or one with "
     "a page-faulting thread.",
 )

@@ -18,6 +18,7 @@ from motord.cli.common import (
     print_json,
     robot_argument,
     set_option,
+    usual_option,
 )
 from motord.config import ConfigError, Robot, load_robot
 from motord.daemon.running_file import find, forget
@@ -32,9 +33,9 @@ WITHIN_S = 5.0
 @click.command("stop-all")
 @robot_argument
 @set_option
-@click.option(
-    "--within-s", type=click.FloatRange(0.1, 60.0), default=WITHIN_S, show_default=True,
-    help="Longest time; what was not sent by then is not sent.",
+@usual_option(
+    "--within-s", click.FloatRange(0.1, 60.0), WITHIN_S,
+    "Longest time; what was not sent by then is not sent.",
 )  # fmt: skip
 @json_option
 def stop_all(robot_file: Path, overrides: tuple[str, ...], within_s: float, as_json: bool) -> None:

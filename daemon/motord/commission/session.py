@@ -125,13 +125,6 @@ class Session:
                 return found
         raise AssertionError  # _looks has no end
 
-    def rearm(self) -> None:
-        """After a fault that the procedure has expected. Raises Refused, ClientError."""
-        halt(self.client.path, "disarm")
-        if self.client.status().state == "fault":
-            self.client.reset()
-        self.client.arm()
-
     def stopped_by(self, faults: tuple[str, ...]) -> str:
         """What has ended a motion, for an error: a fault in the daemon's words."""
         why = "; ".join(self.client.status().why) or ", ".join(faults)

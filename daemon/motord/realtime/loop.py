@@ -48,6 +48,7 @@ from motord.realtime.types import (
     PwmConfig,
     StopRequests,
 )
+from motord_hal.realtime.exchange import first_bad, value_of
 
 __all__ = [
     "AxisLimits",
@@ -103,20 +104,14 @@ class ConfigRefused(ValueError):
 
 def limits_problem(limits: BaseLimits) -> str | None:
     """The first field that is out of range, as `linear.velocity_u_s`; None: all are good."""
-    return _named(lib.base_limits_check, ffi.new("base_limits *", limits))
-
-
-def _named(check: Any, value: object) -> str | None:
-    name = ffi.new("char[]", lib.FIELD_NAME_BYTES)
-    bad = check(value, name)
-    return None if bad == ffi.NULL else ffi.string(bad).decode("ascii")
+    return first_bad(lib.base_limits_check, ffi.new("base_limits *", limits)) or None
 
 
 def _core_config(config: CoreConfig) -> Any:
     if not len(config["joint"]) == config["joint_count"] <= lib.JOINTS_MAX:
         raise ConfigRefused("joint_count")
     raw = ffi.new("core_config *", config)
-    if bad := _named(lib.core_config_check, raw):
+    if bad := first_bad(lib.core_config_check, raw):
         raise ConfigRefused(bad)
     return raw
 
@@ -351,20 +346,13 @@ class Loop:
             priority = self._settings.priority
             self._refusals = permissions.sentences(refused, priority=priority, cpu=cpu)
             self._refused = refused
-        return LoopStatus(
-            running=raw.running != 0,
+        return value_of(
+            LoopStatus,
+            raw,
             policy=_POLICIES[raw.policy],
-            priority=raw.priority,
-            ticks=raw.ticks,
-            overruns=raw.overruns,
-            page_faults=raw.page_faults,
-            tick_stamp_ns=raw.tick_stamp_ns,
             refusals=dict(self._refusals),
             estop_input=_ESTOP_INPUTS[raw.estop_input],
             watchdog=raw.watchdog_well != 0,
-            watchdog_edges=raw.watchdog_edges,
-            watchdog_errno=raw.watchdog_errno,
-            late_lost=raw.late_lost,
         )
 
     def stop_requests(self) -> StopRequests:
@@ -404,17 +392,8 @@ class Loop:
         raw = ffi.new("late_tick *")
         found = []
         while lib.loop_late_take(raw):
-            found.append(
-                LateTick(
-                    deadline_ns=raw.deadline_ns,
-                    stage_ns=tuple(raw.stage_ns),
-                    ready_ns=raw.ready_ns if raw.ready_ns >= 0 else None,
-                    page_faults=raw.page_faults,
-                    preemptions=raw.preemptions,
-                    cpu=raw.cpu,
-                    cpu_before=raw.cpu_before,
-                )
-            )
+            ready_ns = raw.ready_ns if raw.ready_ns >= 0 else None
+            found.append(value_of(LateTick, raw, ready_ns=ready_ns))
         return found
 
     def _read_histogram(self, kind: HistogramKind) -> Any:
@@ -470,23 +449,9 @@ def _raise_for(code: int, what: str) -> None:
 
 
 def _lease_state(raw: Any) -> LeaseState:
-    return LeaseState(
-        number=raw.number,
-        held=raw.held != 0,
-        sequence=raw.sequence,
-        stamp_ns=raw.stamp_ns,
-        expires_ns=raw.expires_ns,
-        since=raw.since,
-        priority=raw.priority,
-        interval_ns=raw.interval_ns,
-        linear_m_s=raw.linear_m_s,
-        angular_rad_s=raw.angular_rad_s,
-        lateral_m_s=raw.lateral_m_s,
-        wants_motion=raw.wants_motion != 0,
-        joint_values_u={
-            j: raw.joints.value_u[j] for j in range(lib.JOINTS_MAX) if raw.joints.named >> j & 1
-        },
-    )
+    joints = raw.joints
+    values_u = {j: joints.value_u[j] for j in range(lib.JOINTS_MAX) if joints.named >> j & 1}
+    return value_of(LeaseState, raw, joint_values_u=values_u)
 
 
 def _snapshot(raw: Any) -> Snapshot:

@@ -14,10 +14,9 @@ import contextlib
 import logging
 import threading
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from importlib import import_module
-from types import SimpleNamespace
 from typing import Any
 
 import rclpy
@@ -34,7 +33,7 @@ from motord.bus.commands.delay import Delays
 from motord.bus.commands.gate import NotTaken
 from motord.bus.inbox import Inbox, ThreadBridge
 from motord.bus.messages.cdr import decode, encode
-from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.quality import Answer, Quality, Take
 from motord.bus.ros2.senders import unnamed
 
 ANSWER_WITHIN_S = 30.0
@@ -110,13 +109,7 @@ class RclpyNode:
             made = self._node.create_publisher(found, name, _profile(quality or Quality()))
         return Publisher(made, kind)
 
-    def subscribe(
-        self,
-        name: str,
-        kind: str,
-        take: Callable[[SimpleNamespace, float, str], None],
-        quality: Quality | None = None,
-    ) -> None:
+    def subscribe(self, name: str, kind: str, take: Take, quality: Quality | None = None) -> None:
         """As Node.subscribe."""
         quality = quality or Quality()
         ear = _Ear(self._node, name, kind, take)
@@ -133,12 +126,7 @@ class RclpyNode:
         )  # fmt: skip
 
     def serve(
-        self,
-        name: str,
-        kind: str,
-        answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
-        depth: int = 10,
-        together: int = 1,
+        self, name: str, kind: str, answer: Answer, depth: int = 10, together: int = 1
     ) -> None:
         """As Node.serve."""
         found = self._type(kind)
@@ -152,13 +140,7 @@ class RclpyNode:
         )  # fmt: skip
 
     def _answer(
-        self,
-        name: str,
-        kind: str,
-        answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
-        within_s: float,
-        asked: Any,
-        response: Any,
+        self, name: str, kind: str, answer: Answer, within_s: float, asked: Any, response: Any
     ) -> Any:
         """In a thread of rclpy."""
         try:
@@ -275,13 +257,7 @@ class _ToRos(logging.Handler):
 class _Ear:
     """What comes on a topic, in the event loop."""
 
-    def __init__(
-        self,
-        node: Node,
-        name: str,
-        kind: str,
-        take: Callable[[SimpleNamespace, float, str], None],
-    ) -> None:
+    def __init__(self, node: Node, name: str, kind: str, take: Take) -> None:
         self._node, self._name, self._kind, self._take = node, name, kind, take
         self._delays, self._voice = Delays(), RateLimitedLog(_log)
         self._names: dict[bytes, str] = {}

@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from motord.client import Client, ClientError, Refused
 from motord.config import Robot
 from motord.config.sections.bases import CarBase
 from motord.config.sections.imu import ChipImu
-from motord.config.sections.joint.wheels import counter_bits, velocity_range_rad_s
+from motord.config.sections.joint.wheels import all_reverse, counter_bits
 from motord.tools.course import (
     CAR,
     COURSE,
@@ -61,16 +61,51 @@ class DemoError(Exception):
     """The demonstration could not be driven to its end; the message says why."""
 
 
-@dataclass(frozen=True, slots=True)
-class Result:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
     """What was measured in this run, and nothing else."""
 
     robot: str
     seconds: float
-    score: Score
-    path: list[tuple[float, float]]
     status: dict[str, Any]
     clean_exit: bool
+
+    @property
+    def ended_well(self) -> bool:
+        """Whatever it measured."""
+        idle = self.status["state"] == "idle" and not self.status["faults"]
+        return idle and self.clean_exit
+
+    @property
+    def ok(self) -> bool:
+        """It ended well, and what it measured is good."""
+        return self.ended_well
+
+    def _json(self, measured: Mapping[str, Any]) -> dict[str, Any]:
+        lines = self.status["lines"]
+        return {
+            "robot": self.robot,
+            "ok": self.ok,
+            "seconds": round(self.seconds, 3),
+            "engine": {name: line["engine"] for name, line in lines.items()},
+            **measured,
+            "loop": self.status["loop"],
+            "lines": lines,
+            "safety": {
+                "final_state": self.status["state"],
+                "faults": self.status["faults"],
+                "stops": self.status["stops"],
+            },
+            "clean_exit": self.clean_exit,
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result(Run):
+    """Of a course."""
+
+    score: Score
+    path: list[tuple[float, float]]
     source: Source = Source.COUNTERS
     chip_imu: bool = False
     """The robot file names a gyro that nothing stands for here."""
@@ -82,19 +117,13 @@ class Result:
 
     @property
     def ok(self) -> bool:
-        idle = self.status["state"] == "idle" and not self.status["faults"]
         judged = self.source is Source.COUNTERS
         good = self.score.ok if judged else self.score.ok_as_estimate
-        return good and idle and self.clean_exit
+        return good and self.ended_well
 
     def to_json(self) -> dict[str, Any]:
         """The keys of `motord demo --json`."""
-        lines = self.status["lines"]
-        return {
-            "robot": self.robot,
-            "ok": self.ok,
-            "seconds": round(self.seconds, 3),
-            "engine": {name: line["engine"] for name, line in lines.items()},
+        measured = {
             "odometry": {
                 "distance_m": round(self.score.distance_m, 4),
                 "position_error_m": round(self.score.position_error_m, 5),
@@ -111,15 +140,8 @@ class Result:
                 "program": round(self.program_held_up_s, 3),
             },
             "daemon_waited_part": round(self.daemon_waited_part, 3),
-            "loop": self.status["loop"],
-            "lines": lines,
-            "safety": {
-                "final_state": self.status["state"],
-                "faults": self.status["faults"],
-                "stops": self.status["stops"],
-            },
-            "clean_exit": self.clean_exit,
         }
+        return self._json(measured)
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,12 +257,30 @@ class Ride:
     """Where odometry saw the robot go."""
     held_up_s: float = 0.0
     """Latest command."""
+    seconds: float = 0.0
+    """Until it was at rest again."""
     began_s: float = field(default_factory=time.monotonic)
     daemon_waited_before_s: float = 0.0
 
     def daemon_waited_part(self, stage: Stage) -> float:
         waited_s = stage.daemon_waited_s() - self.daemon_waited_before_s
         return waited_s / (time.monotonic() - self.began_s)
+
+
+@contextlib.contextmanager
+def riding(stage: Stage) -> Iterator[Ride]:
+    """Armed; then at rest, and disarmed. Raises DemoError for what the daemon refuses."""
+    stage.robot.arm()
+    ride = Ride(daemon_waited_before_s=stage.daemon_waited_s())
+    try:
+        yield ride
+    except Refused as refusal:
+        raise DemoError(refused(stage, ride, refusal)) from refusal
+    with contextlib.suppress(Refused):  # a stop that takes longer than [limits] say
+        stage.robot.stop()
+    stage.wait("rest after the course", lambda status: status["at_rest"], REST_DEADLINE_S)
+    ride.seconds = time.monotonic() - ride.began_s
+    stage.robot.disarm()
 
 
 def drive(stage: Stage, course: Course, seconds: float, progress: Progress, ride: Ride) -> None:
@@ -274,27 +314,18 @@ def run_demo(
         stage.wait("drives ready", lambda status: status["state"] == "idle", START_DEADLINE_S)
         stage.sim.reset_truth()
         stage.robot.reset_odometry()
-        stage.robot.arm()
-        ride = Ride(daemon_waited_before_s=stage.daemon_waited_s())
-        try:
+        with riding(stage) as ride:
             drive(stage, course_of(robot), seconds, progress, ride)
-        except Refused as refusal:
-            raise DemoError(refused(stage, ride, refusal)) from refusal
-        with contextlib.suppress(Refused):  # a stop that takes longer than [limits] say
-            stage.robot.stop()
-        stage.wait("rest after the course", lambda status: status["at_rest"], REST_DEADLINE_S)
-        seconds = time.monotonic() - ride.began_s
-        stage.robot.disarm()
         status, truth = stage.robot.status(), stage.sim.truth()
         held_up_s, waited_part = stage.drives_held_up_s(), ride.daemon_waited_part(stage)
         if stay is not None:
             stay(stage)
         return Result(
-            robot.robot.name,
-            seconds,
-            measure(status, truth),
-            ride.path,
-            status,
+            robot=robot.robot.name,
+            seconds=ride.seconds,
+            score=measure(status, truth),
+            path=ride.path,
+            status=status,
             clean_exit=stage.stop_daemon(),
             source=source_of(robot),
             chip_imu=isinstance(robot.imu, ChipImu),
@@ -345,11 +376,7 @@ def course_of(robot: Robot) -> Course:
         return STRAFING
     if isinstance(robot.base, CarBase):
         return CAR
-    turns = all(
-        velocity_range_rad_s(joint, robot.profiles[joint.drive])[0] < 0.0
-        for joint in robot.joint.values()
-    )
-    return COURSE if turns else CURVES
+    return COURSE if all_reverse(robot) else CURVES
 
 
 def source_of(robot: Robot) -> Source:

@@ -4,25 +4,22 @@ both directions, and what it did is compared with the simulator's truth."""
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from motord.client import Refused
 from motord.config import Robot
 from motord.config.sections.joint.wheels import counter_bits, takes_position, velocity_range_rad_s
 from motord.tools.demo import (
     COMMAND_PERIOD_S,
-    REST_DEADLINE_S,
     START_DEADLINE_S,
     DemoError,
     Progress,
-    Ride,
+    Run,
     Stage,
-    refused,
+    riding,
     staged,
 )
 
@@ -53,46 +50,27 @@ class JointScore:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class JointResult:
-    """What was measured in this run, and nothing else."""
+class JointResult(Run):
+    """Of joints."""
 
-    robot: str
-    seconds: float
     joints: dict[str, JointScore]
-    status: dict[str, Any]
-    clean_exit: bool
 
     @property
     def ok(self) -> bool:
-        idle = self.status["state"] == "idle" and not self.status["faults"]
-        return idle and self.clean_exit and all(score.ok for score in self.joints.values())
+        return self.ended_well and all(score.ok for score in self.joints.values())
 
     def to_json(self) -> dict[str, Any]:
         """The keys of `motord demo --json`; in place of odometry what each joint did."""
-        lines = self.status["lines"]
-        return {
-            "robot": self.robot,
-            "ok": self.ok,
-            "seconds": round(self.seconds, 3),
-            "engine": {name: line["engine"] for name, line in lines.items()},
-            "joints": {
-                name: {
-                    "takes": score.takes,
-                    "source": score.source,
-                    "travel_rad": round(score.travel_rad, 4),
-                    "error_rad": round(score.error_rad, 5),
-                }
-                for name, score in self.joints.items()
-            },
-            "loop": self.status["loop"],
-            "lines": lines,
-            "safety": {
-                "final_state": self.status["state"],
-                "faults": self.status["faults"],
-                "stops": self.status["stops"],
-            },
-            "clean_exit": self.clean_exit,
+        joints = {
+            name: {
+                "takes": score.takes,
+                "source": score.source,
+                "travel_rad": round(score.travel_rad, 4),
+                "error_rad": round(score.error_rad, 5),
+            }
+            for name, score in self.joints.items()
         }
+        return self._json({"joints": joints})
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,23 +106,14 @@ def run_joint_demo(
     with staged(robot_file, robot.overrides) as stage:
         progress("starting the drives")
         stage.wait("drives ready", lambda status: status["state"] == "idle", START_DEADLINE_S)
-        stage.robot.arm()
-        ride = Ride(daemon_waited_before_s=stage.daemon_waited_s())
-        try:
+        with riding(stage) as ride:
             scores = _drive(stage, robot, seconds, progress)
-        except Refused as refusal:
-            raise DemoError(refused(stage, ride, refusal)) from refusal
-        with contextlib.suppress(Refused):
-            stage.robot.stop()
-        stage.wait("rest after the course", lambda status: status["at_rest"], REST_DEADLINE_S)
-        driven_s = time.monotonic() - ride.began_s
-        stage.robot.disarm()
         status = stage.robot.status()
         if stay is not None:
             stay(stage)
         return JointResult(
             robot=robot.robot.name,
-            seconds=driven_s,
+            seconds=ride.seconds,
             joints=scores,
             status=status,
             clean_exit=stage.stop_daemon(),

@@ -17,12 +17,13 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from motord.config.drives.load import list_profiles, load_profile
-from motord.tools.scan_servos import servo_bound_s, servos
+from motord.tools.scan_servos import received, servo_bound_s, servos
 from motord_hal.base.errors import PortError, ProfileError
 from motord_hal.ddsm import codec as ddsm
 from motord_hal.drives.profile import DriveProfile, Register
 from motord_hal.fieldbus.ports import DirectionSpec, LineSpec
 from motord_hal.modbus.codec import (
+    EXCEPTION_BYTES,
     FrameError,
     Function,
     Reply,
@@ -50,7 +51,6 @@ TRIES = 2
 REGISTERS_A_PROFILE = 24
 FITS_FROM = 0.5
 DDSM_QUERY = 0x74
-EXCEPTION_BYTES = 5
 ROBOCLAW_UNITS = range(0x80, 0x88)
 """All addresses that a RoboClaw can have."""
 ROBOCLAW_BATTERY = 24 << 8
@@ -139,13 +139,13 @@ class Asker:
         wire_s = frame_time_s(len(frame) + max(sizes), self.baudrate, self.parity, 1)
         end_s = time.monotonic() + wire_s + REPLY_WITHIN_S
         sent_s = time.monotonic() + frame_time_s(len(frame), self.baudrate, self.parity, 1)
-        received = b""
+        came = b""
         while (left_s := end_s - time.monotonic()) > 0:
             if not select.select([self.port.fd], [], [], left_s)[0]:
                 break
-            received += self._read()
-            for size, start in ((size, start) for size in sizes for start in range(len(received))):
-                part = received[start : start + size]
+            came += received(self.port)
+            for size, start in ((size, start) for size in sizes for start in range(len(came))):
+                part = came[start : start + size]
                 if len(part) < size or (start == 0 and part == frame):
                     continue
                 try:
@@ -153,26 +153,15 @@ class Asker:
                 except FrameError:
                     continue
                 self.answers += 1
-                self.echoes += received.startswith(frame)
+                self.echoes += came.startswith(frame)
                 self.turnaround_s.append(max(time.monotonic() - sent_s, 0.0))
                 return answer
-        self.received_bytes += len(received)
+        self.received_bytes += len(came)
         return None
 
     def _drain(self) -> None:
         while select.select([self.port.fd], [], [], 0)[0]:
-            self._read()
-
-    def _read(self) -> bytes:
-        try:
-            data = os.read(self.port.fd, 512)
-        except BlockingIOError:
-            return b""
-        except OSError as error:
-            raise PortError(f"{self.port.path}: {error.strerror}") from error
-        if not data:
-            raise PortError(f"{self.port.path} has hung up")
-        return data
+            received(self.port)
 
 
 def spec_of(port: str, baudrate: int, parity: str, direction: DirectionSpec) -> LineSpec:

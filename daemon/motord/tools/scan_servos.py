@@ -33,6 +33,19 @@ MODEL_NUMBER = "model_number"
 """The register of a profile whose default is the model's number."""
 
 
+def received(port: OpenPort) -> bytes:
+    """What has come. Raises PortError."""
+    try:
+        data = os.read(port.fd, 512)
+    except BlockingIOError:
+        return b""
+    except OSError as error:
+        raise PortError(f"{port.path}: {error.strerror}") from error
+    if not data:
+        raise PortError(f"{port.path} has hung up")
+    return data
+
+
 def servo_bound_s(baudrate: int, units: Iterable[int]) -> float:
     """The longest time that the pings at this rate take."""
     each = len(list(units)) * (REPLY_WITHIN_S + 0.01)
@@ -95,12 +108,7 @@ def _statuses(
     while (left_s := end_s - time.monotonic()) > 0:
         if not select.select([port.fd], [], [], left_s)[0]:
             return
-        try:
-            data += os.read(port.fd, 512)
-        except BlockingIOError:
-            continue
-        except OSError as error:
-            raise PortError(f"{port.path}: {error.strerror}") from error
+        data += received(port)
         if first and request.startswith(data[: len(request)]) and len(data) < len(request):
             continue
         data = data.removeprefix(request) if first else data

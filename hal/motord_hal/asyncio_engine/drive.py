@@ -131,6 +131,11 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
             self.jobs.popleft().fail(error)
         self._values = {}
 
+    def _forget_enabled(self) -> None:
+        """A step may have changed it: unknown until it is read again."""
+        if self.plan.profile.enabled is not None:
+            self._values.pop(self.plan.profile.enabled.register, None)
+
     def _hint(self) -> str:
         """What else could be the reason for its silence, as its medium shows it."""
         return ""

@@ -15,15 +15,16 @@ from typing import TypeVar
 
 from motord_hal.asyncio_engine.drive import AsyncioDrive
 from motord_hal.asyncio_engine.tally import CycleTally
-from motord_hal.base.clock import now_s, within
+from motord_hal.base.clock import now_ns, now_s, within
 from motord_hal.base.errors import NoReply, PortError
 from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.job import Job, clear_steps
-from motord_hal.fieldbus.line import DriveLine, fresh
+from motord_hal.fieldbus.line import DriveLine
 from motord_hal.fieldbus.parameter import readable, write_steps
 from motord_hal.fieldbus.plan import Plan, Wanted
 from motord_hal.fieldbus.ports import DriveState, LineSpec, Listener
-from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.drive_state import EarlyShare
+from motord_hal.realtime.exchange import Exchange, is_fresh
 
 SHUTDOWN_WITHIN_S = 0.5
 SHUTDOWN_STOPPING_S = 0.35
@@ -34,9 +35,6 @@ SHUTDOWN_WITHIN_S: a silent one may still receive."""
 REPORT_WITHIN_S = 0.5
 """Beyond SHUTDOWN_WITHIN_S: until a drive that is there has reported that it has no power."""
 STOPPING_CYCLE_S = 0.01
-EARLY_AT_ONCE = 4
-"""New set-points begin a cycle of their own: in the long run no more of them than there are others,
-and so many at once, as on the lines in C (csrc/fieldbus/pace.h)."""
 LOOK_EVERY_S = 0.02
 """Between cycles: how often it is looked whether the wheels have to stop, where nothing wakes the
 line: the loop has died, or asyncio has disarmed a drive."""
@@ -61,8 +59,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
         self._period_s = period_s
         self._cycles = CycleTally()
         self._woken = asyncio.Event()
-        self._early_s = 0.0
-        """Until then the early cycles are more than their share."""
+        self._early = EarlyShare()
         self._handed: dict[AnyDrive, Wanted] = {}
         """What the newest cycle was to send."""
 
@@ -135,15 +132,11 @@ class AsyncioLine(DriveLine[AnyDrive]):
     def _begins_early(self) -> bool:
         """Something new is to be sent to a drive that may move."""
         self._woken.clear()
-        if not any(
+        new = any(
             drive.state is DriveState.ARMED and self._newest(drive) != self._handed.get(drive)
             for drive in self._drives
-        ):
-            return False
-        if self._early_s - now_s() > (EARLY_AT_ONCE - 1) * self._period_s:
-            return False
-        self._early_s = max(self._early_s, now_s()) + self._period_s
-        return True
+        )
+        return new and self._early.take(self._period_s, now_ns())
 
     def _has_to_stop(self, drive: AnyDrive) -> bool:
         return drive.has_to_rest(self._newest(drive))
@@ -157,7 +150,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
     def _newest(self, drive: AnyDrive) -> Wanted:
         """The newest set-points, or nothing at all: the drive then gets zero."""
         newest = self._exchange.take_setpoints(self.spec.index)
-        good = fresh(newest.stamp_ns, self.spec.setpoint_timeout_s)
+        good = is_fresh(newest.stamp_ns, self.spec.setpoint_timeout_s)
         if not drive.may_move(fresh=good, enabled=newest.enabled):
             return {}
         return {
@@ -173,7 +166,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
             return
         count = self._exchange.enabled_count(self.spec.index)
         newest = self._exchange.take_setpoints(self.spec.index)
-        good = fresh(newest.stamp_ns, self.spec.setpoint_timeout_s)
+        good = is_fresh(newest.stamp_ns, self.spec.setpoint_timeout_s)
         for drive in armed:
             await drive.guard(fresh=good, enabled=newest.enabled, enabled_count=count)
 

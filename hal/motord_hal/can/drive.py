@@ -14,7 +14,7 @@ from motord_hal.base.clock import now_ns, now_s
 from motord_hal.base.errors import DriveFault, HalError, NoReply, Refused
 from motord_hal.base.retry import Backoff
 from motord_hal.can.job_step import StepRunner, merged_writes
-from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent, with_cycle
+from motord_hal.can.plan import FIRST_WORD_S, SLOW_EVERY_CYCLES, CanPlan, Sent, with_cycle
 from motord_hal.drives.can_profile import Frame
 from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.faults import Say
@@ -32,8 +32,6 @@ HELLO_GOOD_FOR_S = 5.0
 SAMPLE_PART = 0.5
 """Frames that the CAN bus has held up come in bunches; one sooner after the other than this part of
 its period adds nothing to the next one."""
-FIRST_WORD_S = 0.2
-"""On top of its longest silence: so long a drive may take for its first frame after opening."""
 
 Send = Callable[[Sent], bool]
 """False: the CAN bus takes nothing now."""
@@ -380,10 +378,6 @@ class CanDrive(AsyncioDrive[CanPlan]):
     def may_report(self) -> bool:
         """As AsyncioDrive.may_report."""
         return self._last_off.is_sent and self._missing() is None
-
-    def _forget_enabled(self) -> None:
-        if self.plan.profile.enabled is not None:
-            self._values.pop(self.plan.profile.enabled.register, None)
 
     @property
     def has_stopped_itself(self) -> bool:

@@ -17,15 +17,12 @@ from motord_hal.base.clock import now_s
 from motord_hal.can.bus import CanBus, receives_own
 from motord_hal.can.drive import CanDrive
 from motord_hal.can.motion_gate import MotionGate
-from motord_hal.can.plan import CanPlan, Sent
+from motord_hal.can.plan import STEADY_S, CanPlan, Sent, wire_limit_hz
 from motord_hal.fieldbus.job import Job
 from motord_hal.fieldbus.plan import Wanted
 from motord_hal.fieldbus.ports import EventKind, LineSpec, LineStats, Listener
 from motord_hal.fieldbus.units import joints_by_unit
 from motord_hal.realtime.exchange import Exchange
-
-STEADY_S = 1.0
-"""A line that has worked for so long is reopened at once when it fails again."""
 
 
 class CanLine(AsyncioLine[CanDrive]):
@@ -62,15 +59,13 @@ class CanLine(AsyncioLine[CanDrive]):
     def stats(self) -> LineStats:
         """As ports.Line.stats; `exchanges` counts frames of the drives. There are no round trips:
         most of what comes was not asked for."""
-        wire = (self.spec.baudrate, self.spec.data_baudrate)
-        free = 1.0 - sum(drive.plan.own_load(*wire) for drive in self._drives)
         return LineStats(
             exchanges=self._frames,
             cycles=self._cycles.count,
             reopened=self._reopened,
             errors=dict(self._bus.errors),
             cycle_hz=self._cycles.rate_hz,
-            wire_limit_hz=max(free, 0.0) / sum(d.plan.cycle_time_s(*wire) for d in self._drives),
+            wire_limit_hz=wire_limit_hz(self.spec, [drive.plan for drive in self._drives]),
         )
 
     # --------------------------------------------------------------------------------- its CAN bus

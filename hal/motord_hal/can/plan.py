@@ -5,7 +5,7 @@ set-points, which come back by themselves, which are asked for and how often. Pu
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from motord_hal.base.errors import ProfileError
@@ -14,10 +14,16 @@ from motord_hal.drives.can_profile import CanTable, Frame, Sender, Signal, signa
 from motord_hal.drives.profile import DriveProfile, Register, Step
 from motord_hal.fieldbus.parameter import readable
 from motord_hal.fieldbus.plan import Plan, Reading
-from motord_hal.fieldbus.ports import JointSpec
+from motord_hal.fieldbus.ports import JointSpec, LineSpec
 
 SLOW_EVERY_CYCLES = 8
 """What may wait (current, voltage, temperature) is asked for so seldom, one frame at a time."""
+
+FIRST_WORD_S = 0.2
+"""On top of its longest silence: so long a drive may take for its first frame after opening."""
+
+STEADY_S = 1.0
+"""A line that has worked for so long is reopened at once when it fails again."""
 
 CYCLE_TOLERANCE = 0.001
 """A drive that knows its cycle interpolates over it: one that is off by more drifts by a whole
@@ -225,20 +231,8 @@ class CanPlan(Plan):
 
     def reading(self, joint: JointSpec, values: Mapping[str, int]) -> Reading | None:
         """What the raw values say of a joint; None: they are no numbers."""
-        channel = self.channel(joint)
-        sign = -1.0 if joint.inverted else 1.0
-        count = self._count(channel.position, values)
-        if count is None:
-            return None
-        return Reading(
-            count=count,
-            velocity_rad_s=self._si(channel.velocity, values) / joint.gear_ratio * sign,
-            current_a=self._si(channel.current, values),
-            voltage_v=self._si(self.profile.bus_voltage, values),
-            temperature_c=self._si(channel.temperature, values),
-            enabled=self.enabled(values),
-            fault_word=values.get(channel.fault or "", 0),
-        )
+        count = self._count(self.channel(joint).position, values)
+        return None if count is None else self._reading(joint, values, count)
 
     def _count(self, name: str | None, values: Mapping[str, int]) -> int | None:
         """The counter; of a position in turns the count that the profile makes of it."""
@@ -249,12 +243,6 @@ class CanPlan(Plan):
             return values[name] & mask
         turns = signal.to_si(values[name]) / (2.0 * math.pi)
         return round(turns * self.profile.counts_per_turn) & mask if math.isfinite(turns) else None
-
-    def _si(self, name: str | None, values: Mapping[str, int]) -> float:
-        if name is None or name not in values:
-            return math.nan
-        value = self.profile.registers[name].to_si(values[name])
-        return value if math.isfinite(value) else math.nan
 
     # ------------------------------------------------------------------------------------ bus load
     def cycle_time_s(self, bitrate: int, data_bitrate: int | None) -> float:
@@ -288,3 +276,10 @@ class CanPlan(Plan):
             for frame in self.table.frames_from(Sender.DRIVE)
             if frame.period_s
         )
+
+
+def wire_limit_hz(spec: LineSpec, plans: Sequence[CanPlan]) -> float:
+    """Cycles for which there is room beside what the drives send by themselves."""
+    wire = (spec.baudrate, spec.data_baudrate)
+    free = 1.0 - sum(plan.own_load(*wire) for plan in plans)
+    return max(free, 0.0) / sum(plan.cycle_time_s(*wire) for plan in plans)

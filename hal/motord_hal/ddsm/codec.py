@@ -16,10 +16,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import IntEnum
 
+from motord_hal.base.crc import reflected_table
 from motord_hal.drives.profile import Register
 
 FRAME_BYTES = 10
-UNIT_MAX = 0xFE
 _SEAL_BYTE = 9
 _CONTENT_BEGIN = 2
 _POLYNOMIAL = 0x8C
@@ -32,17 +32,7 @@ class Command(IntEnum):
     MODE = 0xA0
 
 
-def _crc_table() -> tuple[int, ...]:
-    rows = []
-    for byte in range(256):
-        crc = byte
-        for _ in range(8):
-            crc = crc >> 1 ^ _POLYNOMIAL if crc & 1 else crc >> 1
-        rows.append(crc)
-    return tuple(rows)
-
-
-_CRC_TABLE = _crc_table()
+_CRC_TABLE = reflected_table(_POLYNOMIAL)
 
 
 def crc8(data: bytes) -> int:

@@ -35,11 +35,6 @@ PRESENT = (DriveState.READY, DriveState.ARMED)
 """Set up, and responsive."""
 
 
-def fresh(stamp_ns: int, timeout_s: float) -> bool:
-    """Whether set-points of this time may move anything; 0: there never were any."""
-    return is_fresh(stamp_ns, timeout_s)
-
-
 class DriveOnLine(Protocol):
     """What a line needs of each of its drives, whatever its engine."""
 
@@ -223,7 +218,7 @@ class DriveLine(LineTask, Generic[AnyDrive]):
             self._check_open()
             setpoints_ns = self._setpoints_ns()
             self._check_drives()
-            if fresh(setpoints_ns, self.spec.setpoint_timeout_s):
+            if is_fresh(setpoints_ns, self.spec.setpoint_timeout_s):
                 return
             await asyncio.sleep(SETPOINT_LOOK_EVERY_S)
         raise HalError(f"{self.spec.name}: {NO_SETPOINTS}")

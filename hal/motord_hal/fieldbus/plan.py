@@ -65,6 +65,28 @@ class Plan:
             return None
         return values[enabled.register] & enabled.mask == enabled.equals
 
+    def _reading(
+        self, joint: JointSpec, values: Mapping[str, int], count: int, sign: float = 1.0
+    ) -> Reading:
+        """A joint by its raw values. `sign`: of a velocity that has none."""
+        channel = self.channel(joint)
+        sign *= -1.0 if joint.inverted else 1.0
+        return Reading(
+            count=count,
+            velocity_rad_s=self._si(channel.velocity, values) / joint.gear_ratio * sign,
+            current_a=self._si(channel.current, values),
+            voltage_v=self._si(self.profile.bus_voltage, values),
+            temperature_c=self._si(channel.temperature, values),
+            enabled=self.enabled(values),
+            fault_word=values.get(channel.fault or "", 0),
+        )
+
+    def _si(self, name: str | None, values: Mapping[str, int]) -> float:
+        if name is None or name not in values:
+            return math.nan
+        value = self.profile.registers[name].to_si(values[name])
+        return value if math.isfinite(value) else math.nan
+
     def wants_motion(self, wanted: Wanted) -> bool:
         """Whether a joint is to move. An angle is a place to go to, also that of 0."""
         for joint in self.joints:

@@ -172,13 +172,10 @@ class TextSpec:
     track_m: float
 
 
-AXES = ("x", "-x", "y", "-y", "z", "-z")
-
-
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """How an inertial sensor sits on the base: which of its axes (AXES) points up, and which
-    forward."""
+    """How an inertial sensor sits on the base: which of its axes (x, -x, y, -y, z or -z) points up,
+    and which forward."""
 
     up: str = "z"
     forward: str = "x"

@@ -19,8 +19,6 @@ from motord_hal.base.errors import BadReply, HalError, NoReply, PortError
 if TYPE_CHECKING:
     from smbus2 import SMBus
 
-ROW_BYTES_MAX = 32
-"""I2C_SMBUS_BLOCK_MAX."""
 _I2C_SLAVE = 0x0703
 """linux/i2c-dev.h."""
 _SILENT = (errno.ENXIO, errno.EREMOTEIO, errno.ETIMEDOUT, errno.EAGAIN)
@@ -51,7 +49,7 @@ class ByteRegisters(Protocol):
     def write_byte(self, register: int, value: int) -> None: ...
 
     def read_row(self, register: int, size: int) -> bytes:
-        """So many registers from this one on, in one transfer; at most ROW_BYTES_MAX."""
+        """So many registers from this one on, in one transfer; at most 32 (I2C_SMBUS_BLOCK_MAX)."""
         ...
 
     def close(self) -> None: ...

@@ -23,15 +23,10 @@ from motord_hal.mcu import cobs
 VERSION = 1
 FRAME_BYTES_MAX = 200
 """Without stuffing. 8 motors need 106."""
-MOTORS_MAX = 8
 SETPOINTS_HEAD_BYTES = 6
 SETPOINTS_MOTOR_BYTES = 6
 FEEDBACK_HEAD_BYTES = 16
 FEEDBACK_MOTOR_BYTES = 10
-OWN_BYTES_W = frozenset({1, 4, 5})
-"""Bytes of the set-points that the line itself fills: motors, feedback period."""
-OWN_BYTES_R = frozenset({1, 4, 5, 6, 7, 8, 9})
-"""Bytes of the feedback that the line itself reads: also which set-points it received, and when."""
 RESTARTED = 8
 """The bit of status that a board sets when it starts, until the same bit of control is set."""
 HAS_IMU = 16
@@ -127,11 +122,6 @@ def wire_bytes(motors: int, *, imu: bool = False) -> int:
     return _HEAD.size + max(setpoints, feedback) + _CRC.size + 3
 
 
-def newer(sequence: int, than: int) -> bool:
-    """Whether a sequence number comes after another: serial arithmetic of 16 bits (RFC 1982)."""
-    return 0 < (sequence - than & 0xFFFF) < 0x8000
-
-
 def size_bytes(register: Register) -> int:
     return register.type.bits // 8
 
@@ -177,14 +167,6 @@ class Received:
     """From receiving them to this feedback."""
 
 
-def received_in(payload: bytes) -> Received:
-    """Raises FrameError."""
-    if len(payload) < FEEDBACK_HEAD_BYTES:
-        raise FrameError(f"{len(payload)} bytes of payload are no feedback")
-    sequence, held = struct.unpack_from("<HH", payload, 6)
-    return Received(sequence, held * HELD_UNIT_S)
-
-
 def feedback_payload(
     registers: Iterable[Register],
     raw: Mapping[str, int],
@@ -210,25 +192,6 @@ class BoardImu:
     angular_rad_s: tuple[float, ...]
     acceleration_m_s2: tuple[float, ...]
     saturated: bool
-
-
-def imu_in(payload: bytes) -> BoardImu | None:
-    """None: this feedback carries none. Raises FrameError where it says so and ends before."""
-    if not payload[0] & HAS_IMU:
-        return None
-    begin = FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * payload[1]
-    if len(payload) < begin + _IMU.size:
-        raise FrameError(f"{len(payload)} bytes of payload end before the inertial sensor")
-    *counts, flags = _IMU.unpack_from(payload, begin)
-    return BoardImu(
-        tuple(_si(count, RATE_UNIT_RAD_S, _NO_RATE) for count in counts[:3]),
-        tuple(_si(count, ACCELERATION_UNIT_M_S2, _NO_ACCELERATION) for count in counts[3:]),
-        saturated=bool(flags & IMU_SATURATED),
-    )
-
-
-def _si(count: int, unit: float, nothing: int) -> float:
-    return math.nan if count == nothing else count * unit
 
 
 def imu_payload(imu: BoardImu) -> bytes:

@@ -27,10 +27,6 @@ class Stream:
         self._port: OpenPort | None = None
         self._lost = ""
 
-    @property
-    def is_open(self) -> bool:
-        return self._port is not None
-
     def open(self) -> None:
         """Raises PortError."""
         self.close()

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
 
+from motord_hal.base.crc import reflected_table
+
 BROADCAST_UNIT = 0
 UNIT_MAX = 247
-FRAME_BYTES_MAX = 256
-"""Serial Line V1.02, 2.3: one address, 253 of PDU, two CRC."""
 EXCEPTION_FLAG = 0x80
 
 READ_REGISTERS_MAX = 125
@@ -60,17 +60,7 @@ class CrcError(FrameError):
     """The check sum does not fit the bytes."""
 
 
-def _crc_table() -> tuple[int, ...]:
-    rows = []
-    for byte in range(256):
-        crc = byte
-        for _ in range(8):
-            crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
-        rows.append(crc)
-    return tuple(rows)
-
-
-_CRC_TABLE = _crc_table()
+_CRC_TABLE = reflected_table(0xA001)
 
 
 def crc16(data: bytes) -> int:

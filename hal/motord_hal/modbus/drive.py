@@ -260,11 +260,6 @@ class Drive(AsyncioDrive[DrivePlan]):
                 f"not {step.equals or 0:#x}"
             )
 
-    def _forget_enabled(self) -> None:
-        """A step may have changed it: unknown until it is read again."""
-        if self.plan.profile.enabled is not None:
-            self._values.pop(self.plan.profile.enabled.register, None)
-
     def _armed(self) -> None:
         super()._armed()
         self._may_turn, self._left_alone = True, False

@@ -4,7 +4,6 @@ requests, how set-points become requests, and how long it all takes on the wire.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
@@ -207,29 +206,14 @@ class DrivePlan(Plan):
         self, joint: JointSpec, values: Mapping[str, int], last_directions: Mapping[str, int]
     ) -> Reading:
         """A joint by its raw values; `last_directions` signs a velocity that has no sign."""
-        channel = self.channel(joint)
-        sign = -1.0 if joint.inverted else 1.0
-        velocity = self._si(channel.velocity, values) / joint.gear_ratio * sign
+        channel, sign = self.channel(joint), 1.0
         direction = channel.direction
         if direction is not None and channel.velocity is not None:
             signed = self.profile.registers[channel.velocity].type.signed
             if not signed and last_directions.get(direction.register) == direction.reverse:
-                velocity = -velocity
+                sign = -1.0
         mask = (1 << self.profile.counter_bits) - 1
-        return Reading(
-            count=values.get(channel.position or "", 0) & mask,
-            velocity_rad_s=velocity,
-            current_a=self._si(channel.current, values),
-            voltage_v=self._si(self.profile.bus_voltage, values),
-            temperature_c=self._si(channel.temperature, values),
-            enabled=self.enabled(values),
-            fault_word=values.get(channel.fault or "", 0),
-        )
-
-    def _si(self, name: str | None, values: Mapping[str, int]) -> float:
-        if name is None or name not in values:
-            return math.nan
-        return self.profile.registers[name].to_si(values[name])
+        return self._reading(joint, values, values.get(channel.position or "", 0) & mask, sign)
 
     def cycle_time_s(self) -> float:
         """Wire time of one mean cycle: two gaps an exchange (before the request, and what a drive

@@ -7,23 +7,24 @@ The meaning of each field is in api_board.h; tables and orders are plain values 
 
 from __future__ import annotations
 
-import errno
 from dataclasses import dataclass
 from typing import Any
 
 from _motord_rt import ffi, lib
 
 from motord_hal.fieldbus.ports import RoundTrips
-from motord_hal.realtime.drive_state import FaultReason, Mode
-from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.exchange import Exchange, value_of
 from motord_hal.realtime.thread import (
-    LineLife,
+    AnyLineReport,
     LineThreadHandle,
+    OrderedDriveReport,
     Plain,
     check_code,
     check_plain,
     config_of,
-    life_of,
+    is_taken,
+    report_of,
+    round_trips_of,
 )
 
 
@@ -40,21 +41,10 @@ class BoardClock:
         return int(lib.board_clock_stamp(self._clock, time_us, came_ns))
 
 
-@dataclass(frozen=True, slots=True)
-class BoardDriveReport:
-    """The board, as its thread sees it."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardDriveReport(OrderedDriveReport):
+    """The board, as its thread sees it; `cycles`: feedback that the core was given."""
 
-    mode: Mode
-    fault_reasons: FaultReason
-    request_seen: int
-    stopping: bool
-    cycles: int
-    """Feedback that the core was given."""
-    stops: int
-    stop_waits: bool
-    epoch: int
-    orders_sent: int
-    orders_dropped: int
     knows: bool
     """Its newest report is from after it had received all that was written to it."""
     received_ns: int
@@ -63,9 +53,8 @@ class BoardDriveReport:
     """Of its newest report; empty: none has come since it was unresponsive, or ever."""
 
 
-@dataclass(frozen=True, slots=True)
-class BoardReport(LineLife):
-    shut_down: bool
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardReport(AnyLineReport):
     cycles: int
     sent: int
     no_room: int
@@ -73,20 +62,12 @@ class BoardReport(LineLife):
     received: int
     unresponsive: int
     cycle_ns: int
-    setpoints_ns: int
-    fault_words: tuple[int, ...]
     drives: tuple[BoardDriveReport]
 
 
 def check_table(name: str, table: Plain) -> None:
-    """Raises ProfileError for a table that no line runs, with the first bad field's name."""
-    field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
-
-    def first_bad() -> str:
-        found = lib.board_table_check(ffi.new("board_table *", table), field)
-        return "" if found == ffi.NULL else ffi.string(found).decode()
-
-    check_plain(name, first_bad)
+    """As check_plain."""
+    check_plain(name, lib.board_table_check, "board_table *", table)
 
 
 class BoardThread(LineThreadHandle):
@@ -98,7 +79,6 @@ class BoardThread(LineThreadHandle):
         self._exchange = exchange
         self._ordered = 0
         self._report = ffi.new("board_report *")
-        self._histogram = ffi.new("histogram *")
 
     def start(self, table: Plain, **config: int) -> None:
         """`config` as in board_config; the descriptors stay the caller's, to be closed after
@@ -116,9 +96,8 @@ class BoardThread(LineThreadHandle):
     def put_order(self, order: Plain) -> bool:
         """False: the queue is full. Raises HalError where the thread has ended."""
         code = lib.board_put_order(self._line, ffi.new("board_order *", order))
-        if code == -errno.EAGAIN:
+        if not is_taken(code, "the line takes no write"):
             return False
-        check_code(code, "the line takes no write")
         self._ordered += 1
         return True
 
@@ -131,41 +110,15 @@ class BoardThread(LineThreadHandle):
         """As the line has it now."""
         raw = self._report
         lib.board_read_report(self._line, raw)
-        return BoardReport(
-            **life_of(raw),
-            shut_down=raw.shut_down != 0,
-            cycles=raw.cycles,
-            sent=raw.sent,
-            no_room=raw.no_room,
-            bad_frames=raw.bad_frames,
-            received=raw.received,
-            unresponsive=raw.unresponsive,
-            cycle_ns=raw.cycle_ns,
-            setpoints_ns=raw.setpoints_ns,
-            fault_words=tuple(raw.fault_word),
-            drives=(_drive_report(raw),),
+        drive = value_of(
+            BoardDriveReport,
+            raw,
+            cycles=raw.published,
+            knows=raw.knows_ns >= raw.written_ns,
+            payload=bytes(ffi.buffer(raw.feedback_payload, raw.feedback_bytes)),
         )
+        return report_of(BoardReport, raw, (drive,))
 
     def round_trips(self) -> RoundTrips:
         """From set-points to the feedback that acknowledged them, since the start."""
-        lib.board_histogram_read(self._line, self._histogram)
-        p50, p99 = (lib.histogram_percentile_ns(self._histogram, f) for f in (0.5, 0.99))
-        return RoundTrips(p50_us=p50 / 1e3, p99_us=p99 / 1e3, max_us=self._histogram.max_ns / 1e3)
-
-
-def _drive_report(raw: Any) -> BoardDriveReport:
-    return BoardDriveReport(
-        mode=Mode(raw.mode),
-        fault_reasons=FaultReason(raw.fault_reasons),
-        request_seen=raw.request_seen,
-        stopping=raw.stopping != 0,
-        cycles=raw.published,
-        stops=raw.stops,
-        stop_waits=raw.stop_waits != 0,
-        epoch=raw.epoch,
-        orders_sent=raw.orders_sent,
-        orders_dropped=raw.orders_dropped,
-        knows=raw.knows_ns >= raw.written_ns,
-        received_ns=raw.received_ns,
-        payload=bytes(ffi.buffer(raw.feedback_payload, raw.feedback_bytes)),
-    )
+        return round_trips_of(lib.board_histogram_read, self._line)

@@ -7,22 +7,21 @@ there.
 
 from __future__ import annotations
 
-import errno
 from dataclasses import dataclass
-from typing import Any
 
 from _motord_rt import ffi, lib
 
-from motord_hal.realtime.drive_state import FaultReason, Mode
-from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.exchange import Exchange, value_of
 from motord_hal.realtime.thread import (
-    LineLife,
+    AnyLineReport,
     LineThreadHandle,
+    OrderedDriveReport,
     Plain,
     check_code,
     check_plain,
     config_of,
-    life_of,
+    is_taken,
+    report_of,
 )
 
 DRIVES_MAX: int = lib.CAN_DRIVES_MAX
@@ -30,29 +29,18 @@ EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 """Bits of an identifier: linux/can.h."""
 
 
-@dataclass(frozen=True, slots=True)
-class CanDriveReport:
-    mode: Mode
-    fault_reasons: FaultReason
-    request_seen: int
-    stopping: bool
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CanDriveReport(OrderedDriveReport):
     missing: int
-    stops: int
-    cycles: int
-    epoch: int
-    orders_sent: int
-    orders_dropped: int
     faults: int
     last_fault: int
     last_fault_joint: int
     may_turn: bool
     """Armed since it was last set up, also before this start."""
-    stop_waits: bool
 
 
-@dataclass(frozen=True, slots=True)
-class CanReport(LineLife):
-    shut_down: bool
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CanReport(AnyLineReport):
     cycles: int
     received: int
     sent: int
@@ -60,8 +48,6 @@ class CanReport(LineLife):
     bad_frames: int
     dropped: int
     cycle_ns: int
-    setpoints_ns: int
-    fault_words: tuple[int, ...]
     drives: tuple[CanDriveReport, ...]
 
 
@@ -77,14 +63,8 @@ class Received:
 
 
 def check_table(name: str, table: Plain) -> None:
-    """Raises ProfileError for a table that no line runs, with the first bad field's name."""
-    field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
-
-    def first_bad() -> str:
-        found = lib.can_table_check(ffi.new("can_table *", table), field)
-        return "" if found == ffi.NULL else ffi.string(found).decode()
-
-    check_plain(name, first_bad)
+    """As check_plain."""
+    check_plain(name, lib.can_table_check, "can_table *", table)
 
 
 class CanThread(LineThreadHandle):
@@ -118,9 +98,8 @@ class CanThread(LineThreadHandle):
     def put_order(self, order: Plain) -> bool:
         """False: the queue is full. Raises HalError where the thread has ended."""
         code = lib.can_put_order(self._line, ffi.new("can_order *", order))
-        if code == -errno.EAGAIN:
+        if not is_taken(code, "the line takes no frame"):
             return False
-        check_code(code, "the line takes no frame")
         self._ordered[order["drive"]] += 1
         return True
 
@@ -140,37 +119,5 @@ class CanThread(LineThreadHandle):
         """As the line has it now."""
         raw = self._report
         lib.can_read_report(self._line, raw)
-        return CanReport(
-            **life_of(raw),
-            shut_down=raw.shut_down != 0,
-            cycles=raw.cycles,
-            received=raw.received,
-            sent=raw.sent,
-            tx_full=raw.tx_full,
-            bad_frames=raw.bad_frames,
-            dropped=raw.dropped,
-            cycle_ns=raw.cycle_ns,
-            setpoints_ns=raw.setpoints_ns,
-            fault_words=tuple(raw.fault_word),
-            drives=tuple(_drive_report(raw.drive[n]) for n in range(self._drives)),
-        )
-
-
-def _drive_report(raw: Any) -> CanDriveReport:
-    return CanDriveReport(
-        mode=Mode(raw.mode),
-        fault_reasons=FaultReason(raw.fault_reasons),
-        request_seen=raw.request_seen,
-        stopping=raw.stopping != 0,
-        missing=raw.missing,
-        stops=raw.stops,
-        cycles=raw.cycles,
-        epoch=raw.epoch,
-        orders_sent=raw.orders_sent,
-        orders_dropped=raw.orders_dropped,
-        faults=raw.faults,
-        last_fault=raw.last_fault,
-        last_fault_joint=raw.last_fault_joint,
-        may_turn=raw.may_turn != 0,
-        stop_waits=raw.stop_waits != 0,
-    )
+        drives = tuple(value_of(CanDriveReport, raw.drive[n]) for n in range(self._drives))
+        return report_of(CanReport, raw, drives)

@@ -50,6 +50,17 @@ def left_alone(last_s: float, now_s: float, watchdog_s: float) -> bool:
     return bool(lib.drive_left_alone(round(last_s * 1e9), round(now_s * 1e9), watchdog_ns))
 
 
+class EarlyShare:
+    """Of a line: set-points that are sent before their cycle, because they are new."""
+
+    def __init__(self) -> None:
+        self._early_ns: Any = ffi.new("int64_t *")
+
+    def take(self, period_s: float, now_ns: int) -> bool:
+        """Whether some may be; they are counted."""
+        return bool(lib.may_be_early(self._early_ns, round(period_s * 1e9), now_ns))
+
+
 class LastPowerOff:
     """Of a line whose medium confirms nothing. Monotonic times."""
 

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar, get_type_hints
 
 from _motord_rt import ffi, lib
 
@@ -26,6 +28,22 @@ _UNKNOWN = 2
 _ALIGNMENT_BYTES = 64
 _WAKE_FDS: dict[tuple[int, int], int] = {}
 """By exchange and line. They stay open for good: the loop may write to one at any time."""
+Value = TypeVar("Value")
+_types_of = functools.cache(get_type_hints)
+
+
+def value_of(kind: Callable[..., Value], raw: Any, **own: Any) -> Value:
+    """A struct of C as a plain value whose fields have the same names; `own`: those that have
+    not."""
+    made = {n: of(getattr(raw, n)) for n, of in _types_of(kind).items() if n not in own}
+    return kind(**made, **own)
+
+
+def first_bad(check: Callable[[Any, Any], Any], value: Any) -> str:
+    """The name of the first bad field, by a check in C; empty: all are good."""
+    name = ffi.new("char[]", lib.FIELD_NAME_BYTES)
+    found = check(value, name)
+    return "" if found == ffi.NULL else str(ffi.string(found).decode("ascii"))
 
 
 def now_ns() -> int:

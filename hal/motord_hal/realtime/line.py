@@ -9,29 +9,28 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-import errno
 from dataclasses import dataclass
 from typing import Any
 
 from _motord_rt import ffi, lib
 
 from motord_hal.fieldbus.ports import LineSpec, RoundTrips
-from motord_hal.realtime.drive_state import FaultReason, Mode
-from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.exchange import Exchange, value_of
 from motord_hal.realtime.table import LineFrame, LineGroup, LineTable
 from motord_hal.realtime.thread import (
-    LineLife,
+    AnyDriveReport,
+    AnyLineReport,
     LineThreadHandle,
     check_code,
     check_plain,
     config_of,
     cpu_mask,
-    life_of,
+    is_taken,
+    report_of,
+    round_trips_of,
 )
 
 DRIVES_MAX: int = lib.LINE_DRIVES_MAX
-REQUESTS_MAX: int = lib.LINE_REQUESTS_MAX
-FAULT_WORDS: int = lib.JOINTS_MAX
 
 
 class AnswerKind(enum.IntEnum):
@@ -102,22 +101,16 @@ class Answer:
     reply: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class DriveReport:
-    mode: Mode
-    fault_reasons: FaultReason
-    request_seen: int
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveReport(AnyDriveReport):
     enabled: bool | None
     """None: it cannot report it, or has not since the last request."""
-    stopping: bool
     sent_motion: bool
     may_turn: bool
     """Armed since it was last set up, also before this start."""
-    stop_waits: bool
     failures: int
     last_failure: AnswerKind
     last_exception: int
-    cycles: int
     exchanges: int
     no_reply: int
     bad_reply: int
@@ -128,28 +121,19 @@ class DriveReport:
     cycle_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class LineReport(LineLife):
-    shut_down: bool
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineReport(AnyLineReport):
     exchanges: int
     answers: int
     """Good replies and refusals."""
     noise_bytes: int
     """Bytes that were no frame."""
-    setpoints_ns: int
-    fault_words: tuple[int, ...]
     drives: tuple[DriveReport, ...]
 
 
 def check_table(name: str, table: LineTable) -> None:
-    """Raises ProfileError for a table that no line runs, with the first bad field's name."""
-    field = ffi.new("char[]", lib.FIELD_NAME_BYTES)
-
-    def first_bad() -> str:
-        found = lib.line_table_check(ffi.new("line_table *", _plain(table)), field)
-        return "" if found == ffi.NULL else ffi.string(found).decode()
-
-    check_plain(name, first_bad)
+    """As check_plain."""
+    check_plain(name, lib.line_table_check, "line_table *", _plain(table))
 
 
 class LineThread(LineThreadHandle):
@@ -162,7 +146,6 @@ class LineThread(LineThreadHandle):
         self._raw_request = ffi.new("line_request *")
         self._answer = ffi.new("line_answer *")
         self._report = ffi.new("line_report *")
-        self._histogram = ffi.new("histogram *")
 
     def start(self, spec: ThreadSpec, table: LineTable) -> None:
         """Raises HalError."""
@@ -178,70 +161,29 @@ class LineThread(LineThreadHandle):
         raw.id, raw.drive, raw.urgent = request.id, request.drive, request.urgent
         raw.expires_ns, raw.turnaround_ns = request.expires_ns, request.turnaround_ns
         raw.frame = _frame(request.frame)
-        code = lib.line_put_request(self._line, raw)
-        if code == -errno.EAGAIN:
-            return False
-        check_code(code, "the line takes no request")
-        return True
+        return is_taken(lib.line_put_request(self._line, raw), "the line takes no request")
 
     def take_answer(self) -> Answer | None:
         raw = self._answer
         if lib.line_take_answer(self._line, raw) != 1:
             return None
-        return Answer(
-            id=raw.id,
-            kind=AnswerKind(raw.kind),
-            exception=raw.exception,
-            stamp_ns=raw.stamp_ns,
-            sent_ns=raw.sent_ns,
-            done_ns=raw.done_ns,
-            reply=bytes(ffi.buffer(raw.reply, raw.reply_bytes)),
-        )
+        return value_of(Answer, raw, reply=bytes(ffi.buffer(raw.reply, raw.reply_bytes)))
 
     def report(self) -> LineReport:
         """As the line has it now."""
         raw = self._report
         lib.line_read_report(self._line, raw)
-        return LineReport(
-            **life_of(raw),
-            shut_down=raw.shut_down != 0,
-            exchanges=raw.exchanges,
-            answers=raw.answers,
-            noise_bytes=raw.noise_bytes,
-            setpoints_ns=raw.setpoints_ns,
-            fault_words=tuple(raw.fault_word),
-            drives=tuple(_drive_report(raw.drive[n]) for n in range(self._drives)),
-        )
+        drives = tuple(_drive_report(raw.drive[n]) for n in range(self._drives))
+        return report_of(LineReport, raw, drives)
 
     def round_trips(self) -> RoundTrips:
         """Since the start of the line."""
-        lib.line_histogram_read(self._line, self._histogram)
-        p50, p99 = (lib.histogram_percentile_ns(self._histogram, f) for f in (0.5, 0.99))
-        return RoundTrips(p50_us=p50 / 1e3, p99_us=p99 / 1e3, max_us=self._histogram.max_ns / 1e3)
+        return round_trips_of(lib.line_histogram_read, self._line)
 
 
 def _drive_report(raw: Any) -> DriveReport:
-    return DriveReport(
-        mode=Mode(raw.mode),
-        fault_reasons=FaultReason(raw.fault_reasons),
-        request_seen=raw.request_seen,
-        enabled=None if raw.enabled > 1 else raw.enabled == 1,
-        stopping=raw.stopping != 0,
-        sent_motion=raw.sent_motion != 0,
-        may_turn=raw.may_turn != 0,
-        stop_waits=raw.stop_waits != 0,
-        failures=raw.failures,
-        last_failure=AnswerKind(raw.last_failure),
-        last_exception=raw.last_exception,
-        cycles=raw.cycles,
-        exchanges=raw.exchanges,
-        no_reply=raw.no_reply,
-        bad_reply=raw.bad_reply,
-        refused=raw.refused,
-        late=raw.late,
-        deadline_ns=raw.deadline_ns,
-        cycle_ns=raw.cycle_ns,
-    )
+    enabled = None if raw.enabled > 1 else raw.enabled == 1
+    return value_of(DriveReport, raw, enabled=enabled)
 
 
 def _frame(frame: LineFrame) -> dict[str, Any]:

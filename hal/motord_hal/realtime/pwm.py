@@ -15,9 +15,8 @@ from _motord_rt import ffi, lib
 
 from motord_hal.base.errors import HalError
 from motord_hal.realtime.drive_state import FaultReason
-from motord_hal.realtime.exchange import Exchange
+from motord_hal.realtime.exchange import Exchange, value_of
 
-OUTPUTS_MAX: int = lib.PWM_OUTPUTS_MAX
 MODES = ("coast", "brake", "forward", "reverse")
 """In the order of the C side."""
 
@@ -157,23 +156,7 @@ class BridgeThread:
         raw = self._report
         if lib.pwm_line_read_report(self._line, raw) < 0:
             return BridgeReport()
-        return BridgeReport(
-            running=raw.running != 0,
-            armed=raw.armed != 0,
-            stopping=raw.stopping != 0,
-            fault_reasons=FaultReason(raw.fault_reasons),
-            number=raw.number,
-            error=raw.error,
-            error_output=raw.error_output,
-            rest_error=raw.rest_error,
-            rest_output=raw.rest_output,
-            active_inputs=raw.active_inputs,
-            cycles=raw.cycles,
-            late_cycles=raw.late_cycles,
-            writes=raw.writes,
-            encoder_illegal=raw.encoder_illegal,
-            encoder_lost=raw.encoder_lost,
-        )
+        return value_of(BridgeReport, raw)
 
 
 def _config(config: BridgeConfig, exchange: Exchange) -> Any:

@@ -10,11 +10,14 @@ import errno
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
+
+from _motord_rt import ffi, lib
 
 from motord_hal.base.errors import HalError, ProfileError
-from motord_hal.fieldbus.ports import LineSpec
-from motord_hal.realtime.exchange import Exchange
+from motord_hal.fieldbus.ports import LineSpec, RoundTrips
+from motord_hal.realtime.drive_state import FaultReason, Mode
+from motord_hal.realtime.exchange import Exchange, first_bad, value_of
 
 Plain = Mapping[str, Any]
 
@@ -22,26 +25,68 @@ _PLACE = ("fd", "event_fd", "priority", "cpu_mask")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LineLife:
-    """What every report begins with."""
+class AnyDriveReport:
+    """What is reported of every drive."""
+
+    mode: Mode
+    fault_reasons: FaultReason
+    request_seen: int
+    stopping: bool
+    cycles: int
+    stop_waits: bool
+    """It has not got, or has not acknowledged, all of its newest stop."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrderedDriveReport(AnyDriveReport):
+    """The same of one that gets orders beside its cycle."""
+
+    stops: int
+    epoch: int
+    orders_sent: int
+    orders_dropped: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AnyLineReport:
+    """What every line's thread reports."""
 
     running: bool
     error: int
     policy: int
     scheduler_errno: int
     page_faults: int
+    shut_down: bool
+    setpoints_ns: int
+    fault_words: tuple[int, ...]
+    drives: tuple[AnyDriveReport, ...]
 
 
-def life_of(raw: Any) -> dict[str, Any]:
-    """The values of a LineLife."""
+Report = TypeVar("Report", bound=AnyLineReport)
+
+
+def report_of(kind: Callable[..., Report], raw: Any, drives: tuple[Any, ...]) -> Report:
+    """A line's report, with those of its drives."""
     life = raw.life
-    return {
-        "running": life.running != 0,
-        "error": life.error,
-        "policy": life.policy,
-        "scheduler_errno": life.scheduler_errno,
-        "page_faults": life.page_faults,
-    }
+    return value_of(
+        kind,
+        raw,
+        running=life.running != 0,
+        error=life.error,
+        policy=life.policy,
+        scheduler_errno=life.scheduler_errno,
+        page_faults=life.page_faults,
+        fault_words=tuple(raw.fault_word),
+        drives=drives,
+    )
+
+
+def round_trips_of(read_histogram: Callable[[int, Any], None], line: int) -> RoundTrips:
+    """Since the start of the line."""
+    raw = ffi.new("histogram *")
+    read_histogram(line, raw)
+    p50, p99 = (lib.histogram_percentile_ns(raw, part) for part in (0.5, 0.99))
+    return RoundTrips(p50_us=p50 / 1e3, p99_us=p99 / 1e3, max_us=raw.max_ns / 1e3)
 
 
 def cpu_mask(spec: LineSpec) -> int:
@@ -56,11 +101,11 @@ def config_of(values: Plain, exchange: Exchange) -> dict[str, Any]:
     return rest | {"at": place | {"exchange": exchange.handle}}
 
 
-def check_plain(name: str, find_bad: Callable[[], str]) -> None:
-    """`find_bad`: the first bad field of a table, or nothing. Raises ProfileError for it, and for
-    more than the table has places for."""
+def check_plain(name: str, check: Callable[[Any, Any], Any], kind: str, table: Plain) -> None:
+    """`check` in C, of a table's struct. Raises ProfileError for a table that no line runs, with
+    the first bad field's name, and for more than the table has places for."""
     try:
-        found = find_bad()
+        found = first_bad(check, ffi.new(kind, table))
     except (IndexError, OverflowError) as error:
         raise ProfileError(f"{name}: the line cannot run: {error}") from error
     if found:
@@ -71,6 +116,13 @@ def check_code(code: int, what: str) -> None:
     """Raises HalError for -errno."""
     if code < 0:
         raise HalError(f"{what}: {os.strerror(-code)}")
+
+
+def is_taken(code: int, what: str) -> bool:
+    """False: the queue is full. Raises HalError where the thread has ended."""
+    if code != -errno.EAGAIN:
+        check_code(code, what)
+    return code != -errno.EAGAIN
 
 
 class LineThreadHandle:

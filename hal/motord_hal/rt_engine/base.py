@@ -9,6 +9,7 @@ from __future__ import annotations
 import abc
 import asyncio
 import contextlib
+import os
 from collections.abc import Coroutine, Sequence
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -17,28 +18,14 @@ from motord_hal.base.errors import HalError, PortError
 from motord_hal.fieldbus.line import DriveLine
 from motord_hal.fieldbus.parameter import write_steps
 from motord_hal.fieldbus.ports import LineSpec, Listener
+from motord_hal.realtime.thread import AnyLineReport
 from motord_hal.realtime.trace import RtTrace
 from motord_hal.rt_engine.notifier import Notifier
-from motord_hal.rt_engine.rs485.drive import AnyDriveReport, RtDrive
+from motord_hal.rt_engine.rs485.drive import RtDrive
 
 SHUTDOWN_WITHIN_S = 3.1
 """The thread itself needs 0.5 s, 1 s where drives report that they have power still, and 3 s at
 most where they do not answer."""
-
-
-class AnyLineReport(Protocol):
-    """What every line's thread reports."""
-
-    @property
-    def running(self) -> bool: ...
-    @property
-    def shut_down(self) -> bool: ...
-    @property
-    def setpoints_ns(self) -> int: ...
-    @property
-    def fault_words(self) -> tuple[int, ...]: ...
-    @property
-    def drives(self) -> Sequence[AnyDriveReport]: ...
 
 
 Report = TypeVar("Report", bound=AnyLineReport)
@@ -80,12 +67,20 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
         """The thread has ended; its last report is still there."""
 
     @abc.abstractmethod
+    def _is_steady(self, report: Report) -> bool:
+        """It works, and is reopened at once when it fails again."""
+
     def _look(self) -> Report:
         """Take in what the thread says."""
+        return self._take_report()
 
-    @abc.abstractmethod
     def _ended(self, report: Report) -> PortError | None:
         """Why the line is lost; None: it works."""
+        if not report.running:
+            return PortError(f"{self.spec.port} went away: {os.strerror(report.error)}")
+        if self._is_steady(report):
+            self._backoff.reset()
+        return None
 
     # ------------------------------------------------------------------------------------ the task
     async def run(self) -> None:
@@ -120,8 +115,9 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
 
     async def _watch(self) -> PortError:
         while True:
-            error = self._ended(self._look())
-            if error is not None:
+            report = self._look()
+            self._notifier.looked()
+            if (error := self._ended(report)) is not None:
                 return error
             await self._notifier.wait()
 

@@ -241,16 +241,15 @@ def packets_of(kind: str) -> Packets:
     return _PACKETS[kind]
 
 
-def take_all(packets: Packets, data: bytes) -> Iterator[Packet | None]:
+def take_all(packets: Packets, data: bytes, *, status: bool = False) -> Iterator[Packet | None]:
     """Every packet in what came; None: one with a wrong check sum."""
     while data:
         try:
-            packet, done = packets.take(data)
+            packet, done = packets.take(data, status=status)
         except PacketError as error:
-            data = data[error.done :]
+            packet, done = None, error.done
             yield None
-            continue
-        if done == 0 and packet is None:
+        if done == 0:
             return
         data = data[done:]
         if packet is not None:

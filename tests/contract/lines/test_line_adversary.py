@@ -5,6 +5,7 @@ import asyncio
 import time
 
 import pytest
+from _motord_rt import lib
 from loop_side import GENEROUS_S, running, until
 from modbus_rig import (
     CONTROL,
@@ -24,7 +25,6 @@ from modbus_rig import (
 from scripted_slave import ScriptedSlave, Unit
 
 from motord.config.drives.load import find_profile
-from motord_hal.asyncio_engine.line import EARLY_AT_ONCE
 from motord_hal.base.errors import HalError
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
 from motord_hal.modbus.codec import Function
@@ -270,11 +270,11 @@ async def test_commands_without_end_do_not_fill_a_slow_line_and_a_stop_is_sent_a
         await rig.arm()
         rig.line._period_s = 2.0 * GENEROUS_S
         mark = len(peer.written(DUTY))
-        for percent in range(1, 5 * EARLY_AT_ONCE):
+        for percent in range(1, 5 * lib.EARLY_AT_ONCE):
             await send(rig, percent)
         await send(rig, 0)
         await until(lambda: peer.written(DUTY)[-1] == 0)
-        assert len(peer.written(DUTY)[mark:]) <= EARLY_AT_ONCE + 2  # the stop, and one was due
+        assert len(peer.written(DUTY)[mark:]) <= lib.EARLY_AT_ONCE + 2  # the stop, and one was due
 
 
 async def send(rig, percent):

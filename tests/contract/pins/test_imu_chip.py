@@ -11,7 +11,7 @@ import pytest
 from smbus2.smbus2 import I2C_SMBUS
 
 from motord_hal.base.errors import BadReply, NoReply, PortError
-from motord_hal.fieldbus.ports import AXES, Mounting
+from motord_hal.fieldbus.ports import Mounting
 from motord_hal.i2c import imu_reader
 from motord_hal.i2c.bus import I2cDevice
 from motord_hal.i2c.imu import STUCK_SAMPLES, ImuChip
@@ -293,6 +293,7 @@ def test_a_bus_on_which_every_transfer_is_late_reports_so_and_hands_nothing_on(m
 
 
 # ------------------------------------------------------------------------------------ the mounting
+AXES = ("x", "-x", "y", "-y", "z", "-z")
 MOUNTINGS = [(up, forward) for up in AXES for forward in AXES if up[-1] != forward[-1]]
 
 

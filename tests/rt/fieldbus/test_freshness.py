@@ -8,9 +8,8 @@ import sys
 import pytest
 from _motord_rt import ffi, lib
 
-from motord_hal.fieldbus.line import fresh
 from motord_hal.fieldbus.ports import SETPOINT_TIMEOUT_S
-from motord_hal.realtime.exchange import now_ns
+from motord_hal.realtime.exchange import is_fresh, now_ns
 
 NOW_NS = 10_000_000_000
 TIMEOUT_NS = round(SETPOINT_TIMEOUT_S * 1e9)
@@ -54,10 +53,10 @@ def test_a_bridge_moves_by_this_rule(case):
 
 def test_a_line_in_asyncio_moves_by_this_rule():
     timeout_s = TIMEOUT_NS * 1e-9
-    assert fresh(now_ns(), timeout_s)
-    assert not fresh(now_ns() + 60 * 10**9, timeout_s)
-    assert not fresh(now_ns() - TIMEOUT_NS - 1, timeout_s)
-    assert not any(fresh(stamp_ns, timeout_s) for stamp_ns in (0, -1, 2**63 - 1, -(2**63)))
+    assert is_fresh(now_ns(), timeout_s)
+    assert not is_fresh(now_ns() + 60 * 10**9, timeout_s)
+    assert not is_fresh(now_ns() - TIMEOUT_NS - 1, timeout_s)
+    assert not any(is_fresh(stamp_ns, timeout_s) for stamp_ns in (0, -1, 2**63 - 1, -(2**63)))
 
 
 CLOCK_C = """
@@ -76,15 +75,14 @@ int clock_gettime(clockid_t clock, struct timespec *out)
 """In the C library's place: CLOCK_MONOTONIC has stood still for `slept_s`."""
 PROGRAM = """
 import ctypes
-from motord_hal.fieldbus.line import fresh
-from motord_hal.realtime.exchange import now_ns
+from motord_hal.realtime.exchange import is_fresh, now_ns
 slept_s = ctypes.c_long.in_dll(ctypes.CDLL(None), "slept_s")
 before_ns = now_ns()
-assert fresh(before_ns, 0.1)
+assert is_fresh(before_ns, 0.1)
 slept_s.value = 3600
-assert not fresh(before_ns, 0.1)
-assert fresh(now_ns(), 0.1)
-assert not fresh(before_ns, 0.1)
+assert not is_fresh(before_ns, 0.1)
+assert is_fresh(now_ns(), 0.1)
+assert not is_fresh(before_ns, 0.1)
 """
 
 

@@ -67,7 +67,12 @@ async def bus_stop(path):
         assert await sender.send("estop")
 
 
-@pytest.mark.parametrize("send", [lambda path: aio._send(path, "estop"), bus_stop])
+async def client_stop(path):
+    with stop_request.open_sender() as sender:
+        assert await aio.send_stop(sender, path, "estop")
+
+
+@pytest.mark.parametrize("send", [client_stop, bus_stop])
 async def test_in_asyncio_a_stop_arrives_once_the_loop_has_made_room(path, loop_side, send):
     async with asyncio.timeout(60.0), asyncio.TaskGroup() as group:
         sending = group.create_task(send(path))

@@ -137,8 +137,8 @@ def result(source=Source.COUNTERS, found=None, held_up_s=0.0, **changes):
     }  # fmt: skip
     path = [(0.0, 0.0), (1.0, 0.0)]
     return Result(
-        "demo", 8.0, found or score(HERE, HERE), path, status | changes, clean_exit=True,
-        source=source, drives_held_up_s=held_up_s,
+        robot="demo", seconds=8.0, score=found or score(HERE, HERE), path=path,
+        status=status | changes, clean_exit=True, source=source, drives_held_up_s=held_up_s,
     )  # fmt: skip
 
 

@@ -19,16 +19,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from motord.aio import Client
+from motord.aio import Client, send_stop
 from motord.api.commands import RELEASE, TWIST, datagram, joint_datagram, position_datagram
-from motord.api.deadline import within
 from motord.api.local_rpc import ClientError
-from motord.api.stop_request import AGAIN_S, open_sender, try_send
+from motord.api.stop_request import open_sender
 
 CALL_WITHIN_S = 10.0
 LEASE_WITHIN_S = 5.0
 LEASE_AGAIN_S = 0.5
-STOP_WITHIN_S = 1.0
 
 _log = logging.getLogger(__name__)
 
@@ -78,16 +76,7 @@ class StopSender:
 
     async def send(self, method: str) -> bool:
         """False: the daemon does not receive it."""
-        if self._socket is None:
-            return False
-        with contextlib.suppress(OSError, TimeoutError):
-            async with within(STOP_WITHIN_S):
-                while not try_send(  # noqa: ASYNC110  nothing says when it has room
-                    self._socket, self._path, method
-                ):
-                    await asyncio.sleep(AGAIN_S)
-            return True
-        return False
+        return self._socket is not None and await send_stop(self._socket, self._path, method)
 
 
 class Outlet(Protocol):

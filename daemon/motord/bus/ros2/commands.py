@@ -15,8 +15,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
-from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +22,7 @@ from motord.bus.commands.gate import COMMANDS, TRIGGERS, URGENT, CommandGate, No
 from motord.bus.commands.mover import Mover
 from motord.bus.commands.urgent import Urgent
 from motord.bus.ros2.nodes import Node, node_of
-from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.quality import Answer, Quality, Take
 from motord.bus.ros2.senders import Contest, asker
 from motord.bus.ros2.services.lifecycle import Lifecycle
 from motord.bus.ros2.services.moves import Moves
@@ -41,8 +39,6 @@ URGENT_RELIABLE = Quality(alone=False)
 """Beside NEWEST: a reliable writer's word is sent again where the network lost it."""
 
 _WHY_CHARS = 150
-
-_log = logging.getLogger(__name__)
 
 
 class Ros2Commands:
@@ -143,7 +139,7 @@ class Ros2Commands:
         found = {topic: contest.report() for topic, contest in self._contests.items()}
         return {topic: rows for topic, rows in found.items() if rows}
 
-    def _trigger(self, method: str) -> Callable[[SimpleNamespace], Awaitable[SimpleNamespace]]:
+    def _trigger(self, method: str) -> Answer:
         async def answer(_: SimpleNamespace) -> SimpleNamespace:
             return await self._acted(method)
 
@@ -160,7 +156,7 @@ class Ros2Commands:
         return SimpleNamespace(success=True, message=result["state"])
 
 
-def _asking(urgent: Urgent) -> Callable[[SimpleNamespace, float, str], None]:
+def _asking(urgent: Urgent) -> Take:
     def ask(message: SimpleNamespace, _: float, sender: str) -> None:
         urgent.ask(f"by {sender}: {message.data[:_WHY_CHARS]!r}")
 

@@ -4,12 +4,10 @@ published and commanded does not know whether its node is on DDS or on Zenoh."""
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Protocol
 from weakref import WeakKeyDictionary
 
-from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.quality import Answer, Quality, Take
 from motord.bus.ros2.services.type_description import TypedNode, serve_types
 
 if TYPE_CHECKING:
@@ -39,26 +37,14 @@ class Node(Protocol):
         """Of a type of `table.TYPES`."""
         ...
 
-    def subscribe(
-        self,
-        name: str,
-        kind: str,
-        take: Callable[[SimpleNamespace, float, str], None],
-        quality: Quality | None = None,
-    ) -> None:
-        """`take` is called with each message, how long in s it was in transit, and whose
-        it is."""
+    def subscribe(self, name: str, kind: str, take: Take, quality: Quality | None = None) -> None:
+        """`take` is called in the event loop."""
         ...
 
     def serve(
-        self,
-        name: str,
-        kind: str,
-        answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
-        depth: int = 10,
-        together: int = 1,
+        self, name: str, kind: str, answer: Answer, depth: int = 10, together: int = 1
     ) -> None:
-        """A service, of pkg/srv/Name; so many answers at once. `answer` does not raise."""
+        """A service, of pkg/srv/Name; so many answers at once."""
         ...
 
     async def run(self) -> None:

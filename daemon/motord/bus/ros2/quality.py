@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quality of service, as ROS 2 names it."""
+"""What an endpoint is made with: its quality of service, as ROS 2 names it, and what it calls."""
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Literal
 
 Distribution = Literal["humble", "jazzy"]
 """Of ROS 2; Iron and later are as Jazzy."""
+Take = Callable[[SimpleNamespace, float, str], None]
+"""Gets each message of a topic, how long in s it was in transit, and whose it is."""
+Answer = Callable[[SimpleNamespace], Awaitable[SimpleNamespace]]
+"""Of a service. It does not raise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from motord.api.procedures import CALIBRATIONS, OPTIONS
+from motord.base.extras import numpy_missing
 from motord.cli.common import (
     POSITIVE,
     Exit,
@@ -19,9 +19,12 @@ from motord.cli.common import (
     file_option,
     json_option,
     load_or_exit,
+    plot_option,
     print_json,
+    usual_option,
     yes_option,
 )
+from motord.cli.running.talk import robot_option, socket_option
 from motord.client import Client, ClientError, find_socket
 
 if TYPE_CHECKING:
@@ -42,53 +45,15 @@ if TYPE_CHECKING:
     "--pose-topic", default="/ground_truth", show_default=True,
     help="Of a LOG.mcap: topic of the external poses (PoseStamped or Odometry).",
 )  # fmt: skip
-@click.option(
-    "--distance-m",
-    type=POSITIVE,
-    default=OPTIONS["distance_m"].usual,
-    show_default=True,
-    help="Length of straight.",
-)
-@click.option(
-    "--turns",
-    type=POSITIVE,
-    default=OPTIONS["turns"].usual,
-    show_default=True,
-    help="Turns of rotate and gyro.",
-)
-@click.option(
-    "--side-m",
-    type=POSITIVE,
-    default=OPTIONS["side_m"].usual,
-    show_default=True,
-    help="Side of square.",
-)
-@click.option(
-    "--speed-m-s",
-    type=POSITIVE,
-    default=OPTIONS["speed_m_s"].usual,
-    show_default=True,
-    help="Top speed.",
-)
-@click.option(
-    "--speed-rad-s",
-    type=POSITIVE,
-    default=OPTIONS["speed_rad_s"].usual,
-    show_default=True,
-    help="Fastest turn.",
-)
-@click.option(
-    "--robot", metavar="NAME", help="The robot's name. Needed if several run on this machine."
-)
-@click.option(
-    "--socket", "path", metavar="PATH", type=click.Path(path_type=Path),
-    help="The daemon's socket, if it is not in the default place.",
-)  # fmt: skip
+@usual_option("--distance-m", POSITIVE, OPTIONS["distance_m"].usual, "Length of straight.")
+@usual_option("--turns", POSITIVE, OPTIONS["turns"].usual, "Turns of rotate and gyro.")
+@usual_option("--side-m", POSITIVE, OPTIONS["side_m"].usual, "Side of square.")
+@usual_option("--speed-m-s", POSITIVE, OPTIONS["speed_m_s"].usual, "Top speed.")
+@usual_option("--speed-rad-s", POSITIVE, OPTIONS["speed_rad_s"].usual, "Fastest turn.")
+@robot_option
+@socket_option
 @file_option
-@click.option(
-    "--plot", metavar="FILE.png", type=click.Path(path_type=Path, dir_okay=False),
-    help="Draw the paths by the old and the new geometry. Needs the plot extra.",
-)  # fmt: skip
+@plot_option("Draw the paths by the old and the new geometry. Needs the plot extra.")
 @yes_option
 @dry_run_option
 @json_option
@@ -111,10 +76,8 @@ def calibrate(what: str | None, log: Path | None, as_json: bool, **options: Any)
     """
     if (what is None) == (log is None):
         raise click.UsageError("name what to calibrate, or give --from LOG")
-    if importlib.util.find_spec("numpy") is None:
-        from motord.base.extras import how_to_install
-
-        raise Failure(f"numpy is not installed: {how_to_install('calibrate')}")
+    if why := numpy_missing():
+        raise Failure(why)
     from motord.api.geometry_fit import BadData
     from motord.cli.terminal import Terminal, failing
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from motord.cli.common import POSITIVE, dry_run_option, json_option, print_json
+from motord.cli.common import POSITIVE, dry_run_option, json_option, print_json, usual_option
 
 KINDS = ("differential", "skid", "mecanum", "omni", "ackermann", "tricycle", "swerve")
 
@@ -72,10 +72,7 @@ KINDS = ("differential", "skid", "mecanum", "omni", "ackermann", "tricycle", "sw
 )
 @click.option("--zero-count", type=int, help="What its counter shows straight ahead.")
 @click.option("--scan/--no-scan", default=True, help="Look for drives on a port or CAN bus.")
-@click.option(
-    "--scan-within-s", type=POSITIVE, default=60.0, show_default=True,
-    help="End the scan of a serial port after this time.",
-)  # fmt: skip
+@usual_option("--scan-within-s", POSITIVE, 60.0, "End the scan of a serial port after this time.")
 @dry_run_option
 @json_option
 def init(robot_file: Path, dry_run: bool, as_json: bool, **options: Any) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from motord.cli.common import Exit, Failure, json_option, print_json
+from motord.cli.common import Exit, Failure, json_option, print_json, usual_option
 
 if TYPE_CHECKING:
     from motord.tools.scan import Found, Trial
@@ -42,10 +42,7 @@ def _units(_context: click.Context, _option: click.Parameter, text: str) -> rang
     help="Try only this one. Bit rate of a CAN adapter that is not the kernel's.",
 )  # fmt: skip
 @click.option("--parity", type=click.Choice(["none", "even", "odd"]), help="Try only this one.")
-@click.option(
-    "--within-s", type=click.FloatRange(0.1, 3600), default=60.0, show_default=True,
-    help="Stop the scan after this time.",
-)  # fmt: skip
+@usual_option("--within-s", click.FloatRange(0.1, 3600), 60.0, "Stop the scan after this time.")
 @click.option(
     "--directions",
     is_flag=True,

@@ -16,6 +16,7 @@ from motord.cli.common import (
     file_option,
     json_option,
     print_json,
+    usual_option,
     yes_option,
 )
 from motord.cli.complete import joint_names
@@ -28,13 +29,12 @@ SPEED, SECONDS = OPTIONS["wheel_rad_s"], OPTIONS["seconds"]
 @click.command
 @click.argument("joints", metavar="[JOINT]...", nargs=-1, shell_complete=joint_names)
 @click.option("--all", "all_joints", is_flag=True, help="Every joint, one after the other.")
-@click.option(
-    "--speed-rad-s", type=click.FloatRange(SPEED.low, SPEED.high), default=SPEED.usual,
-    show_default=True, help="Speed of the wheel.",
-)  # fmt: skip
-@click.option(
-    "--seconds", type=click.FloatRange(SECONDS.low, SECONDS.high), default=SECONDS.usual,
-    show_default=True, help="How long each wheel turns.",
+@usual_option(
+    "--speed-rad-s", click.FloatRange(SPEED.low, SPEED.high), SPEED.usual, "Speed of the wheel."
+)
+@usual_option(
+    "--seconds", click.FloatRange(SECONDS.low, SECONDS.high), SECONDS.usual,
+    "How long each wheel turns.",
 )  # fmt: skip
 @file_option
 @yes_option

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from dataclasses import asdict
 from pathlib import Path
@@ -12,13 +11,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from motord.api.procedures import OPTIONS
+from motord.base.extras import numpy_missing
 from motord.cli.common import (
     Exit,
     Failure,
     dry_run_option,
     file_option,
     json_option,
+    plot_option,
     print_json,
+    usual_option,
     yes_option,
 )
 from motord.cli.complete import joint_names
@@ -38,23 +40,19 @@ SPEED, STEP = OPTIONS["rim_m_s"], OPTIONS["step_s"]
     "--aggressiveness", type=click.Choice(["gentle", "normal", "brisk"]), default="normal",
     show_default=True, help="How fast the closed loop is: 4, 2 or 1 dead times of the wheel.",
 )  # fmt: skip
-@click.option(
-    "--speed-m-s", type=click.FloatRange(SPEED.low, SPEED.high), default=SPEED.usual,
-    show_default=True, help="Speed of the wheel's rim at most.",
+@usual_option(
+    "--speed-m-s", click.FloatRange(SPEED.low, SPEED.high), SPEED.usual,
+    "Speed of the wheel's rim at most.",
 )  # fmt: skip
-@click.option(
-    "--step-s", type=click.FloatRange(STEP.low, STEP.high), default=STEP.usual, show_default=True,
-    help="How long each step lasts.",
-)  # fmt: skip
+@usual_option(
+    "--step-s", click.FloatRange(STEP.low, STEP.high), STEP.usual, "How long each step lasts."
+)
 @click.option(
     "--current-max-a", type=click.FloatRange(0.0, min_open=True), default=math.inf,
     help="More current of the wheel stops the robot. Default: no bound of this command's own.",
 )  # fmt: skip
 @file_option
-@click.option(
-    "--plot", metavar="FILE.png", type=click.Path(path_type=Path, dir_okay=False),
-    help="Draw the step before and after. Needs the plot extra.",
-)  # fmt: skip
+@plot_option("Draw the step before and after. Needs the plot extra.")
 @yes_option
 @dry_run_option
 @json_option
@@ -72,10 +70,8 @@ def tune(client: Client, joint: str, as_json: bool, **options: Any) -> None:
     Example: motord tune left
              motord tune left --aggressiveness gentle --plot left.png
     """
-    if importlib.util.find_spec("numpy") is None:
-        from motord.base.extras import how_to_install
-
-        raise Failure(f"numpy is not installed: {how_to_install('calibrate')}")
+    if why := numpy_missing():
+        raise Failure(why)
     from motord.cli.terminal import Terminal, failing
 
     with failing(), Terminal(yes=options["yes"]) as person:

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from motord.cli.common import Exit, Failure, json_option, print_json
-from motord.cli.running.talk import SEND_PERIOD_S, interruptible, talking
+from motord.cli.running.talk import SEND_PERIOD_S, interruptible, owner_option, talking
 from motord.client import Client
 
 ARRIVED_RAD = 0.02
@@ -41,12 +41,7 @@ class JointValue(click.ParamType[tuple[str, float]]):
     help="Command for this long. Default: until all positions are reached; with a speed, until "
     "Ctrl-C.",
 )
-@click.option(
-    "--owner",
-    default="motord-joints",
-    show_default=True,
-    help="The name under which this command holds its lease.",
-)
+@owner_option("motord-joints")
 @json_option
 @talking
 def joints(

@@ -16,7 +16,7 @@ import click
 
 from motord.api.halting import halt
 from motord.api.local_rpc import WrongParams
-from motord.cli.common import FINITE, Exit, Failure, json_option, print_json
+from motord.cli.common import FINITE, Exit, Failure, json_option, print_json, usual_option
 from motord.cli.complete import robot_names
 from motord.cli.status_text import show_status
 from motord.client import Client, ClientError, Refused, find_socket, find_sockets
@@ -40,6 +40,11 @@ socket_option = click.option(
     type=click.Path(path_type=Path),
     help="The daemon's socket, if it is not in the default place.",
 )
+
+
+def owner_option(usual: str) -> Callable[[Any], Any]:
+    """Of a command that holds a lease."""
+    return usual_option("--owner", str, usual, "The name under which this command holds its lease.")
 
 
 def talking(command: Callable[..., None]) -> Callable[..., None]:
@@ -243,12 +248,7 @@ def reset_odometry(client: Client, as_json: bool) -> None:
     type=click.FloatRange(0.0, min_open=True),
     help="Drive this long. Default: until Ctrl-C.",
 )
-@click.option(
-    "--owner",
-    default="motord-drive",
-    show_default=True,
-    help="The name under which this command holds its lease.",
-)
+@owner_option("motord-drive")
 @json_option
 @talking
 def drive(

@@ -10,7 +10,7 @@ import click
 
 from motord.aio import Client
 from motord.base.extras import how_to_install
-from motord.cli.common import POSITIVE, Exit, Failure
+from motord.cli.common import POSITIVE, Exit, Failure, usual_option
 from motord.cli.running.talk import located
 from motord.client import ClientError
 from motord.tools.teleop.keys import DeadMan
@@ -25,19 +25,15 @@ USUAL_M_S, USUAL_RAD_S = 0.5, 1.0
 @click.command
 @click.option("--linear-m-s", type=POSITIVE, help="Full speed. Default: the robot's limit.")
 @click.option("--angular-rad-s", type=POSITIVE, help="Full turn rate. Default: the robot's limit.")
-@click.option(
-    "--hold-s",
-    type=click.FloatRange(0.05, 1.0),
-    default=0.2,
-    show_default=True,
-    help="The robot stops so long after the last repeat of a key.",
-)
-@click.option(
+@usual_option(
+    "--hold-s", click.FloatRange(0.05, 1.0), 0.2,
+    "The robot stops so long after the last repeat of a key.",
+)  # fmt: skip
+@usual_option(
     "--first-s",
-    type=click.FloatRange(0.05, 1.0),
-    default=0.6,
-    show_default=True,
-    help="The first press moves the robot so long: the delay until your terminal repeats it.",
+    click.FloatRange(0.05, 1.0),
+    0.6,
+    "The first press moves the robot so long: the delay until your terminal repeats it.",
 )
 @click.option(
     "--gamepad",

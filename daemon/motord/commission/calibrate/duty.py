@@ -21,7 +21,7 @@ from motord.commission.person import Failed, Person
 from motord.commission.robot_file_edit import KeyPath
 from motord.commission.session import armed
 from motord.config import Robot
-from motord.config.sections.joint.wheels import takes_duty, takes_torque, velocity_range_rad_s
+from motord.config.sections.joint.wheels import all_reverse, takes_duty, takes_torque
 
 OWNER = "motord-calibrate"
 LEVELS = (0.15, 0.25, 0.35, 0.5, 0.65, 0.8)
@@ -117,11 +117,7 @@ def drive_levels(
 ) -> list[tuple[Snapshot, ...]]:
     """Short straight runs forward and back, at rising speeds, each from rest to rest. Raises
     Failed, Aborted."""
-    profiles = robot.profiles
-    reverses = all(
-        velocity_range_rad_s(joint, profiles[joint.drive])[0] < 0.0
-        for joint in robot.joint.values()
-    )
+    reverses = all_reverse(robot)
     if not person.confirm(_question(speed_m_s, reverses=reverses)):
         raise Failed("nothing was driven")
     found = []

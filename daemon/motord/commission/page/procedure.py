@@ -9,7 +9,6 @@ turn; the last that goes is `{"end": ...}`.
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import sys
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from motord.api.procedures import chosen
+from motord.base.extras import numpy_missing
 from motord.client import Client, ClientError
 from motord.commission.page.person import PagePerson
 from motord.commission.page.pictures import picture_of_turns
@@ -137,10 +137,8 @@ def _tune(
 
 
 def _require_numpy() -> None:
-    if importlib.util.find_spec("numpy") is None:
-        from motord.base.extras import how_to_install
-
-        raise Failed(f"numpy is not installed: {how_to_install('calibrate')}")
+    if why := numpy_missing():
+        raise Failed(why)
 
 
 def _written(person: PagePerson, edit: RobotFileEdit) -> dict[str, Any]:

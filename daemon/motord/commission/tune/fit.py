@@ -18,7 +18,6 @@ the closed loop, in dead times: 1 is the "tight" choice of the paper.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -320,17 +319,3 @@ def simulated(run: Run, plant: Array, begin_s: float = 0.0, begin_rad_s: float =
         speeds.append(speed)
     found: Array = np.interp(run.measured_s, moments_s, speeds)
     return found
-
-
-def settled_s(run: Run, part: float = 0.05) -> float:
-    """How long after its greatest set-point was reached the wheel is within this part of it, while
-    that lasts; NaN: it never is."""
-    most = float(np.max(np.abs(run.want_rad_s), initial=0.0))
-    steady = np.flatnonzero(np.abs(run.want_rad_s) > 0.999 * most)
-    begin_s, end_s = float(run.time_s[steady[0]]), float(run.time_s[steady[-1]])
-    first, last = bisect_left(run.measured_s, begin_s), bisect_left(run.measured_s, end_s)
-    off = np.abs(np.abs(run.speed_rad_s[first:last]) - most) > part * most
-    if len(off) == 0 or off[-1]:
-        return math.nan
-    late = np.flatnonzero(off)
-    return 0.0 if len(late) == 0 else float(run.measured_s[first + late[-1] + 1]) - begin_s

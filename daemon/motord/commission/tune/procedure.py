@@ -41,8 +41,8 @@ from motord.commission.tune.fit import (
 from motord.config import Robot
 from motord.config.sections.bases import JointsBase, wheel_row
 from motord.config.sections.joint.speed_loop import CoreGain, SpeedLoop
+from motord.config.sections.joint.wheels import all_reverse, takes_duty
 from motord.config.sections.joint.wheels import gains_of as gain_keys_of
-from motord.config.sections.joint.wheels import takes_duty, velocity_range_rad_s
 
 OWNER = "motord-tune"
 LEVELS = (0.5, 1.0)
@@ -137,10 +137,7 @@ class Tuning:
         profile = robot.profiles[joint.drive]
         self._keys = {core: key for key, core in gain_keys_of(joint, profile).items()}
         self._open_loop = takes_duty(joint, profile)
-        self._reverses = all(
-            velocity_range_rad_s(one, robot.profiles[one.drive])[0] < 0.0
-            for one in robot.joint.values()
-        )
+        self._reverses = all_reverse(robot)
         self._index = list(robot.joint).index(name)
         self._was = client.params_get(*map(self._parameter, self._keys.values()))
         self._kept = False

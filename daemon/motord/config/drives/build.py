@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from motord.config.drives.bridge import bridge_of
 from motord.config.drives.can_build import can_signals, can_table
@@ -25,6 +25,7 @@ from motord.config.drives.tables import (
     TargetHandshake,
     WriteStep,
 )
+from motord.config.sections.section import Section
 from motord_hal.drives.profile import (
     Channel,
     Direction,
@@ -39,6 +40,11 @@ from motord_hal.drives.profile import (
     Watchdog,
 )
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Part = TypeVar("Part", bound="DataclassInstance")
+AnyOfRegister = DriveWatchdog | EnabledWhen | ReverseRegister | TargetHandshake
 _SAYS_ITS_FRAMES = ("modbus-rtu", "roboclaw")
 """Protocols that leave a choice of how much a request carries and which function writes."""
 
@@ -62,11 +68,11 @@ def build(file: DriveFile, path: Path, problems: Problems) -> DriveProfile:
         disarm=_steps("disarm", file.steps.disarm, problems),
         quick_stop=_steps("quick_stop", file.steps.quick_stop, problems),
         clear_fault=_steps("clear_fault", file.steps.clear_fault, problems),
-        enabled=_enabled(file.enabled) if file.enabled else None,
-        power_off=_enabled(file.power_off) if file.power_off else None,
+        enabled=_of_register(Enabled, file.enabled),
+        power_off=_of_register(Enabled, file.power_off),
         absolute=file.absolute,
-        homed=_enabled(file.homed) if file.homed else None,
-        watchdog=_watchdog(file.watchdog) if file.watchdog else None,
+        homed=_of_register(Enabled, file.homed),
+        watchdog=_of_register(Watchdog, file.watchdog),
         watchdog_note=file.watchdog_note or "",
         watchdog_fixed_s=file.watchdog_fixed_s or 0.0,
         faults=tuple(_fault(index, fault, problems) for index, fault in enumerate(file.faults)),
@@ -153,19 +159,7 @@ def _check_absent(file: DriveFile, keys: Sequence[str], problems: Problems) -> N
 
 
 def _register(name: str, table: HoldingRegister, file: DriveFile, problems: Problems) -> Register:
-    register = Register(
-        name=name,
-        address=table.address,
-        type=RegisterType(table.type),
-        scale=table.scale,
-        unit=table.unit,
-        access=table.access,
-        minimum=table.minimum,
-        maximum=table.maximum,
-        source=table.source,
-        mask=table.mask,
-        default=table.default,
-    )
+    register = _made(Register, table, name=name, type=RegisterType(table.type))
     if table.unit == "hz":
         # rpm of the field: 60 f / pole pairs (IEC 60034-1); an induction motor turns slower than
         # its field by its slip
@@ -202,29 +196,24 @@ def _channels(tables: Mapping[str, MotorChannel], problems: Problems) -> dict[in
 
 
 def _channel(table: MotorChannel) -> Channel:
-    return Channel(
-        velocity_setpoint=table.velocity_setpoint,
-        duty_setpoint=table.duty_setpoint,
-        torque_setpoint=table.torque_setpoint,
-        position_setpoint=table.position_setpoint,
+    return _made(
+        Channel,
+        table,
         setpoint_with=tuple(table.setpoint_with.items()),
-        handshake=_handshake(table.handshake) if table.handshake else None,
-        position=table.position,
-        velocity=table.velocity,
-        current=table.current,
-        temperature=table.temperature,
-        fault=table.fault,
-        direction=_direction(table.direction) if table.direction else None,
+        handshake=_of_register(Handshake, table.handshake),
+        direction=_of_register(Direction, table.direction),
     )
 
 
-def _direction(table: ReverseRegister) -> Direction:
-    return Direction(
-        register=table.register_name,
-        forward=table.forward,
-        reverse=table.reverse,
-        rest=table.rest,
-    )
+def _made(kind: type[Part], table: Section, **own: Any) -> Part:
+    """With the table's values by their names; `own`: those that are not as there."""
+    names = {field.name for field in fields(kind)} - own.keys()
+    return kind(**{name: getattr(table, name) for name in names}, **own)
+
+
+def _of_register(kind: type[Part], table: AnyOfRegister | None) -> Part | None:
+    """As `_made`, where there is such a table."""
+    return _made(kind, table, register=table.register_name) if table else None
 
 
 def _steps(name: str, steps: Sequence[AnyStep], problems: Problems) -> tuple[Step, ...]:
@@ -248,29 +237,7 @@ def _step(key: str, step: AnyStep, problems: Problems) -> Step:
     )
 
 
-def _handshake(table: TargetHandshake) -> Handshake:
-    return Handshake(
-        register=table.register_name,
-        mask=table.mask,
-        acknowledged=table.acknowledged,
-        acknowledged_mask=table.acknowledged_mask,
-    )
-
-
-def _enabled(table: EnabledWhen) -> Enabled:
-    return Enabled(register=table.register_name, mask=table.mask, equals=table.equals)
-
-
-def _watchdog(table: DriveWatchdog) -> Watchdog:
-    return Watchdog(
-        register=table.register_name,
-        minimum_s=table.minimum_s,
-        maximum_s=table.maximum_s,
-        action=table.action,
-    )
-
-
 def _fault(index: int, table: FaultCode, problems: Problems) -> FaultBit:
     if (table.bit is None) == (table.code is None):
         problems.add(f"fault[{index}]", 'a fault has either "bit" or "code"')
-    return FaultBit(bit=table.bit, code=table.code, text=table.text, severity=table.severity)
+    return _made(FaultBit, table)

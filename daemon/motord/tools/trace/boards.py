@@ -315,17 +315,7 @@ class _Servos:
 
     def _statuses(self, exchange: Exchange) -> Iterator[servo.Packet | None]:
         data = exchange.received.removeprefix(exchange.sent)  # an adapter's echo
-        while data:
-            try:
-                packet, done = self._packets.take(data, status=True)
-            except servo.PacketError as error:
-                packet, done = None, error.done
-                yield None
-            if done == 0:
-                return
-            data = data[done:]
-            if packet is not None:
-                yield packet
+        return servo.take_all(self._packets, data, status=True)
 
 
 def _servo_values(profile: DriveProfile, first: int, data: bytes) -> str:

@@ -8,43 +8,31 @@ import asyncio
 from collections.abc import Sequence
 
 from motord_hal.base.clock import now_s
-from motord_hal.base.errors import DriveFault, HalError, NoReply
+from motord_hal.base.errors import DriveFault, NoReply
 from motord_hal.drives.profile import Step
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.realtime.board import BoardDriveReport, BoardThread
 from motord_hal.rt_engine.boards.layout import Layout, Plain
 from motord_hal.rt_engine.boards.table import writes
+from motord_hal.rt_engine.orders import ARM, OrderJobs
 from motord_hal.rt_engine.rs485.request_queue import Check, always
 
-SENT_WITHIN_S = 0.5
-"""So long a write may wait while the port takes nothing."""
-SEEN_WITHIN_S = 1.0
 WAIT_LEAST_S = 0.25
 """For a step that waits: a frame there and one back, also where the profile gives it no time."""
-ARM = "arm"
-"""Of this job nothing is written any more once a stop was sent to the board."""
 
 
-class BoardJobs:
-    """What can be done with the board of a line, one job at a time; an urgent one does not wait for
-    its turn."""
+class BoardJobs(OrderJobs):
+    """What can be done with the board of a line."""
 
     def __init__(
         self, name: str, plan: DrivePlan, layout: Layout, thread: BoardThread, period_s: float
     ) -> None:
+        super().__init__(0, name, thread, period_s)
         self.profile = plan.profile
         self.joints = plan.joints
         self.unit = plan.unit
-        self._name = name
         self._layout = layout
         self._thread = thread
-        self._period_s = period_s
-        self._turn = asyncio.Lock()
-
-    @property
-    def request_limit_s(self) -> float:
-        """Longest time until a write is sent, or will never be."""
-        return self._period_s + SENT_WITHIN_S
 
     def value(self, register: str) -> int | None:
         """The newest raw value; None: the board is silent."""
@@ -54,10 +42,7 @@ class BoardJobs:
         self, name: str, steps: Sequence[Step], *, urgent: bool = False, check: Check = always
     ) -> None:
         """Step by step; `check` is made before each, and again while it lasts. Raises HalError."""
-        if urgent:
-            await self._work(name, steps, check)
-            return
-        async with self._turn:
+        async with self._in_turn(urgent=urgent):
             await self._work(name, steps, check)
 
     async def _work(self, name: str, steps: Sequence[Step], check: Check) -> None:
@@ -72,6 +57,9 @@ class BoardJobs:
     def _drive_report(self) -> BoardDriveReport:
         return self._thread.report().drives[0]
 
+    def _ordered(self) -> int:
+        return self._thread.ordered
+
     async def _write(self, name: str, write: Plain, stops: int | None) -> None:
         """Until a frame with it has gone out."""
         dropped = self._drive_report().orders_dropped
@@ -82,15 +70,8 @@ class BoardJobs:
         }
         if not self._thread.put_order(order):
             raise NoReply(f"{self._name}: {name}: too many writes wait for the port")
-        until_s = now_s() + self.request_limit_s + SEEN_WITHIN_S
-        while now_s() < until_s:
-            await asyncio.sleep(self._period_s)
-            report = self._drive_report()
-            if report.orders_dropped != dropped:
-                break
-            if report.orders_sent + report.orders_dropped == self._thread.ordered:
-                return
-        raise NoReply(f"{self._name}: {name}: not written: stopped, or the port takes no bytes")
+        if not await self._all_sent(dropped):
+            raise NoReply(f"{self._name}: {name}: not written: stopped, or the port takes no bytes")
 
     async def _wait_for(self, name: str, step: Step, check: Check) -> None:
         """Until a word that was sent after it had received all that was written shows it."""
@@ -105,16 +86,5 @@ class BoardJobs:
                     f"{self._name}: {name}: {step.register} is {raw or 0:#x}, "
                     f"not {step.equals or 0:#x}, in {step.within_s:g} s"
                 )
-            await asyncio.sleep(self._period_s)
+            await asyncio.sleep(self._cycle_s)
             check()
-
-    async def _stops(self) -> int:
-        """How often C has stopped the board, all requests so far included. Raises HalError."""
-        requested = self._thread.requested(0)
-        until_s = now_s() + SEEN_WITHIN_S
-        while now_s() < until_s:
-            report = self._drive_report()
-            if report.request_seen == requested:
-                return report.stops
-            await asyncio.sleep(self._period_s)
-        raise HalError(f"{self._name}: the line's thread does not answer")

@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 
-from motord_hal.base.errors import NoReply, PortError, ProfileError
+from motord_hal.base.errors import NoReply, ProfileError
 from motord_hal.fieldbus.parameter import readable
 from motord_hal.fieldbus.ports import DriveState, LineSpec, LineStats, Listener, RoundTrips
 from motord_hal.fieldbus.units import joints_by_unit
@@ -105,18 +104,8 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
             self._port.close()
             self._port = None
 
-    def _ended(self, report: BoardReport) -> PortError | None:
-        if not report.running:
-            return PortError(f"{self.spec.port} went away: {os.strerror(report.error)}")
-        if report.received:
-            self._backoff.reset()
-        return None
-
-    def _look(self) -> BoardReport:
-        """Take in what the thread says."""
-        report = self._take_report()
-        self._notifier.looked()
-        return report
+    def _is_steady(self, report: BoardReport) -> bool:
+        return report.received > 0
 
     # ---------------------------------------------------------------------------------- parameters
     async def read_register(self, joint: str, register: str) -> float:

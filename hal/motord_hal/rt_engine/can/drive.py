@@ -9,6 +9,7 @@ from typing import Any
 
 from motord_hal.base.clock import now_s
 from motord_hal.base.retry import Backoff
+from motord_hal.can.plan import FIRST_WORD_S
 from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.faults import Say
 from motord_hal.fieldbus.job import Job
@@ -21,8 +22,6 @@ from motord_hal.rt_engine.rs485.drive import RtDrive
 
 PROBE_FIRST_S = 0.1
 PROBE_LIMIT_S = 2.0
-FIRST_WORD_S = 0.2
-"""On top of its longest silence: so long a drive may take for its first frame after opening."""
 
 
 class CanRtDrive(RtDrive):

@@ -4,11 +4,10 @@ goes on the frames of the drive are handed on to here."""
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Mapping, Sequence
 
-from motord_hal.base.clock import NS_PER_S, now_ns, now_s
-from motord_hal.base.errors import HalError, NoReply
+from motord_hal.base.clock import NS_PER_S, now_ns
+from motord_hal.base.errors import NoReply
 from motord_hal.can.job_step import StepRunner
 from motord_hal.can.plan import CanPlan, with_cycle
 from motord_hal.drives.can_profile import Frame
@@ -17,18 +16,13 @@ from motord_hal.fieldbus.job import Job
 from motord_hal.realtime.can import CanDriveReport, CanThread
 from motord_hal.realtime.thread import Plain
 from motord_hal.rt_engine.can.table import packet, write
+from motord_hal.rt_engine.orders import ARM, ORDER_WITHIN_S, OrderJobs
 from motord_hal.rt_engine.rs485.request_queue import Check, always
 
-ORDER_WITHIN_S = 0.5
-"""So long a frame may wait while the CAN bus takes nothing."""
-SEEN_WITHIN_S = 1.0
-ARM = "arm"
-"""Of this job nothing is sent any more once a stop was sent to the drive."""
 
-
-class CanJobs:
-    """What can be done with drive number `index` of the line's table, one job at a time; an urgent
-    one does not wait for its turn. `take_in` hands on what has come."""
+class CanJobs(OrderJobs):
+    """What can be done with drive number `index` of the line's table. `take_in` hands on what has
+    come."""
 
     def __init__(
         self,
@@ -38,22 +32,15 @@ class CanJobs:
         cycle_s: float,
         take_in: Callable[[], None],
     ) -> None:
+        name = f"{', '.join(joint.name for joint in plan.joints)} (node {plan.node})"
+        super().__init__(index, name, thread, cycle_s)
         self.plan = plan
         self.profile = with_cycle(plan.profile, cycle_s)
         self.joints = plan.joints
         self.unit = plan.node
-        self._index = index
         self._thread = thread
-        self._cycle_s = cycle_s
         self._take_in = take_in
-        self._name = f"{', '.join(joint.name for joint in plan.joints)} (node {plan.node})"
-        self._turn = asyncio.Lock()
         self._runners: list[StepRunner] = []
-
-    @property
-    def request_limit_s(self) -> float:
-        """Longest time until a frame is on the CAN bus, or will never be."""
-        return self._cycle_s + ORDER_WITHIN_S
 
     def received(self, frame: Frame, values: dict[str, int]) -> None:
         """A frame has come."""
@@ -68,10 +55,7 @@ class CanJobs:
 
     async def finish(self, job: Job, *, urgent: bool = False, check: Check = always) -> None:
         """As `run`, for a caller that needs what the job has read."""
-        if urgent:
-            await self._work(job, check)
-            return
-        async with self._turn:
+        async with self._in_turn(urgent=urgent):
             await self._work(job, check)
 
     async def _work(self, job: Job, check: Check) -> None:
@@ -89,7 +73,9 @@ class CanJobs:
                 self._take_in()
                 check()
                 runner.run(job, self._name)
-                await self._sent(job.name, dropped)
+                if not await self._all_sent(dropped):
+                    why = "a frame was not sent: stopped, or the CAN bus is full"
+                    raise NoReply(f"{self._name}: {job.name}: {why}")
         finally:
             self._runners.remove(runner)
             self._thread.listen(self._index, wanted=bool(self._runners))
@@ -97,31 +83,8 @@ class CanJobs:
     def _drive_report(self) -> CanDriveReport:
         return self._thread.report().drives[self._index]
 
-    async def _sent(self, name: str, dropped_before: int) -> None:
-        """A cycle later, or when all that was ordered has gone out. Raises NoReply where some of it
-        never will."""
-        until_s = now_s() + ORDER_WITHIN_S + SEEN_WITHIN_S
-        while now_s() < until_s:
-            await asyncio.sleep(self._cycle_s)
-            report = self._drive_report()
-            if report.orders_dropped != dropped_before:
-                break
-            if report.orders_sent + report.orders_dropped == self._thread.ordered(self._index):
-                return
-        raise NoReply(
-            f"{self._name}: {name}: a frame was not sent: stopped, or the CAN bus is full"
-        )
-
-    async def _stops(self) -> int:
-        """How often C has stopped the drive, all requests so far included. Raises HalError."""
-        requested = self._thread.requested(self._index)
-        until_s = now_s() + SEEN_WITHIN_S
-        while now_s() < until_s:
-            report = self._drive_report()
-            if report.request_seen == requested:
-                return report.stops
-            await asyncio.sleep(self._cycle_s)
-        raise HalError(f"{self._name}: the line's thread does not answer")
+    def _ordered(self) -> int:
+        return self._thread.ordered(self._index)
 
     def _write(self, frame: Frame, raw: Mapping[str, int], stops: int | None) -> bool:
         return self._order(write(self.plan, frame, raw), stops)

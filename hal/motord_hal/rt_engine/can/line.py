@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 from collections import Counter
 
@@ -11,7 +10,7 @@ from motord_hal.base.clock import now_s
 from motord_hal.base.errors import PortError, ProfileError
 from motord_hal.can.errors import BusTrouble, BusWarnings, error_words
 from motord_hal.can.interface import BUS_OFF_TEXT, BusOffWatch, make_ready
-from motord_hal.can.plan import CanPlan
+from motord_hal.can.plan import STEADY_S, CanPlan, wire_limit_hz
 from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.job import Job
 from motord_hal.fieldbus.ports import EventKind, LineSpec, LineStats, Listener
@@ -33,8 +32,6 @@ from motord_hal.rt_engine.can.jobs import CanJobs
 from motord_hal.rt_engine.can.port import open_socket
 from motord_hal.rt_engine.can.table import can_table
 
-STEADY_S = 1.0
-"""A line that has worked for so long is reopened at once when it fails again."""
 _IDENTIFIER = 0x1FFF_FFFF
 
 
@@ -75,14 +72,12 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
     def stats(self) -> LineStats:
         """As ports.Line.stats, to this moment; `exchanges` counts frames of the drives. There are
         no round trips: most of what comes was not asked for."""
-        wire = (self.spec.baudrate, self.spec.data_baudrate)
-        free = 1.0 - sum(plan.own_load(*wire) for plan in self._plans)
         stats = LineStats(
             exchanges=self._frames,
             cycles=self._cycles,
             reopened=self._reopened,
             errors=dict(self._errors),
-            wire_limit_hz=max(free, 0.0) / sum(plan.cycle_time_s(*wire) for plan in self._plans),
+            wire_limit_hz=wire_limit_hz(self.spec, self._plans),
         )
         if self._report is not None:
             report = self._thread.report()
@@ -134,17 +129,15 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
             return PortError(f"{self.spec.port}: {BUS_OFF_TEXT}")
         if not report.running:
             self._errors["port"] += 1
-            return PortError(f"{self.spec.port} went away: {os.strerror(report.error)}")
-        if report.cycles > STEADY_S * self.spec.cycle_hz:
-            self._backoff.reset()
-        return None
+        return super()._ended(report)
+
+    def _is_steady(self, report: CanReport) -> bool:
+        return report.cycles > STEADY_S * self.spec.cycle_hz
 
     def _look(self) -> CanReport:
-        """Take in what the thread says."""
+        """As RtLineBase._look."""
         self._take_frames()
-        report = self._take_report()
-        self._notifier.looked()
-        return report
+        return super()._look()
 
     def _take_frames(self) -> None:
         while (received := self._thread.take()) is not None:

@@ -22,6 +22,7 @@ from motord_hal.fieldbus.job import VERIFY_WITHIN_S, clear_steps, configure_step
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
 from motord_hal.realtime.drive_state import FaultReason, Mode
 from motord_hal.realtime.line import AnswerKind, DriveReport, LineThread
+from motord_hal.realtime.thread import AnyDriveReport, LineThreadHandle
 from motord_hal.rt_engine.notifier import Notifier
 from motord_hal.rt_engine.rs485.jobs import DriveJobs
 from motord_hal.rt_engine.rs485.request_queue import Check, exception_text
@@ -51,25 +52,6 @@ _WARNINGS = MappingProxyType(
 )
 
 
-class AnyDriveReport(Protocol):
-    """What a thread reports of one drive, whatever its medium."""
-
-    @property
-    def mode(self) -> Mode: ...
-    @property
-    def fault_reasons(self) -> FaultReason: ...
-    @property
-    def request_seen(self) -> int: ...
-    @property
-    def stopping(self) -> bool: ...
-    @property
-    def cycles(self) -> int: ...
-    @property
-    def stop_waits(self) -> bool:
-        """It has not got, or has not acknowledged, all of its newest stop."""
-        ...
-
-
 class Jobs(Protocol):
     """Sequences of steps with one drive, beside its cycle."""
 
@@ -87,13 +69,6 @@ class Jobs(Protocol):
     ) -> None: ...
 
 
-class ModeRequests(Protocol):
-    """Requests to the thread in C."""
-
-    def request_mode(self, drive: int, mode: Mode) -> int: ...
-    def allow_arming(self, drive: int, until_ns: int) -> None: ...
-
-
 class RtDrive(abc.ABC):
     """Number `index` of the line's table."""
 
@@ -102,7 +77,7 @@ class RtDrive(abc.ABC):
         index: int,
         jobs: Jobs,
         watchdog_s: float,
-        thread: ModeRequests,
+        thread: LineThreadHandle,
         notifier: Notifier,
         say: Say,
     ) -> None:

@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-import os
-
-from motord_hal.base.errors import HalError, PortError, ProfileError
+from motord_hal.base.errors import HalError, ProfileError
 from motord_hal.fieldbus.parameter import readable
 from motord_hal.fieldbus.ports import LineSpec, LineStats, Listener
 from motord_hal.realtime.exchange import Exchange
@@ -102,20 +100,15 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         super()._close(error)
         self._queue.lose(error)
 
-    def _ended(self, report: LineReport) -> PortError | None:
-        if not report.running:
-            return PortError(f"{self.spec.port} went away: {os.strerror(report.error)}")
-        if report.exchanges:
-            self._backoff.reset()
-        return None
+    def _is_steady(self, report: LineReport) -> bool:
+        return report.exchanges > 0
 
     def _look(self) -> LineReport:
-        """Take in what the thread says."""
+        """As RtLineBase._look."""
         self._queue.take_answers()
         report = self._take_report()
         if self._port is not None:
             self._witness.look(self._port.fd, _traffic(report))
-        self._notifier.looked()
         return report
 
     async def read_register(self, joint: str, register: str) -> float:

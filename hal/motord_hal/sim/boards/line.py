@@ -7,32 +7,16 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 from motord_hal.fieldbus.ports import LineSpec
-from motord_hal.modbus.codec import character_bits
 from motord_hal.sim.faults import FaultScript
 from motord_hal.sim.rs485.content import NamedContent
 from motord_hal.sim.rs485.drive import SimulatedDrive
 from motord_hal.sim.rs485.framing import Unaddressed
-from motord_hal.sim.rs485.noise import disturb
+from motord_hal.sim.rs485.line import SimulatedWire, WireCounters
 from motord_hal.sim.rs485.port import MasterSettings, Port
-from motord_hal.sim.rs485.wire import Clock, Wire
-
-
-@dataclass(slots=True)
-class BoardCounters:
-    frames: int = 0
-    bad_crc: int = 0
-    """Pieces of what came that were no set-points."""
-    replies: int = 0
-    """Feedback that was sent."""
-    gap_violations: int = 0
-    """None: frames of boards are parted by zeros, not by silence."""
-    bits_hit: int = 0
-    """By noise."""
-    plugged: int = 0
+from motord_hal.sim.rs485.wire import Clock
 
 
 class Talk(Protocol):
@@ -80,7 +64,7 @@ class _Board:
         return self.talk.feedback(content, now_s)
 
 
-class SimulatedBoard:
+class SimulatedBoard(SimulatedWire):
     """As SimulatedLine, with one board on it, or several that only listen."""
 
     def __init__(
@@ -92,27 +76,9 @@ class SimulatedBoard:
         talks: Mapping[int, Talk],
     ) -> None:
         """`talks`: by the board's address."""
-        self.spec = spec
-        self.drives = drives
-        self.port = port
-        self.counters = BoardCounters()
+        super().__init__(spec, drives, script, port, WireCounters())
         self._boards = [_Board(drives[unit], talk) for unit, talk in talks.items()]
-        self._script = script
-        self._bits = character_bits(spec.parity, spec.stop_bits)
-        self.wire = Wire(port, self._bits / spec.baudrate)
         self._incoming: deque[tuple[float, bytes]] = deque()
-
-    # ---------------------------------------------------------------------------------- plugging
-    def plug(self) -> None:
-        """Does nothing while it is plugged. Raises OSError."""
-        if not self.port.plugged:
-            self.port.plug()
-            self.counters.plugged += 1
-            self._unresponsive()
-
-    def pull(self) -> None:
-        self.port.pull()
-        self._unresponsive()
 
     def _unresponsive(self) -> None:
         self.wire.unresponsive()
@@ -143,14 +109,6 @@ class SimulatedBoard:
                 self._feed_back(board, now_s, connected=data is not None)
         self.wire.work(clock or (lambda: now_s))
 
-    def stats(self) -> dict[str, Any]:
-        return {
-            **asdict(self.counters),
-            "bytes_sent": self.wire.bytes_sent,
-            "reply_lateness_us": self.wire.lateness.percentiles(),
-            "units": {str(unit): asdict(drive.stats) for unit, drive in self.drives.items()},
-        }
-
     # -------------------------------------------------------------------------- what comes and goes
     def _receive(self, data: bytes, now_s: float) -> None:
         """The bytes are over when they would have passed the wire: each direction has one of its
@@ -165,12 +123,6 @@ class SimulatedBoard:
 
     def _fits(self, settings: MasterSettings | None) -> bool:
         return settings is None or settings.baudrate == self.spec.baudrate
-
-    def _disturbed(self, data: bytes, now_s: float) -> bytes:
-        for fault in self._script.states("noise", None, now_s):
-            data, hits = disturb(data, fault.values["ber"], self._bits, fault.random)
-            self.counters.bits_hit += hits
-        return data
 
     def _obey(self, data: bytes, now_s: float) -> None:
         """Each board receives all of it, and takes what is for it."""

@@ -7,6 +7,7 @@ turn-around. Modbus frames end and begin by silence: MODBUS over Serial Line V1.
 
 from __future__ import annotations
 
+import abc
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -31,22 +32,27 @@ BABBLE_BYTES_MAX = 3
 
 
 @dataclass(slots=True)
-class LineCounters:
+class WireCounters:
     frames: int = 0
     bad_crc: int = 0
     """Frames with a wrong check sum, torn ones, those that ran into each other and those at a baud
-    rate or parity that no unit here is set to."""
-    unanswered: int = 0
-    """Requests for units that are not on this line, have no power or are silenced."""
+    rate or parity that no unit here is set to; of boards, pieces that were no set-points."""
     replies: int = 0
     gap_violations: int = 0
+    """Of boards none: their frames are parted by zeros, not by silence."""
     bits_hit: int = 0
     """By noise."""
     plugged: int = 0
 
 
-class SimulatedLine:
-    """Half-duplex: a master on the port, drives on the wire behind it."""
+@dataclass(slots=True)
+class LineCounters(WireCounters):
+    unanswered: int = 0
+    """Requests for units that are not on this line, have no power or are silenced."""
+
+
+class SimulatedWire(abc.ABC):
+    """A master on the port, drives or boards on the wire behind it."""
 
     def __init__(
         self,
@@ -54,26 +60,20 @@ class SimulatedLine:
         drives: Mapping[int, SimulatedDrive],
         script: FaultScript,
         port: Port,
+        counters: WireCounters,
     ) -> None:
         self.spec = spec
         self.drives = drives
         self.port = port
-        self.counters = LineCounters()
+        self.counters = counters
         self._script = script
-        self._framing = framing_of(spec.kind)
         self._bits = character_bits(spec.parity, spec.stop_bits)
-        self._master: MasterSettings | None = None
         self.wire = Wire(port, self._bits / spec.baudrate)
-        self._unresponsive()
 
+    @abc.abstractmethod
     def _unresponsive(self) -> None:
-        self._request = bytearray()
-        self._frame_ends_s = math.inf
-        self._gap_s = math.inf
-        self.wire.unresponsive()
-        self._held: list[bytes] = []
+        """Forget what was in transit."""
 
-    # ---------------------------------------------------------------------------------- plugging
     def plug(self) -> None:
         """Does nothing while it is plugged. Raises OSError."""
         if not self.port.plugged:
@@ -84,6 +84,45 @@ class SimulatedLine:
     def pull(self) -> None:
         self.port.pull()
         self._unresponsive()
+
+    def stats(self) -> dict[str, Any]:
+        return {
+            **asdict(self.counters),
+            "bytes_sent": self.wire.bytes_sent,
+            "reply_lateness_us": self.wire.lateness.percentiles(),
+            "units": {str(unit): asdict(drive.stats) for unit, drive in self.drives.items()},
+        }
+
+    def _disturbed(self, data: bytes, now_s: float) -> bytes:
+        for fault in self._script.states("noise", None, now_s):
+            data, hits = disturb(data, fault.values["ber"], self._bits, fault.random)
+            self.counters.bits_hit += hits
+        return data
+
+
+class SimulatedLine(SimulatedWire):
+    """Half-duplex."""
+
+    counters: LineCounters
+
+    def __init__(
+        self,
+        spec: LineSpec,
+        drives: Mapping[int, SimulatedDrive],
+        script: FaultScript,
+        port: Port,
+    ) -> None:
+        super().__init__(spec, drives, script, port, LineCounters())
+        self._framing = framing_of(spec.kind)
+        self._master: MasterSettings | None = None
+        self._unresponsive()
+
+    def _unresponsive(self) -> None:
+        self._request = bytearray()
+        self._frame_ends_s = math.inf
+        self._gap_s = math.inf
+        self.wire.unresponsive()
+        self._held: list[bytes] = []
 
     # ------------------------------------------------------------------------------- the poll loop
     def due_s(self, now_s: float) -> float:
@@ -107,14 +146,6 @@ class SimulatedLine:
             self._end_frame(now_s)
         self._babble(now_s, connected=connected)
         self.wire.work(clock)
-
-    def stats(self) -> dict[str, Any]:
-        return {
-            **asdict(self.counters),
-            "bytes_sent": self.wire.bytes_sent,
-            "reply_lateness_us": self.wire.lateness.percentiles(),
-            "units": {str(unit): asdict(drive.stats) for unit, drive in self.drives.items()},
-        }
 
     # ----------------------------------------------------------------------------- from the master
     def _take_in(self, now_s: float, clock: Clock) -> bool:
@@ -150,12 +181,6 @@ class SimulatedLine:
 
     def _silence_s(self) -> float:
         return silent_interval_s(round(self._bits / self.wire.character_s), self._bits)
-
-    def _disturbed(self, data: bytes, now_s: float) -> bytes:
-        for fault in self._script.states("noise", None, now_s):
-            data, hits = disturb(data, fault.values["ber"], self._bits, fault.random)
-            self.counters.bits_hit += hits
-        return data
 
     def _end_frame(self, now_s: float) -> None:
         frame, ended_s = bytes(self._request), self.wire.free_s

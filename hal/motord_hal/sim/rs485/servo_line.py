@@ -4,32 +4,21 @@ request may be answered by many."""
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Mapping
 
-from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.servo.packets import BROADCAST_UNIT, Packet, packets_of, take_all
-from motord_hal.sim.faults import FaultScript
-from motord_hal.sim.rs485.drive import SimulatedDrive
 from motord_hal.sim.rs485.framing import ServoFraming
 from motord_hal.sim.rs485.line import SimulatedLine
-from motord_hal.sim.rs485.port import Port
 from motord_hal.sim.rs485.servo import answer_servos
 
 
 class SimulatedServoLine(SimulatedLine):
     """Half-duplex, as SimulatedLine."""
 
-    def __init__(
-        self,
-        spec: LineSpec,
-        drives: Mapping[int, SimulatedDrive],
-        script: FaultScript,
-        port: Port,
-    ) -> None:
-        super().__init__(spec, drives, script, port)
-        self._packets = packets_of(spec.kind)
-        self._servo_framing = ServoFraming(spec.kind)
+    @functools.cached_property
+    def _servo_framing(self) -> ServoFraming:
+        return ServoFraming(self.spec.kind)
 
     def _is_whole(self, frame: bytes) -> bool:
         return self._servo_framing.whole(frame)
@@ -41,7 +30,7 @@ class SimulatedServoLine(SimulatedLine):
         for held in self._held:
             self._reply(held, now_s)
         self._held.clear()
-        for packet in take_all(self._packets, data):
+        for packet in take_all(packets_of(self.spec.kind), data):
             self.counters.frames += 1
             if packet is None:
                 self.counters.bad_crc += 1

@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,7 +16,7 @@ from motord.bus.messages.cdr import decode, encode
 from motord.bus.messages.table import type_hash, with_parts
 from motord.bus.ros2 import names
 from motord.bus.ros2.dds.participant import Discovery, Participant, Reader, Writer
-from motord.bus.ros2.quality import Distribution, Quality
+from motord.bus.ros2.quality import Answer, Distribution, Quality, Take
 from motord.bus.ros2.senders import Graph
 from motord.bus.ros2.services.service import Service
 
@@ -108,15 +107,8 @@ class Node:
         self._writers.append(writer)
         return Publisher(writer, kind)
 
-    def subscribe(
-        self,
-        name: str,
-        kind: str,
-        take: Callable[[SimpleNamespace, float, str], None],
-        quality: Quality | None = None,
-    ) -> None:
-        """`take` is called with each message, how long in s it was in transit, and whose
-        it is. Raises DdsError."""
+    def subscribe(self, name: str, kind: str, take: Take, quality: Quality | None = None) -> None:
+        """As nodes.Node.subscribe. Raises DdsError."""
         topic = names.topic(self.full(name))
         voice, delays = RateLimitedLog(_log), Delays()
 
@@ -145,15 +137,9 @@ class Node:
         return self._others.name(reader.writer_gid(handle))
 
     def serve(
-        self,
-        name: str,
-        kind: str,
-        answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
-        depth: int = 10,
-        together: int = 1,
+        self, name: str, kind: str, answer: Answer, depth: int = 10, together: int = 1
     ) -> None:
-        """A service, of pkg/srv/Name; so many answers at once. `answer` does not raise. Raises
-        DdsError."""
+        """As nodes.Node.serve. Raises DdsError."""
         service = Service(
             self._participant, self.full(name), kind, answer, self._others.name, depth, together
         )

@@ -12,7 +12,7 @@ import asyncio
 import itertools
 import logging
 import struct
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -25,7 +25,7 @@ from motord.bus.messages.table import type_hash
 from motord.bus.ros2 import names
 from motord.bus.ros2.dds.discovered import client_of
 from motord.bus.ros2.dds.participant import Participant
-from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.quality import Answer, Quality
 from motord.bus.ros2.senders import asker
 
 WAITING_MAX = 32
@@ -45,7 +45,7 @@ class Service:
         participant: Participant,
         name: str,
         kind: str,
-        answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
+        answer: Answer,
         name_of: Callable[[bytes], str],
         depth: int,
         together: int = 1,

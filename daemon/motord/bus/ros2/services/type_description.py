@@ -4,7 +4,7 @@ it for types that they were not built with."""
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Iterable
 from types import SimpleNamespace
 from typing import Any, Protocol
 
@@ -17,6 +17,7 @@ from motord.bus.messages.table import (
     type_hash,
     with_parts,
 )
+from motord.bus.ros2.quality import Answer
 
 SERVICE = "type_description_interfaces/srv/GetTypeDescription"
 _HASH_CHARS = 80
@@ -32,9 +33,7 @@ class TypedNode(Protocol):
     types: set[str]
     """Of its topics and services."""
 
-    def serve(
-        self, name: str, kind: str, answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]]
-    ) -> None:
+    def serve(self, name: str, kind: str, answer: Answer) -> None:
         """As `nodes.Node.serve`."""
         ...
 

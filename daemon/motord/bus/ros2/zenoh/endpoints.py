@@ -9,8 +9,6 @@ import asyncio
 import logging
 import time
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable
-from types import SimpleNamespace
 from typing import Any, Protocol
 
 import zenoh
@@ -21,7 +19,7 @@ from motord.bus.commands.delay import Delays
 from motord.bus.inbox import Inbox
 from motord.bus.messages.cdr import decode, encode
 from motord.bus.ros2.dds.other_types import type_conflict
-from motord.bus.ros2.quality import Quality
+from motord.bus.ros2.quality import Answer, Quality, Take
 from motord.bus.ros2.senders import SENDERS_MAX, asker, unnamed
 from motord.bus.ros2.zenoh.names import (
     PUBLISHER,
@@ -117,14 +115,7 @@ class Publisher:
 
 
 class Subscription:
-    def __init__(
-        self,
-        topic: str,
-        kind: str,
-        quality: Quality,
-        take: Callable[[SimpleNamespace, float, str], None],
-    ) -> None:
-        """`take` also gets how long in s a message was in transit, and whose it is."""
+    def __init__(self, topic: str, kind: str, quality: Quality, take: Take) -> None:
         self._topic, self._kind, self._quality = topic, kind, quality
         self._hand_over = take
         self._inbox: Inbox[tuple[bytes, bytes]] = Inbox(quality.depth, self._take)
@@ -179,14 +170,7 @@ class Subscription:
 
 
 class Service:
-    def __init__(
-        self,
-        name: str,
-        kind: str,
-        answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
-        depth: int,
-        together: int = 1,
-    ) -> None:
+    def __init__(self, name: str, kind: str, answer: Answer, depth: int, together: int = 1) -> None:
         """`together`: so many answers are in progress at once."""
         self._together = together
         self._name, self._kind = name, kind

@@ -7,9 +7,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import zenoh
@@ -17,7 +15,7 @@ import zenoh
 from motord.api.deadline import within
 from motord.bus.messages.table import with_parts
 from motord.bus.ros2.names import remapped
-from motord.bus.ros2.quality import Distribution, Quality
+from motord.bus.ros2.quality import Answer, Distribution, Quality, Take
 from motord.bus.ros2.zenoh.endpoints import Endpoint, Publisher, Service, Subscription
 from motord.bus.ros2.zenoh.names import NodeNames
 
@@ -113,27 +111,15 @@ class ZenohNode:
         self._endpoints.append(publisher)
         return publisher
 
-    def subscribe(
-        self,
-        name: str,
-        kind: str,
-        take: Callable[[SimpleNamespace, float, str], None],
-        quality: Quality | None = None,
-    ) -> None:
-        """`take` is called with each message, in the event loop, and how long in s it waited on
-        its way, and whose it is."""
+    def subscribe(self, name: str, kind: str, take: Take, quality: Quality | None = None) -> None:
+        """As nodes.Node.subscribe."""
         self.types.add(kind)
         self._endpoints.append(Subscription(self.full(name), kind, quality or Quality(), take))
 
     def serve(
-        self,
-        name: str,
-        kind: str,
-        answer: Callable[[SimpleNamespace], Awaitable[SimpleNamespace]],
-        depth: int = 10,
-        together: int = 1,
+        self, name: str, kind: str, answer: Answer, depth: int = 10, together: int = 1
     ) -> None:
-        """A service, of pkg/srv/Name; so many answers at once. `answer` does not raise."""
+        """As nodes.Node.serve."""
         self.types.update(with_parts(kind))
         service = Service(self.full(name), kind, answer, depth, together)
         self._services.append(service)

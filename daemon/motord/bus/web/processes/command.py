@@ -24,6 +24,20 @@ NICENESS = 19
 _log = logging.getLogger(__name__)
 
 
+class TaskOwner:
+    """Of tasks that end with it."""
+
+    _tasks: asyncio.TaskGroup | None = None
+
+    async def run(self) -> None:
+        """Until cancelled."""
+        async with asyncio.TaskGroup() as self._tasks:
+            try:
+                await asyncio.Event().wait()
+            finally:
+                self._tasks = None
+
+
 async def started(what: str, module: str, *arguments: str, **options: Any) -> Process:
     """`python -m MODULE ARGUMENTS`, with `options` of create_subprocess_exec. Raises NotTaken,
     which names `what`, where this machine has no process, memory or descriptor left for it."""

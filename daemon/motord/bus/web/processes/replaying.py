@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from motord.bus.commands.gate import NotTaken
-from motord.bus.web.processes.command import answer
+from motord.bus.web.processes.command import TaskOwner, answer
 
 WITHIN_S = 1800.0
 WAITING_MAX = 4
@@ -21,7 +21,7 @@ Key = tuple[str, str]
 """Section and name of a recording."""
 
 
-class Replays:
+class Replays(TaskOwner):
     """What each recording's replay does, or has found."""
 
     def __init__(self, changed: Callable[[], None]) -> None:
@@ -30,15 +30,6 @@ class Replays:
         self._changed = changed
         self._one = asyncio.Lock()
         self._running: dict[Key, asyncio.Task[dict[str, Any]]] = {}
-        self._tasks: asyncio.TaskGroup | None = None
-
-    async def run(self) -> None:
-        """Until cancelled."""
-        async with asyncio.TaskGroup() as self._tasks:
-            try:
-                await asyncio.Event().wait()
-            finally:
-                self._tasks = None
 
     def start(self, key: Key, path: Path) -> None:
         """Raises NotTaken."""

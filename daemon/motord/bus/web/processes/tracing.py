@@ -15,7 +15,7 @@ from typing import Any
 
 from motord.api.deadline import within
 from motord.bus.commands.gate import NotTaken
-from motord.bus.web.processes.command import reason, running
+from motord.bus.web.processes.command import TaskOwner, reason, running
 from motord.bus.web.viewer import Viewer
 
 SEND_EVERY_S = 0.2
@@ -42,21 +42,12 @@ class _Look:
     task: asyncio.Task[None] | None = None
 
 
-class Traces:
+class Traces(TaskOwner):
     """Of all lines."""
 
     def __init__(self, local_socket: Path) -> None:
         self._place = ("--socket", str(local_socket))
         self._looks: dict[str, _Look] = {}
-        self._tasks: asyncio.TaskGroup | None = None
-
-    async def run(self) -> None:
-        """Until cancelled."""
-        async with asyncio.TaskGroup() as self._tasks:
-            try:
-                await asyncio.Event().wait()
-            finally:
-                self._tasks = None
 
     def show(self, viewer: Viewer, line: str) -> None:
         """From now on, instead of what it was shown before."""

@@ -98,6 +98,14 @@ def velocity_range_rad_s(joint: Joint, profile: DriveProfile) -> tuple[float, fl
     return -forward, forward
 
 
+def all_reverse(robot: Robot) -> bool:
+    """Whether each wheel can turn backward."""
+    return all(
+        velocity_range_rad_s(joint, robot.profiles[joint.drive])[0] < 0.0
+        for joint in robot.joint.values()
+    )
+
+
 def counts_per_turn(joint: Joint, profile: DriveProfile) -> int:
     """Of the motor's shaft; 0: no counter."""
     if joint.encoder is not None:

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Jobs of a drive whose requests are orders to the thread in C: they go out beside its cycle."""
+
+from __future__ import annotations
+
+import abc
+import asyncio
+import contextlib
+
+from motord_hal.base.clock import now_s
+from motord_hal.base.errors import HalError
+from motord_hal.realtime.thread import LineThreadHandle, OrderedDriveReport
+
+ORDER_WITHIN_S = 0.5
+"""So long an order may wait while the medium takes nothing."""
+SEEN_WITHIN_S = 1.0
+ARM = "arm"
+"""Of this job nothing is sent any more once a stop was sent to the drive."""
+
+
+class OrderJobs(abc.ABC):
+    """One job at a time; an urgent one does not wait for its turn."""
+
+    def __init__(self, index: int, name: str, thread: LineThreadHandle, cycle_s: float) -> None:
+        """`index`: the drive's number in the line's table."""
+        self._index = index
+        self._name = name
+        self._handle = thread
+        self._cycle_s = cycle_s
+        self._turn = asyncio.Lock()
+
+    @abc.abstractmethod
+    def _drive_report(self) -> OrderedDriveReport:
+        """Of now."""
+
+    @abc.abstractmethod
+    def _ordered(self) -> int:
+        """Orders since the start."""
+
+    @property
+    def request_limit_s(self) -> float:
+        """Longest time until an order is sent, or will never be."""
+        return self._cycle_s + ORDER_WITHIN_S
+
+    def _in_turn(self, *, urgent: bool) -> contextlib.AbstractAsyncContextManager[None]:
+        return contextlib.nullcontext() if urgent else self._turn
+
+    async def _all_sent(self, dropped_before: int) -> bool:
+        """A cycle later, or when all that was ordered has gone out. False: some of it never
+        will."""
+        until_s = now_s() + self.request_limit_s + SEEN_WITHIN_S
+        while now_s() < until_s:
+            await asyncio.sleep(self._cycle_s)
+            report = self._drive_report()
+            if report.orders_dropped != dropped_before:
+                break
+            if report.orders_sent + report.orders_dropped == self._ordered():
+                return True
+        return False
+
+    async def _stops(self) -> int:
+        """How often C has stopped the drive, all requests so far included. Raises HalError."""
+        requested = self._handle.requested(self._index)
+        until_s = now_s() + SEEN_WITHIN_S
+        while now_s() < until_s:
+            report = self._drive_report()
+            if report.request_seen == requested:
+                return report.stops
+            await asyncio.sleep(self._cycle_s)
+        raise HalError(f"{self._name}: the line's thread does not answer")
