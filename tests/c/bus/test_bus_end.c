@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * An input of ROS 2 ends while commands arrive, in every order in which lease and listener may go: then nothing of it is
- * sent or notified any more. This program stands for Cyclone's library: receiver_library finds its functions here. */
+ * An input of ROS 2 ends while commands arrive, in every order in which lease and listener may go:
+ * then nothing of it is sent or notified any more. This program stands for Cyclone's library:
+ * receiver_library finds its functions here. */
 #include <errno.h>
 #include <poll.h>
 #include <pthread.h>
@@ -43,12 +44,13 @@ static _Atomic int held;
 static _Atomic uint64_t deliveries;
 static _Atomic bool over;
 
-/* ------------------------------------------------------------------------------ what motord calls of the library */
+/* ------------------------------------------------------------- what motord calls of the library */
 dds_listener *dds_create_listener(void *arg);
 void dds_lset_data_available(dds_listener *listener, void (*call)(int32_t reader, void *arg));
 int32_t dds_set_listener(int32_t reader, const dds_listener *listener);
 void dds_delete_listener(dds_listener *listener);
-int32_t dds_takecdr(int32_t reader, ddsi_serdata **data, uint32_t count, sample_info *info, uint32_t mask);
+int32_t dds_takecdr(int32_t reader, ddsi_serdata **data, uint32_t count, sample_info *info,
+                    uint32_t mask);
 uint32_t ddsi_serdata_size(const ddsi_serdata *data);
 void ddsi_serdata_to_ser(const ddsi_serdata *data, size_t offset, size_t bytes, void *to);
 void ddsi_serdata_unref(ddsi_serdata *data);
@@ -83,7 +85,8 @@ void dds_delete_listener(dds_listener *listener)
 }
 
 /* Two at a time, so that a call ends. */
-int32_t dds_takecdr(int32_t reader, ddsi_serdata **data, uint32_t count, sample_info *info, uint32_t mask)
+int32_t dds_takecdr(int32_t reader, ddsi_serdata **data, uint32_t count, sample_info *info,
+                    uint32_t mask)
 {
     CHECK(reader == READER && count > 2 && mask != 0);
     for (int i = 0; i < 2; i++) {
@@ -131,7 +134,7 @@ static void *receives(void *unused)
     return NULL;
 }
 
-/* --------------------------------------------------------------------------------------------------------- the test */
+/* ------------------------------------------------------------------------------------- the test */
 /* In plain CDR, little-endian, without a frame: 0.5 m/s, stamped now. */
 static void stamp_twist(void)
 {
@@ -181,7 +184,8 @@ static void one_ends(int round)
     }
     CHECK(receiver_stop(number) == 0);
     CHECK(close(event_fd) == 0);
-    int other_fd = eventfd(0, EFD_NONBLOCK); /* another file of the process may have its number by now */
+    int other_fd = eventfd(0, EFD_NONBLOCK); /* another file of the process may have its number by
+                                                now */
     CHECK(other_fd == event_fd);
     (void)received(lease[1]);
     later();
