@@ -4,10 +4,12 @@ san). Property tests have no deadline: a busy machine is no bug. Each run draws 
 most of them in `make san`. Programs that tests start read their modules from bytecode: without it,
 each of some thousand starts compiles a hundred modules anew."""
 
+import contextlib
 import functools
 import gc
 import os
 import re
+import resource
 import sys
 from collections import Counter
 from pathlib import Path
@@ -142,3 +144,21 @@ def pytest_configure(config):
     settings.register_profile("motord", deadline=None, max_examples=examples)
     settings.load_profile("motord")
     fork_server.install()
+
+
+@contextlib.contextmanager
+def _no_descriptor_left():
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with open(os.devnull, "rb") as free:
+        lowest = free.fileno()
+    resource.setrlimit(resource.RLIMIT_NOFILE, (lowest, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+
+@pytest.fixture
+def no_descriptor_left():
+    """For a block in which this process gets a descriptor only where it has closed another one."""
+    return _no_descriptor_left

@@ -44,6 +44,11 @@ LINE_WITHIN_CYCLES = 5
 _log = logging.getLogger(__name__)
 
 
+class _Over(Exception):
+    """Ends the group of tasks, which cancels each of them once. Were they cancelled one by one, the
+    group would do it again when one of them fails meanwhile, and cut off the end of a line."""
+
+
 async def run(
     robot: Robot,
     path: Path | None = None,
@@ -85,37 +90,51 @@ async def run(
         for spec in specs:
             operation.lines.append(open_line(spec, Exchange.of_loop(), operation.on_line_event))
         operation.take(Event.START)
-        async with asyncio.TaskGroup() as tasks:
-            work = [tasks.create_task(line.run()) for line in operation.lines]
-            work.append(tasks.create_task(_watch(operation, feeds)))
-            work.append(tasks.create_task(_beat(operation)))
-            work.append(tasks.create_task(procedures.disarm_on_request(operation)))
-            work.append(tasks.create_task(watch_battery(operation)))
-            work.append(tasks.create_task(watch_imu(operation)))
-            work.append(tasks.create_task(_watch_health(operation, health, notifier)))
-            work += [tasks.create_task(publishers[key].run(feeds[key])) for key in publishers]
-            if bus is not None:
-                work.append(tasks.create_task(bus.run()))
-            tracing = Tracing(operation.lines)
-            offered = methods(operation, health, feeds, command_sockets, bus, recent_log, tracing)
-            server = tasks.create_task(
-                serve(listener, offered, operation.disconnect, operation.leases.holds)
-            )
-            _say_hello(operation, path)
-            notifier.ready()
-            on_ready(path)
-            await end.wait()
-            _log.info("ending: the robot comes to rest first")
-            notifier.stopping()
-            server.cancel()
-            await asyncio.wait([server])
-            problems = await procedures.shut_down(operation, force)
-            for task in work:
-                task.cancel()
+        problems: list[str] = []
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                for line in operation.lines:
+                    tasks.create_task(line.run())
+                tasks.create_task(_watch(operation, feeds))
+                tasks.create_task(_beat(operation))
+                tasks.create_task(procedures.disarm_on_request(operation))
+                tasks.create_task(watch_battery(operation))
+                tasks.create_task(watch_imu(operation))
+                tasks.create_task(_watch_health(operation, health, notifier))
+                for key, publisher in publishers.items():
+                    tasks.create_task(publisher.run(feeds[key]))
+                if bus is not None:
+                    tasks.create_task(bus.run())
+                tracing = Tracing(operation.lines)
+                offered = methods(
+                    operation, health, feeds, command_sockets, bus, recent_log, tracing
+                )
+                server = tasks.create_task(
+                    serve(listener, offered, operation.disconnect, operation.leases.holds)
+                )
+                _say_hello(operation, path)
+                notifier.ready()
+                on_ready(path)
+                await end.wait()
+                problems = await _shut_down(operation, force, notifier, server)
+                raise _Over
+        except* _Over:
+            pass
     if problems:
         _log.warning("ended, but not all drives are known to be without power: %s", problems[0])
     else:
         _log.info("ended: at rest and disarmed")
+
+
+async def _shut_down(
+    operation: Operation, force: asyncio.Event, notifier: Notifier, server: asyncio.Task[None]
+) -> list[str]:
+    """Nothing is answered any more; the rest is procedures.shut_down."""
+    _log.info("ending: the robot comes to rest first")
+    notifier.stopping()
+    server.cancel()
+    await asyncio.wait([server])
+    return await procedures.shut_down(operation, force)
 
 
 @contextlib.contextmanager

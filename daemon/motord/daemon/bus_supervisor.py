@@ -201,7 +201,9 @@ async def _end(process: Process) -> None:
     except TimeoutError:
         with contextlib.suppress(ProcessLookupError):  # it has just ended
             process.kill()
-        await process.wait()
+        with contextlib.suppress(TimeoutError):  # the kernel may hold it for longer
+            async with within(END_WITHIN_S):
+                await process.wait()
 
 
 def _how_it_ended(status: int | None) -> str:

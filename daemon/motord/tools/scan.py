@@ -24,6 +24,7 @@ from motord_hal.drives.profile import DriveProfile, Register
 from motord_hal.fieldbus.ports import DirectionSpec, LineSpec
 from motord_hal.modbus.codec import (
     EXCEPTION_BYTES,
+    UNIT_MAX,
     FrameError,
     Function,
     Reply,
@@ -208,7 +209,7 @@ def scan(
             for found in itertools.chain(_servos(asker, units, say), _roboclaws(asker, say)):
                 anybody = True
                 yield found
-            for unit in () if anybody else units:
+            for unit in () if anybody else (one for one in units if 0 < one <= UNIT_MAX):
                 if time.monotonic() > end_s:
                     say(f"stopped after {within_s:g} s: --within-s looks on for longer")
                     return

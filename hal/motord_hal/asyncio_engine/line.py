@@ -22,7 +22,7 @@ from motord_hal.fieldbus.job import Job, clear_steps
 from motord_hal.fieldbus.line import DriveLine
 from motord_hal.fieldbus.parameter import readable, write_steps
 from motord_hal.fieldbus.plan import Plan, Wanted
-from motord_hal.fieldbus.ports import DriveState, LineSpec, Listener
+from motord_hal.fieldbus.ports import DriveState, EventKind, LineSpec, Listener
 from motord_hal.realtime.drive_state import EarlyShare
 from motord_hal.realtime.exchange import Exchange, is_fresh
 
@@ -107,8 +107,9 @@ class AsyncioLine(DriveLine[AnyDrive]):
         with contextlib.ExitStack() as block:
             try:
                 block.enter_context(self._exchange.waking(self.spec.index, self._woken.set))
-            except OSError as error:
-                raise PortError(f"{self.spec.name}: no eventfd: {error.strerror}") from error
+            except OSError as error:  # it stops its drives all the same
+                text = f"{self.spec.name} is not woken for new commands: {error.strerror}"
+                self._say_all(EventKind.DRIVE_WARNING, text)
             while True:
                 self._look()
                 self._cycles.begin()

@@ -109,6 +109,13 @@ class CanLine(AsyncioLine[CanDrive]):
         """As AsyncioLine._newest."""
         return {} if self._gate.is_shut(now_s()) else super()._newest(drive)
 
+    def _begins_early(self) -> bool:
+        """As AsyncioLine._begins_early. A cable that is pulled would keep more motion for later."""
+        if self._gate.holds_motion:
+            self._woken.clear()
+            return False
+        return super()._begins_early()
+
     async def _cycle(self) -> None:
         if self._gate.is_shut(now_s()):
             self._bus.errors["tx_full"] += 1

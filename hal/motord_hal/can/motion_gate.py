@@ -43,6 +43,11 @@ class MotionGate:
         """A set-point frame of ours has left."""
         self._since_s = None
 
+    @property
+    def holds_motion(self) -> bool:
+        """Motion was handed over, and none of it is known to have left."""
+        return self.receives_own and self._since_s is not None
+
     def is_shut(self, now_s: float) -> bool:
         """Set-points are to be zero: the CAN bus took nothing in a whole cycle, nor since, or
         motion waits for longer than a cycle."""

@@ -20,6 +20,8 @@ from typing import Literal, Protocol
 
 from motord_hal.drives.profile import DriveProfile, Register
 
+UNIT_MAX = 252
+"""ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, packet ID; what every bus servo takes, from 0 on."""
 BROADCAST_UNIT = 0xFE
 KINDS = ("feetech", "dynamixel")
 """Kinds of lines, and the protocols of drive profiles, that speak in such packets."""

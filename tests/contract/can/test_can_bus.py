@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What goes wrong on a CAN bus itself: bus-off, error frames, a full queue, a flood, no adapter."""
 
+import asyncio
 import errno
 import socket
 import time
@@ -8,12 +9,13 @@ import time
 import can
 import pytest
 from can_rig import TURN, bus_that, spec_of
-from loop_side import running, until
+from loop_side import GENEROUS_S, running, until
 from scripted_odrive import BUSES, CLOSED_LOOP, ESTIMATES, IDLE, Peer, living
 
 from motord_hal.base.clock import now_ns
 from motord_hal.base.errors import PortError
 from motord_hal.can.bus import CanBus
+from motord_hal.can.motion_gate import MotionGate
 from motord_hal.can.plan import Sent
 from motord_hal.can.socket_frames import packed
 from motord_hal.fieldbus.ports import DriveState, EventKind
@@ -179,6 +181,36 @@ async def test_no_more_motion_is_handed_to_a_bus_that_lets_none_leave(rig, peer)
     assert rig.line.stats().errors["tx_full"] > 5
     rig.line._gate.left()
     await until(lambda: any(peer.axes[0].velocities()[mark:]))
+
+
+@pytest.mark.parametrize("peer", ["virtual"], indirect=True)  # tests/c/can/test_can_kick.c
+async def test_motion_that_has_not_left_is_followed_by_no_early_motion(rig, peer):
+    """No cycle is due before this test has given up."""
+    await rig.arm()
+    rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN, 1: TURN}
+    await until(lambda: any(peer.axes[0].velocities()))
+    rig.line._period_s = 2.0 * GENEROUS_S
+    cycles = rig.line.stats().cycles
+    await until(lambda: rig.line.stats().cycles > cycles)  # one was due by the period before
+    rig.line._gate = gate = MotionGate(2.0 * GENEROUS_S, receives_own=True)
+    mark = len(peer.axes[0].velocities())
+
+    async def command(turns):
+        rig.loop.velocity_rad_s = {0: turns * TURN, 1: turns * TURN}
+        rig.loop.put()
+        rig.loop.exchange.wake_line(0)
+        for _ in range(20):
+            await asyncio.sleep(0)
+
+    await command(2.0)
+    await until(lambda: peer.axes[0].velocities()[-1] == 2.0)
+    await command(3.0)
+    gate.left()
+    await command(4.0)
+    await until(lambda: peer.axes[0].velocities()[-1] == 4.0)
+    await command(0.0)
+    await until(lambda: peer.axes[0].velocities()[-1] == 0.0)
+    assert peer.axes[0].velocities()[mark:] == [2.0, 4.0, 0.0]
 
 
 @pytest.mark.parametrize("step_s", [0.0, 0.7, 0.95, -0.7, 3600.0])

@@ -2,6 +2,8 @@
 """The line against drives that go on turning, start again or are on when they shall not be."""
 
 import asyncio
+import errno
+import os
 import time
 
 import pytest
@@ -28,6 +30,7 @@ from motord.config.drives.load import find_profile
 from motord_hal.base.errors import HalError
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
 from motord_hal.modbus.codec import Function
+from motord_hal.realtime import exchange
 
 DUTY, DUTY_WATCHDOG = 0x0100, 0x0110
 SPEED, RUN = 0x0056, 0x0066
@@ -275,6 +278,23 @@ async def test_commands_without_end_do_not_fill_a_slow_line_and_a_stop_is_sent_a
         await send(rig, 0)
         await until(lambda: peer.written(DUTY)[-1] == 0)
         assert len(peer.written(DUTY)[mark:]) <= lib.EARLY_AT_ONCE + 2  # the stop, and one was due
+
+
+@pytest.mark.parametrize("peer", ["asyncio"], indirect=True)
+async def test_a_line_that_nothing_can_wake_is_opened_and_stops_its_drives(peer, monkeypatch):
+    def none_left(*_):
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(os, "eventfd", none_left)
+    monkeypatch.setattr(exchange, "_WAKE_FDS", {})
+    peer.units[1] = Unit(registers_of("duty-register"))
+    async with running(spec_of(peer, [single("duty-register")])) as rig:
+        await rig.arm()
+        rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
+        await until(lambda: 50 in peer.written(DUTY))
+        rig.loop.duty = {}
+        await until(lambda: peer.written(DUTY)[-1] == 0)
+    assert any("is not woken" in event.text for event in rig.events)
 
 
 async def send(rig, percent):

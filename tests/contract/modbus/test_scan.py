@@ -103,7 +103,7 @@ def test_a_port_that_is_not_there_is_missing_hardware(tmp_path):
     assert "ttyUSB9" in run.stderr
 
 
-@pytest.mark.parametrize("units", ["0", "1-248", "5-2", "all"])
+@pytest.mark.parametrize("units", ["-1", "1-253", "5-2", "all"])
 def test_units_that_are_none_are_wrong_usage(units):
     assert scan("/dev/null", "--units", units).returncode == 2
 

@@ -69,7 +69,7 @@ def test_the_makers_sdk_moves_simulated_servos(tmp_path):
 
 
 def test_a_scan_names_the_first_profile_of_the_series(tmp_path):
-    words = (str(tmp_path / "bus"), "--units", "1-2", "--baudrate", "1000000", "--json")
+    words = (str(tmp_path / "bus"), "--units", "0-2", "--baudrate", "1000000", "--json")
     with simulated(PROFILE, tmp_path):
         run = subprocess.run(
             [sys.executable, "-m", "motord", "scan", *words],

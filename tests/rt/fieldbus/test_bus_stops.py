@@ -4,8 +4,6 @@
 import asyncio
 import contextlib
 import dataclasses
-import os
-import resource
 import uuid
 from pathlib import Path
 
@@ -20,23 +18,6 @@ from motord.realtime import loop as rt
 
 DEMO = Path(__file__).resolve().parents[3] / "config/robots/demo.toml"
 DEADLINE_S = 30.0
-FILES_MAX = 256
-
-
-@contextlib.contextmanager
-def no_descriptor_left():
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (FILES_MAX, hard))
-    taken = []
-    try:
-        with contextlib.suppress(OSError):
-            while True:
-                taken.append(os.open("/dev/null", os.O_RDONLY))
-        yield
-    finally:
-        for number in taken:
-            os.close(number)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 @contextlib.asynccontextmanager
@@ -66,7 +47,9 @@ def looped(robot, path):
 
 
 @pytest.mark.parametrize("method", ["stop", "estop", "disarm"])
-async def test_without_a_descriptor_the_robot_is_stopped_all_the_same(robot, tmp_path, method):
+async def test_without_a_descriptor_the_robot_is_stopped_all_the_same(
+    robot, tmp_path, method, no_descriptor_left
+):
     path = tmp_path / "robot.sock"
     runtime = Runtime(robot, path)
     with looped(robot, path) as loop:

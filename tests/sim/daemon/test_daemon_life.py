@@ -86,17 +86,35 @@ def test_a_daemon_that_could_not_switch_its_drives_off_does_not_claim_it(tmp_pat
         assert "at rest and disarmed" not in log
 
 
+SLOW_RAMP = ("limits.linear_deceleration_m_s2=0.06", "limits.linear_m_s3=inf")
+
+
+def status_without_the_ramp(stage, *faults):
+    """It ends by a second signal, and the lines stop their drives as they end, which these faults
+    disturb."""
+    moving(stage)
+    stage.daemon.send_signal(signal.SIGTERM)
+    wait_until(lambda: "comes to rest" in stage.logged(), "the first signal")
+    stage.robot.close()
+    for fault in faults:
+        stage.sim.inject(fault)
+    status = stage.end()
+    assert not any(joint.enabled for joint in stage.sim.truth().joints.values())
+    wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+    return status
+
+
 def test_a_second_signal_does_not_wait_for_the_ramp_but_takes_the_power_off(tmp_path):
-    slow = ("limits.linear_deceleration_m_s2=0.06", "limits.linear_m_s3=inf")
-    with running(tmp_path, *slow) as stage:
-        moving(stage)
-        stage.daemon.send_signal(signal.SIGTERM)
-        wait_until(lambda: "comes to rest" in stage.logged(), "the first signal")
-        stage.robot.close()
-        assert stage.end() == 0
-        joints = stage.sim.truth().joints.values()
-        assert not any(joint.enabled for joint in joints)
-        wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
+    with running(tmp_path, *SLOW_RAMP) as stage:
+        assert status_without_the_ramp(stage) == 0
+
+
+def test_a_task_that_fails_while_the_daemon_ends_cuts_no_stop_off(tmp_path):
+    failing = ("-m", "tests.sim.failing_daemon")
+    settings = (*SLOW_RAMP, "safety.drive_watchdog_s=10.0")
+    with running(tmp_path, *settings, motord=failing) as stage:
+        assert status_without_the_ramp(stage, "silence:for_s=0.3") != 0
+        assert "a mistake at the end" in stage.logged()
 
 
 def test_a_base_that_coasts_when_the_command_ends_is_disarmed_by_it(tmp_path):

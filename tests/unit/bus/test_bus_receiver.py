@@ -17,6 +17,7 @@ from motord.bus.commands.gate import AHEAD, FUTURE_S, OLD_S, ZERO_STAMP, NotTake
 from motord.bus.commands.link import Source
 from motord.bus.messages.cdr import decode, encode
 from motord.bus.ros2.commands import _as_mapping
+from motord.bus.ros2.dds.receiver import Receiver
 
 TYPE = "geometry_msgs/msg/TwistStamped"
 TOKENS = b"a" * 16, b"b" * 16
@@ -199,6 +200,19 @@ def test_there_are_as_many_receivers_as_there_are():
         lib.receiver_release(number)
     assert lib.receiver_stop(0) < 0
     assert lib.receiver_start(0, 1, 1) < 0
+
+
+def test_one_that_could_not_be_opened_is_not_claimed(no_descriptor_left):
+    """However often it was tried."""
+    for _ in range(lib.RECEIVERS_MAX + 1):
+        receiver = Receiver(SimpleNamespace(ffi=ffi, lib=lib), SimpleNamespace(_ref=1))
+        with no_descriptor_left(), pytest.raises(OSError, match="Too many open"), receiver.open():
+            pass
+        with pytest.raises(OSError, match="takes no listener"), receiver.open():
+            pass
+    number = lib.receiver_claim()
+    assert number == 0
+    lib.receiver_release(number)
 
 
 def test_a_library_without_what_is_needed_is_refused():

@@ -6,7 +6,6 @@ import contextlib
 import errno
 import json
 import os
-import resource
 import sys
 
 import pytest
@@ -138,18 +137,6 @@ async def test_why_a_trace_has_ended_is_shown(carried_out_by, tmp_path, script, 
         work.cancel()
 
 
-@contextlib.contextmanager
-def no_descriptors():
-    """None is left for a process, as where too many connections are open."""
-    before = resource.getrlimit(resource.RLIMIT_NOFILE)
-    with open(os.devnull, "rb") as free:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (free.fileno(), before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, before)
-
-
 @contextlib.asynccontextmanager
 async def running(part):
     """A part of a dashboard: one that fails ends all of it."""
@@ -165,11 +152,11 @@ NO_MORE = os.strerror(errno.EMFILE)
 
 
 async def test_a_trace_that_cannot_be_started_gives_its_page_the_reason_and_ends_nothing(
-    carried_out_by, tmp_path
+    carried_out_by, tmp_path, no_descriptor_left
 ):
     traces, page = Traces(tmp_path / "socket"), Page()
     async with running(traces):
-        with no_descriptors():
+        with no_descriptor_left():
             traces.show(page, "a")
             trace = json.loads(await page.sent.get())["trace"]
         assert trace == {"line": "a", "problem": f"motord trace cannot be started: {NO_MORE}"}
@@ -178,11 +165,13 @@ async def test_a_trace_that_cannot_be_started_gives_its_page_the_reason_and_ends
         assert json.loads(await page.sent.get())["trace"]["problem"] == "no line"
 
 
-async def test_a_replay_that_cannot_be_started_is_a_problem_and_ends_nothing(tmp_path):
+async def test_a_replay_that_cannot_be_started_is_a_problem_and_ends_nothing(
+    tmp_path, no_descriptor_left
+):
     changed, key = asyncio.Event(), ("tape", "a.mcap")
     replays = Replays(changed.set)
     async with running(replays):
-        with no_descriptors():
+        with no_descriptor_left():
             replays.start(key, tmp_path / "a.mcap")
             while "problem" not in replays.found[key]:
                 changed.clear()
@@ -190,18 +179,20 @@ async def test_a_replay_that_cannot_be_started_is_a_problem_and_ends_nothing(tmp
         assert replays.found[key] == {"problem": f"motord replay cannot be started: {NO_MORE}"}
 
 
-async def test_a_request_whose_process_cannot_be_started_is_refused():
-    with no_descriptors():
+async def test_a_request_whose_process_cannot_be_started_is_refused(no_descriptor_left):
+    with no_descriptor_left():
         with pytest.raises(NotTaken, match=f"motord params cannot be started: {NO_MORE}"):
             await answer("params", "save", within_s=100)
         with pytest.raises(NotTaken, match=f"for the request cannot be started: {NO_MORE}"):
             await asked("motord.config", {}, within_s=100)
 
 
-async def test_a_procedure_that_cannot_be_started_ends_and_ends_nothing(procedure):
+async def test_a_procedure_that_cannot_be_started_ends_and_ends_nothing(
+    procedure, no_descriptor_left
+):
     commissioning, published = procedure("exit 1")
     async with running(commissioning):
-        with no_descriptors():
+        with no_descriptor_left():
             commissioning.start(Page(), SPIN)
             end = await ended(commissioning, published)
         assert end == {"good": False, "text": f"the procedure cannot be started: {NO_MORE}"}

@@ -77,6 +77,18 @@ async def test_its_word_on_itself_is_the_daemons():
         assert report["pid"] > 1
 
 
+async def test_a_child_that_no_kill_ends_is_not_waited_for(monkeypatch):
+    """As one that the kernel holds."""
+    words = (sys.executable, "-c", "import time; time.sleep(1000)")
+    process = await asyncio.create_subprocess_exec(*words, stdin=asyncio.subprocess.PIPE)
+    async with asyncio.timeout(DEADLINE_S):
+        with monkeypatch.context() as held:
+            held.setattr(asyncio.subprocess.Process, "kill", lambda _: None)
+            await bus_supervisor._end(process)
+        process.kill()
+        await process.wait()
+
+
 @pytest.mark.parametrize("line", [b"\n", b"{\n", b"[warning] no route\n"])
 async def test_a_flood_is_reported_once_and_the_daemon_does_all_else_meanwhile(line, caplog):
     flood = f"flood = {line!r} * 3000\nwhile True: os.write(1, flood)"

@@ -5,7 +5,6 @@ import asyncio
 import contextlib
 import json
 import os
-import resource
 import socket
 import threading
 
@@ -246,21 +245,11 @@ def test_it_speaks_the_protocol_of_the_page(tmp_path):
     assert received == [{"jsonrpc": "2.0", "id": 1, "method": "arm", "params": {}}]
 
 
-@contextlib.contextmanager
-def no_descriptor_left():
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-
-
-def test_without_a_descriptor_left_it_is_an_error_as_any_other(path):
+def test_without_a_descriptor_left_it_is_an_error_as_any_other(path, no_descriptor_left):
     with no_descriptor_left(), pytest.raises(ClientError, match="Too many open files"):
         Client(path)
 
 
-async def test_so_it_is_in_asyncio(path):
+async def test_so_it_is_in_asyncio(path, no_descriptor_left):
     with no_descriptor_left(), pytest.raises(ClientError, match="Too many open files"):
         await aio.Client(path).open()

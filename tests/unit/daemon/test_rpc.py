@@ -5,7 +5,6 @@ import asyncio
 import contextlib
 import json
 import os
-import resource
 import socket
 import subprocess
 import sys
@@ -358,42 +357,32 @@ async def test_an_answer_that_is_no_json_is_an_error_and_not_the_servers_end(pat
     assert "an answer to process" in caplog.text
 
 
-async def test_without_a_free_file_descriptor_it_tries_again(path, caplog):
-    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+async def test_without_a_free_file_descriptor_it_tries_again(path, caplog, no_descriptor_left):
     async with hosted(path):
         with socket.socket(socket.AF_UNIX) as late:
             late.settimeout(0)
-            free = os.dup(0)
-            os.close(free)
-            try:
-                resource.setrlimit(resource.RLIMIT_NOFILE, (free, limits[1]))
+            with no_descriptor_left():
                 late.connect(str(path))
                 await until(lambda: "no new connection" in caplog.text)
-            finally:
-                resource.setrlimit(resource.RLIMIT_NOFILE, limits)
             loop = asyncio.get_running_loop()
             await loop.sock_sendall(late, b'{"jsonrpc":"2.0","id":1,"method":"who"}\n')
             assert json.loads(await loop.sock_recv(late, 1000))["id"] == 1
 
 
-async def test_without_a_free_file_descriptor_who_has_been_silent_longest_makes_room(path):
-    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+async def test_without_a_free_file_descriptor_who_has_been_silent_longest_makes_room(
+    path, no_descriptor_left
+):
     async with hosted(path):
         silent, busy = await Peer.at(path), await Peer.at(path)
         for peer in (silent, busy):
             await peer.call("add", a=1)
         with socket.socket(socket.AF_UNIX) as late:
             late.settimeout(0)
-            free = os.dup(0)
-            os.close(free)
-            try:
-                resource.setrlimit(resource.RLIMIT_NOFILE, (free, limits[1]))
+            with no_descriptor_left():
                 late.connect(str(path))
                 loop = asyncio.get_running_loop()
                 await loop.sock_sendall(late, b'{"jsonrpc":"2.0","id":1,"method":"who"}\n')
                 assert json.loads(await loop.sock_recv(late, 1000))["id"] == 1
-            finally:
-                resource.setrlimit(resource.RLIMIT_NOFILE, limits)
         assert await silent.reader.read() == b""
         assert (await busy.call("add", a=1))["result"] == 1
         for peer in (silent, busy):

@@ -7,7 +7,6 @@ import dataclasses
 import json
 import math
 import os
-import resource
 import socket
 import subprocess
 import sys
@@ -164,17 +163,10 @@ async def test_udp_to_what_is_no_name_at_all_is_reported_and_goes_on(caplog):
     assert "broker..example has no address" in caplog.text
 
 
-@pytest.fixture
-def no_descriptor_left():
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    yield lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
-    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-
-
 async def test_udp_without_a_socket_is_reported_and_goes_on(caplog, no_descriptor_left):
     publisher = UdpPublisher("mine", UdpPublish(kind="udp"))
-    no_descriptor_left()
-    await feeding(SnapshotFeed("r2", 1000.0), publisher, lambda: bool(caplog.records))
+    with no_descriptor_left():
+        await feeding(SnapshotFeed("r2", 1000.0), publisher, lambda: bool(caplog.records))
     assert "no socket for 127.0.0.1: Too many open files" in caplog.text
 
 

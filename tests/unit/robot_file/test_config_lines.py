@@ -174,11 +174,17 @@ def servos(tmp_path):
     return read
 
 
+@pytest.mark.parametrize("unit", [0, 248, 252])
+def test_a_servo_has_any_unit_that_a_servo_can_have(servos, unit):
+    assert servos("unit = 9", f"unit = {unit}").joint["right"].unit == unit
+
+
 def test_a_unit_that_speaks_to_all_servos_is_no_servo_s(servos):
     with pytest.raises(ConfigError) as caught:
         servos("unit = 9", "unit = 254")
-    rows = [f"{row.key}: {row.text}" for row in caught.value.problems]
-    assert any(row.startswith("joint.right.unit: 254 is no servo's: 0 to 252") for row in rows)
+    (row,) = [str(row.text) for row in caught.value.problems if row.key == "joint.right.unit"]
+    assert "254 is no address of drive" in row
+    assert "(0 to 252)" in row
 
 
 def test_a_bus_takes_a_baud_rate_that_no_table_has(servos):

@@ -13,7 +13,8 @@ from motord.cli.common import Exit, Failure, json_option, print_json, usual_opti
 if TYPE_CHECKING:
     from motord.tools.scan import Found, Trial
 
-UNIT_MAX = 247
+UNIT_MAX = 252
+"""Of servos, which begin at 0; drives on Modbus have 1 to 247."""
 
 
 def _units(_context: click.Context, _option: click.Parameter, text: str) -> range:
@@ -23,8 +24,8 @@ def _units(_context: click.Context, _option: click.Parameter, text: str) -> rang
         units = range(int(first), int(last or first) + 1)
     except ValueError:
         raise click.BadParameter(f'"{text}" is no range of units, as 1-32 is') from None
-    if not units or units[0] < 1 or units[-1] > UNIT_MAX:
-        raise click.BadParameter(f"units are 1 to {UNIT_MAX}")
+    if not units or units[0] < 0 or units[-1] > UNIT_MAX:
+        raise click.BadParameter(f"units are 0 to {UNIT_MAX}")
     return units
 
 

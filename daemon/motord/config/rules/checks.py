@@ -17,6 +17,8 @@ from motord_hal.base.errors import ProfileError
 from motord_hal.base.nearest import nearest
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.modbus.codec import UNIT_MAX
+from motord_hal.servo.packets import KINDS as SERVO_KINDS
+from motord_hal.servo.packets import UNIT_MAX as SERVO_UNIT_MAX
 
 _REFERENCES = (("line",), ("drive",), ("channel",), ("unit",))
 
@@ -74,7 +76,9 @@ def _profile(robot: Robot, drive: str) -> DriveProfile:
 
 
 def _address(name: str, joint: Joint, profile: DriveProfile) -> Iterator[Finding]:
-    low, high = (profile.can.node_min, profile.can.node_max) if profile.can else (1, UNIT_MAX)
+    low, high = (0, SERVO_UNIT_MAX) if profile.protocol in SERVO_KINDS else (1, UNIT_MAX)
+    if profile.can is not None:
+        low, high = profile.can.node_min, profile.can.node_max
     if not low <= joint.unit <= high:
         text = f'{joint.unit} is no address of drive "{joint.drive}" ({low} to {high})'
         yield Finding((("joint", name, "unit"), ("joint", name, "drive")), text)

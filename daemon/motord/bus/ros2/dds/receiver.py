@@ -71,9 +71,9 @@ class Receiver:
     @contextmanager
     def open(self) -> Iterator[int]:
         """It takes commands; yields what becomes readable when one has come. Raises OSError."""
-        self._number = self._checked(self._lib.receiver_claim(), "no receiver is left")
         self._event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         try:
+            self._number = self._checked(self._lib.receiver_claim(), "no receiver is left")
             reader = self._entity._ref  # noqa: SLF001  the binding has no name for it
             start = self._lib.receiver_start(self._number, reader, self._event_fd)
             self._checked(start, "DDS takes no listener for cmd_vel")
@@ -155,10 +155,10 @@ class Twists:
         source = self._gate.source
         self._counts = {}
         with self._receiver.open() as fd:
-            loop.add_reader(fd, arrived.set)
-            source.lend(self._receiver)
-            before_python()
             try:
+                loop.add_reader(fd, arrived.set)
+                source.lend(self._receiver)
+                before_python()
                 while True:
                     self._receiver.alive()
                     with suppress(TimeoutError):

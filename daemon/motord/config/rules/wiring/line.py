@@ -38,8 +38,6 @@ from motord_hal.can.adapters import why_unfit
 from motord_hal.fieldbus.open_line import RT_CAN_INTERFACES
 from motord_hal.sabertooth.codec import UNITS as SABERTOOTH_UNITS
 
-SERVO_UNIT_MAX = 252
-"""ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, packet ID; what every bus servo takes."""
 ON_RT_ONLY = (DdsmLine, DynamixelLine, FeetechLine, PortLine)
 """They always sit on a serial port of this machine."""
 WITHOUT_ADDRESS = (McuLine, AsciiLine, HoverboardLine)
@@ -95,15 +93,6 @@ def _unit(robot: Robot) -> Iterator[Finding]:
             continue
         text = "is missing: the address of its drive on this line"
         yield Finding((("joint", name, "unit"), ("joint", name, "line")), f"{text} (0 to 255)")
-
-
-def _servo_unit(robot: Robot) -> Iterator[Finding]:
-    for name, joint in robot.joint.items():
-        if joint.unit > SERVO_UNIT_MAX and isinstance(
-            robot.line.get(joint.line), DynamixelLine | FeetechLine
-        ):
-            text = f"{joint.unit} is no servo's: 0 to {SERVO_UNIT_MAX} (254 speaks to all of them)"
-            yield Finding((("joint", name, "unit"), ("joint", name, "line")), text)
 
 
 def _one_board(robot: Robot) -> Iterator[Finding]:
@@ -222,7 +211,6 @@ LINE_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _engine,
     _adapter,
     _unit,
-    _servo_unit,
     _one_board,
     _one_profile,
     _templates,
