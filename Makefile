@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-# make demo, make test: from a fresh checkout, nothing else. make's own work goes to stderr; stdout is the program's.
+# make demo, make test: from a fresh checkout, nothing else. make's own work goes to stderr; stdout
+# is the program's.
 
 VENV := .venv
 PYTHON := $(VENV)/bin/python
@@ -9,26 +10,31 @@ MAKEFLAGS += --no-print-directory
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-fast check san bench soak fuzz mutants coverage wheel deb vm arm64 walk clean
+.PHONY: help demo test test-all test-fast check san bench soak fuzz mutants coverage wheel deb vm \
+	arm64 walk clean
 
 help:
 	@echo "make demo      drive a simulated robot         make demo ARGS=\"--json --seconds 20\"" >&2
 	@echo "make test      all but the long tests: 5 min   make test ARGS=\"tests/unit -k wrap\"" >&2
 	@echo "make test-all  the long ones, too: 12 min      make test-fast  the inner loop: a minute" >&2
 	@echo "make check     format, lint, types, arrows     make san    sanitizers" >&2
-	@echo "make coverage  the tests, and what they miss   make bench  the wire, rivals, latency (ARGS=--quick, --smoke)" >&2
+	@echo "make coverage  the tests, and what they miss   make bench  the wire, rivals, latency \
+	(ARGS=--quick, --smoke)" >&2
 	@echo "make soak      faults on a moving robot        make soak ARGS=\"--faults 500 --seed 7\"" >&2
 	@echo "make fuzz      C, guard, socket, robot files   make fuzz RUNS=1000000 SEED=7" >&2
-	@echo "make mutants   are the C tests good?           make mutants FILE=\"arbiter.c page.c\" SAMPLE=50" >&2
+	@echo "make mutants   are the C tests good?           make mutants FILE=\"arbiter.c page.c\" \
+	SAMPLE=50" >&2
 	@echo "make wheel     a wheel in dist/                make deb    a Debian package in dist/" >&2
-	@echo "make vm        real kernel drivers in QEMU     make vm ARGS=\"-k unplugged\" (root, Debian 12)" >&2
+	@echo "make vm        real kernel drivers in QEMU     make vm ARGS=\"-k unplugged\" \
+	(root, Debian 12)" >&2
 	@echo "make arm64     unit, rt and C tests on aarch64 (root, Debian 12)" >&2
 	@echo "make walk      record docs/first-drive.md on simulated drives" >&2
 	@echo "make clean     all that make made" >&2
 
-# ------------------------------------------------------------------------------------------- environment
+# -------------------------------------------------------------------------------------- environment
 # Without csrc, which is compiled once, by $(VENV)/built.
-INSTALL = MOTORD_COMPILED=1 $(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --editable
+INSTALL = MOTORD_COMPILED=1 $(PYTHON) -m pip install --quiet --disable-pip-version-check \
+	--no-build-isolation --editable
 
 $(VENV)/made: pyproject.toml setup.py bootstrap.sh
 	@echo "making $(VENV) ..." >&2
@@ -56,24 +62,27 @@ $(VENV)/collected: $(VENV)/test | $(VENV)/built
 	@-$(PYTHON) -m pytest --collect-only -qq >/dev/null
 	@touch $@
 
-# A real rclpy for tests/peers with motord_msgs, in an environment of its own: ros-kilted, ros-jazzy.
-build/ros-%/made: tests/peers/ros2_rclpy/ros-%.txt tests/peers/ros2_rclpy/make_motord_msgs.py | $(VENV)/built
+# A real rclpy for tests/peers with motord_msgs, in an environment of its own: ros-kilted,
+# ros-jazzy.
+build/ros-%/made: tests/peers/ros2_rclpy/ros-%.txt tests/peers/ros2_rclpy/make_motord_msgs.py \
+	| $(VENV)/built
 	@echo "making build/ros-$* ..." >&2
 	@$(PYTHON) -m venv --clear build/ros-$* >&2
 	@build/ros-$*/bin/python -m pip install --quiet --disable-pip-version-check -r $< >&2
 	@MOTORD_ROS= $(PYTHON) -m tests.peers.ros2_rclpy.make_motord_msgs build/ros-$* >&2
 	@touch $@
 
-# ------------------------------------------------------------------------------------------- what people run
+# ---------------------------------------------------------------------------------- what people run
 demo: $(VENV)/built
 	@$(VENV)/bin/motord demo $(ARGS)
 
 # More workers than processors: most tests wait for simulated motors.
 WORKERS ?= 9
 PYTEST = $(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup
+LEFT_OUT = Left out: long tests, and those with other programs. make test-all runs them, too.
 test: $(VENV)/built $(VENV)/test $(VENV)/collected
 	@$(PYTEST) --without-long $(ARGS)
-	$(if $(ARGS),,@echo "Left out: long tests, and those with other programs. make test-all runs them, too." >&2)
+	$(if $(ARGS),,@echo "$(LEFT_OUT)" >&2)
 
 # Also what the mark `long` is at, and the tests with programs of other people: tests/conftest.py.
 test-all: $(VENV)/built $(VENV)/test $(VENV)/collected
@@ -95,15 +104,18 @@ check: $(VENV)/built $(VENV)/check
 	@$(MAKE) -C tests/c warnings >&2
 	@$(PYTHON) -m pytest -q -p no:randomly tests/test_tidy.py
 
-# UBSan under Python (an ASan or TSan library cannot be loaded into it); ASan and TSan in C programs of their own.
+# UBSan under Python (an ASan or TSan library cannot be loaded into it); ASan and TSan in C programs
+# of their own.
 san: $(VENV)/built $(VENV)/test
 	@$(MAKE) -j 2 -C tests/c asan tsan >&2
 	@rm -rf build/ubsan && mkdir -p build/ubsan
-	@MOTORD_CFLAGS="-fsanitize=undefined -fno-sanitize-recover=undefined -g" MOTORD_LDFLAGS="-fsanitize=undefined" \
+	@MOTORD_CFLAGS="-fsanitize=undefined -fno-sanitize-recover=undefined -g" \
+		MOTORD_LDFLAGS="-fsanitize=undefined" \
 		$(PYTHON) setup.py --quiet build_ext --build-lib build/ubsan --build-temp build/ubsan/temp >&2
 	@MOTORD_RT_DIR=build/ubsan $(PYTHON) -m pytest -q -n 2 --dist loadgroup tests/rt
 
-# Python lines by coverage.py, also in the processes that the tests start; C lines of the pure files by gcov.
+# Python lines by coverage.py, also in the processes that the tests start; C lines of the pure files
+# by gcov.
 coverage: $(VENV)/built $(VENV)/test
 	@$(MAKE) -C tests/c coverage PYTHON=$(abspath $(PYTHON)) >&2
 	@rm -f .coverage .coverage.*
@@ -124,11 +136,13 @@ bench: $(VENV)/built $(VENV)/bench
 soak: $(VENV)/built $(VENV)/test
 	@$(PYTHON) tests/soak/soak.py $(ARGS)
 
-# C from gcc alone, with ASan and UBSan; then what is written in Python, with a thousandth of the runs.
+# C from gcc alone, with ASan and UBSan; then what is written in Python, with a thousandth of the
+# runs.
 RUNS ?= 10000000
 fuzz: $(VENV)/built $(VENV)/test
 	@$(MAKE) -C tests/c fuzz RUNS=$(RUNS) >&2
-	@$(PYTHON) tests/fuzz/fuzz.py --runs $$(( $(RUNS) / 1000 )) $(if $(SEED),--seed $(SEED)) $(ARGS) >&2
+	@$(PYTHON) tests/fuzz/fuzz.py --runs $$(( $(RUNS) / 1000 )) \
+		$(if $(SEED),--seed $(SEED)) $(ARGS) >&2
 
 mutants: $(VENV)/made
 	@$(MAKE) -C tests/c mutants PYTHON=$(abspath $(PYTHON)) >&2
@@ -140,7 +154,8 @@ wheel: $(VENV)/made
 deb: $(VENV)/built
 	@mkdir -p dist && cp "$$(systemd/deb.sh build/deb)" dist/ && ls dist/*.deb
 
-# Builds the guest, boots it once, runs tests/vm/guest there. Says why, and succeeds, where it cannot.
+# Builds the guest, boots it once, runs tests/vm/guest there. Where it cannot, it says why and
+# succeeds.
 vm: $(VENV)/built
 	@$(PYTHON) tests/vm/run.py $(ARGS)
 
@@ -149,5 +164,6 @@ arm64: $(VENV)/made
 	@tests/arm64/run.sh $(ARGS)
 
 clean:
-	@rm -rf $(VENV) build dist *.egg-info _motord_rt* _motord_bus* .coverage .coverage.* .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	@rm -rf $(VENV) build dist *.egg-info _motord_rt* _motord_bus* .coverage .coverage.* \
+		.mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

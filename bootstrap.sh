@@ -1,6 +1,7 @@
 #!/bin/sh
 # SPDX-License-Identifier: Apache-2.0
-# Prints the Python to build with. Where a system package is missing: names all of them in one apt line, and stops.
+# Prints the Python to build with. Where a system package is missing: names all of them in one apt
+# line, and stops.
 set -u
 
 python=
@@ -21,7 +22,8 @@ if [ -z "$python" ]; then
         missing="python3 python3-venv python3-dev"
     fi
 else
-    # A distribution's package is named after the minor version; python3-* is the one that `python3` itself needs.
+    # A distribution's package is named after the minor version; python3-* is the one that `python3`
+    # itself needs.
     package=$python
     "$python" -c 'import ensurepip, venv' 2>/dev/null || missing="$missing $package-venv"
     "$python" - <<'END' || missing="$missing $package-dev"
@@ -31,7 +33,8 @@ END
 fi
 command -v gcc >/dev/null 2>&1 || missing="$missing gcc"
 # gcc only recommends the C library's headers.
-if ! command -v gcc >/dev/null 2>&1 || ! echo '#include <math.h>' | gcc -fsyntax-only -x c - 2>/dev/null; then
+if ! command -v gcc >/dev/null 2>&1 ||
+    ! echo '#include <math.h>' | gcc -fsyntax-only -x c - 2>/dev/null; then
     missing="$missing libc6-dev"
 fi
 

@@ -7,7 +7,7 @@ import re
 import subprocess
 import tokenize
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -37,6 +37,16 @@ TEXT_SUFFIXES = {".py", ".c", ".h", ".toml", ".md", ".sh", ".pyi"}
 TEXT = [
     path for path in TRACKED if path.suffix in TEXT_SUFFIXES or path.name in ("Makefile", "run")
 ]
+PAGE = [
+    path
+    for path in TRACKED
+    if path.suffix in (".js", ".css", ".html") and "vendor" not in path.parts
+]
+SCRIPTS = [
+    path
+    for path in TRACKED
+    if path.name in ("Makefile", "Dockerfile") or path.read_bytes().startswith(b"#!")
+]
 PRODUCT = [path for path in PYTHON if path.relative_to(ROOT).parts[0] in ("daemon", "hal")]
 CSRC = [path for path in C if path.is_relative_to(ROOT / "csrc")]
 
@@ -65,14 +75,29 @@ def matching(paths: list[Path], pattern: str) -> list[str]:
     ]
 
 
+def long_lines(paths: Iterable[Path]) -> Iterator[tuple[str, str]]:
+    """Place and text of each."""
+    for path in sorted(paths):
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            if len(line) > COLUMNS_MAX:
+                yield where(path, number), line
+
+
 def test_lines_fit_a_screen():
-    rows = [
-        where(path, number)
-        for path in PYTHON + C
-        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
-        if len(line) > COLUMNS_MAX
-    ]
+    rows = [place for place, _ in long_lines({*PYTHON, *C, *PAGE, *SCRIPTS})]
     report(rows, f"at most {COLUMNS_MAX} columns")
+
+
+def test_settings_fit_a_screen():
+    """But for a string of TOML, or a setting of systemd or udev, which are written on one line."""
+    setting = re.compile(r'[\w.-]+ = "(?:[^"\\]|\\.)*"|[A-Z].*')
+    paths = [
+        path
+        for path in TRACKED
+        if path.suffix in (".toml", ".service", ".rules") and path.name != "mutants.toml"
+    ]
+    rows = [place for place, line in long_lines(paths) if not setting.fullmatch(line)]
+    report(rows, f"at most {COLUMNS_MAX} columns: a comment above its line, an array on several")
 
 
 def prose(path: Path) -> list[tuple[int, str]]:
@@ -99,7 +124,7 @@ def test_text_fits_a_screen():
 def test_a_file_has_one_subject():
     rows = [
         f"{where(path, 1)}: {lines} lines"
-        for path in PYTHON + C
+        for path in PYTHON + C + PAGE
         if (lines := len(path.read_text(encoding="utf-8").splitlines())) > FILE_LINES_MAX
     ]
     report(rows, f"at most {FILE_LINES_MAX} lines: split by subject")

@@ -1,37 +1,43 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# image.sh DIR: a Debian 12 with the PREEMPT_RT kernel for QEMU: DIR/vmlinuz, DIR/initrd.gz, DIR/root.ext4. Needs root.
-# Made anew when this file, init or the unit has changed; removing DIR makes it anew in any case.
+# image.sh DIR: a Debian 12 with the PREEMPT_RT kernel for QEMU: DIR/vmlinuz, DIR/initrd.gz,
+# DIR/root.ext4. Needs root. Made anew when this file, init or the unit has changed; removing DIR
+# makes it anew in any case.
 set -euo pipefail
 
 here=$(dirname "$(realpath "$0")")
 mkdir -p "$1"
 dir=$(realpath "$1")
 host=(busybox-static cpio e2fsprogs gcc kmod make mmdebstrap qemu-system-x86 xz-utils)
-guest=(can-utils dbus gpiod iproute2 kmod procps python3 python3-evdev python3-pytest python3-pytest-asyncio python3-pytest-timeout systemd systemd-sysv udev)
+guest=(can-utils dbus gpiod iproute2 kmod procps python3 python3-evdev python3-pytest
+    python3-pytest-asyncio python3-pytest-timeout systemd systemd-sysv udev)
 early=(virtio_pci virtio_blk ext4 crc32c_generic)
-late=(can can-bcm can-raw vcan vxcan slcan configfs evdev ftdi_sio i2c-dev i2c-stub kvaser_pci sch_netem uinput usbserial virtio_console xhci-pci)
-quiet=(apt-daily.timer apt-daily-upgrade.timer dpkg-db-backup.timer e2scrub_all.timer fstrim.timer getty@tty1.service
-    getty-static.service serial-getty@ttyS0.service systemd-hwdb-update.service systemd-logind.service
-    systemd-timesyncd.service)
+late=(can can-bcm can-raw vcan vxcan slcan configfs evdev ftdi_sio i2c-dev i2c-stub kvaser_pci
+    sch_netem uinput usbserial virtio_console xhci-pci)
+quiet=(apt-daily.timer apt-daily-upgrade.timer dpkg-db-backup.timer e2scrub_all.timer fstrim.timer
+    getty@tty1.service getty-static.service serial-getty@ttyS0.service systemd-hwdb-update.service
+    systemd-logind.service systemd-timesyncd.service)
 
 say() { echo "image: $*, $SECONDS s" >&2; }
 
 install_missing() {
     local package missing=()
     for package; do
-        dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'install ok installed' || missing+=("$package")
+        dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'install ok installed' ||
+            missing+=("$package")
     done
     [ "${#missing[@]}" = 0 ] || DEBIAN_FRONTEND=noninteractive \
-        apt-get install -y -qq --no-install-recommends -o DPkg::Lock::Timeout=300 "${missing[@]}" >/dev/null
+        apt-get install -y -qq --no-install-recommends -o DPkg::Lock::Timeout=300 \
+        "${missing[@]}" >/dev/null
 }
 
 newest_kernel() {
-    apt-cache depends linux-image-rt-amd64 2>/dev/null | sed -n 's/.*Depends: linux-image-\([0-9].*\)/\1/p' | head -n 1
+    apt-cache depends linux-image-rt-amd64 2>/dev/null |
+        sed -n 's/.*Depends: linux-image-\([0-9].*\)/\1/p' | head -n 1
 }
 
-# pwm-sim is ours. Debian leaves gpio-sim out of its kernels. Its source needs irq_sim, too, which asks for a function that
-# modules do not get; generic_handle_irq does the same for it.
+# pwm-sim is ours. Debian leaves gpio-sim out of its kernels. Its source needs irq_sim, too, which
+# asks for a function that modules do not get; generic_handle_irq does the same for it.
 make_modules() {
     local tree=linux-source-6.1
     mkdir modules
@@ -97,8 +103,9 @@ kernel=$(newest_kernel)
 install_missing "${host[@]}" "linux-headers-$kernel"
 say "building with kernel $kernel"
 mmdebstrap --variant=minbase --mode=root --quiet --include="$(IFS=,; echo "${guest[*]}")" \
-    --aptopt='Acquire::Languages "none"' --dpkgopt=force-unsafe-io --dpkgopt='path-exclude=/usr/share/doc/*' \
-    --dpkgopt='path-exclude=/usr/share/man/*' --dpkgopt='path-exclude=/usr/share/locale/*' bookworm root &
+    --aptopt='Acquire::Languages "none"' --dpkgopt=force-unsafe-io \
+    --dpkgopt='path-exclude=/usr/share/doc/*' --dpkgopt='path-exclude=/usr/share/man/*' \
+    --dpkgopt='path-exclude=/usr/share/locale/*' bookworm root &
 tree=$!
 apt-get download -qq -o APT::Sandbox::User=root "linux-image-$kernel"
 dpkg -x linux-image-*.deb kernel

@@ -22,18 +22,18 @@ def errors(tmp_path, robot, old, new):
 
 
 TORQUE = 'drive "cia402-torque" takes a torque'
-IN_DUTY = "gain_s_per_rad = 0.1\ntorque_max_n_m = 3.0   "
+IN_DUTY = "gain_s_per_rad = 0.1\ntorque_max_n_m = 3.0"
 IN_N_M = "[joint.left.speed_loop]\nstatic_n_m = 1.0\n\n[joint.left.encoder]"
 
 
 @pytest.mark.parametrize(
     ("robot", "edit", "key", "message"),
     [
-        ("cia402-torque", ("torque_max_n_m = 3.0   ", IN_DUTY), "gain_s_per_rad",
+        ("cia402-torque", ("torque_max_n_m = 3.0", IN_DUTY), "gain_s_per_rad",
          f"has the wrong unit: {TORQUE}"),
-        ("cia402-torque", ("gain_n_m_s_per_rad = 1.0     ", "# "), "gain_n_m_s_per_rad",
+        ("cia402-torque", ("gain_n_m_s_per_rad = 1.0", "# "), "gain_n_m_s_per_rad",
          f"is missing: {TORQUE}"),
-        ("cia402-torque", ("torque_max_n_m = 3.0   ", "# "), "torque_max_n_m",
+        ("cia402-torque", ("torque_max_n_m = 3.0", "# "), "torque_max_n_m",
          f"is missing: {TORQUE} (N·m at the wheel)"),
         ("pi4-encoders", ("[joint.left.encoder]", IN_N_M), "static_n_m",
          'has the wrong unit: drive "tb6612fng" takes a duty'),

@@ -19,15 +19,15 @@ const pilot = new Pilot(link);
 
 // Loaded when they are opened: the first paint needs the overview alone.
 const PAGES = {
-  overview: () => Promise.resolve({ default: Overview }),
-  drive: () => import("./tabs/drive.js").then(({ Drive }) => ({ default: Drive })),
-  plots: () => import("./tabs/plots.js").then(({ Plots }) => ({ default: Plots })),
-  lines: () => import("./tabs/lines.js").then(({ Lines }) => ({ default: Lines })),
-  parameters: () => import("./tabs/parameters.js").then(({ Parameters }) => ({ default: Parameters })),
-  file: () => import("./tabs/file.js").then(({ File }) => ({ default: File })),
-  commission: () => import("./tabs/commission.js").then(({ Commission }) => ({ default: Commission })),
-  log: () => import("./tabs/log.js").then(({ Log }) => ({ default: Log })),
-  fleet: () => import("./tabs/fleet.js").then(({ Fleet }) => ({ default: Fleet })),
+  overview: () => Promise.resolve(Overview),
+  drive: () => import("./tabs/drive.js").then(({ Drive }) => Drive),
+  plots: () => import("./tabs/plots.js").then(({ Plots }) => Plots),
+  lines: () => import("./tabs/lines.js").then(({ Lines }) => Lines),
+  parameters: () => import("./tabs/parameters.js").then(({ Parameters }) => Parameters),
+  file: () => import("./tabs/file.js").then(({ File }) => File),
+  commission: () => import("./tabs/commission.js").then(({ Commission }) => Commission),
+  log: () => import("./tabs/log.js").then(({ Log }) => Log),
+  fleet: () => import("./tabs/fleet.js").then(({ Fleet }) => Fleet),
 };
 
 function useTab() {
@@ -51,7 +51,7 @@ function Page({ tab }) {
   useEffect(() => {
     let wanted = true;
     const shown = (Shown) => wanted && setFound({ tab, Shown });
-    PAGES[tab]().then((module) => shown(module.default), (error) => shown(() => NotLoaded(tab, error)));
+    PAGES[tab]().then(shown, (error) => shown(() => NotLoaded(tab, error)));
     link.setRate(tab === "plots" ? PLOT_RATE_HZ : RATE_HZ);
     return () => { wanted = false; };
   }, [tab]);
@@ -73,7 +73,8 @@ async function estop() {
 }
 
 function typesText(target) {
-  return target.matches?.("textarea, input:not([type=range]):not([type=checkbox]):not([type=radio])");
+  const input = "input:not([type=range]):not([type=checkbox]):not([type=radio])";
+  return target.matches?.(`textarea, ${input}`);
 }
 
 function pressSpace(event) {
@@ -116,14 +117,17 @@ function Token() {
         onInput=${(event) => setToken(event.target.value)} /></label>
     <p class="muted">${TEXT.tokenHelp}</p>
     <div class="actions"><button class="main" type="submit">${TEXT.tokenSend}</button>
-      ${link.token && html`<button type="button" onClick=${() => link.setToken(null)}>${TEXT.tokenForget}</button>`}
+      ${link.token && html`<button type="button" onClick=${() => link.setToken(null)}>
+        ${TEXT.tokenForget}</button>`}
     </div>
   </form>`;
 }
 
 function Banner({ askToken }) {
   if (link.phase === "lost") return html`<p class="banner bad" role="alert">${TEXT.lostText}</p>`;
-  if (link.phase === "open" && link.stale) return html`<p class="banner bad" role="alert">${TEXT.staleText}</p>`;
+  if (link.phase === "open" && link.stale) {
+    return html`<p class="banner bad" role="alert">${TEXT.staleText}</p>`;
+  }
   const running = link.status?.commissioning;
   if (link.phase === "open" && running && !link.commissioning?.yours) {
     return html`<p class="banner">${TEXT.commissionedBy(running.procedure, running.page)}</p>`;
@@ -136,13 +140,24 @@ function Banner({ askToken }) {
   return null;
 }
 
+/** The key of its text, and its class in style.css. */
+function connection() {
+  if (link.phase === "open") return link.stale ? "stale" : "connected";
+  return link.phase === "connecting" ? "connecting" : "lost";
+}
+
+function skip(event) {
+  event.preventDefault();
+  document.getElementById("content").focus();
+}
+
 function Header({ tab }) {
   const state = link.stale ? "unknown" : link.now?.state ?? "unknown";
-  const phase = link.phase === "open" ? (link.stale ? "stale" : "connected") : link.phase === "connecting" ? "connecting" : "lost";
+  const phase = connection();
   const name = link.hello?.robot ?? "motord";
   useEffect(() => { document.title = TEXT.title(name, TEXT.states[state]); }, [name, state]);
   return html`<header class="top">
-    <a class="skip" href="#content" onClick=${(event) => { event.preventDefault(); document.getElementById("content").focus(); }}>${TEXT.skip}</a>
+    <a class="skip" href="#content" onClick=${skip}>${TEXT.skip}</a>
     <h1>${name}</h1>
     <span class="chip state-${state}" data-state=${state}>${TEXT.states[state]}</span>
     <span class="facts">
@@ -150,7 +165,8 @@ function Header({ tab }) {
       <span class="fact"><b>${TEXT.battery}</b> ${battery(link)}</span>
     </span>
     <span class="chip link ${phase}">${TEXT[phase]}</span>
-    <button class="icon" aria-label=${TEXT.theme} title=${TEXT.theme} onClick=${toggleTheme}>◐</button>
+    <button class="icon" aria-label=${TEXT.theme} title=${TEXT.theme}
+      onClick=${toggleTheme}>◐</button>
     <nav aria-label=${TEXT.navigation}>${Object.entries(TEXT.tabs).map(([key, title]) =>
       html`<a href="#${key}" aria-current=${key === tab ? "page" : undefined}>${title}</a>`)}</nav>
   </header>`;
@@ -175,7 +191,8 @@ function App() {
   return html`
     <${Header} tab=${tab} />
     <${Banner} askToken=${() => ask(true)} />
-    <main id="content" tabindex="-1">${locked ? html`<${Token} />` : html`<${Page} tab=${tab} />`}</main>
+    <main id="content" tabindex="-1">
+      ${locked ? html`<${Token} />` : html`<${Page} tab=${tab} />`}</main>
     <${Estop} />`;
 }
 

@@ -26,8 +26,9 @@ class Ring {
     this.count += 1;
   }
 
-  /** Time and these series in order, for uPlot: what was not measured is null. Series without a null are typed
-   *  arrays: an array that may hold null boxes each of its numbers, thousands of them for each picture. */
+  /** Time and these series in order, for uPlot: what was not measured is null.
+   *  Series without a null are typed arrays: an array that may hold null boxes each of its numbers,
+   *  thousands of them for each picture. */
   data(names, sinceS) {
     const have = Math.min(this.count, this.size);
     const first = this.count - have;
@@ -36,7 +37,8 @@ class Ring {
     const pick = (ring) => {
       const out = new Float64Array(this.count - from);
       for (let at = from; at < this.count; at += 1) out[at - from] = ring[at % this.size];
-      return out.every(Number.isFinite) ? out : Array.from(out, (value) => (Number.isFinite(value) ? value : null));
+      if (out.every(Number.isFinite)) return out;
+      return Array.from(out, (value) => (Number.isFinite(value) ? value : null));
     };
     return [pick(this.time), ...names.map((name) => pick(this.series[name]))];
   }
@@ -55,8 +57,10 @@ export class History {
   }
 
   _begin(hello) {
-    const joints = hello.joints.flatMap((_, place) => Object.keys(JOINT).map((key) => `${key}.${place}`));
-    this.fast = new Ring([...BASE, ...joints], SECONDS * Math.max(50, Math.ceil(hello.rate_max_hz)));
+    const keys = Object.keys(JOINT);
+    const joints = hello.joints.flatMap((_, place) => keys.map((key) => `${key}.${place}`));
+    const rateHz = Math.max(50, Math.ceil(hello.rate_max_hz));
+    this.fast = new Ring([...BASE, ...joints], SECONDS * rateHz);
     this.slow = null;
     this._lateness = [];
   }
@@ -89,7 +93,9 @@ export class History {
     const at = performance.now();
     const rows = latency.buckets.lateness;
     this._lateness.push({ at, counts: new Map(rows.map(([low, , n]) => [low, n])) });
-    while (this._lateness.length > 2 && at - this._lateness[1].at > SECONDS * 1000) this._lateness.shift();
+    while (this._lateness.length > 2 && at - this._lateness[1].at > SECONDS * 1000) {
+      this._lateness.shift();
+    }
     const before = this._lateness.length > 1 ? this._lateness[0].counts : new Map();
     return rows
       .map(([low, high, n]) => [low / 1e3, high / 1e3, n - (before.get(low) ?? 0)])
@@ -105,7 +111,8 @@ export class History {
       return place === undefined ? key : `${joints[place]}.${JOINT[key]}`;
     };
     const columns = this.fast.data(names, 0);
-    const rows = Array.from(columns[0], (_, row) => columns.map((column) => column[row] ?? "").join(","));
+    const rows = Array.from(columns[0], (_, row) =>
+      columns.map((column) => column[row] ?? "").join(","));
     return [["stamp_s", ...names.map(title)].join(","), ...rows].join("\n") + "\n";
   }
 }

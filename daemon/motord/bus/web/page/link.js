@@ -42,8 +42,8 @@ export function decoder(layout) {
     const view = new DataView(buffer);
     const now = {};
     for (const { name, read, at } of head.fields) now[name] = read(view, at);
-    const places = Array.from({ length: now.joints }, (_, place) => head.bytes + place * joint.bytes);
-    now.joints = places.map((start) => {
+    const starts = Array.from({ length: now.joints }, (_, at) => head.bytes + at * joint.bytes);
+    now.joints = starts.map((start) => {
       const found = {};
       for (const { name, read, at } of joint.fields) found[name] = read(view, start + at);
       return found;
@@ -58,7 +58,8 @@ export function decoder(layout) {
 
 function base64url(text) {
   const bytes = new TextEncoder().encode(text);
-  return btoa(String.fromCharCode(...bytes)).replace(/\+/g, "-").replace(/\//g, "_").replace(/=+$/, "");
+  const base64 = btoa(String.fromCharCode(...bytes));
+  return base64.replace(/\+/g, "-").replace(/\//g, "_").replace(/=+$/, "");
 }
 
 function stored(key) {
@@ -98,8 +99,10 @@ export class Link {
     this._calls = new Map();
     this._number = 0;
     this._againMs = AGAIN_MIN_MS;
-    this._listeners = { frame: new Set(), hello: new Set(), status: new Set(), refusal: new Set(), trace: new Set(),
-      recordings: new Set() };
+    this._listeners = {
+      frame: new Set(), hello: new Set(), status: new Set(), refusal: new Set(), trace: new Set(),
+      recordings: new Set(),
+    };
     this._ended = false;
     this._connect();
   }

@@ -4,7 +4,8 @@
 export const TEXT = {
   tabs: {
     overview: "Overview", drive: "Drive", plots: "Plots", lines: "Lines",
-    parameters: "Parameters", file: "Robot file", commission: "Commissioning", log: "Log", fleet: "Fleet",
+    parameters: "Parameters", file: "Robot file", commission: "Commissioning", log: "Log",
+    fleet: "Fleet",
   },
   navigation: "Pages of the dashboard",
   skip: "Skip to the content",
@@ -13,7 +14,8 @@ export const TEXT = {
 
   connecting: "Connecting",
   connected: "Connected",
-  notLoaded: (tab, why) => `${tab} cannot be loaded (${why}). Choose it again, or load the page anew.`,
+  notLoaded: (tab, why) => `${tab} cannot be loaded (${why}). `
+    + "Choose it again, or load the page anew.",
   lost: "Connection lost",
   stale: "No state",
   lostText: "This page has no connection to the robot. It tries again. What is shown below is old.",
@@ -89,7 +91,8 @@ export const TEXT = {
   gamepad: "Gamepad",
   gamepadNone: "none: connect one and press a button",
   gamepadHint: "Hold the left shoulder button (dead-man) and use the left stick.",
-  deadMan: "The robot stops when you release, when this page loses the focus or is hidden, and when the connection is silent for 0.3 s.",
+  deadMan: "The robot stops when you release, when this page loses the focus or is hidden, "
+    + "and when the connection is silent for 0.3 s.",
   armFirst: "Arm the robot first.",
   releasedBy: {
     blur: "Released: the page lost the focus.",
@@ -120,26 +123,32 @@ export const TEXT = {
   noErrors: "no errors",
   reopened: (n) => `opened again ${n} times`,
   errorKinds: {
-    no_reply: "No reply in time. The request was sent again. Look at power, address, wiring and termination.",
-    bad_reply: "A reply was damaged or too late and was not used. Look at termination, shielding and baud rate.",
+    no_reply: "No reply in time. The request was sent again. "
+      + "Look at power, address, wiring and termination.",
+    bad_reply: "A reply was damaged or too late and was not used. "
+      + "Look at termination, shielding and baud rate.",
     refused: "The drive refused a request. Its manual explains the exception.",
     port: "The port was lost and opened again. Look at the adapter and its cable.",
     sent: "A frame could not be sent.",
-    bus_off: "The CAN controller left the CAN bus after too many errors. Look at bit rate and termination.",
+    bus_off: "The CAN controller left the CAN bus after too many errors. "
+      + "Look at bit rate and termination.",
     other: "See the log for its cause.",
   },
   registers: "Registers",
   register: "Register", value: "Value", unit: "Unit", range: "Range", source: "Source",
   read: "Read", readAll: "Read all", write: "Write",
-  writeOnlyDisarmed: "Registers can be written while the robot is disarmed. A drive forgets them when it loses power.",
+  writeOnlyDisarmed: "Registers can be written while the robot is disarmed. "
+    + "A drive forgets them when it loses power.",
 
   limits: "Limits",
   apply: "Apply", revert: "Revert", unchanged: "No change",
   changed: (n) => (n === 1 ? "1 change" : `${n} changes`),
   noLimit: "no limit",
-  lasting: "Changes count at once and last until the daemon ends. Save writes them to the robot file.",
+  lasting: "Changes count at once and last until the daemon ends. "
+    + "Save writes them to the robot file.",
   save: "Save to the robot file…", difference: "What changes in the robot file",
-  wouldSave: (file) => `This would change in ${file}. Comments stay, and the old file is kept beside it.`,
+  wouldSave: (file) => `This would change in ${file}. `
+    + "Comments stay, and the old file is kept beside it.",
   saved: (file) => `Written: ${file}`,
   nothingToSave: (file) => `${file} has the limits in force already.`,
   close: "Close", cancel: "Cancel",
@@ -148,19 +157,24 @@ export const TEXT = {
   // The robot file in its editor
   fileNeedsToken: "The robot file is shown to pages that have the token.",
   writingNeedsToken: "Only a page that has shown the token of this robot may write the file.",
-  fileHelp: "The daemon runs by the file that it has read at its start: what is saved here takes effect when you start it again. Ctrl and space list keys and values, Esc closes the list, Ctrl and S shows what would be saved. A file that does not pass the check is not written.",
+  fileHelp: "The daemon runs by the file that it has read at its start: what is saved here takes "
+    + "effect when you start it again. Ctrl and space list keys and values, Esc closes the list, "
+    + "Ctrl and S shows what would be saved. A file that does not pass the check is not written.",
   fileChanged: "Changed, not saved",
   completions: "Keys and values",
   aboutKey: "Move the cursor to a key to see what it means.",
   fallback: (value) => `default ${value}`, isFallback: "default",
   check: "Check", checking: "Checking…",
-  checked: (problems, warnings) => `${problems === 1 ? "1 problem" : `${problems || "No"} problems`}, ${warnings === 1 ? "1 warning" : `${warnings || "no"} warnings`}`,
+  checked: (problems, warnings) =>
+    (problems === 1 ? "1 problem, " : `${problems || "No"} problems, `)
+    + (warnings === 1 ? "1 warning" : `${warnings || "no"} warnings`),
   messages: "What the check found",
   atLine: (line) => `Line ${line}`, warning: "Warning:",
   loadAgain: "Load again", takeTheirs: "Discard my changes, load the file",
   keepMine: "Keep my text, compare it with the file now",
   sameFile: (file) => `${file} has this text already.`,
-  conflict: "Not saved: another program has changed the file on the robot since this page loaded it.",
+  conflict: "Not saved: another program has changed the file on the robot "
+    + "since this page loaded it.",
   notSaved: "Not saved: the check finds problems. They are listed below the text.",
 
   events: "Events",
@@ -169,24 +183,62 @@ export const TEXT = {
   noEvents: "No event.",
   recordings: "Recordings",
   download: "Download",
-  size: (bytes) => bytes < 1e6 ? `${(bytes / 1e3).toFixed(0)} kB` : `${(bytes / 1e6).toFixed(1)} MB`,
+  size: (bytes) =>
+    bytes < 1e6 ? `${(bytes / 1e3).toFixed(0)} kB` : `${(bytes / 1e6).toFixed(1)} MB`,
 
   // Commissioning, and the robot file
   commissionedBy: (procedure, page) =>
-    `${TEXT.procedures[procedure]?.title ?? procedure} is running${page ? ` on ${page}` : ""}: it commands the robot, no page can.`,
+    `${TEXT.procedures[procedure]?.title ?? procedure} is running${page ? ` on ${page}` : ""}: `
+    + "it commands the robot, no page can.",
   procedures: {
-    spin: { title: "First turn of each wheel", about: "Turns one wheel at a time, asks what you see, and compares it with the encoders. Finds swapped wheels, inverted motors, and encoders that are turned or unplugged. The wheels have to be off the ground." },
-    straight: { title: "Wheel radii", about: "Drives forward and back on a line. You measure with a tape where it ends." },
-    rotate: { title: "Track", about: "Turns on the spot to the left and to the right. You measure the angle to a mark." },
-    square: { title: "Track and ratio of the radii", about: "Drives a square in both directions (UMBmark). You measure where it ends." },
-    all: { title: "Radii and track, all runs", about: "The line, the turns and the squares, fitted together; then dead band and feed-forward where the drives take a duty." },
-    deadband: { title: "Dead band", about: "For drives that take a duty: short runs at rising speeds. Sets the duty below which a wheel does not turn." },
-    feedforward: { title: "Dead band and feed-forward", about: "The same runs; sets the speed at full duty, too." },
-    tune: { title: "Gains of a wheel", about: "For drives that take a duty or a torque: steps forward and back on the floor. Finds friction, inertia and dead time of one wheel, computes the gains of its speed loop, and drives the same steps with them." },
-    gyro: { title: "Gyro", about: "Turns that end at a mark. Sets the variance of the gyro's heading." },
+    spin: {
+      title: "First turn of each wheel",
+      about: "Turns one wheel at a time, asks what you see, and compares it with the encoders. "
+        + "Finds swapped wheels, inverted motors, and encoders that are turned or unplugged. "
+        + "The wheels have to be off the ground.",
+    },
+    straight: {
+      title: "Wheel radii",
+      about: "Drives forward and back on a line. You measure with a tape where it ends.",
+    },
+    rotate: {
+      title: "Track",
+      about: "Turns on the spot to the left and to the right. You measure the angle to a mark.",
+    },
+    square: {
+      title: "Track and ratio of the radii",
+      about: "Drives a square in both directions (UMBmark). You measure where it ends.",
+    },
+    all: {
+      title: "Radii and track, all runs",
+      about: "The line, the turns and the squares, fitted together; then dead band and "
+        + "feed-forward where the drives take a duty.",
+    },
+    deadband: {
+      title: "Dead band",
+      about: "For drives that take a duty: short runs at rising speeds. "
+        + "Sets the duty below which a wheel does not turn.",
+    },
+    feedforward: {
+      title: "Dead band and feed-forward",
+      about: "The same runs; sets the speed at full duty, too.",
+    },
+    tune: {
+      title: "Gains of a wheel",
+      about: "For drives that take a duty or a torque: steps forward and back on the floor. "
+        + "Finds friction, inertia and dead time of one wheel, computes the gains of its speed "
+        + "loop, and drives the same steps with them.",
+    },
+    gyro: {
+      title: "Gyro",
+      about: "Turns that end at a mark. Sets the variance of the gyro's heading.",
+    },
   },
   procedure: "Procedure", whichWheels: "Wheels", allWheels: "all, one after the other",
-  commissionHelp: "motord writes nothing before you have seen the difference and agreed. The robot comes to rest and is disarmed when you stop the procedure, when this page loses the focus, is hidden, closed or left, and when its connection is silent for 1 s. While a question is open the robot rests without power.",
+  commissionHelp: "motord writes nothing before you have seen the difference and agreed. "
+    + "The robot comes to rest and is disarmed when you stop the procedure, "
+    + "when this page loses the focus, is hidden, closed or left, and when its connection is "
+    + "silent for 1 s. While a question is open the robot rests without power.",
   commissionNeedsToken: "Commissioning needs the token.",
   begin: "Begin", yes: "Yes", no: "No", sendAnswer: "Answer", another: "Another procedure",
   stopProcedure: "STOP", stopKey: "any key",
@@ -198,30 +250,43 @@ export const TEXT = {
   resultGood: "Done", resultBad: "Not done",
   writtenFile: (file) => `${file} is written. The old file is kept beside it.`,
   restart: "Start the daemon again: it runs by the new file then.",
-  notWritable: (file) => `motord-bus cannot write ${file}. Download the new file, copy it to the robot, and run there:`,
+  notWritable: (file) => `motord-bus cannot write ${file}. `
+    + "Download the new file, copy it to the robot, and run there:",
   copyCommand: (file, name) => `sudo cp -p ${file} ${file}.old && sudo cp ${name} ${file}`,
   downloadFile: "Download the new file",
   between: (low, high, unit) => `${low} to ${high} ${unit}`,
   values: "Values",
-  words: { forward: "Forward", backward: "Backward", none: "No wheel turned", other: "Another wheel", gentle: "Gentle", normal: "Normal", brisk: "Brisk" },
+  words: {
+    forward: "Forward", backward: "Backward", none: "No wheel turned", other: "Another wheel",
+    gentle: "Gentle", normal: "Normal", brisk: "Brisk",
+  },
 
   fleetHelp: "Robots of this page's fleet: `fleet` in each robot file names the other dashboards.",
   noRecordings: "No recordings yet.",
   noRecorders: "The robot file has no [publish.*] of kind \"mcap\": nothing is recorded.",
   recordStart: "Start recording", recordStop: "Stop recording",
-  recorderModes: { all: "records all the time", fault: "writes a file at a fault", manual: "records" },
+  recorderModes: {
+    all: "records all the time", fault: "writes a file at a fault", manual: "records",
+  },
   recorderWaits: "ready", recorderFailing: "cannot write: see the log", writing: "being written",
-  replay: "Replay", replayHelp: "Replay runs the core again on a recording with journal = true and compares every set-point. No motor moves.",
-  replayStates: { waits: "Waits for another replay.", runs: "The core runs again on the recording." },
+  replay: "Replay",
+  replayHelp: "Replay runs the core again on a recording with journal = true and compares every "
+    + "set-point. No motor moves.",
+  replayStates: {
+    waits: "Waits for another replay.", runs: "The core runs again on the recording.",
+  },
   identical: "Bit-identical.",
-  replayed: (ticks, s, states, gaps, skipped) => `${ticks} ticks, ${s} s, ${states} whole states compared`
+  replayed: (ticks, s, states, gaps, skipped) =>
+    `${ticks} ticks, ${s} s, ${states} whole states compared`
     + (gaps || skipped ? `, ${gaps} gaps, ${skipped} ticks left out` : ""),
   differing: (n) => (n === 1 ? "1 tick differs." : `${n} ticks differ.`),
-  differences: "Ticks that differ", tick: "Tick", field: "Field", recorded: "Recorded", replayedNow: "Replayed",
+  differences: "Ticks that differ",
+  tick: "Tick", field: "Field", recorded: "Recorded", replayedNow: "Replayed",
 
   trace: "Exchanges",
   traceShow: "Show live", traceHide: "Hide",
-  traceHelp: "What goes over the line, decoded. The robot traces a line only while a page shows it.",
+  traceHelp: "What goes over the line, decoded. "
+    + "The robot traces a line only while a page shows it.",
   traceFailures: "Only what failed",
   traceSkipped: (n) => (n ? `${n} more not shown` : ""),
   time: "Time", result: "Result", reply: "Reply after", meaning: "Meaning", bytes: "Bytes",

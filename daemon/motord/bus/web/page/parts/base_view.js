@@ -43,7 +43,8 @@ function arrow(paint, fromX, fromY, toX, toY, width) {
   paint.beginPath();
   paint.moveTo(toX, toY);
   for (const side of [-1, 1]) {
-    paint.lineTo(toX - head * Math.cos(angle + side * 0.42), toY - head * Math.sin(angle + side * 0.42));
+    const turned = angle + side * 0.42;
+    paint.lineTo(toX - head * Math.cos(turned), toY - head * Math.sin(turned));
   }
   paint.fill();
 }
@@ -51,10 +52,12 @@ function arrow(paint, fromX, fromY, toX, toY, width) {
 /** Where a wheel points, in the base; NaN: nothing measures the angle of what steers it. */
 export function directionOf(wheel, hello, now) {
   if (wheel.steered_by === null) return wheel.heading_rad;
-  return wheel.heading_rad + (now.joints[hello.joints.indexOf(wheel.steered_by)]?.position_rad ?? NaN);
+  const steering = now.joints[hello.joints.indexOf(wheel.steered_by)];
+  return wheel.heading_rad + (steering?.position_rad ?? NaN);
 }
 
-/** What the picture shows of a state, as finely as an eye sees it: the same again needs no drawing. */
+/** What the picture shows of a state, as finely as an eye sees it: the same again needs no
+ *  drawing. */
 function shownOf(hello, now) {
   const wheels = hello.wheels.map((wheel) => {
     const joint = now.joints[hello.joints.indexOf(wheel.joint)];
@@ -64,7 +67,8 @@ function shownOf(hello, now) {
   });
   const twist = [now.setpoint_linear_m_s, now.setpoint_lateral_m_s, now.setpoint_angular_rad_s,
     now.linear_m_s, now.lateral_m_s, now.angular_rad_s].map((value) => value.toFixed(3));
-  return [now.x_m.toFixed(3), now.y_m.toFixed(3), now.heading_rad.toFixed(3), ...twist, ...wheels].join(" ");
+  const pose = [now.x_m, now.y_m, now.heading_rad].map((value) => value.toFixed(3));
+  return [...pose, ...twist, ...wheels].join(" ");
 }
 
 class Painter {
@@ -82,9 +86,10 @@ class Painter {
     const { canvas, paint } = this;
     const ratio = window.devicePixelRatio || 1;
     const [width, height] = [canvas.clientWidth, canvas.clientHeight];
-    if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-      canvas.width = Math.round(width * ratio);
-      canvas.height = Math.round(height * ratio);
+    const [columns, rows] = [Math.round(width * ratio), Math.round(height * ratio)];
+    if (canvas.width !== columns || canvas.height !== rows) {
+      canvas.width = columns;
+      canvas.height = rows;
     }
     paint.setTransform(ratio, 0, 0, ratio, 0, 0);
     paint.clearRect(0, 0, width, height);
@@ -193,7 +198,8 @@ class Painter {
     if (known) paint.fill();
     else paint.stroke();
     if (wheel.roller_rad !== null) this._rollers(radius, wheel.roller_rad - wheel.heading_rad);
-    const ahead = wheel.joint === wheel.steered_by ? 0 : radius * AHEAD_S;  // that joint does not roll it
+    const rolls = wheel.joint !== wheel.steered_by;  // a joint that steers does not roll it
+    const ahead = rolls ? radius * AHEAD_S : 0;
     paint.strokeStyle = paint.fillStyle = colour("setpoint");
     arrow(paint, 0, 0, joint.setpoint_rad_s * ahead, 0, 5);
     paint.strokeStyle = paint.fillStyle = colour("speed");
@@ -216,9 +222,12 @@ class Painter {
 
   _twist(now, scale) {
     const { paint } = this;
+    const setpoint =
+      [now.setpoint_linear_m_s, now.setpoint_lateral_m_s, now.setpoint_angular_rad_s];
+    const speed = [now.linear_m_s, now.lateral_m_s, now.angular_rad_s];
     for (const [name, width, linear, lateral, angular] of [
-      ["setpoint", 5, now.setpoint_linear_m_s, now.setpoint_lateral_m_s, now.setpoint_angular_rad_s],
-      ["speed", 2, now.linear_m_s, now.lateral_m_s, now.angular_rad_s],
+      ["setpoint", 5, ...setpoint],
+      ["speed", 2, ...speed],
     ]) {
       paint.strokeStyle = paint.fillStyle = colour(name);
       arrow(paint, 0, 0, linear * AHEAD_S * scale, -lateral * AHEAD_S * scale, width);
@@ -277,7 +286,8 @@ export function BaseView({ link, trail }) {
     </ul>
     <div class="zoom">
       <button aria-label=${TEXT.zoomIn} title=${TEXT.zoomIn} onClick=${() => zoom(1.4)}>+</button>
-      <button aria-label=${TEXT.zoomOut} title=${TEXT.zoomOut} onClick=${() => zoom(1 / 1.4)}>−</button>
+      <button aria-label=${TEXT.zoomOut} title=${TEXT.zoomOut}
+        onClick=${() => zoom(1 / 1.4)}>−</button>
       <button aria-label=${TEXT.clearTrail} title=${TEXT.clearTrail} onClick=${clear}>⌫</button>
     </div>
   </div>`;

@@ -16,7 +16,9 @@ function ticks(low, high, count) {
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((factor) => factor * power).find((one) => one >= rough);
   const found = [];
-  for (let at = Math.ceil(low / step); at * step <= high + step * 1e-9; at += 1) found.push(Number((at * step).toPrecision(12)));
+  for (let at = Math.ceil(low / step); at * step <= high + step * 1e-9; at += 1) {
+    found.push(Number((at * step).toPrecision(12)));
+  }
   return found;
 }
 
@@ -32,7 +34,8 @@ function span(values, withZero = false) {
 /** The same number of metres on both axes for a pixel. */
 function equalized([x0, x1], [y0, y1], width, height) {
   const scale = Math.max((x1 - x0) / width, (y1 - y0) / height);
-  const around = (low, high, length) => [(low + high - scale * length) / 2, (low + high + scale * length) / 2];
+  const around = (low, high, length) =>
+    [(low + high - scale * length) / 2, (low + high + scale * length) / 2];
   return [around(x0, x1, width), around(y0, y1, height)];
 }
 
@@ -41,25 +44,34 @@ const axisTitle = ({ title, unit }) => (unit === "1" ? title : `${title}, ${unit
 function Frame({ plot, x, y, toX, toY, children }) {
   const right = WIDTH - EDGE.right;
   const bottom = HEIGHT - EDGE.bottom;
+  const lineAt = (at) => (at === 0 ? "zero" : "rule");
   return html`<svg viewBox="0 0 ${WIDTH} ${HEIGHT}" role="img" aria-label=${plot.title}>
-    ${ticks(...y, 5).map((at) => html`<line class=${at === 0 ? "zero" : "rule"} x1=${EDGE.left} x2=${right} y1=${toY(at)} y2=${toY(at)} />
+    ${ticks(...y, 5).map((at) => html`
+      <line class=${lineAt(at)} x1=${EDGE.left} x2=${right} y1=${toY(at)} y2=${toY(at)} />
       <text x=${EDGE.left - 6} y=${toY(at) + 4} class="end">${at}</text>`)}
-    ${x && ticks(...x, 6).map((at) => html`<line class=${at === 0 ? "zero" : "rule"} y1=${EDGE.top} y2=${bottom} x1=${toX(at)} x2=${toX(at)} />
+    ${x && ticks(...x, 6).map((at) => html`
+      <line class=${lineAt(at)} y1=${EDGE.top} y2=${bottom} x1=${toX(at)} x2=${toX(at)} />
       <text x=${toX(at)} y=${bottom + 16} class="middle">${at}</text>`)}
-    ${plot.x && html`<text x=${(EDGE.left + right) / 2} y=${HEIGHT - 6} class="middle">${axisTitle(plot.x)}</text>`}
-    <text transform="translate(13 ${(EDGE.top + bottom) / 2}) rotate(-90)" class="middle">${axisTitle(plot.y)}</text>
+    ${plot.x && html`<text x=${(EDGE.left + right) / 2} y=${HEIGHT - 6} class="middle">
+      ${axisTitle(plot.x)}</text>`}
+    <text transform="translate(13 ${(EDGE.top + bottom) / 2}) rotate(-90)" class="middle">
+      ${axisTitle(plot.y)}</text>
     ${children}
   </svg>`;
 }
 
 function Curve({ series, colour, toX, toY }) {
-  const points = series.x.map((x, place) => [x, series.y[place]]).filter(([x, y]) => x !== null && y !== null)
+  const points = series.x.map((x, place) => [x, series.y[place]])
+    .filter(([x, y]) => x !== null && y !== null)
     .map(([x, y]) => [toX(x).toFixed(1), toY(y).toFixed(1)]);
-  if (series.style === "points") return points.map(([x, y]) => html`<circle class=${colour} cx=${x} cy=${y} r="3.5" />`);
+  if (series.style === "points") {
+    return points.map(([x, y]) => html`<circle class=${colour} cx=${x} cy=${y} r="3.5" />`);
+  }
   if (series.style === "crosses") {
     return points.map(([x, y]) => html`<path class="cross" d=${`M${x} ${y}m-6 0h12m-6 -6v12`} />`);
   }
-  return html`<polyline class="${colour} ${series.style}" points=${points.map((point) => point.join(",")).join(" ")} />`;
+  const corners = points.map((point) => point.join(",")).join(" ");
+  return html`<polyline class="${colour} ${series.style}" points=${corners} />`;
 }
 
 /** Series of one thing, before and after, share its colour. */
@@ -80,7 +92,8 @@ function Curves({ plot }) {
   const toY = (value) => EDGE.top + height - (height * (value - y[0])) / (y[1] - y[0]);
   const shades = colours(plot.series);
   return html`<${Frame} plot=${plot} x=${x} y=${y} toX=${toX} toY=${toY}>
-    ${plot.series.map((series, place) => html`<${Curve} series=${series} colour=${shades[place]} toX=${toX} toY=${toY} />`)}
+    ${plot.series.map((series, place) => html`
+      <${Curve} series=${series} colour=${shades[place]} toX=${toX} toY=${toY} />`)}
   <//>`;
 }
 
@@ -100,7 +113,9 @@ function Bars({ plot }) {
       return html`<rect class="c${(place % COLOURS) + 1}" x=${left(bar, place)} width=${0.92 * each}
         y=${Math.min(...ends)} height=${Math.max(1, Math.abs(ends[0] - ends[1]))} />`;
     }))}
-    ${plot.bars.map((_, bar) => html`<text x=${EDGE.left + room * (bar + 0.5)} y=${HEIGHT - EDGE.bottom + 16} class="middle">${bar + 1}</text>`)}
+    ${plot.bars.map((_, bar) => html`
+      <text x=${EDGE.left + room * (bar + 0.5)} y=${HEIGHT - EDGE.bottom + 16} class="middle">
+        ${bar + 1}</text>`)}
   <//>`;
 }
 
@@ -108,18 +123,26 @@ const shown = (value) => (value === null ? "–" : Number(value.toPrecision(3)))
 
 /** The numbers of bars, for those who cannot see them, and to look closer. */
 function Numbers({ plot }) {
-  return html`<div class="table" tabindex="0" role="region" aria-label=${`${plot.title}: ${TEXT.values}`}><table>
-    <thead><tr><td></td>${plot.series.map(({ title }, place) => html`<th scope="col" class="num key c${(place % COLOURS) + 1}">${title}, ${plot.y.unit}</th>`)}</tr></thead>
-    <tbody>${plot.bars.map((name, bar) => html`<tr><th scope="row">${bar + 1} ${name}</th>
-      ${plot.series.map((series) => html`<td class="num">${shown(series.y[bar])}</td>`)}</tr>`)}</tbody>
+  const name = `${plot.title}: ${TEXT.values}`;
+  return html`<div class="table" tabindex="0" role="region" aria-label=${name}><table>
+    <thead><tr><td></td>${plot.series.map(({ title }, place) => html`
+      <th scope="col" class="num key c${(place % COLOURS) + 1}">${title}, ${plot.y.unit}</th>`)}
+    </tr></thead>
+    <tbody>${plot.bars.map((title, bar) => html`<tr><th scope="row">${bar + 1} ${title}</th>
+      ${plot.series.map((series) => html`<td class="num">${shown(series.y[bar])}</td>`)}
+    </tr>`)}</tbody>
   </table></div>`;
 }
 
 export function Picture({ plot }) {
   const shades = plot.bars ? [] : colours(plot.series);
+  const mark = (style, place) => (style === "crosses" ? "cross" : shades[place]);
+  const bars = () => html`<${Bars} plot=${plot} /><${Numbers} plot=${plot} />`;
+  const curves = () => html`<${Curves} plot=${plot} />
+    <ul class="keys">${plot.series.map(({ title, style }, place) => html`
+      <li class="key ${style} ${mark(style, place)}">${title}</li>`)}</ul>`;
   return html`<figure class="picture">
     <figcaption>${plot.title}</figcaption>
-    ${plot.bars ? html`<${Bars} plot=${plot} /><${Numbers} plot=${plot} />` : html`<${Curves} plot=${plot} />
-      <ul class="keys">${plot.series.map(({ title, style }, place) => html`<li class="key ${style} ${style === "crosses" ? "cross" : shades[place]}">${title}</li>`)}</ul>`}
+    ${plot.bars ? bars() : curves()}
   </figure>`;
 }

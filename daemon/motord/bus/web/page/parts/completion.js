@@ -11,7 +11,8 @@ function resolve(schema, node = {}) {
   return { ...schema.$defs[$ref.split("/").at(-1)], ...own };
 }
 
-/** The kind of table that the file has chosen at that path; a table of kinds as it is where it has not. */
+/** The kind of table that the file has chosen at that path. Where it has not: the table of kinds as
+ *  it is. */
 function chosen(schema, node, path, valueOf) {
   if (!node.discriminator) return node;
   const { mapping, propertyName } = node.discriminator;
@@ -44,10 +45,17 @@ function choices(node) {
   return node.enum ?? [];
 }
 
+/** What `name` may be where it chooses the kind of its table. */
+function kindsOf({ discriminator }, name) {
+  return discriminator?.propertyName === name ? Object.keys(discriminator.mapping) : undefined;
+}
+
 function described(label, node, insert) {
   const { unit, minimum, maximum, description = "", type } = node;
-  return { label, insert, unit: unit === "1" ? undefined : unit, minimum, maximum, description, type,
-    fallback: node.default ?? undefined, choices: choices(node) };
+  return {
+    label, insert, unit: unit === "1" ? undefined : unit, minimum, maximum, description, type,
+    fallback: node.default ?? undefined, choices: choices(node),
+  };
 }
 
 /** Values that the text gives, as one table sees them: of several elements of an array, its own. */
@@ -67,21 +75,27 @@ function namesIn({ tables, entries }, path) {
 
 function headers(schema, whole, end, valueOf) {
   const node = nodeAt(schema, end.parts, valueOf);
-  if (isMap(node)) return namesIn(whole, end.parts).filter((name) => name !== end.word).map((name) => described(name, {}, name));
+  if (isMap(node)) {
+    const others = namesIn(whole, end.parts).filter((name) => name !== end.word);
+    return others.map((name) => described(name, {}, name));
+  }
   return Object.entries(node.properties ?? {})
     .map(([name, found]) => [name, resolve(schema, found)])
     .filter(([, found]) => isTable(found))
     .map(([name, found]) => described(name, found, isMap(found) ? `${name}.` : name));
 }
 
+/** Of a table whose kind is not chosen yet nothing else is known. */
+const kindAlone = ({ mapping, propertyName }) =>
+  ({ [propertyName]: { enum: Object.keys(mapping) } });
+
 function keys(schema, whole, end, valueOf, rest) {
   const table = [...end.table, ...end.parts];
   const node = nodeAt(schema, table, valueOf);
-  const written = new Set(whole.entries
-    .filter(({ table: other, header, from }) => header === end.header && from !== end.from && other.join("\0") === table.join("\0"))
-    .map(({ path }) => path.at(-1)));
-  const kind = node.discriminator?.propertyName;
-  const known = node.properties ?? (kind ? { [kind]: { enum: Object.keys(node.discriminator.mapping) } } : {});
+  const others = whole.entries.filter((entry) => entry.header === end.header
+    && entry.from !== end.from && entry.table.join("\0") === table.join("\0"));
+  const written = new Set(others.map(({ path }) => path.at(-1)));
+  const known = node.properties ?? (node.discriminator ? kindAlone(node.discriminator) : {});
   const follows = /^[ \t]*=/.test(rest);
   return Object.entries(known).filter(([name]) => !written.has(name)).map(([name, found]) => {
     const about = resolve(schema, found);
@@ -96,27 +110,36 @@ function values(schema, whole, end, valueOf) {
   const [table, name] = [end.path.slice(0, -1), end.path.at(-1)];
   const around = nodeAt(schema, table, valueOf);
   const node = nodeAt(schema, end.path, valueOf);
-  let words = choices(node);
-  if (around.discriminator?.propertyName === name) words = Object.keys(around.discriminator.mapping);
-  if (end.path[0] === "joint" && end.path.length === 3 && name === "line") words = namesIn(whole, ["line"]);
-  return words.map((word) => ({ ...described(String(word), {}, JSON.stringify(word)), isDefault: word === node.default }));
+  const lineOfJoint = end.path[0] === "joint" && end.path.length === 3 && name === "line";
+  let words = kindsOf(around, name) ?? choices(node);
+  if (lineOfJoint) words = namesIn(whole, ["line"]);
+  return words.map((word) => ({
+    ...described(String(word), {}, JSON.stringify(word)), isDefault: word === node.default,
+  }));
 }
 
-/** What may replace the text from `from` to `to`: `options`, those that begin with the word at the cursor first. */
+/** What may replace the text from `from` to `to`: `options`, those that begin with the word at the
+ *  cursor first. */
 export function complete(schema, text, cursor) {
   const { end } = scan(text.slice(0, cursor));
   const whole = scan(text);
   const valueOf = reader(whole.entries, end.header);
   const after = text.slice(cursor);
-  const tail = after.match(/^["']/.test(end.word) ? /^[\w.-]*["']?/ : /^[\w-]*/)[0];  // the rest of the same word
+  const restOfWord = /^["']/.test(end.word) ? /^[\w.-]*["']?/ : /^[\w-]*/;
+  const tail = after.match(restOfWord)[0];
   let options = [];
   if (end.mode === "header") options = headers(schema, whole, end, valueOf);
-  else if (end.mode === "key") options = keys(schema, whole, end, valueOf, after.slice(tail.length));
-  else if (end.mode === "value" && end.path) options = values(schema, whole, end, valueOf);
+  else if (end.mode === "key") {
+    options = keys(schema, whole, end, valueOf, after.slice(tail.length));
+  } else if (end.mode === "value" && end.path) options = values(schema, whole, end, valueOf);
   const typed = plain(end.word).toLowerCase();
   const begun = options.filter(({ label }) => label.toLowerCase().startsWith(typed));
-  const inside = options.filter((option) => !begun.includes(option) && option.label.toLowerCase().includes(typed));
-  return { from: end.from, to: cursor + tail.length, word: end.word, mode: end.mode, options: [...begun, ...inside] };
+  const others = options.filter((option) => !begun.includes(option));
+  const inside = others.filter(({ label }) => label.toLowerCase().includes(typed));
+  return {
+    from: end.from, to: cursor + tail.length, word: end.word, mode: end.mode,
+    options: [...begun, ...inside],
+  };
 }
 
 /** What the schema says of the key at the cursor; null: nothing. */
@@ -129,6 +152,5 @@ export function explain(schema, text, cursor) {
   const around = nodeAt(schema, entry.path.slice(0, -1), valueOf);
   if (!Object.keys(node).length) return null;
   const found = described(entry.path.join("."), node, "");
-  if (around.discriminator?.propertyName === entry.path.at(-1)) found.choices = Object.keys(around.discriminator.mapping);
-  return found;
+  return { ...found, choices: kindsOf(around, entry.path.at(-1)) ?? found.choices };
 }

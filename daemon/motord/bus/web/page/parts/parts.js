@@ -17,8 +17,10 @@ export function useLink(link, everyMs = 200) {
   }, [link, everyMs]);
 }
 
-export const number = (value, digits = 2) =>
-  Number.isFinite(value) ? (Math.abs(value) < 0.5 * 10 ** -digits ? 0 : value).toFixed(digits) : "–";
+export function number(value, digits = 2) {
+  if (!Number.isFinite(value)) return "–";
+  return (Math.abs(value) < 0.5 * 10 ** -digits ? 0 : value).toFixed(digits);
+}
 
 export const measure = (value, digits, unit) =>
   Number.isFinite(value) ? `${number(value, digits)} ${SYMBOLS[unit]}` : "–";
@@ -71,7 +73,8 @@ export function Actions({ link }) {
 export function Choice({ label, value, options, onChange }) {
   return html`<label class="choice"><span>${label}</span>
     <select value=${value} onChange=${(event) => onChange(event.target.value)}>
-      ${options.map(([key, title]) => html`<option value=${key} selected=${key === value}>${title}</option>`)}
+      ${options.map(([key, title]) => html`
+        <option value=${key} selected=${key === value}>${title}</option>`)}
     </select></label>`;
 }
 

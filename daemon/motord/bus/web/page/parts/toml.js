@@ -1,9 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a TOML text that is being written: what is not finished, or wrong, ends with its line (https://toml.io/en/v1.0.0).
+// Reads a TOML text that is being written (https://toml.io/en/v1.0.0): what is not finished, or
+// wrong, ends with its line.
 
-const TOKEN = /([ \t\r]+|#[^\n]*)|("""(?:\\[^]|[^\\])*?(?:"{3,5}|$)|'''[^]*?(?:'{3,5}|$)|"(?:\\.|[^"\\\n])*"?|'[^'\n]*'?|[^\s"'[\]{}=.,#]+)|([\n[\]{}=.,])/y;
-/** At the beginning of a line: no element of an array looks like that, so one above was not closed. */
-const ANEW = /\[{1,2}[ \t]*[A-Za-z_][^\n=,"']*\][ \t\r]*(?:#[^\n]*)?(?:\n|$)|[A-Za-z_][\w.-]*[ \t]*=/y;
+const anyOf = (...patterns) => patterns.map(({ source }) => source).join("|");
+
+const SKIPPED = /[ \t\r]+|#[^\n]*/;
+const LONG_STRING = /"""(?:\\[^]|[^\\])*?(?:"{3,5}|$)|'''[^]*?(?:'{3,5}|$)/;
+const STRING = /"(?:\\.|[^"\\\n])*"?|'[^'\n]*'?/;
+const BARE = /[^\s"'[\]{}=.,#]+/;
+const WRITTEN = anyOf(LONG_STRING, STRING, BARE);
+const MARK = /[\n[\]{}=.,]/;
+const TOKEN = new RegExp(`(${SKIPPED.source})|(${WRITTEN})|(${MARK.source})`, "y");
+const HEADER = /\[{1,2}[ \t]*[A-Za-z_][^\n=,"']*\][ \t\r]*(?:#[^\n]*)?(?:\n|$)/;
+const KEY = /[A-Za-z_][\w.-]*[ \t]*=/;
+/** At the beginning of a line: no element of an array looks like that, so one above was not
+ *  closed. */
+const ANEW = new RegExp(anyOf(HEADER, KEY), "y");
 
 /** The text of a key or of a string, as far as it is written. */
 export function plain(word) {
@@ -13,9 +25,11 @@ export function plain(word) {
 }
 
 /**
- * `tables`: their paths, in order. `entries`: keys with a value: `path` and that of the `table` around it, `header` (the
- * number of tables before it), `value` as it is written, `from`, `to`. `end`: what the text ends in: `mode` ("key",
- * "header", "value" or ""), `table` or `path`, the `parts` of a key before its last dot, and the `word` that begins at `from`.
+ * `tables`: their paths, in order.
+ * `entries`: keys with a value: `path` and that of the `table` around it, `header` (the number of
+ * tables before it), `value` as it is written, `from`, `to`.
+ * `end`: what the text ends in: `mode` ("key", "header", "value" or ""), `table` or `path`, the
+ * `parts` of a key before its last dot, and the `word` that begins at `from`.
  */
 export function scan(text) {
   const tables = [];
@@ -32,7 +46,8 @@ export function scan(text) {
   const mark = (word, at) => {
     if (word === "\n") {
       ANEW.lastIndex = at + 1;
-      if (!open.at(-1)?.array || ANEW.test(text)) [open, mode, parts, entry] = [[], "key", [], null];
+      const ends = !open.at(-1)?.array || ANEW.test(text);
+      if (ends) [open, mode, parts, entry] = [[], "key", [], null];
     } else if (word === "[") {
       if (mode === "value") open.push({ array: true, path: entry.path, entry });
       else if (mode === "key" && !open.length && !parts.length) mode = "header";
@@ -46,7 +61,10 @@ export function scan(text) {
       entry = open.pop()?.entry ?? null;
       mode = "";
     } else if (word === "=" && mode === "key" && parts.length) {
-      entry = { path: [...around(), ...parts], table: [...around(), ...parts.slice(0, -1)], header: tables.length, value: "", from: start };
+      entry = {
+        path: [...around(), ...parts], table: [...around(), ...parts.slice(0, -1)],
+        header: tables.length, value: "", from: start,
+      };
       entries.push(entry);
       [mode, parts] = ["value", []];
     } else if (word === ",") {
@@ -59,8 +77,9 @@ export function scan(text) {
   for (let found; (found = TOKEN.exec(text)); ) {
     const [word, skipped, written, marked] = found;
     const to = TOKEN.lastIndex;
-    if (skipped === undefined) last = { word: written ?? "", from: written === undefined ? to : found.index, to };
-    else if (word[0] === "#" && to === text.length) mode = "";
+    if (skipped === undefined) {
+      last = { word: written ?? "", from: written === undefined ? to : found.index, to };
+    } else if (word[0] === "#" && to === text.length) mode = "";
     if (marked !== undefined) mark(marked, found.index);
     else if (written !== undefined && mode === "value") entry.value ||= word;
     else if (written !== undefined && mode !== "") {
@@ -73,5 +92,6 @@ export function scan(text) {
   const end = touches ? { word: last.word, from: last.from } : { word: "", from: text.length };
   if (touches && mode !== "value") parts = parts.slice(0, -1);
   if ((last.word && !touches) || /^("""|''')/.test(end.word)) mode = "";
-  return { tables, entries, end: { ...end, mode, parts, table: around(), path: entry?.path, header: tables.length } };
+  const within = { table: around(), path: entry?.path, header: tables.length };
+  return { tables, entries, end: { ...end, mode, parts, ...within } };
 }

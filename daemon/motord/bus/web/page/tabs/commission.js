@@ -11,12 +11,17 @@ const PRESENT_EVERY_MS = 100;
 const PLOT_S = 15;
 const NO_STOP = ["Tab", "Shift", "Control", "Alt", "Meta", " "];  // the space bar is the e-stop
 
-const mayMove = ({ commissioning: record }) => Boolean(record) && record.end === null && record.question === null;
+const mayMove = ({ commissioning: record }) =>
+  Boolean(record) && record.end === null && record.question === null;
 
-/** The dead man: the page is present while it is shown and has the focus; the end of that ends a motion at rest. */
+/** The dead man: the page is present while it is shown and has the focus. The end of that ends a
+ *  motion at rest. */
 function usePresence(link) {
   useEffect(() => {
-    const stop = (why) => link.commissioning?.yours && mayMove(link) && link.call("commission.stop", { why }).catch(() => {});
+    const stop = (why) => {
+      if (!link.commissioning?.yours || !mayMove(link)) return;
+      link.call("commission.stop", { why }).catch(() => {});
+    };
     const conducts = () => link.commissioning?.yours && link.commissioning.end === null;
     const present = () => !document.hidden && document.hasFocus() && conducts() && link.present();
     const listeners = [
@@ -25,7 +30,8 @@ function usePresence(link) {
       [window, "blur", () => stop("hidden")],
       [window, "pagehide", () => stop("hidden")],
       [window, "keydown", (event) => !NO_STOP.includes(event.key) && stop("key")],
-      [window, "contextmenu", () => stop("key")],  // a menu gets the keys: none of them would stop it
+      // A menu gets the keys: none of them would stop it.
+      [window, "contextmenu", () => stop("key")],
       [window, "dragstart", () => stop("key")],
     ];
     for (const [target, kind, listener] of listeners) target.addEventListener(kind, listener);
@@ -41,6 +47,14 @@ function usePresence(link) {
 // ------------------------------------------------------------------------------------- the choice
 const number = (text) => (text.trim() === "" ? NaN : Number(text.replace(",", ".")));
 
+function Entry({ option, text, wrong, enter }) {
+  const unit = unitOf(option);
+  return html`<label><span>${option.title}</span>
+    <span class="entry"><input inputmode="decimal" size="7" aria-invalid=${wrong} value=${text}
+      onInput=${(event) => enter(event.target.value)} /> ${unit}</span>
+    <span class="muted small">${TEXT.between(option.low, option.high, unit)}</span></label>`;
+}
+
 function Choose({ link, chosen, choose }) {
   const [typed, setTyped] = useState({});
   const [joint, setJoint] = useState("");
@@ -50,6 +64,7 @@ function Choose({ link, chosen, choose }) {
   const names = procedures[chosen];
   const value = (name) => number(typed[name] ?? String(options[name].usual));
   const wrong = (name) => !(value(name) >= options[name].low && value(name) <= options[name].high);
+  const startable = link.mayCommand && !names.some(wrong);
   const begin = (event) => {
     event.preventDefault();
     call("commission.start", title, {
@@ -59,8 +74,9 @@ function Choose({ link, chosen, choose }) {
   };
   return html`<div class="grid commission">
     <${Card} title=${TEXT.procedure}>
-      <ul class="choices">${Object.keys(procedures).map((key) => html`<li><button aria-pressed=${key === chosen}
-        onClick=${() => choose(key)}>${TEXT.procedures[key]?.title ?? key}</button></li>`)}</ul>
+      <ul class="choices">${Object.keys(procedures).map((key) => html`<li>
+        <button aria-pressed=${key === chosen} onClick=${() => choose(key)}>
+          ${TEXT.procedures[key]?.title ?? key}</button></li>`)}</ul>
     <//>
     <${Card} title=${title}>
       <form class="form" onSubmit=${begin}>
@@ -69,12 +85,12 @@ function Choose({ link, chosen, choose }) {
           <select value=${joint} onChange=${(event) => setJoint(event.target.value)}>
             ${chosen === "spin" && html`<option value="">${TEXT.allWheels}</option>`}
             ${joints.map((name) => html`<option value=${name}>${name}</option>`)}</select></label>`}
-        ${names.map((name) => html`<label key=${name}><span>${options[name].title}</span>
-          <span class="entry"><input inputmode="decimal" size="7" aria-invalid=${wrong(name)} value=${typed[name] ?? options[name].usual}
-            onInput=${(event) => setTyped({ ...typed, [name]: event.target.value })} /> ${unitOf(options[name])}</span>
-          <span class="muted small">${TEXT.between(options[name].low, options[name].high, unitOf(options[name]))}</span></label>`)}
+        ${names.map((name) => html`<${Entry} key=${name} option=${options[name]}
+          text=${typed[name] ?? options[name].usual} wrong=${wrong(name)}
+          enter=${(text) => setTyped({ ...typed, [name]: text })} />`)}
         <p class="muted">${TEXT.commissionHelp}</p>
-        <div class="actions"><button class="main" type="submit" disabled=${!link.mayCommand || names.some(wrong)}>${TEXT.begin}</button></div>
+        <div class="actions"><button class="main" type="submit" disabled=${!startable}>
+          ${TEXT.begin}</button></div>
         ${problem}
       </form>
     <//>
@@ -101,60 +117,79 @@ function Question({ question, yours, answer, problem }) {
     if ((await answer(given)) === undefined) setSent(false);  // it was not taken
   };
   const send = (event) => { event.preventDefault(); if (!wrong) give(value); };
-  const choice = (text, given, main) => html`<button class=${main ? "main" : ""} disabled=${!open} onClick=${() => give(given)}>${text}</button>`;
-  return html`<div class="question ${open ? "open" : ""}" role="group" aria-label=${TEXT.questionTitle}>
+  const choice = (text, given, main) => html`
+    <button class=${main ? "main" : ""} disabled=${!open} onClick=${() => give(given)}>
+      ${text}</button>`;
+  const words = () => question.answers.map((one) => choice(TEXT.words[one] ?? one, one, false));
+  const { low, high, unit } = question;
+  return html`<div class="question ${open ? "open" : ""}" role="group"
+      aria-label=${TEXT.questionTitle}>
     <p class="asks">${question.text}</p>
     ${question.problem && html`<p class="problem" role="alert">${question.problem}</p>`}
-    ${question.kind === "confirm" && html`<div class="actions">${choice(TEXT.yes, true, true)}${choice(TEXT.no, false)}</div>`}
-    ${question.kind === "choose" && html`<div class="actions">${question.answers.map((one) => choice(TEXT.words[one] ?? one, one, false))}</div>`}
+    ${question.kind === "confirm" && html`<div class="actions">
+      ${choice(TEXT.yes, true, true)}${choice(TEXT.no, false)}</div>`}
+    ${question.kind === "choose" && html`<div class="actions">${words()}</div>`}
     ${(isNumber || question.kind === "text") && html`<form class="actions" onSubmit=${send}>
-      <input aria-label=${question.text} inputmode=${isNumber ? "text" : undefined} size=${isNumber ? 8 : 24} value=${typed} disabled=${!open}
-        onInput=${(event) => setTyped(event.target.value)} /> ${question.unit}
+      <input aria-label=${question.text} inputmode=${isNumber ? "text" : undefined}
+        size=${isNumber ? 8 : 24} value=${typed} disabled=${!open}
+        onInput=${(event) => setTyped(event.target.value)} /> ${unit}
       <button class="main" type="submit" disabled=${!open || wrong}>${TEXT.sendAnswer}</button>
-      ${isNumber && html`<span class="muted small">${TEXT.between(question.low, question.high, question.unit)}</span>`}</form>`}
+      ${isNumber && html`<span class="muted small">${TEXT.between(low, high, unit)}</span>`}
+    </form>`}
     ${problem}
   </div>`;
 }
 
 // ------------------------------------------------------------------------------------ the running
+function answered({ answer }) {
+  if (typeof answer === "boolean") return answer ? TEXT.yes : TEXT.no;
+  return TEXT.words[answer] ?? answer;
+}
+
 function Shown({ row }) {
   if (row.picture) return html`<${Picture} plot=${row.picture} />`;
   if (row.difference) return html`<${Difference} text=${row.difference} />`;
-  if (row.question) {
-    const given = typeof row.answer === "boolean" ? (row.answer ? TEXT.yes : TEXT.no) : TEXT.words[row.answer] ?? row.answer;
-    return html`<p class="muted">${row.question} <b>${given}</b></p>`;
-  }
+  if (row.question) return html`<p class="muted">${row.question} <b>${answered(row)}</b></p>`;
   return html`<p class="words">${row.show}</p>`;
 }
 
 function LivePlot({ link, history }) {
-  const plot = useMemo(() => plotsOf(link.hello, link.status).find(({ key }) => key === "velocity"), [link.hello]);
+  const isVelocity = ({ key }) => key === "velocity";
+  const plot = useMemo(() => plotsOf(link.hello, link.status).find(isVelocity), [link.hello]);
   const zoom = useMemo(() => Object.assign(() => {}, { shown: null }), []);
   return html`<${Card} title=${TEXT.plots.velocity} className="wide">
-    <${TimePlot} history=${history} plot=${plot} seconds=${PLOT_S} paused=${false} zoom=${zoom} /><//>`;
+    <${TimePlot} history=${history} plot=${plot} seconds=${PLOT_S} paused=${false}
+      zoom=${zoom} /><//>`;
 }
 
 function Running({ link, history, record }) {
   const [call, problem] = useCall(link);
   const { question, yours, page } = record;
   const title = TEXT.procedures[record.procedure]?.title ?? record.procedure;
-  const answer = (value) => call("commission.answer", TEXT.sendAnswer, { number: question.number, value });
+  const answer = (value) =>
+    call("commission.answer", TEXT.sendAnswer, { number: question.number, value });
   return html`<div class="grid commission">
     <div class="column">
-      <${Card} title=${title} className=${question ? "" : "moves"} extra=${html`<span class="muted">${page}</span>`}>
+      <${Card} title=${title} className=${question ? "" : "moves"}
+          extra=${html`<span class="muted">${page}</span>`}>
         ${!page && html`<p class="why">${TEXT.abandoned}</p>
-          <div class="actions"><button class="main" onClick=${() => call("commission.take", title)}>${TEXT.goOn}</button></div>`}
+          <div class="actions">
+            <button class="main" onClick=${() => call("commission.take", title)}>
+              ${TEXT.goOn}</button></div>`}
         ${page && !yours && html`<p class="why">${TEXT.otherConducts(page)}</p>`}
         ${question
-          ? html`<${Question} key=${question.number} question=${question} yours=${yours} answer=${answer} problem=${problem} />`
+          ? html`<${Question} key=${question.number} question=${question} yours=${yours}
+              answer=${answer} problem=${problem} />`
           : html`<p class="asks" role="status">${link.progress || TEXT.preparing}</p>${problem}`}
-        <button class="halt" onClick=${() => call("commission.stop", TEXT.stopProcedure)}>${TEXT.stopProcedure}
+        <button class="halt" onClick=${() => call("commission.stop", TEXT.stopProcedure)}>
+          ${TEXT.stopProcedure}
           ${!question && html`<small>${TEXT.stopKey}</small>`}</button>
       <//>
     </div>
     <div class="column">
       <${LivePlot} link=${link} history=${history} />
-      ${record.shown.length > 0 && html`<${Card} title=${TEXT.measured} className="shown">${record.shown.map((row, at) => html`<${Shown} key=${at} row=${row} />`)}<//>`}
+      ${record.shown.length > 0 && html`<${Card} title=${TEXT.measured} className="shown">
+        ${record.shown.map((row, at) => html`<${Shown} key=${at} row=${row} />`)}<//>`}
     </div>
   </div>`;
 }
@@ -163,12 +198,16 @@ function Ended({ record, close }) {
   const { good, text, file, backup, new_file: content } = record.end;
   const title = TEXT.procedures[record.procedure]?.title ?? record.procedure;
   const name = file?.split("/").at(-1);
-  return html`<${Card} title=${`${title}: ${good ? TEXT.resultGood : TEXT.resultBad}`} className="shown ended"
+  const result = good ? TEXT.resultGood : TEXT.resultBad;
+  const download = () => save(name, content, "application/toml");
+  return html`<${Card} title=${`${title}: ${result}`} className="shown ended"
       extra=${html`<button class="main" onClick=${close}>${TEXT.another}</button>`}>
     <p class=${good ? "asks" : "asks problem"} role="status">${text}</p>
     ${backup && html`<p class="good">${TEXT.writtenFile(file)} ${TEXT.restart}</p>`}
-    ${content && html`<p>${TEXT.notWritable(file)}</p><pre class="command" tabindex="0">${TEXT.copyCommand(file, name)}</pre>
-      <div class="actions"><button class="main" onClick=${() => save(name, content, "application/toml")}>${TEXT.downloadFile}</button></div>`}
+    ${content && html`<p>${TEXT.notWritable(file)}</p>
+      <pre class="command" tabindex="0">${TEXT.copyCommand(file, name)}</pre>
+      <div class="actions">
+        <button class="main" onClick=${download}>${TEXT.downloadFile}</button></div>`}
     ${record.shown.map((row, at) => html`<${Shown} key=${at} row=${row} />`)}
   <//>`;
 }
@@ -180,8 +219,14 @@ export function Commission({ link, history }) {
   const [closed, close] = useState(null);
   const record = link.commissioning;
   if (!link.hello || !link.now) return html`<p class="muted">${TEXT.staleText}</p>`;
-  if (!link.hello.may_command) return html`<${Card} title=${TEXT.tabs.commission}><p>${TEXT.commissionNeedsToken}</p><//>`;
-  if (record && record.end === null) return html`<${Running} link=${link} history=${history} record=${record} />`;
-  if (record && record.run !== closed) return html`<${Ended} record=${record} close=${() => close(record.run)} />`;
+  if (!link.hello.may_command) {
+    return html`<${Card} title=${TEXT.tabs.commission}><p>${TEXT.commissionNeedsToken}</p><//>`;
+  }
+  if (record && record.end === null) {
+    return html`<${Running} link=${link} history=${history} record=${record} />`;
+  }
+  if (record && record.run !== closed) {
+    return html`<${Ended} record=${record} close=${() => close(record.run)} />`;
+  }
   return html`<${Choose} link=${link} chosen=${chosen} choose=${choose} />`;
 }

@@ -9,8 +9,10 @@ import { BaseView } from "../parts/base_view.js";
 import { useGamepad } from "../parts/gamepad.js";
 
 const KEYS = {
-  KeyW: ["linear", 1], ArrowUp: ["linear", 1], KeyS: ["linear", -1], ArrowDown: ["linear", -1],
-  KeyA: ["angular", 1], ArrowLeft: ["angular", 1], KeyD: ["angular", -1], ArrowRight: ["angular", -1],
+  KeyW: ["linear", 1], ArrowUp: ["linear", 1],
+  KeyS: ["linear", -1], ArrowDown: ["linear", -1],
+  KeyA: ["angular", 1], ArrowLeft: ["angular", 1],
+  KeyD: ["angular", -1], ArrowRight: ["angular", -1],
   KeyQ: ["lateral", 1], KeyE: ["lateral", -1],
 };
 const REST = { linear: 0, lateral: 0, angular: 0 };
@@ -23,7 +25,10 @@ function useKeys(pilot) {
     const held = new Set();
     const hold = () => {
       const share = { ...REST };
-      for (const code of held) share[KEYS[code][0]] = clipped(share[KEYS[code][0]] + KEYS[code][1]);
+      for (const code of held) {
+        const [axis, step] = KEYS[code];
+        share[axis] = clipped(share[axis] + step);
+      }
       if (held.size) pilot.hold("keys", share);
       else pilot.letGo("keys");
     };
@@ -32,7 +37,8 @@ function useKeys(pilot) {
       if (pilot.holder === "keys") pilot.end("taken");
     };
     const down = (event) => {
-      // It may open a menu of the browser or of the system, which gets the keyup. macOS sends none while Meta is down.
+      // It may open a menu of the browser or of the system, which gets the keyup. macOS sends none
+      // while Meta is down.
       if (!(event.code in KEYS) || event.ctrlKey || event.metaKey || event.altKey) return take();
       if (typing(event.target)) return;
       if (event.target.matches?.("input[type=range]") && event.code.startsWith("Arrow")) return;
@@ -45,13 +51,15 @@ function useKeys(pilot) {
       if (event.metaKey) take();
       else if (held.delete(event.code)) hold();
     };
-    const button = (event) => event.button !== 0 && take();  // Firefox: with Shift, its menu opens without an event
+    // Firefox: with Shift, its menu opens without an event.
+    const button = (event) => event.button !== 0 && take();
     const forget = () => held.clear();
-    const listeners = { keydown: down, keyup: up, mousedown: button, contextmenu: take };
-    for (const [kind, listener] of Object.entries(listeners)) window.addEventListener(kind, listener, true);
+    const listeners =
+      Object.entries({ keydown: down, keyup: up, mousedown: button, contextmenu: take });
+    for (const [kind, listener] of listeners) window.addEventListener(kind, listener, true);
     pilot.onEnd.add(forget);
     return () => {
-      for (const [kind, listener] of Object.entries(listeners)) window.removeEventListener(kind, listener, true);
+      for (const [kind, listener] of listeners) window.removeEventListener(kind, listener, true);
       pilot.onEnd.delete(forget);
       pilot.letGo("keys");
     };
@@ -84,25 +92,35 @@ function Pad({ pilot, sideways }) {
   };
   const up = () => pilot.letGo("pad");
   useEffect(() => {
-    // Not as onLostPointerCapture: Preact takes the "Capture" off, and the listener is never called.
+    // Not as onLostPointerCapture: Preact takes the "Capture" off, and never calls the listener.
     pad.current.addEventListener("lostpointercapture", up);
     return up;
   }, [pilot]);
   const { linear, angular, lateral } = pilot.share;
   const [x, y] = [100 - 78 * (sideways ? lateral : angular), 100 - 78 * linear];
-  return html`<div class="pad ${pilot.held ? "held" : ""}" ref=${pad} role="img" aria-label=${TEXT.pad}
+  return html`<div class="pad ${pilot.held ? "held" : ""}" ref=${pad} role="img"
+      aria-label=${TEXT.pad}
       onPointerDown=${down} onPointerMove=${move} onPointerUp=${up} onPointerCancel=${up}
       onContextMenu=${(event) => event.preventDefault()}>
     <svg viewBox="0 0 200 200" aria-hidden="true">
       <circle class="rim" cx="100" cy="100" r="97" />
       <circle class="ring" cx="100" cy="100" r="48" />
       <path class="ring" d="M100 12v176M12 100h176" />
-      <path class="mark" d="M100 10l7 11h-14zM100 190l7-11h-14zM10 100l11 7v-14zM190 100l-11 7v-14z" />
+      <path class="mark"
+        d="M100 10l7 11h-14zM100 190l7-11h-14zM10 100l11 7v-14zM190 100l-11 7v-14z" />
       <line class="stalk" x1="100" y1="100" x2=${x} y2=${y} />
       <circle class="knob" cx=${x} cy=${y} r="22" />
     </svg>
     ${!pilot.held && html`<span class="pad-hint">${TEXT.padHint}</span>`}
   </div>`;
+}
+
+/** What the pad's user should know now. */
+function noticeOf(link, pilot) {
+  if (!link.mayCommand) return TEXT.watching;
+  const powered = ["armed", "moving", "stopping"].includes(link.now.state);
+  if (pilot.held) return powered ? TEXT.driving : TEXT.armFirst;
+  return (TEXT.releasedBy[pilot.released] ?? pilot.released) || TEXT.notDriving;
 }
 
 export function Drive({ link, pilot, trail }) {
@@ -113,24 +131,30 @@ export function Drive({ link, pilot, trail }) {
   const gamepad = useGamepad(pilot, lateral);
   if (!link.hello || !link.now) return html`<p class="muted">${TEXT.staleText}</p>`;
   if (!link.hello.wheels.length) {
-    return html`<div class="column"><${StateCard} link=${link} /><${Card}><p>${TEXT.noBase}</p><//></div>`;
+    return html`<div class="column"><${StateCard} link=${link} />
+      <${Card}><p>${TEXT.noBase}</p><//></div>`;
   }
   const { now } = link;
-  const powered = ["armed", "moving", "stopping"].includes(now.state);
-  const notice = TEXT.releasedBy[pilot.released] ?? pilot.released;
   const wanted = pilot.wanted;
   const limits = link.hello.limits;
+  const twist = (linear, angular) =>
+    `${measure(linear, 2, "m_s")}, ${measure(angular, 2, "rad_s")}`;
+  const limit = (event) => {
+    pilot.limiter = event.target.value / 100;
+    link.version += 1;
+  };
   return html`<div class="grid drive">
     <${Card} className="pad-card">
       <${Pad} pilot=${pilot} sideways=${sideways} />
       <p class="notice" role="status">
-        ${!link.mayCommand ? TEXT.watching : pilot.held ? (powered ? TEXT.driving : TEXT.armFirst) : notice || TEXT.notDriving}
+        ${noticeOf(link, pilot)}
       </p>
       <label class="slider"><span>${TEXT.limiter}</span>
         <input type="range" min="5" max="100" step="5" value=${Math.round(pilot.limiter * 100)}
-          onInput=${(event) => { pilot.limiter = event.target.value / 100; link.version += 1; }} />
-        <output>${Math.round(pilot.limiter * 100)} %: ${measure(pilot.limiter * limits.linear_m_s, 2, "m_s")},
-          ${" "}${measure(pilot.limiter * limits.angular_rad_s, 2, "rad_s")}</output></label>
+          onInput=${limit} />
+        <output>${Math.round(pilot.limiter * 100)} %:${" "}
+          ${twist(pilot.limiter * limits.linear_m_s, pilot.limiter * limits.angular_rad_s)}
+        </output></label>
       ${lateral && html`<label class="check"><input type="checkbox" checked=${sideways}
         onChange=${(event) => setSideways(event.target.checked)} /> ${TEXT.strafe}</label>`}
     <//>
@@ -138,9 +162,9 @@ export function Drive({ link, pilot, trail }) {
       <${StateCard} link=${link} />
       <${Card}>
         <${Rows} rows=${[
-          [TEXT.requested, `${measure(wanted.linear, 2, "m_s")}, ${measure(wanted.angular, 2, "rad_s")}`],
-          [TEXT.setpoint, `${measure(now.setpoint_linear_m_s, 2, "m_s")}, ${measure(now.setpoint_angular_rad_s, 2, "rad_s")}`],
-          [TEXT.measured, `${measure(now.linear_m_s, 2, "m_s")}, ${measure(now.angular_rad_s, 2, "rad_s")}`],
+          [TEXT.requested, twist(wanted.linear, wanted.angular)],
+          [TEXT.setpoint, twist(now.setpoint_linear_m_s, now.setpoint_angular_rad_s)],
+          [TEXT.measured, twist(now.linear_m_s, now.angular_rad_s)],
           [TEXT.commander, commander(link)],
           [TEXT.gamepad, gamepad || TEXT.gamepadNone],
         ]} />

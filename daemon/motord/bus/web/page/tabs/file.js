@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The robot file in an editor: completion by its schema, what `motord check` says at its lines, saved with a difference.
+// The robot file in an editor: completion by its schema, what `motord check` says at its lines, and
+// the difference before it is saved.
 
 import { html, useEffect, useLayoutEffect, useRef, useState } from "../vendor/htm-preact.js";
 import { TEXT } from "../text.js";
@@ -21,7 +22,8 @@ const draft = { base: null, text: "" };
 const changed = () => draft.base !== null && draft.text !== draft.base.text;
 
 function loaded({ file, sha256, text }) {
-  return { file, sha256, text: text.replaceAll("\r\n", "\n"), lineEnd: text.includes("\r\n") ? "\r\n" : "\n" };
+  const lineEnd = text.includes("\r\n") ? "\r\n" : "\n";
+  return { file, sha256, text: text.replaceAll("\r\n", "\n"), lineEnd };
 }
 const onDisk = () => draft.text.replaceAll("\n", draft.base.lineEnd);
 
@@ -49,7 +51,9 @@ const worth = ({ options, word, mode }, typed) => options.length > 0
 
 function columnsOf(text) {
   let columns = 0;
-  for (const character of text) columns += character === "\t" ? TAB_COLUMNS - (columns % TAB_COLUMNS) : 1;
+  for (const character of text) {
+    columns += character === "\t" ? TAB_COLUMNS - (columns % TAB_COLUMNS) : 1;
+  }
   return columns;
 }
 
@@ -63,15 +67,20 @@ const facts = ({ unit, minimum, maximum, fallback, choices, isDefault }) => [
 
 function Completion({ found, active, place, accept }) {
   const list = useRef(null);
-  useEffect(() => { list.current?.querySelector("[aria-selected=true]")?.scrollIntoView({ block: "nearest" }); }, [active]);
-  return html`<ul ref=${list} id=${LIST} role="listbox" aria-label=${TEXT.completions} class="completion" style=${place}
-      onMouseDown=${(event) => event.preventDefault()}>
-    ${found.options.map((option, at) => html`<li key=${option.label} id=${`${LIST}-${at}`} role="option" aria-selected=${at === active}
-      onMouseDown=${() => accept(option)}>
+  useEffect(() => {
+    const selected = list.current?.querySelector("[aria-selected=true]");
+    selected?.scrollIntoView({ block: "nearest" });
+  }, [active]);
+  return html`<ul ref=${list} id=${LIST} role="listbox" aria-label=${TEXT.completions}
+      class="completion" style=${place} onMouseDown=${(event) => event.preventDefault()}>
+    ${found.options.map((option, at) => html`<li key=${option.label} id=${`${LIST}-${at}`}
+      role="option" aria-selected=${at === active} onMouseDown=${() => accept(option)}>
       <b>${option.label}</b> <span class="muted">${facts(option)}</span>
       ${option.description && html`<span class="small">${option.description}</span>`}</li>`)}
   </ul>`;
 }
+
+const topOf = (line) => ({ top: `${PAD_PX + (line - 1) * LINE_PX}px` });
 
 /** The text area with its lines; `marks`: line → "error" or "warning". */
 function Editor({ area, schema, marks, edited, compare }) {
@@ -122,13 +131,16 @@ function Editor({ area, schema, marks, edited, compare }) {
     close();
     if (schema) setAbout(explain(schema, area.current.value, area.current.selectionStart));
   };
-  const released = ({ key }) => { if (MOVES.includes(key) || (!found && key.startsWith("Arrow"))) moved(); };
+  const released = ({ key }) => {
+    if (MOVES.includes(key) || (!found && key.startsWith("Arrow"))) moved();
+  };
   const place = () => {
     const { value, scrollTop, scrollLeft, clientHeight, offsetHeight } = area.current;
     const rows = value.slice(0, found.from).split("\n");
     const below = PAD_PX + rows.length * LINE_PX - scrollTop;
+    const above = offsetHeight - below + LINE_PX;
     return {
-      ...(2 * below > clientHeight ? { bottom: `${offsetHeight - below + LINE_PX}px` } : { top: `${below}px` }),
+      ...(2 * below > clientHeight ? { bottom: `${above}px` } : { top: `${below}px` }),
       left: `min(calc(${columnsOf(rows.at(-1))}ch + ${PAD_PX - scrollLeft}px), 40%)`,
     };
   };
@@ -139,28 +151,45 @@ function Editor({ area, schema, marks, edited, compare }) {
   return html`<div class="editor">
       <div class="gutter" ref=${gutter} aria-hidden="true">
         <pre>${Array.from({ length: lines }, (_, at) => at + 1).join("\n")}</pre>
-        ${[...marks].map(([line, kind]) => html`<i key=${line} class=${kind} style=${{ top: `${PAD_PX + (line - 1) * LINE_PX}px` }}>${line}</i>`)}
+        ${[...marks].map(([line, kind]) => html`
+          <i key=${line} class=${kind} style=${topOf(line)}>${line}</i>`)}
       </div>
       <div class="writing">
-        <textarea ref=${area} wrap="off" spellcheck=${false} autocomplete="off" autocapitalize="off" aria-label=${TEXT.tabs.file}
-          aria-describedby=${HELP} aria-autocomplete="list" aria-controls=${found ? LIST : undefined}
+        <textarea ref=${area} wrap="off" spellcheck=${false} autocomplete="off"
+          autocapitalize="off" aria-label=${TEXT.tabs.file}
+          aria-describedby=${HELP} aria-autocomplete="list"
+          aria-controls=${found ? LIST : undefined}
           aria-activedescendant=${found && active >= 0 ? `${LIST}-${active}` : undefined}
           onInput=${input} onKeyDown=${press} onKeyUp=${released} onClick=${moved} onBlur=${close}
           onScroll=${scrolled}></textarea>
-        ${found && html`<${Completion} found=${found} active=${active} place=${place()} accept=${accept} />`}
+        ${found && html`<${Completion} found=${found} active=${active} place=${place()}
+          accept=${accept} />`}
       </div>
     </div>
-    <p class="about">${about ? html`<b>${about.label}</b> <span class="muted">${facts(about)}</span> ${about.description}` : TEXT.aboutKey}</p>`;
+    <p class="about">${about ? html`<b>${about.label}</b>${" "}
+      <span class="muted">${facts(about)}</span> ${about.description}` : TEXT.aboutKey}</p>`;
 }
 
 function Messages({ report, state, go }) {
   const { problems = [], warnings = [] } = report ?? {};
   const row = (kind) => ({ line, key, text }) => html`<li class=${kind}>
-    ${line > 0 && html`<button class="link" onClick=${() => go(line)}>${TEXT.atLine(line)}</button> `}
-    ${kind === "warning" && html`<b>${TEXT.warning}</b> `}${key && html`<b>${key}</b> `}${text}</li>`;
-  return html`<p class="checked" role="status">${state === "checking" ? TEXT.checking
-      : report ? TEXT.checked(problems.length, warnings.length) : ""}</p>
-    <ul class="messages" aria-label=${TEXT.messages}>${problems.map(row("error"))}${warnings.map(row("warning"))}</ul>`;
+    ${line > 0 && html`<button class="link" onClick=${() => go(line)}>
+      ${TEXT.atLine(line)}</button> `}
+    ${kind === "warning" && html`<b>${TEXT.warning}</b> `}
+    ${key && html`<b>${key}</b> `}${text}</li>`;
+  const counts = report ? TEXT.checked(problems.length, warnings.length) : "";
+  return html`
+    <p class="checked" role="status">${state === "checking" ? TEXT.checking : counts}</p>
+    <ul class="messages" aria-label=${TEXT.messages}>
+      ${problems.map(row("error"))}${warnings.map(row("warning"))}</ul>`;
+}
+
+/** Of what the robot has answered to file.diff or file.save: what became of it. */
+function kindOf(found) {
+  if (found.changed) return "conflict";
+  if (found.problems.length) return "problems";
+  if (found.unwritable) return "unwritable";
+  return found.backup ? "written" : "compared";
 }
 
 /** What became of saving. */
@@ -174,23 +203,30 @@ function Outcome({ outcome, mayWrite, write, close, keep, discard }) {
     unwritable: TEXT.notWritable(found.file),
     problems: TEXT.notSaved,
   }[kind];
+  const compared = kind === "compared";
+  const toWrite = compared && found.diff;
+  const save = () => download(name, onDisk(), "application/toml");
   return html`<div class="difference" role="region" aria-label=${TEXT.difference}>
-    <p role=${kind === "compared" ? undefined : "alert"} class=${kind === "written" ? "good" : ""}>${text}</p>
+    <p role=${compared ? undefined : "alert"} class=${kind === "written" ? "good" : ""}>
+      ${text}</p>
     ${kind === "unwritable" && html`<p class="muted">${found.unwritable}</p>
       <pre class="command" tabindex="0">${TEXT.copyCommand(found.file, name)}</pre>`}
-    ${kind === "compared" && !mayWrite && html`<p class="muted">${TEXT.writingNeedsToken}</p>`}
+    ${compared && !mayWrite && html`<p class="muted">${TEXT.writingNeedsToken}</p>`}
     ${found.diff && kind !== "problems" && html`<${Difference} text=${found.diff} />`}
     <div class="actions">
-      ${kind === "compared" && found.diff && mayWrite && html`<button class="main" onClick=${write}>${TEXT.write}</button>`}
-      ${kind === "unwritable" && html`<button class="main" onClick=${() => download(name, onDisk(), "application/toml")}>${TEXT.downloadFile}</button>`}
+      ${toWrite && mayWrite && html`
+        <button class="main" onClick=${write}>${TEXT.write}</button>`}
+      ${kind === "unwritable" && html`
+        <button class="main" onClick=${save}>${TEXT.downloadFile}</button>`}
       ${kind === "conflict" && html`<button class="main" onClick=${keep}>${TEXT.keepMine}</button>
         <button onClick=${discard}>${TEXT.takeTheirs}</button>`}
-      <button onClick=${close}>${kind === "compared" && found.diff ? TEXT.cancel : TEXT.close}</button>
+      <button onClick=${close}>${toWrite ? TEXT.cancel : TEXT.close}</button>
     </div>
   </div>`;
 }
 
-/** `check` at once; `later` when the person has paused. One at a time: what was written meanwhile is checked after it. */
+/** `check` at once; `later` when the person has paused. One at a time: what was written meanwhile
+ *  is checked after it. */
 function useCheck(call, setReport) {
   const [state, setState] = useState("");
   const running = useRef(false);
@@ -213,6 +249,15 @@ function useCheck(call, setReport) {
   };
   useEffect(() => () => clearTimeout(timer.current), []);
   return { state, check, later };
+}
+
+/** An error covers a warning of the same line. */
+function marksOf({ warnings = [], problems = [] }) {
+  const rows = [
+    ...warnings.map(({ line }) => [line, "warning"]),
+    ...problems.map(({ line }) => [line, "error"]),
+  ];
+  return new Map(rows.filter(([line]) => line > 0));
 }
 
 export function File({ link }) {
@@ -261,34 +306,43 @@ export function File({ link }) {
   };
   const ask = async (method) => {
     const text = draft.text;
-    const found = await call(method, TEXT.save, { text: onDisk(), sha256: draft.base.sha256 }, ANSWER_WITHIN_MS);
+    const params = { text: onDisk(), sha256: draft.base.sha256 };
+    const found = await call(method, TEXT.save, params, ANSWER_WITHIN_MS);
     if (!found || text !== draft.text && !found.backup) return;
-    const kind = found.changed ? "conflict" : found.problems.length ? "problems" : found.unwritable ? "unwritable" : found.backup ? "written" : "compared";
+    const kind = kindOf(found);
     if (found.problems) setReport(found);
     if (found.backup) take({ ...found, text: text.replaceAll("\n", draft.base.lineEnd) });
     setOutcome({ kind, found });
   };
   const compare = () => ask("file.diff");
   const go = (line) => {
-    const start = area.current.value.split("\n").slice(0, line - 1).join("\n").length + (line > 1 ? 1 : 0);
+    const before = area.current.value.split("\n").slice(0, line - 1);
+    const start = before.join("\n").length + (line > 1 ? 1 : 0);
     area.current.focus();
     area.current.setSelectionRange(start, start);
     area.current.scrollTop = Math.max(0, (line - 5) * LINE_PX);
   };
 
   if (!link.hello) return html`<p class="muted">${TEXT.connecting}</p>`;
-  if (!link.hello.may_command) return html`<${Card} title=${TEXT.tabs.file}><p>${TEXT.fileNeedsToken}</p><//>`;
-  const marks = new Map([...(report?.warnings ?? []).map(({ line }) => [line, "warning"]), ...(report?.problems ?? []).map(({ line }) => [line, "error"])]
-    .filter(([line]) => line > 0));
+  if (!link.hello.may_command) {
+    return html`<${Card} title=${TEXT.tabs.file}><p>${TEXT.fileNeedsToken}</p><//>`;
+  }
+  const marks = marksOf(report ?? {});
   return html`<${Card} title=${base?.file ?? TEXT.tabs.file} className="robot-file" extra=${html`
       <span class="muted">${dirty ? TEXT.fileChanged : TEXT.unchanged}</span>
       <button disabled=${!usable || !base} onClick=${check}>${TEXT.check}</button>
-      <button disabled=${!usable} onClick=${() => load(false)}>${dirty ? TEXT.takeTheirs : TEXT.loadAgain}</button>
-      <button class="main" disabled=${!usable || !dirty} onClick=${compare}>${TEXT.save}</button>`}>
+      <button disabled=${!usable} onClick=${() => load(false)}>
+        ${dirty ? TEXT.takeTheirs : TEXT.loadAgain}</button>
+      <button class="main" disabled=${!usable || !dirty} onClick=${compare}>
+        ${TEXT.save}</button>`}>
     ${problem}
-    ${outcome && html`<${Outcome} outcome=${outcome} mayWrite=${link.hello.may_write} write=${() => ask("file.save")} close=${() => setOutcome(null)}
+    ${outcome && html`<${Outcome} outcome=${outcome} mayWrite=${link.hello.may_write}
+      write=${() => ask("file.save")} close=${() => setOutcome(null)}
       keep=${() => load(true)} discard=${() => load(false)} />`}
-    ${base ? html`<${Editor} area=${area} schema=${schema} marks=${marks} edited=${edited} compare=${compare} />` : html`<p class="muted">${TEXT.connecting}</p>`}
+    ${base
+      ? html`<${Editor} area=${area} schema=${schema} marks=${marks} edited=${edited}
+          compare=${compare} />`
+      : html`<p class="muted">${TEXT.connecting}</p>`}
     ${base && html`<${Messages} report=${report} state=${state} go=${go} />`}
     <p class="muted" id=${HELP}>${TEXT.fileHelp}</p>
   <//>`;

@@ -10,7 +10,7 @@ import { battery, commander } from "./overview.js";
 const RATE_HZ = 2;
 
 let pressed = 0;
-let missed = [];  // by the newest e-stop for all: robot, and why. It stays when another page is shown.
+let missed = [];  // by the newest e-stop for all: robot, and why; kept when the page changes
 
 async function estop(one) {
   if (one.phase === "refused") throw new Error(TEXT.needsToken);
@@ -25,7 +25,8 @@ function estopAll(links, changed) {
   missed = [];
   links.forEach((one) => estop(one).catch((error) => {
     if (press !== pressed) return;
-    missed = [...missed, TEXT.failed(`${one.hello?.robot ?? TEXT.robot} (${one.address})`, error.message)];
+    const name = `${one.hello?.robot ?? TEXT.robot} (${one.address})`;
+    missed = [...missed, TEXT.failed(name, error.message)];
     changed();
   }));
   changed();
@@ -38,6 +39,7 @@ function Robot({ link, own }) {
   const state = link.phase !== "open" || link.stale ? "unknown" : link.now?.state ?? "unknown";
   const name = link.hello?.robot ?? link.address;
   const { now } = link;
+  const watches = link.phase === "open" && !link.mayCommand && link.hello.takes_commands;
   const connect = (event) => {
     event.preventDefault();
     link.setToken(token.trim() || null);
@@ -46,17 +48,22 @@ function Robot({ link, own }) {
       extra=${html`<span class="chip state-${state}">${TEXT.states[state]}</span>`}>
     <p class="muted">${own ? TEXT.thisRobot : html`<a href=${link.address}>${link.address}</a>`}</p>
     ${link.phase === "lost" && html`<p class="why">${TEXT.lost}</p>`}
-    ${link.phase === "refused" || (link.phase === "open" && !link.mayCommand && link.hello.takes_commands) ? html`
+    ${link.phase === "refused" || watches ? html`
       <form onSubmit=${connect}>
-        ${link.why && html`<p class="problem" role="alert">${link.why}</p>`}<label><span>${TEXT.tokenFor(name)}</span>
-        <input type="password" value=${token} onInput=${(event) => setToken(event.target.value)} /></label>
+        ${link.why && html`<p class="problem" role="alert">${link.why}</p>`}
+        <label><span>${TEXT.tokenFor(name)}</span>
+          <input type="password" value=${token}
+            onInput=${(event) => setToken(event.target.value)} /></label>
         <button type="submit">${TEXT.tokenSend}</button></form>` : null}
     ${now && html`<${Rows} rows=${[
-      [TEXT.speed, `${measure(now.linear_m_s, 2, "m_s")}, ${measure(now.angular_rad_s, 2, "rad_s")}`],
+      [TEXT.speed,
+        `${measure(now.linear_m_s, 2, "m_s")}, ${measure(now.angular_rad_s, 2, "rad_s")}`],
       [TEXT.commander, commander(link)], [TEXT.battery, battery(link)],
     ]} />`}
-    ${now?.faults.length > 0 && html`<p class="faults">${now.faults.join(", ").replaceAll("_", " ")}</p>`}
-    <button class="estop" disabled=${!link.mayCommand} onClick=${() => call("estop", TEXT.estop, {}, ESTOP_WITHIN_MS)}>${TEXT.estop}</button>
+    ${now?.faults.length > 0 && html`<p class="faults">
+      ${now.faults.join(", ").replaceAll("_", " ")}</p>`}
+    <button class="estop" disabled=${!link.mayCommand}
+      onClick=${() => call("estop", TEXT.estop, {}, ESTOP_WITHIN_MS)}>${TEXT.estop}</button>
     ${problem}
   <//>`;
 }
@@ -67,7 +74,8 @@ export function Fleet({ link }) {
   const addresses = fleet.join(" ");
   const [others, setOthers] = useState([]);
   useEffect(() => {
-    const made = fleet.filter((address) => address !== link.address).map((address) => new Link(address, RATE_HZ));
+    const made = fleet.filter((address) => address !== link.address)
+      .map((address) => new Link(address, RATE_HZ));
     setOthers(made);
     return () => made.forEach((one) => one.end());
   }, [addresses]);

@@ -11,25 +11,29 @@ const AT_ONCE = 6;
 function Errors({ errors, exchanges }) {
   const found = Object.entries(errors).filter(([, count]) => count > 0);
   if (!found.length) return html`<p class="good">${TEXT.noErrors}</p>`;
+  const percent = (count) => number((100 * count) / Math.max(1, exchanges), 3);
   return html`<ul class="errors">${found.map(([kind, count]) => html`<li>
-    <b>${count} ${kind}</b> <span class="muted">(${number((100 * count) / Math.max(1, exchanges), 3)} %)</span>
+    <b>${count} ${kind}</b> <span class="muted">(${percent(count)} %)</span>
     <br />${TEXT.errorKinds[kind] ?? TEXT.errorKinds.other}</li>`)}</ul>`;
 }
 
 function Line({ name, line }) {
-  const trip = line.round_trip_us;
+  const { p50, p99, max } = line.round_trip_us;
+  const ms = (us, digits) => `${number(us / 1000, digits)} ms`;
   const share = Math.min(1, line.cycle_hz / line.wire_limit_hz);
   const rows = [
     [TEXT.port, line.port],
     [TEXT.engine, line.engine],
     [TEXT.cycle, TEXT.ofWire(number(line.cycle_hz, 0), number(line.wire_limit_hz, 0))],
-    [TEXT.roundTrip, `p50 ${number(trip.p50 / 1000, 2)} ms, p99 ${number(trip.p99 / 1000, 2)} ms, max ${number(trip.max / 1000, 1)} ms`],
+    [TEXT.roundTrip, `p50 ${ms(p50, 2)}, p99 ${ms(p99, 2)}, max ${ms(max, 1)}`],
     [TEXT.exchanges, line.exchanges],
   ];
-  return html`<${Card} title=${`${TEXT.line} ${name}`} extra=${html`<span class="chip">${line.state}</span>`}>
+  return html`<${Card} title=${`${TEXT.line} ${name}`}
+      extra=${html`<span class="chip">${line.state}</span>`}>
     ${line.waits_for && html`<p class="why">${line.waits_for}</p>`}
     <${Rows} rows=${rows} />
-    <meter min="0" max="1" value=${Number.isFinite(share) ? share : 0} aria-label=${TEXT.cycle}></meter>
+    <meter min="0" max="1" value=${Number.isFinite(share) ? share : 0}
+      aria-label=${TEXT.cycle}></meter>
     ${line.reopened > 0 && html`<p>${TEXT.reopened(line.reopened)}</p>`}
     <${Errors} errors=${line.errors} exchanges=${line.exchanges} />
   <//>`;
@@ -57,8 +61,10 @@ function Registers({ link, joint, rows }) {
     minimum === null && maximum === null ? "" : `${short(minimum)} … ${short(maximum)}`;
   const disarmed = link.now?.state === "idle";
   const names = rows.map(([name]) => name);
-  return html`<${Card} className="wide" title=${`${TEXT.registers}: ${joint} (${link.hello.drives[joint]})`}
-      extra=${html`<button disabled=${!link.mayCommand} onClick=${() => read(names)}>${TEXT.readAll}</button>`}>
+  return html`<${Card} className="wide"
+      title=${`${TEXT.registers}: ${joint} (${link.hello.drives[joint]})`}
+      extra=${html`<button disabled=${!link.mayCommand} onClick=${() => read(names)}>
+        ${TEXT.readAll}</button>`}>
     ${problem}
     <div class="table" tabindex="0" role="region" aria-label=${`${TEXT.registers} ${joint}`}><table>
       <thead><tr><th scope="col">${TEXT.register}</th><th scope="col" class="num">${TEXT.value}</th>
@@ -67,17 +73,22 @@ function Registers({ link, joint, rows }) {
       <tbody>${rows.map(([name, about]) => {
         const register = name.split(".").slice(2).join(".");
         const value = values[name];
+        const settable = disarmed && link.mayCommand;
+        const complete = Boolean(typed[name]) && Number.isFinite(Number(typed[name]));
         return html`<tr key=${name}>
           <th scope="row">${register}</th>
           <td class="num">${short(value ?? null)}</td>
           <td>${about.unit === "1" ? "" : about.unit}</td><td>${span(about)}</td>
           <td class="edit">
-            <button disabled=${!link.mayCommand} onClick=${() => read([name])} aria-label=${`${TEXT.read} ${register}`}>${TEXT.read}</button>
-            ${about.access === "rw" && html`<input inputmode="decimal" size="8" aria-label=${`${TEXT.value} ${register}`}
-                disabled=${!disarmed || !link.mayCommand} value=${typed[name] ?? ""}
+            <button disabled=${!link.mayCommand} onClick=${() => read([name])}
+              aria-label=${`${TEXT.read} ${register}`}>${TEXT.read}</button>
+            ${about.access === "rw" && html`
+              <input inputmode="decimal" size="8" aria-label=${`${TEXT.value} ${register}`}
+                disabled=${!settable} value=${typed[name] ?? ""}
                 onInput=${(event) => setTyped({ ...typed, [name]: event.target.value })} />
-              <button disabled=${!disarmed || !link.mayCommand || !typed[name] || !Number.isFinite(Number(typed[name]))}
-                onClick=${() => write(name)} aria-label=${`${TEXT.write} ${register}`}>${TEXT.write}</button>`}
+              <button disabled=${!settable || !complete}
+                onClick=${() => write(name)} aria-label=${`${TEXT.write} ${register}`}>
+                ${TEXT.write}</button>`}
           </td>
           <td class="muted">${about.description}</td></tr>`;
       })}</tbody></table></div>
@@ -95,7 +106,8 @@ export function Lines({ link }) {
   if (!link.hello || !link.status) return html`<p class="muted">${TEXT.staleText}</p>`;
   const registers = Object.entries(listed ?? {}).filter(([name]) => name.startsWith("drive."));
   return html`<div class="grid two">
-    ${Object.entries(link.status.lines).map(([name, line]) => html`<${Line} key=${name} name=${name} line=${line} />`)}
+    ${Object.entries(link.status.lines).map(([name, line]) => html`
+      <${Line} key=${name} name=${name} line=${line} />`)}
     <${Trace} link=${link} />
     <p class="muted wide">${TEXT.writeOnlyDisarmed}</p>
     ${problem}

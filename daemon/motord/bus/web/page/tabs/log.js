@@ -7,7 +7,9 @@ import { Card, Choice, useLink } from "../parts/parts.js";
 import { Recordings } from "./recordings.js";
 
 const SHOWN_MAX = 300;
-const WORTH = { all: ["info", "warning", "error"], warning: ["warning", "error"], error: ["error"] };
+const WORTH = {
+  all: ["info", "warning", "error"], warning: ["warning", "error"], error: ["error"],
+};
 
 const clock = (seconds) => new Date(seconds * 1000).toLocaleTimeString([], { hour12: false });
 
@@ -20,7 +22,8 @@ function Events({ link }) {
     .filter((event) => `${event.source} ${event.text}`.toLowerCase().includes(wanted))
     .slice(-SHOWN_MAX).reverse();
   return html`<${Card} title=${TEXT.events} extra=${html`
-      <${Choice} label=${TEXT.filter} value=${level} options=${Object.entries(TEXT.levels)} onChange=${setLevel} />
+      <${Choice} label=${TEXT.filter} value=${level} options=${Object.entries(TEXT.levels)}
+        onChange=${setLevel} />
       <input type="search" aria-label=${TEXT.filter} placeholder=${TEXT.filter} value=${filter}
         onInput=${(event) => setFilter(event.target.value)} />`}>
     ${rows.length === 0 && html`<p class="muted">${TEXT.noEvents}</p>`}

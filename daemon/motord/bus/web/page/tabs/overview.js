@@ -8,9 +8,9 @@ import { BaseView } from "../parts/base_view.js";
 
 /** Reasons that say something: not what is so of every robot that is not driven. */
 function telling(now) {
-  const usual = ["armed", "moving", "stopping"].includes(now.state) ? [] : ["not_armed", "command_stale"];
-  const atRest = now.state === "armed" ? ["command_stale"] : [];
-  return now.reasons.filter((word) => ![...usual, ...atRest].includes(word));
+  const driven = ["moving", "stopping"].includes(now.state);
+  const usual = now.state === "armed" ? ["command_stale"] : ["not_armed", "command_stale"];
+  return driven ? now.reasons : now.reasons.filter((word) => !usual.includes(word));
 }
 
 export function StateCard({ link }) {
@@ -22,7 +22,8 @@ export function StateCard({ link }) {
   return html`<${Card} className="state state-${now.state}">
     <p class="state-word">${TEXT.states[now.state] ?? now.state}</p>
     <p class="next">${TEXT.next[now.state]}</p>
-    ${now.faults.length > 0 && html`<p class="faults">${now.faults.join(", ").replaceAll("_", " ")}</p>`}
+    ${now.faults.length > 0 && html`<p class="faults">
+      ${now.faults.join(", ").replaceAll("_", " ")}</p>`}
     ${[...new Set([...why, ...waits])].map((text) => html`<p class="why">${text}</p>`)}
     ${reasons.length > 0 && html`<p class="muted">${TEXT.limited}: ${reasons.join(", ")}</p>`}
     <${Actions} link=${link} />
@@ -40,8 +41,8 @@ export function battery(link) {
   const found = link.status?.battery;
   const volts = link.now?.joints.map((joint) => joint.voltage_v).filter(Number.isFinite) ?? [];
   if (!found) return volts.length ? measure(Math.min(...volts), 1, "v") : TEXT.batteryUnknown;
-  return [found.state, measure(found.voltage_v, 1, "v"), found.current_a !== null && measure(found.current_a, 1, "a")]
-    .filter(Boolean).join(", ");
+  const current = found.current_a !== null && measure(found.current_a, 1, "a");
+  return [found.state, measure(found.voltage_v, 1, "v"), current].filter(Boolean).join(", ");
 }
 
 function Motion({ link }) {
@@ -54,7 +55,8 @@ function Motion({ link }) {
     based && [`${TEXT.speed} / ${TEXT.setpoint}`, pair("linear_m_s", "setpoint_linear_m_s", "m_s")],
     based && hello.limits.lateral_m_s > 0 &&
       [`${TEXT.lateral} / ${TEXT.setpoint}`, pair("lateral_m_s", "setpoint_lateral_m_s", "m_s")],
-    based && [`${TEXT.turn} / ${TEXT.setpoint}`, pair("angular_rad_s", "setpoint_angular_rad_s", "rad_s")],
+    based &&
+      [`${TEXT.turn} / ${TEXT.setpoint}`, pair("angular_rad_s", "setpoint_angular_rad_s", "rad_s")],
     based && [TEXT.pose, `x ${measure(now.x_m, 2, "m")}, y ${measure(now.y_m, 2, "m")}`],
     based && [TEXT.heading, `${number((now.heading_rad * 180) / Math.PI, 0)}°`],
     based && [TEXT.distance, measure(now.distance_m, 2, "m")],
@@ -65,20 +67,27 @@ function Motion({ link }) {
   return html`<${Card}>
     <${Rows} rows=${rows} />
     ${based && html`<div class="actions"><button disabled=${!link.mayCommand}
-      onClick=${() => call("reset_odometry", TEXT.resetOdometry)}>${TEXT.resetOdometry}</button></div>`}
+      onClick=${() => call("reset_odometry", TEXT.resetOdometry)}>
+      ${TEXT.resetOdometry}</button></div>`}
     ${problem}
   <//>`;
 }
+
+const milliseconds = (seconds) =>
+  Number.isFinite(seconds) ? `${number(seconds * 1000, 0)} ms` : "–";
 
 function Joints({ link }) {
   const { hello, now, status } = link;
   return html`<${Card} title=${TEXT.joints} className="wide">
     <div class="table" tabindex="0" role="region" aria-label=${TEXT.joints}><table>
       <thead><tr><th scope="col">${TEXT.joint}</th><th scope="col">${TEXT.drive}</th>
-        <th scope="col" class="num">${TEXT.setpoint}</th><th scope="col" class="num">${TEXT.speed}</th>
+        <th scope="col" class="num">${TEXT.setpoint}</th>
+        <th scope="col" class="num">${TEXT.speed}</th>
         <th scope="col" class="num">${TEXT.position}</th>
-        <th scope="col" class="num">${TEXT.current}</th><th scope="col" class="num">${TEXT.voltage}</th>
-        <th scope="col" class="num">${TEXT.temperature}</th><th scope="col" class="num">${TEXT.age}</th></tr></thead>
+        <th scope="col" class="num">${TEXT.current}</th>
+        <th scope="col" class="num">${TEXT.voltage}</th>
+        <th scope="col" class="num">${TEXT.temperature}</th>
+        <th scope="col" class="num">${TEXT.age}</th></tr></thead>
       <tbody>${hello.joints.map((name, place) => {
         const joint = now.joints[place];
         const known = status?.joints[name];
@@ -91,7 +100,7 @@ function Joints({ link }) {
           <td class="num">${measure(joint.current_a, 2, "a")}</td>
           <td class="num">${measure(joint.voltage_v, 1, "v")}</td>
           <td class="num">${measure(joint.temperature_c, 0, "c")}</td>
-          <td class="num">${Number.isFinite(joint.feedback_age_s) ? `${number(joint.feedback_age_s * 1000, 0)} ms` : "–"}</td>
+          <td class="num">${milliseconds(joint.feedback_age_s)}</td>
         </tr>`;
       })}</tbody>
     </table></div>

@@ -16,8 +16,10 @@ function range(about, value) {
   return { low, high };
 }
 
-const toStep = ({ low, high }, value) => Math.round((STEPS * Math.log(value / low)) / Math.log(high / low));
-const toValue = ({ low, high }, step) => Number((low * (high / low) ** (step / STEPS)).toPrecision(3));
+const toStep = ({ low, high }, value) =>
+  Math.round((STEPS * Math.log(value / low)) / Math.log(high / low));
+const toValue = ({ low, high }, step) =>
+  Number((low * (high / low) ** (step / STEPS)).toPrecision(3));
 
 function Row({ name, about, inForce, value, change }) {
   const [draft, setDraft] = useState(null);  // what is being typed is no number yet
@@ -26,19 +28,24 @@ function Row({ name, about, inForce, value, change }) {
   const title = name.split(".")[1];
   const changed = value !== inForce;
   const unit = about.unit;
+  const type = (event) => {
+    setDraft(event.target.value);
+    const typed = Number(event.target.value.replace(",", "."));
+    if (Number.isFinite(typed) && event.target.value.trim() !== "") change(name, typed);
+  };
+  const limit = (event) => change(name, event.target.checked ? null : inForce ?? 10);
   return html`<div class="parameter ${changed ? "changed" : ""}">
-    <div class="name"><label for=${name}>${title}</label><span class="muted">${about.description}</span></div>
+    <div class="name"><label for=${name}>${title}</label>
+      <span class="muted">${about.description}</span></div>
     <input id=${name} type="range" min="0" max=${STEPS} disabled=${noLimit}
-      value=${noLimit ? STEPS : toStep(span, value)} aria-valuetext=${noLimit ? TEXT.noLimit : `${value} ${unit}`}
+      value=${noLimit ? STEPS : toStep(span, value)}
+      aria-valuetext=${noLimit ? TEXT.noLimit : `${value} ${unit}`}
       onInput=${(event) => change(name, toValue(span, Number(event.target.value)))} />
-    <span class="entry"><input inputmode="decimal" size="7" aria-label=${`${title}, ${unit}`} disabled=${noLimit}
-      value=${draft ?? (noLimit ? "" : value)} onBlur=${() => setDraft(null)} onInput=${(event) => {
-        setDraft(event.target.value);
-        const typed = Number(event.target.value.replace(",", "."));
-        if (Number.isFinite(typed) && event.target.value.trim() !== "") change(name, typed);
-      }} /> ${unit}</span>
+    <span class="entry"><input inputmode="decimal" size="7" aria-label=${`${title}, ${unit}`}
+      disabled=${noLimit} value=${draft ?? (noLimit ? "" : value)}
+      onBlur=${() => setDraft(null)} onInput=${type} /> ${unit}</span>
     ${about.maximum === null && html`<label class="check"><input type="checkbox" checked=${noLimit}
-      onChange=${(event) => change(name, event.target.checked ? null : inForce ?? 10)} /> ${TEXT.noLimit}</label>`}
+      onChange=${limit} /> ${TEXT.noLimit}</label>`}
     <span class="muted small">${about.minimum} … ${about.maximum ?? "∞"} ${unit}${
       changed ? `; ${TEXT.forceNow}: ${inForce ?? TEXT.noLimit}` : ""}</span>
   </div>`;
@@ -46,8 +53,9 @@ function Row({ name, about, inForce, value, change }) {
 
 function Saving({ found, save, close }) {
   const written = found.backup !== null;  // the old file, kept beside it
+  const wouldSave = found.diff ? TEXT.wouldSave(found.file) : TEXT.nothingToSave(found.file);
   return html`<div class="difference" role="region" aria-label=${TEXT.difference}>
-    <p>${written ? TEXT.saved(found.file) : found.diff ? TEXT.wouldSave(found.file) : TEXT.nothingToSave(found.file)}</p>
+    <p>${written ? TEXT.saved(found.file) : wouldSave}</p>
     ${found.diff && html`<${Difference} text=${found.diff} />`}
     <div class="actions">
       ${found.diff && !written && html`<button class="main" onClick=${save}>${TEXT.write}</button>`}
@@ -88,11 +96,13 @@ export function Parameters({ link }) {
   return html`<${Card} title=${TEXT.limits} className="parameters" extra=${html`
       <span class="muted">${count ? TEXT.changed(count) : TEXT.unchanged}</span>
       <button disabled=${!count} onClick=${() => setEdited({})}>${TEXT.revert}</button>
-      <button class="main" disabled=${!count || !link.mayCommand} onClick=${apply}>${TEXT.apply}</button>
+      <button class="main" disabled=${!count || !link.mayCommand} onClick=${apply}>
+        ${TEXT.apply}</button>
       <button disabled=${count || !link.mayCommand} onClick=${compare}>${TEXT.save}</button>`}>
     ${problem}
     ${diff && html`<${Saving} found=${diff} save=${save} close=${() => setDiff(null)} />`}
-    ${rows.map(([name, about]) => html`<${Row} key=${name} name=${name} about=${about} inForce=${about.value}
+    ${rows.map(([name, about]) => html`<${Row} key=${name} name=${name} about=${about}
+      inForce=${about.value}
       value=${name in edited ? edited[name] : about.value}
       change=${(key, value) => setEdited((before) => ({ ...before, [key]: value }))} />`)}
     <p class="muted">${TEXT.lasting}</p>

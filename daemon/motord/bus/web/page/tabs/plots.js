@@ -14,7 +14,8 @@ const COLOURS = ["line-1", "line-2", "line-3", "line-4", "line-5", "line-6", "li
 
 const JOINT_PLOTS = [
   ["velocity", "rad_s", ["setpoint", "velocity"]], ["current", "a", ["current"]],
-  ["position", "rad", ["position"]], ["temperature", "c", ["temperature"]], ["voltage", "v", ["voltage"]],
+  ["position", "rad", ["position"]], ["temperature", "c", ["temperature"]],
+  ["voltage", "v", ["voltage"]],
 ];
 
 const sheet = document.createElement("link");  // here alone: the first paint does not wait for it
@@ -31,7 +32,10 @@ export function plotsOf(hello, status) {
       { name: `setpoint_${measured}`, label: TEXT.setpoint, colour: "line-2", dash: [6, 4] },
       { name: measured, label: TEXT.measured, colour: "line-1" },
       ...(more ? [
-        { name: `setpoint_${more[0]}`, label: `${more[1]}, ${TEXT.setpoint}`, colour: "line-4", dash: [6, 4] },
+        {
+          name: `setpoint_${more[0]}`, label: `${more[1]}, ${TEXT.setpoint}`,
+          colour: "line-4", dash: [6, 4],
+        },
         { name: more[0], label: more[1], colour: "line-3" },
       ] : []),
     ],
@@ -53,16 +57,21 @@ export function plotsOf(hello, status) {
   return [...twist, ...joints, trips, errors];
 }
 
+const FONT = "11px system-ui, sans-serif";
+
 function axes(unit) {
   const common = {
     stroke: () => colour("muted"), grid: { stroke: () => colour("grid"), width: 1 },
-    ticks: { stroke: () => colour("grid"), width: 1 }, font: "11px system-ui, sans-serif",
+    ticks: { stroke: () => colour("grid"), width: 1 }, font: FONT,
   };
   return [
     { ...common, values: (_, ticks) => ticks.map((tick) => `${+tick.toFixed(2)}`) },
     { ...common, size: 58, label: SYMBOLS[unit] ?? "", labelSize: 16, labelFont: common.font },
   ];
 }
+
+const shownAs = (digits) => (_, value) =>
+  (value === null || value === undefined ? "–" : value.toFixed(digits));
 
 export function TimePlot({ history, plot, seconds, paused, zoom }) {
   const place = useRef(null);
@@ -74,13 +83,15 @@ export function TimePlot({ history, plot, seconds, paused, zoom }) {
       width: place.current.clientWidth, height: HEIGHT,
       cursor: { sync: { key: "motord" }, drag: { x: true, y: false, setScale: false } },
       legend: { live: true },
-      scales: { x: { time: false, range: (_, low, high) => state.current.shown ?? [low ?? 0, high ?? 1] } },
+      scales: {
+        x: { time: false, range: (_, low, high) => state.current.shown ?? [low ?? 0, high ?? 1] },
+      },
       axes: axes(plot.unit),
       series: [
-        { label: SYMBOLS.s, value: (_, value) => (value === null || value === undefined ? "–" : value.toFixed(2)) },
+        { label: SYMBOLS.s, value: shownAs(2) },
         ...plot.series.map(({ label, colour: name, dash }) => ({
           label, stroke: () => colour(name), width: 1.5, dash, points: { show: false },
-          value: (_, value) => (value === null || value === undefined ? "–" : value.toFixed(3)),
+          value: shownAs(3),
         })),
       ],
       hooks: {
@@ -98,7 +109,8 @@ export function TimePlot({ history, plot, seconds, paused, zoom }) {
       state.current.frozen = state.current.paused || Boolean(state.current.zoomed);
     };
     const timer = setInterval(draw, plot.ring === "fast" ? DRAW_EVERY_MS : 5 * DRAW_EVERY_MS);
-    const size = new ResizeObserver(() => chart.setSize({ width: place.current.clientWidth, height: HEIGHT }));
+    const fit = () => chart.setSize({ width: place.current.clientWidth, height: HEIGHT });
+    const size = new ResizeObserver(fit);
     size.observe(place.current);
     const again = () => { state.current.frozen = false; chart.redraw(); };
     document.addEventListener("motord-theme", again);
@@ -122,16 +134,20 @@ function Lateness({ link, history }) {
   const place = useRef(null);
   useEffect(() => {
     const bars = uPlot.paths.bars({ size: [0.9, 40] });
+    const labels = (_, ticks) => ticks.map((tick) => (tick === null ? null : String(tick)));
     const chart = new uPlot({
       width: place.current.clientWidth, height: HEIGHT,
       scales: { x: { time: false, distr: 3, log: 10 }, y: { distr: 3, log: 10 } },
       axes: [
-        { ...axes("us")[0], values: (_, ticks) => ticks.map((tick) => (tick === null ? null : String(tick))), label: SYMBOLS.us, labelSize: 16, labelFont: "11px system-ui, sans-serif" },
-        { ...axes("")[1], values: (_, ticks) => ticks.map((tick) => (tick === null ? null : String(tick))), label: TEXT.late },
+        { ...axes("us")[0], values: labels, label: SYMBOLS.us, labelSize: 16, labelFont: FONT },
+        { ...axes("")[1], values: labels, label: TEXT.late },
       ],
       series: [
         { label: SYMBOLS.us, value: (_, value) => (value ? value.toFixed(1) : "–") },
-        { label: TEXT.late, stroke: () => colour("line-1"), fill: () => colour("line-1-fill"), paths: bars, points: { show: false } },
+        {
+          label: TEXT.late, stroke: () => colour("line-1"), fill: () => colour("line-1-fill"),
+          paths: bars, points: { show: false },
+        },
       ],
     }, [[], []], place.current);
     let ended = false;
@@ -139,14 +155,16 @@ function Lateness({ link, history }) {
       try {
         const rows = history.addLateness(await link.call("latency"));
         const shown = rows.filter(([, high]) => high > 0);
-        if (!ended) chart.setData([shown.map(([low, high]) => Math.max(0.1, (low + high) / 2)), shown.map(([, , n]) => n)]);
+        const middles = shown.map(([low, high]) => Math.max(0.1, (low + high) / 2));
+        if (!ended) chart.setData([middles, shown.map(([, , n]) => n)]);
       } catch {
         // no connection: the page says so
       }
     };
     look();
     const timer = setInterval(() => !document.hidden && look(), LATENESS_EVERY_MS);
-    const size = new ResizeObserver(() => chart.setSize({ width: place.current.clientWidth, height: HEIGHT }));
+    const fit = () => chart.setSize({ width: place.current.clientWidth, height: HEIGHT });
+    const size = new ResizeObserver(fit);
     size.observe(place.current);
     return () => {
       ended = true;
@@ -164,21 +182,28 @@ export function Plots({ link, history }) {
   const [paused, pause] = useState(false);
   const [shown, setShown] = useState(null);
   const lines = Object.keys(link.status?.lines ?? {}).join(" ");
-  const plots = useMemo(() => (link.hello ? plotsOf(link.hello, link.status) : []), [link.hello, lines]);
+  const plots = useMemo(
+    () => (link.hello ? plotsOf(link.hello, link.status) : []), [link.hello, lines]);
   if (!link.hello || !link.now) return html`<p class="muted">${TEXT.staleText}</p>`;
   const zoom = Object.assign((range) => setShown(range), { shown });
+  const choose = (value) => {
+    setShown(null);
+    setSeconds(value);
+  };
   const csv = () => save(`${link.hello.robot}.csv`, history.csv(), "text/csv");
   return html`<div class="plots">
     <div class="toolbar">
-      <button aria-pressed=${paused} onClick=${() => pause(!paused)}>${paused ? TEXT.resume : TEXT.pause}</button>
-      <${Choice} label=${TEXT.window} value=${seconds} onChange=${(value) => { setShown(null); setSeconds(value); }}
+      <button aria-pressed=${paused} onClick=${() => pause(!paused)}>
+        ${paused ? TEXT.resume : TEXT.pause}</button>
+      <${Choice} label=${TEXT.window} value=${seconds} onChange=${choose}
         options=${WINDOWS_S.map((s) => [String(s), TEXT.seconds(s)])} />
       <button onClick=${csv}>${TEXT.csv}</button>
       <span class="muted">${TEXT.plotHelp} ${TEXT.dropped(link.missed)}</span>
     </div>
     <div class="grid two">
       ${plots.map((plot) => html`<${Card} key=${plot.key} title=${TEXT.plots[plot.key]}>
-        <${TimePlot} history=${history} plot=${plot} seconds=${Number(seconds)} paused=${paused} zoom=${zoom} />
+        <${TimePlot} history=${history} plot=${plot} seconds=${Number(seconds)}
+          paused=${paused} zoom=${zoom} />
       <//>`)}
       <${Card} title=${TEXT.plots.lateness}><${Lateness} link=${link} history=${history} /><//>
     </div>

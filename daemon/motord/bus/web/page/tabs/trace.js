@@ -10,10 +10,16 @@ const SHOWN_MAX = 100;
 
 const clock = (seconds) => {
   const date = new Date(seconds * 1000);
-  return `${date.toLocaleTimeString([], { hour12: false })}.${String(date.getMilliseconds()).padStart(3, "0")}`;
+  const milliseconds = String(date.getMilliseconds()).padStart(3, "0");
+  return `${date.toLocaleTimeString([], { hour12: false })}.${milliseconds}`;
 };
 const spaced = (hex) => hex.replace(/../g, "$& ").trim();
 const bytesOf = ({ sent, received }) => [sent, received].filter(Boolean).map(spaced).join(" → ");
+const textOf = (row) =>
+  `${row.joint} ${row.what} ${row.result} ${bytesOf(row)}`.toLowerCase();
+
+const replyAfter = ({ reply_us }) =>
+  reply_us === null ? "" : `${number(reply_us / 1000, 2)} ms`;
 
 /** Whether the person sees this page of the browser. */
 function useVisible() {
@@ -63,15 +69,21 @@ export function Trace({ link }) {
     setLine(name);
     setShown({ rows: [], skipped: 0 });
   };
+  const turn = () => {
+    setOn(!on);
+    setPaused(false);
+  };
   const wanted = filter.toLowerCase();
   const rows = shown.rows
     .filter((row) => !failures || row.failed)
-    .filter((row) => !wanted || `${row.joint} ${row.what} ${row.result} ${bytesOf(row)}`.toLowerCase().includes(wanted))
+    .filter((row) => !wanted || textOf(row).includes(wanted))
     .slice(-SHOWN_MAX).reverse();
   return html`<${Card} className="wide trace" title=${TEXT.trace} extra=${html`
-      ${lines.length > 1 && html`<${Choice} label=${TEXT.line} value=${line} options=${lines.map((name) => [name, name])} onChange=${choose} />`}
-      <button aria-pressed=${on} onClick=${() => { setOn(!on); setPaused(false); }}>${on ? TEXT.traceHide : TEXT.traceShow}</button>
-      ${on && html`<button aria-pressed=${paused} onClick=${() => setPaused(!paused)}>${paused ? TEXT.resume : TEXT.pause}</button>`}`}>
+      ${lines.length > 1 && html`<${Choice} label=${TEXT.line} value=${line}
+        options=${lines.map((name) => [name, name])} onChange=${choose} />`}
+      <button aria-pressed=${on} onClick=${turn}>${on ? TEXT.traceHide : TEXT.traceShow}</button>
+      ${on && html`<button aria-pressed=${paused} onClick=${() => setPaused(!paused)}>
+        ${paused ? TEXT.resume : TEXT.pause}</button>`}`}>
     <p class="muted">${TEXT.traceHelp}</p>
     ${problem}
     ${ended && html`<p class="problem" role="alert">${TEXT.failed(TEXT.trace, ended)}</p>`}
@@ -82,11 +94,14 @@ export function Trace({ link }) {
           onChange=${(event) => setFailures(event.target.checked)} /> ${TEXT.traceFailures}</label>
         <span class="muted">${TEXT.traceSkipped(shown.skipped)}</span></div>
       <div class="table exchanges" tabindex="0" role="region" aria-label=${TEXT.trace}><table>
-        <thead><tr><th scope="col">${TEXT.time}</th><th scope="col">${TEXT.joint}</th><th scope="col">${TEXT.result}</th>
-          <th scope="col" class="num">${TEXT.reply}</th><th scope="col">${TEXT.meaning}</th><th scope="col">${TEXT.bytes}</th></tr></thead>
-        <tbody>${rows.map((row) => html`<tr key=${`${row.time_s} ${row.sent}`} class=${row.failed ? "bad" : ""}>
-          <td>${clock(row.time_s)}</td><td>${row.joint}</td><td>${row.result}</td>
-          <td class="num">${row.reply_us === null ? "" : `${number(row.reply_us / 1000, 2)} ms`}</td>
-          <td>${row.what}</td><td class="bytes">${bytesOf(row)}</td></tr>`)}</tbody></table></div>`}
+        <thead><tr><th scope="col">${TEXT.time}</th><th scope="col">${TEXT.joint}</th>
+          <th scope="col">${TEXT.result}</th><th scope="col" class="num">${TEXT.reply}</th>
+          <th scope="col">${TEXT.meaning}</th><th scope="col">${TEXT.bytes}</th></tr></thead>
+        <tbody>${rows.map((row) => html`
+          <tr key=${`${row.time_s} ${row.sent}`} class=${row.failed ? "bad" : ""}>
+            <td>${clock(row.time_s)}</td><td>${row.joint}</td><td>${row.result}</td>
+            <td class="num">${replyAfter(row)}</td>
+            <td>${row.what}</td><td class="bytes">${bytesOf(row)}</td></tr>`)}
+        </tbody></table></div>`}
   <//>`;
 }
