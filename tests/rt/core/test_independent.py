@@ -19,30 +19,23 @@ BELT_RAD_S, BELT_RAD_S2, BELT_DOWN_RAD_S2 = 8.0, 10.0, 16.0
 STOPS = [lib.STOP_RAMP, lib.STOP_BRAKE, lib.STOP_HOLD, lib.STOP_COAST]
 
 
-def places(range_rad, **position):
-    return steers(
-        range_rad, velocity_rad_s=SPEED_RAD_S, acceleration_rad_s2=SPEED_RAD_S2, **position
-    )
+def places(range_rad):
+    return steers(range_rad, velocity_rad_s=SPEED_RAD_S, acceleration_rad_s2=SPEED_RAD_S2)
 
 
-def turns(jerk_u_s3=math.inf, **changes):
+def turns(jerk_u_s3):
     limits = {"velocity_u_s": BELT_RAD_S, "jerk_u_s3": jerk_u_s3}
     limits |= {"acceleration_u_s2": BELT_RAD_S2, "deceleration_u_s2": BELT_DOWN_RAD_S2}
     span = {"velocity_min_rad_s": -BELT_RAD_S, "velocity_max_rad_s": BELT_RAD_S}
-    return ROLLS | {"own": limits} | span | changes
-
-
-def joints_config(*joints, **changes):
-    joints = joints or (places(RANGE_RAD[PAN]), turns(), places(RANGE_RAD[TILT]))
-    shape = {"joint_count": len(joints), "joint": list(joints), "independent": 1}
-    return core_config(2, **(shape | changes))
+    return ROLLS | {"own": limits} | span
 
 
 class Joints(PositionRig):
     """A pan-tilt head with a conveyor between its joints."""
 
-    def __init__(self, *joints, **changes):
-        super().__init__(joints_config(*joints, **changes))
+    def __init__(self, jerk_u_s3=math.inf, **changes):
+        joints = [places(RANGE_RAD[PAN]), turns(jerk_u_s3), places(RANGE_RAD[TILT])]
+        super().__init__(core_config(2, joint_count=3, joint=joints, independent=1, **changes))
 
     def ask(self, **values):
         names = {"pan": PAN, "belt": BELT, "tilt": TILT}
@@ -83,7 +76,7 @@ COMMAND = st.fixed_dictionaries(
     st.sampled_from([math.inf, 60.0]),
 )
 def test_the_limits_hold_in_every_tick(commands, jerk_u_s3):
-    rig = Joints(places(RANGE_RAD[PAN]), turns(jerk_u_s3), places(RANGE_RAD[TILT]))
+    rig = Joints(jerk_u_s3)
     rig.arm()
     before, speed, belt = rig.goals(), [0.0, 0.0], 0.0
     for values, ticks in commands:
