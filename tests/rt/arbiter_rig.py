@@ -40,7 +40,6 @@ class Arbiter:
         self.sequence = 0
         self.now_ns = 0
         self.numbers = 0
-        self.may_move = True
 
     def grant(self, now_ns, key, priority, lifetime_ns):
         before = self.granted.get(key)
@@ -61,18 +60,16 @@ class Arbiter:
         grants = list(self.granted.values())
         lib.arbiter_grant(self.c, ffi.new("lease_permissions *", {"lease": grants}))
 
-    def raw(self, now_ns, datagram_bytes, may_move=True):
-        self.now_ns = now_ns
+    def raw(self, now_ns, datagram_bytes):
+        self.now_ns, may_move = now_ns, True
         return lib.arbiter_submit(self.c, datagram_bytes, len(datagram_bytes), now_ns, may_move)
 
-    def submit(
-        self, now_ns, *, owner, connection, priority, lease_s, linear_m_s, angular_rad_s, may_move
-    ):
+    def submit(self, now_ns, *, owner, connection, priority, lease_s, linear_m_s):
         key = connection, owner
         grant = self.grant(now_ns, key, priority, round(lease_s * 1e9))
         self.sequence += 1
-        command = datagram(grant["token"], self.sequence, now_ns, linear_m_s, angular_rad_s)
-        self.refusal = self.raw(now_ns, command, may_move)
+        command = datagram(grant["token"], self.sequence, now_ns, linear_m_s, 0.0)
+        self.raw(now_ns, command)
         return next(lease for lease in self.all() if (lease.connection, lease.owner) == key)
 
     def all(self):
@@ -116,13 +113,6 @@ class Arbiter:
             assert (out.linear_m_s, out.angular_rad_s) == (0.0, 0.0)
             assert out.expires_ns <= now_ns
         return found
-
-    def wanting(self, now_ns):
-        return next((lease.owner for lease in self.leases(now_ns) if lease.wants_motion), None)
-
-    def hold(self):
-        """One tick in which no source may move."""
-        self.command(self.now_ns, may_move=False)
 
     def release(self, connection, owner):
         grant = self.granted.get((connection, owner))

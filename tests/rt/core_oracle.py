@@ -9,18 +9,6 @@ import math
 import numpy as np
 
 
-def wheel_speeds(
-    linear_m_s: float, angular_rad_s: float, track_m: float, wheels: list[tuple[float, float]]
-) -> list[float]:
-    """Speed of each wheel (side, radius): the ground speed of its contact point over the radius."""
-    speeds = []
-    for side, radius_m in wheels:
-        contact = np.array([0.0, -side * track_m / 2.0])
-        ground_m_s = linear_m_s + np.cross([0.0, 0.0, angular_rad_s], [*contact, 0.0])[0]
-        speeds.append(float(ground_m_s) / radius_m)
-    return speeds
-
-
 class Pose:
     """Dead reckoning of two sides, Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4."""
 

@@ -92,7 +92,7 @@ def core_config(joints: int = 2, **changes: Any) -> dict[str, Any]:
 class Rig:
     """A core with wheels that follow their set-points at once, and drives that count.
 
-    `hold` keeps input from being refreshed: "command", "heartbeat", "feedback".
+    `hold` keeps input from being refreshed: "command", "feedback".
     """
 
     def __init__(self, config: dict[str, Any] | None = None) -> None:
@@ -141,16 +141,15 @@ class Rig:
             feedback.velocity_rad_s = speed_rad_s
             feedback.stamp_ns = now_ns
 
-    def tick(self, dt_s: float = TICK_S) -> Any:
+    def tick(self) -> Any:
         now_ns = self.input.now_ns = self.input.now_ns + TICK_NS
         if "feedback" not in self.hold:
             self.follow(TICK_S)
-        if "heartbeat" not in self.hold:
-            self.input.control.heartbeat_ns = now_ns
+        self.input.control.heartbeat_ns = now_ns
         if "command" not in self.hold:
             self.input.command.stamp_ns = now_ns
             self.input.command.expires_ns = now_ns + 1_000_000_000
-        lib.core_step(self.state, self.input, dt_s, self.out, self.shown)
+        lib.core_step(self.state, self.input, TICK_S, self.out, self.shown)
         return self.shown
 
     def ticks(self, seconds: float) -> Any:
@@ -173,10 +172,6 @@ class Rig:
         assert shown.setpoint_linear_m_s == linear_m_s
         assert shown.setpoint_angular_rad_s == angular_rad_s
         return shown
-
-    def reset(self) -> Any:
-        self.input.control.reset_count += 1
-        return self.tick()
 
 
 def assert_rest(rig: Rig, *, enabled: int | None = None) -> None:

@@ -73,10 +73,10 @@ SWERVES = ("swerve2", "swerve3", "swerve4")
 KINDS = CARS + SWERVES
 
 
-def config_of(kind: str, **changes: Any) -> dict[str, Any]:
+def config_of(kind: str) -> dict[str, Any]:
     modules, joints = parts_of(kind)
     shape = {"module_count": len(modules), "module": modules, "joint": joints}
-    return core_config(2, **(shape | {"joint_count": len(joints)} | changes))
+    return core_config(2, joint_count=len(joints), **shape)
 
 
 def floor(place: dict[str, Any], twist: Sequence[float]) -> np.ndarray:
@@ -136,11 +136,10 @@ def rolling(kind: str, twist: Sequence[float], angles_rad: Sequence[float]) -> l
 
 class PositionRig(Rig):
     """Wheels roll as they are set, and joints that take positions turn to their set-points at once,
-    or at `servo_rad_s`."""
+    but for those that are stuck."""
 
     def __init__(self, config: dict[str, Any]) -> None:
         super().__init__(config)
-        self.servo_rad_s = math.inf
         self.stuck: set[int] = set()
         self.steering = [
             j for j in range(self.config.joint_count) if self.config.joint[j].position.used
@@ -152,19 +151,15 @@ class PositionRig(Rig):
         turning = self.out.positioned if self.out.enabled else 0
         for j in self.steering:
             feedback = self.feedback[j]
-            at_rad = before[j]
-            if turning >> j & 1 and j not in self.stuck:
-                most = self.servo_rad_s * dt_s
-                at_rad += max(-most, min(most, self.out.position_rad[j] - at_rad))
-            self.position_rad[j] = at_rad
-            zero = self.config.joint[j].position.zero_count
-            feedback.count = (round(at_rad / COUNT_RAD) + zero) % (1 << 64)
+            moves = turning >> j & 1 and j not in self.stuck
+            at_rad = self.position_rad[j] = self.out.position_rad[j] if moves else before[j]
+            feedback.count = round(at_rad / COUNT_RAD) % (1 << 64)
             feedback.velocity_rad_s = (at_rad - before[j]) / TICK_S
 
 
 class SteeredRig(PositionRig):
-    def __init__(self, kind: str, **changes: Any) -> None:
-        super().__init__(config_of(kind, **changes))
+    def __init__(self, kind: str) -> None:
+        super().__init__(config_of(kind))
         self.kind = kind
 
     @property

@@ -11,7 +11,7 @@
  * s, so that ramps, easing, wheel saturation and curves all take their part. Ramping: every 50 ms,
  * so that no ramp ever ends. Rest: armed, a fresh command of zero.
  */
-#include "rt.h"
+#include "good_config.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -21,35 +21,17 @@ static const int64_t TICK_NS = 1000000;
 
 static core_config wheels(uint32_t joints)
 {
-    axis_limits linear = {1.0, 1.0, 1.5, 8.0}, angular = {2.0, 3.0, 4.0, 30.0}, lateral = linear;
-    core_config config = {
-        .joint_count = joints,
-        .limits = {linear, angular, lateral},
-        .command_timeout_s = 0.3,
-        .feedback_timeout_s = 0.25,
-        .heartbeat_timeout_s = 0.5,
-        .rest_velocity_rad_s = 0.05,
-        .on_timeout = STOP_RAMP,
-        .on_fault = STOP_RAMP,
-        .on_estop = STOP_BRAKE,
-        .distance_variance_m2_per_m = 1e-4,
-        .turn_variance_rad2_per_rad = 1e-3,
-        .pose_variance_floor_m2 = 1e-6,
-        .heading_variance_floor_rad2 = 1e-6,
-        .twist_variance_floor_m2_s2 = 1e-5,
-        .twist_variance_floor_rad2_s2 = 1e-5,
-    };
-    for (uint32_t j = 0; j < config.joint_count; j++) {
-        config.joint[j] = (joint_config){
-            .row = {1.0, 0.0, j % 2 == 0 ? -0.25 : 0.25},
-            .wheel_radius_m = 0.1,
-            .velocity_min_rad_s = -12.0,
-            .velocity_max_rad_s = 12.0,
-            .rad_per_count = 6.283185307179586 / 4096.0,
-            .counter_bits = 32,
-            .plausible = {1.5, 0.3, 6.0, 6.0, 1.5, 0.15, 0.5, 1.0, 1.0, 0.5, 1.0, 3, 0},
-            .pwm = {0.05, -1.0, 1.0, INFINITY, 12.5},
-        };
+    core_config config = good_config();
+    config.joint_count = joints;
+    config.limits.lateral = config.limits.linear;
+    for (uint32_t j = 0; j < joints; j++) {
+        joint_config *joint = &config.joint[j];
+        *joint = config.joint[j % 2];
+        joint->velocity_min_rad_s = -12.0, joint->velocity_max_rad_s = 12.0;
+        joint->counter_bits = 32;
+        joint->plausible =
+            (plausible_config){1.5, 0.3, 6.0, 6.0, 1.5, 0.15, 0.5, 1.0, 1.0, 0.5, 1.0, 3, 0};
+        joint->pwm.slew_per_s = INFINITY;
     }
     return config;
 }

@@ -44,13 +44,15 @@ NEEDS = "valgrind is missing: apt install valgrind"
 def compile_to(program: Path) -> None:
     build = runpy.run_path(str(CSRC / "build_ffi.py"))
     sources = [HERE / "core_instructions.c", *build["SOURCES"]]
+    (good_config,) = HERE.parent.glob("c/**/good_config.h")
+    folders = [*build["FOLDERS"], good_config.parent]
     libraries = [f"-l{name}" for name in (*build["LIBRARIES"], "pthread")]
     command = [
         "gcc",
         *build["FLAGS"],
         "-fPIC",
         "-g",
-        *(f"-I{folder}" for folder in build["FOLDERS"]),
+        *(f"-I{folder}" for folder in folders),
         *map(str, sources),
     ]
     subprocess.run([*command, "-o", str(program), *libraries], check=True, timeout=300)

@@ -10,6 +10,7 @@
 
 #include "check.h"
 #include "core.h"
+#include "good_config.h"
 
 static const int64_t TICK_NS = 1000000;
 
@@ -24,39 +25,15 @@ typedef struct {
     bool mute;  /* nor the command */
 } rig;
 
-static inline core_config good_config(void)
+/* Of a sensor that is fresh for so long. */
+static inline gyro_config good_gyro(double timeout_s)
 {
-    axis_limits linear = {1.0, 1.0, 1.5, 8.0}, angular = {2.0, 3.0, 4.0, 30.0},
-                lateral = {0.8, 0.9, 1.2, 6.0};
-    core_config config = {
-        .joint_count = 4,
-        .limits = {linear, angular, lateral},
-        .command_timeout_s = 0.3,
-        .feedback_timeout_s = 0.25,
-        .heartbeat_timeout_s = 0.5,
-        .rest_velocity_rad_s = 0.05,
-        .on_timeout = STOP_RAMP,
-        .on_fault = STOP_RAMP,
-        .on_estop = STOP_BRAKE,
-        .distance_variance_m2_per_m = 1e-4,
-        .turn_variance_rad2_per_rad = 1e-3,
-        .pose_variance_floor_m2 = 1e-6,
-        .heading_variance_floor_rad2 = 1e-6,
-        .twist_variance_floor_m2_s2 = 1e-5,
-        .twist_variance_floor_rad2_s2 = 1e-5,
-    };
-    for (uint32_t j = 0; j < config.joint_count; j++) {
-        config.joint[j] = (joint_config){
-            .row = {1.0, 0.0, j % 2 == 0 ? -0.25 : 0.25},
-            .wheel_radius_m = 0.1,
-            .velocity_min_rad_s = -9.0,
-            .velocity_max_rad_s = 9.0,
-            .rad_per_count = 6.283185307179586 / 4096.0,
-            .counter_bits = 16,
-            .pwm = {0.05, -1.0, 1.0, 100.0, 12.5},
-        };
-    }
-    return config;
+    return (gyro_config){.used = 1,
+                         .timeout_s = timeout_s,
+                         .bias_max_rad_s = 0.5,
+                         .still_variance_rad2_s2 = 1e-4,
+                         .heading_variance_rad2_per_s = 1e-7,
+                         .turn_variance_rad2_per_rad = 1e-4};
 }
 
 static inline void start(rig *r, const core_config *config)

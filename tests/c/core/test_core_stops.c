@@ -131,6 +131,7 @@ static void a_stop_or_a_lost_command_coasts_only_where_it_is_to_coast_and_once_c
         CHECK(ticks(&r, 400)->armed == 1 && r.shown.reasons == REASON_COMMAND_STALE);
         r.mute = false;
         r.input.command.linear_m_s = 0.4;
+        CHECK(tick(&r)->setpoint_linear_m_s > 0.0); /* in the tick in which it comes */
         CHECK(ticks(&r, 1500)->armed == 1 && fabs(r.shown.setpoint_linear_m_s - 0.4) < 1e-12);
         r.input.control.stop = 1;
         tick(&r);

@@ -91,6 +91,22 @@ static void the_slew_of_any_one_duty_holds_the_base_back(void)
     }
 }
 
+/* Before it turns around, it is eased for the wheel that may only grow slowly afterwards. */
+static void in_a_reversal_the_wheel_that_has_to_be_eased_is_named(void)
+{
+    core_config config = good_config();
+    config.joint[1].pwm.slew_per_s = 0.2;
+    rig r;
+    start(&r, &config);
+    go(&r, 0.5, 0.0);
+    ticks(&r, 2500);
+    r.input.command.linear_m_s = -0.5;
+    for (int ms = 0; ms < 5000 && r.shown.setpoint_linear_m_s > 0.0; ms++) {
+        tick(&r);
+    }
+    CHECK(r.shown.setpoint_linear_m_s <= 0.0 && r.shown.reason.duty_slew == 1U << 1);
+}
+
 /* The twist has arrived, or goes on, and one duty is behind: it grows by its slew, and is named. */
 static void a_duty_that_is_behind_grows_by_its_slew_and_is_named(void)
 {
@@ -171,7 +187,7 @@ static void set_points_say_when_and_for_how_many_they_were_made(void)
     rig r;
     start(&r, &config);
     for (int i = 1; i <= 3; i++) {
-        memset(&r.out, 0xff, sizeof r.out);
+        memset(&r.out, 0xff, sizeof r.out), memset(&r.shown, 0xff, sizeof r.shown);
         prepare(&r);
         for (int j = 0; j < 4; j++) {
             r.input.feedback[j].velocity_rad_s = 0.0, r.input.feedback[j].count = 0;
@@ -179,6 +195,7 @@ static void set_points_say_when_and_for_how_many_they_were_made(void)
         step(&r);
         CHECK(r.out.stamp_ns == r.input.now_ns && r.out.joint_count == 4 &&
               r.out.tick == (uint64_t)i);
+        CHECK(memcmp(&r.shown, &r.state.snapshot, sizeof r.shown) == 0);
         CHECK(r.shown.stamp_ns == r.input.now_ns && r.shown.joint_count == 4 &&
               r.shown.tick == (uint64_t)i);
         CHECK(r.out.enabled == 0 && zero(&r) && r.out.joint[7].torque_n_m == 0.0);
@@ -288,11 +305,12 @@ static void a_wheel_runs_away_beyond_its_larger_limit_of_either_direction(void)
 static void a_twist_is_a_speed_of_each_wheel_and_any_of_them_may_be_at_its_limit(void)
 {
     core_config config = good_config();
-    double wheel_rad_s[JOINTS_MAX];
+    double wheel_rad_s[JOINTS_MAX] = {[4] = 7.0};
     kinematics_wheels(&config, (const double[AXES]){0.4, 0.2, 0.0}, wheel_rad_s);
     for (int j = 0; j < 4; j++) {
         CHECK(fabs(wheel_rad_s[j] - (j % 2 == 0 ? 3.5 : 4.5)) < 1e-12);
     }
+    CHECK(wheel_rad_s[4] == 7.0);
     for (int slow = 0; slow < 4; slow++) {
         config = good_config();
         config.joint[slow].velocity_max_rad_s = 0.5 * wheel_rad_s[slow];
@@ -307,6 +325,7 @@ int main(void)
     a_ramp_that_has_arrived_leaves_no_acceleration();
     a_late_tick_of_a_stop_is_a_step_of_the_ramp();
     the_slew_of_any_one_duty_holds_the_base_back();
+    in_a_reversal_the_wheel_that_has_to_be_eased_is_named();
     a_duty_that_is_behind_grows_by_its_slew_and_is_named();
     what_a_twist_makes_of_the_wheels_is_worked_out_once();
     each_wheel_whose_duty_is_clamped_is_named();

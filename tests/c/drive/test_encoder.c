@@ -119,6 +119,28 @@ static void backward_counts_down_from_wherever_it_turns_round(void)
     }
 }
 
+static void the_number_of_events_wraps_without_a_loss(void)
+{
+    encoder_config config = edges_on(-1);
+    encoder_state state;
+    encoder_init(&state, &config);
+    encoder_edge(&state, &config, LINE_A, true, UINT32_MAX - 1, START_NS);
+    encoder_edge(&state, &config, LINE_B, true, UINT32_MAX, START_NS);
+    encoder_edge(&state, &config, LINE_A, false, 0, START_NS);
+    CHECK(state.count == 3 && state.lost == 0 && state.epoch == 0);
+}
+
+static void a_wheel_that_trembles_over_one_edge_stands(void)
+{
+    encoder_config config = edges_on(-1);
+    encoder_state state;
+    encoder_init(&state, &config);
+    for (int i = 1; i <= 400; i++) {
+        go_to(&state, &config, i % 2 == 0 ? 0 : 2, START_NS + i * MS);
+        CHECK(i % 2 != 0 || encoder_velocity_rad_s(&state, &config, START_NS + i * MS) == 0.0);
+    }
+}
+
 static void a_counter_goes_by_the_shorter_arc(void)
 {
     const encoder_config config = {.kind = ENCODER_COUNTER, .ceiling = 9, .rad_per_count = 1.0};
@@ -285,6 +307,36 @@ static void a_config_at_the_edge_of_its_range_is_good(void)
     config.ceiling = 1;
     config.fd = -1;
     CHECK(encoder_config_check(&config) == -EINVAL);
+    config = edges_on(3);
+    CHECK(encoder_config_check(&config) == 0);
+    config.rad_per_count = INFINITY;
+    CHECK(encoder_config_check(&config) == -EINVAL);
+    config = edges_on(3);
+    config.b_offset = config.a_offset;
+    CHECK(encoder_config_check(&config) == -EINVAL);
+}
+
+/* Joints without encoders, and one output. */
+static bridge_config bridge_of(uint32_t joints, int duty_fd)
+{
+    bridge_config config = {
+        .exchange = &mailboxes,
+        .outputs_fd = -1,
+        .inputs_fd = -1,
+        .event_fd = -1,
+        .period_ns = 2 * MS,
+        .setpoint_timeout_ns = 100 * MS,
+        .stopping_ns = 300 * MS,
+        .epoch = 3,
+        .joint_count = joints,
+        .output_count = 1,
+        .output = {{.fd = duty_fd, .period_ns = 50000, .slope = {0.0, 0.0, 1.0, 1.0}}},
+    };
+    for (uint32_t j = 0; j < joints; j++) {
+        config.joint[j].index = j;
+        config.joint[j].sign = 1.0;
+    }
+    return config;
 }
 
 static bool comes_true(uint32_t joint, uint64_t count, joint_feedback *out)
@@ -304,27 +356,10 @@ static void the_thread_of_bridges_feeds_back_what_its_encoders_count(void)
 {
     wheel w = new_wheel();
     int duty = file_that_says("0\n"), counter = file_that_says("100\n");
-    bridge_config config = {
-        .exchange = &mailboxes,
-        .outputs_fd = -1,
-        .inputs_fd = -1,
-        .event_fd = -1,
-        .period_ns = 2 * MS,
-        .setpoint_timeout_ns = 100 * MS,
-        .stopping_ns = 300 * MS,
-        .epoch = 3,
-        .joint_count = 3,
-        .output_count = 1,
-        .joint = {{.index = 0, .sign = 1.0, .encoder = edges_on(w.in)},
-                  {.index = 1,
-                   .sign = 1.0,
-                   .encoder = {.kind = ENCODER_COUNTER,
-                               .fd = counter,
-                               .ceiling = UINT64_MAX,
-                               .rad_per_count = -1.0}},
-                  {.index = 2, .sign = 1.0}},
-        .output = {{.fd = duty, .period_ns = 50000, .slope = {0.0, 0.0, 1.0, 1.0}}},
-    };
+    bridge_config config = bridge_of(3, duty);
+    config.joint[0].encoder = edges_on(w.in);
+    config.joint[1].encoder = (encoder_config){
+        .kind = ENCODER_COUNTER, .fd = counter, .ceiling = UINT64_MAX, .rad_per_count = -1.0};
     joint_feedback found;
     bridge_report report;
     exchange_init(&mailboxes);
@@ -356,26 +391,9 @@ static void the_thread_of_bridges_feeds_back_what_its_encoders_count(void)
 static void what_a_board_says_is_fed_back_with_its_own_time(void)
 {
     int duty = file_that_says("0\n");
-    bridge_config config = {
-        .exchange = &mailboxes,
-        .outputs_fd = -1,
-        .inputs_fd = -1,
-        .event_fd = -1,
-        .period_ns = 2 * MS,
-        .setpoint_timeout_ns = 100 * MS,
-        .stopping_ns = 300 * MS,
-        .epoch = 3,
-        .joint_count = 2,
-        .output_count = 1,
-        .joint = {{.index = 0,
-                   .sign = 1.0,
-                   .encoder = {.kind = ENCODER_REPORTED,
-                               .fd = -1,
-                               .ceiling = UINT64_MAX,
-                               .rad_per_count = -0.5}},
-                  {.index = 1, .sign = 1.0}},
-        .output = {{.fd = duty, .period_ns = 50000, .slope = {0.0, 0.0, 1.0, 1.0}}},
-    };
+    bridge_config config = bridge_of(2, duty);
+    config.joint[0].encoder = (encoder_config){
+        .kind = ENCODER_REPORTED, .fd = -1, .ceiling = UINT64_MAX, .rad_per_count = -0.5};
     joint_feedback found, other;
     exchange_init(&mailboxes);
     encoder_sample sample = {.count = 70, .stamp_ns = START_NS, .origin = 1};
@@ -412,6 +430,8 @@ int main(void)
 {
     events_of_the_kernel_are_counted();
     backward_counts_down_from_wherever_it_turns_round();
+    the_number_of_events_wraps_without_a_loss();
+    a_wheel_that_trembles_over_one_edge_stands();
     a_counter_goes_by_the_shorter_arc();
     a_wheel_is_no_faster_than_one_count_in_the_time_of_its_silence();
     a_counter_is_read_from_its_file();

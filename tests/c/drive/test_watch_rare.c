@@ -104,6 +104,7 @@ static void the_pose_is_at_its_origin_in_the_tick_of_the_reset_and_the_base_goes
     CHECK(r.shown.x_m > 0.1);
     r.stale = true;
     r.input.control.odometry_reset_count = 1;
+    r.input.control.reset_count = 3; /* of no fault */
     CHECK(tick(&r)->odometry_epoch == 1 && r.shown.x_m == 0.0);
     CHECK(r.shown.setpoint_linear_m_s == 0.4 && r.shown.reasons == 0 && r.shown.faults == 0);
 }

@@ -87,6 +87,24 @@ static void a_joint_without_power_may_be_turned_by_hand(void)
     CHECK(r.shown.armed == 1);
 }
 
+/* It turns at a fifteenth of the speed of its set-point. */
+static void a_joint_that_is_only_slow_follows(void)
+{
+    core_config config = watched(bicycle());
+    ready(&r, &config);
+    r.input.control.armed = 1;
+    CHECK(tick(&r)->armed == 1);
+    double at_rad = r.position_rad[1];
+    for (int ms = 0; ms < 20000; ms++) {
+        r.input.command.linear_m_s = 0.5;
+        r.input.command.angular_rad_s = ms / 8000 % 2 == 0 ? 0.7 : -0.7;
+        double most_rad = 0.2e-3, off_rad = r.out.position_rad[1] - at_rad;
+        at_rad += fmax(-most_rad, fmin(most_rad, off_rad));
+        r.position_rad[1] = at_rad - r.out.joint[1].velocity_rad_s * 1e-3;
+        CHECK(tick(&r)->faults == 0);
+    }
+}
+
 /* Where it is, is not known: that is another fault, and the only one. */
 static void a_joint_whose_feedback_is_lost_is_not_stuck(void)
 {
@@ -130,6 +148,7 @@ int main(void)
     a_joint_that_is_stuck_is_a_fault_of_its_tick_with_what_was_wanted_and_measured();
     of_joints_that_are_stuck_together_the_first_is_named();
     a_joint_without_power_may_be_turned_by_hand();
+    a_joint_that_is_only_slow_follows();
     a_joint_whose_feedback_is_lost_is_not_stuck();
     return checks_report("test_core_following");
 }

@@ -15,6 +15,10 @@ static void joints_move_each_for_itself_and_no_base_is_measured(void)
     ready(&r, &config);
     r.input.control.armed = 1;
     CHECK(tick(&r)->armed == 1 && r.out.positioned == 5);
+    r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.5; /* a twist moves none of them
+                                                                       */
+    CHECK(ticks(&r, 100)->at_rest == 1 && zero(&r) && r.out.position_rad[0] == 0.0 &&
+          r.out.position_rad[2] == 0.0);
     ask(&r, 3, 1.0, -4.0);
     tick(&r);
     CHECK(close_to(r.out.joint[1].velocity_rad_s, -0.01) &&
@@ -287,6 +291,41 @@ static void a_belt_whose_duty_is_clamped_is_named(void)
     CHECK(ticks(&r, 1000)->reasons == 0);
 }
 
+static void a_belt_whose_duty_grows_slowly_is_named(void)
+{
+    core_config config = head_and_belt();
+    config.joint[1].pwm.slew_per_s = 0.1; /* 6 rad/s a second */
+    rig r;
+    ready(&r, &config);
+    r.input.control.armed = 1;
+    tick(&r);
+    ask(&r, 3, 0.9, 6.0);
+    CHECK((ticks(&r, 200)->reasons & REASON_DUTY_SLEW) && r.shown.reason.duty_slew == 2 &&
+          r.shown.reason.duty_clamped == 0);
+}
+
+/* Of one joint: nothing arms, and where it moves, all come to rest. */
+static void without_a_place_that_is_known_no_joint_moves(void)
+{
+    core_config config = head_and_belt();
+    config.joint[0].position.reference = REFERENCE_HOMED;
+    rig r;
+    ready(&r, &config);
+    r.input.control.armed = 1;
+    CHECK(tick(&r)->armed == 0 && r.out.enabled == 0 && r.out.positioned == 0);
+    CHECK((r.shown.reasons & REASON_POSITION_UNKNOWN) && r.shown.steering.unknown == 1);
+    r.input.feedback[0].referenced = 1;
+    r.input.control.armed = 0;
+    tick(&r);
+    r.input.control.armed = 1;
+    CHECK(tick(&r)->armed == 1);
+    ask(&r, 3, 1.0, 3.0);
+    CHECK(ticks(&r, 100)->joint[1].setpoint_rad_s > 0.0);
+    r.input.feedback[0].referenced = 0;
+    CHECK(tick(&r)->faults == FAULT_POSITION_UNKNOWN && (r.out.positioned & 1) == 0);
+    CHECK(ticks(&r, 1000)->joint[1].setpoint_rad_s == 0.0 && zero(&r));
+}
+
 static void a_warm_belt_is_derated_and_a_cold_one_is_not(void)
 {
     for (int warm = 0; warm <= 1; warm++) {
@@ -350,6 +389,8 @@ int main(void)
     limits_of_joints_that_change_while_they_move_are_kept_from_then_on();
     as_many_joints_as_there_may_be_move();
     a_belt_whose_duty_is_clamped_is_named();
+    a_belt_whose_duty_grows_slowly_is_named();
+    without_a_place_that_is_known_no_joint_moves();
     a_warm_belt_is_derated_and_a_cold_one_is_not();
     a_duty_that_is_no_number_is_a_fault_of_a_belt_too();
     a_lost_command_of_joints_is_a_reason_beside_their_own();

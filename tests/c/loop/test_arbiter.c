@@ -117,6 +117,7 @@ static void a_command_is_refused_when_its_life_is_over(void)
     CHECK(submit(command) == 1 + REFUSED_AGE);
     b.now_ns--;
     CHECK(submit(command) == 0 && obeyed().linear_m_s == 0.1);
+    CHECK(obeyed().expires_ns == b.now_ns + 1); /* it lives no longer for having come late */
 }
 
 static void a_command_may_live_as_long_as_its_lease_allows(void)
@@ -140,6 +141,19 @@ static void the_first_sequence_may_be_any_and_none_comes_twice(void)
     CHECK(say(0, 1, 0.2) == 1 + REFUSED_SEQUENCE);
     CHECK(say(1, UINT64_C(1) << 63 | 5, 0.1) == 0);
     CHECK(say(1, UINT64_C(1) << 63 | 5, 0.1) == 1 + REFUSED_SEQUENCE);
+}
+
+/* Zero is never one of them. */
+static void a_sequence_goes_on_past_the_end_of_its_64_bits(void)
+{
+    begin();
+    CHECK(say(0, 100, 0.1) == 0 && say(0, (UINT64_C(1) << 63) + 101, 0.1) == 1 + REFUSED_SEQUENCE);
+    CHECK(say(0, UINT64_C(1) << 63, 0.1) == 0 && say(0, UINT64_MAX, 0.1) == 0);
+    CHECK(say(0, 0, 0.9) == 1 + REFUSED_SEQUENCE &&
+          say(0, UINT64_C(7) << 61, 0.9) == 1 + REFUSED_SEQUENCE);
+    CHECK(obeyed().linear_m_s == 0.1);
+    CHECK(say(0, 5, 0.2) == 0 && say(0, UINT64_MAX, 0.1) == 1 + REFUSED_SEQUENCE &&
+          obeyed().linear_m_s == 0.2);
 }
 
 static void a_lease_goes_on_when_others_come_and_go(void)
@@ -166,6 +180,12 @@ static void who_came_first_commands_among_equals_and_the_higher_one_in_any_place
     /* the lower one was first, and comes later in the list */
     CHECK(say(1, 1, 0.2) == 0 && say(0, 1, 0.1) == 0);
     CHECK(obeyed().linear_m_s == 0.1);
+    begin();
+    CHECK(say(0, 1, 0.1) == 0);
+    b.now_ns += LIFE_NS / 2;
+    CHECK(say(1, 1, 0.2) == 0 && obeyed().linear_m_s == 0.1);
+    b.now_ns += LIFE_NS / 2; /* the first one has lapsed, and comes again behind the other */
+    CHECK(obeyed().linear_m_s == 0.2 && say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.2);
 }
 
 static void what_is_obeyed_carries_its_stamp_and_sequence_and_the_stamp_stays(void)
@@ -327,6 +347,7 @@ int main(void)
     a_command_is_refused_when_its_life_is_over();
     a_command_may_live_as_long_as_its_lease_allows();
     the_first_sequence_may_be_any_and_none_comes_twice();
+    a_sequence_goes_on_past_the_end_of_its_64_bits();
     a_lease_goes_on_when_others_come_and_go();
     who_came_first_commands_among_equals_and_the_higher_one_in_any_place();
     what_is_obeyed_carries_its_stamp_and_sequence_and_the_stamp_stays();

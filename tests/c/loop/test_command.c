@@ -86,6 +86,10 @@ static void a_source_that_requests_motion_through_a_stop_is_held_until_it_reques
     CHECK(say(&a, command_of('a', 6, START_NS, -INFINITY), START_NS, true) ==
           1 + REFUSED_NOT_FINITE);
     CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 'a');
+    CHECK(say(&a, command_of('a', 7, START_NS, 0.1), START_NS, false) == 0);
+    int64_t later_ns = START_NS + LIFE_NS; /* or until it was silent for as long as its lease */
+    CHECK(say(&a, command_of('a', 8, later_ns, 0.1), later_ns, true) == 0 &&
+          speed_m_s(&a, later_ns, true) == 0.1);
 }
 
 static void a_lease_that_is_not_granted_any_more_is_over(void)
@@ -248,12 +252,16 @@ static void wheels_are_a_twist_or_they_are_refused(void)
     CHECK(report_joints(&a, joints_of(1, 1.0, 2.0, 1.0)) == 0);
     arbiter_command(&a, START_NS, true, &out);
     CHECK(fabs(out.linear_m_s - 0.15) < 1e-12 && fabs(out.angular_rad_s - 0.2) < 1e-12);
-    CHECK(report_joints(&a, joints_of(2, 1.0, 2.0, 2.0)) == 1 + REFUSED_JOINTS);
+    CHECK(say(&a, command_of('a', 2, START_NS, 0.5), START_NS, true) == 0); /* the newest counts,
+                                                                               whatever its kind */
+    arbiter_command(&a, START_NS, true, &out);
+    CHECK(out.linear_m_s == 0.5 && out.angular_rad_s == 0.0);
+    CHECK(report_joints(&a, joints_of(3, 1.0, 2.0, 2.0)) == 1 + REFUSED_JOINTS);
     CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 'a');
-    CHECK(report_joints(&a, joints_of(3, 1.0, NAN, 1.0)) == 1 + REFUSED_NOT_FINITE);
-    CHECK(report_joints(&a, joints_of(4, -1e300, 2e300, 1e300)) == 1 + REFUSED_OUT_OF_RANGE);
+    CHECK(report_joints(&a, joints_of(4, 1.0, NAN, 1.0)) == 1 + REFUSED_NOT_FINITE);
+    CHECK(report_joints(&a, joints_of(5, -1e300, 2e300, 1e300)) == 1 + REFUSED_OUT_OF_RANGE);
     CHECK(speed_m_s(&a, START_NS, true) == 0.0);
-    joint_datagram few = joints_of(5, 1.0, 2.0, 1.0);
+    joint_datagram few = joints_of(6, 1.0, 2.0, 1.0);
     few.joint_count = 2;
     few.velocity_rad_s[0] = NAN;
     CHECK(report_joints(&a, few) == 1 + REFUSED_JOINTS);
@@ -262,7 +270,7 @@ static void wheels_are_a_twist_or_they_are_refused(void)
     few.version = 3;
     CHECK(report_joints(&a, few) == 1 + REFUSED_FORM);
     a.base = NULL;
-    CHECK(report_joints(&a, joints_of(6, 1.0, 2.0, 1.0)) == 1 + REFUSED_JOINTS);
+    CHECK(report_joints(&a, joints_of(7, 1.0, 2.0, 1.0)) == 1 + REFUSED_JOINTS);
 }
 
 /* Wheels left, right, left, right, of 0.1 m but for the last one's 0.2 m. */

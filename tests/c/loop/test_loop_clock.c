@@ -8,6 +8,7 @@
 
 #include "check.h"
 #include "fresh.h"
+#include "good_config.h"
 #include "loop.h"
 
 static const int64_t MS = 1000000;
@@ -29,35 +30,13 @@ int clock_gettime(clockid_t clock, struct timespec *out)
     return (int)failed;
 }
 
+/* Two wheels that report their speeds. */
 static core_config base(void)
 {
-    axis_limits axis = {
-        .velocity_u_s = 1, .acceleration_u_s2 = 5, .deceleration_u_s2 = 5, .jerk_u_s3 = INFINITY};
-    core_config config = {
-        .joint_count = 2,
-        .limits = {.linear = axis, .angular = axis, .lateral = axis},
-        .command_timeout_s = 0.3,
-        .feedback_timeout_s = 0.25,
-        .heartbeat_timeout_s = 0.5,
-        .rest_velocity_rad_s = 0.05,
-        .on_timeout = STOP_RAMP,
-        .on_fault = STOP_RAMP,
-        .on_estop = STOP_BRAKE,
-        .distance_variance_m2_per_m = 1e-3,
-        .turn_variance_rad2_per_rad = 1e-3,
-        .pose_variance_floor_m2 = 1e-6,
-        .heading_variance_floor_rad2 = 1e-6,
-        .twist_variance_floor_m2_s2 = 1e-6,
-        .twist_variance_floor_rad2_s2 = 1e-6,
-    };
-    for (uint32_t joint = 0; joint < config.joint_count; joint++) {
-        config.joint[joint] = (joint_config){
-            .row = {1.0, 0.0, joint == 0 ? -0.2 : 0.2},
-            .wheel_radius_m = 0.1,
-            .velocity_min_rad_s = -20,
-            .velocity_max_rad_s = 20,
-            .pwm = {.duty_min = -1, .duty_max = 1, .slew_per_s = INFINITY, .full_duty_rad_s = 20}};
-    }
+    core_config config = good_config();
+    config.joint_count = 2;
+    config.limits.linear = (axis_limits){1.0, 5.0, 5.0, INFINITY};
+    config.joint[0].counter_bits = config.joint[1].counter_bits = 0;
     return config;
 }
 

@@ -10,12 +10,7 @@ static rig *r;
 static core_config config_with_gyro(void)
 {
     core_config config = good_config();
-    config.gyro = (gyro_config){.used = 1,
-                                .timeout_s = 0.05,
-                                .bias_max_rad_s = 0.5,
-                                .still_variance_rad2_s2 = 1e-4,
-                                .heading_variance_rad2_per_s = 1e-7,
-                                .turn_variance_rad2_per_rad = 1e-4};
+    config.gyro = good_gyro(0.05);
     return config;
 }
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The small pure functions by their exact numbers: angle.c, pwm.c, speed_loop.c, check.c. */
+ * The small pure functions by their exact numbers: angle.c, pwm.c, speed_loop.c. */
 #include <math.h>
 #include <string.h>
 
@@ -173,135 +173,6 @@ static void a_blind_base_is_as_uncertain_as_its_set_points_may_have_carried_it(v
     CHECK(fabs(state.pose_covariance[5] - (0.09 + 0.16 * (0.6 + 0.16))) < 1e-15);
 }
 
-/* -------------------------------------------------------------------------------- check */
-static core_config config;
-static char bad_name[FIELD_NAME_BYTES];
-
-static void reset_config(void)
-{
-    axis_limits limits = {1.0, 1.0, 1.0, 8.0};
-    config = (core_config){
-        .joint_count = 2,
-        .limits = {limits, limits, limits},
-        .command_timeout_s = 0.3,
-        .feedback_timeout_s = 0.25,
-        .heartbeat_timeout_s = 0.5,
-        .rest_velocity_rad_s = 0.05,
-        .distance_variance_m2_per_m = 1e-4,
-        .turn_variance_rad2_per_rad = 1e-3,
-        .pose_variance_floor_m2 = 1e-6,
-        .heading_variance_floor_rad2 = 1e-6,
-        .twist_variance_floor_m2_s2 = 1e-5,
-        .twist_variance_floor_rad2_s2 = 1e-5,
-    };
-    for (uint32_t j = 0; j < JOINTS_MAX; j++) {
-        config.joint[j] = (joint_config){.row = {1.0, 0.0, j % 2 == 0 ? -0.25 : 0.25},
-                                         .wheel_radius_m = 0.1,
-                                         .velocity_min_rad_s = -9.0,
-                                         .velocity_max_rad_s = 9.0,
-                                         .rad_per_count = 1e-3,
-                                         .counter_bits = 16,
-                                         .pwm = {0.05, -1.0, 1.0, 100.0, 12.5}};
-    }
-}
-
-static bool is_good(void)
-{
-    return core_config_check(&config, bad_name) == NULL;
-}
-
-static bool refused(const char *name)
-{
-    return core_config_check(&config, bad_name) == bad_name && strcmp(bad_name, name) == 0;
-}
-
-static void is_between(double *value, double low, double high, const char *name)
-{
-    const double middle = *value;
-    *value = low;
-    CHECK(is_good());
-    *value = high;
-    CHECK(is_good());
-    *value = nextafter(low, -(double)INFINITY);
-    CHECK(refused(name));
-    if (isfinite(high)) {
-        *value = nextafter(high, (double)INFINITY);
-        CHECK(refused(name));
-    }
-    *value = (double)NAN;
-    CHECK(refused(name));
-    *value = middle;
-}
-
-static void a_joint_s_numbers_have_their_range(void)
-{
-    reset_config();
-    joint_config *joint = &config.joint[1];
-    is_between(&joint->wheel_radius_m, 1e-12, 1e9, "joint[1].wheel_radius_m");
-    is_between(&joint->velocity_min_rad_s, -1e9, 0.0, "joint[1].velocity_min_rad_s");
-    is_between(&joint->pwm.dead_band, 0.0, 1.0, "joint[1].pwm.dead_band");
-    is_between(&joint->pwm.duty_min, -1.0, 0.0, "joint[1].pwm.duty_min");
-    is_between(&joint->pwm.duty_max, 0.0, 1.0, "joint[1].pwm.duty_max");
-    is_between(&joint->pwm.slew_per_s, 1e-12, (double)INFINITY, "joint[1].pwm.slew_per_s");
-    is_between(&joint->speed_loop.correction_max_u, 0.0, 1e9,
-               "joint[1].speed_loop.correction_max_u");
-    is_between(&joint->rad_per_count, 1e-12, 1e9, "joint[1].rad_per_count");
-    joint->rad_per_count = -1e-12;
-    CHECK(is_good());
-    joint->rad_per_count = -1e9;
-    CHECK(is_good());
-    is_between(&joint->row.x, -2.0, 2.0, "joint[1].row.x");
-    is_between(&joint->row.lever_m, -1e9, 1e9, "joint[1].row.lever_m");
-}
-
-static void counters_are_as_wide_as_drives_have_them(void)
-{
-    const uint64_t widths =
-        1ULL << 0 | 1ULL << 8 | 1ULL << 12 | 1ULL << 15 | 1ULL << 16 | 1ULL << 24 | 1ULL << 32;
-    reset_config();
-    for (uint32_t bits = 0; bits <= 66; bits++) {
-        config.joint[0].counter_bits = bits;
-        bool good = bits == 64 || (bits < 64 && (widths >> bits & 1) != 0);
-        CHECK(good ? is_good() : refused("joint[0].counter_bits"));
-    }
-    config.joint[0].counter_bits = 0;
-    config.joint[0].rad_per_count = 0.0; /* nothing is counted */
-    CHECK(is_good());
-}
-
-static void a_base_has_two_to_eight_wheels_and_they_are_not_all_on_one_side(void)
-{
-    reset_config();
-    for (uint32_t joints = 0; joints <= JOINTS_MAX + 1; joints++) {
-        config.joint_count = joints;
-        CHECK(joints >= 2 && joints <= JOINTS_MAX ? is_good() : refused("joint_count"));
-    }
-    for (int side = -1; side <= 1; side += 2) {
-        reset_config();
-        config.joint[0].row.lever_m = config.joint[1].row.lever_m = 0.25 * side;
-        CHECK(refused("joint.row"));
-    }
-    reset_config();
-    config.joint_count = 4; /* three on one side, one on the other */
-    config.joint[0].row.lever_m = config.joint[1].row.lever_m = config.joint[2].row.lever_m = 0.25;
-    config.joint[3].row.lever_m = -0.25;
-    CHECK(is_good());
-    config.joint[0].line = LINES_MAX;
-    CHECK(refused("joint[0].line"));
-    config.joint[0].line = LINES_MAX - 1;
-    CHECK(is_good());
-}
-
-static void limits_are_named_with_and_without_their_base(void)
-{
-    reset_config();
-    config.limits.angular.jerk_u_s3 = 0.0;
-    memset(bad_name, 0, sizeof bad_name);
-    CHECK(base_limits_check(&config.limits, bad_name) == bad_name &&
-          strcmp(bad_name, "angular.jerk_u_s3") == 0);
-    CHECK(refused("limits.angular.jerk_u_s3"));
-}
-
 int main(void)
 {
     an_angle_is_wrapped_into_half_a_turn_to_both_sides();
@@ -314,9 +185,5 @@ int main(void)
     the_integral_is_held_where_it_would_drive_the_torque_beyond_its_limit();
     what_cannot_be_reckoned_empties_the_integral();
     a_blind_base_is_as_uncertain_as_its_set_points_may_have_carried_it();
-    a_joint_s_numbers_have_their_range();
-    counters_are_as_wide_as_drives_have_them();
-    a_base_has_two_to_eight_wheels_and_they_are_not_all_on_one_side();
-    limits_are_named_with_and_without_their_base();
     return checks_report("numbers");
 }

@@ -1,9 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Wheels that a torque turns, for the sanitizers: every line of speed_loop.c and of what core.c
- * does with it, with hostile numbers among them. What they promise is tested in
- * tests/rt/control/test_speed_loop.py. */
+ * Wheels that a torque turns: what the core does with their speed loops, with hostile numbers
+ * among them. */
 #include "check.h"
 #include "core.h"
+#include "good_config.h"
 #include "torque_loop.h"
 
 #include <float.h>
@@ -25,28 +25,12 @@ typedef struct {
 
 static core_config two_wheels(void)
 {
-    axis_limits limits = {2.0, 2.0, 2.0, INFINITY};
-    core_config config = {
-        .joint_count = WHEELS,
-        .limits = {limits, limits, limits},
-        .command_timeout_s = 0.3,
-        .feedback_timeout_s = 0.25,
-        .heartbeat_timeout_s = 0.5,
-        .rest_velocity_rad_s = 0.05,
-        .distance_variance_m2_per_m = 1e-4,
-        .turn_variance_rad2_per_rad = 1e-3,
-        .pose_variance_floor_m2 = 1e-6,
-        .heading_variance_floor_rad2 = 1e-6,
-        .twist_variance_floor_m2_s2 = 1e-5,
-        .twist_variance_floor_rad2_s2 = 1e-5,
-    };
+    core_config config = good_config();
+    config.joint_count = WHEELS;
+    config.limits.linear = (axis_limits){2.0, 2.0, 2.0, INFINITY};
     for (uint32_t j = 0; j < WHEELS; j++) {
-        config.joint[j] = (joint_config){.row = {1.0, 0.0, j == 0 ? -0.25 : 0.25},
-                                         .wheel_radius_m = 0.1,
-                                         .velocity_min_rad_s = -9.0,
-                                         .velocity_max_rad_s = 9.0,
-                                         .pwm = {0.0, -1.0, 1.0, INFINITY, 9.0},
-                                         .speed_loop = torque_loop(1.0, 4.0, TORQUE_MAX_N_M)};
+        config.joint[j].counter_bits = 0;
+        config.joint[j].speed_loop = torque_loop(1.0, 4.0, TORQUE_MAX_N_M);
     }
     return config;
 }

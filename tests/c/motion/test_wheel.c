@@ -28,7 +28,8 @@ static void a_wheel_beyond_its_limit_is_brought_to_it(void)
     CHECK(factor_of(4.0, -1.0, 2.0) == 0.5 && factor_of(-4.0, -1.0, 2.0) == 0.25);
     CHECK(factor_of(0.5, -1.0, 0.25) == 0.5 && factor_of(-0.5, -0.25, 9.0) == 0.5 &&
           factor_of(0.05, -9.0, 0.025) == 0.5);
-    CHECK(factor_of(-1.0, 0.0, 2.0) == 0.0); /* it cannot reverse */
+    /* it cannot reverse */
+    CHECK(factor_of(-1.0, 0.0, 2.0) == 0.0 && !signbit(factor_of(-1.0, 0.0, 2.0)));
     uint32_t rounded_up = 0;
     /* never beyond by a rounding, and no less than that requires */
     for (int i = 1; i < 20000; i++) {
@@ -86,6 +87,10 @@ static void a_duty_begins_at_the_dead_band_in_either_direction(void)
     CHECK(step(0.0, 2.0, INFINITY).reasons == 0);
     CHECK(step(0.0, 9.0, INFINITY).duty == 0.8 &&
           step(0.0, 9.0, INFINITY).reasons == REASON_DUTY_CLAMPED);
+    pwm_config forward = {
+        .dead_band = 0.1, .duty_max = 1.0, .slew_per_s = INFINITY, .full_duty_rad_s = 10.0};
+    pwm_output back = pwm_step(&forward, 0.0, -5.0, 0.01); /* it cannot reverse: it rests */
+    CHECK(back.duty == 0.0 && !signbit(back.duty) && back.reasons == REASON_DUTY_CLAMPED);
     CHECK(step(0.0, -9.0, INFINITY).duty == -0.6 &&
           step(0.0, -9.0, INFINITY).reasons == REASON_DUTY_CLAMPED);
 }

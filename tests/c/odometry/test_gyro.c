@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Every line of the gyro's part of the core, for the sanitizers, with hostile samples. What it
- * promises is tested in tests/rt/odometry/test_gyro.py. */
+ * test_gyro: zero, turn and status of the gyro alone, to the nanosecond, with hostile samples. */
 #include "check.h"
 #include "exchange.h"
 

@@ -1,57 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * test_odometry: counters that are narrow, late or wrong, and the pose against the same in other
  * words. */
-#include <math.h>
-#include <string.h>
-
-#include "check.h"
-#include "core.h"
-
-static const int64_t STEP_NS = 10000000;
-static const double COUNT_RAD = 6.283185307179586 / 32768.0;
-
-typedef struct {
-    core_config config;
-    odometry_state state;
-    joint_feedback feedback[JOINTS_MAX];
-} base;
-
-static base begun(uint32_t bits)
-{
-    base b = {.config = {.joint_count = 2,
-                         .feedback_timeout_s = 0.25,
-                         .distance_variance_m2_per_m = 1e-4,
-                         .turn_variance_rad2_per_rad = 1e-3}};
-    for (int j = 0; j < 2; j++) {
-        b.config.joint[j] = (joint_config){.row = {1.0, 0.0, (2.0 * j - 1.0) * 0.25},
-                                           .wheel_radius_m = 0.1,
-                                           .velocity_min_rad_s = -35.0,
-                                           .velocity_max_rad_s = 35.0,
-                                           .rad_per_count = COUNT_RAD,
-                                           .counter_bits = bits};
-    }
-    odometry_init(&b.state, &b.config);
-    return b;
-}
-
-static const joint_odometry *received(base *b, int64_t after_ns, int64_t counts,
-                                      double velocity_rad_s)
-{
-    const uint32_t stale[JOINTS_MAX] = {0};
-    const joint_setpoint setpoint[JOINTS_MAX] = {0};
-    for (int j = 0; j < 2; j++) {
-        b->feedback[j].stamp_ns += after_ns;
-        b->feedback[j].count += (uint64_t)counts;
-        b->feedback[j].velocity_rad_s = velocity_rad_s;
-    }
-    odometry_step(&b->state, &b->config, b->feedback, stale, setpoint);
-    return &b->state.joint[0];
-}
-
-static bool near(double value, double expected)
-{
-    return fabs(value - expected) < 1e-9;
-}
+#include "odometry_base.h"
 
 static void a_turn_that_was_not_seen_is_sent_by_the_velocity_or_not_at_all(void)
 {
@@ -85,6 +35,32 @@ static void a_counter_that_was_wrong_once_is_taken_back_and_one_that_stays_is_fo
     CHECK(near(received(&b, STEP_NS, 500, NAN)->position_rad, 3500 * COUNT_RAD) &&
           b.state.joint[0].jumps == 3);
     CHECK(near(b.state.joint[0].velocity_rad_s, 500 * COUNT_RAD / 0.01) && b.state.degraded == 0);
+}
+
+static void a_sample_that_is_no_newer_than_the_last_one_is_none(void)
+{
+    base b = begun(32);
+    received(&b, STEP_NS, 0, NAN);
+    int64_t stamp_ns = b.state.stamp_ns;
+    static const int64_t AFTER_NS[] = {0, -1, 1 - STEP_NS, -STEP_NS, INT64_MIN + 1};
+    for (size_t i = 0; i < sizeof AFTER_NS / sizeof AFTER_NS[0]; i++) {
+        b.feedback[0].stamp_ns = b.feedback[1].stamp_ns = stamp_ns;
+        CHECK(received(&b, AFTER_NS[i], 50, NAN)->position_rad == 0.0 &&
+              b.state.stamp_ns == stamp_ns && b.state.x_m == 0.0);
+    }
+}
+
+/* As far as it can come while feedback counts, and no farther. */
+static void what_a_counter_at_rest_may_catch_up_is_bounded(void)
+{
+    for (int far = 0; far < 2; far++) {
+        base b = begun(32);
+        for (int i = 0; i < 300; i++) {
+            received(&b, STEP_NS, 0, NAN);
+        }
+        int64_t most = (int64_t)(1.5 * 35.0 * (0.25 + 0.01) / COUNT_RAD) + 4;
+        CHECK(received(&b, STEP_NS, most + far, NAN)->jumps == (uint32_t)far);
+    }
 }
 
 static void a_counter_that_comes_late_catches_up(void)
@@ -257,10 +233,8 @@ static void a_reset_throws_away_what_is_pending(void)
 {
     base b = begun(32);
     received(&b, STEP_NS, 0, NAN);
-    const uint32_t stale[JOINTS_MAX] = {0};
-    const joint_setpoint wheels[JOINTS_MAX] = {{0}};
-    b.feedback[0].count += 1000, b.feedback[0].stamp_ns += STEP_NS;
-    odometry_step(&b.state, &b.config, b.feedback, stale, wheels);
+    comes(&b, 0, STEP_NS, 1000, NAN);
+    take(&b);
     CHECK(b.state.joint[0].pending_rad > 0.0 && b.state.distance_m == 0.0);
     odometry_reset(&b.state, &b.config);
     received(&b, STEP_NS, 0, NAN);
@@ -350,6 +324,8 @@ static void what_a_counter_can_mean_decides_what_is_believed(void)
         double before_rad_s, velocity_rad_s, travel_rad;
         uint32_t jumps, degraded;
     } CASES[] = {
+        /* after a silence a wide one brings all that was missed */
+        {32, 500, 30000, NAN, NAN, 30000 * COUNT_RAD, 0, 0},
         {32, 1, 2741, NAN, NAN, 2741 * COUNT_RAD, 0, 0}, /* 0.525 rad are 2737.9 counts, and 4 */
         {32, 1, 2742, NAN, NAN, 0.0, 1, 1},
         {32, 1, -2741, NAN, NAN, -2741 * COUNT_RAD, 0, 0},
@@ -469,6 +445,8 @@ int main(void)
 {
     a_turn_that_was_not_seen_is_sent_by_the_velocity_or_not_at_all();
     a_counter_that_was_wrong_once_is_taken_back_and_one_that_stays_is_followed();
+    a_sample_that_is_no_newer_than_the_last_one_is_none();
+    what_a_counter_at_rest_may_catch_up_is_bounded();
     a_counter_that_comes_late_catches_up();
     a_velocity_that_no_wheel_has_is_no_travel();
     pose_and_covariance_are_those_of_exact_arcs();

@@ -1,62 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * test_odometry_edges: where a travel is just believed and where not any more, and what a
  * beginning and a reset leave. */
-#include <math.h>
-#include <string.h>
-
-#include "check.h"
-#include "core.h"
-
-static const int64_t STEP_NS = 10000000;
-static const double COUNT_RAD = 6.283185307179586 / 32768.0;
-static const uint32_t RECEIVED[JOINTS_MAX] = {0};
-
-typedef struct {
-    core_config config;
-    odometry_state state;
-    joint_feedback feedback[JOINTS_MAX];
-    joint_setpoint setpoint[JOINTS_MAX];
-} base;
-
-static base begun(uint32_t bits)
-{
-    base b = {.config = {.joint_count = 2,
-                         .feedback_timeout_s = 0.25,
-                         .distance_variance_m2_per_m = 1e-4,
-                         .turn_variance_rad2_per_rad = 1e-3}};
-    for (int j = 0; j < 2; j++) {
-        b.config.joint[j] = (joint_config){.row = {1.0, 0.0, (2.0 * j - 1.0) * 0.25},
-                                           .wheel_radius_m = 0.1,
-                                           .velocity_min_rad_s = -35.0,
-                                           .velocity_max_rad_s = 35.0,
-                                           .rad_per_count = COUNT_RAD,
-                                           .counter_bits = bits};
-    }
-    odometry_init(&b.state, &b.config);
-    return b;
-}
-
-static void comes(base *b, int j, int64_t after_ns, int64_t counts, double velocity_rad_s)
-{
-    b->feedback[j].stamp_ns += after_ns;
-    b->feedback[j].count += (uint64_t)counts;
-    b->feedback[j].velocity_rad_s = velocity_rad_s;
-}
-
-static const joint_odometry *received(base *b, int64_t after_ns, int64_t counts,
-                                      double velocity_rad_s)
-{
-    for (int j = 0; j < 2; j++) {
-        comes(b, j, after_ns, counts, velocity_rad_s);
-    }
-    odometry_step(&b->state, &b->config, b->feedback, RECEIVED, b->setpoint);
-    return &b->state.joint[0];
-}
-
-static bool near(double value, double expected)
-{
-    return fabs(value - expected) < 1e-9;
-}
+#include "odometry_base.h"
 
 static void a_narrow_counter_goes_on_beyond_its_end(void)
 {
@@ -103,17 +48,17 @@ static void a_reset_waits_for_both_sides_anew(void)
         received(&b, STEP_NS, 0, NAN);
         b.state.gyro.referenced = 1;
         comes(&b, first, STEP_NS, 1000, NAN);
-        odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
+        take(&b);
         odometry_reset(&b.state, &b.config);
         CHECK(b.state.gyro.referenced == 0 && b.state.joint[first].pending_rad == 0.0 &&
               b.state.degraded == 0);
         int64_t stamp_ns = b.state.stamp_ns;
         comes(&b, 1 - first, STEP_NS, 1000, NAN);
-        odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
+        take(&b);
         CHECK(b.state.distance_m == 0.0 && b.state.stamp_ns == stamp_ns &&
               b.state.joint[1 - first].pending_rad > 0.0);
         comes(&b, first, STEP_NS, 1000, NAN);
-        odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
+        take(&b);
         CHECK(near(b.state.distance_m, 1000 * COUNT_RAD * 0.1) && near(b.state.turned_rad, 0.0));
     }
 }
@@ -148,8 +93,7 @@ static void whole_turns_are_sent_by_velocities_that_are_sure_enough(void)
     }
 }
 
-/* --- 52.5 rad/s can be reached: 2737.9 counts in a step, and four; and what the steps before
- * did not use */
+/* --- what can be reached in a step, and what the steps before did not use */
 
 static void what_was_refused_is_no_reach_once_a_sample_was_believed(void)
 {
@@ -267,11 +211,11 @@ static void an_estimate_among_several_samples_of_a_side_is_not_forgotten(void)
             received(&b, STEP_NS, 0, 20.0);
         }
         comes(&b, 0, STEP_NS, seed ? 0 : 90000, 20.0);
-        odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
+        take(&b);
         comes(&b, 0, STEP_NS, seed ? 1000 : -89000, 20.0);
-        odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
+        take(&b);
         comes(&b, 1, 2 * STEP_NS, 1000, 20.0);
-        odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
+        take(&b);
         CHECK(b.state.degraded == 1 &&
               near(b.state.distance_m, seed ? 0.0 : 1000 * COUNT_RAD * 0.1));
     }
@@ -310,7 +254,7 @@ static void the_chord_of_an_arc_is_right_to_the_last_bits(void)
         int64_t turn = (int64_t)(HALF_RAD[i] * 0.5 / (0.1 * COUNT_RAD)), travel = 40000;
         comes(&b, 0, STEP_NS, travel - turn, NAN);
         comes(&b, 1, STEP_NS, travel + turn, NAN);
-        odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
+        take(&b);
         long double half_rad = (long double)turn * (long double)COUNT_RAD * 0.1L / 0.5L;
         long double chord_m =
             (long double)travel * (long double)COUNT_RAD * 0.1L * sinl(half_rad) / half_rad;
@@ -336,7 +280,7 @@ static void a_turn_by_the_gyro_has_the_gyro_s_variance(void)
     comes(&b, 1, STEP_NS, 1400, NAN);
     gyro->stamp_ns = b.feedback[0].stamp_ns;
     gyro->yaw_rad = 0.02;
-    odometry_step(&b.state, &b.config, b.feedback, RECEIVED, b.setpoint);
+    take(&b);
     spread_look(&b.state, &b.config, b.feedback[0].stamp_ns);
     double turn_rad2 = 0.01 * (1e-5 + 2.0 * 0.02 * 0.02 * 1e-9) + 1e-3 * 0.02,
            moved_m = 1200 * COUNT_RAD * 0.1;
@@ -405,6 +349,26 @@ static void a_side_that_only_begins_makes_no_turn(void)
     }
 }
 
+/* All of a side: the base goes nowhere meanwhile, and then as far as the counters say. */
+static void a_side_that_was_silent_brings_what_was_missed(void)
+{
+    base b = begun(32);
+    received(&b, STEP_NS, 0, NAN);
+    const uint32_t stale[JOINTS_MAX] = {[1] = 1};
+    for (int step = 0; step < 10; step++) {
+        comes(&b, 0, STEP_NS, 1000, NAN);
+        odometry_step(&b.state, &b.config, b.feedback, stale, b.setpoint);
+        CHECK(b.state.degraded == 1 && b.state.blind == 1 && b.state.distance_m == 0.0 &&
+              b.state.turned_rad == 0.0);
+    }
+    comes(&b, 0, STEP_NS, 1000, NAN);
+    comes(&b, 1, 11 * STEP_NS, 11000, NAN);
+    take(&b);
+    CHECK(b.state.degraded == 0 && b.state.blind == 0 &&
+          near(b.state.x_m, 11000 * COUNT_RAD * 0.1));
+    CHECK(near(b.state.heading_rad, 0.0));
+}
+
 /* It has never reported before, whichever it is. */
 static void a_side_that_is_received_later_makes_no_turn(void)
 {
@@ -450,6 +414,7 @@ int main(void)
 {
     samples_that_are_no_newer_than_the_last_arc_show_no_speed();
     a_side_that_only_begins_makes_no_turn();
+    a_side_that_was_silent_brings_what_was_missed();
     a_side_that_is_received_later_makes_no_turn();
     the_speed_of_a_turn_is_the_gyro_s();
     no_variance_of_the_pose_is_below_its_floor();

@@ -4,7 +4,6 @@
 import math
 from typing import NamedTuple
 
-import pytest
 from _motord_rt import ffi, lib
 from hypothesis import given
 from hypothesis import strategies as st
@@ -36,12 +35,6 @@ DUTY = st.floats(-1.0, 1.0)
 SPEED = st.floats(-200.0, 200.0)
 
 
-def test_the_map_is_a_line_from_the_dead_bands_edge_to_full_duty():
-    assert [Map().step(v)[0] for v in (0.0, 1e-9, 5.0, 10.0)] == pytest.approx(
-        [0.0, 0.1, 0.55, 1.0]
-    )
-
-
 @given(maps, SPEED)
 def test_backward_is_forward_mirrored(pwm, velocity):
     mirrored = pwm._replace(duty_min=-pwm.duty_max, duty_max=-pwm.duty_min)
@@ -62,17 +55,6 @@ def test_the_output_jumps_over_the_dead_band(pwm, velocity):
     assert velocity == 0.0 or clamped or abs(duty) >= pwm.dead_band
 
 
-def test_too_fast_a_set_point_is_clamped_and_reported():
-    assert Map(duty_max=0.8).step(100.0) == (0.8, lib.REASON_DUTY_CLAMPED)
-    assert Map(duty_min=-0.3).step(-100.0) == (-0.3, lib.REASON_DUTY_CLAMPED)
-
-
-def test_an_output_that_cannot_reverse_rests_instead():
-    duty, reasons = Map(duty_min=0.0).step(-5.0)
-    assert (duty, reasons) == (0.0, lib.REASON_DUTY_CLAMPED)
-    assert math.copysign(1.0, duty) == 1.0
-
-
 @given(maps, DUTY, SPEED, st.floats(1e-4, 0.1))
 def test_the_slew_binds_away_from_zero_only(pwm, last, velocity, dt):
     duty, reasons = pwm.step(velocity, last, dt)
@@ -83,23 +65,6 @@ def test_the_slew_binds_away_from_zero_only(pwm, last, velocity, dt):
     assert bool(reasons & lib.REASON_DUTY_SLEW) == (duty != free)
     if abs(free) <= same_side:
         assert duty == free, "towards zero is never slowed"
-
-
-def test_a_reversal_starts_its_slew_at_the_dead_band():
-    assert Map(slew_per_s=1.0).step(-10.0, last=0.9) == (
-        pytest.approx(-0.11),
-        lib.REASON_DUTY_SLEW,
-    )
-
-
-@pytest.mark.parametrize("broken", [math.nan, math.inf, -math.inf])
-def test_a_speed_that_is_no_number_is_no_duty(broken):
-    assert Map().step(broken, last=0.5) == (0.0, 0)
-
-
-@pytest.mark.parametrize("dt", [0.0, -1.0, math.nan])
-def test_a_step_without_a_length_is_no_duty(dt):
-    assert Map(slew_per_s=1.0).step(5.0, last=0.5, dt=dt) == (0.0, 0)
 
 
 @given(maps, ANY, ANY, ANY)

@@ -40,24 +40,9 @@ def test_no_more_is_taken_away_than_the_worst_wheel_needs(rows):
         assert max(used) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_wheels_within_their_limits_are_left_alone():
-    assert factor([1.0, -1.0], [(-1.0, 1.0), (-1.0, 1.0)]) == 1.0
-
-
-def test_a_wheel_that_cannot_reverse_stops_the_whole_base():
-    share = factor([5.0, -0.1], [(-10.0, 10.0), (0.0, 10.0)])
-    assert share == 0.0
-    assert math.copysign(1.0, share) == 1.0
-
-
 @given(st.lists(st.tuples(ANY, ANY, ANY), min_size=1, max_size=8))
 def test_no_number_whatsoever_gives_a_factor_outside_of_zero_to_one(rows):
     assert 0.0 <= factor([row[0] for row in rows], [row[1:] for row in rows]) <= 1.0
-
-
-@pytest.mark.parametrize("broken", [math.nan, math.inf, -math.inf])
-def test_a_set_point_that_is_no_number_stops_the_whole_base(broken):
-    assert factor([1.0, broken], [(-2.0, 2.0), (-2.0, 2.0)]) == 0.0
 
 
 # less than 1e-9 rad/s is no command at all

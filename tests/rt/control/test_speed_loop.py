@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The speed loop of wheels whose drives take a torque: it holds the speed and keeps to its limit;
-without power, without a measure, or beyond all speed there is no torque."""
+"""The speed loop against its textbook, and of wheels whose drives take a torque: it holds the speed
+and lets go of a wheel beyond all speed."""
 
 import math
 
@@ -50,7 +50,6 @@ class TorqueRig(Rig):
         joints = [joint_config(side, speed_loop=torque_loop()) for side in (-1.0, 1.0)]
         super().__init__(core_config(2, joint=joints, **changes))
         self.sign = [1.0, 1.0]
-        self.silent = set()
 
     @property
     def torques(self):
@@ -64,17 +63,11 @@ class TorqueRig(Rig):
             speed = 0.0 if abs(moved) <= held else moved - math.copysign(held, moved)
             self.wheel_rad_s[j] = speed
             self.position_rad[j] += speed * dt_s
-            if j not in self.silent:
-                feedback.count = math.floor(
-                    self.position_rad[j] / self.config.joint[j].rad_per_count
-                ) % (1 << 32)
-                feedback.velocity_rad_s = speed
-                feedback.stamp_ns = self.input.now_ns
-
-
-@pytest.fixture
-def rig():
-    return TorqueRig()
+            feedback.count = math.floor(
+                self.position_rad[j] / self.config.joint[j].rad_per_count
+            ) % (1 << 32)
+            feedback.velocity_rad_s = speed
+            feedback.stamp_ns = self.input.now_ns
 
 
 @given(want=anything, measured=anything, integral=anything, dt_s=anything)
@@ -85,19 +78,6 @@ def test_the_torque_is_a_number_within_its_limit_whatever_comes(want, measured, 
     assert math.isfinite(loop.state.integral_u) or not math.isfinite(integral)
     if not math.isfinite(want - measured + integral) or not dt_s > 0:
         assert (torque, loop.state.integral_u) == (0.0, 0.0)
-
-
-def test_torque_is_gain_times_error_and_the_sum_of_it():
-    loop = Loop()
-    assert loop.step(3.0, 1.0) == pytest.approx(2.0 + 4.0 * 2.0 * TICK_S)
-    assert loop.step(1.0, 1.0) == pytest.approx(4.0 * 2.0 * TICK_S)
-
-
-def test_what_the_limit_cuts_off_is_not_summed_up():
-    loop = Loop()
-    for _ in range(5000):
-        assert loop.step(100.0, 0.0) == TORQUE_MAX_N_M
-    assert loop.step(0.0, 0.0) == 0.0
 
 
 gain = st.floats(0.0, 5.0)
@@ -166,26 +146,14 @@ def test_a_loop_that_begins_or_whose_gains_change_goes_on_from_the_output_of_bef
     assert loop.step(want, measured) == pytest.approx(held + step_u, abs=1e-9)
 
 
-def test_wheels_come_to_the_speed_that_was_asked_for_and_to_rest(rig):
+def test_wheels_come_to_the_speed_that_was_asked_for_and_to_rest():
+    rig = TorqueRig()
     rig.moving(SPEED_M_S)
     assert rig.wheel_rad_s == pytest.approx([SPEED_M_S / RADIUS_M] * 2, abs=0.02)
     assert rig.torques == pytest.approx([FRICTION_N_M] * 2, abs=0.05)
     rig.drive(0.0)
     rig.ticks(3.0)
     assert max(map(abs, rig.wheel_rad_s)) == REST
-
-
-def test_there_is_no_torque_before_arming_and_none_after(rig):
-    rig.drive(0.0)
-    rig.wheel_rad_s = [3.0, 3.0]
-    rig.ticks(0.01)
-    assert rig.torques == [0.0, 0.0]
-    rig = TorqueRig()
-    rig.moving(SPEED_M_S)
-    rig.input.control.armed = 0
-    rig.tick()
-    assert (rig.out.enabled, rig.torques) == (0, [0.0, 0.0])
-    assert [rig.state.speed_loop[j].integral_u for j in range(2)] == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("action", ["STOP_RAMP", "STOP_BRAKE", "STOP_HOLD"])
@@ -198,27 +166,9 @@ def test_a_stop_is_driven_to_rest_by_the_loop(action):
     assert rig.out.enabled == 1
 
 
-def test_coasting_is_no_torque_at_once():
-    rig = TorqueRig(on_timeout=lib.STOP_COAST)
-    rig.moving(SPEED_M_S)
-    rig.input.control.stop = 1
-    rig.tick()
-    assert (rig.out.enabled, rig.torques) == (0, [0.0, 0.0])
-
-
-def test_a_wheel_that_is_not_received_gets_no_torque_and_the_other_one_is_brought_to_rest(rig):
-    rig.moving(SPEED_M_S)
-    rig.silent = {0}
-    rig.ticks(0.3)
-    assert rig.shown.faults == lib.FAULT_FEEDBACK_STALE
-    assert rig.torques[0] == 0.0
-    assert rig.torques[1] != 0.0
-    rig.ticks(1.5)
-    assert rig.wheel_rad_s[1] == REST
-
-
 @pytest.mark.parametrize("wheel", [0, 1])
-def test_a_wheel_that_runs_the_wrong_way_is_let_go_and_that_is_a_fault(rig, wheel):
+def test_a_wheel_that_runs_the_wrong_way_is_let_go_and_that_is_a_fault(wheel):
+    rig = TorqueRig()
     rig.sign[wheel] = -1.0
     rig.arm()
     rig.drive(SPEED_M_S)
@@ -230,43 +180,3 @@ def test_a_wheel_that_runs_the_wrong_way_is_let_go_and_that_is_a_fault(rig, whee
     assert fastest < 1.6 * 15.0
     assert (rig.out.enabled, rig.torques) == (0, [0.0, 0.0])
     assert rig.wheel_rad_s[1 - wheel] == REST
-
-
-def test_after_overspeed_arming_needs_a_reset_and_then_torque_is_there_again(rig):
-    rig.moving(SPEED_M_S)
-    rig.wheel_rad_s[0] = 30.0
-    rig.tick()
-    rig.tick()
-    assert rig.shown.faults == lib.FAULT_OVERSPEED
-    assert rig.torques[0] == 0.0
-    rig.drive(0.0)
-    rig.ticks(12.0)
-    assert rig.out.enabled == 0
-    rig.input.control.armed = 0
-    rig.reset()
-    assert rig.shown.faults == 0
-    rig.moving(SPEED_M_S)
-    assert rig.wheel_rad_s[0] == pytest.approx(SPEED_M_S / RADIUS_M, abs=0.05)
-
-
-def test_a_measure_that_is_no_number_is_no_torque(rig):
-    rig.moving(SPEED_M_S)
-    rig.state.odometry.joint[0].velocity_rad_s = math.nan
-    rig.hold.add("feedback")
-    rig.tick()
-    assert rig.torques[0] == 0.0
-
-
-def test_a_torque_that_is_no_number_is_a_fault_of_the_core_and_rest(rig):
-    rig.moving(SPEED_M_S)
-    rig.state.loops = 1
-    rig.state.wheels.joint[1].torque_n_m = math.nan
-    rig.tick()
-    assert rig.shown.faults == lib.FAULT_STATE
-    assert rig.torques == [0.0, 0.0]
-
-
-def test_a_joint_whose_drive_holds_the_speed_has_no_torque():
-    rig = Rig()
-    rig.moving(SPEED_M_S)
-    assert [rig.out.joint[j].torque_n_m for j in range(8)] == [0.0] * 8

@@ -282,23 +282,6 @@ def test_a_limit_lowered_in_a_curve_is_reached_by_braking_and_the_other_axis_kee
     assert all(one[1] == 1.0 for one in seen)
 
 
-def test_a_reversal_brakes_with_its_deceleration_and_is_eased_to_its_acceleration_at_zero():
-    rig = base(axis(1.0, 0.5, 3.0, 10.0), axis(2.0, 3.0, 4.0))
-    rig.drive(1.0)
-    arrives(rig, (1.0, 0.0))
-    rig.drive(-1.0)
-    judge = Judge(rig)
-    rates = []
-    while judge.before != (-1.0, 0.0):
-        judge.tick()
-        rates.append((judge.before[0], -judge.acceleration[0]))
-        assert len(rates) < 5000
-    assert max(rate for _, rate in rates) == pytest.approx(3.0)
-    assert max(rate for speed, rate in rates if speed < -1e-9) == pytest.approx(0.5)
-    through = [rate for speed, rate in rates if abs(speed) < 0.01]
-    assert min(through) == pytest.approx(0.5), "no halt at zero"
-
-
 def test_a_turn_that_wavers_about_zero_does_not_hold_up_the_speed():
     rig = base(axis(1.0, 1.0, 1.0), axis(2.0, 3.0, 4.0))
     judge = Judge(rig)

@@ -99,24 +99,6 @@ def test_some_wheels_are_enough_to_know_the_motion_and_others_are_not(kind, left
     assert bool(made.determined) is determined
 
 
-ACROSS = {"x": 0.0, "y": 1.0, "lever_m": 0.1}
-
-
-@pytest.mark.parametrize(
-    "row",
-    [
-        {"x": 1.0, "y": 0.5, "lever_m": 0.2},  # all alike
-        {"x": 1.0, "y": 0.5, "lever_m": 0.0},  # nothing turns it
-    ],
-)
-def test_a_base_that_cannot_work_is_refused(row):
-    config = core_config(4, joint=[joint_config(1.0, row=row) for _ in range(4)])
-    name = ffi.new("char[]", lib.FIELD_NAME_BYTES)
-    raw = ffi.new("core_config *", config)
-    assert ffi.string(lib.core_config_check(raw, name)) == b"joint.row"
-    assert lib.core_init(ffi.new("core_state *"), raw) < 0
-
-
 def twist(shown):
     return np.array(
         [shown.setpoint_linear_m_s, shown.lateral.setpoint_m_s, shown.setpoint_angular_rad_s]
@@ -183,29 +165,6 @@ def test_saturation_keeps_the_direction_of_motion_also_on_the_way(
     limited = np.hypot(*now[:2]) < speed_m_s * (1.0 - 1e-9)
     why = lib.REASON_LINEAR_VELOCITY | lib.REASON_LATERAL_VELOCITY | lib.REASON_WHEEL_SATURATED
     assert bool(rig.shown.reasons & why) == limited
-
-
-@pytest.mark.parametrize("kind", ["differential", "skid"])
-def test_a_base_that_cannot_strafe_leaves_the_lateral_part_out_and_obeys_the_rest(kind):
-    rig = rig_of(kind)
-    rig.drive(0.4, 0.3, 5.0)
-    shown = rig.ticks(2.0)
-    assert list(twist(shown)) == [0.4, 0.0, 0.3]
-    assert shown.reasons == lib.REASON_LATERAL_IMPOSSIBLE
-    assert shown.lateral.wanted_m_s == 5.0
-    rig.drive(0.4, 0.3)
-    assert rig.tick().reasons == 0
-
-
-@pytest.mark.parametrize("broken", [math.nan, math.inf, -math.inf])
-def test_a_lateral_command_that_is_no_number_is_rest_of_all_axes(broken):
-    rig = rig_of("mecanum")
-    rig.drive(0.3, 0.2, 0.1)
-    rig.ticks(1.0)
-    rig.drive(0.3, 0.2, broken)
-    assert rig.tick().reasons & lib.REASON_COMMAND_NOT_FINITE
-    rig.ticks(2.0)
-    assert_rest(rig)
 
 
 class Base:
@@ -291,20 +250,6 @@ def test_the_covariance_stays_one_and_grows_with_distance_and_turn(kind, twists)
         vs, ss, sw = state.lateral_covariance
         twist_values = np.linalg.eigvalsh(np.array([[vv, vs, vw], [vs, ss, sw], [vw, sw, ww]]))
         assert twist_values.min() > 0.0
-
-
-def test_wheels_that_turn_against_each_other_are_slip_and_make_the_pose_uncertain():
-    clean, slips = Base("mecanum"), Base("mecanum")
-    against = np.linalg.svd(clean.rows.T)[2][-1]  # what no motion of the base does
-    counts, _ = clean.counts((0.2, 0.0, 0.0), 0.02)
-    for _ in range(100):
-        clean.step(counts)
-        slips.step(counts + np.rint(against * 400))
-    per_s = COUNT_RAD * RADIUS_M / 0.02 * np.sqrt(np.mean(np.rint(against * 400) ** 2))
-    assert clean.state.spread.slip_m_s < 1e-3 * per_s
-    assert slips.state.spread.slip_m_s == pytest.approx(per_s, rel=0.05)
-    assert slips.state.x_m == pytest.approx(clean.state.x_m, abs=1e-3)
-    assert slips.state.pose_covariance[0] > 2.0 * clean.state.pose_covariance[0]
 
 
 def test_a_base_with_a_wheel_too_many_goes_on_without_one_of_them():

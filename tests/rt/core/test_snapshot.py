@@ -181,6 +181,13 @@ def test_the_joints_of_a_reason_are_named_while_it_holds(place):
     assert rt._snapshot(raw).to_json()["reason_joints"] == {word: list(named)}
 
 
+def test_joints_whose_position_is_not_known_are_named():
+    raw = raw_state()
+    raw.reasons = lib.REASON_POSITION_UNKNOWN
+    raw.steering.unknown = 0b110
+    assert rt._snapshot(raw).reason_joints == {"position_unknown": (1, 2)}
+
+
 def test_without_a_fault_of_the_feedback_there_is_no_doubt():
     raw = raw_state()
     raw.doubt.fault = 0
@@ -256,6 +263,15 @@ def test_a_snapshot_does_not_change():
 def test_every_bit_of_the_core_has_its_word(words, prefix):
     bits = {name: getattr(lib, name) for name in dir(lib) if name.startswith(prefix)}
     assert {f"{prefix}{word.upper()}": 1 << bit for bit, word in words.items()} == bits
+
+
+def test_the_reasons_to_stand_are_all_that_are_no_limits():
+    names = [name for name in dir(lib) if name.startswith("REASON_")]
+    limits = 0xFFFF | lib.REASON_STEERING | lib.REASON_CURVATURE | lib.REASON_TURN_IMPOSSIBLE
+    limits |= lib.REASON_DERATED | lib.REASON_JOINT_VELOCITY | lib.REASON_JOINT_ACCELERATION
+    limits |= lib.REASON_JOINT_POSITION
+    standing = [getattr(lib, name) for name in names if not getattr(lib, name) & limits]
+    assert sum(standing) == lib.REASONS_TO_STAND
 
 
 def test_the_second_process_reads_snapshots_without_the_c_core():

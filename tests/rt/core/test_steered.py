@@ -11,7 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from tests.rt import steered_oracle as oracle
 from tests.rt.core_rig import ANGULAR, LATERAL, LINEAR, TICK_S, assert_rest
-from tests.rt.steered_oracle import CARS, KINDS, RADIUS_M, SWERVES, SteeredRig
+from tests.rt.steered_oracle import CARS, KINDS, RADIUS_M, SteeredRig
 
 SPEED = st.floats(-1.5, 1.5)
 TWIST = st.tuples(SPEED, SPEED, SPEED)  # linear, lateral, angular
@@ -161,55 +161,6 @@ def test_saturation_keeps_the_curve_also_while_it_speeds_up_and_stops(
     assert_rest(rig)
 
 
-def test_a_curve_tighter_than_the_steering_allows_becomes_the_tightest_one():
-    rig = SteeredRig("bicycle")
-    rig.arm()
-    rig.drive(0.3, 3.0)
-    shown = rig.ticks(3.0)
-    tightest = math.tan(0.6) / oracle.WHEELBASE_M
-    assert shown.setpoint_angular_rad_s / shown.setpoint_linear_m_s == pytest.approx(tightest)
-    assert shown.reasons == lib.REASON_CURVATURE
-    assert rig.angles[1] == pytest.approx(0.6, abs=1e-5)
-
-
-@pytest.mark.parametrize("kind", ["bicycle", "ackermann", "rear-steered"])
-def test_a_car_neither_turns_on_the_spot_nor_strafes_and_reports_it(kind):
-    rig = SteeredRig(kind)
-    rig.arm()
-    rig.drive(0.0, 1.0)
-    assert rig.ticks(1.0).reasons == lib.REASON_TURN_IMPOSSIBLE
-    assert_rest(rig)
-    rig.drive(0.0, 0.0, 0.5)
-    assert rig.ticks(1.0).reasons == lib.REASON_LATERAL_IMPOSSIBLE
-    assert_rest(rig)
-
-
-def test_a_tricycle_whose_driven_wheel_turns_across_turns_on_the_spot():
-    rig = SteeredRig("tricycle")
-    rig.arm()
-    rig.drive(0.0, 1.0)
-    shown = rig.ticks(4.0)
-    assert shown.reasons == 0
-    assert shown.setpoint_angular_rad_s == 1.0
-    assert (shown.x_m, shown.y_m) == pytest.approx((0.0, 0.0), abs=1e-3)
-    assert shown.angular_rad_s == pytest.approx(1.0, abs=1e-3)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_at_rest_the_wheels_point_first_and_only_then_it_drives(kind):
-    rig = SteeredRig(kind)
-    rig.arm()
-    rig.drive(0.4, 0.6)
-    for _ in range(3000):
-        before = rig.twist
-        rig.tick()
-        off = rig.shown.steering.misaligned_rad
-        if off > 0.25:
-            assert list(rig.twist) == list(before) == [0.0] * 3
-            assert rig.shown.reasons & lib.REASON_STEERING
-    assert rig.twist[0] == 0.4
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_wheel_that_is_stuck_brings_the_base_to_rest_within_its_limits(kind):
     rig = SteeredRig(kind)
@@ -229,129 +180,6 @@ def test_a_wheel_that_is_stuck_brings_the_base_to_rest_within_its_limits(kind):
     rig.stuck = set()
     rig.ticks(3.0)
     assert list(rig.twist) == [0.5, 0.0, 0.7]
-
-
-def test_a_swerve_module_turns_by_less_than_a_quarter_and_rolls_backward_instead():
-    rig = SteeredRig("swerve4")
-    rig.arm()
-    rig.drive(0.4)
-    rig.ticks(2.0)
-    rig.drive(-0.4, 0.0, 0.05)
-    rig.ticks(3.0)
-    assert list(rig.twist) == [-0.4, 0.05, 0.0]
-    for j in rig.steering:
-        assert abs(rig.angles[j]) < 0.2
-        assert rig.speeds[j + 1] < 0.0
-
-
-@pytest.mark.parametrize("kind", ["bicycle", "swerve4"])
-@pytest.mark.parametrize("lost", ["homed", "silent"])
-def test_a_joint_whose_position_gets_lost_ends_at_rest_and_is_not_armed_again(kind, lost):
-    rig = SteeredRig(kind)
-    joint = rig.steering[-1]
-    rig.state.config.joint[joint].position.reference = lib.REFERENCE_HOMED
-    rig.input.feedback[joint].referenced = 1
-    rig.arm()
-    rig.drive(0.5)
-    rig.ticks(1.5)
-    if lost == "homed":
-        rig.input.feedback[joint].referenced = 0
-        shown = rig.tick()
-        assert shown.faults == lib.FAULT_POSITION_UNKNOWN
-        assert not rig.out.positioned >> joint & 1
-    else:
-        rig.hold.add("feedback")
-        shown = rig.ticks(0.3)
-        assert shown.faults == lib.FAULT_FEEDBACK_STALE
-        rig.hold.discard("feedback")
-        rig.input.feedback[joint].referenced = 0
-    rig.drive(0.0)
-    shown = rig.ticks(2.0)
-    assert_rest(rig, enabled=0)
-    assert rig.out.positioned == 0
-    assert shown.steering.unknown == 1 << joint
-    assert shown.reasons & lib.REASON_POSITION_UNKNOWN
-    rig.reset()
-    rig.input.control.armed = 0
-    rig.tick()
-    rig.input.control.armed = 1
-    assert rig.tick().armed == 0
-    rig.input.feedback[joint].referenced = 1
-    rig.reset()
-    rig.input.control.armed = 0
-    rig.tick()
-    rig.input.control.armed = 1
-    assert rig.tick().armed == 1
-
-
-def test_a_joint_that_measures_nothing_gets_time_to_arrive_before_the_base_moves():
-    rig = SteeredRig("bicycle")
-    own = rig.state.config.joint[1].position
-    own.reference = lib.REFERENCE_ESTIMATED
-    rig.state.config.joint[1].counter_bits = 0
-    rig.arm()
-    rig.drive(0.3, 0.3)
-    longest_s = (own.position_max_rad - own.position_min_rad) / own.velocity_rad_s
-    shown = rig.ticks(longest_s - 0.01)
-    assert list(rig.twist) == [0.0] * 3
-    assert shown.reasons & lib.REASON_STEERING
-    assert rig.out.position_rad[1] == 0.0
-    shown = rig.ticks(3.0)
-    assert list(rig.twist) == [0.3, 0.0, 0.3]
-    assert shown.joint[1].position_rad == pytest.approx(math.atan(oracle.WHEELBASE_M))
-
-
-def test_a_disarmed_base_gives_no_positions_and_begins_where_its_joints_are():
-    rig = SteeredRig("ackermann")
-    rig.position_rad[2], rig.position_rad[3] = 0.3, -0.2
-    rig.ticks(0.1)
-    assert rig.out.positioned == 0
-    assert all(math.isnan(rig.shown.steering.setpoint_rad[j]) for j in rig.steering)
-    rig.input.control.armed = 1
-    rig.tick()
-    assert [rig.out.position_rad[j] for j in (2, 3)] == pytest.approx([0.3, -0.2], abs=1e-5)
-    rig.ticks(0.5)
-    assert [rig.out.position_rad[j] for j in (2, 3)] == pytest.approx([0.3, -0.2], abs=1e-5)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("broken", [math.nan, math.inf, -math.inf])
-def test_a_command_that_is_no_number_is_rest_and_holds_the_steering(kind, broken):
-    rig = SteeredRig(kind)
-    rig.arm()
-    rig.drive(0.3, 0.2)
-    rig.ticks(2.0)
-    rig.drive(broken, 0.2)
-    rig.ticks(2.0)
-    assert_rest(rig)
-    assert all(math.isfinite(rig.out.position_rad[j]) for j in rig.steering)
-    assert rig.out.positioned == sum(1 << j for j in rig.steering)
-
-
-@settings(deadline=None)
-@given(
-    st.floats(-3.0, 3.0), st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=4),
-    st.floats(0.1, 20.0), st.floats(0.5, 200.0), st.sampled_from([0.001, 0.002, 0.01]),
-)  # fmt: skip
-def test_a_profile_keeps_its_limits_and_does_not_pass_its_goal(start, goals, most, slope, dt_s):
-    config = ffi.new("position_config *")
-    config.velocity_rad_s, config.acceleration_rad_s2 = most, slope
-    profile = ffi.new("position_profile *", {"position_rad": start})
-    for goal in goals:
-        lib.position_step(profile, config, math.nan, dt_s)
-        while profile.velocity_rad_s:
-            lib.position_step(profile, config, math.nan, dt_s)
-        begin = profile.position_rad
-        for _ in range(200_000):
-            was = profile.position_rad, profile.velocity_rad_s
-            lib.position_step(profile, config, goal, dt_s)
-            assert abs(profile.velocity_rad_s) <= most
-            assert abs(profile.velocity_rad_s - was[1]) <= slope * dt_s * (1.0 + 1e-9)
-            at_rad = profile.position_rad
-            assert min(begin, goal) - 1e-9 <= at_rad <= max(begin, goal) + 1e-9
-            if at_rad == goal and profile.velocity_rad_s == 0.0:
-                break
-        assert profile.position_rad == goal
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -396,20 +224,6 @@ class Odometry:
         lib.odometry_step(self.state, self.config, self.feedback, self.stale, self.setpoint)
 
 
-@pytest.mark.parametrize("kind", [*SWERVES, "ackermann"])
-def test_wheels_that_work_against_each_other_are_slip(kind):
-    clean, slips = (Odometry(kind, (0.3, 0.0, 0.1)) for _ in range(2))
-    counts = np.rint(np.array(clean.rims) * 0.02 / (RADIUS_M * oracle.COUNT_RAD))
-    against = np.zeros(len(counts))
-    against[np.nonzero(counts)[0][0]] = 0.2 * np.abs(counts).max()
-    for _ in range(100):
-        clean.step(counts)
-        slips.step(counts + against)
-    assert clean.state.spread.slip_m_s < 1e-4
-    assert slips.state.spread.slip_m_s > 0.01
-    assert slips.state.pose_covariance[0] > 1.5 * clean.state.pose_covariance[0]
-
-
 def test_a_module_that_was_never_seen_leaves_the_odometry_to_the_others():
     base = Odometry("swerve4", (0.3, 0.1, 0.2))
     lib.odometry_init(base.state, base.config)
@@ -425,40 +239,3 @@ def test_a_module_that_was_never_seen_leaves_the_odometry_to_the_others():
     assert (base.state.blind, base.state.degraded) == (0, 1)
     assert base.state.distance_m > 0.01
     assert math.isfinite(base.state.spread.slip_m_s)
-
-
-BROKEN = {
-    "swerve with one module": ("swerve4", {"module_count": 1, "joint_count": 2}),
-    "a steering joint twice": ("ackermann", {"module": [(1, "steering", 3)]}),
-    "a traction joint that steers": ("ackermann", {"module": [(2, "traction", 3)]}),
-    "a steered wheel on the fixed axle": ("bicycle", {"module": [(0, "x_m", 0.0)]}),
-    "a fixed wheel off the axle": ("ackermann", {"module": [(2, "x_m", 0.1)]}),
-    "nothing drives": ("bicycle", {"module": [(1, "traction", 0)]}),
-    "a range of nothing": ("bicycle", {"range": (0.0, 0.0)}),
-    "a range beyond its zero": ("bicycle", {"range": (0.1, 0.3)}),
-    "a swerve that cannot point sideways": ("swerve3", {"range": (-1.0, 1.0)}),
-}
-
-
-@pytest.mark.parametrize("what", BROKEN)
-def test_a_geometry_that_cannot_work_is_refused(what):
-    kind, change = BROKEN[what]
-    config = ffi.new("core_config *", oracle.config_of(kind))
-    for name, value in change.items():
-        if name == "module":
-            for number, key, new in value:
-                setattr(config.module[number], key, new)
-        elif name == "range":
-            for j in range(config.joint_count):
-                config.joint[j].position.position_min_rad = value[0]
-                config.joint[j].position.position_max_rad = value[1]
-        else:
-            setattr(config, name, value)
-    assert lib.core_init(ffi.new("core_state *"), config) < 0
-
-
-def test_commands_that_a_car_cannot_obey_are_counted():
-    config = ffi.new("core_config *", oracle.config_of("bicycle"))
-    assert not lib.kinematics_spins(config)
-    for kind in ("tricycle", *SWERVES):
-        assert lib.kinematics_spins(ffi.new("core_config *", oracle.config_of(kind)))

@@ -1,7 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_config_modules: which bases with modules, and which joints without a base, are refused,
- * and by which name. */
+ * test_config: which configurations are refused, and by which name: numbers out of their
+ * range, wheels that determine no motion, bases with modules, joints without a base. */
 #include "steered_bases.h"
+
+#include <errno.h>
 
 static bool is_good(const core_config *config)
 {
@@ -11,8 +13,10 @@ static bool is_good(const core_config *config)
 
 static bool refused(const core_config *config, const char *by)
 {
+    static core_state state;
     char name[FIELD_NAME_BYTES];
-    return core_config_check(config, name) == name && strcmp(name, by) == 0;
+    return core_config_check(config, name) == name && strcmp(name, by) == 0 &&
+           core_init(&state, config) == -EINVAL;
 }
 
 /* A base that differs from a good one. */
@@ -45,6 +49,144 @@ static void is_between(core_config *config, double *value, double low, double hi
     *value = NAN;
     CHECK(refused(config, by));
     *value = middle;
+}
+
+#define IN(field, low, high) {#field, offsetof(core_config, field), low, high}
+
+static void every_number_has_its_range(void)
+{
+    const double least = 1e-12, most = 1e9, endless = INFINITY;
+    const struct {
+        const char *name;
+        size_t at;
+        double low, high;
+    } RANGES[] = {
+        IN(command_timeout_s, least, most),
+        IN(feedback_timeout_s, least, most),
+        IN(heartbeat_timeout_s, least, most),
+        IN(rest_velocity_rad_s, least, most),
+        IN(distance_variance_m2_per_m, least, most),
+        IN(turn_variance_rad2_per_rad, least, most),
+        IN(pose_variance_floor_m2, least, most),
+        IN(heading_variance_floor_rad2, least, most),
+        IN(twist_variance_floor_m2_s2, least, most),
+        IN(twist_variance_floor_rad2_s2, least, most),
+        IN(limits.linear.velocity_u_s, least, most),
+        IN(limits.linear.acceleration_u_s2, least, most),
+        IN(limits.linear.deceleration_u_s2, least, most),
+        IN(limits.linear.jerk_u_s3, least, endless),
+        IN(limits.angular.velocity_u_s, least, most),
+        IN(limits.angular.acceleration_u_s2, least, most),
+        IN(limits.angular.deceleration_u_s2, least, most),
+        IN(limits.angular.jerk_u_s3, least, endless),
+        IN(limits.lateral.velocity_u_s, least, most),
+        IN(limits.lateral.acceleration_u_s2, least, most),
+        IN(limits.lateral.deceleration_u_s2, least, most),
+        IN(limits.lateral.jerk_u_s3, least, endless),
+        IN(gyro.timeout_s, least, most),
+        IN(gyro.bias_max_rad_s, least, most),
+        IN(gyro.still_variance_rad2_s2, least, most),
+        IN(gyro.heading_variance_rad2_per_s, least, most),
+        IN(gyro.turn_variance_rad2_per_rad, least, most),
+        IN(joint[1].row.x, -2.0, 2.0),
+        IN(joint[1].row.y, -2.0, 2.0),
+        IN(joint[1].row.lever_m, -most, most),
+        IN(joint[1].wheel_radius_m, least, most),
+        IN(joint[1].velocity_min_rad_s, -most, 0.0),
+        IN(joint[1].velocity_max_rad_s, least, most),
+        IN(joint[1].rad_per_count, least, most),
+        IN(joint[1].pwm.dead_band, 0.0, 1.0),
+        IN(joint[1].pwm.duty_min, -1.0, 0.0),
+        IN(joint[1].pwm.duty_max, 0.0, 1.0),
+        IN(joint[1].pwm.slew_per_s, least, endless),
+        IN(joint[1].pwm.full_duty_rad_s, least, most),
+        IN(joint[1].speed_loop.gains.gain_u_s_per_rad, 0.0, most),
+        IN(joint[1].speed_loop.gains.integral_u_per_rad, 0.0, most),
+        IN(joint[1].speed_loop.gains.derivative_u_s2_per_rad, 0.0, most),
+        IN(joint[1].speed_loop.gains.static_u, 0.0, most),
+        IN(joint[1].speed_loop.gains.viscous_u_s_per_rad, 0.0, most),
+        IN(joint[1].speed_loop.gains.acceleration_u_s2_per_rad, 0.0, most),
+        IN(joint[1].speed_loop.filter_s, 0.0, most),
+        IN(joint[1].speed_loop.correction_max_u, 0.0, most),
+        IN(joint[1].speed_loop.output_min_u, -most, 0.0),
+        IN(joint[1].speed_loop.output_max_u, 0.0, most),
+        IN(joint[1].plausible.setpoint_min_rad_s, 0.0, most),
+        IN(joint[1].plausible.slow_rad_s, 0.0, most),
+        IN(joint[1].plausible.short_rad_s, 0.0, most),
+        IN(joint[1].plausible.beyond_rad_s, 0.0, most),
+        IN(joint[1].plausible.apart_rad_s, 0.0, most),
+        IN(joint[1].plausible.progress_rad_s, 0.0, most),
+        IN(joint[1].plausible.direction_s, 0.0, most),
+        IN(joint[1].plausible.stall_s, 0.0, most),
+        IN(joint[1].plausible.following_s, 0.0, most),
+        IN(joint[1].plausible.runaway_s, 0.0, most),
+        IN(joint[1].plausible.apart_s, 0.0, most),
+    };
+    core_config base = good_config();
+    base.gyro = good_gyro(0.05);
+    for (int i = 0; i < COUNT_OF(RANGES); i++) {
+        is_between(&base, (double *)((char *)&base + RANGES[i].at), RANGES[i].low, RANGES[i].high,
+                   RANGES[i].name);
+    }
+    GOOD(good_config(), joint[1].rad_per_count, -1e-12);
+    GOOD(good_config(), joint[1].rad_per_count, -1e9);
+    GOOD(good_config(), gyro.timeout_s, NAN); /* of none */
+}
+
+static void limits_alone_are_named_without_their_base(void)
+{
+    base_limits limits = good_config().limits;
+    char name[FIELD_NAME_BYTES] = "";
+    CHECK(base_limits_check(&limits, name) == NULL);
+    limits.angular.jerk_u_s3 = 0.0;
+    CHECK(base_limits_check(&limits, name) == name && strcmp(name, "angular.jerk_u_s3") == 0);
+}
+
+static void an_action_or_a_line_that_there_is_not_is_refused(void)
+{
+    REFUSED(good_config(), on_timeout, (stop_action)4, "on_timeout");
+    REFUSED(good_config(), on_fault, (stop_action)4, "on_fault");
+    REFUSED(good_config(), on_estop, (stop_action)4, "on_estop");
+    REFUSED(good_config(), joint[0].line, LINES_MAX, "joint[0].line");
+    GOOD(good_config(), joint[0].line, LINES_MAX - 1);
+}
+
+static void counters_are_as_wide_as_drives_have_them(void)
+{
+    const uint64_t widths =
+        1ULL << 0 | 1ULL << 8 | 1ULL << 12 | 1ULL << 15 | 1ULL << 16 | 1ULL << 24 | 1ULL << 32;
+    core_config config = good_config();
+    for (uint32_t bits = 0; bits <= 66; bits++) {
+        config.joint[0].counter_bits = bits;
+        bool good = bits == 64 || (bits < 64 && (widths >> bits & 1) != 0);
+        CHECK(good ? is_good(&config) : refused(&config, "joint[0].counter_bits"));
+    }
+    config.joint[0].counter_bits = 0;
+    config.joint[0].rad_per_count = 0.0; /* nothing is counted */
+    CHECK(is_good(&config));
+}
+
+static void a_base_has_two_to_eight_wheels_and_they_are_not_all_on_one_side(void)
+{
+    core_config config = good_config();
+    for (uint32_t j = 4; j < JOINTS_MAX; j++) {
+        config.joint[j] = config.joint[j - 4];
+    }
+    for (uint32_t joints = 0; joints <= JOINTS_MAX + 1; joints++) {
+        config.joint_count = joints;
+        CHECK(joints >= 2 && joints <= JOINTS_MAX ? is_good(&config)
+                                                  : refused(&config, "joint_count"));
+    }
+    for (int side = -1; side <= 1; side++) {
+        config = good_config();
+        for (uint32_t j = 0; j < 4; j++) {
+            config.joint[j].row.lever_m = 0.25 * side;
+        }
+        CHECK(refused(&config, "joint.row"));
+        /* three on one side, one on the other */
+        config.joint[3].row.lever_m = side > 0 ? -0.25 : 0.25;
+        CHECK(is_good(&config));
+    }
 }
 
 static void every_kind_of_base_is_good(void)
@@ -135,9 +277,6 @@ static void a_range_of_derating_ends_behind_its_beginning(void)
 
 static void a_speed_loop_has_a_kind_that_there_is(void)
 {
-    core_config base = good_config();
-    is_between(&base, &base.joint[2].speed_loop.output_min_u, -1e9, 0.0,
-               "joint[2].speed_loop.output_min_u");
     GOOD(good_config(), joint[2].speed_loop.kind, SPEED_LOOP_DUTY);
     REFUSED(good_config(), joint[2].speed_loop.kind, SPEED_LOOP_DUTY + 1,
             "joint[2].speed_loop.kind");
@@ -202,8 +341,6 @@ static void joints_without_a_base_need_no_other_and_no_place(void)
     REFUSED(bicycle(), joint_count, 1, "joint_count");
     REFUSED(head_and_belt(), gyro.used, 1, "gyro.used");
     REFUSED(bicycle(), gyro.used, 2, "gyro.used");
-    core_config sideways = good_config();
-    is_between(&sideways, &sideways.joint[1].row.y, -2.0, 2.0, "joint[1].row.y");
     core_config joints = head_and_belt();
     is_between(&joints, &joints.joint[1].own.acceleration_u_s2, 1e-12, 1e9,
                "joint[1].own.acceleration_u_s2");
@@ -219,6 +356,11 @@ static void joints_without_a_base_need_no_other_and_no_place(void)
 
 int main(void)
 {
+    every_number_has_its_range();
+    limits_alone_are_named_without_their_base();
+    an_action_or_a_line_that_there_is_not_is_refused();
+    counters_are_as_wide_as_drives_have_them();
+    a_base_has_two_to_eight_wheels_and_they_are_not_all_on_one_side();
     every_kind_of_base_is_good();
     numbers_of_joints_that_take_positions_have_their_range();
     an_angle_that_is_measured_needs_a_counter();
@@ -230,5 +372,5 @@ int main(void)
     fixed_wheels_stand_on_the_axle_and_steered_ones_do_not();
     modules_that_do_not_determine_the_motion_are_refused();
     joints_without_a_base_need_no_other_and_no_place();
-    return checks_report("test_config_modules");
+    return checks_report("test_config");
 }
