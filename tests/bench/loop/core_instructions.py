@@ -44,7 +44,7 @@ NEEDS = "valgrind is missing: apt install valgrind"
 def compile_to(program: Path) -> None:
     build = runpy.run_path(str(CSRC / "build_ffi.py"))
     sources = [HERE / "core_instructions.c", *build["SOURCES"]]
-    (good_config,) = HERE.parent.glob("c/**/good_config.h")
+    (good_config,) = HERE.parents[1].glob("c/**/good_config.h")
     folders = [*build["FOLDERS"], good_config.parent]
     libraries = [f"-l{name}" for name in (*build["LIBRARIES"], "pthread")]
     command = [
