@@ -50,7 +50,8 @@ MEASURING = 2
 
 def rows_of(kind):
     """The words in each row's parentheses."""
-    for found in re.findall(rf"^{kind}\((.*)\)$", TABLE.read_text(encoding="utf-8"), re.MULTILINE):
+    rows = rf"^{kind}\(((?s:.*?))\)$"
+    for found in re.findall(rows, TABLE.read_text(encoding="utf-8"), re.MULTILINE):
         yield [word.strip() for word in found.split('"')[0].split(",") if word.strip()]
 
 
