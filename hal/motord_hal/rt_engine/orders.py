@@ -31,11 +31,11 @@ class OrderJobs(abc.ABC):
 
     @abc.abstractmethod
     def _drive_report(self) -> OrderedDriveReport:
-        """Of now."""
+        """The drive's newest."""
 
     @abc.abstractmethod
     def _ordered(self) -> int:
-        """Orders since the start."""
+        """How many orders were handed over since the start."""
 
     @property
     def request_limit_s(self) -> float:
@@ -46,8 +46,7 @@ class OrderJobs(abc.ABC):
         return contextlib.nullcontext() if urgent else self._turn
 
     async def _all_sent(self, dropped_before: int) -> bool:
-        """A cycle later, or when all that was ordered has gone out. False: some of it never
-        will."""
+        """Waits until all that was ordered has gone out. False: some of it never will."""
         until_s = now_s() + self.request_limit_s + SEEN_WITHIN_S
         while now_s() < until_s:
             await asyncio.sleep(self._cycle_s)

@@ -13,12 +13,11 @@ from motord.cli.common import Exit, Failure, json_option, print_json, usual_opti
 if TYPE_CHECKING:
     from motord.tools.scan import Found, Trial
 
-UNIT_MAX = 252
-"""Of servos, which begin at 0; drives on Modbus have 1 to 247."""
-
 
 def _units(_context: click.Context, _option: click.Parameter, text: str) -> range:
-    """`7` or `1-32`."""
+    """`7` or `1-32`. Servos have the most; drives on Modbus 1 to 247."""
+    from motord_hal.servo.packets import UNIT_MAX
+
     first, _, last = text.partition("-")
     try:
         units = range(int(first), int(last or first) + 1)
