@@ -192,8 +192,6 @@ async def test_motion_that_has_not_left_is_followed_by_no_early_motion(rig, peer
     rig.line._period_s = 2.0 * GENEROUS_S
     cycles = rig.line.stats().cycles
     await until(lambda: rig.line.stats().cycles > cycles)  # one was due by the period before
-    rig.line._gate = gate = MotionGate(2.0 * GENEROUS_S, receives_own=True)
-    mark = len(peer.axes[0].velocities())
 
     async def command(turns):
         rig.loop.velocity_rad_s = {0: turns * TURN, 1: turns * TURN}
@@ -202,6 +200,10 @@ async def test_motion_that_has_not_left_is_followed_by_no_early_motion(rig, peer
         for _ in range(20):
             await asyncio.sleep(0)
 
+    await command(1.5)
+    await until(lambda: peer.axes[0].velocities()[-1] == 1.5)  # no older frame is on its way
+    rig.line._gate = gate = MotionGate(2.0 * GENEROUS_S, receives_own=True)
+    mark = len(peer.axes[0].velocities())
     await command(2.0)
     await until(lambda: peer.axes[0].velocities()[-1] == 2.0)
     await command(3.0)
