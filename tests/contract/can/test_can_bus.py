@@ -201,7 +201,7 @@ async def test_motion_that_has_not_left_is_followed_by_no_early_motion(rig, peer
             await asyncio.sleep(0)
 
     await command(1.5)
-    await until(lambda: peer.axes[0].velocities()[-1] == 1.5)  # no older frame is on its way
+    await until(lambda: peer.axes[0].velocities()[-1] == 1.5)  # no older frame is in the queue
     rig.line._gate = gate = MotionGate(2.0 * GENEROUS_S, receives_own=True)
     mark = len(peer.axes[0].velocities())
     await command(2.0)
