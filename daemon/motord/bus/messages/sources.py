@@ -7,6 +7,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from math import cos, isfinite, nan, sin
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -100,11 +101,6 @@ class Battery(NamedTuple):
     cells: int = 0
 
 
-def finite(*values: float) -> bool:
-    """None of them is NaN or infinity."""
-    return all(map(isfinite, values))
-
-
 def or_zero(value: float) -> float:
     """Zero for what is not measured."""
     return value if isfinite(value) else 0.0
@@ -122,17 +118,10 @@ def with_position(now: Snapshot, body: Body) -> tuple[Sequence[str], Sequence[Jo
     """Those that were received and have a position; a velocity may be NaN. Raises ValueError as
     `all_joints` does."""
     names, joints = all_joints(now, body)
-    for joint in joints:
-        if not (isfinite(joint.position_rad) and isfinite(joint.feedback_age_s)):
-            break
-    else:
+    known = [isfinite(joint.position_rad) and isfinite(joint.feedback_age_s) for joint in joints]
+    if all(known):
         return names, joints
-    found = [
-        (name, joint)
-        for name, joint in zip(names, joints, strict=True)
-        if finite(joint.position_rad, joint.feedback_age_s)
-    ]
-    return tuple(name for name, _ in found), tuple(joint for _, joint in found)
+    return tuple(compress(names, known)), tuple(compress(joints, known))
 
 
 def oldest_ns(joints: Sequence[JointSnapshot]) -> int:

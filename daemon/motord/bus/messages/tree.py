@@ -21,7 +21,8 @@ Frames: REP 105. Units: REP 103. NaN is what was not measured, as sensor_msgs ha
 TREE = """
 === odom nav_msgs/msg/Odometry
 needs now.odometry_stamp_ns
-needs finite(now.x_m, now.y_m, now.heading_rad, now.linear_m_s, now.angular_rad_s)
+needs isfinite(now.x_m) and isfinite(now.y_m) and isfinite(now.heading_rad)
+needs isfinite(now.linear_m_s) and isfinite(now.angular_rad_s)
 let xx, xy, xh, yy, yh, hh = now.pose_covariance
 let vv, vw, ww = now.twist_covariance
 let vs, ss, sw = now.lateral_covariance
@@ -54,7 +55,7 @@ twist.covariance = [
 
 === tf tf2_msgs/msg/TFMessage
 needs now.odometry_stamp_ns
-needs finite(now.x_m, now.y_m, now.heading_rad)
+needs isfinite(now.x_m) and isfinite(now.y_m) and isfinite(now.heading_rad)
 transforms[0].header.stamp = now.odometry_stamp_ns
 transforms[0].header.frame_id = body.odom_frame
 transforms[0].child_frame_id = body.base_frame
@@ -77,7 +78,7 @@ needs imu is not None and imu.state not in NOT_PUBLISHED and isfinite(imu.angula
 let x_rad_s, y_rad_s, z_rad_s = imu.angular_rad_s
 let x_m_s2, y_m_s2, z_m_s2 = imu.acceleration_m_s2
 let variance = imu.rate_variance_rad2_s2 + imu.bias_variance_rad2_s2
-let accelerates = finite(x_m_s2, y_m_s2, z_m_s2)
+let accelerates = isfinite(x_m_s2) and isfinite(y_m_s2) and isfinite(z_m_s2)
 header.stamp = imu.stamp_ns
 header.frame_id = body.base_frame
 orientation.w = 1.0
