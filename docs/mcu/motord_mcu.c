@@ -203,7 +203,7 @@ static int take(motord_board *board, uint32_t now_us)
     }
     const uint16_t sequence = get16(raw + 2);
     if (board->has_received && (int16_t)(sequence - board->received_sequence) <= 0) {
-        return 0; /* old, or heard already */
+        return 0; /* old, or received already */
     }
     board->received_sequence = sequence;
     obey(board, raw + HEAD_BYTES, motors, now_us);

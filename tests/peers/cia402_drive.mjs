@@ -2,7 +2,7 @@
 // A CiA 402 drive on node-canopen: node cia402_drive.mjs NODE MODULES. Object dictionary, SDO server, NMT, heartbeat and
 // PDOs are that project's; the state machine of CiA 402-2, 8.3, is fed by what they bring. MODULES: the folder of the npm
 // packages. Its bus is one JSON object a line: {"id", "data"} in and out. In, too: {"set": [index, value]},
-// {"fault": code}. Out, too, whenever it changes: what it is and what it was told.
+// {"fault": code}. Out, too, whenever it changes: what it is and what it was sent.
 
 import { createRequire } from "node:module";
 import { createInterface } from "node:readline";
@@ -44,7 +44,7 @@ const get = (index) => device.getValue(index);
 const put = (index, value) => device.setValue(index, value);
 const record = (index) => Object.keys(RECORDS[index]).map((at) => device.getValueArray(index, Number(at) + 1));
 
-let control = 0, said = "";
+let control = 0, reported = "";
 const controls = [], statuses = [OFF];
 
 function say() {
@@ -53,8 +53,8 @@ function say() {
     statuses, pdos: Object.fromEntries(Object.keys(RECORDS).map((index) => [index, record(Number(index))])),
     mapped: [0x1600, 0x1a00, 0x1a01].map((index) => device.getValueArray(index, 0)), option: get(0x605a),
   });
-  if (now !== said) {
-    console.log((said = now));
+  if (now !== reported) {
+    console.log((reported = now));
   }
 }
 
@@ -112,13 +112,13 @@ eds.getEntry(0x6040).on("update", () => obey(get(0x6040)));
 eds.getEntry(0x6060).on("update", () => put(0x6061, get(0x6060)));
 device.nmt.on("changeState", say);
 createInterface({ input: process.stdin }).on("line", (line) => {
-  const told = JSON.parse(line);
-  if (told.id !== undefined) {
-    device.receive({ id: told.id, data: Buffer.from(told.data, "hex") });
-  } else if (told.set !== undefined) {
-    put(...told.set);
+  const sent = JSON.parse(line);
+  if (sent.id !== undefined) {
+    device.receive({ id: sent.id, data: Buffer.from(sent.data, "hex") });
+  } else if (sent.set !== undefined) {
+    put(...sent.set);
   } else {
-    put(0x603f, told.fault);
+    put(0x603f, sent.fault);
     become(FAULT);
   }
   say();

@@ -27,9 +27,9 @@ JOIN_S, MEASURE_S = 12.0, 10.0
 DOMAIN = 92
 ROUTER = '''
 import signal, sys, zenoh
-said = """{mode: "router", listen: {endpoints: ["tcp/%s:7447"]},
+settings = """{mode: "router", listen: {endpoints: ["tcp/%s:7447"]},
           scouting: {multicast: {enabled: false}}}"""
-with zenoh.open(zenoh.Config.from_json5(said % sys.argv[1])):
+with zenoh.open(zenoh.Config.from_json5(settings % sys.argv[1])):
     print("ready", flush=True)
     signal.pause()
 '''

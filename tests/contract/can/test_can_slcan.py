@@ -26,7 +26,7 @@ async def turning(rig, peer):
     await rig.arm()
     assert rig.line.engine == "asyncio"
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
-    await until(lambda: any(peer.axes[0].velocities()), "it is told to turn")
+    await until(lambda: any(peer.axes[0].velocities()), "it is commanded to turn")
 
 
 async def test_a_drive_is_armed_driven_received_and_switched_off(adapter, peer):

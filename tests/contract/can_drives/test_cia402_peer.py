@@ -145,7 +145,7 @@ async def test_old_set_points_are_a_quick_stop_and_then_no_power(rig, drive):
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: drive.reported["velocity"] == 60)
     rig.loop.running = False
-    await until(lambda: rig.states() == {DriveState.READY}, "it is told to stop")
+    await until(lambda: rig.states() == {DriveState.READY}, "it is commanded to stop")
     await until(lambda: drive.reported["statuses"][-1] not in (OPERATION, QUICK_STOP), "no power")
     assert QUICK_STOP in drive.reported["statuses"]
     assert drive.reported["velocity"] == 0

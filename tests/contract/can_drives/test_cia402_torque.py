@@ -47,7 +47,7 @@ async def turning(rig, node):
     await rig.arm()
     rig.loop.velocity_rad_s = {0: SPEED_RPM * RPM}
     await rig.drive(
-        lambda: abs(node.velocity + SPEED_RPM) < 6, "it turns as told, the other way round"
+        lambda: abs(node.velocity + SPEED_RPM) < 6, "it turns as commanded, in the other direction"
     )
 
 

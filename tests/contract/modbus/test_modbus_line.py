@@ -389,7 +389,7 @@ async def test_a_fault_code_is_one_fault_and_an_unlisted_one_too(peer):
             await until(lambda code=code: rig.loop.exchange.take_feedback(0).drive_faults == code)
 
 
-# ------------------------------------------------------------------------------------------ books
+# --------------------------------------------------------------------------------------- counters
 async def test_the_counters_are_kept(rig, peer):
     await rig.ready()
     await until(lambda: rig.line.stats().cycles > 20)

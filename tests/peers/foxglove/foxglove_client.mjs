@@ -13,20 +13,20 @@ const WebSocket = require("ws");
 // The client is older than the name that the server gives to the protocol.
 FoxgloveClient.SUPPORTED_SUBPROTOCOL = "foxglove.sdk.v1";
 setTimeout(() => process.exit(1), WITHIN_MS).unref();
-const said = { channels: {} };
+const seen = { channels: {} };
 const client = new FoxgloveClient({ ws: new WebSocket(url, ["foxglove.sdk.v1"]) });
-client.on("serverInfo", (info) => (said.server = info));
+client.on("serverInfo", (info) => (seen.server = info));
 client.on("error", (error) => console.error(error));
 client.on("advertise", (channels) => {
   for (const channel of channels) {
-    said.channels[channel.topic] = channel.schemaName;
+    seen.channels[channel.topic] = channel.schemaName;
     if (channel.topic === "/odom") {
       client.subscribe(channel.id);
     }
   }
 });
 client.on("message", ({ data }) => {
-  said.odom = Buffer.from(data.buffer, data.byteOffset, data.byteLength).toString("hex");
-  console.log(JSON.stringify(said, (_, value) => (typeof value === "bigint" ? `${value}` : value)));
+  seen.odom = Buffer.from(data.buffer, data.byteOffset, data.byteLength).toString("hex");
+  console.log(JSON.stringify(seen, (_, value) => (typeof value === "bigint" ? `${value}` : value)));
   process.exit(0);
 });

@@ -12,9 +12,9 @@ const WebSocket = require("ws");
 
 // The client is older than the name that the server gives to the protocol.
 FoxgloveClient.SUPPORTED_SUBPROTOCOL = "foxglove.sdk.v1";
-const said = {};
+const seen = {};
 setTimeout(() => {
-  console.error(JSON.stringify({ ...said, odometry }));
+  console.error(JSON.stringify({ ...seen, odometry }));
   process.exit(1);
 }, WITHIN_MS).unref();
 const client = new FoxgloveClient({ ws: new WebSocket(url, ["foxglove.sdk.v1"]) });
@@ -62,12 +62,12 @@ async function call(name, request) {
 
 await once("advertiseServices", () => true);
 await pause(0); // until the other listener has seen them, too
-said.services = [...services.keys()];
-said.refused = await call("/arm", {});
+seen.services = [...services.keys()];
+seen.refused = await call("/arm", {});
 await call("/authorize", { token });
 // Until the lease of who was here before has ended, and no drive looks unresponsive on a busy machine.
 async function arm() {
-  while (!(said.arm = await call("/arm", {})).success) {
+  while (!(seen.arm = await call("/arm", {})).success) {
     await call("/reset", {});
   }
 }
@@ -88,13 +88,13 @@ for (let count = 1; !(odometry > 0.05); count++) {
   drive(0.2);
   await pause(50);
 }
-said.moved = true;
-said.estop = await call("/estop", {});
+seen.moved = true;
+seen.estop = await call("/estop", {});
 do {
   drive(0);
-  said.reset = await call("/reset", {}); // until it is at rest
-} while (!said.reset.success);
+  seen.reset = await call("/reset", {}); // until it is at rest
+} while (!seen.reset.success);
 client.setParameters([{ name: "limits.linear_m_s", value: 0.25 }], "mine");
-said.limit = (await once("parameterValues", ({ id }) => id === "mine")).parameters;
-console.log(JSON.stringify(said));
+seen.limit = (await once("parameterValues", ({ id }) => id === "mine")).parameters;
+console.log(JSON.stringify(seen));
 process.exit(0);

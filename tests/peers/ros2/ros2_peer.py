@@ -161,7 +161,7 @@ def bursts(participant, name, linear_m_s, count):
     writer = DataWriter(participant, Topic(participant, name, TwistStamped), Qos(*RELIABLE))
     while not writer.get_matched_subscriptions():
         time.sleep(0.01)
-    say("heard")
+    say("received")
     for line in sys.stdin:
         if line.strip() == "old":
             writer.write(_stamped(linear_m_s, age_s=60))

@@ -156,7 +156,7 @@ def pass_through(stage, writer):
     may not be known to the reader yet, and a lease may still be missing. Old commands are sent
     until one is refused, so those that come late are not counted with the bursts. The reader keeps
     8 samples, so they must not pile up before a burst."""
-    writer.find(lambda word: word == "heard", "a reader")
+    writer.find(lambda word: word == "received", "a reader")
     before, next_s = judged(stage)[1], 0.0
 
     def arrived():

@@ -72,7 +72,7 @@ struct String {
     static const char *type() { return "std_msgs::msg::dds_::String_"; }
 };
 
-// A request without fields has one byte. Who asks is told beside the message.
+// A request without fields has one byte. The message is accompanied by the identity of its sender.
 struct TriggerRequest {
     uint8_t nothing = 0;
     static const char *type() { return "std_srvs::srv::dds_::Trigger_Request_"; }

@@ -20,7 +20,7 @@ await within("connection", (resolve, reject) => {
   ros.connect(url);
 });
 
-function heard(name, messageType, fits) {
+function received(name, messageType, fits) {
   const topic = new Topic({ ros, name, messageType });
   return within(name, (resolve) =>
     topic.subscribe((message) => {
@@ -37,25 +37,25 @@ function trigger(name) {
   return within(name, (resolve, reject) => service.callService({}, resolve, reject));
 }
 
-const said = {
+const seen = {
   topics: (await within("topics", (resolve, reject) => ros.getTopics(resolve, reject))).topics,
-  odom: await heard("/odom", "nav_msgs/Odometry", () => true),
+  odom: await received("/odom", "nav_msgs/Odometry", () => true),
   arm: await trigger("/arm"),
 };
 const cmdVel = new Topic({ ros, name: "/cmd_vel", messageType: "geometry_msgs/Twist" });
 const drive = (x) => cmdVel.publish({ linear: { x, y: 0, z: 0 }, angular: { x: 0, y: 0, z: 0 } });
 const driver = setInterval(() => drive(0.2), 50);
-said.motor_status = await heard(
+seen.motor_status = await received(
   "/motor_status",
   "motord_msgs/MotorStatus",
   (message) => message.commander === "web" && message.state === "moving",
 );
 clearInterval(driver);
-said.estop = await trigger("/estop");
+seen.estop = await trigger("/estop");
 drive(0);
 const end = Date.now() + WITHIN_MS;
 do {
-  said.reset = await trigger("/reset"); // until the zero is there
-} while (!said.reset.success && Date.now() < end);
-console.log(JSON.stringify(said));
+  seen.reset = await trigger("/reset"); // until the zero is there
+} while (!seen.reset.success && Date.now() < end);
+console.log(JSON.stringify(seen));
 ros.close();

@@ -19,7 +19,7 @@ from tests.rt.small_base import core_config, settings, until
 
 from motord.api.page_file import SHARED, PageInUse, own_page
 from motord.realtime import loop as rt
-from motord.realtime import permissions as grants
+from motord.realtime import permissions
 
 CHILD = Path(__file__).parent / "loop_child.py"
 CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # linux/capability.h
@@ -144,23 +144,23 @@ def test_the_first_drive_of_a_process_costs_no_page_fault_even_where_memory_is_n
 
 def test_a_priority_refused_to_who_may_have_it_is_the_groups_budget(monkeypatch):
     monkeypatch.setattr(resource, "getrlimit", lambda _: (99, 99))
-    answer = grants.sentences(grants.Refused(scheduler=errno.EPERM), priority=80, cpu=())
+    answer = permissions.sentences(permissions.Refused(scheduler=errno.EPERM), priority=80, cpu=())
     assert list(answer) == ["scheduler"]
     assert "RT_GROUP_SCHED" in answer["scheduler"]
 
 
 def test_every_refusal_has_a_sentence():
-    refused = grants.Refused(
+    refused = permissions.Refused(
         scheduler=errno.EPERM,
         affinity=errno.EINVAL,
         memory_lock=errno.ENOMEM,
         dma_latency=errno.EACCES,
     )
-    answer = grants.sentences(refused, priority=80, cpu=(2, 3))
+    answer = permissions.sentences(refused, priority=80, cpu=(2, 3))
     assert set(answer) == {"scheduler", "affinity", "memory_lock", "dma_latency"}
     assert "CPU 2, 3 (EINVAL)" in answer["affinity"]
     assert "EACCES" in answer["dma_latency"]
-    assert grants.sentences(grants.Refused(), priority=80, cpu=()) == {}
+    assert permissions.sentences(permissions.Refused(), priority=80, cpu=()) == {}
 
 
 def test_a_stopped_process_skips_its_periods_and_does_not_make_them_good():

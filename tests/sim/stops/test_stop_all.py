@@ -125,7 +125,7 @@ def own_file(tmp_path):
 
 
 @pytest.mark.parametrize("edited", ["[robot", "", None], ids=["half saved", "empty", "removed"])
-def test_the_drives_that_ran_are_sent_whatever_has_become_of_the_robot_file(
+def test_the_drives_that_ran_are_switched_off_whatever_has_become_of_the_robot_file(
     where_it_looks, own_file, edited
 ):
     with running(where_it_looks, LONG, robot=own_file) as stage:
@@ -138,7 +138,7 @@ def test_the_drives_that_ran_are_sent_whatever_has_become_of_the_robot_file(
         status, lines = stop_all(robot=own_file)
         assert (status, lines[0]["problems"]) == (0, [])
         assert not any(joint.enabled for joint in stage.sim.truth().joints.values())
-    assert not list(where_it_looks.glob("*.running")), "they have been told"
+    assert not list(where_it_looks.glob("*.running")), "no robot is left to be stopped"
 
 
 def test_a_daemon_that_ended_at_rest_leaves_no_robot_file_behind(where_it_looks, own_file):

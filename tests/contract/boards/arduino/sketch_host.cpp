@@ -17,7 +17,7 @@ static struct {
     int levels[64], room = 127;
     bool broken;
     void (*handlers[64])();
-    std::deque<uint8_t> heard;
+    std::deque<uint8_t> received;
 } host;
 Port Serial;
 
@@ -53,13 +53,13 @@ void Port::begin(unsigned long baudrate)
 
 int Port::available()
 {
-    return (int)host.heard.size();
+    return (int)host.received.size();
 }
 
 int Port::read()
 {
-    const int byte = host.heard.front();
-    host.heard.pop_front();
+    const int byte = host.received.front();
+    host.received.pop_front();
     return byte;
 }
 
@@ -193,7 +193,7 @@ static void hear(const char *hex)
 {
     unsigned byte = 0;
     for (; sscanf(hex, "%2x", &byte) == 1; hex += 2)
-        host.heard.push_back((uint8_t)byte);
+        host.received.push_back((uint8_t)byte);
 }
 
 int main()

@@ -263,7 +263,7 @@ async def test_a_channel_that_still_runs_from_before_is_stopped_first(rig):
         await until(are(rig, "cytron-mdd", "coast"))
 
 
-@pytest.mark.skipif(not FAILING.exists(), reason="only the module pwm-sim fails when it is told to")
+@pytest.mark.skipif(not FAILING.exists(), reason="only the module pwm-sim fails on request")
 async def test_a_motor_that_still_runs_from_before_and_cannot_be_stopped_is_not_turned(rig):
     where = places("cytron-mdd")
     async with running(spec_of(rig, "cytron-mdd")) as line:
@@ -285,7 +285,7 @@ async def test_a_motor_that_still_runs_from_before_and_cannot_be_stopped_is_not_
         rig.drive(where["dir"], 0)
 
 
-@pytest.mark.skipif(not FAILING.exists(), reason="only the module pwm-sim fails when it is told to")
+@pytest.mark.skipif(not FAILING.exists(), reason="only the module pwm-sim fails on request")
 async def test_a_chip_that_fails_is_reported_and_the_line_comes_back_without_power(rig):
     async with running(spec_of(rig, "pwm-pwm")) as line:
         await armed(line)
