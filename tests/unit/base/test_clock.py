@@ -26,7 +26,7 @@ async def cancelled(cleaning_up):
         await task
 
 
-async def test_a_limit_is_sent_as_one_while_a_cancelled_task_cleans_up():
+async def test_a_limit_raises_timeout_error_while_a_cancelled_task_cleans_up():
     """Python 3.11.2 of Debian 12 has CancelledError there."""
     done = []
 
@@ -44,7 +44,7 @@ async def test_a_limit_is_sent_as_one_while_a_cancelled_task_cleans_up():
     assert done == ["first", "second", "third"]
 
 
-async def test_cancelling_comes_through():
+async def test_a_cancellation_passes_through_a_limit():
     done = []
 
     async def cleaning_up():
@@ -61,7 +61,7 @@ async def test_cancelling_comes_through():
     assert done == ["cancelled again"]
 
 
-async def test_a_limit_can_be_put_off():
+async def test_a_limit_can_be_rescheduled():
     loop = asyncio.get_running_loop()
     async with within(0.0) as limit:
         limit.reschedule(loop.time() + 10.0)

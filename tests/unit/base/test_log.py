@@ -37,7 +37,7 @@ def logged(journal, text, stream="same"):
     return subprocess.run(command, stderr=subprocess.PIPE, check=True, timeout=30).stderr.decode()
 
 
-def test_the_journal_is_sent_what_a_warning_is_about(journal):
+def test_the_journal_gets_a_warning_with_its_line_event_and_joints(journal):
     assert logged(journal, "the drive is unresponsive") == ""
     assert journal.recv(9999).decode().splitlines() == [
         "MESSAGE=the drive is unresponsive",
@@ -51,7 +51,7 @@ def test_the_journal_is_sent_what_a_warning_is_about(journal):
     ]
 
 
-def test_words_of_several_lines_stay_one_entry(journal):
+def test_a_message_of_several_lines_stays_one_entry(journal):
     logged(journal, "one\ntwo=2")
     head = b"MESSAGE\n" + struct.pack("<Q", 9) + b"one\ntwo=2\nPRIORITY=4\n"
     assert journal.recv(9999).startswith(head)
@@ -63,7 +63,7 @@ def test_a_stderr_that_is_not_the_journals_gets_plain_lines_with_the_time(journa
     )
 
 
-def test_a_journal_that_is_away_stops_nothing(journal):
+def test_a_missing_journal_stops_nothing(journal):
     path = journal.getsockname()
     os.unlink(path)
     assert logged(journal, "this is not read") == ""
@@ -84,7 +84,7 @@ logger.warning("received")
 """
 
 
-def test_a_full_stderr_loses_lines_and_not_the_log(tmp_path):
+def test_a_full_stderr_loses_lines_and_counts_them(tmp_path):
     """A pipe that does not block and that no process has read: what finds no room is counted."""
     reading, writing = os.pipe2(os.O_NONBLOCK)
     with contextlib.suppress(BlockingIOError):

@@ -76,7 +76,7 @@ async def test_a_request_that_fails_ends_no_other_and_is_reported(port, caplog):
 
 
 @pytest.mark.parametrize("junk", [b"\x16\x03\x01\x00\xa5", b"GET\r\n\r\n", b"{}\n" * 50000])
-async def test_what_is_no_request_is_ended_and_fills_no_log(port, caplog, junk):
+async def test_an_invalid_request_is_closed_and_fills_no_log(port, caplog, junk):
     for _ in range(3):
         reader, writer = await connection(port)
         with contextlib.suppress(ConnectionError):
@@ -88,7 +88,7 @@ async def test_what_is_no_request_is_ended_and_fills_no_log(port, caplog, junk):
     assert caplog.text == ""
 
 
-async def test_a_connection_without_a_request_is_ended_in_time(monkeypatch, port):
+async def test_a_connection_without_a_request_is_closed_in_time(monkeypatch, port):
     monkeypatch.setattr(http_server, "ANSWER_WITHIN_S", 0.1)
     reader, writer = await connection(port)
     with contextlib.suppress(ConnectionError):
@@ -96,7 +96,7 @@ async def test_a_connection_without_a_request_is_ended_in_time(monkeypatch, port
     writer.close()
 
 
-async def test_the_oldest_of_too_many_who_ask_nothing_makes_room(monkeypatch, port):
+async def test_the_oldest_of_too_many_idle_connections_makes_room(monkeypatch, port):
     monkeypatch.setattr(http_server, "ANSWER_WITHIN_S", 3600.0)
     strangers = [await connection(port) for _ in range(http_server.STRANGERS_MAX + 3)]
     for reader, _ in strangers[:3]:

@@ -72,7 +72,7 @@ def test_exact_speeds_give_the_exact_dead_band():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_noisy_speeds_give_it_within_its_deviations(seed):
+def test_noisy_speeds_give_the_dead_band_within_its_deviations(seed):
     found = fit_duty("left", points(noise_rad_s=0.05, seed=seed))
     assert abs(found.dead_band - 0.06) < 4.0 * found.dead_band_deviation
     assert 0.0 < found.dead_band_deviation < 0.01
@@ -88,7 +88,7 @@ def test_a_wheel_that_turns_against_its_duty_is_refused():
         fit_duty("left", [Point(-one.duty, one.velocity_rad_s) for one in points()])
 
 
-def test_speeds_that_are_no_line_are_refused():
+def test_speeds_that_do_not_fit_a_line_are_refused():
     bent = [Point(one.duty, one.velocity_rad_s**3) for one in points()]
     with pytest.raises(Failed, match="no line over the duty"):
         fit_duty("left", bent)
