@@ -48,7 +48,7 @@ def shown(call, path):
 
 
 @pytest.mark.parametrize("gid", [0, GROUP.gr_gid])
-def test_of_a_socket_sudo_and_the_group_that_may_use_it_are_named(folder, gid):
+def test_the_advice_for_a_socket_names_sudo_and_its_group(folder, gid):
     path = folder / "r2.sock"
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(path))
@@ -63,7 +63,7 @@ def test_of_a_socket_sudo_and_the_group_that_may_use_it_are_named(folder, gid):
     assert text == f"{path}: {cure}\n"
 
 
-def test_of_a_port_sudo_and_the_group_dialout_are_named(folder):
+def test_the_advice_for_a_port_names_sudo_and_the_group_dialout(folder):
     path = folder / "ttyUSB0"
     path.touch(0o660)
     text = shown("open_exclusively(sys.argv[1])", path)

@@ -30,7 +30,7 @@ def anchors(page):
 
 
 @pytest.mark.parametrize("kind", base_kinds())
-def test_each_kind_of_base_is_among_what_the_reader_gets(kind):
+def test_each_kind_of_base_is_named_in_readme_and_pages(kind):
     assert f"`{kind}`" in TEXT[ROOT / "docs/bases.md"] or kind == "joints"
     assert kind in TEXT[ROOT / "README.md"]
 

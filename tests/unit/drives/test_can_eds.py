@@ -83,7 +83,7 @@ def test_a_sheet_that_agrees_changes_nothing(tmp_path):
     assert load_profile(written(tmp_path)).registers == plain.registers
 
 
-def test_types_and_start_values_need_not_be_reported_twice(tmp_path):
+def test_types_and_start_values_may_come_from_the_sheet(tmp_path):
     no_type = 'index = 0x6079\nsub = 0\ntype = "u32"\naccess = "r"\nscale = 0.001\nunit = "v"\n'
     path = written(tmp_path, no_type + "default = 24000", no_type.replace('type = "u32"\n', ""))
     register = load_profile(path).registers["bus_voltage"]
@@ -103,7 +103,7 @@ def test_types_and_start_values_need_not_be_reported_twice(tmp_path):
          'index = 0x6079\nsub = 0\ntype = "u32"', "cannot be written (ro)"),
     ],
 )  # fmt: skip
-def test_what_the_drive_does_not_have_is_reported(tmp_path, right, wrong, message):
+def test_an_object_that_the_drive_does_not_have_is_reported(tmp_path, right, wrong, message):
     found = problems(tmp_path, right, wrong)
     assert message in found
     assert re.search(r"cia402-csv\.toml:\d+: ", found)
