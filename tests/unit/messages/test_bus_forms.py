@@ -26,7 +26,7 @@ def outcome(encode, one, offset_ns):
 
 
 @pytest.mark.parametrize("name", sorted(TOPICS))
-def test_it_reports_what_the_message_reports_byte_for_byte(name):
+def test_compiled_encoders_write_the_message_byte_for_byte(name):
     """Several views one after the other: what is kept from one may not show in the next."""
     topic, rng = TOPICS[name], random.Random(name)
     compared = 0
@@ -58,7 +58,7 @@ WORDS = (
 
 @pytest.mark.parametrize("form", [as_cdr, as_json])
 @pytest.mark.parametrize("change", WORDS, ids=lambda change: next(iter(change)))
-def test_a_word_that_has_changed_alone_is_sent_at_once(form, change):
+def test_a_change_of_one_word_alone_is_sent_at_once(form, change):
     topic, body = TOPICS["motor_status"], Body(robot="r2", joints=("left", "right"))
     encode = form(topic, body)
     words = {"owner": 1 if "status" in change else 2}

@@ -25,7 +25,7 @@ def _with_and_without_msgspec(request, monkeypatch):
 
 @pytest.mark.usefixtures("_with_and_without_msgspec")
 @pytest.mark.parametrize("name", sorted(TOPICS))
-def test_it_reports_what_the_message_reports(name):
+def test_the_json_holds_what_the_message_holds(name):
     """Several views one after the other: what is kept from one may not show in the next."""
     topic, rng = TOPICS[name], random.Random(name)
     compared = 0
@@ -60,7 +60,7 @@ def test_joints_that_the_robot_file_does_not_have_are_not_sent_under_the_names_o
 @pytest.mark.parametrize(
     "raw", ['{"id": "\\ud800"}', b'{"\\uDFFF": 1}', b'["\xed\xa0\x80"]', "[" * 100_000]
 )
-def test_json_that_could_not_be_answered_is_none(raw):
+def test_json_with_lone_surrogates_or_deep_nesting_is_refused(raw):
     with pytest.raises(ValueError, match=r"surrogates|nested"):
         json_form.decode(raw)
 

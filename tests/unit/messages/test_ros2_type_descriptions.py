@@ -39,7 +39,7 @@ def plain(value):
 
 
 @pytest.mark.parametrize("kind", TYPES)
-async def test_an_answer_hashes_to_what_was_asked_for(kind):
+async def test_a_described_type_has_the_hash_that_was_requested(kind):
     sent = await Served(kind).ask(kind)
     assert (sent.successful, sent.failure_reason) == (True, "")
     described = plain(sent.type_description)

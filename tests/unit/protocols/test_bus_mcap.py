@@ -97,7 +97,7 @@ async def test_what_was_fed_is_read_by_the_reader_of_mcap(tmp_path):
     assert abs(odometry[0][2] - time.time_ns()) < 60e9
 
 
-async def test_a_file_does_not_grow_for_ever_and_the_oldest_go_first(tmp_path):
+async def test_files_are_limited_and_the_oldest_are_removed_first(tmp_path):
     settings = {"file_s": 1.0, "total_max_mb": 1}
     async with recording(tmp_path, **settings) as stage:
         await stage.until(stage.files)
@@ -296,7 +296,7 @@ def entry(at_ns, size):
     return Entry("odom", "nav_msgs/msg/Odometry", at_ns, bytes(size))
 
 
-def test_memory_has_its_bound_in_bytes_and_what_is_lost_for_it_is_counted():
+def test_memory_is_bounded_in_bytes_and_what_is_lost_is_counted():
     waiting = Waiting(100_000)
     lost = sum(waiting.keep(entry(number, 750)) for number in range(1000))
     assert len(waiting) == 100
@@ -308,7 +308,7 @@ def test_memory_has_its_bound_in_bytes_and_what_is_lost_for_it_is_counted():
     assert len(waiting) == 0
 
 
-async def test_what_memory_does_not_hold_is_counted_also_by_a_flight_recorder(tmp_path):
+async def test_a_flight_recorder_counts_what_its_memory_does_not_hold(tmp_path):
     async with recording(tmp_path, **FAULT) as stage:
         stage.recorder._waiting = Waiting(10_000)
         await stage.until(lambda: stage.feed.dropped > 5)
@@ -330,7 +330,7 @@ MODES = [("all", NAMES[:1]), ("fault", NAMES[1:3]), ("manual", NAMES[3:4])]
 
 
 @pytest.mark.parametrize(("mode", "deleted"), MODES)
-def test_room_is_made_of_recordings_of_this_robot_and_this_mode_alone(tmp_path, mode, deleted):
+def test_only_recordings_of_this_robot_and_this_mode_are_removed(tmp_path, mode, deleted):
     for name in NAMES:
         (tmp_path / name).write_bytes(bytes(2_000_000))
     folder = Folder(tmp_path, "demo", mode=mode, total_max_mb=1, free_min_mb=0)
@@ -397,7 +397,7 @@ def test_a_recorder_that_records_by_itself_is_neither_started_nor_stopped(tmp_pa
             act()
 
 
-def test_a_message_in_memory_is_as_long_as_the_robot_files_check_takes_it(tmp_path):
+def test_no_message_in_memory_is_longer_than_the_robot_files_check_assumes(tmp_path):
     stage = Stage(tmp_path)
     shown = view(1000, STATUS)
     sizes = [
