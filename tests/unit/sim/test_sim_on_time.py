@@ -5,7 +5,7 @@ from motord_hal.sim import runner
 from motord_hal.sim.runner import punctual
 
 
-def test_one_simulator_at_a_time_may_be_on_time(monkeypatch):
+def test_only_one_simulator_at_a_time_keeps_a_processor(monkeypatch):
     monkeypatch.setattr(runner, "PUNCTUAL", "\0motord-test-on-time")
     monkeypatch.setattr(runner, "_may_be_punctual", lambda: True)
     with punctual() as first:

@@ -35,7 +35,7 @@ def ran(tmp_path):
     return ran
 
 
-def test_what_failed_in_a_group_is_all_that_runs_again_without_groups(tmp_path, ran):
+def test_only_the_failed_tests_of_a_group_run_again_without_groups(tmp_path, ran):
     (tmp_path / "test_two.py").write_text(
         "import pytest\n\n"
         "@pytest.fixture(scope='module')\ndef shared():\n    pass\n\n"

@@ -81,7 +81,7 @@ def test_after_a_pause_the_same_hold_never_counts_again(seat, clock):
     assert seat.commands[-1] == (0.2, 0.1)
 
 
-def test_a_command_that_waited_on_its_way_ends_the_hold(seat, clock):
+def test_a_command_that_was_delayed_ends_the_hold(seat, clock):
     driver = Driver("page 1")
     seat.drive(driver, frame(clock))
     passes(seat, clock, 0.1)
@@ -92,7 +92,7 @@ def test_a_command_that_waited_on_its_way_ends_the_hold(seat, clock):
     assert seat.commands[-2:] == [(0.0, 0.0), "release"]
 
 
-def test_who_sees_an_old_state_does_not_drive(seat, clock):
+def test_a_page_that_sees_an_old_state_does_not_drive(seat, clock):
     driver = Driver("page 1")
     with pytest.raises(NotTaken, match="too slow"):
         seat.drive(driver, frame(clock, seen_ago_s=SEEN_MAX_S + 0.1))
