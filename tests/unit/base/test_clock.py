@@ -9,7 +9,7 @@ from motord_hal.base.clock import within
 
 
 async def cancelled(cleaning_up):
-    """A task that was cancelled, and then does this."""
+    """Cancels a task that then runs `cleaning_up`."""
     begun = asyncio.Event()
 
     async def work():
@@ -27,7 +27,7 @@ async def cancelled(cleaning_up):
 
 
 async def test_a_limit_raises_timeout_error_while_a_cancelled_task_cleans_up():
-    """Python 3.11.2 of Debian 12 has CancelledError there."""
+    """asyncio.timeout of Python 3.11.2 (Debian 12) raises CancelledError instead."""
     done = []
 
     async def cleaning_up():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The log, as a journal at the other end of its socket takes it, and as a reader of stderr does."""
+"""The log as the journal receives it on its socket, and as a reader of stderr does."""
 
 import contextlib
 import os
@@ -85,7 +85,7 @@ logger.warning("received")
 
 
 def test_a_full_stderr_loses_lines_and_counts_them(tmp_path):
-    """A pipe that does not block and that no process has read: what finds no room is counted."""
+    """The pipe is full, has no reader and does not block: lines that find no room are counted."""
     reading, writing = os.pipe2(os.O_NONBLOCK)
     with contextlib.suppress(BlockingIOError):
         while True:

@@ -27,7 +27,7 @@ def test_the_number_of_suppressed_messages_is_logged(caplog, monkeypatch):
 
 @pytest.fixture
 def library():
-    """The log of a library that says each message that it drops, as aiomqtt does."""
+    """The log of a library that logs each message that it drops, as aiomqtt does."""
     log = logging.getLogger("test.library")
     kept = limited.RateLimitedFilter(log, "input.fleet")
     log.addFilter(kept)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of text: templates say numbers and read them, streams are cut, twists are wheels."""
+"""Lines of text: templates write and read numbers, streams are cut, twists become wheels."""
 
 import math
 

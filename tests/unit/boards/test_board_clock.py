@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The board's clock on ours: what waited in a buffer is as old as it is."""
+"""The board's clock in the computer's time: a frame that waited in a buffer keeps its age."""
 
 import pytest
 from hypothesis import given

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GPIO chips and lines: what is refused before the kernel is asked."""
+"""GPIO chips and lines: what is refused before the kernel is called."""
 
 import errno
 import os

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boards in a robot file: what a line of them may say, and what the hardware layer gets."""
+"""Boards in a robot file: what their line may contain, and what the hardware layer gets."""
 
 from pathlib import Path
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The step that gives a pin what a robot file requires of it, by board; and who has it now."""
+"""The step that gives a pin the function of the robot file, by board; and what has the pin now."""
 
 import pytest
 

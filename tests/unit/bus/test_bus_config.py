@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot file's word on buses: what is refused, and what a topic's rate is."""
+"""Buses in a robot file: what is refused, and what a topic's rate is."""
 
 import pytest
 from tests.unit.bus.bus_config_rig import DEMO, errors, robot_file

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Feeds never wait and never grow; sources lose commands rather than keep them; adapters are found
-by name, and one that cannot be had costs only itself."""
+by name, and one that cannot be made stops no other."""
 
 import asyncio
 import contextlib
@@ -215,7 +215,7 @@ def test_only_the_exact_token_is_accepted(tmp_path_factory, shown):
 
 @contextlib.asynccontextmanager
 async def answering(path, answer, *, stay=False):
-    """A server at the daemon's socket that answers everything with that; the requests."""
+    """Serves `answer` to every request at the daemon's socket; yields the requests."""
 
     asked = []
 

@@ -71,7 +71,7 @@ async def test_a_command_without_a_stamp_that_may_have_waited_is_refused(
     runtime = Runtime(load_robot(DEMO), Path("no.sock"))
     gate = CommandGate("net", section, runtime)
     async with watched(gate._gap):
-        with pytest.raises(NotTaken, match="there is no lease"):  # it would be passed on
+        with pytest.raises(NotTaken, match="there is no lease"):  # no gap yet
             getattr(gate, method)(message)
         stand_still()
         with pytest.raises(NotTaken, match="stood still"):
@@ -95,7 +95,7 @@ async def test_a_command_with_a_stamp_is_judged_by_its_stamp():
 
 @pytest.fixture
 def gate():
-    """Stamped: calls have no stamp all the same."""
+    """Commands must have a stamp; calls have none."""
     runtime = Runtime(load_robot(DEMO), Path("no.sock"))
     return CommandGate("net", Ros2Input(kind="ros2", lease_s=0.1), runtime)
 
@@ -135,7 +135,7 @@ async def test_a_goal_that_may_have_waited_is_refused(gate):
     runtime = Runtime(load_robot(DEMO), Path("no.sock"))
     mover = Mover(runtime, gate.source, gate.gap, lease_s=0.1)
     async with watched(gate.gap):
-        with pytest.raises(NotNow, match="no daemon has this socket"):  # it would be planned
+        with pytest.raises(NotNow, match="no daemon has this socket"):  # no gap yet
             await mover.plan(Goal(axis="linear", distance_u=1.0))
         stand_still()
         with pytest.raises(NotNow, match="stood still"):

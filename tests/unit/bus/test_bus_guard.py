@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An adapter that fails: run again, counted, reported once, and no other one fails."""
+"""An adapter that fails is run again, counted and reported once, and no other one fails."""
 
 import asyncio
 from pathlib import Path
@@ -15,7 +15,7 @@ DEADLINE_S = 30.0
 
 
 class Adapter:
-    """Of another package, with a life of its own."""
+    """An adapter that fails with each of `errors`, and then runs."""
 
     def __init__(self, *errors):
         self.errors = list(errors)

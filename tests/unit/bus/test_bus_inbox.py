@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From threads to the event loop: what is left there, and what is asked and waited for."""
+"""From threads to the event loop: messages that are left there, and calls that wait."""
 
 import asyncio
 import contextlib

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the C receiver makes of a TwistStamped, and what the command gate makes of it: the same."""
+"""The C receiver reads a TwistStamped as the command gate does."""
 
 import math
 import socket
@@ -203,7 +203,7 @@ def test_no_more_receivers_are_claimed_than_there_are():
 
 
 def test_a_receiver_that_could_not_be_opened_is_free_again(no_descriptor_left):
-    """However often it was tried."""
+    """After any number of tries."""
     for _ in range(lib.RECEIVERS_MAX + 1):
         receiver = Receiver(SimpleNamespace(ffi=ffi, lib=lib), SimpleNamespace(_ref=1))
         with no_descriptor_left(), pytest.raises(OSError, match="Too many open"), receiver.open():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A stop whose caller waits for no answer is requested of the daemon until it answers."""
+"""A stop whose caller waits for no answer is repeated until the daemon answers."""
 
 import asyncio
 import contextlib
@@ -11,7 +11,7 @@ DEADLINE_S = 30.0
 
 
 class Door:
-    """The way to a daemon that does not answer at first."""
+    """A daemon that fails with each of `errors`, and then answers."""
 
     def __init__(self, *errors):
         self.errors = list(errors)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever is sent, in error or on purpose: it is a twist within reason, or it is refused."""
+"""Any message, sent in error or on purpose, is a valid command or is refused."""
 
 import math
 import time

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The threads between DDS and the daemon go before Python, and lose that when they are flooded."""
+"""Threads between DDS and the daemon run before Python, and lose that when they are flooded."""
 
 import json
 import os

@@ -33,7 +33,7 @@ class Page:
 
 @pytest.fixture
 def carried_out_by(monkeypatch, tmp_path):
-    """Has every process be this script."""
+    """Replaces every process by this script."""
 
     def replace(script):
         program = tmp_path / "program"
@@ -46,7 +46,7 @@ def carried_out_by(monkeypatch, tmp_path):
 
 @pytest.fixture
 def procedure(carried_out_by, tmp_path):
-    """Makes one that this script carries out."""
+    """Makes a procedure that runs this script."""
 
     def make(script):
         carried_out_by(script)
@@ -161,7 +161,7 @@ async def test_a_trace_that_cannot_be_started_gives_its_page_the_reason_and_stop
             trace = json.loads(await page.sent.get())["trace"]
         assert trace == {"line": "a", "problem": f"motord trace cannot be started: {NO_MORE}"}
         carried_out_by("""echo '{"error": "no line", "exit_status": 1}'""")
-        traces.show(page, "a")  # again, where there are some
+        traces.show(page, "a")  # again, with free descriptors
         assert json.loads(await page.sent.get())["trace"]["problem"] == "no line"
 
 

@@ -15,7 +15,7 @@ TAPE = Pose(0.001, 0.001, math.radians(0.5), 0.001)
 
 
 class Walker:
-    """A path by the present geometry: what the odometry believes when it drives legs and turns."""
+    """A path by the present geometry: what the odometry computes when it drives legs and turns."""
 
     def __init__(self):
         self.left, self.right = [0.0], [0.0]
@@ -43,7 +43,7 @@ class Walker:
 
 
 def measured(name, walker, keys, true=TRUE, noise=None):
-    """What a person with a tape finds who can read it to a millimetre and half a degree."""
+    """What a person measures with a tape, to a millimetre and half a degree."""
     pose = end_pose(*walker.path, TRACK_M, true)
     found = {}
     for key in keys:
@@ -67,8 +67,8 @@ def whole(noise=None, true=TRUE):
 
 
 def square_error_m(believed, sign):
-    """Where a square of 4 m ends that is closed by the odometry of a base which believes in
-    `believed` of the present geometry, and is truly TRUE of it."""
+    """How far from its start a square of 4 m ends. The odometry uses the geometry `believed`, the
+    base has TRUE; both are factors of the present geometry."""
     walker = Walker()
     for _ in range(4):
         walker.go(4.0 / believed.left, 4.0 / believed.right)

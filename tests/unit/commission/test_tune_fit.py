@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a wheel is by its answer to steps: the simulator's wheel with known inertia, friction and
-dead time is found again, and the gains are those of the rule."""
+"""A wheel's model from its response to steps: the fit finds the known inertia, friction and dead
+time of the simulator's wheel, and the gains are those of the rule."""
 
 import random
 
@@ -100,8 +100,8 @@ def held_up_run(model, peak, *, holds=()):
 @pytest.mark.parametrize("what", ["tool", "loop", "line"])
 @pytest.mark.parametrize("begin_s", [0.1, 0.3, 0.6, 1.3])
 def test_pauses_of_the_computer_do_not_distort_the_fit(what, begin_s):
-    """Under a torque a wheel keeps what a moment has added to its speed: what was not seen of the
-    torque must not count for the rest of the run."""
+    """What a torque adds to the speed of a wheel in a moment stays: a moment that was not seen must
+    not distort the rest of the run."""
     model = WheelModel()
     holds = [(what, begin_s, begin_s + 0.12), (what, begin_s + 0.35, begin_s + 0.45)]
     found = identify("left", [held_up_run(model, peak, holds=holds) for peak in (2, 4, -2, -4)])

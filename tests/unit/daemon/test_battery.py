@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a battery's measures mean: levels with hysteresis, nothing where nothing was measured."""
+"""Levels of a battery: with hysteresis, and unknown where nothing was measured."""
 
 import math
 

@@ -55,7 +55,7 @@ def path(tmp_path):
 
 @contextlib.contextmanager
 def answering(path, *replies):
-    """A server that says what it likes: each request is met by the next of `replies`."""
+    """A server that answers each request with the next of `replies`, valid or not."""
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(path))
         listener.listen(1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Heartbeats: which part stands still, and what is reported of it, and how often."""
+"""Heartbeats: which part stands still, what is reported of it, and how often."""
 
 from hypothesis import given
 from hypothesis import strategies as st

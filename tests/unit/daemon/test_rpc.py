@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The local socket, over real sockets: what it answers, and what it does not let peers do."""
+"""The local socket, over real sockets: what it answers, and what it keeps peers from doing."""
 
 import asyncio
 import contextlib
@@ -31,7 +31,7 @@ class Sum(Params):
 
 
 class Host:
-    """Methods of every sort, and what became of them."""
+    """Methods of every kind, and a record of their calls."""
 
     def __init__(self):
         self.gate = asyncio.Event()
@@ -74,7 +74,7 @@ async def hosted(path):
 
 
 class Peer:
-    """Bytes in and out of the socket, nothing clever."""
+    """A plain client: lines in and out of the socket."""
 
     def __init__(self, reader, writer):
         self.reader, self.writer = reader, writer

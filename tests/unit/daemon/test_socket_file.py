@@ -71,7 +71,7 @@ def test_a_socket_that_replaced_ours_is_not_removed(path):
 
 @pytest.fixture
 def folders(tmp_path):
-    """The system's folder cannot be made; there is the user's, and the last resort."""
+    """Folders of the system and of the user that cannot be made, and the last resort."""
     (tmp_path / "file").touch()
     (tmp_path / "tmp").mkdir()
     return [tmp_path / "file/motord", tmp_path / "run/motord", tmp_path / "tmp/motord-1"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pages name what there is, and their links lead somewhere."""
+"""The pages name every kind of base and every command, and their links are valid."""
 
 import re
 from pathlib import Path
@@ -24,7 +24,7 @@ def base_kinds():
 
 
 def anchors(page):
-    """As GitHub makes them of headings."""
+    """The anchors that GitHub makes of headings."""
     headings = re.findall(r"^#+ (.*)$", TEXT[page], re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-") for text in headings}
 

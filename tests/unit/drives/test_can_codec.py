@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CAN frames: signals at their places, by cantools' word too; and bits on the wire."""
+"""CAN frames: signals at their places, compared with cantools; and bits on the wire."""
 
 import math
 import struct
@@ -45,7 +45,7 @@ def places(draw):
 
 
 def as_dbc(place):
-    """The same place in the words of a DBC file: a big-endian start bit is counted in a zigzag."""
+    """The same place as a DBC file writes it: a big-endian start bit is counted in a zigzag."""
     start = place.start_bit
     if place.big_endian:
         start = 8 * (start // 8) + 7 - start % 8
@@ -135,8 +135,8 @@ def test_an_fd_frame_is_faster_where_its_data_are():
     ("reply", "understood"),
     [
         ("4B 5A 60 00 02 00 00 00", True),
-        ("42 5A 60 00 02 00 00 00", True),  # the server does not say how many bytes count
-        ("43 5A 60 00 02 00 00 00", False),  # four count: it is another kind of object
+        ("42 5A 60 00 02 00 00 00", True),  # the server does not give its size
+        ("43 5A 60 00 02 00 00 00", False),  # of four bytes: another kind of object
         ("4B 5A 60 01 02 00 00 00", False),
     ],
 )

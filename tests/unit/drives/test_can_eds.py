@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drive profiles with an EDS file: objects are checked against it before the wire is."""
+"""Drive profiles with an EDS file: objects are checked against it before a drive is."""
 
 import re
 import tomllib
@@ -34,7 +34,7 @@ def entry(section, kind, access, default, mapping):
 
 
 def sheet():
-    """What a maker would deliver with a drive that has what the profile wants."""
+    """What a maker delivers with a drive that has all that the profile needs."""
     entries = {}
     for one in tomllib.loads(PROFILE)["object"].values():
         access = "ro" if one.get("access") == "r" else "rw"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No robot file or drive profile, however long, deep or odd, ends in more than a line."""
+"""A robot file or drive profile that is too long, deep or odd gives short lines of errors."""
 
 import tomllib
 

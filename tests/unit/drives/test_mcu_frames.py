@@ -164,7 +164,7 @@ ACCELERATION = st.floats(-32.0, 32.0)
 
 
 def imu_in(payload):
-    """As a line reads it."""
+    """The measures as a line reads them."""
     *counts, flags = struct.unpack("<3i3hH", payload)
     return [1e-6 * count for count in counts[:3]], [1e-3 * count for count in counts[3:]], flags
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CAN drives in profiles and robot files: every mistake is reported, and a bus that is too full."""
+"""CAN drives in profiles and robot files: mistakes and a bus that is too full are reported."""
 
 import math
 from dataclasses import replace

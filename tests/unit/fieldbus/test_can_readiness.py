@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is asked of a CAN interface before its bus is opened: the kernel's own words, by files and
+"""What is checked of a CAN interface before its bus is opened: the kernel's state, from files and
 by netlink."""
 
 import struct
@@ -67,7 +67,7 @@ def test_an_interface_that_is_not_there_is_an_error_of_the_system():
 
 @pytest.fixture
 def net(tmp_path, monkeypatch):
-    """/sys/class/net with the loopback in it, of which netlink knows too."""
+    """/sys/class/net with the loopback in it, which netlink has too."""
     monkeypatch.setattr(interface, "NET", tmp_path)
     (tmp_path / "lo").mkdir()
 

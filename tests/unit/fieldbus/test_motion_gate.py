@@ -14,7 +14,7 @@ def gate():
 
 
 def cycle(gate, at_s, handed, moving=True):
-    """Frames that the bus took, +, or not, -."""
+    """Frames that the bus took (+) or refused (-)."""
     for one in handed:
         gate.handed(taken=one == "+")
     gate.cycle_ended(at_s, moving=moving)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The real-time line's table says what the plan of the asyncio engine computes."""
+"""The real-time line's table gives what the plan of the asyncio engine computes."""
 
 import math
 from dataclasses import replace
@@ -71,7 +71,7 @@ def table_of(profile, **changes):
     return frames.plan, drive_table(frames, spec)
 
 
-# What csrc/api/line/api_line.h says of set-points and fields, once more and plainly.
+# What csrc/api/line/api_line.h defines of set-points and fields, once more in Python.
 def put(exchange, wanted):
     request = bytearray(exchange.frame.request)
     for setpoint in exchange.setpoint:

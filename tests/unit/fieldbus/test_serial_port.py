@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A serial port: found, opened for ourselves alone, set up; the structs that the kernel reads."""
+"""A serial port: found, opened exclusively, set up; the structs that the kernel reads."""
 
 import fcntl
 import math

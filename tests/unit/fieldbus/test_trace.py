@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From entries of a trace to exchanges, to words, and to files; and when a trace goes off."""
+"""From entries of a trace to exchanges, text and files; and when a trace is switched off."""
 
 import asyncio
 import struct

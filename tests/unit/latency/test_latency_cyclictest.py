@@ -124,7 +124,7 @@ async def test_a_refused_cyclictest_gives_its_own_error_as_the_note(monkeypatch,
 
 @pytest.mark.skipif(shutil.which("cyclictest") is None, reason="cyclictest is not installed")
 async def test_it_is_ended_early_with_what_it_counted():
-    """A busy machine starts it late: it gets more time then, until it has counted something."""
+    """A busy machine starts it late: the test waits longer until it has counted something."""
     for after_s in (0.2, 1.0, 5.0):
         async with beside(1000.0, 600.0, 80, ()) as cyclictest:
             await asyncio.sleep(after_s)

@@ -22,7 +22,7 @@ def begun(quantity, true_u, timeout_s=0.0):
 
 
 def pushed(calibration, moves, rest_s=REST_S):
-    """To each pose, 20 ms after the one before, and then at rest."""
+    """Moves to each pose, 20 ms after the one before, and then rests."""
     at_ms, found = 0, None
     for pose in moves:
         at_ms += 20

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled encoders write what the message says, byte for byte."""
+"""The compiled encoders write what the message holds, byte for byte."""
 
 import math
 import random
@@ -27,7 +27,7 @@ def outcome(encode, one, offset_ns):
 
 @pytest.mark.parametrize("name", sorted(TOPICS))
 def test_compiled_encoders_write_the_message_byte_for_byte(name):
-    """Several views one after the other: what is kept from one may not show in the next."""
+    """Several views one after the other: what is kept from one must not show in the next."""
     topic, rng = TOPICS[name], random.Random(name)
     compared = 0
     for _ in range(ROUNDS):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages say what the snapshot says: units, frames, stamps, and nothing that was not measured."""
+"""Messages hold what the snapshot holds: units, frames, stamps, and only what was measured."""
 
 import dataclasses
 import math

@@ -60,7 +60,7 @@ def begun(goal, bounds=BOUNDS, late_steps=2):
 
 
 def looked(base, motion):
-    """With the daemon's count of stops, as of this moment."""
+    """A step with the daemon's present count of stops."""
     motion.counted(base.stops, base.at_ms * 1_000_000)
     return motion.step(base.snapshot(), base.at_ms * 1_000_000)
 
@@ -71,7 +71,7 @@ def carried_out(base, motion, steps_max=100_000):
         if step.end is not None:
             return step
         base.follow(step)
-    raise AssertionError("it has no end")
+    raise AssertionError("the motion does not end")
 
 
 @settings(max_examples=60, deadline=None)
@@ -130,7 +130,7 @@ def test_an_invalid_goal_is_refused(wrong):
 
 
 def moving():
-    """Under way, at full speed."""
+    """A motion at full speed."""
     base, motion = begun(Goal(axis="linear", distance_u=5.0))
     while base.speed_u_s < BOUNDS.velocity_u_s:
         base.follow(looked(base, motion))
@@ -246,7 +246,7 @@ def test_a_base_that_slips_by_a_little_goes_the_rest_of_the_distance(slip_u):
 
 
 def rested_beside_its_goal():
-    """By the wheels, or by a stop that was not seen."""
+    """It passed its goal: its wheels slid, or a stop was not seen."""
     base, motion = begun(Goal(axis="linear", distance_u=1.0))
     while motion.remaining_u > 0.004:
         base.follow(looked(base, motion))

@@ -16,7 +16,7 @@ ROUNDS = 20
 
 
 def as_a_message(text):
-    """rosbags knows messages alone; the bytes of parts of services and actions have no names."""
+    """rosbags has messages alone; the bytes of parts of services and actions have no names."""
     return text.replace("/srv/", "/msg/").replace("/action/", "/msg/")
 
 

@@ -24,7 +24,7 @@ class Served:
         self._answer = answer
 
     async def ask(self, kind, sources=True):
-        """The answer, by way of its bytes."""
+        """The answer, encoded and decoded again."""
         request = SimpleNamespace(
             type_name="", type_hash=type_hash(kind), include_type_sources=sources
         )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings: what other programs read in them, and what a full disk costs."""
+"""Recordings: what other programs read in them, and what a full disk does."""
 
 import asyncio
 import contextlib
@@ -67,7 +67,7 @@ async def recording(folder, **settings):
 
 
 def read(path):
-    """What was fed; before it is what the robot looks like."""
+    """What was fed; the description of the robot comes first."""
     with path.open("rb") as file:
         first, *rows = [
             (channel.topic, schema.name, message.log_time, decoded)
@@ -214,7 +214,7 @@ async def test_rosbags_reads_the_odometry_of_a_recording(tmp_path):
 
 
 def qualities(path):
-    """What rosbag2 would offer each topic with, as others read it: by topic."""
+    """By topic: the quality with which rosbag2 would offer it, as another library reads it."""
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         found = {one.topic: one.ext.offered_qos_profiles for one in reader.connections}
     assert {len(profiles) for profiles in found.values()} == {1}
@@ -235,7 +235,7 @@ async def test_what_was_latched_is_latched_again_when_it_is_played(tmp_path):
 
 
 async def test_qualities_and_types_are_written_as_rosbag2_reads_them(tmp_path):
-    """By numbers, and a record that says so: Humble knows no names, Jazzy takes it for names."""
+    """As numbers: Humble reads no names; Jazzy expects names unless a record gives the version."""
     async with recording(tmp_path) as stage:
         await stage.until(lambda: stage.files() and stage.feed.taken > 20, status=STATUS)
     (path,) = stage.files()

@@ -195,7 +195,7 @@ async def test_a_reader_that_stops_reading_loses_snapshots_and_blocks_nothing(pi
     assert slowest_s < DEADLINE_S / 2
     assert feed.taken > publisher.dropped
     os.set_blocking(reading.fileno(), False)
-    while publisher._lines.qsize():  # let the thread go before the pipe is closed
+    while publisher._lines.qsize():  # the thread ends before the pipe is closed
         with contextlib.suppress(BlockingIOError):
             os.read(reading.fileno(), 65536)
 

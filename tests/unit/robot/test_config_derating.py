@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[joint.NAME.derating]: whole pairs in their direction, of what the drive reports."""
+"""[joint.NAME.derating]: complete pairs in the right order, of what the drive reports."""
 
 from pathlib import Path
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading a robot file: what is right comes out as values, what is wrong as lines."""
+"""Reading a robot file: what is right becomes values, what is wrong becomes lines of errors."""
 
 import math
 import re
@@ -140,8 +140,8 @@ def test_names_and_texts_are_checked(problems_of, right, wrong, row):
 
 
 def test_consequences_of_a_mistake_are_not_reported(problems_of):
-    """A misspelt key that must be there is not missing too; a line of an unknown kind has no
-    unknown keys."""
+    """A required key that is misspelt is not reported as missing too, and no key of a line of an
+    unknown kind is reported as unknown."""
     text = DEMO.replace("track_m", "trak_m").replace(
         'kind = "modbus-rtu"', 'kind = "smoke"\nbits = 1'
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `motord check` says that it has understood of a robot file."""
+"""What `motord check` prints that it has understood of a robot file."""
 
 import math
 from pathlib import Path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot file is read by a child, and what it finds is what pydantic finds here."""
+"""A child reads the robot file, and finds what pydantic finds in this process."""
 
 import json
 import pickle

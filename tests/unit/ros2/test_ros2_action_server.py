@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An action's server: which goals it takes, which it cancels, what it says of them."""
+"""An action's server: which goals it takes, which it cancels, what it reports of them."""
 
 import asyncio
 import contextlib
@@ -42,7 +42,7 @@ class Node:
 
 
 class Bench:
-    """A server whose goals last until they are let go or cancelled."""
+    """A server whose goals last until they are released or cancelled."""
 
     def __init__(self, name="drive_distance", turn=None):
         self.node, self.go, self.turn = Node(), asyncio.Event(), turn or Turn()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long a message waited, by a clock that is not ours."""
+"""How long a message waited, by the clock of its sender."""
 
 import pytest
 from hypothesis import given

@@ -175,7 +175,7 @@ async def test_no_transition_leads_out_of_an_error(state):
 
 @pytest.mark.parametrize("answer", ["fault", "idle"])
 async def test_a_fault_while_the_robot_comes_to_rest_is_no_success(answer):
-    """Also where the daemon has answered before it."""
+    """Also where the daemon has answered before the fault."""
     node = Managed(State.MOVING)
 
     async def fail(_):

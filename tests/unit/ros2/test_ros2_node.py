@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a ROS 2 node of ours is called, looks like and says, without a network."""
+"""Names, frames, settings and parameters of motord's ROS 2 node, without a network."""
 
 import asyncio
 from pathlib import Path
@@ -152,7 +152,7 @@ def test_a_robot_without_imu_offers_none_on_any_bus(kind):
 
 
 class Daemon:
-    """What it was asked for; it answers with a limit, or does not answer."""
+    """Records its requests; answers with a limit, or not at all."""
 
     def __init__(self, answers=True):
         self.asked = []

@@ -44,7 +44,7 @@ def test_a_sensor_is_where_the_users_own_description_puts_it():
 
 
 def turned(turn, vector):
-    """By the quaternion's rotation matrix."""
+    """The vector turned by the quaternion's rotation matrix."""
     x, y, z, w = turn.x, turn.y, turn.z, turn.w
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),

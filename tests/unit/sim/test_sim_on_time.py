@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulator of a machine may keep a processor for itself; a second one would leave none."""
+"""One simulator on a machine may keep a processor for itself; a second one would leave none."""
 
 from motord_hal.sim import runner
 from motord_hal.sim.runner import punctual

@@ -114,7 +114,7 @@ def test_a_wheel_without_feedback_makes_odometry_use_set_points(tmp_path):
 
 
 def result(source=Source.COUNTERS, found=None, held_up_s=0.0, **changes):
-    """As a run of the demonstration leaves it."""
+    """A result as a run of the demonstration returns it."""
     status = {
         "state": "idle",
         "faults": [],

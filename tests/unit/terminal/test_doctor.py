@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord doctor` names what is wrong with a machine, and what mends it: on planted files of /proc,
+"""`motord doctor` names what is wrong with a machine, and what mends it, on planted files of /proc,
 /sys, /dev and /etc."""
 
 import os
@@ -130,7 +130,7 @@ def test_a_mend_that_fails_gives_its_reason():
 # ----------------------------------------------------------------------------------- serial devices
 @pytest.fixture
 def serial(plant):
-    """The demo robot's port is there, and ours."""
+    """The demo robot's port exists, and this user may use it."""
 
     def planted(changes=None, mode=0o666, port="/dev/ttyUSB0"):
         root = plant({"/dev/ttyUSB0": "", **(changes or {})})
@@ -251,7 +251,7 @@ PINMUX = "/sys/kernel/debug/pinctrl/fe200000.gpio-pinctrl-bcm2711/pinmux-pins"
 
 @pytest.fixture
 def pi4(plant):
-    """A Raspberry Pi 4 with its PWM chip, and pins as `rows` of the kernel's table say."""
+    """A Raspberry Pi 4 with its PWM chip, and pins as in `rows` of the kernel's table."""
 
     def planted(*rows, npwm="2"):
         table = "Format: pin (name): mux_owner gpio_owner hog?\n" + "\n".join(rows)
@@ -382,7 +382,7 @@ def test_a_rate_that_is_off_by_more_than_five_per_cent_is_found(plant):
 
 
 def publishing(taken, at_s=None):
-    """What a publisher of 50 Hz has had; with `at_s` one of motord-bus, which reported it then."""
+    """Counts of a publisher of 50 Hz; with `at_s`, of one of motord-bus that reported them then."""
     counted = {"taken": taken, "dropped": 0, "topics": {"odom": {"rate_hz": 50.0, "taken": taken}}}
     if at_s is None:
         return {"publishers": {"console": counted}}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The binary frames of the dashboard, read by the layout that a page is sent."""
+"""The binary frames of the dashboard, read by the layout that a page gets."""
 
 import contextlib
 import dataclasses
@@ -21,7 +21,7 @@ STRAFES = "mecanum4"
 
 
 def decoded(raw):
-    """As the page does it."""
+    """Reads a frame as the page does."""
     found, at = layout(), 0
 
     def fields(rows):
