@@ -26,7 +26,7 @@ def points(dead_band=0.06, full_duty_rad_s=14.0, noise_rad_s=0.0, seed=0):
     return found
 
 
-def test_feedback_that_a_busy_machine_delays_does_not_bend_a_speed():
+def test_feedback_that_a_busy_machine_delays_does_not_distort_a_speed():
     """The position belongs to the time of the feedback, not to that of the state."""
     late_ms = {100: 90, 2000: 95}
     snapshots = []
@@ -43,7 +43,7 @@ def test_feedback_that_a_busy_machine_delays_does_not_bend_a_speed():
     assert (found.duty, found.velocity_rad_s) == (pytest.approx(0.3), pytest.approx(4.0))
 
 
-def test_a_reply_that_a_busy_machine_delays_does_not_bend_a_speed():
+def test_a_reply_that_a_busy_machine_delays_does_not_distort_a_speed():
     """The last position is 25 ms older than its stamp, which is 3 % of 0.8 s."""
     snapshots = []
     for at_ms in range(100, 2001, 20):

@@ -82,7 +82,7 @@ def test_the_schema_that_the_file_names_is_there():
     ["zlac8015d", "bld-305s", "odrive-0.6", "vesc", "cia402", "ddsm115", "mcu-velocity",
      "roboclaw", "rmd", "moteus", "sts3215"],
 )  # fmt: skip
-def test_every_kind_of_line_makes_a_file_that_checks(drive):
+def test_every_kind_of_line_makes_a_file_that_passes_the_check(drive):
     given = replace(WHOLE, drive=drive, left=(1, 1), right=(2, 1), counts_per_turn=4096)
     if drive in ("zlac8015d", "mcu-velocity", "roboclaw"):
         given = replace(given, right=(1, 2))

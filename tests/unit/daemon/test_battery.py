@@ -107,7 +107,7 @@ def test_a_battery_that_is_measured_again_gets_its_level_at_once():
 
 
 @given(st.lists(st.one_of(st.none(), st.floats()), max_size=50))
-def test_whatever_is_measured_what_is_reported_is_a_voltage_or_nothing(values):
+def test_any_measure_is_reported_as_a_voltage_or_as_nothing(values):
     watch = BatteryWatch(section(), 0)
     for at_s, voltage_v in enumerate(values):
         watch.take(None, at_s * S) if voltage_v is None else measured(watch, voltage_v, at_s)

@@ -332,7 +332,7 @@ async def test_connections_are_bounded_though_calls_of_dropped_ones_go_on(path):
             peer.close()
 
 
-async def test_what_ends_motion_gets_through_though_the_connection_made_room(path):
+async def test_an_emergency_stop_gets_through_though_its_connection_was_dropped(path):
     async with hosted(path):
         panel = await asyncio.to_thread(Client, path)
         crowd = [await Peer.at(path) for _ in range(rpc.CONNECTIONS_MAX)]

@@ -41,7 +41,7 @@ def test_each_command_is_shown_on_a_page():
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_links_lead_to_a_heading_that_is_there(page):
+def test_links_lead_to_headings_that_exist(page):
     dead = []
     for link in re.findall(r"\]\(([^)\s]+)\)", TEXT[page]):
         if "://" in link:

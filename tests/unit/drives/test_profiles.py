@@ -205,7 +205,7 @@ def test_an_encoder_of_the_robot_changes_no_profile_without_a_motor_table():
     assert load_profile(profile.path, 1234) == profile
 
 
-def test_a_drive_without_a_watchdog_must_report_why(tmp_path):
+def test_a_profile_without_a_watchdog_needs_a_note(tmp_path):
     text = ZLAC[: ZLAC.index("[watchdog]")] + ZLAC[ZLAC.index("[[fault]]") :]
     assert any("watchdog_note" in row for row in problems(tmp_path, text))
 

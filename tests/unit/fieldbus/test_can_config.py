@@ -316,7 +316,7 @@ def test_a_mistake_about_frames_that_answer_is_reported(tmp_path, right, wrong, 
     assert message in str(error.value)
 
 
-def test_a_reply_is_known_by_every_byte_that_is_not_a_signal():
+def test_a_reply_is_recognized_by_every_byte_that_is_not_a_signal():
     profile = find_profile("moteus")
     reply, signals = profile.can.frames["reply"], signals_of(profile.registers, "reply")
     data = bytearray(build(reply, signals, {"mode_shown": 10, "fault": 33}))

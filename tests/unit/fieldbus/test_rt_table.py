@@ -149,7 +149,7 @@ def _reading(plan, drive):
 
 
 @pytest.mark.parametrize("name", MODBUS)
-def test_an_answer_is_known_by_its_head_or_its_echo_and_its_length(name):
+def test_an_answer_is_recognized_by_its_head_or_its_echo_and_its_length(name):
     _, drive = table_of(shipped_profile(name))
     directions = [
         frame for one in drive.direction for frame in (one.rest, one.forward, one.reverse)

@@ -33,7 +33,7 @@ def drive():
     return table.drive[0]
 
 
-def test_its_line_runs_in_c_by_default():
+def test_a_roboclaw_line_runs_in_c_by_default():
     assert engine_of(spec_of(1)) == "rt"
 
 

@@ -81,7 +81,7 @@ def test_output_without_a_measurement_is_refused(text):
         parse(text)
 
 
-def test_it_runs_as_the_loop_does():
+def test_cyclictest_runs_as_the_loop_does():
     line = command(rate_hz=4000.0, seconds=2.5, priority=80, cpu=(1, 3))
     assert {"-p80", "-a1,3", "-i250", "-D3"} <= set(line)
 
@@ -123,7 +123,7 @@ async def test_a_refused_cyclictest_gives_its_own_error_as_the_note(monkeypatch,
 
 
 @pytest.mark.skipif(shutil.which("cyclictest") is None, reason="cyclictest is not installed")
-async def test_it_is_ended_early_with_what_it_counted():
+async def test_cyclictest_is_ended_early_with_what_it_counted():
     """A busy machine starts it late: the test waits longer until it has counted something."""
     for after_s in (0.2, 1.0, 5.0):
         async with beside(1000.0, 600.0, 80, ()) as cyclictest:

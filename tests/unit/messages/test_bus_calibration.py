@@ -68,7 +68,7 @@ def test_a_heading_that_counts_too_much_means_a_wider_track():
     assert found.factor == pytest.approx(1.1)
 
 
-def test_it_ends_only_when_the_robot_has_rested():
+def test_a_calibration_ends_only_when_the_robot_has_rested():
     assert pushed(begun("wheel_radius", 2.0), straight(1.9), rest_s=REST_S - 0.1) is None
 
 
@@ -87,7 +87,7 @@ def test_a_distance_that_contradicts_the_measured_one_gives_nothing():
     assert (found.end, found.factor) == (End.ABORTED, 0.0)
 
 
-def test_without_a_distance_it_ends_at_its_time_out():
+def test_without_a_distance_a_calibration_ends_at_its_time_out():
     found = pushed(begun("wheel_radius", 2.0, timeout_s=5.0), straight(0.5), rest_s=10.0)
     assert found.end is End.ABORTED
     assert "within 5 s" in found.why

@@ -58,7 +58,7 @@ WORDS = (
 
 @pytest.mark.parametrize("form", [as_cdr, as_json])
 @pytest.mark.parametrize("change", WORDS, ids=lambda change: next(iter(change)))
-def test_a_change_of_one_word_alone_is_sent_at_once(form, change):
+def test_a_change_of_one_word_alone_is_encoded_at_once(form, change):
     topic, body = TOPICS["motor_status"], Body(robot="r2", joints=("left", "right"))
     encode = form(topic, body)
     words = {"owner": 1 if "status" in change else 2}

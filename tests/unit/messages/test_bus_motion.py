@@ -305,7 +305,7 @@ def test_a_base_that_does_not_come_to_rest_is_not_waited_for_for_ever():
     assert (step.end, step.why) == (End.ABORTED, "it does not come to rest")
 
 
-def test_a_jerk_limit_makes_it_slow_down_earlier():
+def test_a_jerk_limit_makes_a_motion_slow_down_earlier():
     soft = dataclasses.replace(BOUNDS, jerk_u_s3=0.5)
     assert soft.approach_u_s(0.5) < BOUNDS.approach_u_s(0.5)
     assert BOUNDS.approach_u_s(-1.0) == 0.0

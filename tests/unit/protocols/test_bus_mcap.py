@@ -162,7 +162,7 @@ async def test_a_flight_recorder_writes_what_led_to_the_fault_and_nothing_else(t
     assert faults[-1] == ["drive", "estop"]
 
 
-async def test_a_flight_recorder_forgets_what_is_older_than_a_file_of_it_holds(tmp_path):
+async def test_a_flight_recorder_forgets_what_is_too_old_for_its_file(tmp_path):
     settings = {"mode": "fault", "before_s": 30.0, "after_s": 0.0, "topics": ("odom",)}
     async with recording(tmp_path, **settings) as stage:
         old_ms = time.monotonic_ns() // MS - 60_000
@@ -180,7 +180,7 @@ async def test_a_flight_recorder_forgets_what_is_older_than_a_file_of_it_holds(t
 STATUS = {"loop": LOOP, "leases": []}
 
 
-async def test_rosbag2_readers_of_others_read_every_topic(tmp_path):
+async def test_other_readers_of_rosbag2_read_every_topic(tmp_path):
     async with recording(tmp_path) as stage:
         await stage.until(lambda: stage.files() and stage.feed.taken > 20, status=STATUS)
     (path,) = stage.files()

@@ -63,7 +63,7 @@ def test_each_joint_has_the_limits_that_its_drive_follows(robot, limits):
     assert parameters.listed(robot.limits, robot.base) == {}
 
 
-def test_a_base_has_none_of_them():
+def test_a_base_has_no_parameters_of_joints():
     base = load_robot(ROBOTS / "demo.toml")
     assert joint_parameters.listed(base, {}) == {}
     with pytest.raises(RpcError, match="no parameter"):

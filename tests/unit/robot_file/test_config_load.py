@@ -74,7 +74,7 @@ def test_a_deceleration_that_is_not_given_is_the_acceleration(tmp_path):
     assert robot.limits.angular_deceleration_rad_s2 == 3.0
 
 
-def test_a_robot_does_not_change_after_it_was_read(tmp_path):
+def test_a_robot_cannot_be_changed_after_it_was_read(tmp_path):
     robot = load(tmp_path, MINIMAL)
     with pytest.raises(ValueError, match="frozen"):
         robot.limits.linear_m_s = 9.0

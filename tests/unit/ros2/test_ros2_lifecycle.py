@@ -75,7 +75,7 @@ class Managed:
         ]
 
 
-async def test_a_manager_walks_the_node_up_and_down_again():
+async def test_a_manager_leads_the_node_through_all_its_states():
     node = Managed()
     walked = []
     for number in (CONFIGURE, ACTIVATE, DEACTIVATE, CLEANUP, CONFIGURE, CLEANUP, 5):

@@ -201,7 +201,7 @@ def test_parameters_are_the_limits_and_what_cannot_be_changed():
     assert asked("list_parameters", Daemon(), prefixes=(), depth=1).result.names == []
 
 
-def test_no_limit_is_infinity():
+def test_an_absent_limit_is_infinity():
     (value,) = asked("get_parameters", Daemon(), names=["limits.linear_m_s3"]).values
     assert value.double_value == float("inf")
     daemon = Daemon()
@@ -215,7 +215,7 @@ def test_no_limit_is_infinity():
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("-inf")])
-def test_a_limit_that_is_not_finite_is_not_passed_on(value):
+def test_a_limit_of_velocity_that_is_not_finite_is_not_passed_on(value):
     daemon = Daemon()
     change = SimpleNamespace(
         name="limits.linear_m_s", value=SimpleNamespace(type=3, double_value=value)

@@ -67,7 +67,7 @@ def test_a_misspelt_command_or_option_is_wrong_usage_with_a_suggestion(motord, a
     assert hint in result.stderr
 
 
-def test_check_of_a_good_file_ends_well(motord):
+def test_check_of_a_good_file_succeeds(motord):
     result = motord("check", DEMO)
     assert result.exit_code == Exit.DONE
     rows = result.stdout.splitlines()
@@ -75,7 +75,7 @@ def test_check_of_a_good_file_ends_well(motord):
     assert "may command     local socket (socket, priority 100)" in rows
 
 
-def test_check_with_a_warning_ends_well_and_reports_it(motord):
+def test_check_with_a_warning_succeeds_and_reports_it(motord):
     result = motord("check", DEMO, "--set", "limits.linear_m_s=1.3")
     assert result.exit_code == Exit.DONE
     assert "limits.linear_m_s: warning: 1.3 m/s is never reached" in result.stdout
@@ -173,7 +173,7 @@ def test_a_command_that_needs_a_robot_reports_problems_and_warnings_on_stderr(ca
     assert "limits.linear_m_s: warning: " in capsys.readouterr().err
 
 
-def test_json_that_is_printed_is_json(capsys):
+def test_printed_json_is_valid_or_an_error(capsys):
     print_json({"a": 1.5, "text": "é"})
     assert json.loads(capsys.readouterr().out) == {"a": 1.5, "text": "é"}
     with pytest.raises(ValueError, match="not JSON compliant"):

@@ -53,7 +53,7 @@ def test_a_page_of_this_machine_commands_without_a_token_only_where_the_robot_fi
     assert right(Access(TRUSTED, None), with_token("any")) == (True, True, "")
 
 
-def test_a_page_that_is_trusted_without_a_token_has_not_shown_it():
+def test_trust_without_a_token_does_not_count_as_a_token():
     both = TRUSTED.model_copy(update={"token_file": "t"})
     assert not Access(both, fits).right(request()).token
     assert not Access(TRUSTED, None).right(with_token(TOKEN)).token
