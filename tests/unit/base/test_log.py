@@ -37,7 +37,7 @@ def logged(journal, text, stream="same"):
     return subprocess.run(command, stderr=subprocess.PIPE, check=True, timeout=30).stderr.decode()
 
 
-def test_the_journal_gets_a_warning_with_its_line_event_and_joints(journal):
+def test_the_journal_gets_a_warning_with_line_event_and_joints(journal):
     assert logged(journal, "the drive is unresponsive") == ""
     assert journal.recv(9999).decode().splitlines() == [
         "MESSAGE=the drive is unresponsive",

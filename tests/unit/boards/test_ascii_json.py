@@ -42,7 +42,7 @@ def test_members_come_in_any_order_among_any_others(left, right, others, order):
         b'{"T":1,"L":1e999,"R":2}', b'{"T":1,"L":1,"R":2', b'{"T":1,"L":null,"R":2}',
     ],
 )  # fmt: skip
-def test_a_line_that_does_not_match_the_template_is_ignored(line):
+def test_an_unmatched_line_is_ignored(line):
     assert TEXT.read(line) is None
 
 

@@ -30,7 +30,7 @@ def test_feedback_is_read_whatever_its_white_space(line):
 
 
 @pytest.mark.parametrize("line", [b"", b"e 12", b"e 12 -7.5 3", b"f 12 -7.5", b"e nan 1", b"\xff"])
-def test_a_line_that_does_not_match_the_template_is_ignored(line):
+def test_an_unmatched_line_is_ignored(line):
     assert Text("e {left} {right}\n", BOTH).read(line) is None
 
 

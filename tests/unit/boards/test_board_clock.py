@@ -17,7 +17,7 @@ WRAP_US = 1 << 32
     start_us=st.integers(0, WRAP_US - 1),
     steps=st.lists(st.tuples(st.integers(1, 50), st.integers(0, 30)), min_size=1, max_size=60),
 )
-def test_a_stamp_is_never_later_than_the_arrival_of_its_frame(start_us, steps):
+def test_no_stamp_is_later_than_the_arrival_of_its_frame(start_us, steps):
     clock, board_ms = BoardClock(), 0
     for step_ms, delay_ms in steps:
         board_ms += step_ms

@@ -57,9 +57,7 @@ def test_what_does_not_fit_together_is_reported(tmp_path, more, row):
 
 
 @pytest.mark.parametrize(("more", "count"), [("", 1), ('cert_file = "c"\nkey_file = "k"\n', 0)])
-def test_a_rosbridge_that_takes_commands_from_other_machines_needs_a_certificate(
-    tmp_path, more, count
-):
+def test_a_rosbridge_for_commands_of_other_machines_needs_a_certificate(tmp_path, more, count):
     text = '[input.web]\nkind = "rosbridge"\ntoken_file = "token"\nhost = "0.0.0.0"\n' + more
     if count:
         assert len(errors(tmp_path, text)) == count
@@ -87,7 +85,7 @@ def test_a_robot_without_networked_buses_has_no_second_process(tmp_path):
     assert load_robot(robot_file(tmp_path, '[publish.net]\nkind = "mqtt"\n')).has_bus
 
 
-def test_a_robot_keeps_the_overrides_that_it_was_loaded_with():
+def test_a_robot_keeps_its_overrides():
     assert load_robot(DEMO, ["robot.name=r2"]).overrides == ("robot.name=r2",)
 
 
@@ -148,7 +146,7 @@ def test_a_group_needs_the_sparkplug_scheme(tmp_path):
 
 
 @pytest.mark.parametrize(("more", "count"), [("", 1), ('cert_file = "c"\nkey_file = "k"\n', 0)])
-def test_a_foxglove_server_that_takes_commands_from_other_machines_needs_a_certificate(
+def test_a_foxglove_server_for_commands_of_other_machines_needs_a_certificate(
     tmp_path, more, count
 ):
     text = '[input.view]\nkind = "foxglove"\nhost = "0.0.0.0"\ntoken_file = "token"\n' + more

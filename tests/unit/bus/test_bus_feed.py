@@ -101,7 +101,7 @@ def test_an_unknown_topic_is_a_key_error():
         Feed(BODY, {"odour": 1.0})
 
 
-def test_the_commander_is_the_source_that_holds_the_lease_of_the_snapshot():
+def test_the_commander_holds_the_lease_of_the_snapshot():
     leases = [{"number": 4, "owner": "web", "priority": 7, "why": "in command: the only one"}]
     assert view(1, {"leases": leases}, owner=4).commander().owner == "web"
     assert view(1, {"leases": leases}, owner=5).commander() is None
@@ -169,7 +169,7 @@ def test_another_package_may_bring_a_kind(tmp_path, monkeypatch, group):
     assert find("here", name, {}, group).__name__ == "Smoke"
 
 
-def test_an_adapter_that_cannot_be_made_is_reported_and_the_others_are_made(tmp_path, caplog):
+def test_an_adapter_that_cannot_be_made_is_reported_and_others_are_made(tmp_path, caplog):
     text = DEMO.read_text(encoding="utf-8") + (
         '\n[publish.smoke]\nkind = "other"\nadapter = "smoke"\n'
         '[publish.prom]\nkind = "prometheus"\n'

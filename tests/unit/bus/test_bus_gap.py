@@ -52,7 +52,7 @@ async def test_the_first_request_after_a_gap_finds_it():
         assert gap.just_over()
 
 
-async def test_a_gap_that_the_watch_finds_first_counts_until_queues_are_drained(monkeypatch):
+async def test_a_gap_found_by_the_watch_lasts_until_queues_are_drained(monkeypatch):
     gap = Gap(LONGEST_S)
     async with watched(gap):
         stand_still()

@@ -75,7 +75,7 @@ async def test_an_adapter_that_ends_by_itself_is_not_run_again():
     assert failures == {}
 
 
-async def test_an_adapter_that_raises_when_cancelled_is_cancelled_all_the_same():
+async def test_an_adapter_that_raises_when_cancelled_is_cancelled():
     class Spiteful:
         async def run(self):
             try:

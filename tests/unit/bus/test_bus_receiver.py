@@ -160,7 +160,7 @@ def numbers(daemons, count):
     return [struct.unpack_from("<16sQ", raw, 8) for raw in found]
 
 
-def test_numbers_of_commands_continue_through_an_outlet_and_back(leased, outlet):
+def test_command_numbers_continue_through_an_outlet_and_back(leased, outlet):
     source, daemons = leased
     assert source.drive(0.1, 0.0)
     source.lend(outlet)

@@ -151,7 +151,7 @@ async def running(part):
 NO_MORE = os.strerror(errno.EMFILE)
 
 
-async def test_a_trace_that_cannot_be_started_gives_its_page_the_reason_and_stops_nothing_else(
+async def test_a_trace_that_cannot_start_gives_its_page_the_reason_and_stops_nothing_else(
     carried_out_by, tmp_path, no_descriptor_left
 ):
     traces, page = Traces(tmp_path / "socket"), Page()

@@ -31,7 +31,7 @@ def test_a_robot_that_does_not_drive_is_refused():
         free_of(load_robot(ROBOTS / "pan-tilt.toml"), "straight")
 
 
-def test_wheels_with_their_own_radius_are_scaled_and_others_keep_that_of_the_base():
+def test_a_wheel_with_its_own_radius_is_scaled_too():
     text = (ROBOTS / "ackermann-servo.toml").read_text("utf-8")
     text = text.replace('place = "rear"', 'place = "rear"\nwheel_radius_m = 0.05')
     robot = load_robot(ROBOTS / "ackermann-servo.toml", text=text)
@@ -58,5 +58,5 @@ def test_a_log_of_a_mecanum_base_changes_nothing(tmp_path):
     assert file.read_text("utf-8") == text
 
 
-def test_a_differential_base_gets_scale_ratio_and_track_fitted():
+def test_a_differential_base_is_fitted_completely():
     assert set(free_of(load_robot(ROBOTS / "demo.toml"), "all")) == {"scale", "ratio", "track"}

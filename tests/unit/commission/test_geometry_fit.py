@@ -132,7 +132,7 @@ def test_a_square_alone_does_not_determine_the_size():
         fit(squares, TRACK_M, ("scale", "ratio", "track"))
 
 
-def test_a_measure_that_contradicts_the_others_is_refused_and_named():
+def test_a_contradictory_measure_is_refused_and_named():
     measures = whole()
     bad = measures[3]
     found = Pose(bad.found.x_m + 0.3, bad.found.y_m)

@@ -134,7 +134,7 @@ def test_an_omni_base_has_its_wheels_around_it(count):
     assert person.questions == []
 
 
-def test_a_wheel_that_the_base_does_not_have_is_refused():
+def test_a_wheel_that_the_base_lacks_is_refused():
     with pytest.raises(Failed, match=r"--unit middle=.*this base has left, right"):
         written(replace(WHOLE, addresses={"middle": (1, 1)}))
 

@@ -84,7 +84,7 @@ def test_one_swapped_wheel_alone_is_not_enough_to_change_the_file(demo):
     assert "motord spin --all" in found.texts[-1]
 
 
-def test_swapped_motor_plugs_are_mended_by_wiring_and_not_in_the_file(demo):
+def test_swapped_motor_plugs_are_mended_by_wiring(demo):
     found = findings(
         demo,
         [
@@ -96,7 +96,7 @@ def test_swapped_motor_plugs_are_mended_by_wiring_and_not_in_the_file(demo):
     assert "swap the plugs of the two motors" in found.texts[-1]
 
 
-def test_a_drives_encoder_that_counts_backward_is_mended_by_wiring(demo):
+def test_a_drives_encoder_that_counts_backward_is_rewired(demo):
     found = findings(demo, [turned("left", seen="left", left=-1.0, faults=("direction",))])
     assert not found.changes
     assert "turned against its set-point" in found.texts[0]

@@ -25,7 +25,7 @@ def modules_in(name):
 
 
 @pytest.mark.parametrize("name", ["ackermann-servo", "swerve4-servos"])
-def test_no_pattern_is_equal_or_opposite_to_that_of_another_wheel(name):
+def test_no_two_wheels_have_equal_or_opposite_patterns(name):
     found, strafes = modules_in(name)
     shown = patterns(poses_of(found, strafes=strafes))
     both = [*shown.values(), *map(opposite, shown.values())]

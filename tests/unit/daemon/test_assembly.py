@@ -83,7 +83,7 @@ def test_a_torque_drive_has_a_speed_loop_and_other_drives_do_not():
     assert {joint["speed_loop"]["kind"] for joint in demo["joint"]} == {SpeedLoopKind.NONE}
 
 
-def test_a_duty_drive_with_an_encoder_may_have_a_loop_and_has_only_feed_forward_by_default():
+def test_a_duty_drive_with_an_encoder_has_only_feed_forward_by_default():
     _, _, config = assembled("pi4-encoders")
     for joint in config["joint"]:
         loop = joint["speed_loop"]

@@ -68,7 +68,7 @@ async def test_a_line_that_holds_no_figures_is_skipped(written, caplog):
         assert set(supervisor.report()) == {"pid", "restarts"}
 
 
-async def test_pid_and_restarts_come_from_the_daemon_and_not_from_the_child():
+async def test_pid_and_restarts_come_from_the_daemon():
     written = b'{"pid":1,"restarts":-5}\n' + BEAT.replace(b"{", b'{"pid":1,"restarts":-5,', 1)
     async with child(f"os.write(1, {written!r}); os.read(0, 1)") as supervisor:
         await until(lambda: "inputs" in supervisor.report())

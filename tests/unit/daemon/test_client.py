@@ -119,7 +119,7 @@ def test_nan_and_infinity_are_never_sent(path, value):
         assert robot.arm() == "arm"
 
 
-def test_a_call_without_an_answer_ends_in_time_and_the_next_call_skips_a_late_answer(tmp_path):
+def test_a_call_ends_at_its_deadline_and_the_next_skips_a_late_answer(tmp_path):
     late = b'{"jsonrpc":"2.0","id":1,"result":"late"}\n{"jsonrpc":"2.0","id":2,"result":"mine"}\n'
     with answering(tmp_path / "s", b"", late) as robot:
         with pytest.raises(ClientError, match=r"no answer within 0\.3 s"):
@@ -133,7 +133,7 @@ def test_an_answer_may_follow_lines_that_are_not_its_own(tmp_path):
         assert robot.call("x") == {"a": [1]}
 
 
-def test_a_connection_that_the_daemon_closes_is_an_error(tmp_path):
+def test_a_closed_connection_is_an_error(tmp_path):
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(tmp_path / "s"))
         listener.listen(1)
@@ -225,7 +225,7 @@ def test_sockets_are_sought_where_daemons_put_them():
     assert len(socket_folders({}, uid=7)) == 2
 
 
-def test_a_client_sends_the_request_that_the_page_documents(tmp_path):
+def test_a_client_sends_the_documented_request(tmp_path):
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(tmp_path / "s"))
         listener.listen(1)
@@ -250,8 +250,6 @@ def test_without_a_free_descriptor_a_client_raises_its_error(path, no_descriptor
         Client(path)
 
 
-async def test_in_asyncio_without_a_free_descriptor_a_client_raises_its_error(
-    path, no_descriptor_left
-):
+async def test_without_a_free_descriptor_the_asyncio_client_raises_too(path, no_descriptor_left):
     with no_descriptor_left(), pytest.raises(ClientError, match="Too many open files"):
         await aio.Client(path).open()

@@ -50,7 +50,7 @@ def test_a_stop_is_reported_once_and_its_end_once():
     assert health.stalls() == {"heart 0": 1}
 
 
-def test_an_excused_heart_does_not_fail_and_its_silence_does_not_count_later():
+def test_an_excused_heart_does_not_fail_then_or_at_once_after():
     health = Health()
     judge(health, 0, 5)
     assert judge(health, 10, 5, excused=True).well

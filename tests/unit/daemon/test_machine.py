@@ -126,7 +126,7 @@ def test_arming_what_is_armed_changes_nothing():
     assert step(State.MOVING, Event.ARM, BAD["command"]) is State.MOVING
 
 
-def test_a_typical_day_passes_through_its_states():
+def test_a_typical_day():
     state = State.OFF
     for event, expected in [
         (Event.START, State.CONFIGURING),

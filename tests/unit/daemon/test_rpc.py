@@ -261,7 +261,7 @@ async def test_a_line_without_end_costs_the_connection_and_no_memory(path):
         peer.close()
 
 
-async def test_a_client_that_does_not_read_is_dropped_and_the_others_are_served(path):
+async def test_a_client_that_does_not_read_is_dropped(path):
     async with hosted(path) as host:
         other = await Peer.at(path)
         with socket.socket(socket.AF_UNIX) as unread:
@@ -277,7 +277,7 @@ async def test_a_client_that_does_not_read_is_dropped_and_the_others_are_served(
         other.close()
 
 
-async def test_the_connection_that_is_silent_longest_makes_room(path):
+async def test_the_longest_silent_connection_makes_room(path):
     async with hosted(path) as host:
         first = await Peer.at(path)
         second = await Peer.at(path)
@@ -369,7 +369,7 @@ async def test_without_a_free_file_descriptor_it_tries_again(path, caplog, no_de
             assert json.loads(await loop.sock_recv(late, 1000))["id"] == 1
 
 
-async def test_without_a_free_file_descriptor_the_connection_silent_longest_makes_room(
+async def test_without_a_descriptor_the_longest_silent_connection_makes_room(
     path, no_descriptor_left
 ):
     async with hosted(path):

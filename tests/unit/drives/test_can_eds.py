@@ -103,7 +103,7 @@ def test_types_and_start_values_may_come_from_the_sheet(tmp_path):
          'index = 0x6079\nsub = 0\ntype = "u32"', "cannot be written (ro)"),
     ],
 )  # fmt: skip
-def test_an_object_that_the_drive_does_not_have_is_reported(tmp_path, right, wrong, message):
+def test_an_object_that_the_drive_lacks_is_reported(tmp_path, right, wrong, message):
     found = problems(tmp_path, right, wrong)
     assert message in found
     assert re.search(r"cia402-csv\.toml:\d+: ", found)

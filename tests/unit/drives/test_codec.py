@@ -133,7 +133,7 @@ def test_noise_never_passes_for_a_frame_without_its_check_sum(noise):
         parse_reply(Request(1, Function.READ_HOLDING, 0, count=1), noise)
 
 
-def test_a_bad_check_sum_is_distinguished_from_a_malformed_frame():
+def test_a_bad_check_sum_is_no_malformed_frame():
     with pytest.raises(CrcError):
         parse_request(b"\x01\x03\x00\x00\x00\x01\x00\x00")
     with pytest.raises(FrameError, match="wrong length"):

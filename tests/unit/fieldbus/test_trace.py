@@ -182,7 +182,7 @@ def test_text_of_a_board_that_fits_no_template_is_shown_as_it_is():
     ("received", "result"),
     [(b"", "no reply"), (b"\x01\x02\x03\x04", "bad reply: "), (bytes(8) + b"\xc8\x9a", "ok")],
 )
-def test_the_outcome_of_a_roboclaw_read_follows_from_its_reply(received, result):
+def test_each_outcome_of_a_roboclaw_read_is_named(received, result):
     found = decoded(decoder_of("roboclaw"), b"\x80\x4e", received)
     assert found.result.startswith(result)
     assert found.joint == "left,right"
@@ -193,7 +193,7 @@ def test_unexpected_bytes_of_a_roboclaw_are_named():
     assert decoded(decoder_of("roboclaw"), b"", b"\xff").result == "came without a request"
 
 
-def test_requests_and_replies_of_servos_are_named_by_joint_and_register():
+def test_servo_traffic_is_named_by_joint_and_register():
     robot = load_robot(ROBOTS / "turtlebot3-burger.toml")
     decoder, packets = decoder_of("turtlebot3-burger"), packets_of("dynamixel")
     unit = robot.joint["left"].unit

@@ -75,7 +75,7 @@ def test_the_picture_is_not_blank(drawn, kwargs):
         assert (half[..., :3].min(axis=2) < 0.7).mean() > 0.005
 
 
-def test_each_measured_part_changes_the_picture(drawn):
+def test_each_measure_is_drawn(drawn):
     plain = drawn()
     for kwargs in ({"cyclictest": False}, {"timeline": False}, {"overruns": 3}):
         assert (plain != drawn(**kwargs)).any(), kwargs

@@ -36,7 +36,7 @@ def test_percentiles_are_those_of_the_nearest_rank(values):
     assert spread.p50 <= spread.p99 <= spread.p99_9 <= spread.max == ordered[-1]
 
 
-def test_samples_that_were_not_counted_are_reported_as_the_maximum():
+def test_uncounted_samples_are_reported_as_the_maximum():
     spread = Spread.of_counts({10: 50}, samples=100, maximum=700.0)
     assert (spread.p50, spread.p99, spread.max) == (10.0, 700.0, 700.0)
 

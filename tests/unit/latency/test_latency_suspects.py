@@ -141,7 +141,7 @@ def test_without_a_real_time_priority_the_loop_waits_like_any_program():
         ("tick", late(0, wake_us=1, work_us=400), {}),
     ],
 )
-def test_a_late_tick_without_a_holding_thread_has_a_cause_of_its_own(kind, tick, grown):
+def test_a_late_tick_without_a_holder_has_its_own_cause(kind, tick, grown):
     assert culprit(Switches(), [tick], grown=grown).kind == kind
 
 

@@ -82,7 +82,7 @@ def test_a_curved_path_gives_nothing():
     assert "turned" in found.why
 
 
-def test_a_distance_that_contradicts_the_measured_one_gives_nothing():
+def test_a_contradictory_distance_gives_nothing():
     found = pushed(begun("wheel_radius", 2.0), straight(3.0))
     assert (found.end, found.factor) == (End.ABORTED, 0.0)
 

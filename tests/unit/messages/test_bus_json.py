@@ -60,7 +60,7 @@ def test_joints_that_the_robot_file_does_not_have_are_not_sent_under_the_names_o
 @pytest.mark.parametrize(
     "raw", ['{"id": "\\ud800"}', b'{"\\uDFFF": 1}', b'["\xed\xa0\x80"]', "[" * 100_000]
 )
-def test_json_with_lone_surrogates_or_deep_nesting_is_refused(raw):
+def test_lone_surrogates_and_deep_nesting_are_refused(raw):
     with pytest.raises(ValueError, match=r"surrogates|nested"):
         json_form.decode(raw)
 

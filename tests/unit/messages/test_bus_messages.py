@@ -224,7 +224,7 @@ def test_before_the_gyro_has_a_zero_its_error_is_unknown():
 @pytest.mark.parametrize(
     "changes", [{"state": "stale"}, {"state": "reversed"}, {"angular_rad_s": (0.0, 0.0, math.nan)}]
 )
-def test_an_imu_that_is_old_or_has_no_values_gives_no_message(changes):
+def test_an_old_or_invalid_imu_gives_no_message(changes):
     assert message("imu", inertial(**changes)) is None
     assert message("imu", snapshot()) is None
 

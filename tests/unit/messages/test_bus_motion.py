@@ -176,7 +176,7 @@ def test_a_motion_that_was_not_looked_at_for_long_is_aborted():
 
 
 @pytest.mark.parametrize(("owner", "why"), [(0, "nothing takes"), (LEASE + 1, "another source")])
-def test_a_motion_that_does_not_come_into_command_is_aborted(owner, why):
+def test_a_motion_that_is_never_in_command_is_aborted(owner, why):
     _, motion = begun(Goal(axis="linear", distance_u=1.0))
     late_ms = round(COMMANDS_WITHIN_S * 1000)
     for at_ms in (late_ms // 2, late_ms):

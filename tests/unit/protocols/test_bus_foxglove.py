@@ -22,7 +22,7 @@ HEAD = struct.Struct("<IHH16sQqIIdd")
 """The layout of a command: docs/commands.md."""
 
 
-async def test_a_message_that_waited_for_the_event_loop_keeps_the_time_of_its_arrival(tmp_path):
+async def test_a_message_that_waited_keeps_the_time_of_its_arrival(tmp_path):
     runtime = Runtime(load_robot(DEMO), tmp_path / "no.sock")
     section = FoxgloveInput(kind="foxglove", token_file=str(token_file(tmp_path)), stamped=False)
     looks = Channel("/robot_description", context=Context(), message_encoding="json"), b"{}"

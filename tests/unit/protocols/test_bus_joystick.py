@@ -111,7 +111,7 @@ def test_the_middle_is_zero(value):
     assert pad.twist() == (0.0, 0.0, 0.0)
 
 
-def test_an_axis_that_the_device_does_not_have_is_reported():
+def test_an_axis_that_the_device_lacks_is_reported():
     with pytest.raises(ValueError, match="no axis"):
         Stick(SECTION, Codes(BUTTON, Y, X), {Y: (0, 255)})
 
@@ -120,7 +120,7 @@ def test_an_axis_that_the_device_does_not_have_is_reported():
     not (UINPUT.exists() and stat.S_ISCHR(UINPUT.stat().st_mode) and os.access(UINPUT, os.W_OK)),
     reason="needs /dev/uinput (modprobe uinput; root)",
 )
-def test_a_device_of_the_kernel_drives_and_hands_back_its_lease(tmp_path):
+def test_a_kernel_device_drives_and_hands_back_its_lease(tmp_path):
     axis = evdev.AbsInfo(value=0, min=-100, max=100, fuzz=0, flat=0, resolution=0)
     events = {EV_KEY: [BUTTON, ESTOP], EV_ABS: [(X, axis), (Y, axis)]}
     name = f"motord test pad {time.monotonic_ns()}"

@@ -40,7 +40,7 @@ def test_an_invalid_range_is_refused(tmp_path, lines, message):
     assert f"joint.left.derating.{message}" in problems(tmp_path, lines)
 
 
-def test_a_measure_that_the_drive_does_not_report_cannot_derate(tmp_path):
+def test_an_unreported_measure_cannot_derate(tmp_path):
     path = tmp_path / "robot.toml"
     text = (DEMO.parent / "pi4-encoders.toml").read_text(encoding="utf-8")
     ours = "[joint.left.derating]\ncurrent_from_a = 8\ncurrent_to_a = 9\n"

@@ -48,7 +48,7 @@ def test_a_serial_line_without_settings_gets_careful_defaults(load):
     assert (spec.priority, spec.cpu) == (70, ())
 
 
-def test_the_settings_of_a_serial_line_reach_the_hardware_layer(load):
+def test_settings_of_a_serial_line_reach_the_hardware_layer(load):
     more = 'gap = "3.5char"\necho = "yes"\npriority = 60\ncpu = [2, 3]\n'
     delays = "direction_before_s = 1e-5\ndirection_after_s = 2e-5\ndirection_active_high = false\n"
     spec = spec_of(load(more=more + GPIO + delays))

@@ -181,7 +181,7 @@ def test_a_table_with_a_wrong_name_gets_a_suggestion(problems_of):
     ]
 
 
-def test_an_empty_file_is_refused_with_the_tables_that_a_robot_needs(problems_of):
+def test_for_an_empty_file_the_required_tables_are_named(problems_of):
     keys = [row.split(": ")[1] for row in problems_of("")]
     assert keys == ["robot", "base", "line", "joint"]
 

@@ -113,7 +113,7 @@ async def test_a_goal_is_accepted_executed_and_has_a_result():
     assert bytes(feedback.goal_id.uuid) == number(1)
 
 
-async def test_servers_that_take_turns_refuse_a_goal_while_another_is_running():
+async def test_servers_that_take_turns_run_one_goal_at_a_time():
     turn = Turn()
     one, other = Bench(turn=turn), Bench("rotate", turn)
     async with running(one, other):

@@ -131,7 +131,7 @@ def test_every_user_of_the_machine_may_command_over_dds_and_that_is_reported():
     assert refused("input.ros2.kind=ros2", "input.ros2.trust_network=true", *beyond) == []
 
 
-def test_sections_of_one_domain_have_one_configuration():
+def test_a_domain_has_one_configuration():
     with pytest.raises(ConfigError, match="a domain has one configuration"):
         robot("input.ros2.kind=ros2", "publish.ros2.kind=ros2", "publish.ros2.discovery=subnet")
     with pytest.raises(ConfigError, match="a domain has one configuration"):
@@ -215,7 +215,7 @@ def test_an_absent_limit_is_infinity():
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("-inf")])
-def test_a_limit_of_velocity_that_is_not_finite_is_not_passed_on(value):
+def test_an_invalid_limit_is_not_passed_on(value):
     daemon = Daemon()
     change = SimpleNamespace(
         name="limits.linear_m_s", value=SimpleNamespace(type=3, double_value=value)

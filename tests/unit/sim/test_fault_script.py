@@ -128,7 +128,7 @@ def test_a_cleared_script_does_nothing_more():
     assert spoil(made).frame == REPLY
 
 
-def test_each_fault_of_a_reply_changes_it_in_its_own_manner():
+def test_each_fault_changes_the_reply():
     torn = spoil(script("tear:after_bytes=4")).frame
     assert torn == REPLY[:4]
     corrupt = spoil(script("corrupt")).frame

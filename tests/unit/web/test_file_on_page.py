@@ -148,7 +148,7 @@ def test_a_text_of_a_page_neither_reads_nor_shows_a_file_elsewhere(file, name):
     assert file.read_text("utf-8") == TEXT
 
 
-def test_a_profile_in_the_folder_or_named_by_the_present_file_may_be_used(file):
+def test_a_profile_in_the_folder_or_already_named_may_be_used(file):
     (file.parent / "mine.toml").write_text("[drive]\n", encoding="utf-8")
     [problem, *_] = carried_out(file, "check", drive("mine.toml"))["problems"]
     assert "the drive profile cannot be used" in problem["text"]

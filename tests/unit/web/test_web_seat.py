@@ -39,7 +39,7 @@ def seat(clock, tmp_path):
     source = gate.source
     source.drive = lambda linear, angular, *_, **__: gate.commands.append((linear, angular)) or True
     source.release = lambda **_: gate.commands.append("release") or True
-    clock.now_s += 100.0  # for this process no pause: the gaps have looked now
+    clock.now_s += 100.0  # no pause: the gaps have looked now
     gate._gap._looked_s = gate.gap._looked_s = clock.now_s
     made = Seat(gate, LEASE_S)
     made.commands = gate.commands
