@@ -9,7 +9,7 @@ from motord_hal.base.clock import within
 
 
 async def cancelled(cleaning_up):
-    """A task that was cancelled, and then does this."""
+    """Cancels a task that then runs `cleaning_up`."""
     begun = asyncio.Event()
 
     async def work():
@@ -26,8 +26,8 @@ async def cancelled(cleaning_up):
         await task
 
 
-async def test_a_limit_is_sent_as_one_while_a_cancelled_task_cleans_up():
-    """Python 3.11.2 of Debian 12 has CancelledError there."""
+async def test_a_limit_raises_timeout_error_while_a_cancelled_task_cleans_up():
+    """asyncio.timeout of Python 3.11.2 (Debian 12) raises CancelledError instead."""
     done = []
 
     async def cleaning_up():
@@ -44,7 +44,7 @@ async def test_a_limit_is_sent_as_one_while_a_cancelled_task_cleans_up():
     assert done == ["first", "second", "third"]
 
 
-async def test_cancelling_comes_through():
+async def test_a_cancellation_passes_through_a_limit():
     done = []
 
     async def cleaning_up():
@@ -61,7 +61,7 @@ async def test_cancelling_comes_through():
     assert done == ["cancelled again"]
 
 
-async def test_a_limit_can_be_put_off():
+async def test_a_limit_can_be_rescheduled():
     loop = asyncio.get_running_loop()
     async with within(0.0) as limit:
         limit.reschedule(loop.time() + 10.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The log, as a journal at the other end of its socket takes it, and as a reader of stderr does."""
+"""The log as the journal receives it on its socket, and as a reader of stderr does."""
 
 import contextlib
 import os
@@ -37,7 +37,7 @@ def logged(journal, text, stream="same"):
     return subprocess.run(command, stderr=subprocess.PIPE, check=True, timeout=30).stderr.decode()
 
 
-def test_the_journal_is_sent_what_a_warning_is_about(journal):
+def test_the_journal_gets_a_warning_with_line_event_and_joints(journal):
     assert logged(journal, "the drive is unresponsive") == ""
     assert journal.recv(9999).decode().splitlines() == [
         "MESSAGE=the drive is unresponsive",
@@ -51,7 +51,7 @@ def test_the_journal_is_sent_what_a_warning_is_about(journal):
     ]
 
 
-def test_words_of_several_lines_stay_one_entry(journal):
+def test_a_message_of_several_lines_stays_one_entry(journal):
     logged(journal, "one\ntwo=2")
     head = b"MESSAGE\n" + struct.pack("<Q", 9) + b"one\ntwo=2\nPRIORITY=4\n"
     assert journal.recv(9999).startswith(head)
@@ -63,7 +63,7 @@ def test_a_stderr_that_is_not_the_journals_gets_plain_lines_with_the_time(journa
     )
 
 
-def test_a_journal_that_is_away_stops_nothing(journal):
+def test_a_missing_journal_stops_nothing(journal):
     path = journal.getsockname()
     os.unlink(path)
     assert logged(journal, "this is not read") == ""
@@ -84,8 +84,8 @@ logger.warning("received")
 """
 
 
-def test_a_full_stderr_loses_lines_and_not_the_log(tmp_path):
-    """A pipe that does not block and that no process has read: what finds no room is counted."""
+def test_a_full_stderr_loses_lines_and_counts_them(tmp_path):
+    """The pipe is full, has no reader and does not block: lines that find no room are counted."""
     reading, writing = os.pipe2(os.O_NONBLOCK)
     with contextlib.suppress(BlockingIOError):
         while True:

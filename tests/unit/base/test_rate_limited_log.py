@@ -8,14 +8,14 @@ import pytest
 from motord.base import rate_limited_log as limited
 
 
-def test_a_thousand_of_one_matter_are_one_line(caplog):
+def test_a_thousand_equal_messages_are_one_line(caplog):
     voice = limited.RateLimitedLog(logging.getLogger("test"))
     for _ in range(1000):
         voice.say("not understood")
     assert caplog.messages == ["not understood"]
 
 
-def test_how_many_were_not_reported_is_reported(caplog, monkeypatch):
+def test_the_number_of_suppressed_messages_is_logged(caplog, monkeypatch):
     voice = limited.RateLimitedLog(logging.getLogger("test"))
     for _ in range(4):
         voice.say("not understood")
@@ -27,7 +27,7 @@ def test_how_many_were_not_reported_is_reported(caplog, monkeypatch):
 
 @pytest.fixture
 def library():
-    """The log of a library that says each message that it drops, as aiomqtt does."""
+    """The log of a library that logs each message that it drops, as aiomqtt does."""
     log = logging.getLogger("test.library")
     kept = limited.RateLimitedFilter(log, "input.fleet")
     log.addFilter(kept)
@@ -35,7 +35,7 @@ def library():
     log.removeFilter(kept)
 
 
-def test_a_library_that_reports_each_of_a_thousand_fills_no_log(caplog, library):
+def test_a_message_that_a_library_repeats_is_logged_once(caplog, library):
     for _ in range(1000):
         library.warning("Message queue is full. Discarding message.")
         library.warning("There are %d pending publish calls.", 7)

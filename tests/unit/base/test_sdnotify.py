@@ -38,7 +38,7 @@ def test_a_supervisor_that_went_away_is_no_error(tmp_path):
     assert not Notifier({"NOTIFY_SOCKET": str(tmp_path / "gone")}).ready()
 
 
-def test_a_supervisor_that_does_not_read_holds_nothing_up(supervisor):
+def test_a_supervisor_that_does_not_read_blocks_nothing(supervisor):
     _, name = supervisor
     notifier = Notifier({"NOTIFY_SOCKET": name})
     assert notifier.watchdog()
@@ -59,5 +59,5 @@ def test_a_supervisor_that_does_not_read_holds_nothing_up(supervisor):
         ({}, None),
     ],
 )
-def test_the_watchdog_time_is_ours_or_none(environ, watchdog_s):
+def test_only_a_watchdog_time_for_this_process_counts(environ, watchdog_s):
     assert Notifier(environ).watchdog_s == watchdog_s

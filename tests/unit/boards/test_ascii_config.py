@@ -62,7 +62,7 @@ def test_a_twist_needs_both_sides_on_the_line(tmp_path):
         load_robot(path)
 
 
-def test_a_format_that_cannot_be_written_is_named_with_what_can(tmp_path):
+def test_an_unsupported_format_is_named_with_a_supported_one(tmp_path):
     path = tmp_path / "robot.toml"
     path.write_text(TEXT.replace(TEMPLATE, r'template = "{left:5},{right:5}\n"'), encoding="utf-8")
     with pytest.raises(ConfigError, match=r"has no letter d, f or g: write \{left:d\}"):
@@ -78,7 +78,7 @@ def test_a_format_that_cannot_be_written_is_named_with_what_can(tmp_path):
         ('feedback = "{voltage_v}\\n"', "the wheel's set-point"),
     ],
 )
-def test_the_check_names_what_odometry_comes_from_without_counts(tmp_path, feedback, source):
+def test_without_counts_the_check_names_the_source_of_odometry(tmp_path, feedback, source):
     path = tmp_path / "robot.toml"
     text = TEXT.replace("counts_per_turn = 1320\n", "")
     path.write_text(

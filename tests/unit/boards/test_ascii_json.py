@@ -13,7 +13,7 @@ KNOWN = ("left", "right")
 TEXT = Text('{{"T":1,"L":{left:.3f},"R":{right:d}}}\n', KNOWN)
 
 
-def test_braces_of_its_own_are_doubled_in_a_template():
+def test_literal_braces_are_doubled_in_a_template():
     assert TEXT.say({"left": 0.25, "right": -3.4}) == b'{"T":1,"L":0.250,"R":-3}\n'
     assert TEXT.members == {"T": 1.0, "L": "left", "R": "right"}
 
@@ -42,7 +42,7 @@ def test_members_come_in_any_order_among_any_others(left, right, others, order):
         b'{"T":1,"L":1e999,"R":2}', b'{"T":1,"L":1,"R":2', b'{"T":1,"L":null,"R":2}',
     ],
 )  # fmt: skip
-def test_what_is_no_such_object_is_another_line(line):
+def test_an_unmatched_line_is_ignored(line):
     assert TEXT.read(line) is None
 
 
@@ -57,6 +57,6 @@ def test_what_is_no_such_object_is_another_line(line):
         ('{{"":{left}}}', "has a character at least"),
     ],
 )
-def test_a_template_that_is_no_such_object_is_refused_with_the_reason(template, why):
+def test_a_template_that_is_no_object_of_numbers_is_refused_with_the_reason(template, why):
     with pytest.raises(ValueError, match=why):
         Text(template, KNOWN)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of text: templates say numbers and read them, streams are cut, twists are wheels."""
+"""Lines of text: templates write and read numbers, streams are cut, twists become wheels."""
 
 import math
 
@@ -14,13 +14,13 @@ from motord_hal.fieldbus.ports import TextSpec, TextWheel
 BOTH = ("left", "right")
 
 
-def test_the_classic_line_is_what_it_looks_like():
+def test_two_integers_are_written_by_their_template():
     text = Text("{left:d},{right:d}\n", BOTH)
     assert text.say({"left": 127.6, "right": -255.0}) == b"128,-255\n"
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_what_is_no_number_is_reported_as_zero(bad):
+def test_nan_and_infinity_are_written_as_zero(bad):
     assert Text("{left},{right}", BOTH).say({"left": bad, "right": 1.0}) == b"0.000,1.000"
 
 
@@ -30,12 +30,12 @@ def test_feedback_is_read_whatever_its_white_space(line):
 
 
 @pytest.mark.parametrize("line", [b"", b"e 12", b"e 12 -7.5 3", b"f 12 -7.5", b"e nan 1", b"\xff"])
-def test_another_line_is_none(line):
+def test_an_unmatched_line_is_ignored(line):
     assert Text("e {left} {right}\n", BOTH).read(line) is None
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
-def test_what_is_reported_is_read_again(left, right):
+def test_written_numbers_are_read_back(left, right):
     text = Text("m {left:.4f} {right:.4f}\n", BOTH)
     read = text.read(text.say({"left": left, "right": right}))
     assert read == {"left": pytest.approx(left, abs=1e-4), "right": pytest.approx(right, abs=1e-4)}
@@ -56,7 +56,7 @@ def test_what_is_reported_is_read_again(left, right):
         ("{left} " + "x" * 300, "bytes"),
     ],
 )
-def test_a_bad_template_is_refused_in_words(template, words):
+def test_a_bad_template_is_refused_with_the_reason(template, words):
     with pytest.raises(ValueError, match=words):
         Text(template, BOTH)
 
@@ -78,7 +78,7 @@ def test_a_line_without_end_is_not_kept():
 
 
 @given(st.floats(-2, 2), st.floats(-4, 4))
-def test_a_twist_is_the_wheels_and_the_wheels_are_the_twist(v, w):
+def test_a_twist_survives_conversion_to_wheels_and_back(v, w):
     wheels = {
         "left": TextWheel(side=-1.0, radius_m=0.05),
         "right": TextWheel(side=1.0, radius_m=0.06),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The board's clock on ours: what waited in a buffer is as old as it is."""
+"""The board's clock in the computer's time: a frame that waited in a buffer keeps its age."""
 
 import pytest
 from hypothesis import given
@@ -17,7 +17,7 @@ WRAP_US = 1 << 32
     start_us=st.integers(0, WRAP_US - 1),
     steps=st.lists(st.tuples(st.integers(1, 50), st.integers(0, 30)), min_size=1, max_size=60),
 )
-def test_a_stamp_is_never_later_than_the_frame_came(start_us, steps):
+def test_no_stamp_is_later_than_the_arrival_of_its_frame(start_us, steps):
     clock, board_ms = BoardClock(), 0
     for step_ms, delay_ms in steps:
         board_ms += step_ms
@@ -27,7 +27,7 @@ def test_a_stamp_is_never_later_than_the_frame_came(start_us, steps):
 
 
 @given(late_ms=st.integers(1, 60), frames=st.integers(1, 60))
-def test_when_the_delay_falls_no_distance_is_squeezed_into_a_shorter_time(late_ms, frames):
+def test_when_the_delay_falls_stamps_are_not_squeezed_together(late_ms, frames):
     clock = BoardClock()
     newest = None
     for n in range(SAMPLES_KEPT + frames):
@@ -49,13 +49,13 @@ def test_frames_that_waited_get_the_time_at_which_they_were_made():
     assert stamps == [n * 20 * MS for n in range(10, 20)]
 
 
-def test_the_clock_of_the_board_goes_round_without_a_jump():
+def test_a_wrap_of_the_board_clock_causes_no_jump():
     clock = BoardClock()
     first_ns = clock.stamp_ns(WRAP_US - 10_000, 0)
     assert clock.stamp_ns(10_000, 20 * MS) - first_ns == 20 * MS
 
 
-def test_a_clock_that_is_slow_makes_stamps_older_by_little():
+def test_a_slow_clock_makes_stamps_only_slightly_older():
     clock = BoardClock()
     for n in range(1, 1000):
         came_ns = n * 20 * MS
@@ -63,7 +63,7 @@ def test_a_clock_that_is_slow_makes_stamps_older_by_little():
         assert 0 <= age_ns <= 0.006 * SAMPLES_KEPT * 20 * MS
 
 
-def test_a_board_that_was_restarted_is_believed_at_once():
+def test_the_clock_of_a_restarted_board_is_used_at_once():
     clock = BoardClock()
     for n in range(50):
         clock.stamp_ns(600_000_000 + n * 20_000, n * 20 * MS)

@@ -22,12 +22,12 @@ def errors(folder, old, new):
     return [f"{row.key}: {row.text}" for row in caught.value.problems]
 
 
-def test_an_address_is_one_of_eight(tmp_path):
+def test_an_address_outside_128_to_135_is_refused(tmp_path):
     text = "136 is no address of a Sabertooth (128 to 135)"
     assert errors(tmp_path, "unit = 129", "unit = 136") == [f"joint.rear_left.unit: {text}"]
 
 
-def test_sabertooths_of_two_profiles_do_not_share_a_wire(tmp_path):
+def test_sabertooths_of_two_profiles_on_one_wire_are_refused(tmp_path):
     profile = (ROBOTS.parent / "drives/sabertooth.toml").read_text(encoding="utf-8")
     other = profile.replace('name = "sabertooth"', 'name = "other"')
     (tmp_path / "other.toml").write_text(other, encoding="utf-8")
@@ -37,7 +37,7 @@ def test_sabertooths_of_two_profiles_do_not_share_a_wire(tmp_path):
     assert f"joint.rear_left.drive: {text}" in found
 
 
-def test_each_sabertooth_on_a_wire_takes_its_share_of_it():
+def test_two_sabertooths_on_a_wire_halve_its_cycle_rate():
     robots = (load_robot(ROBOTS / f"{name}.toml") for name in ("sabertooth", "sabertooth4"))
     (alone,), (two,) = (line_specs(robot, robot.profiles) for robot in robots)
     assert 2 * cycle_limit_hz(two) == pytest.approx(cycle_limit_hz(alone))

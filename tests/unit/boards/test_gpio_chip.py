@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GPIO chips and lines: what is refused before the kernel is asked."""
+"""GPIO chips and lines: what is refused before the kernel is called."""
 
 import errno
 import os
@@ -18,14 +18,14 @@ ONE, OTHER = Path("/dev/gpiochip1"), Path("/dev/gpiochip4")
 
 @pytest.mark.parametrize("label", ["tegra234-gpio", "tegra194-gpio-aon", "tegra-gpio"])
 @pytest.mark.parametrize("pull", [Bias.PULL_UP, Bias.PULL_DOWN])
-def test_a_pull_is_refused_where_the_chip_has_none_and_the_kernel_would_not_report_so(label, pull):
+def test_a_pull_is_refused_where_the_chip_has_none_and_the_kernel_reports_no_error(label, pull):
     with pytest.raises(PortError) as caught:
         check_pull(label, ESTOP, pull)
     assert str(caught.value).startswith(f'safety.estop: the chip "{label}" has no pulls')
     assert "pull = false" in str(caught.value)
 
 
-def test_no_pull_or_one_that_the_chip_has_is_the_kernels_to_answer():
+def test_no_pull_and_a_supported_pull_pass_the_check():
     check_pull("tegra234-gpio", ESTOP, Bias.AS_IS)
     check_pull("pinctrl-rp1", ESTOP, Bias.PULL_UP)
 
@@ -37,7 +37,7 @@ def test_of_two_chips_with_one_label_neither_is_taken():
     assert _only_chip(labels, "pinctrl-rp1") == Path("/dev/gpiochip0")
 
 
-def test_a_chip_that_is_not_there_is_reported_with_those_that_are(tmp_path):
+def test_a_missing_chip_is_reported_with_those_present(tmp_path):
     with pytest.raises(PortError, match=r'no GPIO chip "x"; there: gpiochip1 "pca9555"$'):
         _only_chip({ONE: "pca9555"}, "x")
     (tmp_path / "gpiochip0").touch()
@@ -70,7 +70,7 @@ class Gone:
         raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
 
 
-def test_a_chip_that_reports_no_owner_any_more_is_named_with_its_lines():
+def test_a_chip_that_is_gone_is_named_with_its_lines():
     chip = Chip(Gone(), ONE, "pinctrl-rp1", 54)
     taken = OSError(errno.EBUSY, os.strerror(errno.EBUSY))
     refusal = _refusal(chip, [Wanted(line="GPIO5", purpose="a test")], [5], taken)

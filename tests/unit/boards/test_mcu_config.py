@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boards in a robot file: what a line of them may say, and what the hardware layer gets."""
+"""Boards in a robot file: what their line may contain, and what the hardware layer gets."""
 
 from pathlib import Path
 
@@ -53,7 +53,7 @@ def test_a_drive_of_another_protocol_is_refused(load):
     assert any("speaks modbus-rtu, its line mcu" in row for row in found)
 
 
-def test_there_is_one_board_on_a_line(load):
+def test_a_second_board_on_a_line_is_refused(load):
     found = rows(load, unit=("channel = 2", "unit = 2\nchannel = 1"))
     assert found == ['joint.right.unit: line "board" has one board: joint left is on unit 1']
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The step that gives a pin what a robot file requires of it, by board; and who has it now."""
+"""The step that gives a pin the function of the robot file, by board; and what has the pin now."""
 
 import pytest
 
@@ -49,13 +49,13 @@ def pinmux(tmp_path, *rows):
         (RK3399, "ff420000.pwm", [0], "The board's device tree must give a pin to PWM"),
     ],
 )
-def test_the_step_is_that_of_the_board_for_the_channels_asked_for(
+def test_the_step_depends_on_the_board_and_the_channels(
     tmp_path, compatible, chip, channels, words
 ):
     assert words in pwm_step(chip, channels, (), tree(tmp_path, compatible))
 
 
-def test_a_machine_without_a_device_tree_is_sent_what_must_be(tmp_path):
+def test_a_machine_without_a_device_tree_gets_the_general_step(tmp_path):
     assert "device tree must give" in pwm_step("pwmchip0", [0], (), tmp_path / "none")
 
 
@@ -74,7 +74,7 @@ def test_a_pin_that_the_robot_file_uses_otherwise_is_not_proposed(tmp_path):
         (RK3399, "spi0", "take that driver out of the device tree"),
     ],
 )
-def test_what_frees_a_pin_from_the_kernel_is_reported_by_board(tmp_path, compatible, owner, words):
+def test_the_step_that_frees_a_pin_depends_on_the_board(tmp_path, compatible, owner, words):
     assert words in freeing_step(owner, tree(tmp_path, compatible))
 
 
@@ -124,7 +124,7 @@ def test_a_channel_that_has_no_pin_is_reported_with_the_step(tmp_path):
     assert "no pin to pwm2 of" in not_muxed("1f00098000.pwm", [0, 2], machine, debug)
 
 
-def test_nothing_is_reported_of_pins_that_are_given_or_cannot_be_seen(tmp_path):
+def test_no_step_is_given_for_pins_that_are_muxed_or_unknown(tmp_path):
     machine = tree(tmp_path, PI5)
     assert not_muxed("1f00098000.pwm", [0], machine, tmp_path / "none") == ""
     row = "pin 12 (gpio12): 1f00098000.pwm (GPIO UNCLAIMED) function pwm0 group gpio12"

@@ -96,9 +96,7 @@ def test_enable_pins_that_are_wired_high_may_be_left_out():
     ("driven", "alone", "together"),
     [(set(), ["in1", "in2", "stby", "pump"], []), ({0}, ["stby", "pump"], [["in1", "in2"]])],
 )
-def test_lines_rest_one_by_one_where_that_cannot_send_a_driven_motor_another_way(
-    driven, alone, together
-):
+def test_lines_rest_one_by_one_unless_that_could_turn_a_driven_motor(driven, alone, together):
     bridge = joint("tb6612fng", pwm="pwm0", in1="1", in2="2", stby="3", pump="4")
     lines = [place for place in places_of(0, bridge) if place.channel is None]
     first, groups = split_for_rest(line_of(bridge), lines, driven)
@@ -145,7 +143,7 @@ def test_a_channel_that_is_not_there_is_reported_with_the_chip(tmp_path):
     assert not os.path.lexists(chip / "pwm5")
 
 
-def test_a_chip_that_is_gone_while_its_error_is_worded_is_reported_to_be_gone(tmp_path):
+def test_a_chip_that_vanishes_while_its_error_is_made_is_reported_as_gone(tmp_path):
     chip = find_chip("pwmchip0", pwm_tree(tmp_path, "soc/1f00098000.pwm"))
     no_device = OSError(errno.ENODEV, os.strerror(errno.ENODEV))
     assert _why(no_device, chip, 5) == "the chip has 2 channels, from 0 on"
@@ -187,7 +185,7 @@ def test_a_mistake_in_a_bridge_is_reported(tmp_path, right, wrong, words):
         load_profile(path)
 
 
-def test_of_a_bridge_with_a_pwm_pin_for_each_way_one_write_that_fails_gives_no_power():
+def test_with_a_pwm_pin_for_each_direction_one_failed_write_gives_no_power():
     levels = find_profile("drv8871").bridge.levels
     assert levels["in1"] == {**dict.fromkeys(("coast", "brake", "reverse"), OFF), "forward": DUTY}
     assert levels["in2"] == {**dict.fromkeys(("coast", "brake", "forward"), OFF), "reverse": DUTY}
@@ -238,7 +236,7 @@ def test_two_lines_cannot_have_the_same_channel_of_a_chip(tmp_path):
         ('drive = "bts7960"', 'drive = "zlac8015d"', "joint.left.drive: drive"),
     ],
 )
-def test_what_a_robot_file_has_wrong_about_pins_is_reported(tmp_path, right, wrong, row):
+def test_mistakes_about_pins_in_a_robot_file_are_reported(tmp_path, right, wrong, row):
     assert right in ROBOT
     path = tmp_path / "robot.toml"
     path.write_text(ROBOT.replace(right, wrong, 1), encoding="utf-8")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command gate, which the C receiver has its rules from."""
+"""The command gate, whose rules the C receiver follows."""
 
 import pytest
 from tests.unit.bus.gate_rig import gate

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot file's word on buses: what is refused, and what a topic's rate is."""
+"""Buses in a robot file: what is refused, and what a topic's rate is."""
 
 import pytest
 from tests.unit.bus.bus_config_rig import DEMO, errors, robot_file
@@ -57,7 +57,7 @@ def test_what_does_not_fit_together_is_reported(tmp_path, more, row):
 
 
 @pytest.mark.parametrize(("more", "count"), [("", 1), ('cert_file = "c"\nkey_file = "k"\n', 0)])
-def test_a_rosbridge_that_obeys_other_machines_needs_a_certificate(tmp_path, more, count):
+def test_a_rosbridge_for_commands_of_other_machines_needs_a_certificate(tmp_path, more, count):
     text = '[input.web]\nkind = "rosbridge"\ntoken_file = "token"\nhost = "0.0.0.0"\n' + more
     if count:
         assert len(errors(tmp_path, text)) == count
@@ -85,7 +85,7 @@ def test_a_robot_without_networked_buses_has_no_second_process(tmp_path):
     assert load_robot(robot_file(tmp_path, '[publish.net]\nkind = "mqtt"\n')).has_bus
 
 
-def test_a_robot_remembers_how_it_was_asked_for():
+def test_a_robot_keeps_its_overrides():
     assert load_robot(DEMO, ["robot.name=r2"]).overrides == ("robot.name=r2",)
 
 
@@ -99,7 +99,7 @@ def test_a_package_that_is_not_installed_is_a_warning_with_its_cure(tmp_path, mo
     assert (row.key, package in row.text) == ("publish.net.kind", True)
 
 
-def test_commands_by_a_bridge_node_have_to_be_meant_and_start_no_second_process(tmp_path):
+def test_a_bridge_node_needs_trust_network_and_starts_no_second_process(tmp_path):
     text = '[input.ros]\nkind = "ros2-rclpy"\n'
     (row,) = errors(tmp_path, text)
     assert row.startswith("input.ros.trust_network: all of the domain could move the robot")
@@ -114,7 +114,7 @@ KINDS_WITH_HOST = ("udp", "mqtt", "prometheus", "rosbridge", "foxglove")
     "host",
     ["", "broker..example", ".example", "a b", "a/b", "[::1]", "x" * 64, "::1..2", "a." * 130],
 )
-def test_a_host_that_can_be_none_is_refused(tmp_path, kind, host):
+def test_an_invalid_host_is_refused(tmp_path, kind, host):
     (row,) = errors(tmp_path, f'[publish.net]\nkind = "{kind}"\nhost = "{host}"\n')
     too_long = "at most 253" if len(host) > 253 else "neither the name of a machine nor an address"
     assert row.startswith("publish.net.host: ")
@@ -126,18 +126,18 @@ def test_a_host_that_can_be_none_is_refused(tmp_path, kind, host):
     ["localhost", "127.0.0.1", "0.0.0.0", "::", "::1", "fe80::1%eth0", "::ffff:10.0.0.1",
      "broker.example", "broker.example.", "xn--bcher-kva.example", "my_broker-2", "x" * 63],
 )  # fmt: skip
-def test_a_host_that_can_be_one_is_taken(tmp_path, host):
+def test_a_valid_host_is_taken(tmp_path, host):
     text = f'[publish.net]\nkind = "udp"\nhost = "{host}"\n'
     assert load_robot(robot_file(tmp_path, text)).publish["net"].host == host
 
 
 @pytest.mark.parametrize("router", ["tcp/a..b:7447", "tls/.b:7447", "tcp/:7447"])
-def test_a_router_that_can_be_none_is_refused(tmp_path, router):
+def test_an_invalid_router_is_refused(tmp_path, router):
     (row,) = errors(tmp_path, f'[publish.net]\nkind = "ros2-zenoh"\nrouter = "{router}"\n')
     assert row == f'publish.net.router: "{router}" is neither tcp/HOST:PORT nor tls/HOST:PORT'
 
 
-def test_a_group_is_sparkplugs(tmp_path):
+def test_a_group_needs_the_sparkplug_scheme(tmp_path):
     text = '[publish.fleet]\nkind = "mqtt"\ngroup = "site"\n'
     (row,) = errors(tmp_path, text)
     assert row == 'publish.fleet.group: is of no use without topic_scheme = "sparkplug"'
@@ -146,7 +146,9 @@ def test_a_group_is_sparkplugs(tmp_path):
 
 
 @pytest.mark.parametrize(("more", "count"), [("", 1), ('cert_file = "c"\nkey_file = "k"\n', 0)])
-def test_a_foxglove_server_that_obeys_other_machines_needs_a_certificate(tmp_path, more, count):
+def test_a_foxglove_server_for_commands_of_other_machines_needs_a_certificate(
+    tmp_path, more, count
+):
     text = '[input.view]\nkind = "foxglove"\nhost = "0.0.0.0"\ntoken_file = "token"\n' + more
     if count:
         (row,) = errors(tmp_path, text)
@@ -155,7 +157,7 @@ def test_a_foxglove_server_that_obeys_other_machines_needs_a_certificate(tmp_pat
         assert load_robot(robot_file(tmp_path, text)).has_bus
 
 
-def test_a_foxglove_server_that_obeys_needs_a_token(tmp_path):
+def test_a_foxglove_server_that_takes_commands_needs_a_token(tmp_path):
     (row,) = errors(tmp_path, '[input.view]\nkind = "foxglove"\n')
     assert row.startswith("input.view.token_file")
 
@@ -169,7 +171,7 @@ FLIGHT = '[publish.tape]\nkind = "mcap"\nmode = "fault"\nfolder = "tape"\n'
      ("before_s = 600\nrate_hz = 60\n", 0),
      ("before_s = 600\njournal = true\nrate_hz = 60\n", 1)],
 )  # fmt: skip
-def test_a_flight_recorder_that_memory_does_not_hold_is_warned_of(tmp_path, more, warned):
+def test_a_flight_recorder_that_exceeds_its_memory_is_warned_of(tmp_path, more, warned):
     found = load_robot(robot_file(tmp_path, FLIGHT + more)).warnings
     rows = [row.text for row in found if row.key == "publish.tape.before_s"]
     assert len(rows) == warned

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord-bus` started by hand: what it says when it cannot work."""
+"""`motord-bus` started by hand: what it prints when it cannot work."""
 
 import subprocess
 import sys
@@ -22,13 +22,13 @@ def test_a_robot_file_that_cannot_be_used_is_reported_as_motord_check_reports_it
     assert "none.toml: cannot be read" in done.stderr
 
 
-def test_without_a_daemon_it_reports_which_robot_does_not_run():
+def test_without_a_daemon_motord_bus_reports_which_robot_does_not_run():
     done = bus(str(DEMO), "--set", "robot.name=not-running")
     assert done.returncode == 1
     assert "no robot not-running runs here" in done.stderr
 
 
-def test_it_has_help_with_an_example():
+def test_motord_bus_has_help_with_an_example():
     done = bus("--help")
     assert done.returncode == 0
     assert "Example: motord-bus robot.toml" in done.stdout

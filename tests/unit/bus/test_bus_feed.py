@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Feeds never wait and never grow; sources lose commands rather than keep them; adapters are found
-by name, and one that cannot be had costs only itself."""
+by name, and one that cannot be made stops no other."""
 
 import asyncio
 import contextlib
@@ -46,7 +46,7 @@ async def taken(feed, count):
     return found
 
 
-async def test_of_each_topic_the_newest_wins_and_the_lost_are_counted():
+async def test_each_topic_keeps_its_newest_message_and_counts_the_lost():
     feed = Feed(BODY, {"odom": 1000.0, "tf": 1000.0})
     for at_ms in (1, 2, 3):
         feed.offer(view(at_ms, x_m=float(at_ms)))
@@ -56,7 +56,7 @@ async def test_of_each_topic_the_newest_wins_and_the_lost_are_counted():
     assert (feed.dropped, feed.taken) == (4, 2)
 
 
-async def test_what_does_not_fit_the_form_of_a_bus_is_lost_and_the_next_is_sent():
+async def test_a_message_that_a_bus_cannot_encode_is_lost_and_the_next_is_sent():
     def form(topic, body):
         def made(view, offset_ns):
             if view.snapshot.x_m < 0:
@@ -89,26 +89,26 @@ def test_no_topic_is_offered_faster_than_its_rate(rate_hz, gaps_ms):
     assert 1 <= kept <= 2 + sum(gaps_ms) / 1000 * rate_hz
 
 
-async def test_what_cannot_be_reported_is_left_out():
+async def test_a_topic_without_a_valid_message_is_left_out():
     feed = Feed(BODY, {"odom": 1000.0, "loop_statistics": 1000.0, "diagnostics": 1000.0})
     feed.offer(view(1, x_m=math.nan))
     (one,) = await taken(feed, 1)
     assert (one.topic.name, feed.taken) == ("diagnostics", 1)
 
 
-def test_a_topic_that_there_is_not_has_no_feed():
+def test_an_unknown_topic_is_a_key_error():
     with pytest.raises(KeyError):
         Feed(BODY, {"odour": 1.0})
 
 
-def test_the_commander_is_who_holds_the_lease_of_the_snapshot():
+def test_the_commander_holds_the_lease_of_the_snapshot():
     leases = [{"number": 4, "owner": "web", "priority": 7, "why": "in command: the only one"}]
     assert view(1, {"leases": leases}, owner=4).commander().owner == "web"
     assert view(1, {"leases": leases}, owner=5).commander() is None
     assert view(1, owner=4).commander() is None
 
 
-def test_why_a_fault_is_latched_is_sent_as_long_as_it_is():
+def test_the_reason_of_a_fault_is_sent_while_it_is_latched():
     reasons = {"why": ["input.ros2: by /teleop"]}
     faulty = view(1, reasons, faults=("estop",))
     assert message("motor_status", faulty, BODY, 0).why == ("input.ros2: by /teleop",)
@@ -117,7 +117,7 @@ def test_why_a_fault_is_latched_is_sent_as_long_as_it_is():
 
 
 @given(value=st.floats() | st.text() | st.integers() | st.booleans())
-def test_json_has_no_nan_and_comes_back(value):
+def test_json_has_null_for_nan_and_keeps_other_values(value):
     decoded = decode(encode({"a": [value, (value,)]}))
     odd = isinstance(value, float) and not math.isfinite(value)
     assert decoded == {"a": [None, [None]]} if odd else {"a": [value, [value]]}
@@ -141,18 +141,18 @@ def test_a_message_has_the_fields_of_its_type_and_nothing_else():
 
 
 @pytest.mark.parametrize("raw", ["{", b"\xff", "[" * 100_000])
-def test_what_is_no_json_is_a_value_error(raw):
+def test_invalid_json_is_a_value_error(raw):
     with pytest.raises(ValueError):
         decode(raw)
 
 
 @pytest.mark.parametrize("table", [PUBLISHERS, INPUTS], ids=["publishers", "inputs"])
-def test_every_kind_of_the_tables_is_there(table):
+def test_every_kind_of_the_tables_has_an_adapter(table):
     for kind in table:
         assert callable(find("here", kind, table, "no.such.group"))
 
 
-def test_a_kind_that_nothing_offers_is_named_with_those_there_are():
+def test_an_unknown_kind_is_named_with_the_known_ones():
     with pytest.raises(LookupError, match=r'input.x: .*"smoke".*mqtt'):
         find("input.x", "smoke", INPUTS, INPUT_POINTS)
 
@@ -169,7 +169,7 @@ def test_another_package_may_bring_a_kind(tmp_path, monkeypatch, group):
     assert find("here", name, {}, group).__name__ == "Smoke"
 
 
-def test_an_adapter_that_cannot_be_had_is_reported_and_the_others_are_made(tmp_path, caplog):
+def test_an_adapter_that_cannot_be_made_is_reported_and_others_are_made(tmp_path, caplog):
     text = DEMO.read_text(encoding="utf-8") + (
         '\n[publish.smoke]\nkind = "other"\nadapter = "smoke"\n'
         '[publish.prom]\nkind = "prometheus"\n'
@@ -191,12 +191,12 @@ def secret_file(tmp_path, text, mode=0o600):
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o644])
-def test_a_secret_that_others_can_read_is_none(tmp_path, mode):
+def test_a_secret_that_others_can_read_is_refused(tmp_path, mode):
     with pytest.raises(ValueError, match="chmod 600"):
         read_secret(secret_file(tmp_path, "x" * 20, mode))
 
 
-def test_a_token_that_is_short_is_none(tmp_path):
+def test_a_short_token_is_refused(tmp_path):
     with pytest.raises(ValueError, match="at least 16"):
         Token(secret_file(tmp_path, "short\n"))
 
@@ -208,14 +208,14 @@ def test_a_token_that_is_short_is_none(tmp_path):
     | st.sampled_from(["x" * 20, "\ud800", "x" * 20 + "\udcff"])
     | st.lists(st.text())
 )
-def test_only_the_token_fits(tmp_path_factory, shown):
+def test_only_the_exact_token_is_accepted(tmp_path_factory, shown):
     token = Token(secret_file(tmp_path_factory.mktemp("secret"), "x" * 20 + "\n"))
     assert token.fits(shown) == (shown == "x" * 20)
 
 
 @contextlib.asynccontextmanager
 async def answering(path, answer, *, stay=False):
-    """A server at the daemon's socket that answers everything with that; the requests."""
+    """Serves `answer` to every request at the daemon's socket; yields the requests."""
 
     asked = []
 
@@ -244,15 +244,13 @@ async def answering(path, answer, *, stay=False):
         (b"x" * (1 << 21), ClientError, "an answer without end"),
     ],
 )
-async def test_what_the_daemon_answers_instead_of_a_result_is_reported(
-    tmp_path, answer, error, words
-):
+async def test_an_answer_without_a_result_is_an_error(tmp_path, answer, error, words):
     async with answering(tmp_path / "sock", answer):
         with pytest.raises(error, match=words):
             await call(tmp_path / "sock", "arm")
 
 
-async def test_nothing_at_the_socket_is_reported(tmp_path):
+async def test_a_missing_socket_is_reported(tmp_path):
     with pytest.raises(ClientError, match="no daemon has this socket"):
         await call(tmp_path / "sock", "arm")
 
@@ -272,7 +270,7 @@ async def test_without_a_lease_a_command_is_lost_and_counted(tmp_path):
     assert (source.ready, source.lost, source.sent) == (False, 1, 0)
 
 
-async def test_a_command_that_the_full_socket_does_not_take_is_not_reported_to_be_without_a_lease(
+async def test_a_command_lost_to_a_full_socket_is_not_blamed_on_a_missing_lease(
     tmp_path,
 ):
     grant = {"result": {"socket": str(tmp_path / "door"), "token": "00" * 16, "number": 1}}
@@ -295,9 +293,7 @@ async def test_a_command_that_the_full_socket_does_not_take_is_not_reported_to_b
     assert "no lease" in source.why_lost
 
 
-async def test_a_lease_that_is_refused_is_reported_once_and_asked_for_again(
-    tmp_path, caplog, monkeypatch
-):
+async def test_a_refused_lease_is_reported_once_and_requested_again(tmp_path, caplog, monkeypatch):
     monkeypatch.setattr(link, "LEASE_AGAIN_S", 0.01)
     source = Source(tmp_path / "sock", "web")
     refusal = {"error": {"code": -32000, "message": "the loop stands still"}}
@@ -311,5 +307,5 @@ async def test_a_lease_that_is_refused_is_reported_once_and_asked_for_again(
     assert len(caplog.records) == 1
 
 
-def test_topics_have_the_names_that_robot_files_know():
+def test_topics_are_those_that_a_robot_file_can_name():
     assert tuple(TOPICS) == ALL_TOPICS

@@ -44,7 +44,7 @@ async def over(gap):
             await asyncio.sleep(0.01)
 
 
-async def test_what_is_requested_first_after_it_is_sent():
+async def test_the_first_request_after_a_gap_finds_it():
     gap = Gap(LONGEST_S)
     async with watched(gap):
         assert not gap.just_over()
@@ -52,7 +52,7 @@ async def test_what_is_requested_first_after_it_is_sent():
         assert gap.just_over()
 
 
-async def test_it_is_known_also_when_the_watch_looks_first(monkeypatch):
+async def test_a_gap_found_by_the_watch_lasts_until_queues_are_drained(monkeypatch):
     gap = Gap(LONGEST_S)
     async with watched(gap):
         stand_still()
@@ -64,14 +64,14 @@ async def test_it_is_known_also_when_the_watch_looks_first(monkeypatch):
 
 
 @pytest.mark.parametrize(("message", "method"), [(TWIST, "drive"), (WHEELS, "drive_joints")])
-async def test_a_command_without_a_time_that_may_have_waited_is_refused(
+async def test_a_command_without_a_stamp_that_may_have_waited_is_refused(
     message, method, monkeypatch
 ):
     section = Ros2Input(kind="ros2", stamped=False, lease_s=LONGEST_S)
     runtime = Runtime(load_robot(DEMO), Path("no.sock"))
     gate = CommandGate("net", section, runtime)
     async with watched(gate._gap):
-        with pytest.raises(NotTaken, match="there is no lease"):  # it would be passed on
+        with pytest.raises(NotTaken, match="there is no lease"):  # no gap yet
             getattr(gate, method)(message)
         stand_still()
         with pytest.raises(NotTaken, match="stood still"):
@@ -82,7 +82,7 @@ async def test_a_command_without_a_time_that_may_have_waited_is_refused(
             getattr(gate, method)(message)
 
 
-async def test_one_that_reports_its_time_is_judged_by_that():
+async def test_a_command_with_a_stamp_is_judged_by_its_stamp():
     section = Ros2Input(kind="ros2", lease_s=LONGEST_S)
     gate = CommandGate("net", section, Runtime(load_robot(DEMO), Path("no.sock")))
     async with watched(gate._gap):
@@ -95,13 +95,13 @@ async def test_one_that_reports_its_time_is_judged_by_that():
 
 @pytest.fixture
 def gate():
-    """Stamped: calls have no stamp all the same."""
+    """Commands must have a stamp; calls have none."""
     runtime = Runtime(load_robot(DEMO), Path("no.sock"))
     return CommandGate("net", Ros2Input(kind="ros2", lease_s=0.1), runtime)
 
 
 @pytest.mark.parametrize("method", sorted({*METHODS, *ANY_TIME}))
-async def test_what_waited_is_obeyed_only_where_it_looks_or_ends_at_rest(gate, method):
+async def test_after_a_gap_only_calls_that_read_or_stop_are_passed_on(gate, method):
     obeyed = method in ("stop", "estop", "disarm", "status", "params.list")
     async with watched(gate.gap):
         stand_still()
@@ -112,7 +112,7 @@ async def test_what_waited_is_obeyed_only_where_it_looks_or_ends_at_rest(gate, m
     assert gate.source.refused == (not obeyed)
 
 
-async def test_an_arm_is_obeyed_again_when_what_waited_is_through(gate, monkeypatch):
+async def test_an_arm_is_passed_on_again_once_queues_are_drained(gate, monkeypatch):
     async with watched(gate.gap):
         stand_still()
         with pytest.raises(NotTaken, match="stood still"):
@@ -135,7 +135,7 @@ async def test_a_goal_that_may_have_waited_is_refused(gate):
     runtime = Runtime(load_robot(DEMO), Path("no.sock"))
     mover = Mover(runtime, gate.source, gate.gap, lease_s=0.1)
     async with watched(gate.gap):
-        with pytest.raises(NotNow, match="no daemon has this socket"):  # it would be planned
+        with pytest.raises(NotNow, match="no daemon has this socket"):  # no gap yet
             await mover.plan(Goal(axis="linear", distance_u=1.0))
         stand_still()
         with pytest.raises(NotNow, match="stood still"):

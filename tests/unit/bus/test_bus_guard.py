@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An adapter that fails: run again, counted, reported once, and no other one fails."""
+"""An adapter that fails is run again, counted and reported once, and no other one fails."""
 
 import asyncio
 from pathlib import Path
@@ -15,7 +15,7 @@ DEADLINE_S = 30.0
 
 
 class Adapter:
-    """Of another package, with a life of its own."""
+    """An adapter that fails with each of `errors`, and then runs."""
 
     def __init__(self, *errors):
         self.errors = list(errors)
@@ -44,7 +44,7 @@ def _soon(monkeypatch):
 ERRORS = (RuntimeError("camera is gone"), OSError(5), UnicodeError("x"), asyncio.CancelledError())
 
 
-async def test_it_is_run_again_until_it_works_and_each_failure_is_counted_but_reported_once(caplog):
+async def test_a_failing_adapter_runs_again_and_failures_are_counted_but_reported_once(caplog):
     adapter, failures = Adapter(*ERRORS), {}
     async with asyncio.timeout(DEADLINE_S), asyncio.TaskGroup() as tasks:
         task = tasks.create_task(guard.keep("publish.bad", adapter, failures))
@@ -57,14 +57,14 @@ async def test_it_is_run_again_until_it_works_and_each_failure_is_counted_but_re
     ]
 
 
-async def test_no_room_in_memory_is_the_whole_processes_end():
+async def test_a_memory_error_ends_the_whole_process():
     async with asyncio.timeout(DEADLINE_S):
         with pytest.raises(BaseExceptionGroup) as caught:
             await guard.keep("publish.bad", Adapter(MemoryError()), {})
     assert isinstance(guard.first(caught.value), MemoryError)
 
 
-async def test_one_that_ends_by_itself_is_left_in_peace():
+async def test_an_adapter_that_ends_by_itself_is_not_run_again():
     class Done:
         async def run(self):
             pass
@@ -75,7 +75,7 @@ async def test_one_that_ends_by_itself_is_left_in_peace():
     assert failures == {}
 
 
-async def test_a_cancellation_that_it_answers_with_an_error_is_one_all_the_same():
+async def test_an_adapter_that_raises_when_cancelled_is_cancelled():
     class Spiteful:
         async def run(self):
             try:
@@ -102,7 +102,7 @@ NEVER_MADE = {
 
 
 @pytest.mark.parametrize("what", NEVER_MADE)
-def test_one_that_cannot_be_made_is_off_and_the_others_are_there(
+def test_an_adapter_that_cannot_be_made_is_off_and_the_others_are_made(
     tmp_path, monkeypatch, caplog, what
 ):
     offered(tmp_path, "motord.publishers", f"bad_{what}", NEVER_MADE[what], "Adapter")

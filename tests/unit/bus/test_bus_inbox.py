@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From threads to the event loop: what is left there, and what is asked and waited for."""
+"""From threads to the event loop: messages that are left there, and calls that wait."""
 
 import asyncio
 import contextlib
@@ -33,25 +33,25 @@ async def refuse():
     raise NotTaken("not now")
 
 
-async def test_a_thread_has_its_answer_from_the_loop():
+async def test_a_thread_gets_its_answer_from_the_loop():
     async with thread_bridge() as (made, _):
         asked = asyncio.to_thread(made.ask, lambda: answer(7), DEADLINE_S)
         assert await asked == 7
 
 
-async def test_a_refusal_is_one_in_the_thread_too():
+async def test_a_refusal_is_raised_in_the_thread():
     async with thread_bridge() as (made, _):
         with pytest.raises(NotTaken, match="not now"):
             await asyncio.to_thread(made.ask, refuse, DEADLINE_S)
 
 
-async def test_who_waits_too_long_goes_on_without_an_answer():
+async def test_a_thread_that_waits_too_long_gets_an_error():
     async with thread_bridge() as (made, _):
         with pytest.raises(NotTaken, match="no answer within"):
             await asyncio.to_thread(made.ask, asyncio.Event().wait, 0.05)
 
 
-async def test_who_waits_when_it_ends_and_who_comes_later_are_sent():
+async def test_calls_that_wait_at_the_end_or_come_later_are_refused():
     begun = asyncio.Event()
 
     async def endless():
@@ -69,7 +69,7 @@ async def test_who_waits_when_it_ends_and_who_comes_later_are_sent():
             await asyncio.to_thread(made.ask, lambda: answer(7), DEADLINE_S)
 
 
-async def test_of_too_much_the_newest_is_taken_in_its_order():
+async def test_a_full_inbox_keeps_the_newest_in_their_order():
     taken = []
     inbox = Inbox(3, taken.append)
     inbox.open()

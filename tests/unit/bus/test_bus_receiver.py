@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the C receiver makes of a TwistStamped, and what the command gate makes of it: the same."""
+"""The C receiver reads a TwistStamped as the command gate does."""
 
 import math
 import socket
@@ -70,7 +70,7 @@ def understood(raw):
 
 
 @given(st.binary(max_size=120), st.integers(0, 40))
-def test_bytes_are_a_twist_to_both_or_to_none(tail, frame_bytes):
+def test_c_and_python_read_the_same_bytes_as_a_twist(tail, frame_bytes):
     raw = b"\0\1\0\0" + struct.pack("<iII", 5, 6, frame_bytes) + tail
     one = parsed(raw)
     text = raw[16 : 16 + frame_bytes].removesuffix(b"\0")
@@ -82,7 +82,7 @@ def test_bytes_are_a_twist_to_both_or_to_none(tail, frame_bytes):
 
 
 @given(st.binary(max_size=80))
-def test_what_is_anything_is_no_twist_and_is_read_no_further_than_it_is_long(raw):
+def test_random_bytes_are_a_twist_only_where_python_reads_one_too(raw):
     assert parsed(raw) is None or understood(raw) is not None or raw[:2] == b"\0\0"
 
 
@@ -107,7 +107,7 @@ def test_the_age_of_a_stamp_is_that_of_the_command_gate(stamped, stamp_s):
     assert code != 0 or out[0] == gates_s
 
 
-def test_a_message_of_python_is_what_the_gate_is_sent(stamped):
+def test_c_reads_from_a_message_what_the_gate_reads(stamped):
     now = time.time_ns() - 200_000_000
     raw = bytes(encode(TYPE, message(now // 10**9, now % 10**9, "base_link", 0.5, math.nan)))
     (linear_m_s, angular_rad_s, lateral_m_s), age_s = stamped._twist(_as_mapping(decode(TYPE, raw)))
@@ -160,7 +160,7 @@ def numbers(daemons, count):
     return [struct.unpack_from("<16sQ", raw, 8) for raw in found]
 
 
-def test_a_lease_is_numbered_on_through_an_outlet_and_back(leased, outlet):
+def test_command_numbers_continue_through_an_outlet_and_back(leased, outlet):
     source, daemons = leased
     assert source.drive(0.1, 0.0)
     source.lend(outlet)
@@ -172,7 +172,7 @@ def test_a_lease_is_numbered_on_through_an_outlet_and_back(leased, outlet):
     assert source.sent == 4
 
 
-def test_an_outlet_without_a_lease_reports_so_and_nothing_is_sent(leased, outlet):
+def test_an_outlet_without_a_lease_sends_nothing_and_reports_why(leased, outlet):
     source, _ = leased
     source.lend(outlet)
     outlet.let_go()
@@ -192,7 +192,7 @@ def test_a_motion_that_has_been_overtaken_sends_nothing(leased, outlet):
     assert source.drive(0.2, 0.0, seen=source.direct)
 
 
-def test_there_are_as_many_receivers_as_there_are():
+def test_no_more_receivers_are_claimed_than_there_are():
     made = [lib.receiver_claim() for _ in range(lib.RECEIVERS_MAX)]
     assert len(set(made)) == lib.RECEIVERS_MAX
     assert lib.receiver_claim() < 0
@@ -202,8 +202,8 @@ def test_there_are_as_many_receivers_as_there_are():
     assert lib.receiver_start(0, 1, 1) < 0
 
 
-def test_one_that_could_not_be_opened_is_not_claimed(no_descriptor_left):
-    """However often it was tried."""
+def test_a_receiver_that_could_not_be_opened_is_free_again(no_descriptor_left):
+    """After any number of tries."""
     for _ in range(lib.RECEIVERS_MAX + 1):
         receiver = Receiver(SimpleNamespace(ffi=ffi, lib=lib), SimpleNamespace(_ref=1))
         with no_descriptor_left(), pytest.raises(OSError, match="Too many open"), receiver.open():
@@ -215,6 +215,6 @@ def test_one_that_could_not_be_opened_is_not_claimed(no_descriptor_left):
     lib.receiver_release(number)
 
 
-def test_a_library_without_what_is_needed_is_refused():
+def test_a_library_without_the_needed_functions_is_refused():
     assert lib.receiver_library(b"libc.so.6") < 0
     assert lib.receiver_library(b"no-such-library.so") < 0

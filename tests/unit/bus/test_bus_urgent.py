@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A stop whose caller waits for no answer is requested of the daemon until it answers."""
+"""A stop whose caller waits for no answer is repeated until the daemon answers."""
 
 import asyncio
 import contextlib
@@ -11,7 +11,7 @@ DEADLINE_S = 30.0
 
 
 class Door:
-    """The way to a daemon that does not answer at first."""
+    """A daemon that fails with each of `errors`, and then answers."""
 
     def __init__(self, *errors):
         self.errors = list(errors)
@@ -34,7 +34,7 @@ async def working(urgent):
         task.cancel()
 
 
-async def test_a_daemon_that_does_not_answer_is_asked_again(caplog):
+async def test_a_request_is_repeated_until_the_daemon_answers(caplog):
     door = Door(ClientError("no answer"), ClientError("no answer"))
     urgent = Urgent("pad", "estop", door.call)
     async with working(urgent):
@@ -46,7 +46,7 @@ async def test_a_daemon_that_does_not_answer_is_asked_again(caplog):
     assert "input.pad: estop by its button" in caplog.text
 
 
-async def test_a_refusal_is_an_answer_and_what_is_asked_for_after_it_is_done(caplog):
+async def test_a_refused_request_is_not_repeated_and_the_next_one_is_sent(caplog):
     door = Door(Refused("not now", REFUSED))
     urgent = Urgent("pad", "stop", door.call)
     async with working(urgent):
@@ -63,7 +63,7 @@ async def test_a_refusal_is_an_answer_and_what_is_asked_for_after_it_is_done(cap
     assert "refused: not now" in caplog.text
 
 
-async def test_what_is_requested_while_a_call_goes_on_is_done_once_more():
+async def test_requests_during_a_call_cause_one_more_call():
     called, go_on, calls = asyncio.Event(), asyncio.Event(), []
 
     async def call(method, **_):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever is sent, in error or on purpose: it is a twist within reason, or it is refused."""
+"""Any message, sent in error or on purpose, is a valid command or is refused."""
 
 import math
 import time
@@ -75,7 +75,7 @@ def test_joints_that_are_not_all_there_are_refused_with_the_reason(unstamped, me
         unstamped.drive_joints(message)
 
 
-def test_joints_without_a_stamp_are_refused_where_one_is_asked_for(stamped):
+def test_joints_without_a_stamp_are_refused_where_one_is_required(stamped):
     with pytest.raises(NotTaken, match="no stamp"):
         stamped.drive_joints({"name": ["left"], "velocity": [1.0]})
 
@@ -163,7 +163,7 @@ def test_a_command_without_a_stamp_is_refused_unless_the_robot_file_allows_it(st
     assert unstamped._twist(message)[0][0] == 0.1
 
 
-def test_a_stamp_of_zero_is_none(stamped, unstamped):
+def test_a_stamp_of_zero_counts_as_no_stamp(stamped, unstamped):
     message = {"header": {"stamp": {"sec": 0, "nanosec": 0}}, "name": [], "velocity": []}
     with pytest.raises(NotTaken, match="stamp is zero"):
         stamped._wheels(message)
@@ -177,18 +177,18 @@ def test_other_topics_are_not_taken(unstamped, topic):
 
 
 @given(method=JSON)
-async def test_nothing_but_the_calls_there_are_is_called(stamped, method):
+async def test_an_unknown_call_is_refused(stamped, method):
     with pytest.raises(NotTaken, match="is not one of"):
         await stamped.act(method)
 
 
-async def test_a_daemon_that_is_not_there_is_the_answer_to_a_call(tmp_path_factory):
+async def test_a_call_without_a_daemon_is_answered_with_the_reason(tmp_path_factory):
     fresh = gate(tmp_path_factory, lease_s=5.0)
     with pytest.raises(NotTaken, match="no daemon has this socket"):
         await fresh.act("arm")
 
 
 @given(value=JSON)
-def test_what_a_stranger_sent_is_reported_shortly_and_repeated_only_where_it_is_plain(value):
+def test_foreign_input_is_quoted_briefly_and_a_tag_only_where_it_is_plain(value):
     assert len(short(value)) <= 500
     assert tag(value) is None or tag(value) is value

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The threads between DDS and the daemon go before Python, and lose that when they are flooded."""
+"""Threads between DDS and the daemon run before Python, and lose that when they are flooded."""
 
 import json
 import os
@@ -66,13 +66,13 @@ def ran(iterations):
     return found, done.stderr
 
 
-def test_what_receives_goes_before_python_and_nothing_else_does():
+def test_only_receiving_threads_get_real_time_priority():
     found, _ = ran(SHORT)
     policies = {"recv": os.SCHED_FIFO, "other": os.SCHED_OTHER, "main": os.SCHED_OTHER}
     assert found["policies"] == policies
 
 
-def test_a_thread_that_does_not_pause_takes_turns_with_the_others_again():
+def test_a_thread_that_never_pauses_loses_its_real_time_priority():
     found, log = ran(LONG)
     assert found["runs_on"]
     assert "did not pause for 50 ms" in log

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second process's HTTP port, and who must not be able to fill it."""
+"""The second process's HTTP port, which no client can fill."""
 
 import asyncio
 import contextlib
@@ -76,7 +76,7 @@ async def test_a_request_that_fails_ends_no_other_and_is_reported(port, caplog):
 
 
 @pytest.mark.parametrize("junk", [b"\x16\x03\x01\x00\xa5", b"GET\r\n\r\n", b"{}\n" * 50000])
-async def test_what_is_no_request_is_ended_and_fills_no_log(port, caplog, junk):
+async def test_an_invalid_request_is_closed_and_fills_no_log(port, caplog, junk):
     for _ in range(3):
         reader, writer = await connection(port)
         with contextlib.suppress(ConnectionError):
@@ -88,7 +88,7 @@ async def test_what_is_no_request_is_ended_and_fills_no_log(port, caplog, junk):
     assert caplog.text == ""
 
 
-async def test_a_connection_without_a_request_is_ended_in_time(monkeypatch, port):
+async def test_a_connection_without_a_request_is_closed_in_time(monkeypatch, port):
     monkeypatch.setattr(http_server, "ANSWER_WITHIN_S", 0.1)
     reader, writer = await connection(port)
     with contextlib.suppress(ConnectionError):
@@ -96,7 +96,7 @@ async def test_a_connection_without_a_request_is_ended_in_time(monkeypatch, port
     writer.close()
 
 
-async def test_the_oldest_of_too_many_who_ask_nothing_makes_room(monkeypatch, port):
+async def test_the_oldest_of_too_many_idle_connections_makes_room(monkeypatch, port):
     monkeypatch.setattr(http_server, "ANSWER_WITHIN_S", 3600.0)
     strangers = [await connection(port) for _ in range(http_server.STRANGERS_MAX + 3)]
     for reader, _ in strangers[:3]:
@@ -109,7 +109,7 @@ async def test_the_oldest_of_too_many_who_ask_nothing_makes_room(monkeypatch, po
 
 @contextlib.contextmanager
 def asking(port, path, received_bytes):
-    """A client that has sent its request, and takes about so much of the answer unless it reads."""
+    """A client that has sent its request; its socket buffers about `received_bytes` of answer."""
     with socket.socket() as client:
         client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, received_bytes)
         client.connect(("127.0.0.1", port))
@@ -142,7 +142,7 @@ async def test_a_client_that_does_not_read_its_answer_keeps_no_descriptor(monkey
     before = descriptors()
     with asking(port, path, 4096) as client:
         await until(lambda: answered(client))
-        await until(lambda: descriptors() == before + 1)  # that of the client
+        await until(lambda: descriptors() == before + 1)  # only that of the client is left
     assert (await asked(port, "/b"))[0] == 200
 
 
@@ -152,7 +152,7 @@ async def test_a_client_that_reads_slowly_gets_its_whole_answer(monkeypatch, por
     monkeypatch.setattr(http_server, "STANDS_MAX_S", 0.2)
     taken = 0
     with asking(port, path, 1 << 18) as client:
-        while taken < LARGE_BYTES:  # for many times as long
+        while taken < LARGE_BYTES:  # for many times STANDS_MAX_S
             await asyncio.sleep(0.01)
             with contextlib.suppress(BlockingIOError):
                 found = client.recv(1 << 16)

@@ -33,7 +33,7 @@ class Page:
 
 @pytest.fixture
 def carried_out_by(monkeypatch, tmp_path):
-    """Has every process be this script."""
+    """Replaces every process by this script."""
 
     def replace(script):
         program = tmp_path / "program"
@@ -46,7 +46,7 @@ def carried_out_by(monkeypatch, tmp_path):
 
 @pytest.fixture
 def procedure(carried_out_by, tmp_path):
-    """Makes one that this script carries out."""
+    """Makes a procedure that runs this script."""
 
     def make(script):
         carried_out_by(script)
@@ -102,7 +102,7 @@ async def test_a_procedure_that_was_cut_off_does_not_keep_the_next_from_beginnin
         again.cancel()
 
 
-async def test_half_an_answer_is_none(carried_out_by):
+async def test_an_incomplete_answer_is_refused(carried_out_by):
     carried_out_by("""printf '{"half": '""")
     with pytest.raises(NotTaken, match="did not print its answer to the end"):
         await answer("check", within_s=100)
@@ -110,7 +110,7 @@ async def test_half_an_answer_is_none(carried_out_by):
         await asked("motord.config", {}, within_s=100)
 
 
-async def test_the_error_that_a_command_prints_is_no_answer(carried_out_by):
+async def test_an_error_that_a_command_prints_is_raised(carried_out_by):
     carried_out_by("""echo '{"error": "no daemon", "exit_status": 1}'; exit 1""")
     with pytest.raises(NotTaken, match="no daemon"):
         await answer("params", "save", within_s=100)
@@ -151,7 +151,7 @@ async def running(part):
 NO_MORE = os.strerror(errno.EMFILE)
 
 
-async def test_a_trace_that_cannot_be_started_gives_its_page_the_reason_and_ends_nothing(
+async def test_a_trace_that_cannot_start_gives_its_page_the_reason_and_stops_nothing_else(
     carried_out_by, tmp_path, no_descriptor_left
 ):
     traces, page = Traces(tmp_path / "socket"), Page()
@@ -161,11 +161,11 @@ async def test_a_trace_that_cannot_be_started_gives_its_page_the_reason_and_ends
             trace = json.loads(await page.sent.get())["trace"]
         assert trace == {"line": "a", "problem": f"motord trace cannot be started: {NO_MORE}"}
         carried_out_by("""echo '{"error": "no line", "exit_status": 1}'""")
-        traces.show(page, "a")  # again, where there are some
+        traces.show(page, "a")  # again, with free descriptors
         assert json.loads(await page.sent.get())["trace"]["problem"] == "no line"
 
 
-async def test_a_replay_that_cannot_be_started_is_a_problem_and_ends_nothing(
+async def test_a_replay_that_cannot_be_started_is_a_problem_and_stops_nothing_else(
     tmp_path, no_descriptor_left
 ):
     changed, key = asyncio.Event(), ("tape", "a.mcap")
@@ -179,7 +179,7 @@ async def test_a_replay_that_cannot_be_started_is_a_problem_and_ends_nothing(
         assert replays.found[key] == {"problem": f"motord replay cannot be started: {NO_MORE}"}
 
 
-async def test_a_request_whose_process_cannot_be_started_is_refused(no_descriptor_left):
+async def test_a_request_that_cannot_start_its_process_is_refused(no_descriptor_left):
     with no_descriptor_left():
         with pytest.raises(NotTaken, match=f"motord params cannot be started: {NO_MORE}"):
             await answer("params", "save", within_s=100)
@@ -187,7 +187,7 @@ async def test_a_request_whose_process_cannot_be_started_is_refused(no_descripto
             await asked("motord.config", {}, within_s=100)
 
 
-async def test_a_procedure_that_cannot_be_started_ends_and_ends_nothing(
+async def test_a_procedure_that_cannot_be_started_ends_and_stops_nothing_else(
     procedure, no_descriptor_left
 ):
     commissioning, published = procedure("exit 1")

@@ -19,7 +19,7 @@ ROBOTS = Path(__file__).resolve().parents[3] / "config/robots"
 
 @pytest.mark.parametrize("name", ["mecanum4", "omni3", "ackermann-servo", "swerve4-servos"])
 @pytest.mark.parametrize("what", ["all", "rotate", "square", "log"])
-def test_of_a_base_without_two_sides_the_radius_alone_is_fitted(name, what):
+def test_a_base_without_two_sides_gets_only_its_radius_fitted(name, what):
     robot = load_robot(ROBOTS / f"{name}.toml")
     with pytest.raises(Failed, match="with a tape"):
         free_of(robot, what)
@@ -31,7 +31,7 @@ def test_a_robot_that_does_not_drive_is_refused():
         free_of(load_robot(ROBOTS / "pan-tilt.toml"), "straight")
 
 
-def test_wheels_with_radii_of_their_own_are_scaled_and_others_get_none():
+def test_a_wheel_with_its_own_radius_is_scaled_too():
     text = (ROBOTS / "ackermann-servo.toml").read_text("utf-8")
     text = text.replace('place = "rear"', 'place = "rear"\nwheel_radius_m = 0.05')
     robot = load_robot(ROBOTS / "ackermann-servo.toml", text=text)
@@ -45,7 +45,7 @@ def test_wheels_with_radii_of_their_own_are_scaled_and_others_get_none():
     assert "+3.00 %" in next(words(robot, found, [measure]))
 
 
-def test_a_log_of_such_a_base_changes_nothing(tmp_path):
+def test_a_log_of_a_mecanum_base_changes_nothing(tmp_path):
     text = (ROBOTS / "mecanum4.toml").read_text("utf-8")
     file, log = tmp_path / "robot.toml", tmp_path / "capture.csv"
     file.write_text(text, "utf-8")
@@ -58,5 +58,5 @@ def test_a_log_of_such_a_base_changes_nothing(tmp_path):
     assert file.read_text("utf-8") == text
 
 
-def test_a_differential_base_is_measured_whole():
+def test_a_differential_base_is_fitted_completely():
     assert set(free_of(load_robot(ROBOTS / "demo.toml"), "all")) == {"scale", "ratio", "track"}

@@ -26,8 +26,8 @@ def points(dead_band=0.06, full_duty_rad_s=14.0, noise_rad_s=0.0, seed=0):
     return found
 
 
-def test_feedback_that_a_busy_machine_delays_does_not_bend_a_speed():
-    """The position is that of the feedback's time, not of the state's."""
+def test_feedback_that_a_busy_machine_delays_does_not_distort_a_speed():
+    """The position belongs to the time of the feedback, not to that of the state."""
     late_ms = {100: 90, 2000: 95}
     snapshots = []
     for at_ms in range(100, 2001, 20):
@@ -43,8 +43,8 @@ def test_feedback_that_a_busy_machine_delays_does_not_bend_a_speed():
     assert (found.duty, found.velocity_rad_s) == (pytest.approx(0.3), pytest.approx(4.0))
 
 
-def test_a_reply_that_a_busy_machine_delays_does_not_bend_a_speed():
-    """The last place is 25 ms older than its stamp says: of 0.8 s that is 3 %."""
+def test_a_reply_that_a_busy_machine_delays_does_not_distort_a_speed():
+    """The last position is 25 ms older than its stamp, which is 3 % of 0.8 s."""
     snapshots = []
     for at_ms in range(100, 2001, 20):
         late_s = 0.025 if at_ms == 2000 else 0.0
@@ -72,7 +72,7 @@ def test_exact_speeds_give_the_exact_dead_band():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_noisy_speeds_give_it_within_its_deviations(seed):
+def test_noisy_speeds_give_the_dead_band_within_its_deviations(seed):
     found = fit_duty("left", points(noise_rad_s=0.05, seed=seed))
     assert abs(found.dead_band - 0.06) < 4.0 * found.dead_band_deviation
     assert 0.0 < found.dead_band_deviation < 0.01
@@ -88,7 +88,7 @@ def test_a_wheel_that_turns_against_its_duty_is_refused():
         fit_duty("left", [Point(-one.duty, one.velocity_rad_s) for one in points()])
 
 
-def test_speeds_that_are_no_line_are_refused():
+def test_speeds_that_do_not_fit_a_line_are_refused():
     bent = [Point(one.duty, one.velocity_rad_s**3) for one in points()]
     with pytest.raises(Failed, match="no line over the duty"):
         fit_duty("left", bent)

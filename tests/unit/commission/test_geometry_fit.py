@@ -15,7 +15,7 @@ TAPE = Pose(0.001, 0.001, math.radians(0.5), 0.001)
 
 
 class Walker:
-    """A path by the present geometry: what the odometry believes when it drives legs and turns."""
+    """A path by the present geometry: what the odometry computes when it drives legs and turns."""
 
     def __init__(self):
         self.left, self.right = [0.0], [0.0]
@@ -43,7 +43,7 @@ class Walker:
 
 
 def measured(name, walker, keys, true=TRUE, noise=None):
-    """What a person with a tape finds who can read it to a millimetre and half a degree."""
+    """What a person measures with a tape, to a millimetre and half a degree."""
     pose = end_pose(*walker.path, TRACK_M, true)
     found = {}
     for key in keys:
@@ -67,8 +67,8 @@ def whole(noise=None, true=TRUE):
 
 
 def square_error_m(believed, sign):
-    """Where a square of 4 m ends that is closed by the odometry of a base which believes in
-    `believed` of the present geometry, and is truly TRUE of it."""
+    """How far from its start a square of 4 m ends. The odometry uses the geometry `believed`, the
+    base has TRUE; both are factors of the present geometry."""
     walker = Walker()
     for _ in range(4):
         walker.go(4.0 / believed.left, 4.0 / believed.right)
@@ -106,7 +106,7 @@ def test_deviations_are_those_of_repeated_calibrations():
         assert 0.6 < spread / mean < 1.6
 
 
-def test_squares_both_ways_agree_with_the_closed_form_of_umbmark():
+def test_squares_in_both_directions_agree_with_the_closed_form_of_umbmark():
     """Borenstein & Feng 1996: alpha = (x_cw + x_ccw) / (-4 L), beta = (x_cw - x_ccw) / (-4 L),
     E_b = (pi / 2) / (pi / 2 - alpha), R = (L / 2) / sin(beta / 2), E_d = (R + b/2) / (R - b/2)."""
     small = Factors(1.0005, 0.9995, 0.998)
@@ -132,7 +132,7 @@ def test_a_square_alone_does_not_determine_the_size():
         fit(squares, TRACK_M, ("scale", "ratio", "track"))
 
 
-def test_a_wrong_number_is_refused_and_named():
+def test_a_contradictory_measure_is_refused_and_named():
     measures = whole()
     bad = measures[3]
     found = Pose(bad.found.x_m + 0.3, bad.found.y_m)
@@ -141,14 +141,14 @@ def test_a_wrong_number_is_refused_and_named():
         fit(measures, TRACK_M, ("scale", "ratio", "track"))
 
 
-def test_another_distance_than_the_named_one_is_no_calibration():
+def test_a_factor_too_far_from_one_is_refused():
     walker = Walker().forward(1.0)
     measure = Measure("straight", *walker.path, Pose(distance_m=2.0), TAPE)
     with pytest.raises(BadData, match="too far from 1"):
         fit([measure], TRACK_M, ("scale",))
 
 
-def test_what_is_no_number_is_refused():
+def test_a_value_that_is_not_finite_is_refused():
     walker = Walker().forward(1.0)
     measure = Measure("straight", *walker.path, Pose(distance_m=math.inf), TAPE)
     with pytest.raises(BadData, match="finite"):

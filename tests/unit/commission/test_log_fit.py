@@ -104,7 +104,7 @@ def test_a_log_with_a_word_for_a_number_names_its_line(tmp_path):
 
 
 @pytest.mark.parametrize("value", ["nan", "inf"])
-def test_what_is_no_number_is_refused(tmp_path, value):
+def test_a_value_that_is_not_finite_is_refused(tmp_path, value):
     file = written(tmp_path / "log.csv", recorded(0))
     rows = file.read_text().splitlines()
     rows[2] = ",".join([value, *rows[2].split(",")[1:]])

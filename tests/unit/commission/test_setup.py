@@ -82,7 +82,7 @@ def test_the_schema_that_the_file_names_is_there():
     ["zlac8015d", "bld-305s", "odrive-0.6", "vesc", "cia402", "ddsm115", "mcu-velocity",
      "roboclaw", "rmd", "moteus", "sts3215"],
 )  # fmt: skip
-def test_every_kind_of_line_makes_a_file_that_checks(drive):
+def test_every_kind_of_line_makes_a_file_that_passes_the_check(drive):
     given = replace(WHOLE, drive=drive, left=(1, 1), right=(2, 1), counts_per_turn=4096)
     if drive in ("zlac8015d", "mcu-velocity", "roboclaw"):
         given = replace(given, right=(1, 2))
@@ -101,7 +101,7 @@ def test_a_slow_line_gets_a_rate_that_it_carries():
     assert slow.safety.feedback_timeout_s >= 2.0 / slow.line["main"].cycle_hz
 
 
-def test_an_implausible_radius_is_asked_about_aloud():
+def test_an_implausible_radius_is_questioned():
     person = Answering(*(0.85, False, 0.085))
     _, robot = written(replace(WHOLE, wheel_radius_m=None), person)
     assert person.questions[1] == "0.85 m: a wheel of 1.7 m across?"
@@ -134,18 +134,18 @@ def test_an_omni_base_has_its_wheels_around_it(count):
     assert person.questions == []
 
 
-def test_a_wheel_that_the_base_has_not_is_refused():
+def test_a_wheel_that_the_base_lacks_is_refused():
     with pytest.raises(Failed, match=r"--unit middle=.*this base has left, right"):
         written(replace(WHOLE, addresses={"middle": (1, 1)}))
 
 
-def test_a_drive_on_pins_is_led_to_its_example():
+def test_a_drive_on_pins_is_refused_with_its_example():
     with pytest.raises(Failed, match="pi5-bts7960"):
         set_up(Answering(), replace(WHOLE, place="pwmchip0", drive="bts7960", full_duty_rad_s=9.0),
                Path("cart.toml"))  # fmt: skip
 
 
-def test_a_drive_of_another_wire_is_refused():
+def test_a_drive_of_another_protocol_is_refused():
     with pytest.raises(Failed, match='drive "zlac8015d" speaks modbus-rtu, which is not for can'):
         set_up(Answering(), replace(WHOLE, place="can0"), Path("cart.toml"))
 
@@ -156,7 +156,7 @@ def test_a_misspelt_drive_gets_a_suggestion():
 
 
 @pytest.mark.parametrize("text", ["", "left", "1.x", "-1"])
-def test_a_unit_that_is_none_is_refused(text):
+def test_an_invalid_unit_is_refused(text):
     with pytest.raises(Failed, match="is no unit and channel"):
         unit_and_channel(text)
 
@@ -292,7 +292,7 @@ def test_a_swerve_base_may_have_two_or_three_modules(count, places):
         written(replace(SWERVE, wheel_count=5), Answering())
 
 
-def test_an_implausible_range_of_steering_is_asked_about_aloud():
+def test_an_implausible_range_of_steering_is_questioned():
     person = Answering(*(3.0, False, 0.6))
     _, robot = written(replace(CAR, steering_max_rad=None), person)
     assert person.questions[1] == "3 rad: 172 degrees to each side?"

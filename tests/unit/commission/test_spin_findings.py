@@ -84,7 +84,7 @@ def test_one_swapped_wheel_alone_is_not_enough_to_change_the_file(demo):
     assert "motord spin --all" in found.texts[-1]
 
 
-def test_motors_on_each_others_plugs_are_a_matter_of_wires(demo):
+def test_swapped_motor_plugs_are_mended_by_wiring(demo):
     found = findings(
         demo,
         [
@@ -96,14 +96,14 @@ def test_motors_on_each_others_plugs_are_a_matter_of_wires(demo):
     assert "swap the plugs of the two motors" in found.texts[-1]
 
 
-def test_an_encoder_that_counts_backward_in_a_drive_is_a_matter_of_wires(demo):
+def test_a_drives_encoder_that_counts_backward_is_rewired(demo):
     found = findings(demo, [turned("left", seen="left", left=-1.0, faults=("direction",))])
     assert not found.changes
     assert "turned against its set-point" in found.texts[0]
     assert "swap A and B" in found.texts[1]
 
 
-def test_an_encoder_of_ones_own_that_counts_backward_is_reversed_in_the_file(pins):
+def test_a_separate_encoder_that_counts_backward_is_reversed_in_the_file(pins):
     found = findings(pins, [turned("left", seen="left", left=-1.0)])
     before = pins.joint["left"].encoder.reversed
     assert found.changes == {("joint", "left", "encoder", "reversed"): not before}
@@ -136,7 +136,7 @@ def test_a_wheel_that_stands_is_judged_by_its_current(demo, current_a, words):
     assert words in found.texts[0]
 
 
-def test_a_partner_that_counts_in_one_turn_of_two_is_no_crossed_encoder(demo):
+def test_a_partner_that_counts_in_only_one_of_two_turns_is_no_crossed_encoder(demo):
     first = turned("left", seen="left", left=0.0, right=3.0)
     second = turned("left", seen="left", left=0.0, right=0.0)
     found = findings(demo, [both_times([first, second])])
@@ -145,7 +145,7 @@ def test_a_partner_that_counts_in_one_turn_of_two_is_no_crossed_encoder(demo):
     assert "look for an unplugged encoder" in findings(demo, [stopped]).texts[-1]
 
 
-def test_two_turns_count_what_was_counted_both_times():
+def test_of_two_turns_the_smaller_count_of_each_wheel_stays():
     found = both_times(
         [turned("left", left=3.0, right=2.9, current_a=1.0),
          turned("left", left=2.5, right=0.01, current_a=4.0)]
@@ -186,7 +186,7 @@ def test_a_steered_wheel_that_stood_and_one_that_is_blocked_are_named(swerve):
     assert "it is blocked or too weak" in findings(swerve, [blocked]).texts[0]
 
 
-def test_a_pattern_of_no_joint_is_shown_and_changes_nothing(swerve):
+def test_a_pattern_that_fits_no_joint_is_shown_and_changes_nothing(swerve):
     found = findings(swerve, [pointed("front_left_steering", {"front_left_steering": (LEFT,) * 3})])
     assert "pointed left, left, left instead of left, straight, right" in found.texts[0]
     assert not found.changes

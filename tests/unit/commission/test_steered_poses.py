@@ -25,7 +25,7 @@ def modules_in(name):
 
 
 @pytest.mark.parametrize("name", ["ackermann-servo", "swerve4-servos"])
-def test_no_wheel_points_to_the_opposite_of_another_ones_pattern(name):
+def test_no_two_wheels_have_equal_or_opposite_patterns(name):
     found, strafes = modules_in(name)
     shown = patterns(poses_of(found, strafes=strafes))
     both = [*shown.values(), *map(opposite, shown.values())]
@@ -43,7 +43,7 @@ def test_poses_are_within_the_range(name):
     assert set(straight(found).aim_rad.values()) == {0.0}
 
 
-def test_a_turn_about_a_wheel_lets_it_stand():
+def test_a_turn_about_a_wheel_leaves_it_at_rest():
     found, _ = modules_in("swerve4-servos")
     for one in found:
         pose = standing(found, one.traction)
@@ -51,5 +51,5 @@ def test_a_turn_about_a_wheel_lets_it_stand():
         assert pose.lateral + one.x_m * pose.angular == pytest.approx(0.0)
 
 
-def test_a_base_without_steered_wheels_has_none():
+def test_a_base_without_steered_wheels_has_no_modules():
     assert modules_in("demo")[0] == []

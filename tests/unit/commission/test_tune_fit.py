@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a wheel is by its answer to steps: the simulator's wheel with known inertia, friction and
-dead time is found again, and the gains are those of the rule."""
+"""A wheel's model from its response to steps: the fit finds the known inertia, friction and dead
+time of the simulator's wheel, and the gains are those of the rule."""
 
 import random
 
@@ -50,7 +50,7 @@ def run_of(model, peak, *, dead_s=0.03, cycle_s=0.02, look_s=0.01, resolution=0.
 @pytest.mark.parametrize("dead_s", [0.0, 0.03, 0.08])
 @pytest.mark.parametrize("coulomb_n_m", [0.1, 0.6, 1.2])
 @pytest.mark.parametrize("inertia_kg_m2", [0.02, 0.07, 0.2])
-def test_inertia_friction_and_dead_time_are_found_again(inertia_kg_m2, coulomb_n_m, dead_s):
+def test_a_fit_finds_inertia_friction_and_dead_time(inertia_kg_m2, coulomb_n_m, dead_s):
     model = WheelModel(inertia_kg_m2=inertia_kg_m2, coulomb_n_m=coulomb_n_m)
     runs = [run_of(model, peak, dead_s=dead_s, seed=n) for n, peak in enumerate((4, 8, -4, -8))]
     found = identify("left", runs)
@@ -99,9 +99,9 @@ def held_up_run(model, peak, *, holds=()):
 
 @pytest.mark.parametrize("what", ["tool", "loop", "line"])
 @pytest.mark.parametrize("begin_s", [0.1, 0.3, 0.6, 1.3])
-def test_a_computer_that_is_held_up_for_moments_does_not_bend_the_wheel(what, begin_s):
-    """Under a torque a wheel keeps what a moment has added to its speed: what was not seen of the
-    torque must not count for the rest of the run."""
+def test_pauses_of_the_computer_do_not_distort_the_fit(what, begin_s):
+    """What a torque adds to the speed of a wheel in a moment stays: a moment that was not seen must
+    not distort the rest of the run."""
     model = WheelModel()
     holds = [(what, begin_s, begin_s + 0.12), (what, begin_s + 0.35, begin_s + 0.45)]
     found = identify("left", [held_up_run(model, peak, holds=holds) for peak in (2, 4, -2, -4)])
@@ -123,7 +123,7 @@ def test_gains_are_those_of_simc():
     assert found.integral_u_per_rad == pytest.approx(found.gain_u_s_per_rad / 0.16)
 
 
-def test_the_gentler_the_less_gain_and_no_loop_is_faster_than_its_measure():
+def test_gentler_settings_give_less_gain_and_the_sample_time_limits_it():
     gains = [gains_of(PLANT, how).gain_u_s_per_rad for how in ("gentle", "normal", "brisk")]
     assert gains == sorted(gains)
     assert set(CLOSED_LOOP) == {"gentle", "normal", "brisk"}

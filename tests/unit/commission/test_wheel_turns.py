@@ -46,7 +46,7 @@ def test_each_turn_is_a_twist_in_which_the_named_wheels_turn_and_the_others_rest
     [("demo", "left", 1, {"left"}), ("omni3", "rear", 1, {"rear"}),
      ("mecanum4", "front_left", 2, {"front_left"})],
 )  # fmt: skip
-def test_as_few_others_as_possible_turn(name, joint, count, all_times):
+def test_as_few_other_wheels_as_possible_turn(name, joint, count, all_times):
     rows, strafes = rows_of(name)
     turns = turns_of(rows, joint, strafes=strafes)
     assert len(turns) == count

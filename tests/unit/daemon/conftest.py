@@ -6,5 +6,5 @@ import pytest
 
 @pytest.fixture
 def path(tmp_path):
-    """Where a daemon makes its socket. Files that need a certain one have their own."""
+    """Where a daemon makes its socket. A file that needs another path has its own fixture."""
     return tmp_path / "robot.sock"

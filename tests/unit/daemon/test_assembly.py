@@ -69,7 +69,7 @@ def test_a_wheel_that_cannot_reverse_never_gets_a_negative_set_point():
     assert [joint["velocity_min_rad_s"] for joint in sent["joint"]] == [0.0, -15.0]
 
 
-def test_a_torque_drive_brings_its_speed_loop_and_others_have_none():
+def test_a_torque_drive_has_a_speed_loop_and_other_drives_do_not():
     _, _, config = assembled("cia402-torque")
     for joint in config["joint"]:
         loop = joint["speed_loop"]
@@ -83,7 +83,7 @@ def test_a_torque_drive_brings_its_speed_loop_and_others_have_none():
     assert {joint["speed_loop"]["kind"] for joint in demo["joint"]} == {SpeedLoopKind.NONE}
 
 
-def test_a_duty_with_an_encoder_may_get_a_loop_and_has_none_without_gains():
+def test_a_duty_drive_with_an_encoder_has_only_feed_forward_by_default():
     _, _, config = assembled("pi4-encoders")
     for joint in config["joint"]:
         loop = joint["speed_loop"]
@@ -108,7 +108,7 @@ def test_a_duty_with_gains_is_checked_as_a_drive_that_holds_its_speed():
     assert left["plausible"]["beyond_rad_s"] < right["plausible"]["beyond_rad_s"]
 
 
-def test_feedback_is_checked_in_parts_of_the_speed_that_the_limits_ask_of_a_wheel():
+def test_thresholds_of_feedback_are_parts_of_the_wheel_speed_at_the_limits():
     overrides = ["limits.linear_m_s=0.33", "limits.angular_rad_s=0.001"]
     _, _, config = assembled("demo", *overrides, "safety.feedback.following_part=0.5")
     checks = config["joint"][0]["plausible"]
@@ -126,7 +126,7 @@ def test_a_check_of_the_feedback_that_is_switched_off_is_off_in_the_core():
     assert [*times, checks["apart_s"], checks["jumps_max"]] == [0] * 6
 
 
-def test_a_duty_holds_no_speed_so_only_much_of_it_is_judged_unless_the_file_wants_it():
+def test_a_duty_holds_no_speed_so_its_check_is_loose_unless_the_file_tightens_it():
     _, _, config = assembled("pi4-encoders")
     checks = config["joint"][0]["plausible"]
     assert checks["following_s"] == 0
@@ -140,7 +140,7 @@ def test_a_duty_holds_no_speed_so_only_much_of_it_is_judged_unless_the_file_want
     assert checks["beyond_rad_s"] < 9.5
 
 
-def test_a_coarse_encoder_widens_what_it_cannot_report():
+def test_a_coarse_encoder_widens_the_thresholds_of_feedback():
     wheels = [f"joint.{side}.counts_per_turn=4" for side in ("left", "right")]
     _, _, fine = assembled("esp32")
     _, _, coarse = assembled("esp32", *wheels)
@@ -157,7 +157,7 @@ def test_a_speed_limit_that_is_not_given_is_what_the_drive_can_do_at_the_wheel()
     assert config["joint"][0]["velocity_max_rad_s"] == pytest.approx(drive_rad_s / 20)
 
 
-def test_limits_and_stop_actions_arrive_at_their_place():
+def test_limits_and_stop_actions_reach_the_core():
     _, _, config = assembled("demo", "safety.on_estop=coast", "safety.on_fault=hold")
     linear, angular = config["limits"]["linear"], config["limits"]["angular"]
     assert linear == {
@@ -185,7 +185,7 @@ def test_a_line_carries_its_joints_under_the_cores_numbers():
     assert [joint["line"] for joint in core_config(robot, profiles)["joint"]] == [0, 0, 1, 0]
 
 
-def test_asyncio_is_woken_as_often_as_the_fastest_publisher_wants():
+def test_asyncio_is_woken_as_often_as_the_fastest_publisher_sends():
     settings = loop_settings(
         load_robot(
             ROBOTS / "demo.toml", ["publish.console.kind=stdout", "publish.console.rate_hz=200"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a battery's measures mean: levels with hysteresis, nothing where nothing was measured."""
+"""Levels of a battery: with hysteresis, and unknown where nothing was measured."""
 
 import math
 
@@ -49,7 +49,7 @@ def test_a_voltage_that_sways_about_a_threshold_changes_the_level_once():
     assert levels == [NORMAL, WARNING, WARNING, WARNING, WARNING, NORMAL]
 
 
-def test_from_critical_the_way_up_leads_through_the_warning():
+def test_a_critical_battery_recovers_through_the_warning_level():
     watch = BatteryWatch(section(), 0)
     levels = []
     for at_s, voltage_v in enumerate((19.0, 20.4, 20.5, 22.4, 22.5)):
@@ -66,7 +66,7 @@ def test_a_dip_that_is_shorter_than_settle_s_changes_nothing():
     assert measured(watch, 19.0, 8.0) == "the battery is critical: 19.00 V (was normal)"
 
 
-def test_what_registers_report_of_the_pack_is_taken_with_the_sign_of_a_discharge():
+def test_registers_give_the_battery_and_a_discharge_is_negative():
     seen = view(1, joints=(joint(voltage_v=23.0), joint(voltage_v=25.0))).snapshot
     readings = {"voltage_from": 24.5, "current_from": 3.0, "temperature_from": 31.0}
     named = {"voltage_from": "left.a", "current_from": "left.b", "temperature_from": "left.c"}
@@ -100,14 +100,14 @@ def test_without_a_measure_the_battery_is_unknown_which_is_reported_once(nothing
     assert (report["state"], report["voltage_v"], report["age_s"]) == ("unknown", None, None)
 
 
-def test_a_battery_that_is_received_again_is_what_it_measures_at_once():
+def test_a_battery_that_is_measured_again_gets_its_level_at_once():
     watch = BatteryWatch(section(settle_s=3.0), 0)
     watch.take(None, 10 * S)
     assert measured(watch, 21.0, 11) == "the battery is warning: 21.00 V (was unknown)"
 
 
 @given(st.lists(st.one_of(st.none(), st.floats()), max_size=50))
-def test_whatever_is_measured_what_is_reported_is_a_voltage_or_nothing(values):
+def test_any_measure_is_reported_as_a_voltage_or_as_nothing(values):
     watch = BatteryWatch(section(), 0)
     for at_s, voltage_v in enumerate(values):
         watch.take(None, at_s * S) if voltage_v is None else measured(watch, voltage_v, at_s)
@@ -117,7 +117,7 @@ def test_whatever_is_measured_what_is_reported_is_a_voltage_or_nothing(values):
         assert report["state"] == "unknown" or sent is not None
 
 
-def test_drives_report_the_lowest_voltage_of_those_that_are_received_and_nothing_else():
+def test_drives_give_the_lowest_fresh_voltage_and_no_current():
     joints = (joint(voltage_v=24.0), joint(voltage_v=23.5))
     measure = of_drives(section(), BODY.joints, view(1, joints=joints).snapshot)
     assert (measure.voltage_v, math.isnan(measure.current_a)) == (23.5, True)
@@ -127,7 +127,7 @@ def test_drives_report_the_lowest_voltage_of_those_that_are_received_and_nothing
     assert not of_drives(section(), BODY.joints, view(1, joints=stale).snapshot).counts
 
 
-def test_who_may_not_drive_on_a_critical_battery_may_not_arm_but_reset():
+def test_a_critical_battery_may_forbid_an_arm_but_not_a_reset():
     facts = Facts(battery_forbids=True)
     refusal = step(State.IDLE, Event.ARM, facts)
     assert isinstance(refusal, Refusal)
@@ -141,7 +141,7 @@ def report(**changes):
     return watch.report(1 * S) | changes
 
 
-def test_the_message_has_the_sensors_word_and_not_that_of_the_drives():
+def test_the_message_has_the_values_of_the_sensor_and_not_of_the_drives():
     def found(**changes):
         joints = (joint(voltage_v=1.0),) * 2
         one = view(1, status={"battery": report(**changes)}, joints=joints)

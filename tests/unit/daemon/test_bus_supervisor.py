@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second process as the daemon receives it, whatever it writes: a real child, in error or
-on purpose a bad one."""
+"""How the daemon supervises the second process, whatever that writes: with real children, most of
+which misbehave."""
 
 import asyncio
 import contextlib
@@ -22,13 +22,13 @@ BEAT = b'{"inputs":{"pad":1}}\n'
 
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch):
-    """A child that floods does not read that it is to end."""
+    """A child that floods does not read the request to end."""
     monkeypatch.setattr(bus_supervisor, "END_WITHIN_S", 0.1)
 
 
 @contextlib.asynccontextmanager
 async def child(code):
-    """What that program writes is read until the end of the block."""
+    """Supervises a child that runs this program, until the end of the block."""
     supervisor = BusSupervisor(load_robot(DEMO), Path("no.sock"))
     supervisor._command = [sys.executable, "-c", f"import os\n{code}"]
     async with asyncio.TaskGroup() as tasks:
@@ -58,7 +58,7 @@ async def until(condition):
         b"",
     ],
 )
-async def test_what_are_no_figures_is_passed_over(written, caplog):
+async def test_a_line_that_holds_no_figures_is_skipped(written, caplog):
     lines = written + b"\n" + BEAT
     async with child(f"os.write(1, {lines!r}); os.read(0, 1)") as supervisor:
         await until(lambda: "inputs" in supervisor.report())
@@ -68,7 +68,7 @@ async def test_what_are_no_figures_is_passed_over(written, caplog):
         assert set(supervisor.report()) == {"pid", "restarts"}
 
 
-async def test_its_word_on_itself_is_the_daemons():
+async def test_pid_and_restarts_come_from_the_daemon():
     written = b'{"pid":1,"restarts":-5}\n' + BEAT.replace(b"{", b'{"pid":1,"restarts":-5,', 1)
     async with child(f"os.write(1, {written!r}); os.read(0, 1)") as supervisor:
         await until(lambda: "inputs" in supervisor.report())
@@ -78,7 +78,7 @@ async def test_its_word_on_itself_is_the_daemons():
 
 
 async def test_a_child_that_no_kill_ends_is_not_waited_for(monkeypatch):
-    """As one that the kernel holds."""
+    """A process that the kernel holds survives a kill."""
     words = (sys.executable, "-c", "import time; time.sleep(1000)")
     process = await asyncio.create_subprocess_exec(*words, stdin=asyncio.subprocess.PIPE)
     async with asyncio.timeout(DEADLINE_S):
@@ -90,7 +90,7 @@ async def test_a_child_that_no_kill_ends_is_not_waited_for(monkeypatch):
 
 
 @pytest.mark.parametrize("line", [b"\n", b"{\n", b"[warning] no route\n"])
-async def test_a_flood_is_reported_once_and_the_daemon_does_all_else_meanwhile(line, caplog):
+async def test_a_flood_is_reported_once_and_does_not_hold_up_the_daemon(line, caplog):
     flood = f"flood = {line!r} * 3000\nwhile True: os.write(1, flood)"
     async with child(flood) as supervisor:
         await until(lambda: "no figures" in caplog.text)
@@ -100,7 +100,7 @@ async def test_a_flood_is_reported_once_and_the_daemon_does_all_else_meanwhile(l
     assert caplog.text.count("no figures") == 1
 
 
-async def test_a_beat_of_many_figures_is_received_whole():
+async def test_a_long_line_of_figures_is_read_whole():
     written = f"b'{{\"inputs\":\"' + b'x' * {BEAT_BYTES_MAX // 2} + b'\"}}\\n'"
     async with child(f"os.write(1, {written}); os.read(0, 1)") as supervisor:
         await until(lambda: "inputs" in supervisor.report())
@@ -108,7 +108,7 @@ async def test_a_beat_of_many_figures_is_received_whole():
 
 
 @pytest.mark.parametrize("line", [b"noise\n", b"x"])
-async def test_a_child_that_sends_much_and_no_figures_is_ended_as_one_that_hangs(
+async def test_a_child_that_sends_much_but_no_figures_is_ended_like_one_that_hangs(
     line, caplog, monkeypatch
 ):
     monkeypatch.setattr(bus_supervisor, "START_WITHIN_S", 1.0)
@@ -125,7 +125,7 @@ async def test_a_start_may_take_longer_than_a_silence_later(caplog, monkeypatch)
     assert "was silent for 0.2 s" in caplog.text
 
 
-async def test_it_runs_the_robot_that_the_daemon_has_checked_whatever_became_of_the_file(tmp_path):
+async def test_the_child_runs_the_checked_robot_though_the_file_has_changed(tmp_path):
     path = tmp_path / "robot.toml"
     path.write_text(DEMO.read_text("utf-8"), "utf-8")
     supervisor = BusSupervisor(load_robot(path), tmp_path / "no.sock")
@@ -141,8 +141,8 @@ async def test_it_runs_the_robot_that_the_daemon_has_checked_whatever_became_of_
 async def test_a_child_that_ends_as_its_time_is_over_does_not_keep_the_daemon_from_ending(
     turns, monkeypatch
 ):
-    """A cancelled supervisor that waits for its child. Its time is over so many turns of the event
-    loop after the child has ended."""
+    """A cancelled supervisor waits for its child. Its time is over `turns` turns of the event loop
+    after the child has ended."""
     monkeypatch.setattr(bus_supervisor, "END_WITHIN_S", 0.5)
     ends = f"import time; os.write(1, {BEAT!r}); os.read(0, 1); time.sleep(0.1)"
     async with asyncio.timeout(DEADLINE_S), child(ends) as supervisor:
@@ -151,7 +151,7 @@ async def test_a_child_that_ends_as_its_time_is_over_does_not_keep_the_daemon_fr
 
 
 def _in_turns(turns, call, *arguments):
-    """Call it when the event loop has come round so often."""
+    """Calls `call` after this many turns of the event loop."""
     if turns == 0:
         call(*arguments)
     else:

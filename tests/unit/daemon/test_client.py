@@ -55,7 +55,7 @@ def path(tmp_path):
 
 @contextlib.contextmanager
 def answering(path, *replies):
-    """A server that says what it likes: each request is met by the next of `replies`."""
+    """A server that answers each request with the next of `replies`, valid or not."""
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(path))
         listener.listen(1)
@@ -112,14 +112,14 @@ def test_other_errors_are_no_refusals(path):
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
-def test_what_json_cannot_report_is_never_sent(path, value):
+def test_nan_and_infinity_are_never_sent(path, value):
     with Client(path) as robot:
         with pytest.raises(ClientError, match="linear_m_s is NaN or infinite"):
             robot.drive(value, 0.0)
         assert robot.arm() == "arm"
 
 
-def test_no_answer_ends_at_the_deadline_and_a_late_one_is_not_given_to_the_next_call(tmp_path):
+def test_a_call_ends_at_its_deadline_and_the_next_skips_a_late_answer(tmp_path):
     late = b'{"jsonrpc":"2.0","id":1,"result":"late"}\n{"jsonrpc":"2.0","id":2,"result":"mine"}\n'
     with answering(tmp_path / "s", b"", late) as robot:
         with pytest.raises(ClientError, match=r"no answer within 0\.3 s"):
@@ -127,13 +127,13 @@ def test_no_answer_ends_at_the_deadline_and_a_late_one_is_not_given_to_the_next_
         assert robot.call("second") == "mine"
 
 
-def test_an_answer_may_come_in_pieces_and_after_other_peoples(tmp_path):
+def test_an_answer_may_follow_lines_that_are_not_its_own(tmp_path):
     raw = b'[]\n{"id":99,"result":0}\n{"jsonrpc":"2.0","id":1,"result":{"a":[1]}}\n'
     with answering(tmp_path / "s", raw) as robot:
         assert robot.call("x") == {"a": [1]}
 
 
-def test_a_daemon_that_goes_away_is_sent(tmp_path):
+def test_a_closed_connection_is_an_error(tmp_path):
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(tmp_path / "s"))
         listener.listen(1)
@@ -160,12 +160,12 @@ def test_an_answer_without_end_is_cut_off(tmp_path, monkeypatch):
         robot.status()
 
 
-def test_a_missing_daemon_is_sent_with_its_path(tmp_path):
+def test_a_missing_daemon_is_reported_with_its_path(tmp_path):
     with pytest.raises(ClientError, match=r"absent.sock: no daemon has this socket: motord run"):
         Client(tmp_path / "absent.sock")
 
 
-def test_of_a_daemon_that_was_killed_it_is_reported_that_a_wheel_may_still_turn(tmp_path):
+def test_a_killed_daemon_is_reported_with_the_command_that_stops_all(tmp_path):
     path = tmp_path / "r2.sock"
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(path))
@@ -179,7 +179,7 @@ def test_the_only_robot_is_found(path):
     assert find_socket("r2", folders) == path
 
 
-def test_no_robot_and_several_robots_are_sent(path):
+def test_no_robot_and_several_robots_are_an_error(path):
     with pytest.raises(ClientError, match="no robot x runs here: motord run"):
         find_socket("x", [path.parent])
     with listening(path.with_name("r3.sock")), pytest.raises(ClientError, match=r"r2.*r3"):
@@ -203,7 +203,7 @@ def test_a_strangers_socket_is_no_robot(path):
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="giving a folder away takes root")
 @pytest.mark.parametrize(("above_mode", "found"), [(0o755, True), (0o1777, False)])
-def test_a_services_socket_is_believed_where_only_root_makes_folders(tmp_path, above_mode, found):
+def test_a_services_socket_is_trusted_where_only_root_makes_folders(tmp_path, above_mode, found):
     above = tmp_path / "run"
     folder = above / "motord"
     folder.mkdir(parents=True)
@@ -225,7 +225,7 @@ def test_sockets_are_sought_where_daemons_put_them():
     assert len(socket_folders({}, uid=7)) == 2
 
 
-def test_it_speaks_the_protocol_of_the_page(tmp_path):
+def test_a_client_sends_the_documented_request(tmp_path):
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(tmp_path / "s"))
         listener.listen(1)
@@ -245,11 +245,11 @@ def test_it_speaks_the_protocol_of_the_page(tmp_path):
     assert received == [{"jsonrpc": "2.0", "id": 1, "method": "arm", "params": {}}]
 
 
-def test_without_a_descriptor_left_it_is_an_error_as_any_other(path, no_descriptor_left):
+def test_without_a_free_descriptor_a_client_raises_its_error(path, no_descriptor_left):
     with no_descriptor_left(), pytest.raises(ClientError, match="Too many open files"):
         Client(path)
 
 
-async def test_so_it_is_in_asyncio(path, no_descriptor_left):
+async def test_without_a_free_descriptor_the_asyncio_client_raises_too(path, no_descriptor_left):
     with no_descriptor_left(), pytest.raises(ClientError, match="Too many open files"):
         await aio.Client(path).open()

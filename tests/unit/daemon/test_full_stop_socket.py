@@ -31,7 +31,7 @@ def loop_side(path):
 
 
 def received(receiver):
-    """The kinds of all that waits there, the oldest first."""
+    """The kinds of all stops that wait there, the oldest first."""
     kinds = []
     with contextlib.suppress(BlockingIOError):
         while True:

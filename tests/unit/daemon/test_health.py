@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Heartbeats: which part stands still, and what is reported of it, and how often."""
+"""Heartbeats: which part stands still, what is reported of it, and how often."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,7 +29,7 @@ def test_a_counter_that_stands_still_for_longer_than_its_time_is_not():
     assert judge(health, 1.1, 7).stalled == ("heart 0",)
 
 
-def test_one_that_fails_is_enough():
+def test_one_stalled_heart_is_enough():
     health = Health()
     judge(health, 0, 1, 1)
     verdict = judge(health, 2, 2, 1)
@@ -50,7 +50,7 @@ def test_a_stop_is_reported_once_and_its_end_once():
     assert health.stalls() == {"heart 0": 1}
 
 
-def test_an_excused_heart_neither_fails_nor_carries_its_silence_along():
+def test_an_excused_heart_does_not_fail_then_or_at_once_after():
     health = Health()
     judge(health, 0, 5)
     assert judge(health, 10, 5, excused=True).well
@@ -68,7 +68,7 @@ def test_a_stalled_heart_that_is_excused_is_well_again():
 
 
 @given(steps=st.lists(st.tuples(st.integers(0, 3), st.integers(0, 2), st.booleans()), max_size=30))
-def test_what_is_reported_and_what_is_judged_never_disagree(steps):
+def test_the_report_and_the_verdict_always_agree(steps):
     health, at_s, count, before = Health(), 0, 0, True
     for wait_s, moved, excused in steps:
         at_s, count = at_s + wait_s, count + moved

@@ -106,7 +106,7 @@ def test_reset_needs_the_cause_gone_rest_and_nothing_driving(state, about):
 
 @pytest.mark.parametrize(("what", "named"), [("line", "rs485"), ("feedback", "left"),
                                              ("command", "joystick")])  # fmt: skip
-def test_a_refusal_names_who_is_in_the_way(what, named):
+def test_a_refusal_names_what_causes_it(what, named):
     for state, event in ((State.IDLE, Event.ARM), (State.FAULT, Event.RESET)):
         refusal = step(state, event, BAD[what])
         assert isinstance(refusal, Refusal)
@@ -126,7 +126,7 @@ def test_arming_what_is_armed_changes_nothing():
     assert step(State.MOVING, Event.ARM, BAD["command"]) is State.MOVING
 
 
-def test_a_whole_day():
+def test_a_typical_day():
     state = State.OFF
     for event, expected in [
         (Event.START, State.CONFIGURING),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a user is advised to do who may not use the robot's socket or a drive's port."""
+"""The advice for a user without permission for the robot's socket or a drive's port."""
 
 import grp
 import os
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="becoming another user
 
 GROUP = next(group for group in grp.getgrall() if group.gr_gid != 0)
 STRANGER = """
-import grp, os, sys  # all of them now: who has no rights may not read them any more
+import grp, os, sys  # now: without rights no module can be read any more
 from pathlib import Path
 from motord.client import Client, ClientError
 from motord_hal.base.errors import PortError
@@ -30,14 +30,14 @@ except (ClientError, PortError) as error:
 
 @pytest.fixture
 def folder():
-    """A folder that every user finds."""
+    """A folder that every user may enter."""
     with tempfile.TemporaryDirectory(dir="/tmp") as folder:
         os.chmod(folder, 0o755)
         yield Path(folder)
 
 
 def shown(call, path):
-    """What a user without any rights gets to read."""
+    """The error that a user without any rights sees."""
     return subprocess.run(
         [sys.executable, "-c", STRANGER.format(call=call), str(path)],
         capture_output=True,
@@ -48,7 +48,7 @@ def shown(call, path):
 
 
 @pytest.mark.parametrize("gid", [0, GROUP.gr_gid])
-def test_of_a_socket_sudo_and_the_group_that_may_use_it_are_named(folder, gid):
+def test_the_advice_for_a_socket_names_sudo_and_its_group(folder, gid):
     path = folder / "r2.sock"
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(path))
@@ -63,7 +63,7 @@ def test_of_a_socket_sudo_and_the_group_that_may_use_it_are_named(folder, gid):
     assert text == f"{path}: {cure}\n"
 
 
-def test_of_a_port_sudo_and_the_group_dialout_are_named(folder):
+def test_the_advice_for_a_port_names_sudo_and_the_group_dialout(folder):
     path = folder / "ttyUSB0"
     path.touch(0o660)
     text = shown("open_exclusively(sys.argv[1])", path)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The local socket, over real sockets: what it answers, and what it does not let peers do."""
+"""The local socket, over real sockets: what it answers, and what it keeps peers from doing."""
 
 import asyncio
 import contextlib
@@ -31,7 +31,7 @@ class Sum(Params):
 
 
 class Host:
-    """Methods of every sort, and what became of them."""
+    """Methods of every kind, and a record of their calls."""
 
     def __init__(self):
         self.gate = asyncio.Event()
@@ -74,7 +74,7 @@ async def hosted(path):
 
 
 class Peer:
-    """Bytes in and out of the socket, nothing clever."""
+    """A plain client: lines in and out of the socket."""
 
     def __init__(self, reader, writer):
         self.reader, self.writer = reader, writer
@@ -153,7 +153,7 @@ async def test_a_refusal_carries_its_reason(path):
         (b'{"jsonrpc":"2.0","id":1,"method":"add","params":{"a":1,"b":11}}\n', -32602),
     ],
 )
-async def test_what_is_wrong_is_reported_and_the_connection_goes_on(path, raw, code):
+async def test_an_invalid_request_is_an_error_and_the_connection_stays(path, raw, code):
     async with hosted(path):
         peer = await Peer.at(path)
         assert await peer.error(raw) == code
@@ -240,7 +240,7 @@ async def test_calls_of_connections_that_have_ended_are_bounded_and_an_urgent_on
         late.close()
 
 
-async def test_a_connection_that_ends_is_sent_at_once_while_a_call_of_it_goes_on(path):
+async def test_the_end_of_a_connection_is_reported_at_once_while_its_call_goes_on(path):
     async with hosted(path) as host:
         peer = await Peer.at(path)
         number = (await peer.call("who"))["result"]["connection"]
@@ -261,7 +261,7 @@ async def test_a_line_without_end_costs_the_connection_and_no_memory(path):
         peer.close()
 
 
-async def test_who_does_not_read_is_dropped_and_the_others_are_served(path):
+async def test_a_client_that_does_not_read_is_dropped(path):
     async with hosted(path) as host:
         other = await Peer.at(path)
         with socket.socket(socket.AF_UNIX) as unread:
@@ -277,7 +277,7 @@ async def test_who_does_not_read_is_dropped_and_the_others_are_served(path):
         other.close()
 
 
-async def test_who_has_been_silent_longest_makes_room(path):
+async def test_the_longest_silent_connection_makes_room(path):
     async with hosted(path) as host:
         first = await Peer.at(path)
         second = await Peer.at(path)
@@ -295,7 +295,7 @@ async def test_who_has_been_silent_longest_makes_room(path):
             peer.close()
 
 
-async def test_a_connection_that_stays_makes_room_for_nothing(path):
+async def test_a_connection_that_is_to_stay_never_makes_room(path):
     staying = set()
     with listening(path) as listener:
         host = Host()
@@ -332,7 +332,7 @@ async def test_connections_are_bounded_though_calls_of_dropped_ones_go_on(path):
             peer.close()
 
 
-async def test_what_ends_motion_gets_through_though_the_connection_made_room(path):
+async def test_an_emergency_stop_gets_through_though_its_connection_was_dropped(path):
     async with hosted(path):
         panel = await asyncio.to_thread(Client, path)
         crowd = [await Peer.at(path) for _ in range(rpc.CONNECTIONS_MAX)]
@@ -347,7 +347,7 @@ async def test_what_ends_motion_gets_through_though_the_connection_made_room(pat
             peer.close()
 
 
-async def test_an_answer_that_is_no_json_is_an_error_and_not_the_servers_end(path, caplog):
+async def test_an_answer_that_is_no_json_is_an_error_and_does_not_end_the_server(path, caplog):
     async with hosted(path):
         peer = await Peer.at(path)
         answer = await peer.call("nan")
@@ -369,7 +369,7 @@ async def test_without_a_free_file_descriptor_it_tries_again(path, caplog, no_de
             assert json.loads(await loop.sock_recv(late, 1000))["id"] == 1
 
 
-async def test_without_a_free_file_descriptor_who_has_been_silent_longest_makes_room(
+async def test_without_a_descriptor_the_longest_silent_connection_makes_room(
     path, no_descriptor_left
 ):
     async with hosted(path):
@@ -389,7 +389,7 @@ async def test_without_a_free_file_descriptor_who_has_been_silent_longest_makes_
             peer.close()
 
 
-async def test_the_caller_is_who_the_kernel_reports(path):
+async def test_the_caller_is_the_process_that_the_kernel_reports(path):
     async with hosted(path) as host:
         peer = await Peer.at(path)
         await peer.call("who")
@@ -419,7 +419,7 @@ with socket.socket(socket.AF_UNIX) as peer:
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="becoming another user takes root")
 @pytest.mark.parametrize(("groups", "may_command"), [([], False), ([4321], True)])
-async def test_a_stranger_may_look_and_a_member_of_the_sockets_group_may_command(
+async def test_other_users_may_read_and_members_of_the_sockets_group_may_command(
     public_folder, groups, may_command
 ):
     path = public_folder / "robot.sock"

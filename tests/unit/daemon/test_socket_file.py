@@ -17,7 +17,7 @@ from motord.local_socket.server import SocketInUse, listening, socket_path
 DEMO = Path(__file__).resolve().parents[3] / "config/robots/demo.toml"
 
 
-def test_the_socket_is_for_user_and_group_and_goes_with_its_daemon(path):
+def test_the_socket_is_for_user_and_group_and_is_removed_with_its_daemon(path):
     with listening(path):
         assert stat.S_IMODE(path.stat().st_mode) == 0o660
     assert not path.exists()
@@ -56,7 +56,7 @@ def test_a_file_that_is_no_socket_is_left_alone(path):
     assert path.read_text(encoding="ascii") == "precious"
 
 
-def test_a_path_that_cannot_be_is_named(path):
+def test_a_path_that_cannot_exist_is_named(path):
     with pytest.raises(FileNotFoundError) as error, listening(path / "below.sock"):
         pass
     assert error.value.filename == str(path / "below.sock")
@@ -71,17 +71,17 @@ def test_a_socket_that_replaced_ours_is_not_removed(path):
 
 @pytest.fixture
 def folders(tmp_path):
-    """The system's folder cannot be made; there is the user's, and the last resort."""
+    """Folders of the system and of the user that cannot be made, and the last resort."""
     (tmp_path / "file").touch()
     (tmp_path / "tmp").mkdir()
     return [tmp_path / "file/motord", tmp_path / "run/motord", tmp_path / "tmp/motord-1"]
 
 
-def test_the_systems_folder_is_taken_where_it_can_be_had(folders, tmp_path):
+def test_the_systems_folder_is_used_where_it_can_be_made(folders, tmp_path):
     assert socket_path("r2", [tmp_path, *folders]) == tmp_path / "r2.sock"
 
 
-def test_without_any_other_the_folder_is_private(folders):
+def test_without_another_folder_a_private_one_is_made(folders):
     path = socket_path("r2", folders)
     assert path == folders[2] / "r2.sock"
     assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pages name what there is, and their links lead somewhere."""
+"""The pages name every kind of base and every command, and their links are valid."""
 
 import re
 from pathlib import Path
@@ -24,13 +24,13 @@ def base_kinds():
 
 
 def anchors(page):
-    """As GitHub makes them of headings."""
+    """The anchors that GitHub makes of headings."""
     headings = re.findall(r"^#+ (.*)$", TEXT[page], re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-") for text in headings}
 
 
 @pytest.mark.parametrize("kind", base_kinds())
-def test_each_kind_of_base_is_among_what_the_reader_gets(kind):
+def test_each_kind_of_base_is_named_in_readme_and_pages(kind):
     assert f"`{kind}`" in TEXT[ROOT / "docs/bases.md"] or kind == "joints"
     assert kind in TEXT[ROOT / "README.md"]
 
@@ -41,7 +41,7 @@ def test_each_command_is_shown_on_a_page():
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_links_lead_to_a_heading_that_is_there(page):
+def test_links_lead_to_headings_that_exist(page):
     dead = []
     for link in re.findall(r"\]\(([^)\s]+)\)", TEXT[page]):
         if "://" in link:

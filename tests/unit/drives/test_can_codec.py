@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CAN frames: signals at their places, by cantools' word too; and bits on the wire."""
+"""CAN frames: signals at their places, compared with cantools; and bits on the wire."""
 
 import math
 import struct
@@ -45,7 +45,7 @@ def places(draw):
 
 
 def as_dbc(place):
-    """The same place in the words of a DBC file: a big-endian start bit is counted in a zigzag."""
+    """The same place as a DBC file writes it: a big-endian start bit is counted in a zigzag."""
     start = place.start_bit
     if place.big_endian:
         start = 8 * (start // 8) + 7 - start % 8
@@ -83,7 +83,7 @@ def test_a_float_comes_back_as_it_was_and_as_struct_packs_it(value):
     assert build(FRAME, (place,), {"s": raw})[:4] == struct.pack("<f", value + 0.0)
 
 
-def test_a_float_that_is_no_number_is_not_sent_and_comes_through_as_it_is():
+def test_a_float_that_is_not_finite_is_not_sent_and_is_read_as_it_is():
     place = signal(kind="f32")
     for bad in (math.nan, math.inf, -math.inf):
         with pytest.raises(ValueError):
@@ -92,7 +92,7 @@ def test_a_float_that_is_no_number_is_not_sent_and_comes_through_as_it_is():
         assert not math.isfinite(place.to_si(raw))
 
 
-def test_zero_is_zero_whatever_its_sign():
+def test_negative_zero_is_written_as_zero():
     assert signal(kind="f32").from_si(-0.0) == 0
     assert signal(kind="f32", unit="turn/s").from_si(-0.0) == 0
 
@@ -108,7 +108,7 @@ def test_a_value_that_does_not_fit_is_refused():
         build(FRAME, (signal(length=4, kind="u32"),), {"s": 16})
 
 
-def test_what_a_frame_begins_with_reports_it_from_others():
+def test_the_first_bytes_of_a_frame_distinguish_it():
     sent = Frame(**{**{f: getattr(FRAME, f) for f in FRAME.__slots__}, "begins": b"\x9c"})
     place = signal(start_bit=8, length=8, kind="u8")
     assert build(sent, (place,), {"s": 7}) == bytes((0x9C, 7, 0, 0, 0, 0, 0, 0))
@@ -135,12 +135,12 @@ def test_an_fd_frame_is_faster_where_its_data_are():
     ("reply", "understood"),
     [
         ("4B 5A 60 00 02 00 00 00", True),
-        ("42 5A 60 00 02 00 00 00", True),  # the server does not say how many bytes count
-        ("43 5A 60 00 02 00 00 00", False),  # four count: it is another kind of object
+        ("42 5A 60 00 02 00 00 00", True),  # the server does not give its size
+        ("43 5A 60 00 02 00 00 00", False),  # of four bytes: another kind of object
         ("4B 5A 60 01 02 00 00 00", False),
     ],
 )
-def test_a_reply_to_an_sdo_upload_need_not_report_its_size_but_no_other_one(reply, understood):
+def test_a_reply_to_an_sdo_upload_may_omit_its_size_but_not_give_another(reply, understood):
     profile = find_profile("cia402")
     frame = profile.can.frames["sdo_read_quick_stop_option"]
     assert frame.matches(bytes.fromhex(reply)) is understood
@@ -153,7 +153,7 @@ def test_error_frames_are_read_as_the_kernel_writes_them():
     assert error_words(0x28, b"") == (["protocol", "no_ack"], BusTrouble.NONE)
 
 
-def test_the_restart_is_asked_for_as_the_kernel_wants_it():
+def test_a_restart_request_has_the_form_that_the_kernel_reads():
     message = restart_request(7, 1)
     assert struct.unpack_from("=IHHII", message) == (len(message), 16, 5, 1, 0)
     assert struct.unpack_from("=i", message, 20) == (7,)

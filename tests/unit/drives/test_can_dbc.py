@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drive profiles with a DBC file: what stands in it counts; every mistake names file and line."""
+"""Drive profiles with a DBC file: its content is used; every mistake names file and line."""
 
 import shutil
 
@@ -20,7 +20,7 @@ DBC = (FOLDER / "dbc-example.dbc").read_text(encoding="cp1252")
 
 
 def written(folder, right="", wrong="", dbc_right="", dbc_wrong=""):
-    """The example with a part of it written otherwise."""
+    """The example with a part of it replaced."""
     assert right in PROFILE
     assert dbc_right in DBC
     path = folder / "dbc-example.toml"
@@ -129,11 +129,11 @@ def test_a_file_that_is_wrong_is_named_with_its_line(tmp_path, right, wrong, whe
         ('32|32@1- (1,0) [0|0] "counts"', '32|32@1- (1,3) [0|0] "counts"', "position.offset"),
     ],
 )
-def test_what_the_file_has_is_judged_as_if_the_profile_had_it(tmp_path, right, wrong, message):
+def test_what_comes_from_the_file_is_checked_like_the_profile(tmp_path, right, wrong, message):
     assert message in problems(tmp_path, "", "", right, wrong)
 
 
-def test_a_message_that_is_not_mapped_may_be_what_it_likes(tmp_path):
+def test_a_message_that_is_not_mapped_may_have_any_content(tmp_path):
     path = written(tmp_path, "", "", "Firmware : 0|16@1+", "Firmware m1 : 0|64@1+")
     assert load_profile(path).name == "dbc-example"
 
@@ -145,7 +145,7 @@ def test_signals_with_29_bits_and_can_fd_are_marked_in_their_frames(tmp_path):
     assert (frames["status"].extended, frames["status"].fd) == (False, False)
 
 
-def test_what_is_wrong_with_a_dbc_file_is_reported_with_the_robot_file(tmp_path):
+def test_a_mistake_in_a_dbc_file_is_reported_with_the_robot_file(tmp_path):
     written(tmp_path, "", "", "(1,-40)", "(0,-40)")
     robot = tmp_path / "odrive-two.toml"
     shutil.copy(config_dir() / "robots" / "odrive-two.toml", robot)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drive profiles with an EDS file: objects are checked against it before the wire is."""
+"""Drive profiles with an EDS file: objects are checked against it before a drive is."""
 
 import re
 import tomllib
@@ -34,7 +34,7 @@ def entry(section, kind, access, default, mapping):
 
 
 def sheet():
-    """What a maker would deliver with a drive that has what the profile wants."""
+    """What a maker delivers with a drive that has all that the profile needs."""
     entries = {}
     for one in tomllib.loads(PROFILE)["object"].values():
         access = "ro" if one.get("access") == "r" else "rw"
@@ -83,7 +83,7 @@ def test_a_sheet_that_agrees_changes_nothing(tmp_path):
     assert load_profile(written(tmp_path)).registers == plain.registers
 
 
-def test_types_and_start_values_need_not_be_reported_twice(tmp_path):
+def test_types_and_start_values_may_come_from_the_sheet(tmp_path):
     no_type = 'index = 0x6079\nsub = 0\ntype = "u32"\naccess = "r"\nscale = 0.001\nunit = "v"\n'
     path = written(tmp_path, no_type + "default = 24000", no_type.replace('type = "u32"\n', ""))
     register = load_profile(path).registers["bus_voltage"]
@@ -103,7 +103,7 @@ def test_types_and_start_values_need_not_be_reported_twice(tmp_path):
          'index = 0x6079\nsub = 0\ntype = "u32"', "cannot be written (ro)"),
     ],
 )  # fmt: skip
-def test_what_the_drive_does_not_have_is_reported(tmp_path, right, wrong, message):
+def test_an_object_that_the_drive_lacks_is_reported(tmp_path, right, wrong, message):
     found = problems(tmp_path, right, wrong)
     assert message in found
     assert re.search(r"cia402-csv\.toml:\d+: ", found)

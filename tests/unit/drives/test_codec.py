@@ -110,7 +110,7 @@ def test_a_flipped_bit_is_never_an_answer(request_, data):
 
 
 @given(REQUESTS, REQUESTS, st.data())
-def test_the_answer_to_another_request_is_no_answer_where_the_wire_can_report(one, other, data):
+def test_the_answer_to_another_request_is_refused_where_its_bytes_differ(one, other, data):
     frame, _ = reply_of(other, data)
     distinct = (
         one.unit != other.unit
@@ -133,7 +133,7 @@ def test_noise_never_passes_for_a_frame_without_its_check_sum(noise):
         parse_reply(Request(1, Function.READ_HOLDING, 0, count=1), noise)
 
 
-def test_a_bad_check_sum_is_sent_from_a_wrong_frame():
+def test_a_bad_check_sum_is_no_malformed_frame():
     with pytest.raises(CrcError):
         parse_request(b"\x01\x03\x00\x00\x00\x01\x00\x00")
     with pytest.raises(FrameError, match="wrong length"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No robot file or drive profile, however long, deep or odd, ends in more than a line."""
+"""A robot file or drive profile that is too long, deep or odd gives short lines of errors."""
 
 import tomllib
 
@@ -29,7 +29,7 @@ BOMBS = {
 
 
 @pytest.mark.parametrize("bomb", BOMBS)
-def test_it_is_refused_in_one_short_line_each(tmp_path, bomb):
+def test_an_excessive_file_is_refused_in_short_lines(tmp_path, bomb):
     file = tmp_path / "robot.toml"
     file.write_text(BOMBS[bomb], encoding="utf-8")
     with pytest.raises(ConfigError) as refused:
@@ -73,7 +73,7 @@ def test_the_line_that_goes_too_deep_is_named():
         bounded.toml(f"# {long}\n{long} = 1")
 
 
-def test_what_is_as_deep_as_allowed_is_read():
+def test_nesting_up_to_the_limit_is_read():
     deep = "[" * bounded.DEPTH_MAX + "]" * bounded.DEPTH_MAX
     key = ".".join("a" * bounded.DEPTH_MAX)
     found = bounded.toml(f'a1 = {deep}\ntext = "{"." * 99}{"[" * 99}" # {"[" * 99}\n{key} = 1.5\n')

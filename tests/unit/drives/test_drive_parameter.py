@@ -22,7 +22,7 @@ PROFILE = replace(
 RPM = 2 * math.pi / 60
 
 
-def test_what_motord_writes_itself_is_kept_back():
+def test_registers_that_motord_itself_writes_are_refused():
     assert kept_back(PROFILE) == {
         "target_velocity_1", "target_velocity_2", "control_word", "control_mode",
         "communication_timeout",
@@ -33,7 +33,7 @@ def test_what_motord_writes_itself_is_kept_back():
             raw_to_write(PROFILE, name, 0.0)
 
 
-def test_what_is_not_there_or_only_read_is_not_written():
+def test_unknown_and_read_only_registers_are_not_written():
     with pytest.raises(LookupError, match="no register"):
         readable(PROFILE, "gian")
     with pytest.raises(ValueError, match="only be read"):

@@ -61,7 +61,7 @@ def test_stuffed_bytes_have_no_zero_and_come_back_as_they_were(data):
 
 
 @given(st.binary(max_size=300))
-def test_any_bytes_are_stuffed_ones_or_a_value_error(data):
+def test_any_bytes_are_unstuffed_or_a_value_error(data):
     try:
         plain = cobs.decode(data)
     except ValueError:
@@ -83,7 +83,7 @@ def test_a_frame_comes_back_as_it_was(kind, sequence, time_us, payload):
 
 
 @given(PAYLOADS, st.integers(0, 10_000), st.integers(1, 255))
-def test_a_byte_that_was_hit_makes_no_frame(payload, place, change):
+def test_a_corrupt_byte_makes_no_frame(payload, place, change):
     raw = bytearray(build(Frame(Type.FEEDBACK, 7, 9, payload))[1:-1])
     raw[place % len(raw)] ^= change
     with pytest.raises(FrameError):
@@ -92,7 +92,7 @@ def test_a_byte_that_was_hit_makes_no_frame(payload, place, change):
         raise FrameError("cut into nothing")
 
 
-def test_another_version_is_refused_in_words():
+def test_another_version_is_refused_with_the_reason():
     raw = bytearray(cobs.decode(build(Frame(Type.FEEDBACK, 0, 0, b""))[1:-1]))
     raw[0] = 2
     raw[-2:] = crc16(bytes(raw[:-2])).to_bytes(2, "little")
@@ -148,7 +148,7 @@ def test_a_short_payload_is_an_error_that_names_the_register():
         pick(bytes(5), register("one", 3))
 
 
-def test_what_has_no_value_is_sent_as_zero():
+def test_a_set_point_without_a_value_is_sent_as_zero():
     registers = [register("left", 6), register("right", 12), register("seen", 0, access="r")]
     payload = setpoints_payload(registers, {"right": -2}, motors=2, feedback_s=0.02)
     assert payload == bytes((0, 2, 0, 0, 20, 0, *bytes(6), 0xFE, 0xFF, 0xFF, 0xFF, 0, 0))
@@ -164,7 +164,7 @@ ACCELERATION = st.floats(-32.0, 32.0)
 
 
 def imu_in(payload):
-    """As a line reads it."""
+    """The measures as a line reads them."""
     *counts, flags = struct.unpack("<3i3hH", payload)
     return [1e-6 * count for count in counts[:3]], [1e-3 * count for count in counts[3:]], flags
 
@@ -177,7 +177,7 @@ def test_an_inertial_sensor_is_behind_the_motors_in_its_units(rates, acceleratio
     assert found[2] == saturated
 
 
-def test_an_axis_that_is_not_measured_is_no_number_and_the_scale_has_an_end():
+def test_an_axis_that_is_not_measured_has_its_own_code_and_others_saturate():
     beyond = BoardImu((math.nan, math.inf, 1e9), (-math.inf, -1e9, 0.0), saturated=False)
     found = imu_in(imu_payload(beyond))
     assert found[0] == pytest.approx([-2147.483648, -2147.483648, 2147.483647])

@@ -24,7 +24,7 @@ def run(tmp_path, monkeypatch):
     return invoke
 
 
-def test_the_page_s_commands_work_to_the_letter(run):
+def test_the_page_s_commands_work_as_written(run):
     answers = re.search(r"```toml\n(.*?)```", PAGE, re.DOTALL).group(1)
     Path("answers.toml").write_text(answers, encoding="utf-8")
     commands = re.findall(r"```sh\n(.*?)\n```", PAGE, re.DOTALL)

@@ -42,7 +42,7 @@ def test_a_shipped_profile_is_good_and_names_its_sources(name):
     assert profile.watchdog or profile.watchdog_note
 
 
-def test_the_three_drives_to_start_with_are_there():
+def test_the_first_three_drives_are_shipped():
     assert {"duty-register", "zlac8015d", "bld-305s"} <= set(SHIPPED)
 
 
@@ -205,7 +205,7 @@ def test_an_encoder_of_the_robot_changes_no_profile_without_a_motor_table():
     assert load_profile(profile.path, 1234) == profile
 
 
-def test_a_drive_without_a_watchdog_must_report_why(tmp_path):
+def test_a_profile_without_a_watchdog_needs_a_note(tmp_path):
     text = ZLAC[: ZLAC.index("[watchdog]")] + ZLAC[ZLAC.index("[[fault]]") :]
     assert any("watchdog_note" in row for row in problems(tmp_path, text))
 
@@ -223,7 +223,7 @@ def test_a_magnitude_with_a_sign_is_refused(tmp_path):
     ("text", "message"),
     [("schema = ", ":1: syntax:"), ("", "name: is missing"), ("x = 1\ny = [", ":2: syntax:")],
 )
-def test_a_file_that_is_no_profile_is_reported_to_be_none(tmp_path, text, message):
+def test_a_file_that_is_no_profile_is_reported(tmp_path, text, message):
     assert any(message in row for row in problems(tmp_path, text))
 
 
@@ -350,5 +350,5 @@ def test_fifty_hertz_are_a_field_of_1500_rpm_with_two_pole_pairs():
     assert frequency.from_si(1e6) == 6000
 
 
-def test_ten_drives_are_there():
+def test_at_least_ten_drives_are_shipped():
     assert len(SHIPPED) >= 10

@@ -51,7 +51,7 @@ def test_a_read_is_address_and_command_and_its_answer_is_summed_over_both():
     assert parse(SECOND, reply) == (0x0405, 0x0607)
 
 
-def test_the_timeout_is_one_byte_written_by_one_command_and_read_by_another():
+def test_the_timeout_has_one_byte_and_a_command_each_to_write_and_read_it():
     write = Request(UNIT, Function.WRITE_MULTIPLE, 14 << 8, values=(5,))
     assert build(write) == bytes((UNIT, 14, 5)) + xmodem(bytes((UNIT, 14, 5)))
     assert build(TIMEOUT) == bytes((UNIT, 15))
@@ -67,7 +67,7 @@ def test_content_that_is_not_named_is_zero():
     "reply",
     [b"", b"\xff", b"\x00" * 10, build_reply(b"\x81\x4e", (0, 1, 2, 3)), b"\xff" * 11],
 )
-def test_what_is_not_the_answer_is_refused(reply):
+def test_a_wrong_reply_is_refused(reply):
     with pytest.raises(PacketError):
         parse(ENCODERS, reply)
 

@@ -38,7 +38,7 @@ def test_the_manual_s_examples_are_built():
     code=st.sampled_from([1, 2, 3, 0x82, 0x83]),
     parameters=st.binary(max_size=60) | st.lists(st.sampled_from([0xFF, 0xFD, 0])).map(bytes),
 )
-def test_what_is_built_is_taken_whole_behind_a_complete_one(packets, unit, code, parameters):
+def test_two_packets_in_a_row_are_both_read_whole(packets, unit, code, parameters):
     packet = packets.build(unit, code, parameters[:200])
     assert list(take_all(packets, packet + packet)) == [Packet(unit, code, parameters[:200])] * 2
     assert is_whole(packets, packet)
@@ -47,7 +47,7 @@ def test_what_is_built_is_taken_whole_behind_a_complete_one(packets, unit, code,
 
 
 @pytest.mark.parametrize("packets", [FEETECH, DYNAMIXEL], ids=KINDS)
-def test_a_damaged_packet_is_known_as_one(packets):
+def test_a_damaged_packet_is_detected(packets):
     packet = bytearray(packets.build(7, 3, b"\x2e\x01\x02"))
     packet[-3] ^= 4
     with pytest.raises(PacketError):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CAN drives in profiles and robot files: every mistake is reported, and a bus that is too full."""
+"""CAN drives in profiles and robot files: mistakes and a bus that is too full are reported."""
 
 import math
 from dataclasses import replace
@@ -105,13 +105,13 @@ def wrong(*overrides):
     return "\n".join(map(str, error.value.problems))
 
 
-def test_a_can_line_is_sent_to_the_hardware_layer():
+def test_the_hardware_layer_gets_the_settings_of_a_can_line():
     _, spec = loaded("line.can0.data_bitrate=2000000")
     assert (spec.kind, spec.port, spec.baudrate) == ("can", "socketcan:can0", 500_000)
     assert spec.data_baudrate == 2_000_000
 
 
-def test_a_watchdog_that_was_set_by_the_maker_s_tool_is_held_against_what_motord_counts_on():
+def test_a_watchdog_set_by_the_maker_s_tool_is_checked_against_the_robot_file():
     both = [f"joint.{name}.drive_watchdog_s=0.5" for name in ("left", "right")]
     robot, _ = loaded()
     assert any("without a communication watchdog" in w.text for w in robot.warnings)
@@ -132,13 +132,13 @@ def test_a_watchdog_that_motord_sets_or_that_is_on_no_can_bus_is_not_reported():
         load_robot(config_dir() / "robots" / "demo.toml", ("joint.left.drive_watchdog_s=0.5",))
 
 
-def test_an_adapter_whose_driver_may_wait_for_ever_is_refused_with_the_way_that_works():
+def test_an_adapter_whose_driver_may_block_is_refused_with_the_one_that_works():
     message = wrong("line.can0.interface=gs_usb", "line.can0.channel=0")
     assert "line.can0.interface" in message
     assert 'interface = "socketcan", channel = "can0"' in message
 
 
-def test_an_adapter_that_carries_no_can_fd_is_refused_where_it_is_asked_for():
+def test_an_adapter_that_carries_no_can_fd_is_refused_where_it_is_required():
     slcan = ("line.can0.interface=slcan", "line.can0.channel=/dev/ttyACM0")
     loaded(*slcan)
     assert "slcan carries no CAN FD" in wrong(*slcan, "line.can0.data_bitrate=2000000")
@@ -147,7 +147,7 @@ def test_an_adapter_that_carries_no_can_fd_is_refused_where_it_is_asked_for():
         open_line(replace(spec, data_baudrate=2_000_000), Exchange.private(), print)
 
 
-def test_an_adapter_of_python_can_s_own_is_sent_of_can_fd():
+def test_an_adapter_of_python_can_s_own_gets_the_can_fd_settings():
     assert "fd" not in bus_arguments("kvaser:0", 500_000, None)
     fd = bus_arguments("kvaser:0", 500_000, 2_000_000)
     assert (fd["fd"], fd["data_bitrate"], fd["bitrate"]) == (True, 2_000_000, 500_000)
@@ -167,7 +167,7 @@ def test_a_bus_that_is_too_full_is_an_error_with_what_would_help():
     assert "or bitrate = 125000" in message
 
 
-def test_a_bus_that_is_nearly_full_deserves_a_look():
+def test_a_bus_that_is_nearly_full_is_warned_of():
     robot, _ = loaded("line.can0.bitrate=62500", "line.can0.cycle_hz=80")
     assert any("load the CAN bus" in warning.text for warning in robot.warnings)
 
@@ -177,7 +177,7 @@ def test_a_node_that_the_drive_cannot_have_is_an_error():
     loaded("joint.left.unit=0")
 
 
-def test_counts_that_the_drive_does_not_count_are_an_error():
+def test_counts_for_a_drive_that_reports_turns_are_an_error():
     assert "reports its position in turns" in wrong("joint.left.counts_per_turn=4096")
 
 
@@ -217,7 +217,7 @@ def test_a_serial_drive_on_a_can_line_is_refused_by_the_line_too():
         open_line(changed, Exchange.private(), lambda event: None)
 
 
-def test_a_cycle_that_a_synchronous_drive_cannot_be_sent_is_reported_with_its_line():
+def test_a_cycle_that_a_synchronous_drive_cannot_hold_is_reported_with_its_line():
     csv = ("joint.left.drive=cia402-csv", "joint.right.drive=cia402-csv")
     load_robot(CIA402, csv)
     with pytest.raises(ConfigError) as error:
@@ -316,7 +316,7 @@ def test_a_mistake_about_frames_that_answer_is_reported(tmp_path, right, wrong, 
     assert message in str(error.value)
 
 
-def test_a_reply_is_known_by_every_byte_that_is_not_a_signal():
+def test_a_reply_is_recognized_by_every_byte_that_is_not_a_signal():
     profile = find_profile("moteus")
     reply, signals = profile.can.frames["reply"], signals_of(profile.registers, "reply")
     data = bytearray(build(reply, signals, {"mode_shown": 10, "fault": 33}))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is asked of a CAN interface before its bus is opened: the kernel's own words, by files and
+"""What is checked of a CAN interface before its bus is opened: the kernel's state, from files and
 by netlink."""
 
 import struct
@@ -33,7 +33,7 @@ def can_data(state):
     return attribute(1, bytes(32)), attribute(4, struct.pack("=I", state)), attribute(6, bytes(4))
 
 
-def test_the_state_is_asked_for_without_a_right():
+def test_the_state_request_needs_no_privilege():
     message = state_request(7, 1)
     assert struct.unpack_from("=IHHII", message) == (32, 18, 1, 1, 0)
     assert struct.unpack_from("=i", message, 20) == (7,)
@@ -44,13 +44,13 @@ def test_the_state_is_read_from_what_the_kernel_answers(state):
     assert state_in(link_of(b"can", *can_data(state))) == state
 
 
-def test_what_is_no_controller_has_no_state():
+def test_an_interface_without_a_controller_has_no_state():
     assert state_in(link_of(b"vcan")) is None
     assert state_in(link_of(b"bond", attribute(4, struct.pack("=I", BUS_OFF)))) is None
     assert can_state("lo") is None
 
 
-def test_an_answer_that_is_cut_off_or_another_is_no_state():
+def test_an_answer_that_is_cut_off_or_foreign_gives_no_state():
     whole = link_of(b"can", *can_data(BUS_OFF))
     for size in range(32, len(whole) - 8):
         assert state_in(whole[:size]) is None
@@ -67,7 +67,7 @@ def test_an_interface_that_is_not_there_is_an_error_of_the_system():
 
 @pytest.fixture
 def net(tmp_path, monkeypatch):
-    """/sys/class/net with the loopback in it, of which netlink knows too."""
+    """/sys/class/net with the loopback in it, which netlink has too."""
     monkeypatch.setattr(interface, "NET", tmp_path)
     (tmp_path / "lo").mkdir()
 
@@ -83,7 +83,7 @@ async def ready(errors=None, *, fd=False):
     await make_ready("socketcan:lo", Counter() if errors is None else errors, fd_frames=fd)
 
 
-async def test_one_that_is_down_or_not_there_is_refused_with_what_to_do(net):
+async def test_an_interface_that_is_down_or_missing_is_refused_with_what_to_do(net):
     net(flags=0)
     with pytest.raises(PortError, match="lo is down: ip link set lo up type can"):
         await ready()
@@ -99,7 +99,7 @@ async def test_can_fd_is_refused_where_the_interface_does_not_carry_it(net):
     await ready(fd=True)
 
 
-async def test_bus_off_that_may_not_be_restarted_is_no_open_bus(net, monkeypatch):
+async def test_bus_off_that_cannot_be_restarted_is_an_error(net, monkeypatch):
     monkeypatch.setattr(interface, "can_state", lambda channel: BUS_OFF)
     errors = Counter()
     for refused in (1, 2):  # each time: it stays so until a person restarts it
@@ -110,13 +110,13 @@ async def test_bus_off_that_may_not_be_restarted_is_no_open_bus(net, monkeypatch
     await ready(errors)
 
 
-async def test_other_adapters_are_not_asked_about(net):
+async def test_other_adapters_are_not_checked(net):
     for address in ("virtual:lo", "unix:/nowhere", "slcan:/dev/null"):
         await make_ready(address, Counter(), fd_frames=True)
         assert BusOffWatch(address).is_off() is False
 
 
-def test_bus_off_is_seen_by_its_carrier_and_the_kernel_s_word(net, monkeypatch):
+def test_bus_off_is_seen_by_the_carrier_and_the_kernel_s_state(net, monkeypatch):
     monkeypatch.setattr(interface, "LOOK_EVERY_S", 0.0)
     watch = BusOffWatch("socketcan:lo")
     assert watch.is_off() is False

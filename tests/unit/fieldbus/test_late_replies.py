@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which bytes are the answer to a request whose time is over."""
+"""Which bytes are the answer to a request that has timed out."""
 
 import pytest
 
@@ -40,7 +40,7 @@ def test_an_answer_that_comes_after_its_time_is_late(late, request_, reply):
     assert late.count == 1
 
 
-def test_half_of_it_may_have_come_in_time(late):
+def test_half_of_a_late_answer_may_have_come_in_time(late):
     late.came(REPLY[:5])
     late.failed(POSITION)
     late.came(REPLY[5:])
@@ -48,7 +48,7 @@ def test_half_of_it_may_have_come_in_time(late):
     assert late.count == 1
 
 
-def test_it_may_come_among_those_of_a_neighbour(late):
+def test_a_late_answer_may_come_with_that_of_a_neighbour(late):
     late.failed(POSITION)
     late.sent()
     late.came(REPLY + build_reply(NEIGHBOUR, (3, 4)))
@@ -56,7 +56,7 @@ def test_it_may_come_among_those_of_a_neighbour(late):
     assert late.count == 1
 
 
-def test_it_may_come_while_the_unit_owes_the_next_answer(late):
+def test_a_late_answer_may_come_while_the_unit_owes_the_next_one(late):
     late.failed(POSITION)
     late.sent()
     late.came(REPLY)
@@ -108,7 +108,7 @@ def test_the_echo_of_a_single_write_is_not_its_answer(late):
     assert late.count == 0
 
 
-def test_another_port_owes_nothing(late):
+def test_after_a_change_of_port_no_answer_is_late(late):
     late.failed(POSITION)
     late.forget()
     late.came(REPLY)

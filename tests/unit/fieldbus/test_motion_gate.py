@@ -14,13 +14,13 @@ def gate():
 
 
 def cycle(gate, at_s, handed, moving=True):
-    """Frames that the bus took, +, or not, -."""
+    """Frames that the bus took (+) or refused (-)."""
     for one in handed:
         gate.handed(taken=one == "+")
     gate.cycle_ended(at_s, moving=moving)
 
 
-def test_motion_that_does_not_leave_shuts_it_after_a_cycle_until_something_leaves(gate):
+def test_motion_that_does_not_leave_shuts_the_gate_after_a_cycle_until_a_frame_leaves(gate):
     cycle(gate, 1.0, "+")
     assert not gate.is_shut(1.0 + 0.9 * CYCLE_S)
     cycle(gate, 1.009, "+")
@@ -29,7 +29,7 @@ def test_motion_that_does_not_leave_shuts_it_after_a_cycle_until_something_leave
     assert not gate.is_shut(1.0 + 1.1 * CYCLE_S)
 
 
-def test_a_bus_that_takes_nothing_for_a_cycle_shuts_it_until_it_takes_a_frame(gate):
+def test_a_bus_that_takes_nothing_for_a_cycle_shuts_the_gate_until_it_takes_a_frame(gate):
     cycle(gate, 1.0, "-+-", moving=False)
     assert not gate.is_shut(1.0)
     cycle(gate, 1.01, "--", moving=False)
@@ -40,7 +40,7 @@ def test_a_bus_that_takes_nothing_for_a_cycle_shuts_it_until_it_takes_a_frame(ga
     assert not gate.is_shut(1.02)
 
 
-def test_zero_may_wait_as_long_as_it_likes(gate):
+def test_a_set_point_of_zero_never_shuts_the_gate(gate):
     cycle(gate, 1.0, "+", moving=False)
     assert not gate.is_shut(9.0)
 
@@ -52,14 +52,14 @@ def test_a_fast_line_waits_for_a_slow_adapter():
     assert gate.is_shut(1.006)
 
 
-def test_a_bus_that_was_opened_again_begins_anew(gate):
+def test_a_bus_that_was_opened_again_has_an_open_gate(gate):
     cycle(gate, 1.0, "+")
     cycle(gate, 1.01, "-")
     gate.opened()
     assert not gate.is_shut(9.0)
 
 
-def test_where_nothing_reports_what_has_left_it_is_open():
+def test_where_nothing_reports_sent_frames_the_gate_stays_open():
     gate = MotionGate(CYCLE_S, receives_own=False)
     cycle(gate, 1.0, "+")
     cycle(gate, 1.01, "-")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The real-time line's table says what the plan of the asyncio engine computes."""
+"""The real-time line's table gives what the plan of the asyncio engine computes."""
 
 import math
 from dataclasses import replace
@@ -71,7 +71,7 @@ def table_of(profile, **changes):
     return frames.plan, drive_table(frames, spec)
 
 
-# What csrc/api/line/api_line.h says of set-points and fields, once more and plainly.
+# What csrc/api/line/api_line.h defines of set-points and fields, once more in Python.
 def put(exchange, wanted):
     request = bytearray(exchange.frame.request)
     for setpoint in exchange.setpoint:
@@ -149,7 +149,7 @@ def _reading(plan, drive):
 
 
 @pytest.mark.parametrize("name", MODBUS)
-def test_an_answer_is_known_by_its_head_or_its_echo_and_its_length(name):
+def test_an_answer_is_recognized_by_its_head_or_its_echo_and_its_length(name):
     _, drive = table_of(shipped_profile(name))
     directions = [
         frame for one in drive.direction for frame in (one.rest, one.forward, one.reverse)
@@ -167,7 +167,7 @@ def test_an_answer_is_known_by_its_head_or_its_echo_and_its_length(name):
 
 
 @pytest.mark.parametrize("name", NOT_POSITIONS)
-def test_where_the_drive_can_one_exchange_writes_and_reads(name):
+def test_where_the_drive_supports_it_one_exchange_writes_and_reads(name):
     profile = replace(
         shipped_profile(name), read_write_function=23, write_function=16, max_registers=64
     )
@@ -180,7 +180,7 @@ def test_where_the_drive_can_one_exchange_writes_and_reads(name):
         assert len(drive.cyclic) == len(plan.fast)
 
 
-def test_the_answer_whether_it_is_enabled_and_what_must_be_kept_are_in_the_table():
+def test_the_table_has_the_enabled_field_and_the_kept_registers():
     _, drive = table_of(shipped_profile("zlac8015d"))
     first = drive.extra[0].field
     assert [f.equals for f in first if f.kind is FieldKind.ENABLED] == [8]
@@ -195,7 +195,7 @@ def test_a_counter_has_no_sign_and_no_more_bits_than_the_drive_counts():
     assert [(f.form, f.mask) for f in counts] == [(Form.U32, 0x7FFF)] * 2
 
 
-def test_warnings_are_harmless():
+def test_warning_bits_are_no_fault():
     _, drive = table_of(shipped_profile("duty-register"))
     words = [f for e in drive.cyclic for f in e.field if f.kind is FieldKind.FAULT]
     assert [(f.harmless_bits, f.is_code) for f in words] == [(1 << 3, 0)]
@@ -219,7 +219,7 @@ def test_one_frame_stops_all_drives_only_where_they_are_of_one_kind():
     assert stops(shipped_profile("zlac8015d")) == ()
 
 
-def test_times_are_the_wires_and_the_profiles():
+def test_times_come_from_the_wire_and_the_profile():
     spec = spec_of(joints_of(shipped_profile("bld-305s"), reply_timeout_s=0.04), echo=Echo.YES)
     table = line_table(spec, [frames_of(spec)])
     assert table.character_ns == pytest.approx(10e9 / 9600)

@@ -66,7 +66,7 @@ def drive(index=0):
     return drive_table(frames_of(spec)[index], spec)
 
 
-def test_one_exchange_reports_the_speed_and_brings_the_feedback():
+def test_one_exchange_sends_the_speed_and_returns_the_feedback():
     (exchange,) = drive().cyclic
     assert exchange.frame.request == build_request(1, Command.SET, {})
     assert exchange.frame.match == b"\x01"
@@ -82,13 +82,13 @@ def test_one_exchange_reports_the_speed_and_brings_the_feedback():
     assert (count.form, count.mask) == (Form.U16, 0x7FFF)
 
 
-def test_a_motor_that_faces_the_other_way_turns_the_other_way():
+def test_a_motor_mounted_in_reverse_turns_in_reverse():
     (exchange,) = drive(1).cyclic
     assert exchange.frame.request[0] == 2
     assert exchange.setpoint[0].raw_per_si == pytest.approx(-1 / RPM)
 
 
-def test_what_may_wait_is_asked_by_the_other_command():
+def test_slow_values_are_read_by_the_query_command():
     (exchange,) = drive().extra
     assert exchange.frame.request == build_request(1, Command.QUERY, {})
     assert [(field.kind, field.byte) for field in exchange.field] == [(FieldKind.VOLTAGE, 4)]
@@ -115,7 +115,7 @@ def test_a_drive_of_another_protocol_is_refused():
         frames_of(spec_of(PROFILE, kind="modbus-rtu"))
 
 
-def test_the_wire_carries_one_exchange_a_cycle_and_now_and_then_another():
+def test_the_wire_carries_one_exchange_a_cycle_and_sometimes_another():
     (frames,) = frames_of(spec_of(PROFILE))
     exchange_s = 20 * 10 / 115200 + 2 * 0.0002
     assert frames.cycle_time_s() == pytest.approx(exchange_s * (1 + 1 / 4))

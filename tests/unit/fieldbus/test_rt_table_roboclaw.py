@@ -33,7 +33,7 @@ def drive():
     return table.drive[0]
 
 
-def test_its_line_runs_in_c_where_nothing_else_is_asked_for():
+def test_a_roboclaw_line_runs_in_c_by_default():
     assert engine_of(spec_of(1)) == "rt"
 
 
@@ -47,7 +47,7 @@ def test_speeds_go_out_first_and_duties_of_zero_while_it_is_idle(drive):
         assert (frame.reply_bytes, frame.exact) == (1, 1)
 
 
-def test_what_is_read_is_known_by_what_was_asked(drive):
+def test_a_reply_to_a_read_is_checked_against_its_request(drive):
     for exchange in (*drive.cyclic[1:], *drive.extra):
         frame = exchange.frame
         assert len(frame.request) == 2

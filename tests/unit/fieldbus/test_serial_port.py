@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A serial port: found, opened for ourselves alone, set up; the structs that the kernel reads."""
+"""A serial port: found, opened exclusively, set up; the structs that the kernel reads."""
 
 import fcntl
 import math
@@ -80,7 +80,7 @@ def test_an_absent_adapter_is_named_with_those_that_are_there(plug, wanted):
         device_file(wanted)
 
 
-def test_two_adapters_with_one_serial_number_are_not_guessed_between(plug):
+def test_two_adapters_with_one_serial_number_are_refused(plug):
     plug("ttyUSB0", "A1")
     plug("ttyUSB1", "A1")
     with pytest.raises(PortError, match="not one port but 2"):
@@ -94,7 +94,7 @@ def test_an_adapter_that_is_unplugged_while_the_ports_are_listed_is_absent(monke
 
 
 @pytest.mark.parametrize("baudrate", [9600, 115200, 250000, 4000000])
-def test_a_port_takes_the_speed_that_was_asked(pty_path, baudrate):
+def test_a_port_takes_the_speed_that_was_requested(pty_path, baudrate):
     port = open_port(spec_of(pty_path, baudrate=baudrate))
     try:
         modes = termios.tcgetattr(port.fd)
@@ -148,7 +148,7 @@ def test_a_delay_that_no_driver_takes_is_refused(delay_s):
         pack_rs485(DirectionSpec(before_s=delay_s))
 
 
-def test_what_a_driver_keeps_differently_is_reported():
+def test_a_setting_that_the_driver_changes_is_reported():
     asked = pack_rs485(DirectionSpec(before_s=0.002))
     assert kept_problem(asked, asked) == ""
     assert "switch" in kept_problem(asked, bytes(32))
@@ -193,11 +193,11 @@ def test_a_port_without_counters_or_low_latency_is_no_error(pty_path):
         (None, Traffic(frames=9), ""),
     ],
 )
-def test_a_hint_reports_what_was_counted(after, now, message):
+def test_a_hint_follows_from_the_errors_counted(after, now, message):
     hint = unresponsive_hint(Counters(0, 0, 0, 0), after, Traffic(), now)
     assert hint.startswith(message)
     assert bool(hint) == bool(message)
 
 
-def test_nothing_counted_hints_at_nothing():
+def test_without_new_errors_there_is_no_hint():
     assert unresponsive_hint(Counters(0, 3, 3, 3), Counters(9, 3, 3, 3)) == ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From entries of a trace to exchanges, to words, and to files; and when a trace goes off."""
+"""From entries of a trace to exchanges, text and files; and when a trace is switched off."""
 
 import asyncio
 import struct
@@ -36,7 +36,7 @@ def entry(number, data, *, outward, stamp_ns=0):
     return {"number": number, "stamp_ns": stamp_ns, "outward": outward, "data": data.hex()}
 
 
-def test_a_reply_in_pieces_is_one_exchange():
+def test_a_reply_in_pieces_makes_one_exchange():
     reply = build_reply(READ, (3600,))
     joiner = Joiner("modbus-rtu")
     entries = [
@@ -74,7 +74,7 @@ def test_values_are_named_by_the_profile_in_si():
         (build_reply(Request(UNIT + 1, Function.READ_HOLDING, 0x20A1, 1), (1,)), "bad reply"),
     ],
 )
-def test_each_end_of_an_exchange_is_named(received, result):
+def test_each_outcome_of_an_exchange_is_named(received, result):
     assert words(build_request(READ), received).result.startswith(result)
 
 
@@ -104,7 +104,7 @@ def test_the_mcap_file_is_read_by_its_library(tmp_path):
     assert record(exchange, shown, 5)["reply_us"] is None
 
 
-def test_a_trace_that_is_off_keeps_nothing_and_forgets_the_oldest():
+def test_a_trace_keeps_nothing_while_off_and_only_the_newest_while_on():
     trace = PythonTrace()
     trace.put(1, b"a", outward=True)
     assert (trace.newest, list(trace.after(0))) == (0, [])
@@ -182,18 +182,18 @@ def test_text_of_a_board_that_fits_no_template_is_shown_as_it_is():
     ("received", "result"),
     [(b"", "no reply"), (b"\x01\x02\x03\x04", "bad reply: "), (bytes(8) + b"\xc8\x9a", "ok")],
 )
-def test_a_read_of_a_roboclaw_ends_as_it_was_answered(received, result):
+def test_each_outcome_of_a_roboclaw_read_is_named(received, result):
     found = decoded(decoder_of("roboclaw"), b"\x80\x4e", received)
     assert found.result.startswith(result)
     assert found.joint == "left,right"
 
 
-def test_what_a_roboclaw_is_not_asked_is_named():
+def test_unexpected_bytes_of_a_roboclaw_are_named():
     assert decoded(decoder_of("roboclaw"), b"\x80\x77").result.startswith("not expected: ")
     assert decoded(decoder_of("roboclaw"), b"", b"\xff").result == "came without a request"
 
 
-def test_servos_are_named_with_what_they_are_sent_and_answer():
+def test_servo_traffic_is_named_by_joint_and_register():
     robot = load_robot(ROBOTS / "turtlebot3-burger.toml")
     decoder, packets = decoder_of("turtlebot3-burger"), packets_of("dynamixel")
     unit = robot.joint["left"].unit
@@ -218,7 +218,7 @@ def test_servos_are_named_with_what_they_are_sent_and_answer():
     assert decoded(decoder, b"", answer).result == "came without a request"
 
 
-def test_servos_that_answer_in_one_packet_are_named_each_with_its_own():
+def test_servos_that_answer_in_one_packet_are_each_named_with_their_value():
     robot = load_robot(ROBOTS / "turtlebot3-burger.toml")
     decoder, packets = decoder_of("turtlebot3-burger"), packets_of("dynamixel")
     units = [robot.joint[name].unit for name in ("left", "right")]

@@ -54,7 +54,7 @@ def test_a_ratio_is_the_second_by_the_first(other):
     assert found["lateness_us.p50"].ratio == 1.0
 
 
-def test_what_one_report_lacks_has_no_ratio_and_neither_has_a_zero(other):
+def test_a_figure_that_is_missing_or_zero_has_no_ratio(other):
     other["cyclictest_us"] = None
     found = rows(compare(REPORT, other))
     assert found["cyclictest_us.p50"].to_json() == {"a": 2.0, "b": None, "ratio": None}

@@ -64,7 +64,7 @@ def test_a_recorded_run_gives_its_percentiles():
     assert sum(bar.count for bar in histogram) == 1973
 
 
-def test_a_percentile_among_the_overflows_is_sent_as_the_maximum():
+def test_a_percentile_among_the_overflows_is_reported_as_the_maximum():
     spread_us, _ = parse(RECORDED)
     assert spread_us.p99 == spread_us.p99_9 == 90.0
     none_over = RECORDED.replace("Overflows: 00027", "Overflows: 00000")
@@ -81,7 +81,7 @@ def test_output_without_a_measurement_is_refused(text):
         parse(text)
 
 
-def test_it_runs_as_the_loop_does():
+def test_cyclictest_runs_as_the_loop_does():
     line = command(rate_hz=4000.0, seconds=2.5, priority=80, cpu=(1, 3))
     assert {"-p80", "-a1,3", "-i250", "-D3"} <= set(line)
 
@@ -92,7 +92,7 @@ def test_priority_zero_requests_the_ordinary_scheduler():
     assert not [word for word in line if word.startswith(("-p", "-a"))]
 
 
-async def test_where_it_is_missing_the_result_is_none_and_reports_so(monkeypatch, tmp_path):
+async def test_a_missing_cyclictest_gives_a_note_and_no_figures(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     async with beside(1000.0, 60.0, 80, ()) as cyclictest:
         found = await cyclictest.result()
@@ -108,7 +108,7 @@ exit 1
 """
 
 
-async def test_where_it_is_refused_the_note_is_its_own_words(monkeypatch, tmp_path):
+async def test_a_refused_cyclictest_gives_its_own_error_as_the_note(monkeypatch, tmp_path):
     refusing = tmp_path / "cyclictest"
     refusing.write_text(REFUSING)
     refusing.chmod(0o755)
@@ -123,8 +123,8 @@ async def test_where_it_is_refused_the_note_is_its_own_words(monkeypatch, tmp_pa
 
 
 @pytest.mark.skipif(shutil.which("cyclictest") is None, reason="cyclictest is not installed")
-async def test_it_is_ended_early_with_what_it_counted():
-    """A busy machine starts it late: it gets more time then, until it has counted something."""
+async def test_cyclictest_is_ended_early_with_what_it_counted():
+    """A busy machine starts it late: the test waits longer until it has counted something."""
     for after_s in (0.2, 1.0, 5.0):
         async with beside(1000.0, 600.0, 80, ()) as cyclictest:
             await asyncio.sleep(after_s)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The load does what it says, and is gone afterwards."""
+"""The load works while its block runs, and is gone afterwards."""
 
 import os
 import signal

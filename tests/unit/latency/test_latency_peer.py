@@ -54,14 +54,14 @@ def test_an_answer_is_as_old_as_its_command(ends):
     assert before_ns - stamp_ns <= age_ns <= time.monotonic_ns() - stamp_ns
 
 
-def test_a_byte_that_no_command_had_is_not_counted(ends):
+def test_a_byte_that_matches_no_command_is_not_counted(ends):
     _, peer, near_fd = ends
     os.write(near_fd, bytes((0, 7, 255)))
     peer.receive()
     assert peer.command_to_byte.samples == 0
 
 
-def test_codes_come_round_and_are_never_zero(ends):
+def test_codes_repeat_and_are_never_zero(ends):
     ours, peer, _ = ends
     codes = set()
     for _ in range(2 * CODES):

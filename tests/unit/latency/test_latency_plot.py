@@ -75,13 +75,13 @@ def test_the_picture_is_not_blank(drawn, kwargs):
         assert (half[..., :3].min(axis=2) < 0.7).mean() > 0.005
 
 
-def test_what_was_measured_shows(drawn):
+def test_each_measure_is_drawn(drawn):
     plain = drawn()
     for kwargs in ({"cyclictest": False}, {"timeline": False}, {"overruns": 3}):
         assert (plain != drawn(**kwargs)).any(), kwargs
 
 
-def test_nothing_measured_can_be_drawn(tmp_path):
+def test_a_run_without_measurements_can_be_drawn(tmp_path):
     empty = dataclasses.replace(
         made_up(cyclictest=False, timeline=False), lateness_us=NOTHING, histogram=()
     )

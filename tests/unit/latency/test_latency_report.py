@@ -36,7 +36,7 @@ def test_percentiles_are_those_of_the_nearest_rank(values):
     assert spread.p50 <= spread.p99 <= spread.p99_9 <= spread.max == ordered[-1]
 
 
-def test_what_was_not_counted_is_sent_as_the_maximum():
+def test_uncounted_samples_are_reported_as_the_maximum():
     spread = Spread.of_counts({10: 50}, samples=100, maximum=700.0)
     assert (spread.p50, spread.p99, spread.max) == (10.0, 700.0, 700.0)
 
@@ -152,7 +152,9 @@ def test_no_notified_tick_is_lost_or_counted_twice_and_no_age_is_negative(every,
         ("#1 SMP PREEMPT Sat Mar 1", "0\n", False),
     ],
 )
-def test_a_real_time_kernel_is_sent_by_its_version_or_by_sysfs(version, sys_realtime, expected):
+def test_a_real_time_kernel_is_recognized_by_its_version_or_by_sysfs(
+    version, sys_realtime, expected
+):
     assert is_preempt_rt(version, sys_realtime) is expected
 
 

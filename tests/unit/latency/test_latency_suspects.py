@@ -141,7 +141,7 @@ def test_without_a_real_time_priority_the_loop_waits_like_any_program():
         ("tick", late(0, wake_us=1, work_us=400), {}),
     ],
 )
-def test_what_no_thread_held_has_a_cause_of_its_own(kind, tick, grown):
+def test_a_late_tick_without_a_holder_has_its_own_cause(kind, tick, grown):
     assert culprit(Switches(), [tick], grown=grown).kind == kind
 
 
@@ -153,12 +153,12 @@ def test_an_interrupt_that_comes_with_late_ticks_is_named():
     assert (found.kind, found.name) == ("interrupt", "interrupt 33: eth0")
 
 
-def test_a_short_wait_for_others_is_not_their_doing():
+def test_a_short_wait_for_another_thread_is_not_blamed_on_it():
     found = culprit(held_by_hog(begin_us=0, end_us=100), [late(0, wake_us=1000)], hog())
     assert found.kind == "timer"
 
 
-def test_without_records_a_wait_for_the_processor_is_known_but_not_who_had_it():
+def test_without_records_a_wait_for_the_processor_has_an_unknown_culprit():
     case = Case(LOOP, 80, 50.0, {})
     case.add([late(0, ready_ns=900 * US)], {}, 1.0, None)
     found = case.verdict(1.0, None, 0, "root is needed")
@@ -167,7 +167,7 @@ def test_without_records_a_wait_for_the_processor_is_known_but_not_who_had_it():
     assert found.tags == {"ready without a CPU": 1}
 
 
-def test_no_late_tick_no_culprit():
+def test_without_a_late_tick_there_is_no_culprit():
     case = Case(LOOP, 80, 50.0, {})
     case.add([], {}, 1.0, Switches())
     assert case.verdict(1.0, Switches(), 0, "").culprit is None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Views of a robot at rest, for tests of what is made of them."""
+"""Views of a robot at rest, for tests of the messages that are made of them."""
 
 import dataclasses
 import math
@@ -22,7 +22,7 @@ def as_object(value):
 
 
 def message(name, one, body, offset_ns):
-    """Of that topic, as an object. None: there is none."""
+    """The message of that topic as an object, or None."""
     return as_object(as_message(TOPICS[name], body)(one, offset_ns))
 
 
@@ -76,7 +76,7 @@ def any_joint(rng):
 
 
 def any_imu(rng):
-    """Of a sensor that measures all, as a rule."""
+    """Data of a sensor that usually measures everything."""
     if rng.random() < 0.1:
         return None
     vectors = ("angular_rad_s", "acceleration_m_s2")
@@ -95,7 +95,7 @@ def seldom_odd(rng):
 
 
 def any_battery(rng):
-    """As the daemon's status has it; None: it does not measure one."""
+    """As the daemon's status has it, or None without a battery."""
     if rng.random() < 0.2:
         return None
     numbers = {

@@ -14,7 +14,7 @@ _TEXTS = ("", "a", "odom", "base_link", "Räder: 2 × 0,1 m", "x" * 57)
 
 
 def any_message(rng, name):
-    """Of any lengths; numbers may be NaN and infinity."""
+    """A message of any lengths; numbers may be NaN and infinity."""
     return SimpleNamespace(**{field.name: _any_field(rng, field) for field in TYPES[name]})
 
 
@@ -44,7 +44,7 @@ def _any_value(rng, kind):
 
 
 def same(one, other):
-    """Also where both are NaN."""
+    """Whether both are equal; NaN equals NaN."""
     if isinstance(one, SimpleNamespace):
         return vars(one).keys() == vars(other).keys() and all(
             same(value, getattr(other, key)) for key, value in vars(one).items()

@@ -22,7 +22,7 @@ def begun(quantity, true_u, timeout_s=0.0):
 
 
 def pushed(calibration, moves, rest_s=REST_S):
-    """To each pose, 20 ms after the one before, and then at rest."""
+    """Moves to each pose, 20 ms after the one before, and then rests."""
     at_ms, found = 0, None
     for pose in moves:
         at_ms += 20
@@ -68,7 +68,7 @@ def test_a_heading_that_counts_too_much_means_a_wider_track():
     assert found.factor == pytest.approx(1.1)
 
 
-def test_it_ends_only_when_the_robot_has_rested():
+def test_a_calibration_ends_only_when_the_robot_has_rested():
     assert pushed(begun("wheel_radius", 2.0), straight(1.9), rest_s=REST_S - 0.1) is None
 
 
@@ -76,18 +76,18 @@ def test_a_pause_on_the_first_half_of_the_distance_is_not_the_end():
     assert pushed(begun("wheel_radius", 2.0), straight(0.9), rest_s=10.0) is None
 
 
-def test_a_path_that_was_no_straight_line_gives_nothing():
+def test_a_curved_path_gives_nothing():
     found = pushed(begun("wheel_radius", 2.0), straight(1.9, turn_rad=0.3))
     assert (found.end, found.factor) == (End.ABORTED, 0.0)
     assert "turned" in found.why
 
 
-def test_another_distance_than_was_reported_gives_nothing():
+def test_a_contradictory_distance_gives_nothing():
     found = pushed(begun("wheel_radius", 2.0), straight(3.0))
     assert (found.end, found.factor) == (End.ABORTED, 0.0)
 
 
-def test_without_a_distance_it_ends_at_its_time_out():
+def test_without_a_distance_a_calibration_ends_at_its_time_out():
     found = pushed(begun("wheel_radius", 2.0, timeout_s=5.0), straight(0.5), rest_s=10.0)
     assert found.end is End.ABORTED
     assert "within 5 s" in found.why
@@ -97,7 +97,7 @@ def test_without_a_distance_it_ends_at_its_time_out():
     "change",
     [{"joints": (joint(stale=True), joint())}, {"odometry_epoch": 1.0}, {"x_m": math.nan}],
 )
-def test_an_odometry_that_reports_nothing_gives_nothing(change):
+def test_an_invalid_odometry_gives_nothing(change):
     found = begun("wheel_radius", 2.0).step(state(20, **change), 20_000_000)
     assert (found.end, found.factor) == (End.ABORTED, 0.0)
 
@@ -110,6 +110,6 @@ def test_an_odometry_that_reports_nothing_gives_nothing(change):
         ("wheel_radius", 2.0, 0.0, math.nan), ("wheel_radius", 2.0, 0.0, -1.0),
     ],
 )  # fmt: skip
-def test_what_cannot_be_measured_is_refused(wrong):
+def test_an_invalid_measure_is_refused(wrong):
     with pytest.raises(ValueError):
         measure(*wrong)

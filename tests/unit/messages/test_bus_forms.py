@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled encoders write what the message says, byte for byte."""
+"""The compiled encoders write what the message holds, byte for byte."""
 
 import math
 import random
@@ -26,8 +26,8 @@ def outcome(encode, one, offset_ns):
 
 
 @pytest.mark.parametrize("name", sorted(TOPICS))
-def test_it_reports_what_the_message_reports_byte_for_byte(name):
-    """Several views one after the other: what is kept from one may not show in the next."""
+def test_compiled_encoders_write_the_message_byte_for_byte(name):
+    """Several views one after the other: what is kept from one must not show in the next."""
     topic, rng = TOPICS[name], random.Random(name)
     compared = 0
     for _ in range(ROUNDS):
@@ -58,7 +58,7 @@ WORDS = (
 
 @pytest.mark.parametrize("form", [as_cdr, as_json])
 @pytest.mark.parametrize("change", WORDS, ids=lambda change: next(iter(change)))
-def test_a_word_that_has_changed_alone_is_sent_at_once(form, change):
+def test_a_change_of_one_word_alone_is_encoded_at_once(form, change):
     topic, body = TOPICS["motor_status"], Body(robot="r2", joints=("left", "right"))
     encode = form(topic, body)
     words = {"owner": 1 if "status" in change else 2}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""JSON says what the message says: fast or slow, with msgspec or without."""
+"""JSON holds what the message holds: fast or slow, with msgspec or without."""
 
 import json
 import random
@@ -25,8 +25,8 @@ def _with_and_without_msgspec(request, monkeypatch):
 
 @pytest.mark.usefixtures("_with_and_without_msgspec")
 @pytest.mark.parametrize("name", sorted(TOPICS))
-def test_it_reports_what_the_message_reports(name):
-    """Several views one after the other: what is kept from one may not show in the next."""
+def test_the_json_holds_what_the_message_holds(name):
+    """Several views one after the other: what is kept from one must not show in the next."""
     topic, rng = TOPICS[name], random.Random(name)
     compared = 0
     for _ in range(ROUNDS):
@@ -60,7 +60,7 @@ def test_joints_that_the_robot_file_does_not_have_are_not_sent_under_the_names_o
 @pytest.mark.parametrize(
     "raw", ['{"id": "\\ud800"}', b'{"\\uDFFF": 1}', b'["\xed\xa0\x80"]', "[" * 100_000]
 )
-def test_json_that_could_not_be_answered_is_none(raw):
+def test_lone_surrogates_and_deep_nesting_are_refused(raw):
     with pytest.raises(ValueError, match=r"surrogates|nested"):
         json_form.decode(raw)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages say what the snapshot says: units, frames, stamps, and nothing that was not measured."""
+"""Messages hold what the snapshot holds: units, frames, stamps, and only what was measured."""
 
 import dataclasses
 import math
@@ -104,7 +104,7 @@ def test_the_transform_is_the_odometry_and_its_quaternion_has_length_one(heading
     assert 2 * math.atan2(turn.z, turn.w) == pytest.approx(heading_rad)
 
 
-def test_joints_that_were_never_received_are_left_out_and_the_stamp_is_the_oldest_feedback():
+def test_joints_without_feedback_are_left_out_and_the_stamp_is_the_oldest_feedback():
     now = snapshot(
         joints=(joint(feedback_age_s=math.inf), joint(position_rad=5.0, feedback_age_s=0.25))
     )
@@ -160,7 +160,7 @@ def test_degraded_odometry_is_a_warning():
     assert base.level is Level.WARN
 
 
-def test_motor_status_reports_who_commands_and_one_value_a_joint():
+def test_motor_status_reports_the_commander_and_one_value_a_joint():
     boss = {
         "number": 3, "owner": "autopilot", "priority": 50, "why": "in command: the only one"
     }  # fmt: skip
@@ -205,7 +205,7 @@ def test_an_imu_has_its_own_stamp_no_orientation_and_the_variance_that_was_measu
     assert found.linear_acceleration_covariance == (0.0,) * 9
 
 
-def test_what_an_imu_does_not_measure_is_reported_to_be_so():
+def test_what_an_imu_does_not_measure_is_marked_as_unmeasured():
     bare = inertial(angular_rad_s=(math.nan, math.nan, 0.3), acceleration_m_s2=(math.nan,) * 3)
     found = message("imu", bare)
     assert found.linear_acceleration_covariance[0] == -1.0
@@ -224,7 +224,7 @@ def test_before_the_gyro_has_a_zero_its_error_is_unknown():
 @pytest.mark.parametrize(
     "changes", [{"state": "stale"}, {"state": "reversed"}, {"angular_rad_s": (0.0, 0.0, math.nan)}]
 )
-def test_an_old_imu_or_one_without_a_number_is_no_message(changes):
+def test_an_old_or_invalid_imu_gives_no_message(changes):
     assert message("imu", inertial(**changes)) is None
     assert message("imu", snapshot()) is None
 
@@ -238,7 +238,7 @@ def test_an_old_imu_or_one_without_a_number_is_no_message(changes):
         ("reversed", Level.ERROR),
     ],
 )
-def test_diagnostics_report_how_the_imu_does(state, level):
+def test_diagnostics_report_the_state_of_the_imu(state, level):
     found = message("diagnostics", inertial(state=state, refused=7)).status[-1]
     assert (found.name, found.level, found.message) == ("r2: imu", level, state)
     assert {pair.key: pair.value for pair in found.values}["refused"] == "7"

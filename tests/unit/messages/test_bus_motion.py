@@ -60,7 +60,7 @@ def begun(goal, bounds=BOUNDS, late_steps=2):
 
 
 def looked(base, motion):
-    """With the daemon's count of stops, as of this moment."""
+    """A step with the daemon's present count of stops."""
     motion.counted(base.stops, base.at_ms * 1_000_000)
     return motion.step(base.snapshot(), base.at_ms * 1_000_000)
 
@@ -71,7 +71,7 @@ def carried_out(base, motion, steps_max=100_000):
         if step.end is not None:
             return step
         base.follow(step)
-    raise AssertionError("it has no end")
+    raise AssertionError("the motion does not end")
 
 
 @settings(max_examples=60, deadline=None)
@@ -83,7 +83,7 @@ def carried_out(base, motion, steps_max=100_000):
     deceleration_u_s2=st.floats(0.1, 5.0),
     late_steps=st.integers(0, 4),
 )
-def test_it_gets_there_within_its_tolerance_and_its_speed(
+def test_a_motion_ends_within_its_tolerance_and_its_speed(
     axis, distance_u, velocity_u_s, acceleration_u_s2, deceleration_u_s2, late_steps
 ):
     bounds = Bounds(
@@ -100,7 +100,7 @@ def test_it_gets_there_within_its_tolerance_and_its_speed(
     assert base.fastest_u_s <= velocity_u_s * (1.0 + 1e-9)
 
 
-def test_the_speed_asked_for_counts_where_it_is_less_than_the_limit():
+def test_the_requested_speed_counts_where_it_is_less_than_the_limit():
     base, motion = begun(Goal(axis="linear", distance_u=1.0, velocity_u_s=0.1))
     carried_out(base, motion)
     assert base.fastest_u_s == pytest.approx(0.1)
@@ -124,13 +124,13 @@ def test_a_turn_of_several_times_round_is_counted_whole():
         {"timeout_s": -1.0}, {"timeout_s": math.inf}, {"timeout_s": 4000.0},
     ],
 )  # fmt: skip
-def test_a_goal_that_cannot_be_is_refused(wrong):
+def test_an_invalid_goal_is_refused(wrong):
     with pytest.raises(ValueError):
         planned(Goal(**({"axis": "linear", "distance_u": 1.0} | wrong)), BOUNDS)
 
 
 def moving():
-    """Under way, at full speed."""
+    """A motion at full speed."""
     base, motion = begun(Goal(axis="linear", distance_u=5.0))
     while base.speed_u_s < BOUNDS.velocity_u_s:
         base.follow(looked(base, motion))
@@ -151,7 +151,7 @@ def moving():
         ({"odometry_stamp_ns": 1}, "stale"),
     ],
 )
-def test_what_is_amiss_ends_it_at_once_with_a_command_of_zero(change, why):
+def test_a_problem_ends_the_motion_at_once_with_a_command_of_zero(change, why):
     base, motion = moving()
     step = motion.step(base.snapshot(**change), base.at_ms * 1_000_000)
     assert step.end is End.ABORTED
@@ -159,7 +159,7 @@ def test_what_is_amiss_ends_it_at_once_with_a_command_of_zero(change, why):
     assert why in step.why
 
 
-def test_a_state_page_that_stands_still_ends_it():
+def test_a_state_page_that_stands_still_ends_the_motion():
     base, motion = moving()
     newest = base.snapshot()
     just_ns = (base.at_ms + round(STALE_S * 1000)) * 1_000_000
@@ -167,7 +167,7 @@ def test_a_state_page_that_stands_still_ends_it():
     assert motion.step(newest, just_ns + 1_000_000).end is End.ABORTED
 
 
-def test_a_distance_that_was_not_looked_at_for_long_is_not_known_any_more():
+def test_a_motion_that_was_not_looked_at_for_long_is_aborted():
     base, motion = moving()
     base.at_ms += 901
     step = looked(base, motion)
@@ -176,7 +176,7 @@ def test_a_distance_that_was_not_looked_at_for_long_is_not_known_any_more():
 
 
 @pytest.mark.parametrize(("owner", "why"), [(0, "nothing takes"), (LEASE + 1, "another source")])
-def test_it_does_not_wait_for_the_command_for_ever(owner, why):
+def test_a_motion_that_is_never_in_command_is_aborted(owner, why):
     _, motion = begun(Goal(axis="linear", distance_u=1.0))
     late_ms = round(COMMANDS_WITHIN_S * 1000)
     for at_ms in (late_ms // 2, late_ms):
@@ -186,7 +186,7 @@ def test_it_does_not_wait_for_the_command_for_ever(owner, why):
     assert why in step.why
 
 
-def test_cancelled_it_comes_to_rest_and_then_ends():
+def test_a_cancelled_motion_comes_to_rest_and_then_ends():
     base, motion = moving()
     motion.cancel(base.at_ms * 1_000_000)
     step = looked(base, motion)
@@ -196,7 +196,7 @@ def test_cancelled_it_comes_to_rest_and_then_ends():
     assert (step.end, base.speed_u_s) == (End.CANCELED, 0.0)
 
 
-def test_what_takes_too_long_comes_to_rest_and_is_aborted():
+def test_a_motion_that_takes_too_long_comes_to_rest_and_is_aborted():
     base, motion = begun(Goal(axis="linear", distance_u=5.0, timeout_s=2.0))
     step = carried_out(base, motion)
     assert step.end is End.ABORTED
@@ -205,7 +205,7 @@ def test_what_takes_too_long_comes_to_rest_and_is_aborted():
     assert 0.0 < base.distance_u < 5.0
 
 
-def test_a_base_that_something_holds_is_not_pushed_for_long():
+def test_a_blocked_base_is_not_pushed_for_long():
     base, motion = begun(Goal(axis="linear", distance_u=5.0, timeout_s=1000.0))
     while base.distance_u < 1.0:
         base.follow(looked(base, motion))
@@ -218,7 +218,7 @@ def test_a_base_that_something_holds_is_not_pushed_for_long():
     assert (step.end, step.why) == (End.ABORTED, "it is stuck")
 
 
-def test_a_slow_base_is_not_a_stuck_one():
+def test_a_slow_base_does_not_count_as_stuck():
     slow = Bounds(
         velocity_u_s=0.002, acceleration_u_s2=0.001, deceleration_u_s2=0.001, jerk_u_s3=0.001
     )
@@ -246,7 +246,7 @@ def test_a_base_that_slips_by_a_little_goes_the_rest_of_the_distance(slip_u):
 
 
 def rested_beside_its_goal():
-    """By the wheels, or by a stop that was not seen."""
+    """It passed its goal: its wheels slid, or a stop was not seen."""
     base, motion = begun(Goal(axis="linear", distance_u=1.0))
     while motion.remaining_u > 0.004:
         base.follow(looked(base, motion))
@@ -255,7 +255,7 @@ def rested_beside_its_goal():
     return base, motion
 
 
-def test_a_stop_that_was_over_before_it_was_seen_is_not_driven_on_after():
+def test_after_a_stop_that_was_over_before_it_was_seen_nothing_is_corrected():
     base, motion = rested_beside_its_goal()
     base.stops = 1
     step = carried_out(base, motion)
@@ -263,14 +263,14 @@ def test_a_stop_that_was_over_before_it_was_seen_is_not_driven_on_after():
     assert base.distance_u == pytest.approx(1.05, abs=0.01)
 
 
-def test_a_stop_that_is_only_counted_ends_a_motion_that_goes_on():
+def test_a_stop_that_shows_only_in_the_count_ends_a_running_motion():
     base, motion = moving()
     base.stops = 1
     assert looked(base, motion) == MotionStep(end=End.ABORTED, why="a stop was requested")
 
 
 @pytest.mark.parametrize("asked_before", [True, False])
-def test_who_does_not_know_whether_a_stop_came_corrects_nothing(asked_before):
+def test_without_a_fresh_count_of_stops_nothing_is_corrected(asked_before):
     base, motion = rested_beside_its_goal()
     if asked_before:
         motion.counted(0, base.at_ms * 1_000_000)
@@ -305,7 +305,7 @@ def test_a_base_that_does_not_come_to_rest_is_not_waited_for_for_ever():
     assert (step.end, step.why) == (End.ABORTED, "it does not come to rest")
 
 
-def test_a_jerk_limit_makes_it_slow_down_earlier():
+def test_a_jerk_limit_makes_a_motion_slow_down_earlier():
     soft = dataclasses.replace(BOUNDS, jerk_u_s3=0.5)
     assert soft.approach_u_s(0.5) < BOUNDS.approach_u_s(0.5)
     assert BOUNDS.approach_u_s(-1.0) == 0.0

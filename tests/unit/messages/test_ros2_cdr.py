@@ -16,7 +16,7 @@ ROUNDS = 20
 
 
 def as_a_message(text):
-    """rosbags knows messages alone; the bytes of parts of services and actions have no names."""
+    """rosbags has messages alone; the bytes of parts of services and actions have no names."""
     return text.replace("/srv/", "/msg/").replace("/action/", "/msg/")
 
 
@@ -106,7 +106,7 @@ def test_noise_is_a_value_error_or_a_message_and_nothing_else(name):
             continue
 
 
-def test_a_sequence_that_reports_it_is_enormous_takes_no_memory():
+def test_a_sequence_that_claims_to_be_enormous_takes_no_memory():
     with pytest.raises(ValueError, match="longer than its bytes"):
         decode("sensor_msgs/msg/JointState", HEADER + bytes(8) + b"\1\0\0\0\0\0\0\0" + b"\xff" * 4)
 

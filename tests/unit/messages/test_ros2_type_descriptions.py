@@ -24,7 +24,7 @@ class Served:
         self._answer = answer
 
     async def ask(self, kind, sources=True):
-        """The answer, by way of its bytes."""
+        """The answer, encoded and decoded again."""
         request = SimpleNamespace(
             type_name="", type_hash=type_hash(kind), include_type_sources=sources
         )
@@ -39,7 +39,7 @@ def plain(value):
 
 
 @pytest.mark.parametrize("kind", TYPES)
-async def test_an_answer_hashes_to_what_was_asked_for(kind):
+async def test_a_described_type_has_the_hash_that_was_requested(kind):
     sent = await Served(kind).ask(kind)
     assert (sent.successful, sent.failure_reason) == (True, "")
     described = plain(sent.type_description)

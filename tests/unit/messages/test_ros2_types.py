@@ -103,11 +103,11 @@ def test_every_row_of_a_description_names_a_field_of_the_type_once(topic):
             kind = field.kind
 
 
-def test_a_line_that_is_none_of_a_description_is_refused():
+def test_a_line_that_belongs_to_no_description_is_refused():
     with pytest.raises(ValueError, match=r"odom: 'header . = x' is no line"):
         descriptions("=== odom nav_msgs/msg/Odometry\nheader . = x")
 
 
-def test_the_page_of_messages_is_what_the_descriptions_report():
+def test_the_page_of_messages_follows_from_the_descriptions():
     page = Path(__file__).resolve().parents[3] / "docs/messages.md"
     assert page.read_text() == messages_page(), "python -m motord.bus.messages > docs/messages.md"

@@ -19,10 +19,10 @@ DEMO = Path(__file__).resolve().parents[3] / "config/robots/demo.toml"
 DEADLINE_S = 20.0
 WAITED_S = 0.2
 HEAD = struct.Struct("<IHH16sQqIIdd")
-"""A command's: docs/commands.md."""
+"""The layout of a command: docs/commands.md."""
 
 
-async def test_a_message_that_waited_for_the_event_loop_is_as_old_as_that(tmp_path):
+async def test_a_message_that_waited_keeps_the_time_of_its_arrival(tmp_path):
     runtime = Runtime(load_robot(DEMO), tmp_path / "no.sock")
     section = FoxgloveInput(kind="foxglove", token_file=str(token_file(tmp_path)), stamped=False)
     looks = Channel("/robot_description", context=Context(), message_encoding="json"), b"{}"

@@ -32,7 +32,7 @@ def test_nothing_moves_before_the_button_is_pressed():
     assert pad.twist() == (0.5, 0.0, 0.0)
 
 
-def test_letting_go_is_zero_whatever_the_axes_report():
+def test_a_released_button_is_zero_whatever_the_axes_report():
     pad = stick()
     pad.take(EV_KEY, BUTTON, 1)
     pad.take(EV_ABS, X, 32767)
@@ -41,7 +41,7 @@ def test_letting_go_is_zero_whatever_the_axes_report():
     assert (pad.held, pad.twist()) == (False, (0.0, 0.0, 0.0))
 
 
-def test_lost_events_let_go_of_the_button_and_of_the_axes():
+def test_lost_events_release_the_button_and_the_axes():
     pad = stick()
     pad.take(EV_KEY, BUTTON, 1)
     pad.take(EV_ABS, Y, -32768)
@@ -58,7 +58,7 @@ def with_estop():
     return Stick(SECTION, Codes(BUTTON, Y, X, ESTOP), {Y: (-1, 1), X: (-1, 1)})
 
 
-def test_its_emergency_stop_is_pressed_whether_or_not_the_dead_man_button_is_held():
+def test_the_emergency_stop_works_whether_or_not_the_dead_man_button_is_held():
     pad = with_estop()
     assert pad.take(EV_KEY, ESTOP, 1)
     assert not pad.take(EV_KEY, ESTOP, 0)
@@ -74,7 +74,7 @@ def test_lost_events_may_have_been_an_emergency_stop():
     assert pad.doubted
 
 
-def test_who_was_not_looked_at_has_to_press_again():
+def test_after_a_pause_button_and_axes_count_as_released():
     pad = stick()
     pad.take(EV_KEY, BUTTON, 1)
     pad.take(EV_ABS, Y, -32768)
@@ -111,7 +111,7 @@ def test_the_middle_is_zero(value):
     assert pad.twist() == (0.0, 0.0, 0.0)
 
 
-def test_an_axis_that_the_device_has_not_is_reported():
+def test_an_axis_that_the_device_lacks_is_reported():
     with pytest.raises(ValueError, match="no axis"):
         Stick(SECTION, Codes(BUTTON, Y, X), {Y: (0, 255)})
 
@@ -120,7 +120,7 @@ def test_an_axis_that_the_device_has_not_is_reported():
     not (UINPUT.exists() and stat.S_ISCHR(UINPUT.stat().st_mode) and os.access(UINPUT, os.W_OK)),
     reason="needs /dev/uinput (modprobe uinput; root)",
 )
-def test_a_device_of_the_kernel_drives_and_lets_go(tmp_path):
+def test_a_kernel_device_drives_and_hands_back_its_lease(tmp_path):
     axis = evdev.AbsInfo(value=0, min=-100, max=100, fuzz=0, flat=0, resolution=0)
     events = {EV_KEY: [BUTTON, ESTOP], EV_ABS: [(X, axis), (Y, axis)]}
     name = f"motord test pad {time.monotonic_ns()}"

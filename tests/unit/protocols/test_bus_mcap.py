@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings: what other programs read in them, and what a full disk costs."""
+"""Recordings: what other programs read in them, and what a full disk does."""
 
 import asyncio
 import contextlib
@@ -67,7 +67,7 @@ async def recording(folder, **settings):
 
 
 def read(path):
-    """What was fed; before it is what the robot looks like."""
+    """What was fed; the description of the robot comes first."""
     with path.open("rb") as file:
         first, *rows = [
             (channel.topic, schema.name, message.log_time, decoded)
@@ -97,7 +97,7 @@ async def test_what_was_fed_is_read_by_the_reader_of_mcap(tmp_path):
     assert abs(odometry[0][2] - time.time_ns()) < 60e9
 
 
-async def test_a_file_does_not_grow_for_ever_and_the_oldest_go_first(tmp_path):
+async def test_files_are_limited_and_the_oldest_are_removed_first(tmp_path):
     settings = {"file_s": 1.0, "total_max_mb": 1}
     async with recording(tmp_path, **settings) as stage:
         await stage.until(stage.files)
@@ -162,7 +162,7 @@ async def test_a_flight_recorder_writes_what_led_to_the_fault_and_nothing_else(t
     assert faults[-1] == ["drive", "estop"]
 
 
-async def test_a_flight_recorder_forgets_what_is_older_than_a_file_of_it_holds(tmp_path):
+async def test_a_flight_recorder_forgets_what_is_too_old_for_its_file(tmp_path):
     settings = {"mode": "fault", "before_s": 30.0, "after_s": 0.0, "topics": ("odom",)}
     async with recording(tmp_path, **settings) as stage:
         old_ms = time.monotonic_ns() // MS - 60_000
@@ -180,7 +180,7 @@ async def test_a_flight_recorder_forgets_what_is_older_than_a_file_of_it_holds(t
 STATUS = {"loop": LOOP, "leases": []}
 
 
-async def test_rosbag2_readers_of_others_read_every_topic(tmp_path):
+async def test_other_readers_of_rosbag2_read_every_topic(tmp_path):
     async with recording(tmp_path) as stage:
         await stage.until(lambda: stage.files() and stage.feed.taken > 20, status=STATUS)
     (path,) = stage.files()
@@ -214,7 +214,7 @@ async def test_rosbags_reads_the_odometry_of_a_recording(tmp_path):
 
 
 def qualities(path):
-    """What rosbag2 would offer each topic with, as others read it: by topic."""
+    """By topic: the quality with which rosbag2 would offer it, as another library reads it."""
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         found = {one.topic: one.ext.offered_qos_profiles for one in reader.connections}
     assert {len(profiles) for profiles in found.values()} == {1}
@@ -235,7 +235,7 @@ async def test_what_was_latched_is_latched_again_when_it_is_played(tmp_path):
 
 
 async def test_qualities_and_types_are_written_as_rosbag2_reads_them(tmp_path):
-    """By numbers, and a record that says so: Humble knows no names, Jazzy takes it for names."""
+    """As numbers: Humble reads no names; Jazzy expects names unless a record gives the version."""
     async with recording(tmp_path) as stage:
         await stage.until(lambda: stage.files() and stage.feed.taken > 20, status=STATUS)
     (path,) = stage.files()
@@ -296,7 +296,7 @@ def entry(at_ns, size):
     return Entry("odom", "nav_msgs/msg/Odometry", at_ns, bytes(size))
 
 
-def test_memory_has_its_bound_in_bytes_and_what_is_lost_for_it_is_counted():
+def test_memory_is_bounded_in_bytes_and_what_is_lost_is_counted():
     waiting = Waiting(100_000)
     lost = sum(waiting.keep(entry(number, 750)) for number in range(1000))
     assert len(waiting) == 100
@@ -308,7 +308,7 @@ def test_memory_has_its_bound_in_bytes_and_what_is_lost_for_it_is_counted():
     assert len(waiting) == 0
 
 
-async def test_what_memory_does_not_hold_is_counted_also_by_a_flight_recorder(tmp_path):
+async def test_a_flight_recorder_counts_what_its_memory_does_not_hold(tmp_path):
     async with recording(tmp_path, **FAULT) as stage:
         stage.recorder._waiting = Waiting(10_000)
         await stage.until(lambda: stage.feed.dropped > 5)
@@ -330,7 +330,7 @@ MODES = [("all", NAMES[:1]), ("fault", NAMES[1:3]), ("manual", NAMES[3:4])]
 
 
 @pytest.mark.parametrize(("mode", "deleted"), MODES)
-def test_room_is_made_of_recordings_of_this_robot_and_this_mode_alone(tmp_path, mode, deleted):
+def test_only_recordings_of_this_robot_and_this_mode_are_removed(tmp_path, mode, deleted):
     for name in NAMES:
         (tmp_path / name).write_bytes(bytes(2_000_000))
     folder = Folder(tmp_path, "demo", mode=mode, total_max_mb=1, free_min_mb=0)
@@ -397,7 +397,7 @@ def test_a_recorder_that_records_by_itself_is_neither_started_nor_stopped(tmp_pa
             act()
 
 
-def test_a_message_in_memory_is_as_long_as_the_robot_files_check_takes_it(tmp_path):
+def test_no_message_in_memory_is_longer_than_the_robot_files_check_assumes(tmp_path):
     stage = Stage(tmp_path)
     shown = view(1000, STATUS)
     sizes = [

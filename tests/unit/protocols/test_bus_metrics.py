@@ -35,7 +35,7 @@ def now_ms():
     return time.monotonic_ns() // 1_000_000
 
 
-def test_without_a_robot_there_is_one_figure_that_reports_so():
+def test_without_a_robot_the_only_figure_is_that_it_is_not_up():
     assert {key: sample.value for key, sample in parsed(exposition(BODY, None)).items()} == {
         ("motord_up",): 0.0
     }
@@ -47,7 +47,7 @@ def test_a_loop_that_stands_still_is_not_up():
     assert parsed(exposition(BODY, old))["motord_up",].value == 0.0
 
 
-def test_the_daemons_own_word_is_among_the_figures_in_base_units():
+def test_the_daemons_status_is_among_the_figures_in_base_units():
     figures = parsed(exposition(BODY, view(now_ms(), STATUS)))
     assert figures["motord_loop_lateness_seconds", "0.99"].value == pytest.approx(20e-6)
     assert figures["motord_line_errors_total", "timeout", "rs485"].value == 2.0
@@ -66,7 +66,7 @@ def test_a_robot_without_a_second_process_has_figures_too():
 @given(
     value=st.floats(), name=st.text(min_size=1, max_size=5).filter(lambda text: "\r" not in text)
 )
-def test_whatever_is_measured_and_however_things_are_named_it_is_read_as_it_was(value, name):
+def test_any_value_and_any_name_is_read_back_unchanged(value, name):
     body = Body(robot=name, joints=("left", "right"))
     measured = view(1, linear_m_s=value, joints=(joint(current_a=value), joint()))
     figures = parsed(exposition(body, measured))

@@ -52,7 +52,7 @@ async def taken(feed, count):
     return found
 
 
-async def test_the_newest_wins_and_the_lost_are_counted():
+async def test_the_newest_snapshot_is_kept_and_the_lost_are_counted():
     feed = SnapshotFeed("r2", 1000.0)
     for at_ms in (1, 2, 3):
         feed.offer(snapshot(at_ms))
@@ -98,7 +98,7 @@ def test_every_kind_of_the_table_can_be_opened(kind):
     assert type(open_publisher("mine", kind, section)).__name__.lower().startswith(kind)
 
 
-def test_a_kind_that_nothing_offers_is_named_with_those_there_are():
+def test_an_unknown_kind_is_named_with_the_known_ones():
     with pytest.raises(LookupError, match=r'publish.mine: .*"smoke".*stdout'):
         open_publisher("mine", "smoke", STDOUT)
 
@@ -156,7 +156,7 @@ async def test_udp_reports_once_that_a_snapshot_cannot_be_sent(caplog):
     assert len([row for row in caplog.records if row.levelname == "WARNING"]) == 1
 
 
-async def test_udp_to_what_is_no_name_at_all_is_reported_and_goes_on(caplog):
+async def test_udp_to_an_invalid_name_is_reported_and_goes_on(caplog):
     section = UdpPublish.model_construct(kind="udp", host="broker..example", port=9870, rate_hz=1.0)
     publisher = UdpPublisher("mine", section)
     await feeding(SnapshotFeed("r2", 1000.0), publisher, lambda: bool(caplog.records))
@@ -180,7 +180,7 @@ def pipe():
         yield publisher, reading
 
 
-async def test_stdout_is_a_line_a_snapshot(pipe):
+async def test_stdout_gets_a_line_for_each_snapshot(pipe):
     publisher, reading = pipe
     feed = SnapshotFeed("r2", 1000.0)
     await feeding(feed, publisher, lambda: feed.taken >= 20)
@@ -188,14 +188,14 @@ async def test_stdout_is_a_line_a_snapshot(pipe):
     assert ticks == sorted(set(ticks))
 
 
-async def test_a_reader_that_stops_reading_costs_snapshots_and_nothing_waits(pipe):
+async def test_a_reader_that_stops_reading_loses_snapshots_and_blocks_nothing(pipe):
     publisher, reading = pipe
     feed = SnapshotFeed("r2", 1000.0)
     slowest_s = await feeding(feed, publisher, lambda: publisher.dropped >= 50)
     assert slowest_s < DEADLINE_S / 2
     assert feed.taken > publisher.dropped
     os.set_blocking(reading.fileno(), False)
-    while publisher._lines.qsize():  # let the thread go before the pipe is closed
+    while publisher._lines.qsize():  # the thread ends before the pipe is closed
         with contextlib.suppress(BlockingIOError):
             os.read(reading.fileno(), 65536)
 
@@ -224,7 +224,7 @@ asyncio.run(feeding(SnapshotFeed("r2", 1000.0), publisher, lambda: publisher.dro
 """
 
 
-def test_a_process_whose_reader_is_stuck_can_end():
+def test_a_process_with_a_stuck_reader_can_end():
     path = [entry for entry in sys.path if entry]
     with subprocess.Popen([sys.executable, "-c", STUCK, *path], stdout=subprocess.PIPE) as process:
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[joint.NAME.derating]: whole pairs in their direction, of what the drive reports."""
+"""[joint.NAME.derating]: complete pairs in the right order, of what the drive reports."""
 
 from pathlib import Path
 
@@ -36,11 +36,11 @@ def problems(tmp_path, lines):
         ),
     ],
 )
-def test_a_range_that_cannot_be_is_refused(tmp_path, lines, message):
+def test_an_invalid_range_is_refused(tmp_path, lines, message):
     assert f"joint.left.derating.{message}" in problems(tmp_path, lines)
 
 
-def test_what_the_drive_does_not_report_cannot_derate(tmp_path):
+def test_an_unreported_measure_cannot_derate(tmp_path):
     path = tmp_path / "robot.toml"
     text = (DEMO.parent / "pi4-encoders.toml").read_text(encoding="utf-8")
     ours = "[joint.left.derating]\ncurrent_from_a = 8\ncurrent_to_a = 9\n"

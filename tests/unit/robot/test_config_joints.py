@@ -110,7 +110,7 @@ def test_a_base_has_no_limits_of_single_joints(problems):
     assert "joint.left.jerk_max_rad_s3: only a joint without a base has it" in found
 
 
-def test_names_become_places_and_foreign_ones_are_refused(loaded):
+def test_joint_names_become_places_and_unknown_ones_are_refused(loaded):
     names = JointNames(loaded(PAN_TILT + BELT))
     assert names.places({"belt": 2.0}, {"tilt": 0.5}) == ({2: 2.0}, {1: 0.5})
     for wanted, why in (

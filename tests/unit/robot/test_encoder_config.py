@@ -52,12 +52,12 @@ def test_core_and_line_get_the_same_angle_of_a_count_with_its_sign(load):
     assert (a.gpio_chip, a.a, a.b, a.pull) == ("pinctrl-bcm2711", "GPIO17", "GPIO27", "up")
 
 
-def test_an_encoder_with_swapped_channels_counts_the_other_way(load):
+def test_an_encoder_with_swapped_channels_counts_in_reverse(load):
     (left, _), (a, _) = sent(load((GPIO, GPIO + "\nreversed = true")))
     assert left["rad_per_count"] == a.rad_per_count < 0.0
 
 
-def test_a_counter_of_the_kernel_is_handed_on(load):
+def test_the_line_gets_a_counter_of_the_kernel(load):
     edges = GPIO + '\na = "GPIO17"\nb = "GPIO27"\npull = "up"'
     counter = 'kind = "counter"\ncounter = "44000000.timer"\ncount = 1'
     _, (a, _) = sent(load((edges, counter)))
@@ -71,7 +71,7 @@ BOARD = 'kind = "mcu"\nport = "/dev/ttyACM0"\nmotor = 1'
 OTHER_MOTOR = BOARD.replace("motor = 1", "motor = 2")
 
 
-def test_a_board_that_counts_is_handed_on_and_may_count_for_both(load):
+def test_the_line_gets_a_board_that_counts_for_one_wheel_or_both(load):
     robot = load((EDGES, BOARD), (RIGHT_EDGES, OTHER_MOTOR))
     core, (a, b) = sent(robot)
     assert a == BoardEncoder(
@@ -106,7 +106,7 @@ def test_a_board_that_counts_is_handed_on_and_may_count_for_both(load):
         ([(EDGES, BOARD.replace("motor = 1", ""))], "joint.left.encoder.motor: is missing"),
     ],
 )
-def test_a_board_that_cannot_count_so_is_reported(load, edits, words):
+def test_a_mistake_about_a_board_that_counts_is_reported(load, edits, words):
     assert any(row.startswith(words) for row in rows(load, *edits)), rows(load, *edits)
 
 

@@ -41,7 +41,7 @@ def rows(load, *edits):
     return [f"{row.key}: {row.text}" for row in caught.value.problems]
 
 
-def test_the_core_and_the_line_are_sent_of_a_boards_sensor(load):
+def test_the_core_and_the_line_get_the_settings_of_a_boards_sensor(load):
     robot = load(('up = "z"', 'up = "-y"'))
     profiles = robot.profiles
     (spec,) = line_specs(robot, profiles)
@@ -52,7 +52,7 @@ def test_the_core_and_the_line_are_sent_of_a_boards_sensor(load):
     assert gyro["still_variance_rad2_s2"] == pytest.approx(1e-4)
 
 
-def test_a_chip_is_no_business_of_the_line(load):
+def test_the_line_gets_no_settings_of_a_chip(load):
     robot = load((OF_LINE, CHIP))
     profiles = robot.profiles
     assert line_specs(robot, profiles)[0].imu is None

@@ -63,14 +63,14 @@ def test_each_joint_has_the_limits_that_its_drive_follows(robot, limits):
     assert parameters.listed(robot.limits, robot.base) == {}
 
 
-def test_a_base_has_none_of_them():
+def test_a_base_has_no_parameters_of_joints():
     base = load_robot(ROBOTS / "demo.toml")
     assert joint_parameters.listed(base, {}) == {}
     with pytest.raises(RpcError, match="no parameter"):
         joint_parameters.values(base, {}, ["joint.left.velocity_max_rad_s"])
 
 
-def test_a_change_is_of_the_named_joints_alone(robot, limits):
+def test_a_change_affects_only_the_named_joints(robot, limits):
     wanted = {"joint.belt.jerk_max_rad_s3": 30.0, "joint.belt.velocity_max_rad_s": 1.0}
     made = joint_parameters.changed(robot, limits, wanted, STANDING)
     assert made == {"belt": JointLimits(1.0, 5.0, 5.0, 30.0)}
@@ -94,7 +94,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_is_refused_with_the_reason(robot, limits, name):
+def test_an_invalid_change_is_refused_with_the_reason(robot, limits, name):
     value, why = REFUSED[name]
     with pytest.raises(RpcError, match=why):
         joint_parameters.changed(robot, limits, {name: value}, STANDING)

@@ -73,7 +73,7 @@ def test_what_helps_is_computed_for_this_line(spec):
     assert 'gap = "3.5char"' not in dict(helps(replace(spec, gap=Gap.CHARACTERS)))
 
 
-def test_a_rate_that_was_asked_for_and_cannot_be_is_an_error_with_what_would_help():
+def test_a_requested_rate_beyond_the_wire_is_an_error_with_remedies():
     with pytest.raises(ConfigError) as caught:
         load_robot(ROBOTS / "skid4.toml", ["line.rs485.cycle_hz=100"])
     (row,) = caught.value.problems
@@ -89,7 +89,7 @@ def test_a_rate_that_was_asked_for_and_cannot_be_is_an_error_with_what_would_hel
     )
 
 
-def test_a_default_rate_that_cannot_be_is_a_warning(tmp_path):
+def test_a_default_rate_beyond_the_wire_is_a_warning(tmp_path):
     text = (ROBOTS / "skid4.toml").read_text(encoding="utf-8")
     assert "cycle_hz = 30\n" in text
     path = tmp_path / "robot.toml"

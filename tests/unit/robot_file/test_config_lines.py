@@ -40,7 +40,7 @@ def problems(load, **edits):
     return [f"{row.key}: {row.text}" for row in caught.value.problems]
 
 
-def test_a_serial_line_that_reports_nothing_gets_careful_defaults(load):
+def test_a_serial_line_without_settings_gets_careful_defaults(load):
     spec = spec_of(load())
     assert (spec.kind, spec.port, spec.engine) == ("modbus-rtu", "/dev/ttyUSB0", "auto")
     assert (spec.gap, spec.gap_s, spec.echo) == (None, None, Echo.AUTO)
@@ -48,7 +48,7 @@ def test_a_serial_line_that_reports_nothing_gets_careful_defaults(load):
     assert (spec.priority, spec.cpu) == (70, ())
 
 
-def test_what_a_serial_line_reports_reaches_the_hardware_layer(load):
+def test_settings_of_a_serial_line_reach_the_hardware_layer(load):
     more = 'gap = "3.5char"\necho = "yes"\npriority = 60\ncpu = [2, 3]\n'
     delays = "direction_before_s = 1e-5\ndirection_after_s = 2e-5\ndirection_active_high = false\n"
     spec = spec_of(load(more=more + GPIO + delays))
@@ -137,7 +137,7 @@ TCP = 'kind = "modbus-tcp"\nhost = "10.0.0.7"\n'
         ),
     ],
 )
-def test_a_line_that_cannot_be_is_refused(load, edits, row):
+def test_an_invalid_line_is_refused(load, edits, row):
     assert problems(load, **edits) == [row]
 
 
@@ -149,14 +149,14 @@ def test_drives_are_on_a_line_of_their_protocol(load):
     assert 'joint.left.drive: drive "zlac8015d" speaks modbus-rtu, its line ddsm' in rows
 
 
-def test_datagrams_are_an_input(load):
+def test_an_input_may_take_datagrams(load):
     fast = load(tail='[input.fast]\nkind = "rt"\nudp_port = 9900\n').input["fast"]
     assert (fast.kind, fast.priority, fast.lease_s, fast.udp_port) == ("rt", 100, 0.3, 9900)
     (row,) = problems(load, tail='[input.fast]\nkind = "rt"\nudp_port = 80\n')
     assert row == "input.fast.udp_port: 80 is out of range (1024 to 65535)"
 
 
-def test_a_line_is_sent_below_which_speed_a_wheel_rests(tmp_path):
+def test_a_line_gets_the_speed_below_which_a_wheel_rests(tmp_path):
     path = tmp_path / "robot.toml"
     text = DEMO.replace("[safety]", "[safety]\nrest_velocity_rad_s = 0.125", 1)
     path.write_text(text, encoding="utf-8")
@@ -175,11 +175,11 @@ def servos(tmp_path):
 
 
 @pytest.mark.parametrize("unit", [0, 248, 252])
-def test_a_servo_has_any_unit_that_a_servo_can_have(servos, unit):
+def test_a_servo_may_have_any_unit_of_its_protocol(servos, unit):
     assert servos("unit = 9", f"unit = {unit}").joint["right"].unit == unit
 
 
-def test_a_unit_that_speaks_to_all_servos_is_no_servo_s(servos):
+def test_the_broadcast_unit_is_refused_for_a_servo(servos):
     with pytest.raises(ConfigError) as caught:
         servos("unit = 9", "unit = 254")
     (row,) = [str(row.text) for row in caught.value.problems if row.key == "joint.right.unit"]

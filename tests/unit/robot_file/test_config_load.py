@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading a robot file: what is right comes out as values, what is wrong as lines."""
+"""Reading a robot file: what is right becomes values, what is wrong becomes lines of errors."""
 
 import math
 import re
@@ -57,7 +57,7 @@ def load(tmp_path, text, overrides=()):
     return load_robot(path, overrides)
 
 
-def test_what_is_not_reported_is_slow_and_careful(tmp_path):
+def test_defaults_are_slow_and_careful(tmp_path):
     robot = load(tmp_path, MINIMAL)
     assert robot.limits.linear_m_s == 0.5
     assert robot.limits.linear_m_s3 == math.inf
@@ -74,7 +74,7 @@ def test_a_deceleration_that_is_not_given_is_the_acceleration(tmp_path):
     assert robot.limits.angular_deceleration_rad_s2 == 3.0
 
 
-def test_a_robot_does_not_change_after_it_was_read(tmp_path):
+def test_a_robot_cannot_be_changed_after_it_was_read(tmp_path):
     robot = load(tmp_path, MINIMAL)
     with pytest.raises(ValueError, match="frozen"):
         robot.limits.linear_m_s = 9.0
@@ -118,7 +118,7 @@ def test_a_wrong_value_is_reported_with_its_line_and_what_is_right(problems_of, 
         ('"stdout"', '"stdio"', "publish.console.kind: {} is unknown"),
     ],
 )
-def test_a_kind_that_is_planned_is_sent_from_one_that_is_unknown(problems_of, right, wrong, row):
+def test_a_planned_kind_is_distinguished_from_an_unknown_one(problems_of, right, wrong, row):
     (found,) = problems_of(DEMO.replace(right, wrong, 1))
     assert found.partition(": ")[2].startswith(row.format(wrong))
 
@@ -139,9 +139,9 @@ def test_names_and_texts_are_checked(problems_of, right, wrong, row):
     assert any(problem.startswith(row) for problem in found), found
 
 
-def test_what_only_follows_from_a_mistake_is_not_reported(problems_of):
-    """A misspelt key that must be there is not missing too; a line of an unknown kind has no
-    unknown keys."""
+def test_consequences_of_a_mistake_are_not_reported(problems_of):
+    """A required key that is misspelt is not reported as missing too, and no key of a line of an
+    unknown kind is reported as unknown."""
     text = DEMO.replace("track_m", "trak_m").replace(
         'kind = "modbus-rtu"', 'kind = "smoke"\nbits = 1'
     )
@@ -170,24 +170,24 @@ def test_a_mistake_in_a_value_does_not_hide_one_between_values(problems_of):
         ("[line.", "[lines.", "lines: unknown key (did you mean line?)"),
     ],
 )
-def test_a_table_that_is_refused_is_not_missed_elsewhere(problems_of, right, wrong, row):
+def test_a_refused_table_is_not_reported_as_missing(problems_of, right, wrong, row):
     (found,) = problems_of(DEMO.replace("line.rs485", 'line."rs485"').replace(right, wrong))
     assert found.partition(": ")[2].startswith(row)
 
 
-def test_a_table_with_a_wrong_name_is_suggested(problems_of):
+def test_a_table_with_a_wrong_name_gets_a_suggestion(problems_of):
     assert problems_of(DEMO.replace("[limits]", "[limit]")) == [
         "14: limit: unknown key (did you mean limits?)"
     ]
 
 
-def test_no_robot_at_all_names_what_a_robot_needs(problems_of):
+def test_for_an_empty_file_the_required_tables_are_named(problems_of):
     keys = [row.split(": ")[1] for row in problems_of("")]
     assert keys == ["robot", "base", "line", "joint"]
 
 
 @pytest.mark.parametrize("text", ["base = 3", "joint = [1]", "line.a = 3", "publish.a = 3"])
-def test_what_should_be_a_table_is_reported_to_be_none(problems_of, text):
+def test_a_value_in_place_of_a_table_is_reported(problems_of, text):
     assert any(" is not a table" in row for row in problems_of(f"{text}\n"))
 
 
@@ -196,7 +196,7 @@ def test_a_syntax_error_has_its_line(problems_of):
     assert re.fullmatch(r"2: syntax: \S.*", row)
 
 
-def test_a_file_that_ends_too_early_is_sent_its_last_line(problems_of):
+def test_a_file_that_ends_too_early_is_reported_with_a_line(problems_of):
     (row,) = problems_of('[robot]\nname = """x\n')
     assert re.fullmatch(r"\d: syntax: \S.*", row)
 
@@ -210,7 +210,7 @@ def test_a_file_that_is_not_text_or_not_there_is_a_problem_and_no_traceback(tmp_
         load_robot(path)
 
 
-def test_an_override_replaces_a_value_and_its_type_is_tomls(tmp_path):
+def test_an_override_replaces_a_value_and_is_read_as_toml(tmp_path):
     overrides = ["limits.linear_m_s=0.2", "line.bus.port=/dev/ttyS1", "loop.cpu=[1, 2]"]
     robot = load(tmp_path, MINIMAL, overrides)
     assert robot.limits.linear_m_s == 0.2

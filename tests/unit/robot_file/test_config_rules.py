@@ -196,7 +196,7 @@ def test_an_error_names_the_line_of_the_later_of_two_joints(tmp_path):
     assert caught.value.problems[0].line > joint
 
 
-def test_one_unit_is_one_drive(tmp_path):
+def test_two_kinds_of_drive_at_one_unit_are_refused(tmp_path):
     path = edited(tmp_path, "two-single-drives", ("unit = 2", "unit = 1"))
     text = path.read_text(encoding="utf-8")
     head, right = text.split("[joint.right]")
@@ -331,7 +331,7 @@ def test_a_base_has_two_to_eight_joints(tmp_path, count):
         ),
     ],
 )
-def test_what_deserves_a_look_is_a_warning(tmp_path, robot, edits, row):
+def test_a_doubtful_value_is_a_warning(tmp_path, robot, edits, row):
     assert row in warnings(edited(tmp_path, robot, *edits))
 
 
@@ -458,7 +458,7 @@ def with_pins(tmp_path, text):
     return edited(tmp_path, "demo", ("[line.rs485]", f"{text}[line.rs485]"))
 
 
-def test_a_contact_is_normally_closed_to_ground_where_nothing_else_is_reported(tmp_path):
+def test_a_contact_is_normally_closed_to_ground_by_default(tmp_path):
     estop = load_robot(with_pins(tmp_path, ESTOP + WATCHDOG)).safety.estop
     assert (estop.contact, estop.switches_to, estop.stop_is_high) == (
         "normally-closed",
@@ -489,7 +489,7 @@ def test_one_line_cannot_be_both_pins_of_safety(tmp_path):
 
 
 @pytest.mark.parametrize("pull", ["", "pull = true\n"])
-def test_a_contact_is_not_left_to_a_pull_that_a_jetson_has_not(tmp_path, pull):
+def test_a_contact_cannot_rely_on_a_pull_that_a_jetson_does_not_have(tmp_path, pull):
     estop = ESTOP.replace('"chip"', '"tegra234-gpio"').rstrip("\n")
     (row,) = errors(with_pins(tmp_path, f"{estop}\n{pull}\n"))
     assert row.startswith('safety.estop.pull: the chip "tegra234-gpio" has no pulls')

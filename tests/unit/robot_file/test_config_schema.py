@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The schemas of the robot file and of drive profiles: shipped fresh, and complete for those who
-read them in an editor."""
+"""The schemas of the robot file and of drive profiles: shipped up to date, and complete
+for an editor."""
 
 import json
 import math

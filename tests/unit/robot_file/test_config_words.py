@@ -75,15 +75,13 @@ def test_a_key_in_another_unit_is_converted_and_not_just_renamed(tmp_path, right
         ('parity = "odd"\n', 'parity = "odd"\n', 'else write baudrate = 115200, parity = "none"'),
     ],
 )
-def test_a_value_that_is_wrong_or_unlikely_is_asked_about(
-    tmp_path, monkeypatch, right, wrong, cure
-):
+def test_a_value_that_is_wrong_or_unlikely_is_questioned(tmp_path, monkeypatch, right, wrong, cure):
     odd = DEMO.replace('engine = "auto"\n', 'engine = "auto"\nparity = "odd"\n')
     monkeypatch.setitem(globals(), "DEMO", odd if "parity" in right else DEMO)
     assert any(cure in row for row in rows_of(tmp_path, right, wrong))
 
 
-def test_a_key_with_a_line_break_in_it_is_sent_in_one_line(tmp_path):
+def test_a_key_with_a_line_break_in_it_is_reported_in_one_line(tmp_path):
     (row,) = rows_of(tmp_path, "track_m = 0.45", 'track_m = 0.45\n"a\\nb" = 1')
     assert "\n" not in row
     assert "unknown key" in row

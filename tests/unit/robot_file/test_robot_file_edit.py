@@ -191,7 +191,7 @@ def test_limits_in_force_go_into_the_file(file):
     ]  # fmt: skip
 
 
-def test_a_limit_that_would_follow_another_is_written_too(file):
+def test_a_limit_whose_default_follows_another_is_written_too(file):
     text = file.read_text("utf-8").replace("linear_deceleration_m_s2 = 1.5\n", "")
     file.write_text(text, "utf-8")
     edit = RobotFileEdit(file)
@@ -200,6 +200,6 @@ def test_a_limit_that_would_follow_another_is_written_too(file):
     assert (limits.linear_m_s2, limits.linear_deceleration_m_s2) == (2.0, 1.0)
 
 
-def test_a_register_of_a_drive_has_no_place_in_the_file(file):
+def test_a_register_of_a_drive_cannot_be_saved_in_the_file(file):
     with pytest.raises(Failed, match="store it in the drive"):
         put_in_force(RobotFileEdit(file), {"drive.left.kp": 1.0})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `motord check` says that it has understood of a robot file."""
+"""What `motord check` prints that it has understood of a robot file."""
 
 import math
 from pathlib import Path
@@ -73,7 +73,7 @@ def test_defaults_are_those_that_the_file_does_not_give():
         (["base.wheel_radius_m=0.85"], "0.85 m is a wheel of 1.7 m across: is that so?"),
     ],
 )
-def test_the_implausible_is_asked_about(settings, words):
+def test_an_implausible_value_is_questioned(settings, words):
     options = [part for setting in settings for part in ("--set", setting)]
     result = CliRunner().invoke(cli, ["check", str(ROBOTS / "demo.toml"), *options])
     assert result.exit_code == 0, result.output

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot file is read by a child, and what it finds is what pydantic finds here."""
+"""A child reads the robot file, and finds what pydantic finds in this process."""
 
 import json
 import pickle
@@ -113,7 +113,7 @@ print(json.dumps({name: repr(one) for name, one in numbers_of(Limits).items()}))
     assert program(lines, "here") == program(lines, "plain")
 
 
-def test_a_value_does_not_change_afterwards():
+def test_a_value_cannot_be_changed_afterwards():
     robot = load_robot(ROBOTS[0])
     with pytest.raises(ValueError, match="frozen"):
         robot.limits.linear_m_s = 9.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An action's server: which goals it takes, which it cancels, what it says of them."""
+"""An action's server: which goals it takes, which it cancels, what it reports of them."""
 
 import asyncio
 import contextlib
@@ -42,7 +42,7 @@ class Node:
 
 
 class Bench:
-    """A server whose goals last until they are let go or cancelled."""
+    """A server whose goals last until they are released or cancelled."""
 
     def __init__(self, name="drive_distance", turn=None):
         self.node, self.go, self.turn = Node(), asyncio.Event(), turn or Turn()
@@ -113,7 +113,7 @@ async def test_a_goal_is_accepted_executed_and_has_a_result():
     assert bytes(feedback.goal_id.uuid) == number(1)
 
 
-async def test_who_takes_turns_refuses_while_another_goes_on():
+async def test_servers_that_take_turns_run_one_goal_at_a_time():
     turn = Turn()
     one, other = Bench(turn=turn), Bench("rotate", turn)
     async with running(one, other):
@@ -153,7 +153,7 @@ async def test_a_goal_is_cancelled_by_its_number_by_time_or_with_all_others():
     assert bench.node.states() == [Status.CANCELED] * 3
 
 
-async def test_one_that_is_cancelled_before_it_began_ends_as_cancelled():
+async def test_a_goal_that_is_cancelled_before_it_begins_ends_as_cancelled():
     bench = Bench()
     assert (await bench.send(number(1))).accepted
     assert (await bench.cancel())[1] == [number(1)]
@@ -162,7 +162,7 @@ async def test_one_that_is_cancelled_before_it_began_ends_as_cancelled():
     assert Status.EXECUTING not in bench.node.states()
 
 
-async def test_a_goal_whose_node_ends_is_aborted_and_others_may_follow():
+async def test_a_goal_is_aborted_when_its_node_ends_and_others_may_follow():
     bench = Bench()
     async with running(bench):
         await bench.send(number(1))

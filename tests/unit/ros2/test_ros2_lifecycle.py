@@ -75,7 +75,7 @@ class Managed:
         ]
 
 
-async def test_a_manager_walks_the_node_up_and_down_again():
+async def test_a_manager_leads_the_node_through_all_its_states():
     node = Managed()
     walked = []
     for number in (CONFIGURE, ACTIVATE, DEACTIVATE, CLEANUP, CONFIGURE, CLEANUP, 5):
@@ -87,7 +87,7 @@ async def test_a_manager_walks_the_node_up_and_down_again():
     assert node.asked == ["arm", "disarm", "disarm"]
 
 
-async def test_a_transition_may_be_asked_for_by_its_label():
+async def test_a_transition_may_be_requested_by_its_label():
     node = Managed()
     for label in ("configure", "activate", "deactivate", "cleanup", "configure", "shutdown"):
         assert await node.change(label=label)
@@ -118,7 +118,7 @@ async def test_an_unconfigured_node_is_not_activated_before_it_is_configured():
     assert await node.change(ACTIVATE)
 
 
-async def test_a_robot_whose_drives_are_not_ready_is_not_configured_by_asking():
+async def test_a_request_does_not_configure_a_robot_whose_drives_are_not_ready():
     for state in (State.OFF, State.CONFIGURING):
         node = Managed(state)
         assert not await node.change(CONFIGURE)
@@ -153,7 +153,7 @@ async def test_shutdown_disarms_and_is_final(state, number):
     assert node.asked == ["disarm"]
 
 
-async def test_a_shutdown_that_is_refused_is_none():
+async def test_a_refused_shutdown_leaves_the_node_active():
     node = Managed(State.ARMED)
 
     async def refuse(_):
@@ -175,7 +175,7 @@ async def test_no_transition_leads_out_of_an_error(state):
 
 @pytest.mark.parametrize("answer", ["fault", "idle"])
 async def test_a_fault_while_the_robot_comes_to_rest_is_no_success(answer):
-    """Also where the daemon has answered before it."""
+    """Also where the daemon has answered before the fault."""
     node = Managed(State.MOVING)
 
     async def fail(_):
@@ -200,7 +200,7 @@ async def test_the_state_is_the_new_one_when_the_answer_comes():
     assert await node.label() == "active"
 
 
-async def test_who_waits_for_events_is_sent_of_each_step():
+async def test_each_step_is_published_as_an_event():
     node = Managed()
     for number in (CONFIGURE, ACTIVATE, DEACTIVATE, CLEANUP, CONFIGURE, 6):
         assert await node.change(number)

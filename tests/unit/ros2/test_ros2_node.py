@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a ROS 2 node of ours is called, looks like and says, without a network."""
+"""Names, frames, settings and parameters of motord's ROS 2 node, without a network."""
 
 import asyncio
 from pathlib import Path
@@ -36,7 +36,7 @@ def test_names_are_below_the_namespace(namespace, name, full):
         ("/diagnostics", "/r2/diagnostics"), ("/tf", "/tf"), ("stop", "/r2/stop"),
     ],
 )  # fmt: skip
-def test_a_name_may_be_another(name, full):
+def test_a_name_may_be_remapped(name, full):
     rules = {
         "/r2/cmd_vel": "/cmd_vel_safe", "odom": "wheels/odom", "~/stop": "stop",
         "/diagnostics": "diagnostics",
@@ -64,9 +64,7 @@ def test_a_node_has_one_name_for_a_topic():
         (("namespace=/r2", "namespaced_tf=true", "frame_prefix=r2/"), "r2/", "tf"),
     ],
 )
-def test_frames_of_a_robot_in_a_namespace_are_sent_apart_by_prefix_or_by_topic(
-    settings, prefix, topic
-):
+def test_frames_in_a_namespace_are_kept_apart_by_prefix_or_by_topic(settings, prefix, topic):
     from motord.bus.ros2.publisher import robot_topic
 
     section = robot("publish.ros2.kind=ros2", *(f"publish.ros2.{one}" for one in settings)).publish[
@@ -115,7 +113,7 @@ def test_the_description_has_a_joint_for_each_wheel_where_the_robot_file_puts_it
         assert joint.find("axis").get("xyz") == "0 1 0"
 
 
-def test_commands_from_a_network_have_to_be_meant():
+def test_commands_from_a_network_need_trust_network():
     with pytest.raises(ConfigError, match="trust_network"):
         robot("input.ros2.kind=ros2", "input.ros2.discovery=subnet")
     robot("input.ros2.kind=ros2", "input.ros2.discovery=subnet", "input.ros2.trust_network=true")
@@ -133,7 +131,7 @@ def test_every_user_of_the_machine_may_command_over_dds_and_that_is_reported():
     assert refused("input.ros2.kind=ros2", "input.ros2.trust_network=true", *beyond) == []
 
 
-def test_a_domain_is_reached_in_one_way():
+def test_a_domain_has_one_configuration():
     with pytest.raises(ConfigError, match="a domain has one configuration"):
         robot("input.ros2.kind=ros2", "publish.ros2.kind=ros2", "publish.ros2.discovery=subnet")
     with pytest.raises(ConfigError, match="a domain has one configuration"):
@@ -154,7 +152,7 @@ def test_a_robot_without_imu_offers_none_on_any_bus(kind):
 
 
 class Daemon:
-    """What it was asked for; it answers with a limit, or does not answer."""
+    """Records its requests; answers with a limit, or not at all."""
 
     def __init__(self, answers=True):
         self.asked = []
@@ -203,7 +201,7 @@ def test_parameters_are_the_limits_and_what_cannot_be_changed():
     assert asked("list_parameters", Daemon(), prefixes=(), depth=1).result.names == []
 
 
-def test_no_limit_is_infinity():
+def test_an_absent_limit_is_infinity():
     (value,) = asked("get_parameters", Daemon(), names=["limits.linear_m_s3"]).values
     assert value.double_value == float("inf")
     daemon = Daemon()
@@ -217,7 +215,7 @@ def test_no_limit_is_infinity():
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("-inf")])
-def test_what_is_no_number_is_not_passed_on(value):
+def test_an_invalid_limit_is_not_passed_on(value):
     daemon = Daemon()
     change = SimpleNamespace(
         name="limits.linear_m_s", value=SimpleNamespace(type=3, double_value=value)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The log of a node, as ROS 2 has it."""
+"""The log of a node on /rosout."""
 
 import asyncio
 import logging
@@ -11,7 +11,7 @@ log = logging.getLogger("motord.test")
 
 
 class Topic:
-    """What was published, by way of its bytes."""
+    """What was published, encoded and decoded again."""
 
     def __init__(self):
         self.sent = []
@@ -37,7 +37,7 @@ async def test_warnings_and_errors_of_any_thread_are_sent_and_the_rest_is_not():
     assert topic.sent[0].file == "test_ros2_rosout.py"
 
 
-async def test_what_led_to_a_fault_is_sent_once():
+async def test_each_cause_of_a_fault_is_sent_once():
     topic = Topic()
     rosout = Rosout("/motord", topic)
     for why in ((), ("estop: by /panel",), ("estop: by /panel",), ("estop: by /panel", "a wheel")):

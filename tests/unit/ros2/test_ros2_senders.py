@@ -23,7 +23,7 @@ def alternate(made, first, second, count=20, start_s=0.0):
     return start_s + 0.05 * count
 
 
-def test_two_that_ask_for_different_things_at_once_are_named_with_their_rates(caplog):
+def test_two_senders_of_different_commands_are_named_with_their_rates(caplog):
     made = contest()
     now_s = alternate(made, GO, REST)
     found = {row["from"]: row["rate_hz"] for row in made.report(now_s)}
@@ -33,13 +33,13 @@ def test_two_that_ask_for_different_things_at_once_are_named_with_their_rates(ca
     assert "/nav (20 Hz) and /teleop (10 Hz)" in caplog.text
 
 
-def test_two_that_ask_for_the_same_are_no_rivals(caplog):
+def test_two_senders_of_the_same_command_are_no_contest(caplog):
     made = contest()
     assert made.report(alternate(made, GO, GO)) == []
     assert "against" not in caplog.text
 
 
-def test_handing_over_is_no_contest(caplog):
+def test_a_handover_is_no_contest(caplog):
     made = contest()
     for number in range(10):
         made.received("/nav", GO, 0.05 * number)
@@ -57,7 +57,7 @@ def test_a_contest_that_is_over_is_reported_no_longer():
     assert made.report(now_s + REPORTED_S) == []
 
 
-def test_strangers_without_number_take_bounded_room():
+def test_any_number_of_senders_takes_bounded_room():
     made = contest()
     for number in range(1000):
         made.received(f"/node{number % (2 * SENDERS_MAX)}", (float(number),), 0.001 * number)

@@ -22,7 +22,7 @@ def fixed(origin="", kind="fixed", ends='<parent link="base_link"/><child link="
     return f'<robot name="r"><joint name="j" type="{kind}">{ends}{origin}</joint></robot>'
 
 
-def test_the_description_that_is_made_has_the_footprint_and_no_wheels():
+def test_the_generated_description_has_the_footprint_and_no_wheels():
     (frame,) = static_transforms(urdf(load_robot(DEMO)), STAMP_NS).transforms
     assert (frame.header.frame_id, frame.child_frame_id) == ("base_link", "base_footprint")
     place, turn = frame.transform.translation, frame.transform.rotation
@@ -31,12 +31,12 @@ def test_the_description_that_is_made_has_the_footprint_and_no_wheels():
     assert frame.header.stamp == SimpleNamespace(sec=1, nanosec=2)
 
 
-def test_frames_have_the_prefix_that_reports_robots_apart():
+def test_frames_have_the_prefix_of_their_robot():
     (frame,) = static_transforms(fixed(), STAMP_NS, "r2/").transforms
     assert (frame.header.frame_id, frame.child_frame_id) == ("r2/base_link", "r2/lidar")
 
 
-def test_a_sensor_is_where_the_users_own_description_reports():
+def test_a_sensor_is_where_the_users_own_description_puts_it():
     (frame,) = static_transforms(fixed('<origin xyz="0.1 -0.2 0.3"/>'), STAMP_NS).transforms
     place = frame.transform.translation
     assert (place.x, place.y, place.z) == (0.1, -0.2, 0.3)
@@ -44,7 +44,7 @@ def test_a_sensor_is_where_the_users_own_description_reports():
 
 
 def turned(turn, vector):
-    """By the quaternion's rotation matrix."""
+    """The vector turned by the quaternion's rotation matrix."""
     x, y, z, w = turn.x, turn.y, turn.z, turn.w
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
@@ -73,7 +73,7 @@ def test_angles_are_turns_about_x_then_y_then_z(roll_rad, pitch_rad, yaw_rad):
     assert turned(frame.transform.rotation, vector) == pytest.approx(theirs, abs=1e-12)
 
 
-def test_joints_that_turn_are_left_to_who_reads_joint_states():
+def test_joints_that_turn_are_left_to_readers_of_joint_states():
     assert static_transforms(fixed(kind="continuous"), STAMP_NS).transforms == ()
 
 
@@ -84,6 +84,6 @@ def test_joints_that_turn_are_left_to_who_reads_joint_states():
         fixed('<origin rpy="a b c"/>'), fixed(ends='<parent link="base_link"/>'),
     ],
 )  # fmt: skip
-def test_what_is_no_description_is_reported(wrong):
+def test_an_invalid_description_is_reported(wrong):
     with pytest.raises(ValueError):
         static_transforms(wrong, STAMP_NS)

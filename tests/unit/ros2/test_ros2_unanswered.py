@@ -12,7 +12,7 @@ def gid(number, vendor=FAST):
     return vendor + bytes(10) + number.to_bytes(4, "big")
 
 
-def test_a_middleware_is_known_by_its_makers_number():
+def test_a_middleware_is_recognized_by_its_makers_number():
     assert middleware(gid(1)) == "Fast DDS"
     assert middleware(gid(1, RTI)) == "RTI Connext"
     assert middleware(gid(1, b"\x01\x42")) == "DDS of vendor 01.42"

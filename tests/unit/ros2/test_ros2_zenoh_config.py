@@ -11,13 +11,13 @@ INPUT = '[input.z]\nkind = "ros2-zenoh"\n'
 MEANT = "every client of the router could move the robot: set trust_router = true if you mean that"
 
 
-def test_who_only_reports_needs_nothing_more(tmp_path):
+def test_a_publisher_needs_no_further_settings(tmp_path):
     robot = load_robot(robot_file(tmp_path, '[publish.z]\nkind = "ros2-zenoh"\n'))
     assert robot.has_bus
     assert robot.publish["z"].router == "tcp/127.0.0.1:7447"
 
 
-def test_commands_are_refused_until_the_router_is_reported_to_be_trusted(tmp_path):
+def test_commands_are_refused_until_the_router_is_declared_to_be_trusted(tmp_path):
     assert errors(tmp_path, INPUT) == [f"input.z.trust_router: {MEANT}"]
     assert load_robot(robot_file(tmp_path, INPUT + "trust_router = true\n")).has_bus
 
@@ -55,7 +55,7 @@ def test_sections_of_one_node_have_one_router(tmp_path):
 @pytest.mark.parametrize(
     "router", ["127.0.0.1:7447", "udp/127.0.0.1:1", "tcp/h", "tcp/h:1;x", "tcp/h:1#iface=a", ""]
 )
-def test_a_router_is_reported_as_zenoh_reports_it(router):
+def test_a_router_that_is_no_endpoint_of_zenoh_is_refused(router):
     with pytest.raises(ValueError, match="router"):
         ZenohPublish(kind="ros2-zenoh", router=router)
 

@@ -48,7 +48,7 @@ SEEN = [
 
 
 @pytest.mark.parametrize(("token", "quality", "attachment"), SEEN)
-def test_a_publisher_reports_of_itself_what_those_of_ros_2_report(token, quality, attachment):
+def test_a_publisher_has_the_token_and_attachment_of_one_of_ros_2(token, quality, attachment):
     parts = token.split("/")
     names = node(session_id=parts[2], name=parts[8])
     topic = parts[9].replace("%", "/")
@@ -81,6 +81,6 @@ def test_the_hash_of_a_service_is_that_of_request_response_and_event_together(mo
 
 
 @pytest.mark.parametrize("raw", [b"", bytes(32), bytes(33), bytes(34), b"\xff" * 33])
-def test_what_is_no_attachment_is_refused(raw):
+def test_an_invalid_attachment_is_refused(raw):
     with pytest.raises(ValueError, match="no attachment of rmw_zenoh"):
         Attachment.decode(raw)

@@ -56,7 +56,7 @@ def script(*texts, seed=1):
         ("fault:bit=1,code=1", "either bit= or code="),
     ],
 )
-def test_a_wrong_entry_reports_what_is_wrong_with_it(text, says):
+def test_a_wrong_entry_is_refused_with_the_reason(text, says):
     with pytest.raises(FaultError) as caught:
         parse_fault(text)
     assert says in str(caught.value)
@@ -96,7 +96,7 @@ def test_a_probability_comes_from_the_seed():
     assert 20 < sum(hits(1)) < 100
 
 
-def test_an_entry_more_does_not_change_what_the_first_one_does():
+def test_a_second_entry_does_not_change_what_the_first_one_does():
     alone = script("drop:p=0.3")
     both = script("drop:p=0.3", "delay:p=0.5")
     assert [spoil(alone).frame for _ in range(100)] == [spoil(both).frame for _ in range(100)]
@@ -116,7 +116,7 @@ def test_times_of_an_entry_count_from_when_it_was_added():
     assert not list(made.due(14.0))
 
 
-def test_silence_is_of_one_unit_and_has_an_end():
+def test_silence_affects_one_unit_and_ends():
     made = script("silence:unit=2,from_s=1,for_s=1")
     asked = [(2, 0.5), (2, 1.5), (1, 1.5), (2, 2.5)]
     assert [made.silent(unit, now_s) for unit, now_s in asked] == [False, True, False, False]
@@ -128,7 +128,7 @@ def test_a_cleared_script_does_nothing_more():
     assert spoil(made).frame == REPLY
 
 
-def test_each_spoiling_leaves_its_mark():
+def test_each_fault_changes_the_reply():
     torn = spoil(script("tear:after_bytes=4")).frame
     assert torn == REPLY[:4]
     corrupt = spoil(script("corrupt")).frame
@@ -147,14 +147,14 @@ def test_each_spoiling_leaves_its_mark():
     assert (delayed.frame, delayed.delay_s) == (REPLY, pytest.approx(0.042))
 
 
-def test_a_corrupt_frame_is_never_a_good_one():
+def test_a_corrupt_frame_never_has_a_valid_check_sum():
     made = script("corrupt")
     for _ in range(300):
         with pytest.raises(FrameError):
             parse_request(spoil(made).frame)
 
 
-def test_what_is_over_goes_when_another_comes_and_stays_counted():
+def test_expired_faults_are_removed_when_one_is_added_and_stay_counted():
     made = script("drop:for_s=1", "drop:from_s=5,for_s=1", "reboot:at_s=1", "echo")
     spoil(made)
     assert [fault.kind for fault in made.due(2.0)] == ["reboot"]
@@ -187,7 +187,7 @@ def test_noise_loses_characters_but_makes_none_and_its_seed_decides(data, ber, s
         assert received == data
 
 
-def test_noise_hits_as_many_bits_as_its_rate_reports():
+def test_noise_hits_as_many_bits_as_its_rate_gives():
     ber, bits, size = 0.01, 10, 40_000
     received, hits = disturb(bytes(size), ber, bits, random.Random(11))
     deviation = math.sqrt(size * bits * ber * (1.0 - ber))
@@ -198,14 +198,14 @@ def test_noise_hits_as_many_bits_as_its_rate_reports():
 
 
 @pytest.mark.parametrize("text", ["noise:ber=nan", "noise:ber=inf", "babble:hz=0", "wrong-baud"])
-def test_noise_that_cannot_be_is_refused(text):
+def test_invalid_noise_is_refused(text):
     with pytest.raises(FaultError):
         parse_fault(text)
 
 
 @pytest.mark.parametrize("framing", [ModbusFraming(), DdsmFraming()])
 @given(data=st.data())
-def test_whatever_happens_to_one_reply_at_once_something_comes_of_it(framing, data):
+def test_any_combination_of_faults_still_gives_bytes(framing, data):
     kinds = [kind for kind, what in KINDS.items() if what.happens == "reply"]
     specs = st.sampled_from([*kinds, *(f"tear:after_bytes={size}" for size in range(12))])
     made = script(*data.draw(st.lists(specs, max_size=6)))

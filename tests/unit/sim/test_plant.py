@@ -72,7 +72,7 @@ def test_no_set_point_gets_more_torque_than_the_motor_has(speeds_rad_s):
 
 @settings(deadline=None)
 @given(SPEEDS)
-def test_the_speed_loop_gets_where_it_is_sent(speed_rad_s):
+def test_the_speed_loop_reaches_its_set_point(speed_rad_s):
     wheel = Wheel(MODEL)
     wheel.turn(speed_rad_s)
     go_on(wheel, 2.0)
@@ -144,7 +144,7 @@ def test_work_warms_the_winding():
 
 
 @pytest.mark.parametrize("bad", NOT_FINITE)
-def test_what_is_not_finite_is_refused_at_the_door(bad):
+def test_a_value_that_is_not_finite_is_refused(bad):
     plant, wheel, _ = base()
     for ask in (
         lambda: wheel.turn(bad),
@@ -198,7 +198,7 @@ def test_rest_is_timed_from_the_moment_the_last_wheel_stops():
     assert 0.5 < plant.rest_s < 1.0
 
 
-def test_truth_starts_again_on_request_while_wheels_keep_their_turns():
+def test_a_reset_of_the_truth_keeps_the_turns_of_the_wheels():
     plant, left, right = base()
     left.turn(3.0)
     right.turn(5.0)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulator of a machine may keep a processor for itself; a second one would leave none."""
+"""One simulator on a machine may keep a processor for itself; a second one would leave none."""
 
 from motord_hal.sim import runner
 from motord_hal.sim.runner import punctual
 
 
-def test_one_simulator_at_a_time_may_be_on_time(monkeypatch):
+def test_only_one_simulator_at_a_time_keeps_a_processor(monkeypatch):
     monkeypatch.setattr(runner, "PUNCTUAL", "\0motord-test-on-time")
     monkeypatch.setattr(runner, "_may_be_punctual", lambda: True)
     with punctual() as first:

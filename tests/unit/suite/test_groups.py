@@ -10,7 +10,7 @@ import pytest
 
 @pytest.fixture(scope="module")
 def shared():
-    """As a daemon or a browser that a whole file uses."""
+    """Stands for a daemon or a browser that a whole file uses."""
 
 
 def test_tests_that_share_a_fixture_of_their_file_stay_in_one_process(shared, request):
@@ -21,7 +21,7 @@ def test_tests_that_share_a_fixture_of_their_file_stay_in_one_process(shared, re
 
 @pytest.fixture
 def ran(tmp_path):
-    """Runs pytest on what is in the folder, and gives what it printed."""
+    """Runs pytest on what is in the folder, and returns its output."""
     (tmp_path / "conftest.py").write_text("from tests.conftest import *\n")
 
     def ran(*options):
@@ -35,7 +35,7 @@ def ran(tmp_path):
     return ran
 
 
-def test_what_failed_in_a_group_is_all_that_runs_again_without_groups(tmp_path, ran):
+def test_only_the_failed_tests_of_a_group_run_again_without_groups(tmp_path, ran):
     (tmp_path / "test_two.py").write_text(
         "import pytest\n\n"
         "@pytest.fixture(scope='module')\ndef shared():\n    pass\n\n"

@@ -99,7 +99,7 @@ def test_a_test_that_passes_is_run_once_however_late_the_machine_is(ran):
 @pytest.mark.parametrize(
     ("late_s", "crowd", "late"), [(0.05, 2.0, False), (0.051, 0.0, True), (0.0, 2.1, True)]
 )
-def test_what_is_late(late_s, crowd, late):
+def test_delay_or_load_makes_a_machine_late(late_s, crowd, late):
     watch = Watch()
     watch.late_s, watch.looks = late_s, 1
     watch.waiting = crowd * os.cpu_count()

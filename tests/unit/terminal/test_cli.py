@@ -33,7 +33,7 @@ def test_every_command_explains_itself_with_an_example(motord, name):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_the_table_of_commands_names_them_as_they_name_themselves(name):
+def test_the_table_of_commands_has_the_name_of_each_command(name):
     command = cli.get_command(click.Context(cli), name)
     assert command is not None
     assert command.name == name
@@ -67,7 +67,7 @@ def test_a_misspelt_command_or_option_is_wrong_usage_with_a_suggestion(motord, a
     assert hint in result.stderr
 
 
-def test_check_of_a_good_file_ends_well(motord):
+def test_check_of_a_good_file_succeeds(motord):
     result = motord("check", DEMO)
     assert result.exit_code == Exit.DONE
     rows = result.stdout.splitlines()
@@ -75,13 +75,13 @@ def test_check_of_a_good_file_ends_well(motord):
     assert "may command     local socket (socket, priority 100)" in rows
 
 
-def test_check_with_a_warning_ends_well_and_reports_it(motord):
+def test_check_with_a_warning_succeeds_and_reports_it(motord):
     result = motord("check", DEMO, "--set", "limits.linear_m_s=1.3")
     assert result.exit_code == Exit.DONE
     assert "limits.linear_m_s: warning: 1.3 m/s is never reached" in result.stdout
 
 
-def test_check_as_json_is_one_object_with_every_problem(motord):
+def test_check_as_json_is_a_single_object_with_every_problem(motord):
     result = motord("check", DEMO, "--json", "--set", "limits.linear_m_s=nan")
     assert result.exit_code == Exit.USAGE
     report = json.loads(result.stdout)
@@ -130,7 +130,7 @@ def test_drives_refuses_an_unknown_name_with_the_known_ones(motord):
     assert '"zlac8015d"' in result.stderr
 
 
-def test_drives_checks_a_file_of_ones_own(motord, tmp_path):
+def test_drives_checks_a_file_of_your_own(motord, tmp_path):
     good = ROOT / "config/drives/zlac8015d.toml"
     assert motord("drives", "--check", good).exit_code == Exit.DONE
     bad = tmp_path / "bad.toml"
@@ -173,7 +173,7 @@ def test_a_command_that_needs_a_robot_reports_problems_and_warnings_on_stderr(ca
     assert "limits.linear_m_s: warning: " in capsys.readouterr().err
 
 
-def test_json_that_is_printed_is_json(capsys):
+def test_printed_json_is_valid_or_an_error(capsys):
     print_json({"a": 1.5, "text": "é"})
     assert json.loads(capsys.readouterr().out) == {"a": 1.5, "text": "é"}
     with pytest.raises(ValueError, match="not JSON compliant"):
@@ -193,7 +193,7 @@ def test_a_shipped_robot_file_is_printed_ready_to_be_saved_anywhere(motord, tmp_
         assert motord("check", robot).exit_code == 0
 
 
-def test_a_robot_file_that_motord_does_not_bring_is_refused_with_those_it_does(motord):
+def test_a_robot_that_motord_does_not_ship_is_refused_with_those_it_does(motord):
     result = motord("robots", "demoo")
     assert result.exit_code == Exit.USAGE
     assert "did you mean" in result.stderr
@@ -225,7 +225,9 @@ def test_a_drive_file_in_the_working_folder_is_shown(motord, tmp_path, monkeypat
          "no daemon has this socket", Exit.FAILED),
     ],
 )  # fmt: skip
-def test_an_error_under_json_is_one_object_with_its_exit_status(motord, arguments, words, status):
+def test_an_error_under_json_is_a_single_object_with_its_exit_status(
+    motord, arguments, words, status
+):
     result = motord(*arguments)
     assert result.exit_code == status
     found = json.loads(result.stdout)
@@ -233,7 +235,7 @@ def test_an_error_under_json_is_one_object_with_its_exit_status(motord, argument
     assert found["exit_status"] == status
 
 
-def test_after_an_interrupt_a_command_ends_with_130_and_without_a_word():
+def test_after_an_interrupt_a_command_ends_with_130_and_prints_nothing():
     code = (
         "import signal, sys\n"
         "from motord.__main__ import main\n"

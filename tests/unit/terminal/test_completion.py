@@ -21,7 +21,7 @@ def script(shell):
 
 @pytest.fixture
 def shell(tmp_path):
-    """Runs words of a shell where `motord` is this one."""
+    """Runs a shell script in which `motord` is the one under test."""
     program = tmp_path / "motord"
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m motord "$@"\n')
     program.chmod(0o755)

@@ -62,7 +62,7 @@ def test_each_error_alone_is_enough_to_fail(odometry):
     assert not score(odometry, HERE).ok
 
 
-def test_a_robot_that_stood_still_has_not_done_well():
+def test_a_robot_that_stood_still_fails():
     still = Pose(0.0, 0.0, 0.0, 0.0)
     assert not score(still, still).ok
 
@@ -105,7 +105,7 @@ def test_the_robot_file_decides_which_course_it_is_and_what_odometry_comes_from(
     assert source_of(robot) is source
 
 
-def test_a_wheel_without_any_measure_makes_odometry_that_of_set_points(tmp_path):
+def test_a_wheel_without_feedback_makes_odometry_use_set_points(tmp_path):
     text = robot_path("pi5-bts7960").read_text(encoding="utf-8")
     assert source_of(load_robot(robot_path("pi5-bts7960"))) is Source.COUNTERS
     blind = tmp_path / "blind.toml"
@@ -114,7 +114,7 @@ def test_a_wheel_without_any_measure_makes_odometry_that_of_set_points(tmp_path)
 
 
 def result(source=Source.COUNTERS, found=None, held_up_s=0.0, **changes):
-    """As a run of the demonstration leaves it."""
+    """A result as a run of the demonstration returns it."""
     status = {
         "state": "idle",
         "faults": [],
@@ -147,7 +147,7 @@ def shown(capsys, **what):
     return capsys.readouterr().out
 
 
-def test_an_estimate_that_is_far_off_is_ok_and_called_one(capsys):
+def test_an_estimate_that_is_far_off_is_ok_and_called_an_estimate(capsys):
     off = score(Pose(2.0, 3.0, 0.9, 9.0), HERE)
     assert not off.ok
     printed = shown(capsys, source=Source.SPEEDS, found=off)
@@ -189,7 +189,7 @@ def test_how_many_errors_a_line_had_decides_what_to_do(errors, words):
     assert bool(printed) == bool(words)
 
 
-def test_a_machine_that_was_too_busy_is_reported_to_be(capsys):
+def test_a_machine_that_was_too_busy_is_reported(capsys):
     assert "this machine was busy" not in shown(capsys)
     assert "simulated drives waited up to 0.80 s" in shown(capsys, held_up_s=0.8)
 
@@ -198,7 +198,7 @@ def test_a_fault_at_the_end_is_shown_with_its_reason(capsys):
     assert "left: does not turn" in shown(capsys, state="fault", faults=["stall"])
 
 
-def test_a_person_sees_what_was_measured_and_refused(capsys):
+def test_the_output_shows_what_was_measured_and_refused(capsys):
     show(result())
     printed = capsys.readouterr().out
     for words in ("10.00 m in 8.0 s", "SCHED_OTHER", "SCHED_FIFO was refused", "345 max",
@@ -214,7 +214,7 @@ def test_a_run_that_ends_in_a_fault_is_not_ok(change, capsys):
     assert capsys.readouterr().out.endswith("\nNOT ok\n")
 
 
-def test_a_robot_that_is_not_shipped_is_answered_with_those_that_are():
+def test_a_robot_that_is_not_shipped_is_refused_with_those_that_are():
     with pytest.raises(Failure, match="skid4") as refused:
         robot_path("nonesuch")
     assert refused.value.exit_code == Exit.USAGE

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord doctor` names what is wrong with a machine, and what mends it: on planted files of /proc,
+"""`motord doctor` names what is wrong with a machine, and what mends it, on planted files of /proc,
 /sys, /dev and /etc."""
 
 import os
@@ -108,7 +108,7 @@ def test_each_fault_of_the_machine_comes_with_its_mend(plant, changes, check, ve
     assert mend in finding.mend
 
 
-def test_a_device_that_is_not_ours_to_write_is_found(plant):
+def test_a_device_without_write_permission_is_found(plant):
     root = plant({"/dev/cpu_dma_latency": ""})
     root.path("/dev/cpu_dma_latency").chmod(0o600)
     found = by_check(machine.look(root))["cpu_dma_latency"]
@@ -130,7 +130,7 @@ def test_a_mend_that_fails_gives_its_reason():
 # ----------------------------------------------------------------------------------- serial devices
 @pytest.fixture
 def serial(plant):
-    """The demo robot's port is there, and ours."""
+    """The demo robot's port exists, and this user may use it."""
 
     def planted(changes=None, mode=0o666, port="/dev/ttyUSB0"):
         root = plant({"/dev/ttyUSB0": "", **(changes or {})})
@@ -179,7 +179,7 @@ def test_a_second_program_on_the_port_is_named(plant):
     assert by_check(devices.look(root, robot, [4242]))["line.rs485"].verdict != "fail"
 
 
-def test_a_port_that_is_not_there_and_a_name_that_may_change(serial, plant):
+def test_a_missing_port_and_a_name_that_may_change_are_found(serial, plant):
     _, found = serial()
     assert by_check(found)["line.rs485"].verdict == "warn"
     assert "by-id" in by_check(found)["line.rs485"].mend
@@ -251,7 +251,7 @@ PINMUX = "/sys/kernel/debug/pinctrl/fe200000.gpio-pinctrl-bcm2711/pinmux-pins"
 
 @pytest.fixture
 def pi4(plant):
-    """A Raspberry Pi 4 with its PWM chip, and pins as `rows` of the kernel's table say."""
+    """A Raspberry Pi 4 with its PWM chip, and pins as in `rows` of the kernel's table."""
 
     def planted(*rows, npwm="2"):
         table = "Format: pin (name): mux_owner gpio_owner hog?\n" + "\n".join(rows)
@@ -382,7 +382,7 @@ def test_a_rate_that_is_off_by_more_than_five_per_cent_is_found(plant):
 
 
 def publishing(taken, at_s=None):
-    """What a publisher of 50 Hz has had; with `at_s` one of motord-bus, which reported it then."""
+    """Counts of a publisher of 50 Hz; with `at_s`, of one of motord-bus that reported them then."""
     counted = {"taken": taken, "dropped": 0, "topics": {"odom": {"rate_hz": 50.0, "taken": taken}}}
     if at_s is None:
         return {"publishers": {"console": counted}}
@@ -393,7 +393,7 @@ def publishing(taken, at_s=None):
     ("taken", "verdict"),
     [(100, "ok"), (96, "ok"), (80, "warn"), (130, "warn"), (0, "fail")],
 )
-def test_the_rate_of_each_topic_is_held_against_the_robot_files(plant, taken, verdict):
+def test_the_rate_of_each_topic_is_compared_with_the_robot_files(plant, taken, verdict):
     first, last = publishing(1000), publishing(1000 + taken)
     found = judged(plant(THREADS), answer(0, **first), answer(100, **first), answer(200, **last))
     assert found["3 rate of console/odom"].verdict == verdict

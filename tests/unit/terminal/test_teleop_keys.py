@@ -147,7 +147,7 @@ def test_arrows_are_letters_and_sequences_may_come_in_pieces():
 
 
 @given(st.lists(st.binary(max_size=20), max_size=20))
-def test_no_bytes_are_an_error(pieces):
+def test_any_bytes_are_decoded_without_an_error(pieces):
     decoder = Decoder()
     for piece in pieces:
         list(decoder.feed(piece))

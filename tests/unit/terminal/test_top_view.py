@@ -48,7 +48,7 @@ def shown(found, history=None, now_s=0.0):
     return "\n".join(part.plain for part in parts)
 
 
-def test_a_robot_that_moves_names_who_commands_and_what_limits_it():
+def test_a_moving_robot_is_shown_with_its_commander_and_its_limits():
     text = shown(answer(reasons=["linear_jerk", "not_armed"]))
     assert "MOVING" in text
     assert "motord-teleop commands; limited by linear_jerk" in text

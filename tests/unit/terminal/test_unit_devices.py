@@ -38,7 +38,7 @@ def test_a_serial_port_is_allowed_by_its_kind(port, wanted):
     assert devices("demo", f"line.rs485.port={port}") == wanted
 
 
-def test_a_can_interface_is_no_device_and_an_adapter_is_one():
+def test_a_can_interface_needs_no_device_and_an_adapter_does():
     assert devices("odrive-two") == []
     slcan = ("line.can0.interface=slcan", "line.can0.channel=/dev/ttyACM0")
     assert devices("odrive-two", *slcan) == ["char-ttyACM"]
@@ -67,7 +67,7 @@ def test_a_joystick_is_allowed_and_readable_where_the_robot_file_has_one():
     assert "input" not in CliRunner().invoke(unit, [str(ROBOTS / "demo.toml")]).stdout
 
 
-def test_the_pin_that_turns_a_transceiver_and_those_of_safety_need_their_chip():
+def test_direction_pins_of_transceivers_and_pins_of_safety_need_their_chip():
     turned = ("direction=gpio", "direction_gpio_chip=pinctrl-rp1", "direction_gpio_line=GPIO4")
     settings = [f"line.rs485.{setting}" for setting in turned]
     assert devices("demo", *settings) == ["char-ttyUSB", "char-gpiochip"]

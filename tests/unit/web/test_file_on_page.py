@@ -81,7 +81,7 @@ def test_every_text_is_checked_and_what_does_not_pass_is_never_written(file, tex
     assert list(file.parent.iterdir()) == [file]
 
 
-def test_what_passes_is_compared_and_written_with_a_backup_mode_and_owner(file):
+def test_a_valid_text_is_compared_and_written_with_a_backup_mode_and_owner(file):
     if os.geteuid() == 0:
         os.chown(file, 1234, 4321)
     before, about = file.read_bytes(), file.stat()
@@ -138,7 +138,7 @@ def drive(name):
 @pytest.mark.parametrize(
     "name", ["./mqtt.secret", "../other.toml", "/etc/passwd", "link.toml", "a\\u0000.toml", "./x"]
 )
-def test_a_text_of_a_page_reads_no_file_elsewhere_and_shows_nothing_of_it(file, name):
+def test_a_text_of_a_page_neither_reads_nor_shows_a_file_elsewhere(file, name):
     (file.parent / "mqtt.secret").write_text(SECRET, encoding="utf-8")
     outside = file.parent.parent / "other.toml"
     outside.write_text(SECRET, encoding="utf-8")
@@ -148,7 +148,7 @@ def test_a_text_of_a_page_reads_no_file_elsewhere_and_shows_nothing_of_it(file, 
     assert file.read_text("utf-8") == TEXT
 
 
-def test_a_profile_in_the_folder_or_that_the_file_names_already_may_be_used(file):
+def test_a_profile_in_the_folder_or_already_named_may_be_used(file):
     (file.parent / "mine.toml").write_text("[drive]\n", encoding="utf-8")
     [problem, *_] = carried_out(file, "check", drive("mine.toml"))["problems"]
     assert "the drive profile cannot be used" in problem["text"]

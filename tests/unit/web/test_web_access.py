@@ -53,14 +53,14 @@ def test_a_page_of_this_machine_commands_without_a_token_only_where_the_robot_fi
     assert right(Access(TRUSTED, None), with_token("any")) == (True, True, "")
 
 
-def test_a_page_that_is_trusted_without_a_token_has_not_shown_it():
+def test_trust_without_a_token_does_not_count_as_a_token():
     both = TRUSTED.model_copy(update={"token_file": "t"})
     assert not Access(both, fits).right(request()).token
     assert not Access(TRUSTED, None).right(with_token(TOKEN)).token
     assert Access(both, fits).right(with_token(TOKEN)).token
 
 
-def test_a_dashboard_that_only_publishes_takes_no_command_whatever_is_shown():
+def test_a_dashboard_that_only_publishes_takes_no_command_with_any_token():
     assert right(Access(WATCH, None), request()) == (True, False, "")
     assert right(Access(WATCH, fits), with_token(TOKEN)) == (True, False, "")
 
@@ -71,7 +71,7 @@ def test_a_page_of_another_machine_needs_the_token_to_watch():
 
 
 @pytest.mark.parametrize("host", ["evil.example:8088", "127.0.0.1.evil.example", "", "10.0.0.1"])
-def test_a_site_that_makes_its_own_name_mean_this_machine_gets_nothing(host):
+def test_a_site_whose_name_resolves_to_this_machine_gets_nothing(host):
     asked = request(Host=host, Origin=f"http://{host}")
     assert right(Access(TRUSTED, None), asked) == (False, False, NEEDS_TOKEN)
 
@@ -83,7 +83,7 @@ def test_what_a_proxy_forwards_does_not_count_as_this_machine(header):
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8088", "localhost:8088", "[::1]:8088", "localhost"])
-def test_every_name_of_this_machine_is_one(host):
+def test_every_name_of_this_machine_is_accepted(host):
     assert right(Access(TRUSTED, None), request(Host=host))[0]
 
 

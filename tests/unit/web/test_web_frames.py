@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The binary frames of the dashboard, read by the layout that a page is sent."""
+"""The binary frames of the dashboard, read by the layout that a page gets."""
 
 import contextlib
 import dataclasses
@@ -21,7 +21,7 @@ STRAFES = "mecanum4"
 
 
 def decoded(raw):
-    """As the page does it."""
+    """Reads a frame as the page does."""
     found, at = layout(), 0
 
     def fields(rows):
@@ -84,7 +84,7 @@ def test_a_daemon_with_another_robot_file_gives_no_frame():
 
 @pytest.mark.parametrize("time", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("place", [0, 1])
-def test_a_command_without_a_time_is_none(time, place):
+def test_a_command_without_a_time_is_refused(time, place):
     times = [5.0, 5.0]
     times[place] = time
     with pytest.raises(ValueError, match="finite"):
@@ -92,7 +92,7 @@ def test_a_command_without_a_time_is_none(time, place):
 
 
 @given(raw=st.binary(max_size=60))
-def test_what_is_no_frame_of_a_page_is_a_value_error(raw):
+def test_an_invalid_frame_of_a_page_is_a_value_error(raw):
     for read, size in ((drive_frame, 45), (number_of, 5)):
         if len(raw) == size:
             with contextlib.suppress(ValueError):
@@ -102,7 +102,7 @@ def test_what_is_no_frame_of_a_page_is_a_value_error(raw):
                 read(raw)
 
 
-def test_a_page_is_sent_the_wheels_and_the_lateral_limit_of_a_base_that_strafes():
+def test_a_page_gets_the_wheels_and_the_lateral_limit_of_a_base_that_strafes():
     robots = Path(__file__).resolve().parents[3] / "config/robots"
     found = {name: description(load_robot(robots / f"{name}.toml")) for name in ("demo", STRAFES)}
     assert found["demo"]["limits"]["lateral_m_s"] == 0.0

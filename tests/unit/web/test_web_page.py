@@ -78,8 +78,8 @@ def test_every_text_that_is_used_is_there():
         assert used <= known, path.name
 
 
-def test_no_text_has_the_name_of_another_one():
-    """The second one would take its place everywhere."""
+def test_no_two_texts_have_the_same_name():
+    """The second text would replace the first one everywhere."""
     text = (FOLDER / "text.js").read_text(encoding="utf-8")
     block = text[text.index("export const TEXT = {") : text.index("\n};")]
     block = re.sub(r'"(?:[^"\\]|\\.)*"|//.*', "", block)

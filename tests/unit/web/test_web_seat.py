@@ -16,7 +16,7 @@ LEASE_S = 0.3
 
 
 class Clock:
-    """Of this process, turned by hand."""
+    """The clock of this process, set by hand."""
 
     def __init__(self, monkeypatch):
         self.now_s = 1000.0
@@ -39,7 +39,7 @@ def seat(clock, tmp_path):
     source = gate.source
     source.drive = lambda linear, angular, *_, **__: gate.commands.append((linear, angular)) or True
     source.release = lambda **_: gate.commands.append("release") or True
-    clock.now_s += 100.0  # what is no pause of this process
+    clock.now_s += 100.0  # no pause: the gaps have looked now
     gate._gap._looked_s = gate.gap._looked_s = clock.now_s
     made = Seat(gate, LEASE_S)
     made.commands = gate.commands
@@ -53,7 +53,7 @@ def frame(clock, press=1, linear_m_s=0.2, waited_s=0.0, seen_ago_s=0.02):
 
 
 def passes(seat, clock, seconds):
-    """Time, in which this process does not stand still."""
+    """Time passes, and this process does not stand still."""
     clock.now_s += seconds
     for gap in seat.gaps:
         gap._looked_s = clock.now_s
@@ -81,7 +81,7 @@ def test_after_a_pause_the_same_hold_never_counts_again(seat, clock):
     assert seat.commands[-1] == (0.2, 0.1)
 
 
-def test_a_command_that_waited_on_its_way_ends_the_hold(seat, clock):
+def test_a_command_that_was_delayed_ends_the_hold(seat, clock):
     driver = Driver("page 1")
     seat.drive(driver, frame(clock))
     passes(seat, clock, 0.1)
@@ -92,7 +92,7 @@ def test_a_command_that_waited_on_its_way_ends_the_hold(seat, clock):
     assert seat.commands[-2:] == [(0.0, 0.0), "release"]
 
 
-def test_who_sees_an_old_state_does_not_drive(seat, clock):
+def test_a_page_that_sees_an_old_state_does_not_drive(seat, clock):
     driver = Driver("page 1")
     with pytest.raises(NotTaken, match="too slow"):
         seat.drive(driver, frame(clock, seen_ago_s=SEEN_MAX_S + 0.1))
@@ -110,7 +110,7 @@ def test_a_second_page_does_not_drive_until_the_first_one_has_released(seat, clo
     with pytest.raises(NotTaken, match="page 1 is driving"):
         seat.drive(second, frame(clock, linear_m_s=-0.3))
     seat.release(first, 1)
-    with pytest.raises(NotTaken):  # its hold began when it was not its turn
+    with pytest.raises(NotTaken):  # this hold began while another page drove
         seat.drive(second, frame(clock, linear_m_s=-0.3))
     seat.drive(second, frame(clock, press=2, linear_m_s=-0.3))
     assert seat.commands == [(0.2, 0.1), (0.0, 0.0), "release", (-0.3, 0.1)]
