@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What python-can's kinds of adapters can and cannot do for a line. Pure."""
+"""Which kinds of python-can's adapters a line can use. Pure."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def _attribute(kind: int, payload: bytes) -> bytes:
 
 
 def answer_error(answer: bytes) -> int:
-    """The error number of an acknowledgement; 0: it was done. ValueError: it is no
+    """The error number of an acknowledgement; 0: success. ValueError: it is not an
     acknowledgement."""
     if len(answer) < _HEADER.size + _ERROR.size:
         raise ValueError(f"{len(answer)} bytes are no acknowledgement")
@@ -69,8 +69,8 @@ def state_in(answer: bytes) -> int | None:
 
 
 def _data_in(answer: bytes) -> dict[int, bytes] | None:
-    """What a CAN interface reports of its controller; None: it is no CAN interface. ValueError: it
-    is no such answer."""
+    """What a CAN interface reports of its controller; None: it is not a CAN interface. ValueError:
+    the answer is another one."""
     if len(answer) < _HEADER.size + _INTERFACE.size:
         raise ValueError(f"{len(answer)} bytes are no interface")
     size, kind, _, _, _ = _HEADER.unpack_from(answer)

@@ -31,7 +31,7 @@ _NMT_STATES = {1: _OPERATIONAL, 2: 4, 128: 127, 129: 127, 130: 127}
 
 
 def speaks_cia402(profile: DriveProfile) -> bool:
-    """Whether the profile names what this drive needs."""
+    """Whether the profile has the objects that this drive needs."""
     needed = {"control_word", "status_word", "nmt_command", "nmt_state", "mode", "mode_shown"}
     return profile.can is not None and needed <= profile.registers.keys()
 
@@ -51,11 +51,11 @@ class Cia402Drive(SimulatedDrive):
         self._state = SWITCH_ON_DISABLED
         self._control = 0
         self._taken = False
-        """It has acknowledged a target."""
+        """Whether it has acknowledged a target."""
         self._kept: dict[str, tuple[Frame, bytes]] = {}
         """PDOs that wait for the next SYNC, by name."""
         self.registers.make_live("status_word", self._status)
-        assert isinstance(self.registers, NamedContent)  # that of every drive on a CAN bus
+        assert isinstance(self.registers, NamedContent)  # every drive on a CAN bus has it
         for one in profile.registers.values():
             if isinstance(one, Signal) and one.object:
                 self.registers.make_live(one.object, partial(self.registers.value, one.name))
