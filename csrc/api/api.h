@@ -17,7 +17,7 @@
 enum { LINES_MAX = 4, COMMAND_SOCKETS = 19, FIELD_NAME_BYTES = 64 };
 
 /* ------------------------------------------------------------------------------------- reasons
- * Why the set-point is not what was asked for. Bits of robot_state.reasons; true for this tick
+ * Why the set-point differs from the request. Bits of robot_state.reasons; true for this tick
  * only. */
 enum {
     REASON_LINEAR_VELOCITY = 1 << 0,     /* [limits] linear_m_s */
@@ -37,7 +37,7 @@ enum {
     REASON_LATERAL_JERK = 1 << 14,
     REASON_LATERAL_IMPOSSIBLE = 1 << 15, /* this base cannot move sideways: the lateral part of the
                                             command is left out */
-    REASON_NOT_ARMED = 1 << 16,      /* the state machine has not armed, or the core has disarmed */
+    REASON_NOT_ARMED = 1 << 16,      /* not armed by the state machine, or disarmed by the core */
     REASON_STOP_REQUESTED = 1 << 17, /* control.stop */
     /* no command, or older than its lifetime or command_timeout_s */
     REASON_COMMAND_STALE = 1 << 18,
@@ -56,7 +56,7 @@ enum {
     REASON_JOINT_ACCELERATION = 1 << 27, /* its acceleration, deceleration or jerk */
     REASON_JOINT_POSITION = 1 << 28, /* position_min_rad or position_max_rad: it goes to that end */
 };
-/* It is to rest, whatever was asked for. */
+/* The base is to rest, whatever was requested. */
 enum { REASONS_TO_STAND = 0x11F0000 };
 
 /* Faults are latched: cleared only by a rising reset_count with every cause gone and a command
@@ -71,7 +71,7 @@ enum {
                                       requested */
     FAULT_TIME_STEP = 1 << 5,      /* dt was NaN, infinite, zero or negative */
     FAULT_EXTERNAL = 1 << 6, /* control.fault: raised by the daemon (a line lost, a check failed) */
-    FAULT_STATE = 1 << 7, /* a value inside the core was not finite: never expected, always rest */
+    FAULT_STATE = 1 << 7,    /* a value inside the core was not finite: must not happen; rest */
     FAULT_OVERSPEED = 1 << 8, /* a wheel that a torque turns is far beyond its limit: a wrong sign,
                                  a slope */
     FAULT_DIRECTION = 1 << 9, /* a wheel turns against its set-point */
@@ -211,7 +211,7 @@ typedef struct {
                                              brake as they accelerate */
 } core_control;
 
-/* what a drive may say beside position; a value it does not say is NaN */
+/* what a drive may report beside position; a value that it does not report is NaN */
 typedef struct {
     int64_t stamp_ns; /* middle of the exchange that brought it; 0: never received */
     uint64_t count;   /* raw position counter, lowest counter_bits valid */
@@ -246,7 +246,7 @@ typedef struct {
 } joint_setpoint;
 
 typedef struct {
-    int64_t stamp_ns; /* the tick that made it; a line sends zero when this is old */
+    int64_t stamp_ns; /* time of its tick; a line sends zero when this is old */
     uint64_t tick;
     uint32_t enabled; /* 0: the line takes the power off its drives now */
     uint32_t joint_count;
