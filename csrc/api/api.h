@@ -48,7 +48,7 @@ enum {
                                    wider one */
     REASON_TURN_IMPOSSIBLE = 1 << 23,  /* this base cannot turn on the spot: the angular part of the
                                           command is left out */
-    REASON_POSITION_UNKNOWN = 1 << 24, /* where a joint is is not known: see
+    REASON_POSITION_UNKNOWN = 1 << 24, /* a joint's position is unknown: see
                                           robot_state.steering.unknown */
     REASON_DERATED = 1 << 25,          /* [joint] derating: see robot_state.derating */
     REASON_JOINT_VELOCITY = 1 << 26, /* the next three of joints without a base: velocity_max_rad_s
@@ -83,7 +83,7 @@ enum {
     FAULT_IMPLAUSIBLE_FEEDBACK = 1 << 13, /* a counter jumps, or its speed is not the one that the
                                              drive reports */
     FAULT_SUSPENDED = 1 << 14,        /* the computer was suspended: set-points are zero at once */
-    FAULT_POSITION_UNKNOWN = 1 << 15, /* where a joint is that takes positions is no longer known,
+    FAULT_POSITION_UNKNOWN = 1 << 15, /* a joint that takes positions: its position became unknown
                                          while armed */
 };
 /* DIRECTION to IMPLAUSIBLE_FEEDBACK: what is measured is not trusted; see robot_state.doubt */
@@ -219,11 +219,11 @@ typedef struct {
     double current_a;
     double voltage_v;
     double temperature_c;
-    uint32_t epoch;   /* another number: the counter's origin may have moved; seed again */
-    uint32_t enabled; /* 1 the drive says it is enabled, 0 it says it is not, 2 it cannot say */
+    uint32_t epoch;        /* another number: the counter's origin may have moved; seed again */
+    uint32_t enabled;      /* 1 the drive reports enabled, 0 not enabled, 2 it cannot report it */
     uint32_t drive_faults; /* the drive's fault word; 0 none */
-    uint32_t referenced;   /* 1 the drive says that its counter has a reference (homed), 0 it says
-                              not, 2 it cannot say */
+    uint32_t referenced; /* 1 the drive reports that its counter has a reference (homed), 0 that it
+                            has none, 2 it cannot report it */
 } joint_feedback;
 
 typedef struct {

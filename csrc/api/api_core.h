@@ -151,7 +151,7 @@ typedef struct {
 /* Of a base with modules. */
 typedef struct {
     position_profile profile[JOINTS_MAX]; /* by joint */
-    double unsure_s[JOINTS_MAX];          /* ESTIMATED: so long it may still come from anywhere */
+    double unsure_s[JOINTS_MAX]; /* ESTIMATED: time for which it may still come from anywhere */
     double pace_rad_s; /* so fast a wheel's direction changes while the base moves, and no profile
                           lags much */
     double curvature_min_per_m; /* what the ranges of all steering joints allow: -INFINITY..0 */
@@ -160,7 +160,7 @@ typedef struct {
     position_following following[JOINTS_MAX];
     uint32_t turns_on_spot;
     uint32_t enabled; /* in the last tick */
-    uint32_t unknown; /* bit n: where joint n is is not known */
+    uint32_t unknown; /* bit n: the position of joint n is unknown */
     uint32_t reserved;
 } steer_state;
 

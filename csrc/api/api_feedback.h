@@ -52,7 +52,7 @@ typedef struct {
     uint32_t reserved;
 } plausible_config;
 
-/* Why the feedback is not believed, or the drive does not follow its set-points: for a person. */
+/* Why the feedback is not trusted, or the drive does not follow its set-points: for users. */
 typedef struct {
     int64_t since_ns;
     double setpoint_rad_s;

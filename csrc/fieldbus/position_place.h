@@ -17,7 +17,7 @@ typedef struct {
     int64_t sent_ns;
 } position_place;
 
-/* What its table says. */
+/* Its entries of the table. */
 typedef struct {
     double least;
     double most;

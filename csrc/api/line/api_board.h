@@ -100,8 +100,8 @@ typedef struct {
                                         other */
 } board_text;
 
-/* An inertial sensor on the board, whose words are the robot's. In frames it stands where
- * docs/mcu-frame.md says; a text has its rate about z, in units of 1e-6 rad/s. */
+/* An inertial sensor on the board, the robot's [imu]. Its place in frames is in
+ * docs/mcu-frame.md; a text has its rate about z, in units of 1e-6 rad/s. */
 typedef struct {
     uint32_t used;        /* 0: there is none, the rest is not looked at */
     uint32_t epoch;       /* of its samples */

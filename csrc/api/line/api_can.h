@@ -106,7 +106,7 @@ typedef struct {
     uint32_t tries;           /* reported after so many times enabled without being armed: 1.. */
     uint32_t slow_every;      /* cycles between two requests that may wait: 1.. */
     uint32_t idle_setpoints;  /* 1: zero is sent in READY, too */
-    uint32_t reports_enabled; /* 0: it cannot report it, so it gets its disarm again now and then in
+    uint32_t reports_enabled; /* 0: it cannot report it, so it gets its disarm again at times in
                                  READY */
     uint32_t hello; /* 1 + number of the input that alone shows that an unresponsive drive is back;
                        0: all with a silence_ns */

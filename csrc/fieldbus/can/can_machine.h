@@ -92,7 +92,7 @@ typedef struct {
     uint32_t order_count;
     int64_t now_ns;         /* of this step */
     uint32_t feedback_mask; /* joints whose feedback is new since it was taken */
-    bool receives_own;      /* the CAN bus says when a set-point frame of ours has left */
+    bool receives_own;      /* the CAN bus reports when a set-point frame of ours has left */
     bool clogged;           /* it has taken nothing for a whole cycle */
     bool motion_stays; /* in this step: only zero goes out, because motion would wait for a dead CAN
                           bus */

@@ -102,7 +102,7 @@ void line_owe(line_machine *m, uint32_t number)
     line_drive_state *drive = &m->drive[number];
     const line_frame *frame = &m->transaction.frame;
     if (frame->exact != 0 || frame->reply_bytes == 0) {
-        return; /* no drive at all is asked until its late reply has passed */
+        return; /* no request at all goes out until its late reply has passed */
     }
     forget_old(drive, m->start_ns);
     line_owed owed = {.look = look_of(frame), .count = 1};

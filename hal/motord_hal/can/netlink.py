@@ -55,7 +55,7 @@ def answer_error(answer: bytes) -> int:
 
 
 def state_request(index: int, sequence: int) -> bytes:
-    """The message that requests all that is known of the interface with this index."""
+    """The message that requests all attributes of the interface with this index."""
     body = _INTERFACE.pack(socket.AF_UNSPEC, 0, index, 0, 0)
     return _HEADER.pack(_HEADER.size + len(body), _RTM_GETLINK, _NLM_F_REQUEST, sequence, 0) + body
 

@@ -350,7 +350,7 @@ class DriveProfile:
     read_write_function: int | None = None
     """23 where the drive reads and writes in one exchange; None: it cannot."""
     broadcast_stop: bool = False
-    """The drive obeys writes to unit 0: one frame stops all drives of the line."""
+    """The drive carries out writes to unit 0: one frame stops all drives of the line."""
     counts_per_turn: int
     """Of the motor shaft; 0: no position counter."""
     speed_in_counts: bool = False

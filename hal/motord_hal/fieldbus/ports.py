@@ -138,7 +138,7 @@ class PinsSpec:
     gpio_chip: str = ""
     """The chip's label or device file."""
     pwm_hz: float | None = None
-    """Carrier; None: as each bridge's profile says."""
+    """Carrier; None: that of each bridge's profile."""
     software_pwm: bool = False
     """Whether a chip is allowed whose pulses the kernel makes by timer interrupts."""
 

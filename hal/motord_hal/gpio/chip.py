@@ -61,7 +61,7 @@ class Chip:
         consumer: str,
         events: int = 0,
     ) -> Request:
-        """These lines in this order. `events`: so many the kernel keeps at least; 0: as it likes.
+        """These lines in this order. `events`: how many the kernel keeps at least; 0: its default.
         Raises OSError."""
         config: dict[Iterable[int | str] | int | str, LineSettings | None] = {}
         config.update(zip(offsets, settings, strict=True))

@@ -143,7 +143,7 @@ class Drive(AsyncioDrive[DrivePlan]):
                     await self._turn(directions)
 
     async def _turn(self, directions: Mapping[str, int]) -> None:
-        """Send the directions that are not known to have arrived."""
+        """Send the directions whose arrival is not confirmed."""
         for register, direction in directions.items():
             if self._directions.pop(register, None) != direction:
                 await self._write({register: direction})

@@ -217,8 +217,8 @@ class DrivePlan(Plan):
 
     def cycle_time_s(self) -> float:
         """Wire time of one mean cycle: two gaps an exchange (before the request, and what a drive
-        must let pass before it answers), set-points and fast ranges always, an extra one now and
-        then."""
+        must let pass before it answers), set-points and fast ranges always, an extra one at
+        times."""
         cyclic = self.cyclic(self.setpoints({}))
         time_s = sum(self._exchange_time_s(exchange.request) for exchange in cyclic)
         if self.extra:

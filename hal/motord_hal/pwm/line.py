@@ -39,7 +39,7 @@ from motord_hal.realtime.pwm import (
 )
 
 STOPPING_S = 0.3
-"""A quick stop brakes for so long, then the power goes off."""
+"""A quick stop brakes for this time, then the power goes off."""
 OBEYED_WITHIN_S = 1.0
 LOOK_EVERY_S = 0.005
 WATCH_EVERY_S = 0.05

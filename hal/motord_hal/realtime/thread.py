@@ -166,7 +166,7 @@ class LineThreadHandle:
         self._put_control()
 
     def shut_down(self) -> None:
-        """Quick stop, power off, silence: the report says when it is done."""
+        """Quick stop, power off, silence: the report shows when it is done."""
         self._control.shut_down = 1
         self._put_control()
 

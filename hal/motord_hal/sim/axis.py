@@ -31,7 +31,7 @@ class Axis:
     full_duty_rad_s: float = 15.0
     """Wheel speed at full duty, of drives whose set-point is a duty."""
     counts_per_turn: int = 0
-    """Of this motor; 0: as the profile says."""
+    """Of this motor; 0: the profile's."""
 
     @property
     def sign(self) -> float:

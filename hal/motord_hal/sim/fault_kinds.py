@@ -136,7 +136,7 @@ KINDS = MappingProxyType(
         "tcp-stall": _once(
             "TCP: nothing passes in or out, then all of it", for_s=Key(0.0, 1e6, default=1.0)
         ),
-        "half-open": _once("TCP: connections are forgotten without a word; new ones are served"),
+        "half-open": _once("TCP: connections are dropped silently; new ones are served"),
         "bus-off": _once(
             "CAN: the master's controller goes bus-off; nothing passes",
             for_s=Key(0.0, 1e6, default=0.5),

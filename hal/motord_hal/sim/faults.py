@@ -83,7 +83,7 @@ class Spoiled:
     """Kept back until the next request has come: a late reply, which is not the answer to that
     request."""
     deafening_s: float = 0.0
-    """For so long after the request's end the adapter drives the wire itself."""
+    """How long the adapter drives the wire itself after the request's end."""
     segments_s: float = 0.0
     """TCP: this long between the pieces of the reply."""
 

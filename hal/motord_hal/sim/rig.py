@@ -109,7 +109,7 @@ class RigSpec:
     """Measured over true rate of turn."""
     ports: Mapping[str, PortSpec] = field(default_factory=dict)
     """By line name; a line that is not named is a pseudo-terminal, or on any free TCP port of this
-    machine where its kind says TCP."""
+    machine if its kind is TCP."""
     can: str = ""
     """INTERFACE:CHANNEL of the robot's one CAN bus; empty: each is on UDP datagrams of its own."""
     units: int = 0

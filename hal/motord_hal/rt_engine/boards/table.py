@@ -28,8 +28,8 @@ _U32 = 0xFFFF_FFFF
 def board_table(
     spec: LineSpec, plan: DrivePlan, layout: Layout, period_s: float, gap_s: float
 ) -> Plain:
-    """`gap_s`: so long a frame is on the wire. C checks the table once more and names the first bad
-    field."""
+    """`gap_s`: the time of a frame on the wire. C checks the table once more and names the first
+    bad field."""
     profile = plan.profile
     tries = max(joint.tries for joint in plan.joints)
     parts: dict[str, Sequence[Plain]] = {

@@ -101,8 +101,8 @@ class ServoFrames:
         return self._wire_time_s(heads) + self._gap_s
 
     def share_s(self) -> float:
-        """What it adds to such a cycle: its set-point, its reply, and its extra exchange now and
-        then."""
+        """What it adds to such a cycle: its set-point, its reply, and at times its extra
+        exchange."""
         asked = size_bytes(self._setpoint()) + 2
         extra_s = max(map(self._exchange_s, self._extra), default=0.0)
         cyclic_s = self._wire_time_s(asked + self._reply_bytes(self._cyclic.count))

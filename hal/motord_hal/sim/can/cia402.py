@@ -17,8 +17,8 @@ SWITCH_ON_DISABLED, READY, SWITCHED_ON, OPERATION = 0x40, 0x21, 0x23, 0x27
 QUICK_STOP_ACTIVE, FAULT = 0x07, 0x08
 _FAULT_RESET = 0x80
 _NEW_SETPOINT, _AT_ONCE = 0x10, 0x20
-"""Of the control word in profile position mode (CiA 402-2, 10.3): the rising edge of the first has
-the target taken, the second ends the move before."""
+"""Of the control word in profile position mode (CiA 402-2, 10.3): the rising edge of the first
+makes the drive take the target, the second ends the move before."""
 _TAKEN = 0x1000
 """Of the status word: set-point acknowledge, until the first is 0 again."""
 _INVALID = 0x8000_0000
@@ -156,7 +156,7 @@ class Cia402Drive(SimulatedDrive):
 
 
 def _next(state: int, word: int) -> int:
-    """The state after a control word; faults are seen to elsewhere."""
+    """The state after a control word; faults are handled elsewhere."""
     if not word & 0x02:  # disable voltage
         return SWITCH_ON_DISABLED
     if not word & 0x04:  # quick stop
