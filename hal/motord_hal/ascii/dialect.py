@@ -105,7 +105,7 @@ def why_not_possible(sent: Text, received: Text | None) -> str:
 
 
 def text_bytes(spec: LineSpec) -> int:
-    """Of the longer of both lines of text, with numbers of a usual size."""
+    """Bytes of the longer of both lines of text, with numbers of a usual size."""
     _, sent, received = texts_of(spec)
     size = len(spec.text.prefix if spec.text else "")
     size += len(sent.say(dict.fromkeys(sent.fields, -999.0)))

@@ -120,7 +120,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
                 await self._wait_for_cycle(due_s)
 
     async def _wait_for_cycle(self, due_s: float) -> None:
-        """Until it is due. New set-points and a stop do not wait for it on a slow line."""
+        """Wait until it is due. New set-points and a stop do not wait for it on a slow line."""
         await asyncio.sleep(0)  # let the event loop run, even if the next cycle is late
         while now_s() < due_s and not any(self._has_to_stop(drive) for drive in self._drives):
             if self._woken.is_set() and self._begins_early():

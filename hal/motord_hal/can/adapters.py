@@ -5,7 +5,7 @@ from __future__ import annotations
 
 _FD_KINDS = ("socketcan", "unix", "virtual", "udp_multicast")
 FD_ADAPTERS = ("kvaser", "vector", "ixxat")
-"""Of python-can's own drivers, those that take `fd` and `data_bitrate`."""
+"""python-can's own drivers that take `fd` and `data_bitrate`."""
 
 
 def why_unfit(interface: str, *, fd_frames: bool) -> str:

@@ -33,7 +33,7 @@ OPEN_WITHIN_S = 5.0
 READ_AT_ONCE = 64
 """Frames that are taken in before the event loop runs again."""
 QUEUE_FRAMES = 1024
-"""Of the reader thread, the oldest are lost first; and as many are taken in when catching up."""
+"""Queue of the reader thread, the oldest frames are lost first; also the most for catching up."""
 THREAD_LOOKS_S = 0.05
 AGE_MAX_S = 1.0
 """A frame whose stamp is older than this counts as new: the stamp is more likely to be wrong than

@@ -19,7 +19,7 @@ _KINDS = (
 )
 _CONTROLLER = 0x004
 _OVERFLOW, _PASSIVE = 0x03, 0x30
-"""Of byte 1: receive or transmit buffer overflowed; receiver or sender is error-passive."""
+"""Bits of byte 1: receive or transmit buffer overflowed; receiver or sender error-passive."""
 
 
 WARN_EVERY_S = 60.0
@@ -56,7 +56,7 @@ class BusWarnings:
         self._reported_s: dict[str, float] = {}
 
     def new(self, kinds: Iterable[str], now_s: float) -> list[str]:
-        """What is to be logged of these kinds of errors now."""
+        """The warnings to log now for these kinds of errors."""
         found = []
         for kind in kinds:
             if (

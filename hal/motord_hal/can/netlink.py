@@ -83,7 +83,7 @@ def _data_in(answer: bytes) -> dict[int, bytes] | None:
 
 
 def _attributes(data: bytes) -> dict[int, bytes]:
-    """By type. What is cut off is left out."""
+    """Attributes by type. One that is cut off is left out."""
     found = {}
     while len(data) >= 4:
         size, kind = struct.unpack_from("=HH", data)

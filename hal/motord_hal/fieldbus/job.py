@@ -44,7 +44,7 @@ class Job:
 
     @property
     def steps_ahead(self) -> tuple[Step, ...]:
-        """From the current step on."""
+        """The steps from the current one on."""
         return self.steps[self._index :]
 
     def advance(self) -> None:

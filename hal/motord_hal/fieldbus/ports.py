@@ -45,7 +45,7 @@ class CounterEncoder:
     count: int
     """Which count of it."""
     rad_per_count: float
-    """As of EdgesEncoder."""
+    """As in EdgesEncoder."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,7 @@ class BoardEncoder:
     motor: int
     """Which one of the board, from 1 on."""
     rad_per_count: float
-    """As of EdgesEncoder."""
+    """As in EdgesEncoder."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +77,7 @@ class JointSpec:
     inverted: bool = False
     """True if the motor turns backward when the robot drives forward."""
     counts_per_turn: int = 0
-    """Of the motor, of a joint that takes positions; 0: as its profile has them."""
+    """Of the motor, of a joint that takes positions; 0: those of its profile."""
     zero_count: int = 0
     """The counter where the angle of such a joint is 0."""
     position_velocity_rad_s: float = 0.0

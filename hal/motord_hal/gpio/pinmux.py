@@ -160,8 +160,8 @@ def pwm_owner(device: str, channel: int, debug: Path = DEBUG) -> str:
 
 
 def mux_owner(label: str, offset: int, debug: Path = DEBUG) -> str:
-    """To which device the pin controller with that label has given a pin; empty if to none, or if
-    that cannot be read."""
+    """The device that has a pin of the controller with that label; empty: none, or that cannot be
+    read."""
     for folder in _folders(debug, label):
         for row in _rows(folder / "pinmux-pins"):
             found = re.match(rf"pin {offset} \(\S+\): (?:device )?([^\s(]\S*)", row)

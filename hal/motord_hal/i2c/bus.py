@@ -49,7 +49,8 @@ class ByteRegisters(Protocol):
     def write_byte(self, register: int, value: int) -> None: ...
 
     def read_row(self, register: int, size: int) -> bytes:
-        """So many registers from this one on, in one transfer; at most 32 (I2C_SMBUS_BLOCK_MAX)."""
+        """This many registers from this one on, in one transfer; at most 32
+        (I2C_SMBUS_BLOCK_MAX)."""
         ...
 
     def close(self) -> None: ...

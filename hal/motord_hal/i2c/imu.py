@@ -31,7 +31,7 @@ _FULL_MPU, _FULL_LSM = 32768.0, 1e3 / 8.75 * 250.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Family:
-    """What differs between the families."""
+    """The differences between the families."""
 
     identity_register: int
     reset: tuple[int, int]
@@ -39,13 +39,13 @@ class Family:
     ranges_dps: tuple[float, ...]
     full_counts: float
     first: int
-    """Of the registers that are read in one row."""
+    """The first of the registers that are read in one row."""
     row: struct.Struct
     gyro_at: int
     """Place of the gyro's x in the row."""
     acceleration_at: int
     acceleration_g: float
-    """Of one count."""
+    """The acceleration of one count."""
     default_address: int
 
 

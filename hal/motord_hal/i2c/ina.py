@@ -32,7 +32,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chip:
-    """What differs between them."""
+    """The differences between the chips."""
 
     settings: tuple[tuple[int, int], ...]
     """Register and content: continuous measuring of everything, averaged over some 50 to 70 ms."""
@@ -152,6 +152,6 @@ class Ina:
 
 
 def _counts(field: Field, raw: int) -> int:
-    """Of a register, as it was read."""
+    """The counts in a register, as it was read."""
     bits = 8 * field.register_bytes
     return (raw - (1 << bits) if field.signed and raw >> (bits - 1) else raw) >> field.shift

@@ -116,7 +116,7 @@ class Splitter:
 
 
 def wire_bytes(motors: int, *, imu: bool = False) -> int:
-    """Of the longer of both frames, with the zeros and the byte that the stuffing adds."""
+    """Bytes of the longer of both frames, with the zeros and the stuffing's byte."""
     setpoints = SETPOINTS_HEAD_BYTES + SETPOINTS_MOTOR_BYTES * motors
     feedback = FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * motors + imu * _IMU.size
     return _HEAD.size + max(setpoints, feedback) + _CRC.size + 3

@@ -136,9 +136,9 @@ class OpenPins:
 
     pins: list[Pin] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
-    """What each of them is for."""
+    """The purpose of each of them."""
     fault_masks: list[int] = field(default_factory=list)
-    """By joint's place: of the inputs."""
+    """Masks of the inputs, by the joint's place."""
     low_inputs: int = 0
     """Inputs that are active when they are low."""
     outputs_fd: int = -1

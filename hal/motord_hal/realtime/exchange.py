@@ -253,7 +253,7 @@ class Exchange:
         saturated: bool,
         epoch: int,
     ) -> None:
-        """Of the reader of the inertial sensor: about the base's x, y, z."""
+        """For the reader of the inertial sensor: a sample about the base's x, y, z."""
         raw = self._imu
         raw.stamp_ns = stamp_ns
         raw.angular_rad_s = angular_rad_s

@@ -59,12 +59,12 @@ def build(request: Request) -> bytes:
     if request.function is Function.READ_HOLDING:
         command = reading_command(request)
         if command not in READ_BYTES:
-            raise PacketError(f"command {command} is not a known read command")
+            raise PacketError(f"command {command} is not known for reading")
         return bytes((request.unit, command))
     command, first = request.address >> 8, request.address & 0xFF
     size = WRITE_BYTES.get(command)
     if size is None:
-        raise PacketError(f"command {command} is not a known write command")
+        raise PacketError(f"command {command} is not known for writing")
     words = [0] * -(-size // 2)
     words[first : first + len(request.values)] = request.values
     content = _content(tuple(words), size)

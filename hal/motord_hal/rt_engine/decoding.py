@@ -47,7 +47,7 @@ def raw_offset(joint: JointSpec, profile: DriveProfile) -> float:
 
 
 def raw_per_rad(joint: JointSpec, profile: DriveProfile) -> float:
-    """Of a joint that takes positions: as the core converts its counts to an angle."""
+    """Raw set-point for each radian of a joint that takes positions, by the core's conversion."""
     register = profile.registers[profile.channels[joint.channel].setpoint]
     counts = (joint.counts_per_turn or profile.counts_per_turn) * joint.gear_ratio
     sign = -1.0 if joint.inverted else 1.0

@@ -239,7 +239,7 @@ _PACKETS: Mapping[str, Packets] = MappingProxyType(
 
 
 def packets_of(kind: str) -> Packets:
-    """Of a line's kind, or of a profile's protocol."""
+    """The packets of a line's kind, or of a profile's protocol."""
     return _PACKETS[kind]
 
 

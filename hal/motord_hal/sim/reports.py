@@ -60,7 +60,7 @@ class Reports:
             self._registers.make_live(name, lambda: self._signed(name, motor.count or 0))
 
     def _turned_rad(self, count: int) -> float:
-        """Of a drive that reports its position in turns: the counter, as an angle."""
+        """The counter as an angle, for a drive that reports its position in turns."""
         half = 1 << (self._profile.counter_bits - 1)
         return ((count + half) % (2 * half) - half) / self._profile.counts_per_turn * math.tau
 

@@ -191,7 +191,7 @@ class Rig:
         )
 
     def _profiles(self, line: LineSpec) -> dict[int, DriveProfile]:
-        """By unit: those of the robot, and the spare ones beside them."""
+        """Profiles by unit: the robot's, and those of the spare units."""
         spare = dict.fromkeys(range(1, self.spec.units + 1), line.joints[0].profile)
         return spare | {joint.unit: joint.profile for joint in line.joints}
 
@@ -235,7 +235,7 @@ class Rig:
         return None
 
     def _watchdog_s(self, profile: DriveProfile) -> float:
-        """Of a drive whose profile has no watchdog that can be set."""
+        """The time of a watchdog that cannot be set; 0: there is none."""
         return 0.0 if profile.watchdog else self.spec.watchdog_s or profile.watchdog_fixed_s
 
     def _make_gyro(self, line: LineSpec) -> SimulatedGyro | None:
@@ -351,7 +351,7 @@ class Rig:
             self._replug(name, now_s)
 
     def _replug(self, name: str, now_s: float) -> None:
-        """Its old TCP port may be taken for a while."""
+        """Plug it in, or try again later: its old TCP port may be in use for a while."""
         try:
             self.lines[name].plug()
         except OSError:

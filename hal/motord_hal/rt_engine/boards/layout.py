@@ -52,9 +52,9 @@ class Layout:
     dialect: Plain
     """The protocol's entries of the table."""
     rate_z: Plain | None = None
-    """Of an inertial sensor in a text; None: there is none."""
+    """The rate of an inertial sensor in a text; None: there is none."""
     units: tuple[int, ...] = ()
-    """Of drivers on one wire, each with its part of the frame; empty: there is one board."""
+    """Addresses of drivers on one wire, each with its part of the frame; empty: one board."""
 
     def place(self, register: str, unit: int) -> Plain:
         """Its place in what the board with this address receives."""
@@ -63,7 +63,7 @@ class Layout:
         return {**first, "byte": first["byte"] + part * sabertooth.ADDRESSES}
 
     def places(self, register: str) -> list[Plain]:
-        """Of all boards on the line."""
+        """The register's places for all boards on the line."""
         return [self.place(register, unit) for unit in self.units or (0,)]
 
     def raw(self, register: str, payload: bytes) -> int | None:
@@ -188,7 +188,7 @@ def setpoint_of(plan: DrivePlan, joint: JointSpec) -> tuple[JointSpec, Register]
 
 
 def wire_bytes(spec: LineSpec, channels: Iterable[int]) -> int:
-    """Of the longer of both directions, in a cycle. Raises ProfileError."""
+    """Bytes of the longer of both directions, in a cycle. Raises ProfileError."""
     if spec.kind == "mcu":
         return frame_bytes(max(channels), imu=spec.imu is not None)
     if spec.kind == "ascii":

@@ -72,7 +72,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         return stats
 
     def _counted(self) -> Counter[str]:
-        """By earlier threads, and by the line itself."""
+        """Errors that earlier threads and the line itself have counted."""
         return self._errors + Counter({"port": self._losses})
 
     # --------------------------------------------------------------------------------- its own port

@@ -108,7 +108,7 @@ class RoboclawFrames:
 
 
 def _byte_of(register: Register) -> int:
-    """In the content of its command."""
+    """The register's byte in the content of its command."""
     return _WORD_BYTES * (register.address & 0xFF)
 
 

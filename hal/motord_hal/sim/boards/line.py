@@ -45,7 +45,7 @@ class _Board:
 
     @property
     def due_s(self) -> float:
-        """Of its next feedback."""
+        """When its next feedback is due."""
         return self._fed_back_s + self.talk.feedback_s
 
     def is_awake(self) -> bool:

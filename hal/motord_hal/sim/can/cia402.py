@@ -146,7 +146,7 @@ class Cia402Drive(SimulatedDrive):
         self._take_target(word, rising)
 
     def _take_target(self, word: int, rising: int) -> None:
-        """Of a drive in profile position mode; a target without "at once" is not taken."""
+        """Take a target in profile position mode; one without "at once" is not taken."""
         self._taken &= bool(word & _NEW_SETPOINT)
         if self._state == OPERATION and rising & _NEW_SETPOINT and word & _AT_ONCE:
             for motor in self._motors.values():

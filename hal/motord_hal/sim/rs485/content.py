@@ -84,7 +84,7 @@ class ControlTable(NamedContent):
         self._memory = bytearray(TABLE_BYTES)
 
     def read(self, address: int, count: int) -> bytes:
-        """So many bytes from an address on."""
+        """This many bytes from an address on."""
         data = bytearray(self._memory[address : address + count].ljust(count, b"\0"))
         for register in self._within(address, count):
             place = register.address - address

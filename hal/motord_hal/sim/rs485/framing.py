@@ -182,7 +182,7 @@ _DYNAMIXEL_HEAD = b"\xff\xff\xfd\x00"
 
 
 def framing_of(kind: str) -> Framing:
-    """Of a line's kind."""
+    """The framing of a line's kind."""
     if kind == "roboclaw":
         return RoboclawFraming()
     return DdsmFraming() if kind == "ddsm" else ModbusFraming()
