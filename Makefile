@@ -17,7 +17,7 @@ help:
 	@echo "make demo      drive a simulated robot         make demo ARGS=\"--json --seconds 20\"" >&2
 	@echo "make test      all but the long tests: 5 min   make test ARGS=\"tests/unit -k wrap\"" >&2
 	@echo "make test-all  the long ones, too: 12 min      make test-fast  the inner loop: a minute" >&2
-	@echo "make check     format, lint, types, arrows     make san    sanitizers" >&2
+	@echo "make check     format, lint, types, imports    make san    sanitizers" >&2
 	@echo "make coverage  the tests, and what they miss   make bench  the wire, rivals, latency \
 	(ARGS=--quick, --smoke)" >&2
 	@echo "make soak      faults on a moving robot        make soak ARGS=\"--faults 500 --seed 7\"" >&2
@@ -84,7 +84,7 @@ test: $(VENV)/built $(VENV)/test $(VENV)/collected
 	@$(PYTEST) --without-long $(ARGS)
 	$(if $(ARGS),,@echo "$(LEFT_OUT)" >&2)
 
-# Also what the mark `long` is at, and the tests with programs of other people: tests/conftest.py.
+# Also the tests marked `long`, and those with programs of others: tests/conftest.py.
 test-all: $(VENV)/built $(VENV)/test $(VENV)/collected
 	@$(PYTEST) $(ARGS)
 
@@ -154,8 +154,7 @@ wheel: $(VENV)/made
 deb: $(VENV)/built
 	@mkdir -p dist && cp "$$(systemd/deb.sh build/deb)" dist/ && ls dist/*.deb
 
-# Builds the guest, boots it once, runs tests/vm/guest there. Where it cannot, it says why and
-# succeeds.
+# Builds the guest, boots it once, runs tests/vm/guest there; or prints why it cannot, and succeeds.
 vm: $(VENV)/built
 	@$(PYTHON) tests/vm/run.py $(ARGS)
 

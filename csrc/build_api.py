@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes what follows from api/*.h alone: words for the bits of the core, the records that it shows
-(both for programs without the core, in daemon/motord/api) and the tables of docs/state-page.md.
-Where motord is installed there is no header. `--check` only reports whether they are up to date."""
+"""Writes the files that follow from api/*.h alone: words for the bits of the core, the records that
+it shows (both for programs without the core, in daemon/motord/api) and the tables of
+docs/state-page.md. Where motord is installed there is no header. `--check` only reports whether
+they are up to date."""
 
 import re
 import sys

@@ -2,7 +2,7 @@
 """Builds `_motord_rt` from api/*.h by cffi in API mode: the C compiler checks every
 field's place.
 
-ABI mode was tried and refused: two swapped fields went through without a word.
+ABI mode was tried and refused: two swapped fields went through silently.
 `MOTORD_CFLAGS` adds compiler flags (sanitizers, -Werror in CI).
 """
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Prints what motord knows, once:   gcc -Icsrc docs/read_state.c -o read_state && ./read_state
+ * Prints the robot's state once:   gcc -Icsrc docs/read_state.c -o read_state && ./read_state
  *                                   /run/motord/demo.page */
 #include <fcntl.h>
 #include <inttypes.h>

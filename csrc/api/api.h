@@ -17,7 +17,7 @@
 enum { LINES_MAX = 4, COMMAND_SOCKETS = 19, FIELD_NAME_BYTES = 64 };
 
 /* ------------------------------------------------------------------------------------- reasons
- * Why the set-point is not what was asked for. Bits of robot_state.reasons; true for this tick
+ * Why the set-point differs from the request. Bits of robot_state.reasons; true for this tick
  * only. */
 enum {
     REASON_LINEAR_VELOCITY = 1 << 0,     /* [limits] linear_m_s */
@@ -37,7 +37,7 @@ enum {
     REASON_LATERAL_JERK = 1 << 14,
     REASON_LATERAL_IMPOSSIBLE = 1 << 15, /* this base cannot move sideways: the lateral part of the
                                             command is left out */
-    REASON_NOT_ARMED = 1 << 16,      /* the state machine has not armed, or the core has disarmed */
+    REASON_NOT_ARMED = 1 << 16,      /* not armed by the state machine, or disarmed by the core */
     REASON_STOP_REQUESTED = 1 << 17, /* control.stop */
     /* no command, or older than its lifetime or command_timeout_s */
     REASON_COMMAND_STALE = 1 << 18,
@@ -48,7 +48,7 @@ enum {
                                    wider one */
     REASON_TURN_IMPOSSIBLE = 1 << 23,  /* this base cannot turn on the spot: the angular part of the
                                           command is left out */
-    REASON_POSITION_UNKNOWN = 1 << 24, /* where a joint is is not known: see
+    REASON_POSITION_UNKNOWN = 1 << 24, /* a joint's position is unknown: see
                                           robot_state.steering.unknown */
     REASON_DERATED = 1 << 25,          /* [joint] derating: see robot_state.derating */
     REASON_JOINT_VELOCITY = 1 << 26, /* the next three of joints without a base: velocity_max_rad_s
@@ -56,7 +56,7 @@ enum {
     REASON_JOINT_ACCELERATION = 1 << 27, /* its acceleration, deceleration or jerk */
     REASON_JOINT_POSITION = 1 << 28, /* position_min_rad or position_max_rad: it goes to that end */
 };
-/* It is to rest, whatever was asked for. */
+/* The base is to rest, whatever was requested. */
 enum { REASONS_TO_STAND = 0x11F0000 };
 
 /* Faults are latched: cleared only by a rising reset_count with every cause gone and a command
@@ -71,7 +71,7 @@ enum {
                                       requested */
     FAULT_TIME_STEP = 1 << 5,      /* dt was NaN, infinite, zero or negative */
     FAULT_EXTERNAL = 1 << 6, /* control.fault: raised by the daemon (a line lost, a check failed) */
-    FAULT_STATE = 1 << 7, /* a value inside the core was not finite: never expected, always rest */
+    FAULT_STATE = 1 << 7,    /* a value inside the core was not finite: must not happen; rest */
     FAULT_OVERSPEED = 1 << 8, /* a wheel that a torque turns is far beyond its limit: a wrong sign,
                                  a slope */
     FAULT_DIRECTION = 1 << 9, /* a wheel turns against its set-point */
@@ -83,7 +83,7 @@ enum {
     FAULT_IMPLAUSIBLE_FEEDBACK = 1 << 13, /* a counter jumps, or its speed is not the one that the
                                              drive reports */
     FAULT_SUSPENDED = 1 << 14,        /* the computer was suspended: set-points are zero at once */
-    FAULT_POSITION_UNKNOWN = 1 << 15, /* where a joint is that takes positions is no longer known,
+    FAULT_POSITION_UNKNOWN = 1 << 15, /* a joint that takes positions: its position became unknown
                                          while armed */
 };
 /* DIRECTION to IMPLAUSIBLE_FEEDBACK: what is measured is not trusted; see robot_state.doubt */
@@ -211,7 +211,7 @@ typedef struct {
                                              brake as they accelerate */
 } core_control;
 
-/* what a drive may say beside position; a value it does not say is NaN */
+/* what a drive may report beside position; a value that it does not report is NaN */
 typedef struct {
     int64_t stamp_ns; /* middle of the exchange that brought it; 0: never received */
     uint64_t count;   /* raw position counter, lowest counter_bits valid */
@@ -219,11 +219,11 @@ typedef struct {
     double current_a;
     double voltage_v;
     double temperature_c;
-    uint32_t epoch;   /* another number: the counter's origin may have moved; seed again */
-    uint32_t enabled; /* 1 the drive says it is enabled, 0 it says it is not, 2 it cannot say */
+    uint32_t epoch;        /* another number: the counter's origin may have moved; seed again */
+    uint32_t enabled;      /* 1 the drive reports enabled, 0 not enabled, 2 it cannot report it */
     uint32_t drive_faults; /* the drive's fault word; 0 none */
-    uint32_t referenced;   /* 1 the drive says that its counter has a reference (homed), 0 it says
-                              not, 2 it cannot say */
+    uint32_t referenced; /* 1 the drive reports that its counter has a reference (homed), 0 that it
+                            has none, 2 it cannot report it */
 } joint_feedback;
 
 typedef struct {
@@ -246,7 +246,7 @@ typedef struct {
 } joint_setpoint;
 
 typedef struct {
-    int64_t stamp_ns; /* the tick that made it; a line sends zero when this is old */
+    int64_t stamp_ns; /* time of its tick; a line sends zero when this is old */
     uint64_t tick;
     uint32_t enabled; /* 0: the line takes the power off its drives now */
     uint32_t joint_count;

@@ -18,7 +18,7 @@ typedef struct {
 typedef enum {
     TWIST_NOT_ONE = 0, /* another encoding, too short, or longer than TWIST_RAW_MAX */
     TWIST_STAMP_ZERO = 1,
-    TWIST_STAMP_AHEAD = 2, /* by more than half a second: its clock is not ours */
+    TWIST_STAMP_AHEAD = 2, /* by more than half a second: the sender's clock is wrong */
     TWIST_REFUSALS = 3
 } twist_refusal;
 
@@ -46,7 +46,7 @@ typedef struct {
     uint32_t running;
 } receiver_report;
 
-/* A command that was taken: its sender. */
+/* The sender of a command that was taken. */
 typedef struct {
     uint64_t writer; /* DDS's publication handle */
     int64_t taken_ns;
@@ -60,23 +60,23 @@ typedef struct {
 int receiver_library(const char *path);
 /* Number of a receiver that is free, or -EBUSY. */
 int receiver_claim(void);
-/* One that has been stopped, or was never started. */
+/* Frees a receiver that was stopped, or never started. */
 void receiver_release(int number);
-/* `reader`: the DDS entity. `event_fd`: written for what has come. 0, -errno, or what DDS says,
- * negative. */
+/* `reader`: the DDS entity. `event_fd`: written when commands have come. 0, -errno, or the error of
+ * DDS, negative. */
 int receiver_start(int number, int32_t reader, int event_fd);
-/* Nothing is taken any more when it returns. 0, -ESRCH: it does not run. */
+/* After its return nothing is taken any more. 0, -ESRCH: it does not run. */
 int receiver_stop(int number);
 void receiver_read(int number, receiver_report *out);
 /* The oldest commands that were sent and not read yet, at most `room`. Returns how many. A full
  * ring drops new ones. */
 int receiver_take_received(int number, received_twist *out, int room);
 
-/* A sign of life of Python's event loop: without one for 2 s no command is sent from DDS. */
+/* Python's event loop is alive: without this call for 2 s no command is sent from DDS. */
 void receiver_alive(int number);
 /* A lease: its connected socket, its token, and the number of its newest command. */
 void receiver_hold(int number, int fd, const uint8_t *token, uint64_t sequence);
-/* It is over; the number of its newest command. The socket is not used any more. */
+/* Ends the lease; returns the number of its newest command. The socket is not used any more. */
 uint64_t receiver_let_go(int number);
 /* Commands from DDS that were sent under any lease so far. */
 uint64_t receiver_direct(int number);

@@ -65,11 +65,11 @@ typedef struct {
     uint32_t number;           /* grows with each lease of the daemon, from 1; 0: no lease */
     uint32_t priority;         /* the higher one commands; among equals the first */
     int64_t lifetime_ns;       /* of a command under it, at most */
-    int64_t interval_least_ns; /* commands that come more often are refused, but for zero; 0: as
-                                  often as they like */
-    int64_t barred_until_ns; /* its owner was held when another lease of its ended: until then it is
-                                held here, too, when its next command begins with motion. Only a
-                                later time is a new bar */
+    int64_t interval_least_ns; /* commands that come more often are refused, but for zero; 0: no
+                                  limit */
+    int64_t barred_until_ns; /* its owner was held when another lease of the owner ended: until then
+                                this lease is held, too, if its next command is motion. Only a later
+                                time counts */
 } lease_permission;
 
 typedef struct {
@@ -83,32 +83,32 @@ typedef enum {
     REFUSED_AGE = 3,      /* from the future, or older than its lifetime */
     REFUSED_LIFETIME = 4,
     REFUSED_NOT_FINITE = 5, /* and the lease commands zero */
-    REFUSED_JOINTS = 6, /* another number of them, or nothing that these joints can do: it commands
-                           zero, too */
+    REFUSED_JOINTS = 6, /* another number of them, or a command that these joints cannot carry out:
+                           it commands zero, too */
     REFUSED_RATE = 7,   /* more often than the lease allows; the one before goes on */
     REFUSED_OUT_OF_RANGE = 8, /* more than ten times the limit: it commands zero, too */
     REFUSAL_KINDS = 9
 } command_refusal;
 
-/* What a lease has come to. */
+/* The state of a lease. */
 typedef struct {
     uint32_t number; /* 0: no lease */
-    uint32_t held;   /* its command counts as zero until zero was asked for */
+    uint32_t held;   /* its command counts as zero until it has requested zero */
     uint32_t fresh;  /* a command of it is alive */
     uint32_t priority;
     uint64_t since;    /* order in which the leases came alive; among equals the lowest commands */
-    uint64_t sequence; /* of the newest command; 0: none came */
+    uint64_t sequence; /* of the newest command; 0: there was none */
     int64_t stamp_ns;
     int64_t expires_ns;
     int64_t taken_ns;    /* when it came */
     int64_t interval_ns; /* from one to the next, smoothed; 0: fewer than two have come */
-    int64_t due_ns;      /* when the next one is not too early, at the rate that is allowed */
-    int64_t lifted_ns;   /* the bar that has been over since a command came; 0: none */
-    double linear_m_s;   /* as asked for */
+    int64_t due_ns;      /* earliest time of the next one, at the allowed rate */
+    int64_t lifted_ns;   /* the newest such time that a command has come after; 0: none */
+    double linear_m_s;   /* as requested */
     double angular_rad_s;
     double lateral_m_s;
     joint_command joints;
-    uint32_t wants_motion; /* something else than zero was asked for */
+    uint32_t wants_motion; /* it requests something else than zero */
     uint32_t reserved;
 } lease_state;
 
@@ -117,8 +117,8 @@ typedef struct {
     uint32_t may_move;  /* a source that requests motion now is not held */
     uint64_t accepted;
     uint64_t refused[REFUSAL_KINDS];
-    uint64_t sideways; /* accepted with a lateral part that this base cannot do, which counts as
-                          zero */
+    uint64_t sideways; /* accepted, but the lateral part counts as zero: this base cannot move
+                          sideways */
     uint64_t on_spot;  /* the same of a turn on the spot */
     lease_state lease[LEASES_MAX];
 } command_report;
@@ -137,13 +137,13 @@ typedef struct {
 /* `base` and `limits` may be none, and else stay the caller's for as long as the arbiter is
  * used. */
 void arbiter_init(arbiter *a, const core_config *base, const base_limits *limits);
-/* New leases begin, those that are not named any more end; the others go on. */
+/* New leases begin, those that are missing end; the others go on. */
 void arbiter_grant(arbiter *a, const lease_permissions *permissions);
 /* 0, or 1 + command_refusal. */
 int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_ns, bool may_move);
-/* The computer was suspended: no command from before lives on. */
+/* The computer was suspended: commands from before do not count any more. */
 void arbiter_resume(arbiter *a, int64_t resumed_ns);
-/* Once a tick, after what came was submitted: which lease commands, and what. */
+/* Once a tick, after new commands were submitted: which lease commands, and what. */
 void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *out);
 /* After it, of a robot without a base: what that lease commands its joints to do. */
 void arbiter_joints(const arbiter *a, joint_command *out);
@@ -188,7 +188,7 @@ typedef struct {
     uint32_t reserved;
 } stop_request_report;
 
-/* Any thread. Acknowledge after exchange_put_control with levels that hold what was requested:
- * up to these counts. */
+/* Any thread. Acknowledge up to these counts, after exchange_put_control with levels that hold what
+ * was requested. */
 void loop_stop_requests(stop_request_report *out);
 void loop_acknowledge_stops(const uint64_t *count); /* STOP_REQUEST_KINDS of them */

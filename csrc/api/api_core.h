@@ -36,18 +36,18 @@ typedef struct {
     uint32_t reserved;
 } twist_inverse;
 
-/* How uncertain the pose becomes: from what the wheels and the base have done since the last look,
- * looked at now and then as plausible_due() is. */
+/* How uncertain the pose becomes: from the motion of wheels and base since the last look; a look is
+ * due as for plausible_due(). */
 typedef struct {
     int64_t stamp_ns;   /* of the last look; 0: begin anew */
     double heading_rad; /* then */
-    double x_m;         /* moved since, in the frame of the pose, as if it had been straight on */
+    double x_m;         /* moved since, in the frame of the pose, as if straight on */
     double y_m;
     double gyro_rad2;         /* variance of what the gyro turned since */
     double rim_m[JOINTS_MAX]; /* travel since */
     uint32_t by_gyro;         /* 1: the turn since is the gyro's */
     uint32_t reserved;
-    /* of each rim, what no motion of the base explains; smoothed */
+    /* of each rim, the part that no motion of the base explains; smoothed */
     double residual_m_s[JOINTS_MAX];
     double slip_m_s;     /* root of their mean square */
     double linear2_m2_s; /* growth of the covariance of the motion in the base's frame */
@@ -58,7 +58,7 @@ typedef struct {
     double lateral_angular_m_rad_s;
 } spread_state;
 
-/* Whether some wheel rolls when the base moves sideways. */
+/* Whether the base can move sideways: some wheel then rolls. */
 bool kinematics_strafes(const core_config *config);
 /* Whether it turns on the spot. */
 bool kinematics_spins(const core_config *config);
@@ -82,7 +82,7 @@ typedef struct {
 /* velocity → duty by config; last_duty is the duty of the step before. NaN: 0. */
 pwm_output pwm_step(const pwm_config *config, double last_duty, double velocity_rad_s, double dt_s);
 
-/* Takes a sample; returns 0..1, and what it is by. A measure that is no number changes nothing. */
+/* Takes a sample; returns 0..1, and its cause. A measure that is not a number changes nothing. */
 double derating_factor(derating_state *state, const derating_config *config,
                        const joint_feedback *feedback, uint32_t *by);
 /* Whether any of it is in use. */
@@ -120,17 +120,16 @@ typedef struct {
 void odometry_init(odometry_state *state, const core_config *config);
 /* Pose to the origin; what was pending is thrown away; position_rad of the joints stays. */
 void odometry_reset(odometry_state *state, const core_config *config);
-/* Take in what is new in feedback[]; stale[j] != 0 leaves joint j out. setpoint[]: for joints that
+/* Take in new feedback[]; stale[j] != 0 leaves joint j out. setpoint[]: for joints that
  * measure nothing. */
 void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback,
                    const uint32_t *stale, const joint_setpoint *setpoint);
 
-/* What follows from a command under the limits in force; kept, because commands are rarer than
- * ticks. */
+/* The results of a command under the limits in force; kept: commands are rarer than ticks. */
 typedef struct {
     double command_u_s[AXES]; /* as it came in */
-    double wanted_u_s[AXES];  /* as it is understood: 0 when not finite */
-    double goal_u_s[AXES];    /* as far as limits and wheels let it go */
+    double wanted_u_s[AXES];  /* as it counts: 0 when not finite */
+    double goal_u_s[AXES];    /* as far as limits and wheels allow */
     double saturation;
     uint32_t command_reasons;
     uint32_t reasons;
@@ -152,7 +151,7 @@ typedef struct {
 /* Of a base with modules. */
 typedef struct {
     position_profile profile[JOINTS_MAX]; /* by joint */
-    double unsure_s[JOINTS_MAX];          /* ESTIMATED: so long it may still come from anywhere */
+    double unsure_s[JOINTS_MAX]; /* ESTIMATED: time for which it may still come from anywhere */
     double pace_rad_s; /* so fast a wheel's direction changes while the base moves, and no profile
                           lags much */
     double curvature_min_per_m; /* what the ranges of all steering joints allow: -INFINITY..0 */
@@ -161,14 +160,14 @@ typedef struct {
     position_following following[JOINTS_MAX];
     uint32_t turns_on_spot;
     uint32_t enabled; /* in the last tick */
-    uint32_t unknown; /* bit n: where joint n is is not known */
+    uint32_t unknown; /* bit n: the position of joint n is unknown */
     uint32_t reserved;
 } steer_state;
 
 typedef struct {
     core_config config;
     base_limits limits;         /* in force */
-    uint64_t command_window_ns; /* timeouts, from the farthest stamp in the future that is taken */
+    uint64_t command_window_ns; /* timeouts, from the farthest stamp in the future that counts */
     uint64_t feedback_window_ns;
     uint64_t heartbeat_window_ns;
     core_goal goal;
@@ -186,7 +185,7 @@ typedef struct {
     uint32_t stale[JOINTS_MAX]; /* 1: the joint has sent no feedback for feedback_timeout_s */
     uint64_t tick;
     uint32_t armed;
-    uint32_t armed_seen; /* control.armed of the tick before: arming wants an edge */
+    uint32_t armed_seen; /* control.armed of the tick before: arming needs an edge */
     uint32_t reset_seen;
     uint32_t odometry_reset_seen;
     uint32_t gains_seen;
@@ -199,8 +198,9 @@ typedef struct {
     uint32_t slow;      /* no wheel with feedback turned faster than rest_velocity_rad_s */
     uint32_t at_rest;   /* after the last tick */
     uint32_t slewed;    /* 1: a joint has a duty slew */
-    uint32_t axes; /* that the base moves by: AXES, or without the lateral one, which is the last */
-    uint32_t steered;   /* 1: a base with modules */
+    uint32_t axes;    /* axes that the base moves by: AXES, or without the lateral one, which is the
+                         last */
+    uint32_t steered; /* 1: a base with modules */
     uint32_t positions; /* 1: a joint takes positions */
     uint32_t extras;    /* not 0: it has positions, a gyro or speed loops */
     /* bit n: joint n has a speed loop, and with its gains one that does something */

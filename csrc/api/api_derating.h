@@ -1,8 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_derating.h: how the base becomes slower with what its drives measure, and since when a reason
- * holds. Read before api.h, and like it: typedefs, enums, comments and prototypes, no preprocessor
- * line.
+ * api_derating.h: how measures of the drives slow the base down, and since when a reason holds.
+ * Read before api.h, and like it: typedefs, enums, comments and prototypes, no preprocessor line.
  */
 
 enum {

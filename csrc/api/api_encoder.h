@@ -23,11 +23,11 @@ typedef struct {
     int64_t edge_ns; /* the newest one; of a counter, the look that found another count */
     uint64_t raw;    /* COUNTER: what it gave last */
     uint32_t seeded;
-    uint32_t levels;   /* EDGES: 2 A + B */
-    uint32_t sequence; /* EDGES: of the newest event; 0: none yet */
-    uint32_t epoch;    /* another number: edges were lost, the count's origin has moved */
-    uint64_t illegal;  /* edges to a level which the line had already: a pulse that was too short */
-    uint64_t lost;     /* events that the kernel could not keep */
+    uint32_t levels;    /* EDGES: 2 A + B */
+    uint32_t sequence;  /* EDGES: of the newest event; 0: none yet */
+    uint32_t epoch;     /* another number: edges were lost, so the count has a new origin */
+    uint64_t illegal;   /* edges to the level that the line already had: the pulse was too short */
+    uint64_t lost;      /* events that the kernel could not keep */
     int64_t from_count; /* where the last measure of the speed ended */
     int64_t from_ns;
     double counts_per_s;
@@ -39,7 +39,7 @@ typedef struct {
 typedef struct {
     int64_t count;    /* running on for ever */
     int64_t stamp_ns; /* when the board counted so far */
-    uint32_t origin;  /* another number: the board has begun anew */
+    uint32_t origin;  /* another number: the board has restarted */
     uint32_t reserved;
 } encoder_sample;
 
@@ -47,14 +47,14 @@ void encoder_init(encoder_state *state, const encoder_config *config);
 /* An event of a line: its level now, the kernel's number of the event, its time. */
 void encoder_edge(encoder_state *state, const encoder_config *config, uint32_t offset, bool high,
                   uint32_t sequence, int64_t stamp_ns);
-/* What a counter says now. */
+/* The present count of a counter. */
 void encoder_counter(encoder_state *state, const encoder_config *config, uint64_t raw,
                      int64_t now_ns);
-/* REPORTED: what the board has counted. */
+/* REPORTED: the board's count. */
 void encoder_reported(encoder_state *state, const encoder_config *config,
                       const encoder_sample *sample);
 /* Of the wheel, since the last call. */
 double encoder_velocity_rad_s(encoder_state *state, const encoder_config *config, int64_t now_ns);
-/* Takes what the descriptor holds, a bounded number of events. 0 or -errno. */
+/* Takes the descriptor's events, a bounded number of them. 0 or -errno. */
 int encoder_read(encoder_state *state, const encoder_config *config, int64_t now_ns);
 int encoder_config_check(const encoder_config *config); /* 0 or -EINVAL */

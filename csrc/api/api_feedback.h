@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_feedback.h: what the core makes of one joint's feedback, and what makes it doubt. Read before
- * api.h, and like it: typedefs, enums, comments and prototypes, no preprocessor line.
+ * api_feedback.h: how the core evaluates one joint's feedback, and when it does not trust it. Read
+ * before api.h, and like it: typedefs, enums, comments and prototypes, no preprocessor line.
  */
 
 /* What follows from a joint's configuration alone. counter_*: 0 without a counter. */
@@ -10,32 +10,32 @@ typedef struct {
     double reach_rad_s;            /* the wheel turns no faster */
     double counter_rad;            /* per count, signed */
     double counter_slack_rad;      /* travel by the counter may be beyond reach by this */
-    double counter_round_rad;      /* after this angle the counter shows the same number again */
+    double counter_round_rad;      /* the angle after which the counter repeats */
     double counter_unused_max_rad; /* so much unused reach is carried over */
     uint32_t counter_bits_unused;  /* of a 64 bit word */
     uint32_t reserved;
 } joint_constants;
 
 typedef struct {
-    uint64_t count;   /* travel is counted from: of the last sample that was believed */
-    uint64_t refused; /* of the last sample, where it was not believed */
+    uint64_t count;   /* travel counts from here: the last accepted sample */
+    uint64_t refused; /* of the last sample, if it was refused */
     int64_t stamp_ns; /* last sample's */
     uint32_t epoch;
-    uint32_t last;  /* the last sample: none, believed or refused */
+    uint32_t last;  /* the last sample: none, accepted or refused */
     uint32_t fresh; /* a sample came since the last integration */
     uint32_t jumps;
     double pending_rad; /* travelled since the last integration */
     double position_rad;
     double velocity_rad_s;
-    double since_rad;         /* how far the wheel can have turned since `count` */
-    double unused_rad;        /* and how far it could have turned before and did not */
+    double since_rad;         /* how far the wheel may have turned since `count` */
+    double unused_rad;        /* and unused reach from before */
     double credited_rad;      /* estimated since `count` */
     joint_constants constant; /* as odometry_init() found them */
 } joint_odometry;
 
 /* Of one joint. All at the wheel. A time of 0 switches a check off. */
 typedef struct {
-    double setpoint_min_rad_s; /* >= 0: a slower set-point says nothing about direction and stall */
+    double setpoint_min_rad_s; /* >= 0: below it direction and stall are not checked */
     double slow_rad_s;         /* >= 0: a wheel slower than this does not turn */
     double short_rad_s;        /* >= 0: a wheel that lacks more than this does not follow */
     double beyond_rad_s;       /* >= 0: a wheel that is faster by more than this runs away */
@@ -52,7 +52,7 @@ typedef struct {
     uint32_t reserved;
 } plausible_config;
 
-/* Why the feedback is not believed, or the drive does not follow its set-points: for a person. */
+/* Why the feedback is not trusted, or the drive does not follow its set-points: for users. */
 typedef struct {
     int64_t since_ns;
     double setpoint_rad_s;

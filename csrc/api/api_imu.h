@@ -5,7 +5,7 @@
  * those of the base: x forward, y left, z up (REP-103).
  */
 
-/* What a sensor says, turned into the base's axes. NaN: it does not measure that. */
+/* A sensor's sample in the base's axes. NaN: it does not measure that. */
 typedef struct {
     int64_t stamp_ns; /* when it was true; 0: never received */
     double angular_rad_s[3];
@@ -17,7 +17,7 @@ typedef struct {
 typedef struct {
     uint32_t used; /* 0: there is no gyro, the rest is not looked at */
     uint32_t reserved;
-    double timeout_s;      /* > 0: a sample that is older says nothing of now */
+    double timeout_s;      /* > 0: an older sample does not count */
     double bias_max_rad_s; /* > 0: a zero-rate offset beyond it is a turn, or a broken sensor */
     double still_variance_rad2_s2; /* > 0: a rate that varies by more is not that of a base that
                                       stands */
@@ -28,7 +28,7 @@ typedef struct {
 /* imu_state.state */
 enum {
     GYRO_NONE = 0,     /* there is none, or it was never received */
-    GYRO_UNBIASED = 1, /* received, but the base has not stood still long enough to know its zero */
+    GYRO_UNBIASED = 1, /* received, but the base has not rested long enough to find its zero */
     GYRO_USED = 2,     /* the heading follows it */
     GYRO_STALE = 3,    /* its last good sample is too old: the heading follows the wheels */
     GYRO_REVERSED = 4, /* it turned against the wheels, so it is mounted in another position than
@@ -57,7 +57,7 @@ typedef struct {
     double bias_variance_rad2_s2;
     double rate_variance_rad2_s2; /* of single samples while the base stood */
     int64_t bias_stamp_ns;        /* of the newest estimate; 0: none */
-    uint32_t epoch; /* of the integral: another number, and a part of the turn is not in it */
+    uint32_t epoch; /* of the integral: another number means that a part of the turn is missing */
     uint32_t sensor_epoch;
     uint32_t refused;        /* samples that were no numbers, off the scale or out of order */
     uint32_t still;          /* 1: the base stands, by wheels and gyro */
@@ -78,13 +78,13 @@ typedef struct {
 } gyro_state;
 
 void gyro_init(gyro_state *state);
-/* What it turns from its last sample to the next one is not known. */
+/* The turn from its last sample to the next one is unknown. */
 void gyro_lose(gyro_state *state);
 /* Takes in a sample if it is a new one. wheels_rest: by feedback, of all wheels. */
 void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *sample,
                int64_t now_ns, bool wheels_rest);
-/* How far the base has turned from the moment asked for last to this one, and with which variance.
- * false: the gyro does not know all of it. */
+/* How far the base has turned since the moment of the last call, and with which variance. false:
+ * the gyro has not measured all of it. */
 bool gyro_turn(gyro_state *state, const gyro_config *config, int64_t moment_ns, double *turn_rad,
                double *variance_rad2);
 /* Compares a turn of both; true for good once they have turned against each other for too long. */

@@ -45,8 +45,8 @@ int exchange_take_control(exchange *x, core_control *out);
 int exchange_take_feedback(exchange *x, uint32_t joint, joint_feedback *out);
 int exchange_take_imu(exchange *x, imu_sample *out);
 int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value);
-/* How often a line's set-points have become enabled: newest wins, so a line may never see those of
- * a short while. Read it before the take: what is taken is at least as new. */
+/* How often a line's set-points have become enabled: newest wins, so a line may miss those of a
+ * short time. Read it before the take: the taken value is at least as new. */
 uint64_t exchange_enabled_count(const exchange *x, uint32_t line);
 /* An eventfd that wakes a line's thread before its time; -1: none. It stays open as long as the
  * process lives. */
@@ -85,7 +85,7 @@ enum {
     STAGE_WAKE = 0,   /* from the deadline to the thread's wake-up */
     STAGE_INPUT = 1,  /* commands, control and feedback are taken */
     STAGE_CORE = 2,   /* core_step */
-    STAGE_OUTPUT = 3, /* set-points to the lines, state page, journal */
+    STAGE_OUTPUT = 3, /* set-points for the lines, state page, journal */
     STAGE_NOTIFY = 4, /* lines and asyncio are woken, the watchdog's pin moves */
     TICK_STAGES = 5
 };
@@ -93,7 +93,7 @@ enum { LATE_TICKS_MAX = 1024 }; /* a power of two */
 typedef struct {
     int64_t deadline_ns;
     int64_t stage_ns[TICK_STAGES];
-    /* the thread could have run and had no CPU; -1: the kernel does not count it */
+    /* the thread was ready but had no CPU; -1: the kernel does not count it */
     int64_t ready_ns;
     uint32_t page_faults; /* minor and major */
     uint32_t preemptions; /* involuntary context switches */
@@ -123,8 +123,8 @@ typedef struct {
     uint32_t lock_memory;      /* 1: mlockall(MCL_CURRENT | MCL_FUTURE) */
     uint32_t hold_dma_latency; /* 1: /dev/cpu_dma_latency open and 0 while the loop runs */
     guard_config guard;
-    int64_t late_from_ns; /* ticks whose wake-up or end is so late are recorded; 0: none is, and no
-                             tick pays for it */
+    int64_t late_from_ns; /* ticks whose wake-up or end is this late are recorded; 0: none, without
+                             any cost */
 } loop_config;
 
 typedef struct {
@@ -163,6 +163,6 @@ int loop_start(const loop_config *loop, const core_config *core);
 int loop_stop(void); /* last set-points zero and not enabled; 0 or -ESRCH */
 void loop_status_read(loop_status *out);
 int loop_histogram_read(uint32_t kind, histogram *out);
-int loop_histogram_clear(void);     /* asked for; done by the loop at its next tick */
+int loop_histogram_clear(void);     /* a request; the loop does it at its next tick */
 int loop_late_take(late_tick *out); /* 1: the oldest late tick; 0: there is no more. One reader */
 int loop_state_read(robot_state *out); /* as page_read, on the loop's own page */

@@ -29,7 +29,7 @@ typedef struct {
     double acceleration_rad_s2; /* > 0, in both directions */
     double following_rad; /* >= 0: so far it may be from its set-point, beside what it lags while it
                              moves */
-    double following_s;   /* >= 0: a fault where it is farther for so long; 0: no check */
+    double following_s;   /* >= 0: a fault if it is farther for this long; 0: no check */
 } position_config;
 
 /* Where a wheel meets the floor, and which joints move it. A steered wheel rolls to angle_rad + the

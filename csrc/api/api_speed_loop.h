@@ -19,9 +19,9 @@ typedef struct {
 } speed_loop_gains;
 
 typedef struct {
-    speed_loop_gains gains; /* until the control puts others */
+    speed_loop_gains gains; /* until the control sets others */
     double filter_s;        /* >= 0: time constant of the measure that the derivative is taken of */
-    double correction_max_u; /* >= 0: so much the loop may differ from its feed-forward */
+    double correction_max_u; /* >= 0: largest difference of the output from its feed-forward */
     double output_min_u;     /* <= 0 */
     double output_max_u;     /* >= 0 */
     uint32_t kind;           /* speed_loop_kind */
@@ -32,7 +32,7 @@ typedef struct {
     double integral_u;
     double slow_rad_s;  /* the measure through the derivative's filter */
     double want_rad_s;  /* of the step before */
-    double output_u;    /* what went out in the step before, of the loop or not */
+    double output_u;    /* output of the step before, of the loop or not */
     uint32_t begun;     /* 0: the next step goes on from output_u */
     uint32_t overspeed; /* 1: no output any more, until the power has been off */
 } speed_loop_state;

@@ -8,10 +8,10 @@
 #include "rt.h"
 
 enum { LOOKS_MAX = 8 };
-/* Two readings of the clock that lie further apart leave open what lies between them. */
+/* Two readings that are further apart than this do not bound the time between them. */
 static const int64_t APART_MAX_NS = 1000000;
-/* CLOCK_BOOTTIME goes on during a suspend: ahead of CLOCK_MONOTONIC by so much more than before,
- * and there was one. */
+/* CLOCK_BOOTTIME goes on during a suspend: if it is ahead of CLOCK_MONOTONIC by so much more than
+ * before, there was a suspend. */
 static const int64_t SUSPEND_LEAST_NS = 5000000;
 
 static _Atomic int64_t ahead_ns = INT64_MIN; /* of CLOCK_BOOTTIME; INT64_MIN: not known yet */
@@ -29,9 +29,8 @@ int64_t clock_now_ns(void)
     return read_ns(CLOCK_MONOTONIC);
 }
 
-/* The first thread that looks after a resume notes it, before the others can find the clocks as
- * they should be. One that was held up while it looked changes nothing that another has noted
- * since. */
+/* The first thread that looks after a resume notes it, before the others can find the clocks in
+ * step. A thread that was delayed while it looked changes nothing that another has noted since. */
 int64_t clock_resumed_ns(void)
 {
     int64_t noted_ns = atomic_load(&resumed_ns);

@@ -114,8 +114,8 @@ static uint32_t fault_reason(bool fresh, bool left_alone, bool enabled, bool was
     return !enabled && was_enabled ? DRIVE_FAULT_NOT_ENABLED : 0;
 }
 
-/* Old set-points, or a drive that was left alone and may have stopped by itself: quick stop. Not
- * enabled any more, or no place to begin from: no power. */
+/* Old set-points, or a drive that got nothing for its watchdog's time and may have stopped: quick
+ * stop. Not enabled any more, or an unknown position: no power. */
 drive_stop drive_guard(drive_state *drive, const drive_view *view)
 {
     if (drive->mode != DRIVE_ARMED) {
@@ -193,7 +193,7 @@ static drive_request obey(drive_state *drive, uint32_t mode, bool stops, const d
     return REQUEST_SEEN;
 }
 
-/* A stop that is pending stays so, whatever is requested after it. */
+/* A pending stop stays pending, whatever is requested after it. */
 drive_answer drive_obey(drive_state *drive, const mode_request *request, const drive_view *view)
 {
     drive_answer answer = {.request = REQUEST_NONE, .stop = STOP_NOTHING};

@@ -1,13 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fault_word.h: what of a drive's fault word has to stop the robot. */
+ * fault_word.h: the part of a drive's fault word that has to stop the robot. */
 #ifndef MOTORD_FAULT_WORD_H
 #define MOTORD_FAULT_WORD_H
 
 #include <stdbool.h>
 #include <stdint.h>
 
-/* The bits that are no warnings; of a word that is a number: itself, or 0 where it is among the
- * harmless ones. */
+/* The bits without the warnings; of a word that is a number: itself, or 0 if it is harmless. */
 static inline uint32_t fault_that_stops(uint32_t word, bool is_code, uint32_t harmless_bits,
                                         const uint32_t *harmless, uint32_t harmless_codes)
 {

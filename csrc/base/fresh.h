@@ -7,7 +7,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-static const int64_t STAMP_AHEAD_NS = 10000000; /* a stamp may be so much ahead of now: it was
+static const int64_t STAMP_AHEAD_NS = 10000000; /* a stamp may be ahead of now by this: it was
                                                    written meanwhile */
 
 /* The width of fresh_within(): from STAMP_AHEAD_NS ahead of now to the timeout behind it. */
@@ -24,14 +24,14 @@ static inline bool fresh_within(int64_t now_ns, int64_t stamp_ns, uint64_t windo
            (uint64_t)now_ns - (uint64_t)stamp_ns + (uint64_t)STAMP_AHEAD_NS <= window_ns;
 }
 
-/* CLOCK_MONOTONIC stands still while the computer is suspended: what was stamped before is worth
- * no more than never. */
+/* CLOCK_MONOTONIC stands still while the computer is suspended: a stamp from before a suspend
+ * counts as never. */
 static inline int64_t stamp_since(int64_t stamp_ns, int64_t resumed_ns)
 {
     return stamp_ns >= resumed_ns ? stamp_ns : 0;
 }
 
-/* Not older than the timeout, not of the future. timeout_ns >= 0. */
+/* Not older than the timeout, not from the future. timeout_ns >= 0. */
 static inline bool fresh_stamp(int64_t now_ns, int64_t stamp_ns, int64_t timeout_ns)
 {
     return fresh_within(now_ns, stamp_ns, fresh_window_ns(timeout_ns));

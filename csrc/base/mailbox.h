@@ -3,8 +3,8 @@
  *
  * The writer owns one slot, the reader another; the third lies between them and changes hands by
  * one atomic exchange. So neither ever waits, and neither can see half a value. A sequence lock
- * over plain memory would be smaller, but it is a data race by the language's rules and
- * ThreadSanitizer says so. */
+ * over plain memory would be smaller, but it is a data race by the language's rules, and
+ * ThreadSanitizer reports it. */
 #ifndef MOTORD_MAILBOX_H
 #define MOTORD_MAILBOX_H
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * bus.h: what the second process has of C: bus_twist.c knows messages, bus_outlet.c sends under a
- * lease, bus_receiver.c waits for DDS. Nothing of them is in the daemon. */
+ * bus.h: the C part of the second process: bus_twist.c decodes messages, bus_outlet.c sends under a
+ * lease, bus_receiver.c waits for DDS. The daemon has none of them. */
 #ifndef MOTORD_BUS_H
 #define MOTORD_BUS_H
 
@@ -20,7 +20,7 @@ typedef struct {
     uint8_t token[LEASE_TOKEN_BYTES];
     uint64_t sequence;
     uint64_t direct;
-    int64_t alive_ns; /* the newest sign of life of Python */
+    int64_t alive_ns; /* when Python was last alive */
 } outlet;
 
 void outlet_init(outlet *o);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * bus_outlet.c: sends under a lease, from several threads. The daemon obeys growing numbers only,
+ * bus_outlet.c: sends under a lease, from several threads. The daemon accepts growing numbers only,
  * so a number is taken and sent under one lock; a new lease comes between two commands. */
 #include "bus.h"
 

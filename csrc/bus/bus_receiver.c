@@ -1,9 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
  * bus_receiver.c: hands the commands of a DDS reader to the daemon, in the thread of Cyclone that
- * received them. It never needs Python: what Python wants to know lies in a report and in a ring.
+ * received them. It never needs Python, which reads a report and a ring.
  *
  * The C library is the one that the Cyclone DDS binding has loaded. Its headers are no part of its
- * package; what is used of it is declared here, as dds/dds.h and dds/ddsi/ddsi_serdata.h of
+ * package; the used part is declared here, as dds/dds.h and dds/ddsi/ddsi_serdata.h of
  * version 11 have it. */
 #include "bus.h"
 
@@ -95,7 +95,7 @@ int receiver_library(const char *path)
         if (found == NULL) {
             return -ELIBACC;
         }
-        /* ISO C converts no object's address into a function's */
+        /* ISO C does not convert an object pointer to a function pointer */
         memcpy(wanted[i].place, &found, sizeof found);
     }
     return 0;
@@ -262,7 +262,7 @@ int receiver_stop(int number)
     if (r == NULL || !r->running) {
         return -ESRCH;
     }
-    (void)dds.set_listener(r->reader, NULL); /* waits for a call that goes on */
+    (void)dds.set_listener(r->reader, NULL); /* waits for a call in progress */
     r->running = false;
     return 0;
 }

@@ -2,7 +2,7 @@
  * bus_twist.c: geometry_msgs/TwistStamped in plain CDR (DDS-XTypes 1.3, 7.4.1: encoding version 1),
  * and how old it is.
  *
- *   0  int32   stamp.sec       from the end of the header of 4 bytes, which says the byte order
+ *   0  int32   stamp.sec       from the end of the header of 4 bytes, which has the byte order
  *      (RTPS 2.5, 10.2.1.2)
  *   4  uint32  stamp.nanosec
  *   8  uint32  length of frame_id, with its end, then its bytes, then up to 7 bytes, so that what
@@ -63,7 +63,7 @@ int stamp_age(double stamp_s, double wall_s, double *age_s)
         return 1 + TWIST_STAMP_ZERO;
     }
     double age = wall_s - stamp_s;
-    if (!(age >= -AHEAD_MAX_S)) { /* also what is no number */
+    if (!(age >= -AHEAD_MAX_S)) { /* also a NaN */
         return 1 + TWIST_STAMP_AHEAD;
     }
     *age_s = age < 0.0 ? 0.0 : age > OLD_S ? OLD_S : age;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * check.c: every number of a configuration, one by one, before anything moves by it.
+ * check.c: checks every number of a configuration before it is used.
  */
 #include "core.h"
 
@@ -189,7 +189,7 @@ static const char *bad_joint_field(const joint_config *joint)
 }
 
 /* A fixed wheel of a base with modules rolls straight on, on the axle about which the base
- * turns: another one would slide. */
+ * turns: any other one would slide. */
 static const char *bad_module_field(const core_config *config, const wheel_module *module,
                                     uint32_t *named)
 {
@@ -224,7 +224,7 @@ static const char *bad_module_field(const core_config *config, const wheel_modul
     return NULL;
 }
 
-/* Every joint has one module, and one thing to do there. */
+/* Every joint has one module, and one role in it. */
 static const char *bad_modules(const core_config *config, char *name)
 {
     uint32_t named = 0, steered = 0;

@@ -21,7 +21,7 @@
 /* after a fault: zero this long, and the power goes off anyway */
 static const int64_t HOLD_AT_ZERO_NS = 2000000000;
 
-/* not finite when one of them is not */
+/* not finite if one of them is not */
 static double setpoint_sum(const core_state *state)
 {
     double sum = 0.0;
@@ -106,7 +106,7 @@ static void set_wheels(core_state *state, tick *t, double dt_s, uint32_t slewing
     wheels->known = !(reasons & REASON_DUTY_SLEW);
 }
 
-/* The goal, which is within the limits, is reached: the ramp would change nothing. */
+/* The goal, which is within the limits, is reached: a ramp would change nothing. */
 static bool settled(const core_state *state, const double *goal_u_s)
 {
     for (uint32_t i = 0; i < state->axes; i++) {
@@ -342,7 +342,7 @@ static void measure(core_state *state, tick *t)
     snapshot_write_feedback(state, t->input->feedback);
 }
 
-/* The last look at what has been computed: nothing that is not a number leaves. */
+/* The last check of the results: no NaN leaves. */
 static void guard(core_state *state, tick *t)
 {
     if (isfinite(t->checksum + setpoint_sum(state))) {
@@ -357,7 +357,7 @@ static void guard(core_state *state, tick *t)
 }
 
 /* When a fault has brought the base to rest, the power goes off; where it is to hold, on request.
- * Feedback that is not trusted proves no rest: then it is time alone that counts. */
+ * Untrusted feedback does not prove rest: then only the time counts. */
 static void release(core_state *state, const tick *t)
 {
     int64_t now_ns = t->input->now_ns;
@@ -378,8 +378,7 @@ static void release(core_state *state, const tick *t)
     }
 }
 
-/* Zero, and only where the drives are enabled in this very tick what the wheels shall do; every
- * byte is written. */
+/* Zero; the wheels' set-points only if this same tick enables the drives. Every byte is written. */
 static void write_setpoints(const core_state *state, const tick *t, setpoints *out)
 {
     out->stamp_ns = t->input->now_ns;
@@ -397,7 +396,7 @@ static void write_setpoints(const core_state *state, const tick *t, setpoints *o
     out->positioned = out->reserved = 0;
 }
 
-/* What only some bases have: joints that take positions, a gyro, duties of speed loops. */
+/* For some bases only: joints that take positions, a gyro, duties of speed loops. */
 __attribute__((noinline)) static void write_extras(core_state *state, const tick *t, setpoints *out)
 {
     if (state->positions) {
@@ -413,7 +412,7 @@ __attribute__((noinline)) static void write_extras(core_state *state, const tick
     }
 }
 
-/* What only some joints have, so that a base without it need not look in every tick. */
+/* For some joints only, so that a base without them checks nothing in every tick. */
 static void note_extras(core_state *state)
 {
     for (uint32_t j = 0; j < state->config.joint_count; j++) {

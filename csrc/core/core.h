@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * core.h: what the pure files share among themselves and Python does not see. */
+ * core.h: what the pure files share and Python does not see. */
 #ifndef MOTORD_CORE_H
 #define MOTORD_CORE_H
 
@@ -44,14 +44,14 @@ uint32_t ramp_joint_step(limit_state *axis, uint32_t axes, const base_limits *li
                          const core_config *slewed, const double *goal_u_s, double dt_s,
                          bool urgent, uint32_t *slewing);
 
-/* Is it time to look at a joint's newest sample? Those that come faster are taken together. Checks
- * that have not begun have a stamp of 0: so long ago that it is time. */
+/* Is it time to look at a joint's newest sample? Faster ones are taken together. Checks that have
+ * not begun have a stamp of 0: they are due. */
 static inline bool plausible_due(const plausible_state *state, const joint_odometry *joint)
 {
     const int64_t least_ns = 5000000;
     return joint->stamp_ns - state->stamp_ns >= least_ns;
 }
-/* Takes a sample that is due. false: a check was not met, and why. `reported_rad_s` is the
+/* Takes a sample that is due. false: a check failed, and why. `reported_rad_s` is the
  * drive's own measure. */
 bool plausible(plausible_state *state, const plausible_config *config, const joint_odometry *joint,
                double reported_rad_s, double setpoint_rad_s, feedback_doubt *why);
@@ -69,7 +69,7 @@ void modules_take_angle(odometry_state *state, const core_config *config, uint32
 void modules_look(odometry_state *state, const core_config *config, uint32_t joints);
 /* The next one begins at the angles that are known now. */
 void modules_end_arc(odometry_state *state);
-/* What no motion of the base explains of an arc. */
+/* The part of an arc that no motion of the base explains. */
 void modules_slip(odometry_state *state, const core_config *config, uint32_t joints,
                   const double *rim_m, const double *twist_u, double elapsed_s);
 
@@ -90,14 +90,13 @@ static inline bool odometry_finite(const odometry_state *state, uint32_t joint_c
     return isfinite(sum);
 }
 
-/* The pose's covariance takes in what has been done since the last look, which is over at
- * `now_ns`. */
+/* Adds the motion since the last look to the pose's covariance; the look ends at `now_ns`. */
 static const int64_t SPREAD_EVERY_NS = 50000000;
 void spread_look(odometry_state *state, const core_config *config, int64_t now_ns);
 void spread_floor(odometry_state *state, const core_config *config);
 
-/* The wheels that send feedback do not determine the motion: let the variance grow as if nothing
- * were known of what the set-points make the wheels do meanwhile. */
+/* The wheels that send feedback do not determine the motion: let the variance grow as if the motion
+ * by the set-points were unknown. */
 void odometry_drift(odometry_state *state, const core_config *config,
                     const joint_setpoint *setpoint, double dt_s);
 

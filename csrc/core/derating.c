@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * derating.c: how much of its speed limits a joint leaves the base. Measures are smoothed by a low
- * pass, so that the current of a ramp, and the voltage that sags under it, do not make the base
+ * derating.c: the part of its speed limits that a joint leaves the base. Measures are smoothed by a
+ * low pass, so that the current of a ramp, and the voltage that sags under it, do not make the base
  * hunt.
  */
 #include "rt.h"

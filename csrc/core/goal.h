@@ -26,8 +26,8 @@ static inline uint32_t limit_direction(const core_state *state, double *twist_u_
     double lateral = within(lateral_m_s, state->limits.lateral.velocity_u_s);
     twist_u_s[AXIS_LINEAR] = linear;
     twist_u_s[AXIS_LATERAL] = lateral;
-    /* which of the two has to fall by the larger part, without a quotient that may be rounded
-     * up; not one that is 0 */
+    /* the one of the two that has to fall by the larger part; no quotient, which may round up; not
+     * one that is 0 */
     if (fabs(linear * lateral_m_s) < fabs(lateral * linear_m_s)) {
         twist_u_s[AXIS_LATERAL] = within(lateral_m_s * (linear / linear_m_s), fabs(lateral));
     } else if (lateral_m_s != 0.0) {
@@ -130,7 +130,7 @@ static inline void choose_goal(core_state *state, tick *t, double *goal_u_s)
     t->reasons |= goal->reasons;
 }
 
-/* The joint that leaves the base the least of its speed limits. */
+/* The joint that derates the base most. */
 __attribute__((noinline)) static void take_derating(core_state *state, const tick *t)
 {
     derating_shown now = {.factor = 1.0}, *shown = &state->snapshot.derating;

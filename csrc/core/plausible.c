@@ -4,8 +4,8 @@
  *
  * A check that holds for its time is a fault. None of those that compare with the set-point counts
  * while the wheel comes nearer to it: a drive whose own ramp is slower than the core's lags for as
- * long as it takes. Speeds are smoothed, so that a coarse encoder, or a counter that is renewed
- * slowly, is as good as any other.
+ * long as it takes. Speeds are smoothed, so that a coarse encoder, or a slowly renewed counter,
+ * works like any other.
  */
 #include "core.h"
 
@@ -34,9 +34,8 @@ static void begin(plausible_state *state, const joint_odometry *joint)
     };
 }
 
-/* The speed, and that which the drive reports, smoothed alike: what both lag behind is no
- * difference. And how far from its mean the latter is: what is +343 and -343 in turn has a good
- * one. */
+/* The measured speed and the reported one, smoothed alike, so that a common lag is no difference.
+ * And the reported one's distance from its mean: +343 and -343 in turn have a plausible mean. */
 static void measure(plausible_state *state, const joint_odometry *joint, double reported_rad_s)
 {
     double elapsed_s = (double)(joint->stamp_ns - state->stamp_ns) * 1e-9;
@@ -61,7 +60,7 @@ static uint32_t suspicions(const plausible_state *state, const plausible_config 
 {
     double wanted_rad_s = fabs(setpoint_rad_s), speed_rad_s = fabs(state->measured_rad_s);
     bool against = setpoint_rad_s * state->measured_rad_s < 0.0;
-    /* no wheel is too slow for a set-point of zero */
+    /* a set-point of zero never makes a wheel too slow */
     double along_rad_s = against ? -speed_rad_s : speed_rad_s;
     double reported_rad_s = fabs(state->reported_rad_s);
     double allowed_rad_s = APART * (speed_rad_s > reported_rad_s ? speed_rad_s : reported_rad_s);
@@ -85,8 +84,7 @@ static uint32_t suspicions(const plausible_state *state, const plausible_config 
     return found;
 }
 
-/* It has come nearer to its set-point than ever since the checks began, or beyond it: it is only
- * slow. */
+/* It has come nearer to its set-point than before, or beyond it: it is only slow. */
 static bool comes_nearer(plausible_state *state, const plausible_config *config,
                          double setpoint_rad_s)
 {

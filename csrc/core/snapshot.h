@@ -11,15 +11,15 @@
 
 #include "core.h"
 
-/* What one tick knows beside its state. */
+/* The values of one tick, beside its state. */
 typedef struct {
     const core_input *input;
-    double dt_s; /* 0: what came was no time step */
+    double dt_s; /* 0: not a valid time step */
     double command_age_s;
     double saturation;
-    double checksum; /* of all that has been computed with: not finite when one of it is not */
+    double checksum; /* sum of all values in use: not finite if one of them is not */
     uint32_t reasons;
-    bool calm; /* armed, asked to go on, and nothing amiss */
+    bool calm; /* armed, requested to go on, and nothing wrong */
     bool go;   /* armed, and the command counts */
     bool command_fresh;
     bool command_zero;
@@ -45,7 +45,7 @@ static inline void write_joint(const core_state *state, const joint_feedback *fe
     to->stale = state->stale[j];
     to->jumps = odometry->jumps;
     if (feedback->stamp_ns <= 0) {
-        /* never received: all of it is zero, and zero volts would be a lie */
+        /* never received: all of it is zero, and zero volts would be wrong */
         to->current_a = to->voltage_v = to->temperature_c = (double)NAN;
         to->enabled = 2;
     }
@@ -180,7 +180,7 @@ static inline void snapshot_write(core_state *state, const tick *t)
     to->saturation = t->saturation;
 }
 
-/* every byte is a field, so that no padding carries what was in memory before */
+/* every byte is a field, so that no padding carries old memory */
 _Static_assert(sizeof(joint_state) == 8 * 8 + 4 * 4, "padding in joint_state");
 _Static_assert(sizeof(imu_state) == 10 * 8 + 4 * 4, "padding in imu_state");
 _Static_assert(sizeof(feedback_doubt) == 4 * 8 + 2 * 4, "padding in feedback_doubt");

@@ -44,14 +44,14 @@ static inline void take_command(core_goal *goal, const twist_command *command)
         goal->wanted_u_s[i] = finite && fabs(twist_u_s[i]) >= LEAST_COMMAND ? twist_u_s[i] : 0.0;
         zero &= goal->wanted_u_s[i] == 0.0;
     }
-    /* a command that is no number does not arm: it is no command of zero */
+    /* a command that is NaN does not arm: it is not zero */
     goal->zero = finite && zero;
     goal->command_reasons = finite ? 0 : REASON_COMMAND_NOT_FINITE;
     goal->known = 0;
 }
 
-/* The same where there is no base; looked at in each tick, for what a joint shall do may change
- * without its number. */
+/* The same without a base; checked in each tick, because a joint's command may change without its
+ * number. */
 static inline void take_joints(core_state *state, const joint_command *command)
 {
     bool finite = joint_command_finite(command, &state->config);
@@ -110,7 +110,7 @@ static inline void read_feedback(core_state *state, tick *t)
 {
     int64_t now_ns = t->input->now_ns;
     uint32_t faults = 0, enabled = ~0U;
-    /* an age; that of a stamp from the future is the greatest of all */
+    /* an age; a stamp from the future has the greatest */
     uint64_t is_new = state->silent, oldest_ns = 0;
     const joint_feedback *feedback = t->input->feedback;
     const joint_odometry *used = state->odometry.joint;
@@ -121,9 +121,9 @@ static inline void read_feedback(core_state *state, tick *t)
         is_new |= stamp_ns ^ (uint64_t)used->stamp_ns;
         oldest_ns = age_ns > oldest_ns ? age_ns : oldest_ns;
         faults |= feedback->drive_faults;
-        enabled &= feedback->enabled; /* 0 when one of them is; then the closer look */
+        enabled &= feedback->enabled; /* 0 if one of them is; then a closer look follows */
     }
-    /* all of it fresh, as in the tick before: no joint needs a closer look */
+    /* all fresh, as in the tick before: no joint needs a closer look */
     int64_t first_ns = (int64_t)((uint64_t)now_ns - oldest_ns);
     bool received = state->silent == 0 && now_ns >= first_ns &&
                     fresh_within(now_ns, first_ns, state->feedback_window_ns);
@@ -140,7 +140,7 @@ static inline void read_feedback(core_state *state, tick *t)
     t->drive_fault = faults != 0;
 }
 
-/* Everything this tick will decide by, read once. */
+/* All that this tick decides by, read once. */
 static inline void look(core_state *state, const core_input *input, double dt_s, tick *t)
 {
     t->input = input;
@@ -153,7 +153,8 @@ static inline void look(core_state *state, const core_input *input, double dt_s,
     read_feedback(state, t);
 }
 
-/* Faults go only when their causes are gone and nothing moves or wants to. A reset never arms. */
+/* Faults are cleared only when their causes are gone and nothing moves or is commanded to. A reset
+ * never arms. */
 static inline void reset(core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;
@@ -184,7 +185,7 @@ static inline void obey_counters(core_state *state, const tick *t)
 static inline void take_limits(core_state *state, const base_limits *limits)
 {
     char name[FIELD_NAME_BYTES];
-    /* those of an axis that the base does not have change nothing */
+    /* limits of an axis that the base does not have change nothing */
     bool same = memcmp(limits, &state->limits, offsetof(base_limits, lateral)) == 0 &&
                 (state->axes < AXES ||
                  memcmp(&limits->lateral, &state->limits.lateral, sizeof limits->lateral) == 0);
@@ -201,7 +202,7 @@ static inline uint32_t causes(const core_state *state, const tick *t)
     if (t->input->control.estop) {
         found |= FAULT_ESTOP;
     }
-    if (t->input->suspended) { /* all else is its consequence */
+    if (t->input->suspended) { /* all others follow from it */
         return found | FAULT_SUSPENDED;
     }
     if (t->input->control.fault) {
@@ -231,9 +232,9 @@ static inline uint32_t causes(const core_state *state, const tick *t)
     return found;
 }
 
-/* The e-stop's action replaces any other in progress, and nothing replaces it but a drive that does
- * not obey its set-point: no other set-point ends that, so the power goes off at once. A wheel that
- * turns in the wrong direction is no better off on a ramp. */
+/* The e-stop's action replaces any other in progress, and nothing replaces it except a drive that
+ * does not follow its set-point: no set-point stops that, so the power goes off at once. A wheel
+ * that turns in the wrong direction is no better off on a ramp. */
 static inline stop_action watch_fault_action(const core_state *state)
 {
     stop_action action =
@@ -244,7 +245,7 @@ static inline stop_action watch_fault_action(const core_state *state)
     return (state->faults & FAULT_DIRECTION) && action != STOP_COAST ? STOP_BRAKE : action;
 }
 
-/* Armed no more, a motion in progress ends by the stop action of the robot file. */
+/* When disarmed, a motion in progress ends by the stop action of the robot file. */
 static inline void watch_latch(core_state *state, uint32_t faults)
 {
     state->faults |= faults;
@@ -275,7 +276,7 @@ static inline void arm_or_disarm(core_state *state, const tick *t)
     if (!control->armed) {
         state->armed = 0;
     }
-    /* a base armed before its first command has nothing to coast from */
+    /* a base armed before its first command does not move: nothing to coast from */
     bool lapsed = control->stop || (!t->command_fresh && state->commanded);
     if (lapsed && state->config.on_timeout == STOP_COAST) {
         state->armed = 0;
@@ -283,7 +284,7 @@ static inline void arm_or_disarm(core_state *state, const tick *t)
     state->commanded |= t->command_fresh;
 }
 
-/* Armed, asked to go on, and with nothing amiss: the common tick, in which nothing changes. */
+/* Armed, requested to go on, and nothing wrong: the common tick, in which nothing changes. */
 static inline bool calm(const core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;

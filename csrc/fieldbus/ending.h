@@ -28,8 +28,7 @@ static inline bool end_begins(line_ending *end, bool requested, int64_t now_ns)
     return true;
 }
 
-/* What a drive has to begin at the end: its power goes off with that of the others at the
- * latest. */
+/* What a drive begins at the end: its power goes off at the latest with that of the others. */
 static inline drive_stop end_stop(const line_ending *end, drive_state *drive, int64_t now_ns)
 {
     if (drive->mode != DRIVE_ARMED) {
@@ -48,7 +47,7 @@ static inline bool end_takes_power(line_ending *end, bool stopping, int64_t now_
     return takes;
 }
 
-/* True: it is silent from now on. `longer_ns`: so much beyond its time, for what has to be sent
+/* True: it is silent from now on. `longer_ns`: time beyond its limit, for what has to be sent
  * first. */
 static inline bool end_is_over(line_ending *end, bool stopping, int64_t longer_ns, int64_t now_ns)
 {

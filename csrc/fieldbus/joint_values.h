@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * joint_values.h: what lines of every medium make of a set-point and of a measured number. */
+ * joint_values.h: converts set-points and measured numbers, for lines on every medium. */
 #ifndef MOTORD_JOINT_VALUES_H
 #define MOTORD_JOINT_VALUES_H
 
@@ -8,8 +8,7 @@
 #include "fault_word.h"
 #include "rt.h"
 
-/* The angle that the core wants of a joint. false: none, it stays where it is; an angle is never
- * made up. */
+/* The angle that the core commands a joint. false: none, the joint stays where it is. */
 static inline bool setpoint_position(const setpoints *from, uint32_t joint, double *position_rad)
 {
     if (from->enabled != 1 || joint >= from->joint_count || joint >= JOINTS_MAX ||
@@ -20,8 +19,8 @@ static inline bool setpoint_position(const setpoints *from, uint32_t joint, doub
     return isfinite(*position_rad);
 }
 
-/* What the core wants of a joint; where it says nothing of it, or no number: 0, of a position NaN.
- * Whether the joint may move is not asked. */
+/* The core's set-point of a joint; 0 if there is none or it is not a number, NaN for a position.
+ * Does not check whether the joint may move. */
 static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t kind)
 {
     if (kind == SETPOINT_POSITION) {
@@ -38,14 +37,13 @@ static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t
     return isfinite(value) ? value : 0.0;
 }
 
-/* Beyond its ends a number would go out as another one. NaN: the smallest. */
+/* A number beyond its ends would go out as another one. NaN: the smallest. */
 static inline double within_span(double raw, double raw_min, double raw_max)
 {
     return fmin(fmax(raw, raw_min), raw_max);
 }
 
-/* The number for a speed, a duty or a torque that the core commands a joint; where it may not
- * move, 0. */
+/* The number of a speed, duty or torque that the core commands; 0 if the joint may not move. */
 static inline double scaled(const setpoints *from, bool may_move, const setpoint_scale *scale)
 {
     double si = may_move ? setpoint_of(from, scale->joint, scale->kind) : 0.0;
@@ -57,14 +55,14 @@ static inline uint64_t count_mask(uint32_t counter_bits)
     return counter_bits >= 64 ? UINT64_MAX : (UINT64_C(1) << counter_bits) - 1;
 }
 
-/* What of a fault word stops the robot. */
+/* The part of a fault word that stops the robot. */
 static inline uint32_t fault_meant(const field_meaning *field, uint32_t word)
 {
     return fault_that_stops(word, field->is_code != 0, field->harmless_bits, field->harmless,
                             field->harmless_codes);
 }
 
-/* Nothing is known of the joint. */
+/* Resets the joint: nothing is known of it. */
 static inline joint_feedback feedback_unknown(void)
 {
     return (joint_feedback){.velocity_rad_s = NAN,
@@ -75,7 +73,7 @@ static inline joint_feedback feedback_unknown(void)
                             .referenced = 2};
 }
 
-/* Of the kinds that are measured in SI; false: `kind` is another. */
+/* For kinds that are measured in SI; false: another kind. */
 static inline bool feedback_measured(joint_feedback *feedback, uint32_t kind, double si)
 {
     switch (kind) {

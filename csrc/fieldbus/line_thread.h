@@ -20,7 +20,7 @@ typedef struct {
     size_t report_bytes;
 } line_slots;
 
-/* In static storage: the loop may write to wake_fd at any time, so it stays open for good. */
+/* In static storage: the loop may write to wake_fd at any time, so it is never closed. */
 typedef struct {
     line_place at;
     line_slots slots;
@@ -45,15 +45,15 @@ typedef struct {
  * there is no eventfd. */
 int line_thread_prepare(line_thread *t, uint32_t line, const line_place *at,
                         const line_slots *slots);
-/* When there is a first report. `run` begins with line_thread_begin and ends with line_thread_end.
- * 0 or -errno: then there is no thread. */
+/* Call it when there is a first report. `run` begins with line_thread_begin and ends with
+ * line_thread_end. 0 or -errno: then there is no thread. */
 int line_thread_start(line_thread *t, void *(*run)(void *), void *arg);
 int line_thread_stop(line_thread *t); /* joins; 0 or -ESRCH */
 void line_thread_put_control(line_thread *t, const void *control);
 /* 0 or -ESRCH: never started */
 int line_thread_read_report(line_thread *t, void *out);
 int line_thread_read_round_trips(const line_thread *t, histogram *out); /* 0 or -EINVAL */
-/* To the thread's side of a queue, and wakes it. 0 or -EAGAIN: full. */
+/* Puts an entry into the thread's queue, and wakes it. 0 or -EAGAIN: full. */
 int line_thread_hand_over(const line_thread *t, ring *to, void *places, uint32_t count,
                           const void *value, size_t value_bytes);
 
@@ -70,16 +70,16 @@ void line_thread_put_feedback(const line_thread *t, uint32_t mask, const void *j
                               size_t joint_bytes);
 /* A report: its life is filled in here. */
 void line_thread_put_report(line_thread *t, line_life *report, bool running, int error);
-/* There is something that asyncio wants to know. */
+/* Wakes asyncio: there is something new. */
 void line_thread_notify(const line_thread *t);
 /* Page faults count from when it has `worked`: its memory has been touched by then. */
 void line_thread_count_page_faults(line_thread *t, bool worked);
-/* Now and then a report is due, whatever happens: true, and page_faults is counted for it. */
+/* At times a report is due without any change: true, and page_faults is counted for it. */
 bool line_thread_report_is_due(line_thread *t, bool worked, int64_t now_ns);
-/* Until one of `fds`, a wake or the time; fds[0] is the wake's own place. 1: it was woken; 0;
+/* Waits for one of `fds`, a wake or the time; fds[0] is the wake's own place. 1: it was woken; 0;
  * -errno. */
 int line_thread_wait(const line_thread *t, struct pollfd *fds, nfds_t count, int64_t until_ns);
-/* From a port, as poll has found it: bytes that came, or 0; -errno: the port is gone. */
+/* Reads a port as poll has found it: the number of bytes, or 0; -errno: the port is lost. */
 int line_thread_read_port(const line_thread *t, short revents, uint8_t *bytes, uint32_t room);
 
 #endif

@@ -23,8 +23,7 @@ typedef struct {
 
 extern line_trace line_traces[LINES_MAX];
 
-/* For the line's thread alone. Takes no memory and no lock; of more bytes the first
- * TRACE_BYTES_MAX are kept. */
+/* For the line's thread alone. No memory, no lock; keeps the first TRACE_BYTES_MAX bytes. */
 void line_trace_put(line_trace *t, bool outward, int64_t stamp_ns, const void *data,
                     uint32_t bytes);
 

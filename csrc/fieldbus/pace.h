@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * pace.h: the clock of the cycles of a medium whose drives all get theirs in one, and how soon
- * anything is looked at. */
+ * pace.h: the clock of cycles, for a medium that serves all drives in one cycle, and the time until
+ * the next step. */
 #ifndef MOTORD_PACE_H
 #define MOTORD_PACE_H
 
@@ -30,8 +30,8 @@ static inline int64_t later(int64_t a, int64_t b)
     return a > b ? a : b;
 }
 
-/* The next cycle is due now, but not before the gap after the newest one. What stops a motion is
- * never too much: each stop follows a motion, which is counted. */
+/* The next cycle is due now, but not before the gap after the newest one. A stop is never too
+ * early: each follows a motion, which is counted. */
 static inline void cycle_clock_bring_forward(cycle_clock *c, int64_t period_ns, int64_t gap_ns,
                                              bool stops, int64_t now_ns)
 {

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * position_place.h: which target a joint that takes positions may be sent: the one rule of all
+ * position_place.h: the target that a joint that takes positions may be sent: the one rule of all
  * media, in the numbers of its drive. The first target after arming is the place that the drive
  * measures; from there it moves no faster than the joint. */
 #ifndef MOTORD_POSITION_PLACE_H
@@ -17,18 +17,15 @@ typedef struct {
     int64_t sent_ns;
 } position_place;
 
-/* What its table says. */
+/* Its entries of the table. */
 typedef struct {
     double least;
     double most;
     double per_s;
-    int64_t window_ns; /* a measured place counts for so long, and a target is not caught up beyond
-                          it */
+    int64_t window_ns; /* a measured place counts this long; a target catches up no more */
 } position_range;
 
-enum {
-    PLACE_CYCLES = 3
-}; /* so many cycles may pass between two looks at it, where they are slow */
+enum { PLACE_CYCLES = 3 }; /* cycles that may pass between two looks at it, if they are slow */
 
 static inline int64_t place_window_ns(int64_t timeout_ns, int64_t period_ns)
 {
@@ -50,8 +47,8 @@ static inline double place_step(const position_range *range, int64_t elapsed_ns)
     return counted_ns > 0 ? range->per_s * (double)counted_ns * 1e-9 : 0.0;
 }
 
-/* The target for one that is wanted; NaN: none may be sent. A first one far from where the drive is
- * means that the two do not count alike: a wrong zero, a counter that has gone round. */
+/* The target to send for a requested one; NaN: none may be sent. A first target far from the
+ * drive's position means different counts: a wrong zero, or a counter that has wrapped. */
 static inline double place_next(const position_place *place, const position_range *range,
                                 double wanted, int64_t now_ns)
 {
@@ -68,7 +65,7 @@ static inline double place_next(const position_place *place, const position_rang
     return fmin(fmax(within, place->sent - step), place->sent + step);
 }
 
-/* It may get no power, or must lose it: `wanted` NaN: no target yet. */
+/* Whether it may get no power, or must lose it. `wanted` NaN: no target yet. */
 static inline bool place_is_missing(const position_place *place, const position_range *range,
                                     double wanted, int64_t now_ns)
 {

@@ -92,8 +92,8 @@ int exchange_put_setpoints(exchange *x, uint32_t line, const setpoints *value)
     setpoints_mailbox *to = &x->setpoints[line];
     bool enabled = value->enabled != 0;
     mailbox_put(&to->mailbox, to->slot, value, sizeof *value);
-    /* after them, so that no line has the count without them; in every tick, so that the first
-     * time touches no new memory */
+    /* after the set-points, so that no line has the count without them; in every tick, so that the
+     * first time touches no new memory */
     (void)atomic_fetch_add_explicit(&x->enabled_count[line], enabled && !x->enabled_before[line],
                                     memory_order_release);
     x->enabled_before[line] = enabled;

@@ -49,7 +49,7 @@ struct exchange {
     bool enabled_before[LINES_MAX]; /* the writer's */
 };
 
-/* How often a line has taken its set-points: it lives while this grows. */
+/* How often a line has taken its set-points: the line works while this grows. */
 uint64_t exchange_line_takes(const exchange *x, uint32_t line);
 
 #endif

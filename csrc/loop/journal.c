@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * journal.c: what went into the core and what came out, tick by tick, for the recorder. */
+ * journal.c: input and output of the core, tick by tick, for the recorder. */
 #include <errno.h>
 #include <stdatomic.h>
 #include <string.h>

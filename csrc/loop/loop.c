@@ -33,13 +33,13 @@ static void sleep_until(int64_t deadline_ns)
     }
 }
 
-/* A command is obeyed at once, but once between two ticks: a flood of them costs no more than
- * that. */
+/* A command takes effect at once, but only one between two ticks: a flood of commands costs no
+ * more. */
 static void wait_until(int64_t deadline_ns)
 {
     bool listening = work.ingress.epoll_fd >= 0;
     if (listening && !ingress_wait(&work.ingress, deadline_ns)) {
-        /* it is time; to sleep until a time that is past would cost a wake-up all the same */
+        /* it is due; a sleep until a past time would still cost a wake-up */
         return;
     }
     if (listening) {
@@ -158,7 +158,7 @@ static int start(const loop_config *loop, const core_config *core)
         release_machine();
         return error;
     }
-    while (sem_wait(&ticking) != 0) { /* a signal: wait on, the first tick takes no longer for it */
+    while (sem_wait(&ticking) != 0) { /* a signal: wait on, it does not delay the first tick */
     }
     return 0;
 }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * loop.h: what the loop's three files share. loop.c: its life, from start to stop; loop_tick.c: one
- * tick; loop_thread.c: what the kernel has to grant. */
+ * loop.h: the part that the loop's three files share. loop.c: its life, from start to stop;
+ * loop_tick.c: one tick; loop_thread.c: what the kernel has to grant. */
 #ifndef MOTORD_LOOP_H
 #define MOTORD_LOOP_H
 
@@ -12,7 +12,7 @@
 #include "ingress.h"
 #include "loop_late.h"
 
-/* All that a tick touches, in one static block that is written before the first tick. */
+/* All memory that a tick touches, in one static block that is written before the first tick. */
 typedef struct {
     exchange exchange;
     /* own: readable before, while and after the loop runs */
@@ -31,13 +31,13 @@ typedef struct {
     lease_permissions permissions;
     int64_t used_stamp_ns; /* of the command that was last counted in HISTOGRAM_COMMAND */
     bool woken;            /* the tick before had a new command */
-    bool stopping;         /* the set-points of the last tick were none that move */
+    bool stopping;         /* the set-points of the last tick were zero */
     histogram histogram[HISTOGRAM_KINDS];
     late_log late;
     core_state core; /* with the snapshot of the last tick */
     core_input input;
     setpoints out;
-    robot_state notified; /* what the reader of event_fd was last woken for */
+    robot_state notified; /* the state for which the reader of event_fd was last woken */
     int64_t last_ns;      /* the tick before; 0: none yet */
     int64_t resumed_ns;   /* the suspend that is known */
     int64_t still_ns;     /* periods in a row in which the clock has not moved */
@@ -50,19 +50,19 @@ typedef struct {
     _Atomic int64_t tick_stamp_ns;
 } loop_work;
 
-/* Before the thread starts: everything to its beginning. 0 or -errno. */
+/* Before the thread starts: resets everything. 0 or -errno. */
 int loop_work_init(loop_work *work, const loop_config *loop, const core_config *core);
 /* In the thread, before its first tick: runs the core on a state of its own, so that the code's
  * pages are there. */
 void loop_rehearse(loop_work *work, core_state *scratch);
 void loop_tick(loop_work *work, int64_t now_ns, int64_t deadline_ns);
 /* Between two ticks, because a datagram has come: the same work, but not counted as a wake-up on
- * time. Nothing where the clock has not moved since the tick: the next one takes the datagram. */
+ * time. Does nothing if the clock has not moved since the tick: the next one takes the datagram. */
 void loop_extra_tick(loop_work *work, int64_t now_ns);
-/* The last words: set-points zero, not enabled. */
+/* Writes the last set-points: zero, not enabled. */
 void loop_rest(loop_work *work, int64_t now_ns);
 
-/* What the kernel granted, and why not where it did not. Written before loop_start returns. */
+/* What the kernel granted, and why it refused the rest. Written before loop_start returns. */
 typedef struct {
     _Atomic int policy;
     _Atomic int priority;

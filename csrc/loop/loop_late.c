@@ -33,7 +33,7 @@ static int64_t read_ready_ns(const late_log *log)
     return strtoll(second, NULL, 10);
 }
 
-/* What has grown since the last call. */
+/* The counters' growth since the last call. */
 static void read_counters(late_log *log)
 {
     late_tick *now = &log->now;

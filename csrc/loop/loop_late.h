@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * loop_late.h: what the ticks that were late have to show. Off, it costs a comparison in each
- * stage. */
+ * loop_late.h: the log of late ticks. While it is off, it costs a comparison in each stage. */
 #ifndef MOTORD_LOOP_LATE_H
 #define MOTORD_LOOP_LATE_H
 
@@ -23,7 +22,7 @@ typedef struct {
 } late_log;
 
 void late_init(late_log *log, int64_t from_ns);
-/* In the loop's thread, whose counters these are. */
+/* In the loop's thread, for its counters. */
 void late_open(late_log *log);
 void late_close(late_log *log);
 void late_begin(late_log *log, int64_t now_ns, int64_t deadline_ns);

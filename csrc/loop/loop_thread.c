@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * loop_thread.c: what the kernel has to grant a real-time thread. A refusal is written down, not
- * fatal: the loop then runs as well as it may, and says so. */
+ * loop_thread.c: what the kernel has to grant a real-time thread. A refusal is recorded, not fatal:
+ * the loop runs without it. */
 #include <errno.h>
 #include <fcntl.h>
 #include <link.h>
@@ -23,8 +23,8 @@
 
 enum { CODE_PAGE_BYTES = 4096 }; /* the smallest there is */
 
-/* Numbers near rest decay into denormals, which cost x86 4.6 times the tick; a robot has no use
- * for 1e-308 m/s. */
+/* Numbers near rest decay into denormals, which cost x86 4.6 times the tick; a robot does not need
+ * 1e-308 m/s. */
 static void flush_denormals_to_zero(void)
 {
 #if defined(__x86_64__)
@@ -75,9 +75,8 @@ static bool is_loaded_at(const struct dl_phdr_info *object, uintptr_t place)
     return false;
 }
 
-/* Reads each page of this library that is not written to: what runs for the first time hours later
- * is there then. Whatever lies there, also the gaps that the address sanitizer watches. Source:
- * dl_iterate_phdr(3). */
+/* Reads each read-only page of this library, so that code that first runs hours later is in memory.
+ * All of it, also the gaps that the address sanitizer watches. Source: dl_iterate_phdr(3). */
 __attribute__((no_sanitize("address"))) static int prefault_code(struct dl_phdr_info *object,
                                                                  size_t size, void *data)
 {
@@ -99,7 +98,7 @@ __attribute__((no_sanitize("address"))) static int prefault_code(struct dl_phdr_
 void loop_thread_prepare(const loop_config *loop, loop_grant *grant)
 {
     (void)pthread_setname_np(pthread_self(), "motord-loop");
-    /* SCHED_OTHER would be woken up to 50 us late */
+    /* SCHED_OTHER would wake up to 50 us late */
     (void)prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL);
     grant->affinity_errno = loop->cpu_mask == 0 ? 0 : set_affinity(loop->cpu_mask);
     flush_denormals_to_zero();
@@ -192,17 +191,17 @@ static int lock_library(struct dl_phdr_info *object, size_t size, void *data)
     return failed;
 }
 
-/* Under a limit MCL_FUTURE would be granted now and then refuse memory to Python in the middle
- * of a drive. */
+/* With a limit, MCL_FUTURE would succeed now, and later refuse memory to Python while the robot
+ * drives. */
 void loop_memory_lock(loop_grant *grant)
 {
     if (!may_lock_without_limit()) {
         grant->memory_lock_errno = ENOMEM;
         return;
     }
-    /* What the threads in C use is brought in now: static memory and code of this library, libc and
-     * libm. All else is Python's and stays once it has been touched. Threads in C touch their
-     * stacks before their work. */
+    /* Locks what the threads in C use: static memory and code of this library, libc and libm. All
+     * else is Python's and stays in memory once touched. Threads in C touch their stacks before
+     * their work. */
     bool locked = mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) == 0 &&
                   dl_iterate_phdr(lock_library, NULL) == 0;
     grant->memory_lock_errno = locked ? 0 : errno;

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * loop_tick.c: one tick: take what is newest, run the core, hand on what it says. */
+ * loop_tick.c: one tick: takes the newest inputs, runs the core, hands its results on. */
 #include <errno.h>
 #include <math.h>
 #include <string.h>
@@ -12,8 +12,7 @@
 
 enum { PAGE_FAULT_EVERY_TICKS = 256, REHEARSAL_TICKS = 16 };
 
-/* Ticks worth so much time may find the clock where it was; one that stands still for longer is
- * a fault. */
+/* The clock may stand still for ticks of this time; longer is a fault. */
 static const int64_t STILL_MAX_NS = 100000000;
 
 int loop_work_init(loop_work *work, const loop_config *loop, const core_config *core)
@@ -115,8 +114,8 @@ static void clear_histograms_on_request(loop_work *work)
     }
 }
 
-/* A source that requests motion before the core is armed, or while it stops, shall not move when
- * that changes. */
+/* A source that requests motion before the core is armed, or during a stop, must not move the robot
+ * when that changes. */
 static bool may_move(const loop_work *work)
 {
     const core_control *control = &work->input.control;
@@ -151,8 +150,8 @@ static void take_commands(loop_work *work, int64_t now_ns)
 }
 
 /* Stop requests that asyncio has not acknowledged are added to its levels. The acknowledgements are
- * read before the levels: asyncio puts levels that hold the request, then acknowledges, so no
- * tick between the two goes without. */
+ * read before the levels: asyncio puts levels that hold the request, then acknowledges, so every
+ * tick between the two has the request. */
 static void take_control(loop_work *work)
 {
     core_control *control = &work->input.control;
@@ -174,7 +173,7 @@ static void take_control(loop_work *work)
     control->armed = work->disarmed ? 0 : control->armed;
 }
 
-/* What is stamped before this moment is from before the computer was suspended. */
+/* A stamp before this moment is from before the computer was suspended. */
 static int64_t look_for_suspend(loop_work *work)
 {
     int64_t resumed_ns = clock_resumed_ns();
@@ -203,7 +202,8 @@ static void take_inputs(loop_work *work, int64_t now_ns)
     input->imu.stamp_ns = stamp_since(input->imu.stamp_ns, resumed_ns);
 }
 
-/* Why it stands, not why it is slower than asked: a ramp changes the latter in every other tick. */
+/* The reasons why it stands, not why it is slower than requested: a ramp changes those in every
+ * other tick. */
 static bool worth_a_word(const robot_state *now, const robot_state *before)
 {
     uint32_t other_reasons = (now->reasons ^ before->reasons) & REASONS_TO_STAND;
@@ -220,7 +220,7 @@ static void notify(loop_work *work, bool always)
     }
     const uint64_t one = 1;
     work->notified = *now;
-    /* Full means that the reader has been woken 2^64 - 2 times and has not looked: it will look. */
+    /* Full means that the reader was woken 2^64 - 2 times and has not read yet: it will. */
     if (write(work->event_fd, &one, sizeof one) < 0) {
         return;
     }
@@ -252,7 +252,7 @@ static void wake_lines(const loop_work *work)
     for (uint32_t line = 0; line < LINES_MAX; line++) {
         int fd = exchange_line_wake(&work->exchange, line);
         if (fd >= 0 && write(fd, &one, sizeof one) < 0) {
-            continue; /* full: it is awake */
+            continue; /* full: it is awake already */
         }
     }
 }
@@ -264,7 +264,7 @@ static bool same_command(const twist_command *one, const twist_command *other)
            one->lateral_m_s == other->lateral_m_s;
 }
 
-/* A coarse clock shows the same time twice: there is nothing to compute until it moves. */
+/* A coarse clock shows the same time twice: nothing is computed until it moves. */
 static bool clock_may_stand_still(loop_work *work, int64_t now_ns)
 {
     bool still = work->last_ns != 0 && now_ns == work->last_ns;
@@ -295,9 +295,9 @@ static void work_once(loop_work *work, int64_t now_ns)
     late_mark(&work->late, STAGE_OUTPUT);
     bool stopping = moves_nothing(&work->out);
     bool new_command = !same_command(&work->input.command, &before);
-    /* A new command, or a stop, does not wait for a line's next turn. What the first instant of a
-     * ramp changes may be less than a drive can be sent, so the next tick wakes the lines again.
-     * What was refused wakes none. */
+    /* A new command, or a stop, does not wait for a line's next turn. The first step of a ramp may
+     * be too small for a drive's numbers, so the next tick wakes the lines again. A refused command
+     * wakes none. */
     if (new_command || work->woken || (stopping && !work->stopping)) {
         wake_lines(work);
     }
@@ -309,7 +309,7 @@ static void work_once(loop_work *work, int64_t now_ns)
     notify(work, work->ticks == 1 || work->stop_arrived);
 }
 
-/* Once a period, so that its pin moves at an even rate. */
+/* Once a period, so that its pin changes at an even rate. */
 static void drive_watchdog(loop_work *work, int64_t now_ns)
 {
     watchdog_input input = {

@@ -4,7 +4,7 @@
  * The layout is public: docs/state-page.md.
  *
  * Each slot is a sequence lock (seqlock.h). The writer goes round the slots, so a reader is
- * overtaken only when it sleeps for SLOTS - 1 ticks. */
+ * overtaken only if it sleeps for SLOTS - 1 ticks. */
 #include <errno.h>
 #include <stdatomic.h>
 #include <string.h>

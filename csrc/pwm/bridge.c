@@ -43,7 +43,7 @@ static void obey_request(bridge_state *state, const bridge_config *config,
     } else if (control->mode == PWM_OFF) {
         (void)drive_power_off(drive);
     } else if (control->mode == PWM_STOP && answer.request == REQUEST_STAND_DOWN) {
-        /* one that brakes goes on */
+        /* a braking one goes on braking */
         begin_brake(state, config, drive_quick_stop(drive, 0, view->now_ns), view->now_ns);
     }
 }
@@ -69,8 +69,8 @@ static uint32_t mode_of(const drive_state *drive, const bridge_joint *joint, boo
     return drive->stopping ? BRIDGE_BRAKE : BRIDGE_COAST;
 }
 
-/* A servo goes to the newest position and keeps its pulses, at the place that it was sent to last,
- * until it has stopped. Before the first position, and without power, it gets none. */
+/* A servo goes to the newest position, and keeps its pulses at the newest target until it has
+ * stopped. Before the first position, and without power, it gets none. */
 static void hold_positions(bridge_state *state, const bridge_config *config,
                            const setpoints *newest, bool moving)
 {

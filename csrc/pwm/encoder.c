@@ -16,10 +16,10 @@
 #include "rt.h"
 
 enum { EVENTS_AT_ONCE = 64, READS_MAX = 16, LEVEL_A = 2, LEVEL_B = 1 };
-static const int64_t STOPPED_NS = 250000000; /* after so long without an edge it stands */
-static const int64_t SHORTEST_NS = 1000;     /* between two measures: nearer edges are noise */
+static const int64_t STOPPED_NS = 250000000; /* without an edge for this long the wheel stands */
+static const int64_t SHORTEST_NS = 1000;     /* between two measures: closer edges are noise */
 
-/* By 2 A + B before and now. Of two lines one changes at a time; A before B is forward. */
+/* By 2 A + B before and now. One of the two lines changes at a time; A before B is forward. */
 static const int8_t STEP[16] = {0, -1, 1, 0, 1, 0, 0, -1, -1, 0, 0, 1, 0, 1, -1, 0};
 
 void encoder_init(encoder_state *state, const encoder_config *config)
@@ -38,8 +38,8 @@ void encoder_edge(encoder_state *state, const encoder_config *config, uint32_t o
     state->sequence = sequence;
     uint32_t line = offset == config->a_offset ? LEVEL_A : LEVEL_B;
     uint32_t now = high ? state->levels | line : state->levels & ~line;
-    /* The kernel reads the level after the interrupt: of a short pulse both events say where it
-     * ended. */
+    /* The kernel reads the level after the interrupt: for a short pulse both events show the level
+     * at its end. */
     if (now == state->levels) {
         state->illegal++;
         return;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * output_pwm.c: the thread of a line of motor bridges: descriptors, deadlines, order of writes.
- * bridge.c says the levels. Sources: kernel, Documentation/driver-api/pwm.rst (sysfs) and
+ * bridge.c computes the levels. Sources: kernel, Documentation/driver-api/pwm.rst (sysfs) and
  * include/uapi/linux/gpio.h (v2). */
 #include <errno.h>
 #include <linux/gpio.h>
@@ -50,13 +50,12 @@ typedef struct {
     bridge_report out;
     encoder_state encoder[JOINTS_MAX];
     uint64_t duty_ns[PWM_OUTPUTS_MAX];
-    bool known[PWM_OUTPUTS_MAX]; /* duty_ns is what the file got */
+    bool known[PWM_OUTPUTS_MAX]; /* duty_ns is in the file */
     uint64_t bits;
     bool bits_known;
     int64_t reported_ns;
     uint32_t number;
-    int wake_fd; /* in static storage: the loop may write to it at any time, so it stays open for
-                    good */
+    int wake_fd; /* static: the loop may write to it at any time, so it is never closed */
     bool has_wake_fd, made, joinable;
     _Atomic bool stop_requested;
 } pwm_thread;
@@ -127,8 +126,8 @@ static void wanted_bits(const pwm_thread *t, const double *level, uint64_t *bits
     }
 }
 
-/* Pins of a joint whose GPIO lines change: its channels rest meanwhile, or the old duty would
- * meet the new direction. */
+/* A joint's pins while its GPIO lines change: its channels rest, or the old duty would act in the
+ * new direction. */
 static bool turns(const pwm_thread *t, uint32_t joint, uint64_t bits)
 {
     for (uint32_t i = 0; i < t->config.output_count; i++) {
@@ -159,8 +158,8 @@ static int bring_down(pwm_thread *t, const double *level, uint64_t bits, uint64_
     return first;
 }
 
-/* What must go down goes down first, then the lines, then what goes up. No step after one that
- * failed: a duty that could not be taken back would meet the new direction. */
+/* Falling duties first, then the lines, then rising duties. No step after a failed one: a duty that
+ * could not be lowered would act in the new direction. */
 static int apply(pwm_thread *t, const double *level)
 {
     uint64_t bits, mask;
@@ -180,8 +179,8 @@ static bool is_high(const bridge_pin *output, uint32_t mode)
     return output->base[mode] >= 0.5;
 }
 
-/* GPIO lines of a joint whose levels at COAST are those of a direction (PWM and DIR): they take
- * no power, the duty alone does. */
+/* GPIO lines of a joint whose levels at COAST are those of a direction (PWM and DIR): they do not
+ * remove power, only the duty does. */
 static uint64_t lines_without_power(const pwm_thread *t, uint32_t joint)
 {
     uint64_t bits = 0;
@@ -198,7 +197,7 @@ static uint64_t lines_without_power(const pwm_thread *t, uint32_t joint)
     return as_forward || as_reverse ? bits : 0;
 }
 
-/* COAST everywhere, whatever fails. Where a duty cannot be taken back, lines that only set the
+/* COAST everywhere, even if a write fails. If a duty cannot be lowered, lines that only set the
  * direction stay as they are. */
 static int rest(pwm_thread *t)
 {
@@ -217,7 +216,7 @@ static int rest(pwm_thread *t)
             output->fd >= 0 && !t->known[i] ? ~lines_without_power(t, output->joint) : UINT64_MAX;
     }
     int lines_error = write_bits(t, bits, mask);
-    int left = bring_down(t, level, bits, mask); /* once more what failed */
+    int left = bring_down(t, level, bits, mask); /* repeats what failed */
     t->out.rest_output = left != 0 ? t->out.error_output : AT_GPIO;
     t->out.rest_error = left != 0 ? -left : -lines_error;
     return error != 0 ? error : lines_error;
@@ -268,7 +267,7 @@ static void feed_back(pwm_thread *t, int64_t now_ns)
     for (uint32_t i = 0; i < t->config.joint_count; i++) {
         const encoder_config *encoder = &t->config.joint[i].encoder;
         bool counts = encoder->kind != ENCODER_NONE, reported = encoder->kind == ENCODER_REPORTED;
-        /* a silent board's feedback gets old */
+        /* the feedback of a silent board gets old */
         const int64_t at_ns = reported ? t->encoder[i].reported_ns : now_ns;
         joint_feedback feedback = {
             .stamp_ns = at_ns,
@@ -314,8 +313,7 @@ static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns,
 }
 
 /* --------------------------------------------------------------------------- the thread */
-/* Not `is_due`: the loop has woken it early. A pump does not change then, and keeps its
- * frequency. */
+/* Not `is_due`: the loop has woken it early. A pump does not change then, to keep its frequency. */
 static int cycle(pwm_thread *t, int64_t now_ns, bool is_due)
 {
     double level[PWM_OUTPUTS_MAX];
@@ -344,8 +342,8 @@ static void sleep_until(int64_t time_ns)
     (void)clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL);
 }
 
-/* Until it is due, or the loop wakes it for a new command or a stop: that leaves at once, but
- * GAP_NS after the cycle before. 0 or -errno. */
+/* Waits until it is due, or the loop wakes it for a new command or a stop, which leaves at once,
+ * but GAP_NS after the cycle before. 0 or -errno. */
 static int wait_for_turn(const pwm_thread *t, int64_t due_ns, int64_t begun_ns)
 {
     int64_t left_ns = due_ns - clock_now_ns();

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
  * The board's side of motord's frames (docs/mcu-frame.md) in plain C99: no heap, no I/O, no clock
- * of its own. Give it every byte that comes and the time; it says what the motors shall do, and
- * makes the frames that go back. When nothing good has come for the time that motord asked for, it
+ * of its own. Give it every byte that comes and the time; it returns what the motors shall do, and
+ * makes the frames that go back. When nothing good has come for the time that motord requested, it
  * switches the motors off by itself.
  */
 #ifndef MOTORD_MCU_H

@@ -120,10 +120,10 @@ void loop()
         control((float)(now_us - controlled_us) * 1e-6f);
         controlled_us = now_us;
     }
-    /* With a gyro: read it here a hundred times a second, and motord_board_imu(&board, &what_it_said). */
+    /* With a gyro: read it here a hundred times a second, and motord_board_imu(&board, &sample). */
     const size_t size = motord_board_feedback(&board, now_us, measured, &health, sent);
     const size_t room = size < CHIP_SERIAL_ROOM ? size : CHIP_SERIAL_ROOM; /* more it never has: the rest waits in write */
     if (size > 0 && Serial.availableForWrite() >= (int)room)
         Serial.write(sent, size);
-    chip_watchdog_feed(); /* here alone: whoever keeps loop() from coming round lets the chip reset itself */
+    chip_watchdog_feed(); /* here alone: if loop() hangs, the chip resets */
 }

@@ -7,7 +7,7 @@
 
 /* -------------------------------------------------------------------------- boards on a stream
  * One board alone on a serial port, or Sabertooths that count as one; one thread. It is sent its
- * payload in every cycle, set-points among it, and says its own unasked. Both are bytes with
+ * payload in every cycle, set-points among it, and sends its own by itself. Both are bytes with
  * numbers at their places, low byte first: as they are in frames (docs/mcu-frame.md), or as text
  * (docs/mcu/line-ascii.md), whose numbers are written to and read from such places. */
 enum {
@@ -63,7 +63,7 @@ typedef struct {
     int64_t raw;
 } board_write;
 
-/* A place in what the board says. */
+/* A place in the board's feedback. */
 typedef struct {
     board_place place;
     field_meaning meaning;
@@ -80,8 +80,8 @@ typedef enum {
 /* A piece of a template: so many bytes of it as they are, then a number. */
 typedef struct {
     uint32_t literal_bytes;
-    uint32_t form;  /* board_number_form: printf's d, f, g; NONE: no number, only as the last */
-    uint32_t sign;  /* 0; '+' or ' ': before numbers that are not negative */
+    uint32_t form; /* board_number_form: printf's d, f, g; NONE: no number, only in the last part */
+    uint32_t sign; /* 0; '+' or ' ': before numbers that are not negative */
     uint32_t zeros; /* 1: filled up with zeros */
     uint32_t width;
     uint32_t precision;
@@ -100,8 +100,8 @@ typedef struct {
                                         other */
 } board_text;
 
-/* An inertial sensor on the board, whose words are the robot's. In frames it stands where
- * docs/mcu-frame.md says; a text has its rate about z, in units of 1e-6 rad/s. */
+/* An inertial sensor on the board, the robot's [imu]. Its place in frames is in
+ * docs/mcu-frame.md; a text has its rate about z, in units of 1e-6 rad/s. */
 typedef struct {
     uint32_t used;        /* 0: there is none, the rest is not looked at */
     uint32_t epoch;       /* of its samples */
@@ -112,9 +112,9 @@ typedef struct {
 
 typedef struct {
     uint32_t dialect; /* board_dialect */
-    /* 0: it says nothing, and is taken to be there while the port takes its bytes */
+    /* 0: it sends nothing, and counts as present while the port takes its bytes */
     uint32_t answers;
-    uint32_t tries; /* so often enabled without being armed, and it is reported: 1.. */
+    uint32_t tries; /* reported after so many times enabled without being armed: 1.. */
     uint32_t payload_bytes;
     uint32_t feedback_bytes; /* of its own payload, at least; TEXT: all of it */
     uint32_t setpoint_count;
@@ -129,7 +129,7 @@ typedef struct {
     int64_t period_ns; /* of the cycle: > 0 */
     int64_t gap_ns; /* from a frame's beginning to the next one's, at least: a wire that carries one
                        at a time */
-    int64_t silence_ns;          /* so long without a word, and it is unresponsive: > 0 */
+    int64_t silence_ns;          /* unresponsive after so long without feedback: > 0 */
     int64_t setpoint_timeout_ns; /* set-points older than this: quick stop */
     double rest_velocity_rad_s;  /* a wheel slower than this is at rest: > 0 */
     int64_t watchdog_ns; /* without set-points for so long while armed: it has stopped; 0: never */
@@ -153,7 +153,7 @@ typedef struct {
 /* A write of a job. It goes out with a cycle of its own, so that the board sees each. */
 typedef struct {
     board_write write;
-    uint32_t guarded; /* 1: not obeyed where `stops` is another: the board was stopped meanwhile */
+    uint32_t guarded; /* 1: dropped if `stops` differs: the board was stopped meanwhile */
     uint32_t stops;
 } board_order;
 
@@ -166,14 +166,14 @@ typedef struct {
     uint32_t enabled;  /* 1, 0, 2: not reported */
     uint32_t stopping; /* a quick stop was sent, and the wheels have not been seen at rest since */
     uint32_t sent_motion;    /* its newest set-points are not zero */
-    uint32_t stops;          /* how often a stop was sent to it, by C or by a request */
+    uint32_t stops;          /* stops that were sent to it, by C or by a request */
     uint32_t epoch;          /* of its feedback */
     uint32_t orders_sent;    /* they have gone out */
     uint32_t orders_dropped; /* guarded, and it was stopped; or it is unresponsive */
     /* of feedback_payload[]; 0: nothing since it was unresponsive, or ever */
     uint32_t feedback_bytes;
     uint32_t stop_waits; /* the port has not taken its newest stop; at the end: the board has not
-                            proved that it has it */
+                            confirmed it */
     uint32_t reserved;
     uint64_t cycles;
     uint64_t sent;
@@ -184,9 +184,9 @@ typedef struct {
     uint64_t unresponsive; /* how often it became UNRESPONSIVE */
     int64_t cycle_ns;      /* smoothed time between two cycles */
     int64_t setpoints_ns;  /* stamp of the newest set-points; 0: none came */
-    int64_t received_ns;   /* its newest word came */
-    int64_t knows_ns;      /* when what it had received by then was sent; TEXT has no such number:
-                              received_ns */
+    int64_t received_ns;   /* its newest feedback came */
+    int64_t knows_ns;      /* when the newest frame that it had received was sent; TEXT has no such
+                              number: received_ns */
     int64_t written_ns;    /* what stays in its payload was changed last */
     uint32_t fault_word[JOINTS_MAX];             /* whole, by the core's joint number */
     uint8_t feedback_payload[BOARD_PAYLOAD_MAX]; /* the newest */
@@ -235,7 +235,7 @@ int64_t board_clock_stamp(board_clock *clock, uint32_t time_us, int64_t came_ns)
  * long. */
 uint32_t board_frame_build(uint32_t type, uint32_t sequence, uint32_t time_us,
                            const uint8_t *payload, uint32_t payload_bytes, uint8_t *out);
-/* What stood between two zeros, into out[BOARD_FRAME_MAX]: head and payload; 0: no frame. */
+/* The frame between two zeros, into out[BOARD_FRAME_MAX]: head and payload; 0: no frame. */
 uint32_t board_frame_parse(const uint8_t *stuffed, uint32_t count, uint8_t *out);
 
 typedef struct {
@@ -262,6 +262,6 @@ uint32_t board_sabertooth_build(uint32_t unit, const uint8_t *payload, uint8_t *
 /* The line of text with the set-points of a payload: bytes of out[BOARD_TEXT_MAX]; 0: it is too
  * long. */
 uint32_t board_text_write(const board_table *table, const uint8_t *payload, uint8_t *out);
-/* A line without its end into the places of feedback_payload[]; 0: it is another text. */
+/* A line without its end into the places of feedback_payload[]; 0: the text does not match. */
 uint32_t board_text_read(const board_text *text, const uint8_t *line, uint32_t count,
                          uint8_t *payload);

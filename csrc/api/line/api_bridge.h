@@ -4,11 +4,11 @@
 
 enum { PWM_OUTPUTS_MAX = 32, BRIDGE_MODES = 4 };
 
-/* What a bridge does with its motor. COAST is what it is left in: no power. */
+/* What a bridge does with its motor. COAST: no power; a bridge ends in it. */
 enum { BRIDGE_COAST, BRIDGE_BRAKE, BRIDGE_FORWARD, BRIDGE_REVERSE };
 
-/* What the line is to do: OFF no power, at once; STOP an armed one brakes for stopping_ns, then no
- * power; ARMED follow the set-points, which one that still brakes does not. */
+/* What the line is to do: OFF no power, at once; STOP an armed bridge brakes for stopping_ns, then
+ * no power; ARMED follow the set-points, but not while it still brakes. */
 enum { PWM_OFF, PWM_STOP, PWM_ARMED };
 
 /* One pin. Its level, 0 to 1, is base + slope × |duty| of the mode; a GPIO line is high from one
@@ -31,7 +31,7 @@ typedef struct {
     uint32_t index;     /* the core's joint */
     uint32_t rest_mode; /* BRIDGE_COAST or BRIDGE_BRAKE: armed, at a duty of zero */
     double sign;        /* -1: the motor turns backward when the robot drives forward */
-    double full_rad; /* 0: it takes duties. Else a servo that takes positions: its angle at a duty
+    double full_rad; /* 0: it takes duties. Else a servo, which takes positions: its angle at a duty
                         of 1 */
     uint64_t fault_mask; /* of the input request's lines: one that is active is a fault */
     encoder_config encoder;
@@ -57,8 +57,8 @@ typedef struct {
 
 typedef struct {
     uint32_t mode;   /* PWM_OFF, PWM_STOP, PWM_ARMED */
-    uint32_t number; /* another one than before: a new request. ARMED is obeyed once a number.
-                      * A number that was passed over may have been a stop: then it takes the power
+    uint32_t number; /* a new number is a new request. ARMED counts once for each number. A skipped
+                      * number may have been a stop: then the power goes off
                       */
 } bridge_control;
 
@@ -67,7 +67,7 @@ typedef struct {
     uint32_t armed;
     uint32_t stopping;
     uint32_t fault_reasons; /* of the last arming */
-    uint32_t number;        /* of the request that was obeyed last */
+    uint32_t number;        /* of the newest request in force */
     int32_t error;          /* errno that ended the thread */
     /* at which output; -1: the GPIO request; -2 - n: the encoder of joint n */
     int32_t error_output;
@@ -94,7 +94,7 @@ typedef struct {
                                first */
     uint32_t phase;         /* of pins that pump */
     uint32_t holds;         /* bit n: joint n, a servo, has its pulses */
-    double held_duty[8];    /* of a servo: the angle that it is sent to */
+    double held_duty[8];    /* of a servo: its target angle */
 } bridge_state;
 
 /* level[i] of output i, 0 to 1. Set-points that are old, not enabled or no numbers move nothing. */

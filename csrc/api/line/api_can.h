@@ -52,8 +52,8 @@ typedef struct {
     can_place place;
     setpoint_scale scale;
     can_place trigger; /* of a POSITION: a bit with whose rising edge the drive takes the target,
-                          set until it says that it has (FIELD_TAKEN), and never in a frame that
-                          moves nothing; length 0: each target counts */
+                          set until it confirms (FIELD_TAKEN), and never in a frame that moves
+                          nothing; length 0: each target counts */
 } can_setpoint;
 
 /* A frame of every cycle. What is not set-point stands as in `packet`, or as it was written last
@@ -75,46 +75,45 @@ typedef struct {
     uint8_t mask[CAN_BYTES_MAX];
 } can_write;
 
-/* A place in a frame of the drive that says something. */
+/* A place of a value in a frame of the drive. */
 typedef struct {
     can_place place;
     field_meaning meaning; /* no KEPT; COUNT: si is counts */
-    double si_at_zero;     /* what raw 0 says */
+    double si_at_zero;     /* value of raw 0 */
 } can_field;
 
-/* A frame of the drive that the cycle lives on. */
+/* A frame of the drive that the cycle uses. */
 typedef struct {
-    int64_t silence_ns; /* so long without it, and the drive is unresponsive; 0: it is not waited
-                           for */
-    int64_t spacing_ns; /* one sooner after the other adds nothing new: frames that the CAN bus has
-                           held up */
+    int64_t silence_ns; /* unresponsive after so long without it; 0: it may be missing */
+    int64_t spacing_ns; /* a frame that comes sooner after the last one adds nothing: the CAN bus
+                           has held it up */
     uint32_t fast;      /* 1: with all of them the drive's joints are known */
     uint32_t field_count;
     can_field field[CAN_FIELDS_MAX];
 } can_input;
 
-/* How a frame of the drive is known. */
+/* How a frame of the drive is recognised. */
 typedef struct {
     uint32_t id;    /* with bit 31 where it is extended */
     uint32_t bytes; /* at least */
     uint32_t begins_bytes;
     uint32_t input; /* 1 + number of the input that it is; 0: Python's alone */
     uint8_t begins[CAN_BEGINS_MAX];
-    uint8_t begins_mask[CAN_BEGINS_MAX]; /* bits of it that identify it; others may be anything */
+    uint8_t begins_mask[CAN_BEGINS_MAX]; /* bits of it that identify it; the others are free */
 } can_match;
 
 typedef struct {
-    uint32_t tries;           /* so often enabled without being armed, and it is reported: 1.. */
-    uint32_t slow_every;      /* cycles between two of what may wait: 1.. */
+    uint32_t tries;           /* reported after so many times enabled without being armed: 1.. */
+    uint32_t slow_every;      /* cycles between two requests that may wait: 1.. */
     uint32_t idle_setpoints;  /* 1: zero is sent in READY, too */
-    uint32_t reports_enabled; /* 0: it cannot report it, so it gets its disarm again now and then in
+    uint32_t reports_enabled; /* 0: it cannot report it, so it gets its disarm again at times in
                                  READY */
-    uint32_t hello; /* 1 + number of the input that alone says whether an unresponsive drive is
-                       back; 0: all that are waited for */
+    uint32_t hello; /* 1 + number of the input that alone shows that an unresponsive drive is back;
+                       0: all with a silence_ns */
     uint32_t output_count;
-    uint32_t poll_count;  /* asked in each cycle */
+    uint32_t poll_count;  /* requested in each cycle */
     uint32_t slow_count;  /* by turns */
-    uint32_t probe_count; /* asked of an unresponsive drive */
+    uint32_t probe_count; /* requested of an unresponsive drive */
     uint32_t match_count;
     uint32_t input_count;
     uint32_t quick_stop_count;
@@ -146,7 +145,7 @@ typedef struct {
 typedef struct {
     mode_request drive[CAN_DRIVES_MAX];
     uint32_t shut_down;
-    uint32_t listen; /* bit n: Python wants what drive n says */
+    uint32_t listen; /* bit n: Python receives the frames of drive n */
 } can_control;
 
 /* A frame of a job. It waits while the CAN bus takes nothing, until expires_ns. */
@@ -154,7 +153,7 @@ typedef struct {
     can_write write;
     int64_t expires_ns;
     uint32_t drive;
-    /* 1: not sent where the drive's `stops` is another: it was stopped meanwhile */
+    /* 1: dropped if the drive's `stops` differs: it was stopped meanwhile */
     uint32_t guarded;
     uint32_t stops;
     uint32_t reserved;
@@ -184,8 +183,7 @@ typedef struct {
     uint32_t orders_sent;
     uint32_t orders_dropped; /* too late, or guarded and the drive was stopped */
     uint32_t faults;         /* how often a joint's fault word became one that stops, */
-    uint32_t last_fault; /* and the newest such word: a stop may have made the drive forget it by
-                            now */
+    uint32_t last_fault;     /* and the newest such word: a stop may have cleared it in the drive */
     uint32_t last_fault_joint;
     uint32_t may_turn;   /* armed since it was last set up, also before the line was opened */
     uint32_t stop_waits; /* the CAN bus has not taken all of its newest stop; at the end: the drive
@@ -200,7 +198,7 @@ typedef struct {
     uint64_t received; /* frames of the drives */
     uint64_t sent;
     uint64_t tx_full;     /* frames that the CAN bus did not take: the next one is newer */
-    uint64_t bad_frames;  /* a drive's identifier, and nothing that it says */
+    uint64_t bad_frames;  /* frames with a drive's identifier and unknown content */
     uint64_t dropped;     /* frames for which Python's queue had no place */
     int64_t cycle_ns;     /* smoothed time between two cycles */
     int64_t setpoints_ns; /* stamp of the newest set-points; 0: none came */
@@ -208,10 +206,10 @@ typedef struct {
     can_drive_report drive[CAN_DRIVES_MAX];
 } can_report;
 
-/* What is known of the drives from before the line was opened; zeros: nothing. */
+/* State of the drives from before the line was opened; zeros: none. */
 typedef struct {
-    uint32_t epoch;    /* of their feedback */
-    uint32_t may_turn; /* bit n: drive n does, so it gets a stop until it responds and is set up */
+    uint32_t epoch;        /* of their feedback */
+    uint32_t may_turn;     /* bit n: drive n may turn: it gets a stop until it is set up again */
     uint32_t left_running; /* another program left all drives so: each begins with a quick stop,
                               with no set-up before it */
     uint32_t reserved;

@@ -50,14 +50,14 @@ typedef enum {
 typedef struct {
     uint32_t request_bytes; /* whole, with its checksum: 1..FRAME_BYTES_MAX */
     uint32_t reply_bytes;   /* whole; 0: no drive answers, and the turn-around passes in silence */
-    uint32_t echo_bytes;    /* the reply begins with so many bytes of the request as it was sent */
+    uint32_t echo_bytes;    /* the reply begins with so many bytes of the request */
     uint32_t match_bytes;   /* else, with so many of match[] */
     uint32_t request_seal;  /* frame_seal; made anew when set-points have been put in */
     uint32_t reply_seal;
     uint32_t has_exceptions; /* 1: five bytes with the function's top bit set are a refusal
                                 (Modbus); of STUFFED replies an error number is one */
-    uint32_t exact; /* 1: the reply does not say what it answers: it is all that comes, and after a
-                       failure no drive is asked until a late one has passed */
+    uint32_t exact; /* 1: the reply does not identify its request: it must be all that comes, and
+                       after a failure no request goes out until a late reply has passed */
     uint8_t match[FRAME_MATCH_MAX];
     uint8_t request[FRAME_BYTES_MAX];
 } line_frame;
@@ -118,7 +118,7 @@ typedef enum {
                               target, and waits for the end of can_setpoint.trigger */
 } field_kind;
 
-/* Of CAN buses and boards: the number that says what a joint is to do, as of line_setpoint. A
+/* Of CAN buses and boards: the number that commands a joint, as of line_setpoint. A
  * POSITION that must not be sent is left out with the frame that it is in; in frames that are
  * sent all the same it stays as it was written last. */
 typedef struct {
@@ -131,7 +131,7 @@ typedef struct {
     double raw_per_s;  /* of a POSITION: its target moves no faster: > 0; of other kinds 0 */
 } setpoint_scale;
 
-/* Of CAN buses and boards: what a number that was read says. */
+/* Of CAN buses and boards: the meaning of a number that was read. */
 typedef struct {
     uint32_t joint;       /* place in the core's arrays; not read for ENABLED and KEPT */
     uint32_t kind;        /* field_kind */
@@ -145,7 +145,7 @@ typedef struct {
     double si_per_raw;
 } field_meaning;
 
-/* A place in a reply that says something. */
+/* A place of a value in a reply. */
 typedef struct {
     uint32_t joint; /* place in the core's arrays; not read for ENABLED and KEPT */
     uint32_t kind;  /* field_kind */
@@ -174,8 +174,8 @@ typedef struct {
 } line_exchange;
 
 /* For set-points without sign: the frames that set the direction. Rest is sent before the first
- * magnitude of a new direction, and the direction after it: no magnitude is ever obeyed in the
- * wrong direction, also when a frame is lost. */
+ * magnitude of a new direction, and the direction after it: no magnitude ever acts in the wrong
+ * direction, even if a frame is lost. */
 typedef struct {
     uint32_t joint;
     uint32_t kind; /* setpoint_kind whose sign it is */
@@ -187,11 +187,11 @@ typedef struct {
 } line_direction;
 
 typedef struct {
-    uint32_t tries;           /* failures in a row until it counts as unresponsive: 1.. */
-    uint32_t extra_every;     /* cycles between two extra exchanges: 1.. */
-    int64_t period_ns;        /* wanted time between two cycles: > 0 */
-    int64_t turnaround_ns;    /* longest time from the request's last byte to the reply's first: the
-                                 profile's bound */
+    uint32_t tries;        /* failures in a row until it counts as unresponsive: 1.. */
+    uint32_t extra_every;  /* cycles between two extra exchanges: 1.. */
+    int64_t period_ns;     /* wanted time between two cycles: > 0 */
+    int64_t turnaround_ns; /* longest time from the request's last byte to the reply's first, by the
+                              profile */
     int64_t reply_timeout_ns; /* fixed deadline; 0: from the measured turn-around (RFC 6298), within
                                  the bound */
     int64_t watchdog_ns;      /* the drive stops by itself after such a silence; 0: never */
@@ -228,7 +228,7 @@ typedef struct {
     uint32_t fast; /* 1: a fast sync read, which all answer in one packet, while none of them fails
                       (Dynamixel); 0 */
     uint32_t reserved;
-    uint8_t write[GROUP_HEAD_MAX]; /* with the length of a packet for no drive */
+    uint8_t write[GROUP_HEAD_MAX]; /* with the length for no drives */
     uint8_t read[GROUP_HEAD_MAX];
 } line_group;
 
@@ -263,30 +263,30 @@ typedef enum {
     DRIVE_STAND_DOWN = 5 /* only as a request: from ARMED to READY, else nothing */
 } drive_mode;
 
-/* Why the line itself took a drive back; OR of all since the last request was obeyed. */
+/* Why the line itself disarmed a drive; OR of all since the last request took effect. */
 enum {
     DRIVE_FAULT_SETPOINTS_OLD = 1 << 0,   /* quick stop, then off at rest */
-    DRIVE_FAULT_NOT_ENABLED = 1 << 1,     /* the core took enabled back: power off */
-    DRIVE_FAULT_LEFT_ALONE = 1 << 2,      /* not asked for longer than its watchdog's time: it has
+    DRIVE_FAULT_NOT_ENABLED = 1 << 1,     /* the core disabled it: power off */
+    DRIVE_FAULT_LEFT_ALONE = 1 << 2,      /* no request for longer than its watchdog's time: it has
                                              stopped by itself */
     DRIVE_FAULT_LOST_SETUP = 1 << 3,      /* a KEPT field differs: OFF */
-    DRIVE_FAULT_DISABLED_ITSELF = 1 << 4, /* armed, but it says that it is not enabled: OFF */
+    DRIVE_FAULT_DISABLED_ITSELF = 1 << 4, /* armed, but it reports that it is not enabled: OFF */
     DRIVE_FAULT_UNRESPONSIVE = 1 << 5,
     DRIVE_FAULT_STILL_ENABLED = 1 << 6, /* not armed, but it reports that it is: gets a disarm, held
                                            at zero */
-    DRIVE_FAULT_POSITION_UNKNOWN = 1 << 7 /* it takes positions, and where it is is not known, or
-                                             not its first target: power off */
+    DRIVE_FAULT_POSITION_UNKNOWN = 1 << 7 /* it takes positions, and its position is unknown or far
+                                             from its first target: power off */
 };
 
-/* Python's request for a drive, obeyed once for each new count: what the line has taken back
- * stays so until the next. */
+/* Python's request for a drive, which takes effect once for each new count: a drive that the line
+ * has disarmed stays so until the next. */
 typedef struct {
     uint32_t count;
     uint32_t mode; /* DRIVE_OFF; DRIVE_READY: has been set up, from OFF or BACK only; DRIVE_ARMED:
-                      from READY only; DRIVE_STAND_DOWN. What cannot be obeyed is seen, and that is
-                      all */
-    int64_t arming_until_ns; /* READY: until then it may say that it is enabled, because Python arms
-                                it; 0: never */
+                      from READY only; DRIVE_STAND_DOWN. A request that is not possible only counts
+                      as seen */
+    int64_t arming_until_ns; /* READY: until then it may report that it is enabled, because Python
+                                arms it; 0: never */
 } mode_request;
 
 typedef struct {
@@ -301,7 +301,7 @@ typedef struct {
     uint64_t id; /* the caller's own */
     int64_t expires_ns;
     int64_t turnaround_ns;
-    uint32_t drive;  /* whose failures it counts to; LINE_DRIVES_MAX: none */
+    uint32_t drive;  /* the drive whose failures it counts to; LINE_DRIVES_MAX: none */
     uint32_t urgent; /* 1: before the other requests */
     line_frame frame;
 } line_request;
@@ -331,7 +331,7 @@ typedef struct {
 typedef struct {
     uint32_t mode;          /* drive_mode */
     uint32_t fault_reasons; /* DRIVE_FAULT_* */
-    uint32_t request_seen;  /* count of the last request that was obeyed */
+    uint32_t request_seen;  /* count of the last request that took effect */
     uint32_t enabled;       /* 1, 0, 2: not reported since the last request */
     uint32_t stopping; /* a quick stop was sent, and the wheels have not been seen at rest since */
     uint32_t sent_motion; /* it was sent set-points that are not zero, and has not acknowledged zero
@@ -380,8 +380,8 @@ typedef struct {
 /* Where a line's thread runs and what it writes to. The descriptors stay the caller's. */
 typedef struct {
     int32_t fd;       /* the medium, open, set up, not blocking */
-    int32_t event_fd; /* eventfd, written on all that asyncio wants to know and at the thread's end;
-                         -1: none */
+    int32_t event_fd; /* eventfd, written on each change for asyncio and at the thread's end; -1:
+                         none */
     int32_t priority; /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
     uint32_t reserved;
     uint64_t cpu_mask;  /* bit n: CPU n; 0: no affinity */

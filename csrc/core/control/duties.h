@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * duties.h: speeds of wheels as duties, and which joints do not get theirs. A part of core.c, as
+ * duties.h: speeds of wheels as duties, and which joints do not reach theirs. A part of core.c, as
  * snapshot.h is.
  */
 #ifndef MOTORD_DUTIES_H
@@ -21,8 +21,8 @@ static inline uint32_t set_wheel(core_state *state, uint32_t j, double wanted_ra
     return output.reasons;
 }
 
-/* Rare: which joints the reasons come from. slewing: bit n, joint n slows the ramp down; and a duty
- * that is not that of its speed has been slewed. */
+/* Rare: the joints that cause the reasons. slewing: bit n: joint n slows the ramp down; a duty that
+ * differs from that of its speed has been slewed. */
 __attribute__((noinline)) static void name_duties(core_state *state, uint32_t slewing)
 {
     reasons_shown *to = &state->snapshot.reason;

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * joints.c: wheel speeds as the twist that they are. A base has no other motion: what its wheels
- * cannot do together they would do against each other and the floor.
+ * joints.c: wheel speeds as a twist. A base has no other motion: any other speeds would work
+ * against each other and slip on the floor.
  */
 #include "rt.h"
 

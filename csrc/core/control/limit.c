@@ -33,7 +33,7 @@ _Static_assert(REASON_LINEAR_VELOCITY << 11 == REASON_LATERAL_VELOCITY, "SHIFT_O
 /* The share of what is left that a second covers, and what bounds it. */
 typedef struct {
     double rate_s;
-    double sum_s; /* of all that was looked at, none of it negative: NaN when one of it is */
+    double sum_s; /* sum of all that was examined, none of it negative: NaN if a part is NaN */
     uint32_t reason;
 } pace;
 
@@ -46,8 +46,8 @@ static inline void bind(pace *least, double rate_s, uint32_t reason)
     }
 }
 
-/* The largest rate that can still be let go, by `step` each step, before `gap` is used up; `gap` is
- * what is left, over dt. Falling from a, n steps cover n a - step n (n - 1) / 2, and the fewest
+/* The largest rate that can still fall to zero, by `step` each step, before `gap` is used up; `gap`
+ * is what is left, over dt. Falling from a, n steps cover n a - step n (n - 1) / 2, and the fewest
  * that reach zero are the smallest n with gap <= step n (n + 1) / 2. */
 static double easing(double gap_s, double step_s)
 {
@@ -118,8 +118,8 @@ static void keep_turn(pace *least, double from, double goal, double gains, doubl
     bind(least, turning(fabs(from) / (change * dt_s), gains / change, step_s), reason);
 }
 
-/* Duty slews bound how fast a wheel's speed grows. The last of all bounds: slewing is the joint
- * that has the least room. */
+/* Duty slews bound how fast a wheel's speed grows. The last of the bounds: slewing is the joint
+ * with the least room. */
 static void keep_duties(pace *least, const core_config *base, const limit_state *axis,
                         const double *goal_u_s, double step_s, double dt_s, uint32_t *slewing)
 {

@@ -2,9 +2,8 @@
  *
  * loops.h: the speed loops of a base's wheels in a tick. A part of core.c, as snapshot.h is.
  *
- * Duties of the open-loop map stay in core_wheels: they are what a wheel gets whose feedback is not
- * to be trusted, and what the ramp is slewed by. Those of a loop take their place when the
- * set-points are written.
+ * Duties of the open-loop map stay in core_wheels: a wheel without trusted feedback gets them, and
+ * they slew the ramp. Those of a loop take their place when the set-points are written.
  */
 #ifndef MOTORD_LOOPS_H
 #define MOTORD_LOOPS_H
@@ -17,8 +16,7 @@
 
 /* after a longer pause the ramps go on as if it had been this */
 static const double DT_MAX_S = 0.1;
-static const double OVERSPEED = 1.5; /* times its limit: what no speed loop that is well tuned
-                                        overshoots to */
+static const double OVERSPEED = 1.5; /* times its limit: more than a well-tuned loop overshoots */
 /* of a loop without gains: the open-loop map takes over */
 static const double INTEGRAL_GONE = 1e-4;
 
@@ -63,8 +61,7 @@ static inline bool runs_away(const joint_config *joint, double velocity_rad_s)
     return fabs(velocity_rad_s) > OVERSPEED * limit;
 }
 
-/* What a wheel gets while nothing is known of its speed: no torque; the duty of the open-loop
- * map. */
+/* The output while a wheel's speed is unknown: no torque, or the duty of the open-loop map. */
 static inline double without_loop(const core_state *state, uint32_t j)
 {
     bool duty = state->config.joint[j].speed_loop.kind == SPEED_LOOP_DUTY &&
@@ -116,8 +113,7 @@ static inline double loop_output(core_state *state, uint32_t j, double dt_s)
     return speed_loop_step(loop, &joint->speed_loop, &state->gains[j], &input, dt_s);
 }
 
-/* A loop whose gains are all zero: once what it has summed up is gone, the open-loop map is all
- * there is. */
+/* A loop whose gains are all zero: once its integral is gone, only the open-loop map is left. */
 static inline void end_loop(core_state *state, uint32_t j)
 {
     if (!loop_is_on(state, j) && fabs(state->speed_loop[j].integral_u) < INTEGRAL_GONE) {
@@ -152,7 +148,7 @@ __attribute__((noinline)) static void set_loops(core_state *state, const tick *t
     }
 }
 
-/* Nothing that a loop has computed leaves. */
+/* Discards the outputs of all loops. */
 static inline void loops_off(core_state *state)
 {
     memset(state->speed_loop, 0, sizeof state->speed_loop);

@@ -37,8 +37,8 @@ void position_step(position_profile *profile, const position_config *config, dou
     double next_rad_s =
         fmin(fmax(wanted_rad_s, before_rad_s - step_rad_s), before_rad_s + step_rad_s);
     double moved_rad = next_rad_s * dt_s;
-    /* rounded, the last step is the whole way, or passes the goal; the next one lets go of what
-     * is left of the speed */
+    /* rounded, the last step is the whole distance, or passes the goal; the next one drops the
+     * remaining speed */
     bool arrives = next_rad_s == wanted_rad_s && fabs(moved_rad) >= fabs(left_rad);
     profile->position_rad = arrives ? goal_rad : from_rad + moved_rad;
     profile->velocity_rad_s = next_rad_s;
@@ -47,8 +47,8 @@ void position_step(position_profile *profile, const position_config *config, dou
 /* A position loop lags behind a target that moves: its speed over the loop's gain, which is 4 /
  * s and more. */
 static const double LAG_S = 0.25;
-static const double NEARER_PART = 0.1; /* of following_rad: by so much it comes nearer, or it does
-                                          not */
+static const double NEARER_PART = 0.1; /* of following_rad: a joint that comes nearer by less does
+                                          not come nearer */
 
 bool position_follows(position_following *following, const position_config *config,
                       double apart_rad, double velocity_rad_s, int64_t now_ns)

@@ -14,8 +14,8 @@
 #include <float.h>
 #include <math.h>
 
-static const double LOSES_INTEGRAL_S = 0.5; /* without an integral gain, what a change has left in
-                                               it goes in this time */
+static const double LOSES_INTEGRAL_S = 0.5; /* without an integral gain, the rest of a change decays
+                                               in this time */
 static const double MOST_GAIN = 1e9;
 
 static double within(double value, double low, double high)
@@ -27,14 +27,14 @@ static double feed_forward(const speed_loop_state *state, const speed_loop_gains
                            double want_rad_s, double dt_s)
 {
     if (want_rad_s == 0.0) {
-        return 0.0; /* also where it was put to zero at once: the drive does the stopping then */
+        return 0.0; /* also if it was set to zero at once: then the drive does the stopping */
     }
     double rises_rad_s2 = state->begun != 0 ? (want_rad_s - state->want_rad_s) / dt_s : 0.0;
     return copysign(gains->static_u, want_rad_s) + gains->viscous_u_s_per_rad * want_rad_s +
            gains->acceleration_u_s2_per_rad * rises_rad_s2;
 }
 
-/* No output; `begun`: the next step is one like any other. */
+/* No output; `begun`: the next step is an ordinary one. */
 static double rest(speed_loop_state *state, double measured_rad_s, uint32_t begun)
 {
     *state = (speed_loop_state){
@@ -42,8 +42,8 @@ static double rest(speed_loop_state *state, double measured_rad_s, uint32_t begu
     return 0.0;
 }
 
-/* At rest a duty is zero: nothing is gained by warming a motor that stands. A torque may have to
- * hold a robot on a slope; it goes where friction holds it alone. */
+/* At rest a duty is zero, so it does not warm a motor that stands. A torque may have to hold a
+ * robot on a slope; it goes to zero where friction alone holds it. */
 static bool lets_go(const speed_loop_state *state, const speed_loop_config *config,
                     const speed_loop_gains *gains, const speed_loop_input *input)
 {

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * angle.c: angles, with nothing but IEEE 754's exactly rounded operations.
+ * angle.c: angles, only by IEEE 754's exactly rounded operations.
  */
 #include "core.h"
 

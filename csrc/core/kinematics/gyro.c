@@ -21,14 +21,14 @@ static const uint64_t WINDOW_SAMPLES_MIN = 20;
 /* A zero that wanders by 1e-3 rad/s in a quarter of an hour, as those of cheap sensors do when
  * they warm up. */
 static const double BIAS_WANDER_RAD2_S3 = 1e-9;
-/* A mean that is farther from the known zero than this is a slow turn: the robot is being moved. */
+/* A mean farther from the known zero than this is a slow turn: the robot is moved. */
 static const double BIAS_STEP_MAX_RAD_S = 0.02;
-/* of a base that stands, or so many deviations of the noise */
+/* of a base that stands, or this many deviations of the noise */
 static const double STILL_RAD_S = 0.01;
 static const double STILL_DEVIATIONS = 5.0;
-static const double OPPOSED_MAX_RAD = 1.0; /* so far wheels and gyro may turn against each other:
-                                              more is no slip */
-static const double OPPOSED_PART = 0.25;   /* of the wheels' turn, or it is noise */
+static const double OPPOSED_MAX_RAD = 1.0; /* wheels and gyro may turn against each other by this:
+                                              more is not slip */
+static const double OPPOSED_PART = 0.25;   /* of the wheels' turn; a smaller gyro turn is noise */
 
 void gyro_init(gyro_state *state)
 {
@@ -47,7 +47,7 @@ static void begin_window(gyro_state *state, int64_t now_ns)
     state->window_samples = 0;
 }
 
-/* A part of the turn is not known. */
+/* A part of the turn is unknown. */
 static void break_integral(gyro_state *state)
 {
     state->epoch++;
@@ -179,8 +179,8 @@ bool gyro_turn(gyro_state *state, const gyro_config *config, int64_t moment_ns, 
         state->referenced = 0;
         return false;
     }
-    /* What is carried on beyond the newest sample with its rate is taken back by the next call:
-     * it adds up to nothing. */
+    /* The part extrapolated beyond the newest sample is subtracted by the next call: it does not
+     * add up. */
     double yaw_rad = state->yaw_rad + state->rate_rad_s * seconds(moment_ns, state->stamp_ns);
     bool known =
         state->referenced && state->used_epoch == state->epoch && moment_ns >= state->used_ns;

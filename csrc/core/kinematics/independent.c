@@ -121,7 +121,7 @@ static bool stops_in_time(const position_profile *profile, const position_config
     if (velocity_rad_s < 0.0) {
         end_rad = profile->position_rad - own->position_min_rad;
     }
-    if (left_rad >= 0.0) { /* false of NaN: no goal; and of one that lies behind */
+    if (left_rad >= 0.0) { /* false for NaN (no goal), and for a goal that lies behind */
         end_rad = fmin(end_rad, left_rad);
     }
     double needs_rad =
@@ -129,9 +129,9 @@ static bool stops_in_time(const position_profile *profile, const position_config
     return needs_rad <= end_rad;
 }
 
-/* The limits in force. One that is lowered while the joint moves would make it pass its goal, or
- * the end of its range, where it has to brake already: it goes on braking with what it had, gets
- * no faster, and takes the new one as soon as that is enough. */
+/* The limits in force. With a lowered acceleration a joint that already brakes would pass its goal,
+ * or the end of its range: it brakes on with its old one, gets no faster, and takes the new one as
+ * soon as that is enough. */
 static void take_limits(joints_state *joints, const position_profile *profile, position_config *own,
                         const axis_limits *limits, double goal_rad, double dt_s, uint32_t j)
 {

@@ -7,7 +7,7 @@
 
 #pragma GCC visibility push(hidden)
 
-/* What is new in a step, beside the configuration. */
+/* The input of a step, beside the configuration. */
 typedef struct {
     const joint_command *command; /* NULL: all come to rest */
     const axis_limits *limits;    /* in force, by joint */
@@ -21,12 +21,12 @@ typedef struct {
  * Returns the reasons; `named`: of which joints they are. */
 uint32_t independent_step(joints_state *joints, steer_state *steer, const core_config *config,
                           const joints_input *input, double *velocity_rad_s, reasons_shown *named);
-/* Where they have changed: limits of all joints or, where one is out of range, of none. Joints that
- * move get to them by deceleration. */
+/* Where they have changed: limits of all joints or, where one is out of range, of none. Moving
+ * joints reach them by deceleration. */
 void independent_take_limits(core_state *state, const core_control *control);
 /* Those of the configuration. */
 void independent_own_limits(axis_limits *in_force, const core_config *config);
-/* All stand in this step, and have no target any more. */
+/* All stop in this step and drop their targets. */
 void independent_halt(joints_state *joints, steer_state *steer, const core_config *config);
 /* Whether it requests no motion: no position, and no speed but zero. A value that is not finite
  * is no such request. */

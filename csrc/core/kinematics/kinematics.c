@@ -10,8 +10,8 @@
 #include "wheel.h"
 
 /* The determinant of A' A, as a part of the product of its diagonal (Hadamard's inequality: at most
- * 1). What is less hangs on a thread: an error of a wheel would be one of the base a thousand
- * times as large. */
+ * 1). Below this the system is ill-conditioned: an error of a wheel would become a thousand times
+ * as large. */
 static const double DETERMINED_LEAST = 1e-6;
 
 void kinematics_wheels(const core_config *config, const double *twist_u_s, double *wheel_rad_s)
@@ -117,13 +117,13 @@ typedef struct {
     wheel_row slides; /* across it */
 } module_rows;
 
-/* Its angle is known, */
+/* Its wheel's angle is known, */
 static bool points(const wheel_module *module, uint32_t joints)
 {
     return module->steering == 0 || joints >> (module->steering - 1) & 1U;
 }
 
-/* and what its wheel rolls. */
+/* and its wheel's speed, too. */
 static bool is_driven(const wheel_module *module, uint32_t joints)
 {
     return points(module, joints) && module->traction != 0 && joints >> (module->traction - 1) & 1U;
@@ -141,7 +141,7 @@ void kinematics_modules(const core_config *config, const double *angle_rad, uint
                         twist_inverse *out)
 {
     double m[AXES][AXES];
-    /* no set of joints is the one of before: their angles change */
+    /* the set is never the same as before: the angles change */
     *out = (twist_inverse){.strafes = kinematics_strafes(config), .shared = 1.0};
     normal_begin(m, out->strafes != 0);
     for (uint32_t i = 0; i < config->module_count; i++) {

@@ -4,7 +4,7 @@
  *
  * Each joint gathers its travel from its own samples; when every joint with feedback has brought
  * one, the gathered travel is integrated as one exact arc: the base's twist is taken for constant
- * meanwhile. Where a counter cannot say how far a wheel has gone (it jumped, its origin moved,
+ * meanwhile. Where a counter does not show how far a wheel has gone (it jumped, its origin moved,
  * there is none), the drive's measured velocity stands in, and `degraded` is set.
  */
 #include "travel.h"
@@ -18,7 +18,7 @@ typedef struct {
     uint32_t degraded;
 } arc;
 
-/* What the base did, in its frame in the middle of the arc, as if it had been straight on. */
+/* The base's motion, in its frame in the middle of the arc, as if straight on. */
 typedef struct {
     double x_m;
     double y_m;
@@ -52,7 +52,7 @@ void odometry_init(odometry_state *state, const core_config *config)
         state->joint[j].constant = constants_of(&config->joint[j], config->feedback_timeout_s);
         if (config->joint[j].position.used &&
             config->joint[j].position.reference == REFERENCE_ESTIMATED) {
-            state->angle_rad[j] = 0.0; /* as its profile begins */
+            state->angle_rad[j] = 0.0; /* where its profile begins */
         }
     }
     pose_to_origin(state, config);
@@ -74,7 +74,7 @@ void odometry_reset(odometry_state *state, const core_config *config)
     }
 }
 
-/* Empties the joints into one arc. A joint left out seeds again, for the base has gone on
+/* Empties the joints into one arc. A joint that was left out seeds again: the base has moved
  * without it. */
 static void collect(odometry_state *state, const core_config *config, const uint32_t *stale,
                     arc *found)
@@ -90,7 +90,7 @@ static void collect(odometry_state *state, const core_config *config, const uint
                 degraded = 1;
             } else {
                 modules_take_angle(state, config, j);
-                /* only part of the distance is known: thrown away */
+                /* only part of the distance is known: dropped */
                 degraded |= joint->pending_rad != 0.0;
                 newest_ns = joint->stamp_ns > newest_ns ? joint->stamp_ns : newest_ns;
             }
@@ -120,8 +120,8 @@ static double sine_over(double half_rad)
     return angle_direction(angle_wrap(half_rad)).sine / half_rad;
 }
 
-/* Others than before are rare: a joint has gone silent, or is back. Those of a base with modules
- * are never the same. */
+/* A change of joints is rare: one has gone silent, or is back. With modules the inverse changes
+ * each time. */
 __attribute__((noinline)) static void look_anew(odometry_state *state, const core_config *config,
                                                 uint32_t joints)
 {
@@ -159,7 +159,7 @@ static motion by_wheels(odometry_state *state, const arc *found, uint32_t joint_
     return moved;
 }
 
-/* A look at what was done before this arc, which spread.rim_m has already. */
+/* A look at the motion before this arc, which spread.rim_m already contains. */
 static void look_before(odometry_state *state, const core_config *config, const arc *found)
 {
     for (uint32_t j = 0; j < config->joint_count; j++) {
@@ -171,8 +171,7 @@ static void look_before(odometry_state *state, const core_config *config, const 
     }
 }
 
-/* The distance is the wheels', the turn the gyro's: their errors have nothing to do with each
- * other. */
+/* The distance is the wheels', the turn the gyro's: their errors are independent. */
 static void turn_by_gyro(odometry_state *state, const core_config *config, const arc *found,
                          motion *moved)
 {
@@ -218,7 +217,7 @@ static void measure_twist(odometry_state *state, const core_config *config, cons
 }
 
 /* The exponential of a constant twist in SE(2) (Lynch & Park, Modern Robotics, 2017, 13.4): the
- * straight way times sin(h) / h, in the heading of half the turn h. */
+ * length times sin(h) / h, in the heading of half the turn h. */
 static void follow(odometry_state *state, const motion *moved)
 {
     double chord = sine_over(0.5 * moved->turn_rad);
@@ -246,7 +245,7 @@ static void integrate(odometry_state *state, const core_config *config, const ui
         modules_end_arc(state);
     }
     if (!known) {
-        /* some have only just been seeded: what the others have gone alone is no arc */
+        /* some have only just been seeded: the others alone make no arc */
         state->degraded |= found.joints != 0;
         state->spread.stamp_ns =
             state->spread.stamp_ns == 0 ? state->stamp_ns : state->spread.stamp_ns;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * odometry_modules.c: what the odometry of a base with modules has beside that of others: its
+ * odometry_modules.c: the odometry of a base with modules, beyond that of others: its
  * wheels' angles, and an inverse that changes with them.
  */
 #include "core.h"

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
  * spread.c: how uncertain the pose is. The covariance grows with the distance, with the turn, and
- * with slip: what the rims do against each other, and what nothing is known of.
+ * with slip: the rims' contradictions, and unknown motion.
  */
 #include "core.h"
 
@@ -23,7 +23,7 @@ typedef struct {
     double lateral_angular;
 } errors;
 
-/* b for a NaN in a: a floor holds */
+/* b if a is NaN: the floor holds */
 static double larger(double a, double b)
 {
     return a > b ? a : b;
@@ -37,7 +37,7 @@ void spread_floor(odometry_state *state, const core_config *config)
     p[5] = larger(p[5], config->heading_variance_floor_rad2);
 }
 
-/* What the wheels turn against each other, of a base with more of them than it has axes. */
+/* The rims' contradictions, of a base with more wheels than axes. */
 static void take_slip(spread_state *spread, const core_config *config, const twist_inverse *used,
                       const double *moved_u, double elapsed_s)
 {
@@ -82,8 +82,8 @@ static errors errors_of(const spread_state *spread, const core_config *config,
 }
 
 /* Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4: the errors of the motion are carried into
- * the pose by the Jacobians of the motion; the scrub of turning is added to the heading. Half of
- * the turn's error is there in the middle of the arc: the distance has its direction. */
+ * the pose by the Jacobians of the motion; the scrub of turning is added to the heading. The
+ * distance has the direction in the middle of the arc, and so half of the turn's error. */
 static void grow_pose(odometry_state *state, const errors *of, double scrub_rad2)
 {
     const spread_state *spread = &state->spread;
@@ -120,8 +120,7 @@ static void take_rates(spread_state *spread, const errors *of, double scrub_rad2
     spread->lateral_angular_m_rad_s = of->lateral_angular * per_s;
 }
 
-/* A wheel whose angle is estimated may point beside it by so much, and does so for about a
- * metre. */
+/* A wheel with an estimated angle may be off by this, for about a metre. */
 static const double ESTIMATED_RAD = 0.03;
 static const double ESTIMATED_FOR_M = 1.0;
 
@@ -178,8 +177,7 @@ void spread_look(odometry_state *state, const core_config *config, int64_t now_n
     }
 }
 
-/* The inverse of all joints. Wheels that are steered point where they pointed last: by as much
- * they turn the base. */
+/* The inverse of all joints. Steered wheels count at their newest angles. */
 static void invert_all(const odometry_state *state, const core_config *config, twist_inverse *all)
 {
     uint32_t joints = (1U << config->joint_count) - 1U;
@@ -199,7 +197,7 @@ void odometry_drift(odometry_state *state, const core_config *config,
 {
     twist_inverse all;
     invert_all(state, config, &all);
-    /* as if all had gone as far as the fastest, and all of it added up */
+    /* as if all had gone as far as the fastest, with all errors added up */
     double farthest_m = 0.0, far_u[AXES] = {0.0};
     for (uint32_t j = 0; j < config->joint_count; j++) {
         farthest_m = larger(farthest_m, fabs(setpoint[j].velocity_rad_s) *
@@ -214,7 +212,7 @@ void odometry_drift(odometry_state *state, const core_config *config,
     p[0] += distance_m * (2.0 * sqrt(p[0]) + distance_m);
     p[3] += distance_m * (2.0 * sqrt(p[3]) + distance_m);
     p[5] += turn_rad * (2.0 * sqrt(p[5]) + turn_rad);
-    /* the last measured twist is all there is: as uncertain as it is large */
+    /* only the last measured twist is left: as uncertain as it is large */
     double linear = state->linear_m_s * state->linear_m_s,
            lateral = state->lateral_m_s * state->lateral_m_s,
            angular = state->angular_rad_s * state->angular_rad_s;

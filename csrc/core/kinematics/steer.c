@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
  * steer.c: wheels that are steered. The twist is what moves the base; its wheels follow with their
- * angles, and where they cannot follow at once, the twist waits for them.
+ * angles, and if they cannot follow at once, the twist waits.
  *
  * The ramp of limit.c runs straight from twist to twist, and on that line each wheel's direction
  * changes: by v x dv / |v|^2 for the speed v of the floor under the wheel. Three rules keep the
@@ -21,15 +21,14 @@ static const double HALF_TURN_RAD = 3.14159265358979323846;
  * falls in proportion. At FULL a wheel slides sideways by 5 % of the distance that it rolls. */
 static const double ALIGNED_FULL_RAD = 0.05;
 static const double ALIGNED_NOT_RAD = 0.25;
-/* A profile that follows a direction is behind by its braking distance: v^2 / 2 a. */
+/* A profile that follows a direction lags by its braking distance: v^2 / 2 a. */
 static const double LAG_RAD = 0.04;
-static const double PACE_PART = 0.8; /* of a joint's speed: the rest is for catching up */
-/* The floor under a wheel is slower than this part of the fastest: its direction means nothing. */
+static const double PACE_PART = 0.8; /* part of a joint's speed: the rest is for catching up */
+/* A wheel over floor that is slower than this part of the fastest has no direction. */
 static const double STANDS_PART = 1e-6;
-/* An angle beyond the range by rounding is at its end. */
+/* An angle that rounding puts beyond the range is at its end. */
 static const double ROUNDING_RAD = 1e-6;
-/* Of a base whose range is endless, but that nothing would drive on the spot: its wheel at 80
- * degrees. */
+/* For an endless range on a base that nothing drives on the spot: its wheel at 80 degrees. */
 static const double CURVATURE_TAN = 5.67;
 
 typedef struct {
@@ -276,8 +275,8 @@ static bool turns_around(const core_config *config, const double *from_u_s, cons
     return false;
 }
 
-/* How far the worst wheel does not point to where that twist rolls it; one that stands points
- * anywhere. */
+/* The largest angle between a wheel and the direction in which that twist rolls it; a wheel that
+ * stands does not count. */
 static double misaligned(const steer_state *steer, const core_config *config,
                          const double *twist_u_s, const double *angle_rad)
 {

@@ -9,7 +9,7 @@
 
 void steer_init(steer_state *steer, const core_config *config);
 
-/* Bit n: joint n sends feedback, and where it is is not known. */
+/* Bit n: joint n sends feedback, but its position is unknown. */
 uint32_t steer_unknown(const core_config *config, const joint_feedback *feedback,
                        const uint32_t *stale, const double *angle_rad);
 
@@ -22,32 +22,32 @@ void steer_speeds(const steer_state *steer, const core_config *config, const dou
                   double *wheel_rad_s);
 
 /* Before the ramp: the base comes to rest before a goal that would turn a wheel around, and slows
- * down while its wheels do not point there. rate_max_s: so fast may the ramp be for the wheels
- * to follow. Returns the reasons. */
+ * down while its wheels do not point there. rate_max_s: the fastest ramp that the wheels can
+ * follow. Returns the reasons. */
 uint32_t steer_goal(steer_state *steer, const core_config *config, const limit_state *axis,
                     const double *angle_rad, double *goal_u_s, double *rate_max_s);
-/* A step of the ramp that is faster than that is shortened: it is straight, so what is left of
- * it keeps all limits, too. */
+/* Shortens a step of the ramp that is faster than that: the ramp is straight, so a part of the step
+ * keeps all limits, too. */
 uint32_t steer_pace(const limit_state *from, limit_state *axis, const double *goal_u_s,
                     double rate_max_s, double dt_s);
 /* After it: one step of each steering joint towards where the twist, or at rest the goal, rolls its
  * wheel to; with neither it holds. dt_s 0: no step. */
 void steer_joints(steer_state *steer, const core_config *config, const double *twist_u_s,
                   const double *goal_u_s, double dt_s);
-/* Whether joint j is where its profile is. One that measures nothing may be anywhere when it gets
- * its power, and gets the time of its longest move. Once a tick. */
+/* Whether joint j is where its profile is. A joint that measures nothing may be anywhere when it
+ * gets power, so it gets the time of its longest move. Once a tick. */
 bool steer_sure(steer_state *steer, const core_config *config, uint32_t j, double dt_s);
-/* They have no power: they are where they are. */
+/* They have no power: their profiles follow their positions. */
 void steer_released(steer_state *steer, const core_config *config, const double *angle_rad);
-/* rad/s of what rolls, by the angles that the wheels really have. */
+/* rad/s of the rolling joints, by the wheels' real angles. */
 void steer_wheels(const core_config *config, const double *twist_u_s, const double *angle_rad,
                   double *wheel_rad_s);
-/* How fast the joints move that take positions, and where those are that measure nothing;
- * returns whether one moves. */
+/* The speeds of joints that take positions, and the estimated positions of those that measure
+ * nothing; returns whether one moves. */
 bool steer_setpoints(const steer_state *steer, const core_config *config, joint_setpoint *joint,
                      double *angle_rad);
 
-/* Their set-points, and which of them count. */
+/* Their set-points, and the mask of those that count. */
 uint32_t steer_positions(const steer_state *steer, const core_config *config, bool enabled,
                          double *position_rad);
 

@@ -10,12 +10,11 @@
 
 #include <math.h>
 
-/* A wheel may turn faster than its configured limit (downhill, pushed) without its counter being
- * called wrong. */
+/* A wheel may turn faster than its configured limit (downhill, pushed) before its counter counts as
+ * wrong. */
 static const double JUMP_MARGIN = 1.5;
 static const double JUMP_SLACK_COUNTS = 4.0;
-/* Part of itself by which a measured velocity may be off: filtered, rounded to revolutions a
- * minute, not quite in time. */
+/* The part by which a measured velocity may be off: it is filtered, rounded to rpm, and late. */
 static const double VELOCITY_ERROR = 0.1;
 
 /* Bits of joint_odometry.fresh: what came since the last integration. */
@@ -28,7 +27,7 @@ static inline int64_t shortest_difference(uint64_t now, uint64_t before, uint32_
     return (int64_t)((now - before) << unused) >> unused;
 }
 
-/* b for a NaN in a: a floor holds */
+/* b if a is NaN: the floor holds */
 static inline double larger(double a, double b)
 {
     return a > b ? a : b;
@@ -59,7 +58,7 @@ static joint_constants constants_of(const joint_config *joint, double timeout_s)
 }
 
 /* How far the wheel went by the drive's own measure, at both ends where it measured at both, or
- * without one by `otherwise`. After a silence the speed of now says nothing about all of it. */
+ * without one by `otherwise`. After a silence the present speed does not stand for all of it. */
 static double travel_by_velocity(double before_rad_s, double now_rad_s, double elapsed_s,
                                  double timeout_s, double otherwise_rad_s)
 {
@@ -68,9 +67,9 @@ static double travel_by_velocity(double before_rad_s, double now_rad_s, double e
            (elapsed_s < timeout_s ? elapsed_s : timeout_s);
 }
 
-/* Which of the travels that a counter can mean, whole turns of it apart, the measured velocity
- * decides. Only where the next one is three times as far from what was measured as the velocity
- * can be off, and after no silence; else NaN. */
+/* The travel among those that the counter allows, whole turns apart, chosen by the measured
+ * velocity. Only if the next one is three times as far off as the velocity's error, and after no
+ * silence; else NaN. */
 static double travel_by_turns(const joint_odometry *joint, const joint_feedback *sample,
                               double travel_rad, double elapsed_s, double timeout_s)
 {
@@ -120,7 +119,7 @@ static void believe(joint_odometry *joint, uint64_t count)
     joint->since_rad = joint->credited_rad = 0.0;
 }
 
-/* From here on travel is counted from this sample. */
+/* From now on travel counts from this sample. */
 static void begin(joint_odometry *joint, const joint_feedback *sample)
 {
     joint->epoch = sample->epoch;
@@ -128,9 +127,9 @@ static void begin(joint_odometry *joint, const joint_feedback *sample)
     believe(joint, sample->count);
 }
 
-/* A sample that is refused moves nothing but by estimate: the next one is believed when it agrees
- * with the last one that was believed, or with the one that was refused. known: it gives a
- * travel, though an impossible one. */
+/* A refused sample moves the pose by an estimate only: the next one is accepted if it agrees with
+ * the last accepted one, or with the refused one. known: it gives a travel, though an impossible
+ * one. */
 static void refuse(joint_odometry *joint, const joint_feedback *sample, bool known,
                    double elapsed_s, double timeout_s)
 {
@@ -164,8 +163,7 @@ static void refuse(joint_odometry *joint, const joint_feedback *sample, bool kno
     joint->credited_rad += estimate_rad;
 }
 
-/* Travel within reach_rad, of which sure_rad can have been turned since the last sample that was
- * believed. */
+/* Travel within reach_rad, of which sure_rad is possible since the last accepted sample. */
 static inline void go(joint_odometry *joint, const joint_feedback *sample, double travel_rad,
                       double sure_rad, double reach_rad)
 {
@@ -181,8 +179,8 @@ static inline void go(joint_odometry *joint, const joint_feedback *sample, doubl
         larger(0.0, smaller(reach_rad - distance_rad, constant->counter_unused_max_rad));
 }
 
-/* A counter that is renewed more slowly than it is read catches up in steps: what reach a sample
- * leaves unused is the next one's, for as long as feedback counts, and for a quarter of a narrow
+/* A counter that is renewed more slowly than it is read catches up in steps: the unused reach of a
+ * sample passes to the next one, for as long as feedback counts, and up to a quarter of a narrow
  * counter. A sample beyond that is refused. */
 static void take_count(joint_odometry *joint, const joint_feedback *sample, double elapsed_s,
                        double timeout_s)
@@ -223,8 +221,8 @@ __attribute__((noinline)) static void take(joint_odometry *joint, const joint_fe
     }
 }
 
-/* The common case of take_count(): after a sample that was believed, one that can only mean this
- * travel, within reach. */
+/* The common case of take_count(): after an accepted sample, one that allows only this travel,
+ * within reach. */
 static inline bool take_next(joint_odometry *joint, const joint_feedback *sample)
 {
     const joint_constants *constant = &joint->constant;

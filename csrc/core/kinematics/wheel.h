@@ -17,7 +17,7 @@ static inline double wheel_speed(const joint_config *joint, const double *twist_
     return rim_m_s / joint->wheel_radius_m;
 }
 
-/* A twist at a wheel's limit, rounded, may be beyond it by the last bit; a NaN stays one. */
+/* Rounding may put a twist at a wheel's limit beyond it by the last bit; NaN stays NaN. */
 static inline double wheel_rounded(const joint_config *joint, double speed_rad_s)
 {
     double most_rad_s = joint->velocity_max_rad_s, least_rad_s = joint->velocity_min_rad_s;
@@ -25,7 +25,7 @@ static inline double wheel_rounded(const joint_config *joint, double speed_rad_s
     return below_rad_s < least_rad_s ? least_rad_s : below_rad_s;
 }
 
-/* How fast its speed may grow, away from zero, so that the duty keeps its slew. */
+/* The fastest growth of its speed, away from zero, at which the duty keeps its slew. */
 static inline double wheel_acceleration(const pwm_config *config)
 {
     return config->slew_per_s * config->full_duty_rad_s / (1.0 - config->dead_band);
@@ -41,7 +41,7 @@ static inline double wheel_share(const joint_config *joint, double want_rad_s)
 {
     double want = fabs(want_rad_s);
     double limit = want_rad_s < 0.0 ? -joint->velocity_min_rad_s : joint->velocity_max_rad_s;
-    if (!(want > limit) || isinf(want)) { /* NaN, on either side, is no reason to move */
+    if (!(want > limit) || isinf(want)) { /* NaN, on either side, never causes motion */
         return 0.0;
     }
     double quotient = fabs(limit / want);

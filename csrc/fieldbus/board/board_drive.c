@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * board_drive.c: what a board is to be, whether it is there, and when it has to stop. */
+ * board_drive.c: the mode of a board, whether it responds, and when it has to stop. */
 #include "board_machine.h"
 #include "fresh.h"
 
@@ -12,7 +12,7 @@ void board_hold(board_machine *m, const board_write *write, uint32_t count, int6
     }
 }
 
-/* What the rules have decided: into the payload. */
+/* Puts what the rules have decided into the payload. */
 void board_begin_stop(board_machine *m, drive_stop stop, int64_t now_ns)
 {
     m->notify |= drive_is_changed(&m->state);
@@ -74,8 +74,8 @@ static void note_last_power_off(board_machine *m, int64_t now_ns)
     m->off_again_ns = m->off_again_ns == 0 && m->off_word_ns > 0 ? now_ns : m->off_again_ns;
 }
 
-/* Frames say which of ours the board has received. A word of another kind says nothing of that, and
- * may have been in transit before a wire was cut: two of them, and the power-off between. */
+/* Frames show which of ours the board has received. Other feedback does not, and may have been in
+ * transit before a wire was cut: two are needed, with the power-off between them. */
 void board_look_for_proof(board_machine *m)
 {
     bool frames = m->table.dialect == BOARD_FRAMES, reports = reports_power(m);
@@ -90,7 +90,7 @@ void board_look_for_proof(board_machine *m)
 static void becomes_unresponsive(board_machine *m, int64_t now_ns)
 {
     m->unresponsive++;
-    /* it may receive all the same: in every cycle from now on */
+    /* it may still receive: in every cycle from now on */
     board_begin_stop(m, drive_quick_stop(&m->state, 0, now_ns), now_ns);
     drive_unresponsive(&m->state);
     m->feedback_bytes = 0;
@@ -109,14 +109,14 @@ void board_sent(board_machine *m, int64_t now_ns)
         m->notify |= drive_stop_done(&m->state);
     }
     note_last_power_off(m, now_ns);
-    if (m->table.answers == 0) { /* the port has taken its bytes: that is all there is to know */
+    if (m->table.answers == 0) { /* the port has taken its bytes: nothing more can be known */
         m->stamp_ns = m->knows_ns = now_ns;
         board_received(m, now_ns);
     }
 }
 
 /* ----------------------------------------------------------------------------- its word */
-/* The drive's own words count when it had received by then what stays in its payload. */
+/* The drive's report counts if it was made after the drive had received the payload's writes. */
 static void believe(board_machine *m, bool kept, int64_t now_ns)
 {
     bool settled = now_ns >= m->control.request.arming_until_ns;
@@ -166,7 +166,7 @@ void board_guard(board_machine *m, int64_t now_ns)
 }
 
 /* ----------------------------------------------------------------------------- requests */
-/* What stays in its payload is what it does: it is switched off, whatever it was. */
+/* A board follows what stays in its payload: it is switched off in any state. */
 void board_obey_request(board_machine *m, int64_t now_ns)
 {
     drive_view view = view_of(m, now_ns);
@@ -180,7 +180,7 @@ void board_obey_request(board_machine *m, int64_t now_ns)
     if (answer.request == REQUEST_OFF || stands_down) {
         board_power_off(m, now_ns);
     } else if (answer.request == REQUEST_SET_UP) {
-        m->received_ns = now_ns; /* a board that was set up has just reported, or cannot */
+        m->received_ns = now_ns; /* a board that was set up has just reported, or cannot report */
         board_forget(m);
     } else if (answer.request == REQUEST_ARM) {
         m->last_sent_ns = now_ns;

@@ -35,7 +35,7 @@ static uint32_t stuff(const uint8_t *data, uint32_t count, uint8_t *out)
     return at;
 }
 
-/* 0: it was never stuffed, or is longer than a frame. */
+/* 0: it is not stuffed, or longer than a frame. */
 static uint32_t unstuff(const uint8_t *data, uint32_t count, uint8_t *out)
 {
     uint32_t from = 0, to = 0;
@@ -72,7 +72,7 @@ uint32_t board_frame_build(uint32_t type, uint32_t sequence, uint32_t time_us,
     memcpy(raw + BOARD_HEAD_BYTES, payload, payload_bytes);
     uint32_t count = BOARD_HEAD_BYTES + payload_bytes;
     board_put(raw, &(board_place){.byte = count, .bytes = CRC_BYTES}, crc16(raw, count));
-    out[0] = 0; /* ends whatever noise came before */
+    out[0] = 0; /* ends noise that came before */
     uint32_t stuffed = stuff(raw, count + CRC_BYTES, out + 1);
     out[1 + stuffed] = 0;
     return stuffed + 2;

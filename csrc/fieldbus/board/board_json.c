@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * board_json.c: lines of text that are JSON objects (RFC 8259), by the names of their members.
- * Members that no part names are skipped, whatever they are. A name is compared byte by byte:
- * one with an escape in it is another one. */
+ * Members that no part names are skipped. Names are compared byte by byte, so a name with an escape
+ * matches none. */
 #include <string.h>
 
 #include "board_machine.h"
@@ -25,7 +25,7 @@ static bool take_string(board_reader *r, const uint8_t **begin, uint32_t *count)
     return board_take_one(r, "\"");
 }
 
-/* Objects and lists are not looked into: only whether they end. */
+/* Objects and lists are skipped to their end. */
 static bool skip_nested(board_reader *r)
 {
     uint32_t depth = 0;
@@ -61,7 +61,7 @@ static bool skip_value(board_reader *r)
     return r->at > begin;
 }
 
-/* Its number; part_count: no part has this name. */
+/* Number of the part; part_count: no part has this name. */
 static uint32_t find(const board_text *text, const uint8_t *name, uint32_t count)
 {
     const uint8_t *literal = text->literal;

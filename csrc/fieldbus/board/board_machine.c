@@ -6,9 +6,9 @@
 #include <string.h>
 
 static const int64_t NS_PER_US = 1000, HELD_UNIT_NS = 100000;
-/* Received earlier than sent: the number is that of set-points of an earlier program. */
+/* It was received before it was sent: the number belongs to set-points of an earlier program. */
 static const int64_t HELD_TOLERANCE_NS = 2 * BOARD_MS;
-/* Beyond the end's time: until a board that speaks has reported that it has no power. */
+/* Beyond the end's time: for a board that responds to report that it has no power. */
 static const int64_t REPORT_EXTRA_NS = 500 * BOARD_MS;
 static const board_place RECEIVED_SEQUENCE = {.byte = 6, .bytes = 2},
                          RECEIVED_AGO = {.byte = 8, .bytes = 2};
@@ -36,9 +36,9 @@ int board_machine_init(board_machine *m, const board_table *table, uint32_t epoc
 }
 
 /* ---------------------------------------------------------------------------- receiving */
-/* Which of our frames the board had received by then, and how long it kept that to itself. One of
- * an earlier program may be newer than ours: the board would take none before we are ahead of
- * it. */
+/* The newest of our frames that the board had received, and how long before the feedback. A frame
+ * of an earlier program may have a greater number: the board takes none of ours until we are ahead
+ * of it. */
 static void note_what_it_knows(board_machine *m, int64_t now_ns)
 {
     uint16_t sequence = (uint16_t)board_get(m->feedback_payload, &RECEIVED_SEQUENCE);
@@ -118,8 +118,8 @@ static bool ends(const board_machine *m, uint8_t byte)
     return m->table.dialect == BOARD_TEXT ? line_end : byte == 0;
 }
 
-/* Of a line of text that does not end in time, nothing is read until the next one begins. A frame
- * that fills its room is one byte too long for any. */
+/* A line of text that is too long is skipped up to its end. A frame that fills the buffer is too
+ * long by a byte. */
 static void take_pieces(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns)
 {
     board_tail *tail = &m->tail;
@@ -159,7 +159,7 @@ bool board_machine_order(board_machine *m, const board_order *order)
     return true;
 }
 
-/* Into the payload, once; it is done when a frame with it has gone out. */
+/* Puts it into the payload, once; it is done when a frame with it has gone out. */
 static void obey_order(board_machine *m, int64_t now_ns)
 {
     const board_order *order = &m->order;
@@ -178,7 +178,7 @@ static void obey_order(board_machine *m, int64_t now_ns)
     m->order_written = true;
 }
 
-/* All of them at once: what stops one of them stops the others in the same cycle. */
+/* All drivers at once: a stop of one stops the others in the same cycle. */
 static uint32_t build_sabertooths(const board_table *table, const uint8_t *payload, uint8_t *out)
 {
     uint32_t count = 0;
@@ -213,7 +213,7 @@ static void send_payload(board_machine *m, int64_t now_ns)
         return;
     }
     if (sequence != (uint16_t)(m->sequence + 1)) {
-        memset(m->sent_ns, 0, sizeof m->sent_ns); /* a new row */
+        memset(m->sent_ns, 0, sizeof m->sent_ns); /* a new sequence */
     }
     m->sequence = sequence;
     m->next = (uint16_t)(sequence + 1);
@@ -232,8 +232,8 @@ static void cycle(board_machine *m, int64_t now_ns)
 }
 
 /* ------------------------------------------------------------------------------ the end */
-/* Silent only when the last frame has had the time to leave the port, and the board has reported
- * that it has no power. One that is there is given longer for that. */
+/* Silent only when the last frame has had time to leave the port, and the board has reported that
+ * it has no power. A board that responds gets more time for that. */
 static void shut_down(board_machine *m, int64_t now_ns)
 {
     if (end_begins(&m->end, m->control.shut_down != 0, now_ns)) {

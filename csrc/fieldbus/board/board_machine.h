@@ -41,11 +41,11 @@ typedef struct {
 /* The piece of the stream that has not ended yet. */
 typedef struct {
     uint32_t count;
-    bool whole; /* text: its beginning was received */
+    bool whole; /* text: the beginning of the line was received */
     uint8_t bytes[BOARD_LINE_MAX];
 } board_tail;
 
-/* What of a line of text has not been read. */
+/* The unread part of a line of text. */
 typedef struct {
     const uint8_t *at, *end;
 } board_reader;
@@ -62,34 +62,34 @@ typedef struct {
     board_order order;
     bool has_order;
     drive_state state;
-    bool order_written; /* it is in the payload, and has not gone out */
+    bool order_written; /* it is in the payload and has not gone out yet */
     uint32_t joints;    /* bit n: joint n of the core */
     uint32_t stops;
     uint32_t orders_sent;
     uint32_t orders_dropped;
     line_ending end;
-    bool off_suffices;      /* when the end began: its last power-off has but to go out */
-    bool off_waits;         /* it has not proved that it has got that */
-    int64_t off_first_ns;   /* that went out; 0: not yet */
-    int64_t off_word_ns;    /* a word came behind it, ... */
+    bool off_suffices;      /* when the end began: its last power-off only has to go out */
+    bool off_waits;         /* it has not confirmed that power-off */
+    int64_t off_first_ns;   /* when that went out; 0: not yet */
+    int64_t off_word_ns;    /* feedback came after it, ... */
     int64_t off_again_ns;   /* ... and then it went out again; 0: not yet */
     uint32_t feedback_mask; /* joints whose feedback is new since it was taken */
     imu_sample imu;         /* the newest */
     bool imu_is_new;        /* since it was taken */
     uint8_t last_sent[BOARD_PAYLOAD_MAX]; /* the newest payload that went out */
-    bool notify;                          /* something that Python wants to know */
+    bool notify;                          /* there is something new for Python */
     uint8_t held[BOARD_PAYLOAD_MAX];
     uint8_t feedback_payload[BOARD_PAYLOAD_MAX];
     uint32_t feedback_bytes;
     uint16_t sequence;
-    uint16_t next; /* sequence: newer than what the board has received, of us or of an earlier
-                      program */
+    uint16_t next; /* sequence: newer than any that the board has received, from us or from an
+                      earlier program */
     int64_t sent_ns[BOARD_SEQUENCES_KEPT];
     int64_t written_ns;
     int64_t last_sent_ns; /* a frame went out last */
     int64_t received_ns;  /* 0: never */
     int64_t knows_ns;
-    int64_t stamp_ns; /* of the newest word */
+    int64_t stamp_ns; /* of the newest feedback */
     cycle_clock cycle;
     uint64_t sent;
     uint64_t no_room;
@@ -102,15 +102,15 @@ typedef struct {
     histogram *round_trips; /* NULL: not kept */
 } board_machine;
 
-/* 0 or -EINVAL. OFF; `epoch` and `sequence`: of what was before. */
+/* 0 or -EINVAL. OFF; `epoch` and `sequence`: of the last start. */
 int board_machine_init(board_machine *m, const board_table *table, uint32_t epoch,
                        uint16_t sequence, int64_t now_ns);
 /* A board that another program left running: it is READY and has a quick stop to get, as if it
  * had been armed here. */
 void board_take_over(board_machine *m, int64_t now_ns);
-/* Bytes have come. Nothing is sent. */
+/* Takes bytes that have come. Sends nothing. */
 void board_machine_receive(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns);
-/* false: the one before has not gone out */
+/* false: the order before has not gone out */
 bool board_machine_order(board_machine *m, const board_order *order);
 /* The loop has woken the line: set-points that differ from the last ones do not wait for their
  * cycle. */
@@ -127,9 +127,9 @@ int64_t board_get(const uint8_t *data, const board_place *place);
 void board_put(uint8_t *data, const board_place *place, int64_t raw);
 int64_t board_raw_min(const board_place *place);
 int64_t board_raw_max(const board_place *place);
-/* What the next frame carries; true: a set-point in it is not zero. */
+/* Writes the set-points of the next frame; true: one of them is not zero. */
 bool board_payload(const board_machine *m, uint8_t *payload);
-/* The fields of the newest word. True: all KEPT ones are as they were set up. */
+/* Reads the fields of the newest feedback. True: all KEPT ones are as they were set up. */
 bool board_read(board_machine *m);
 void board_publish(board_machine *m);
 void board_forget(board_machine *m);
@@ -139,7 +139,7 @@ bool board_at_rest(const board_machine *m);
 void board_skip_white(board_reader *r);
 bool board_take_one(board_reader *r, const char *of);
 bool board_take_number(board_reader *r, double *out);
-/* A number to its part's place; `end`: behind the last place so far. */
+/* Writes a number to its part's place; `end`: behind the last place so far. */
 void board_store(const board_part *part, double number, uint8_t *payload, uint32_t *end);
 
 /* ------------------------------------------------------------------------- board_json.c */
@@ -148,27 +148,27 @@ uint32_t board_json_read(const board_text *text, const uint8_t *line, uint32_t c
                          uint8_t *payload);
 
 /* -------------------------------------------------------------------------- board_imu.c */
-/* Whether a payload is as long as it says that its inertial sensor needs. */
+/* Whether a payload is long enough for the inertial sensor that it announces. */
 bool board_imu_fits(const uint8_t *payload, uint32_t feedback_bytes);
-/* Its sample in the newest word, where there is one that is wanted. */
+/* Takes its sample from the newest feedback, if there is one and it is used. */
 void board_imu_read(board_machine *m);
 
 /* ------------------------------------------------------------------------ board_drive.c */
 void board_hold(board_machine *m, const board_write *write, uint32_t count, int64_t now_ns);
 void board_power_off(board_machine *m, int64_t now_ns);
-/* Called when the line's end begins: keeps whether the board is known to have no power. */
+/* Called when the line's end begins: keeps whether the board has reported no power. */
 void board_note_power(board_machine *m, int64_t now_ns);
-/* Begins the last power-off, which goes out until board_look_for_proof has found that the board
- * has got it. */
+/* Begins the last power-off, which goes out until board_look_for_proof finds that the board has
+ * received it. */
 void board_last_power_off(board_machine *m, int64_t now_ns);
 void board_look_for_proof(board_machine *m);
-/* What the rules of drive_state.h have decided. */
+/* Carries out what the rules of drive_state.h have decided. */
 void board_begin_stop(board_machine *m, drive_stop stop, int64_t now_ns);
 void board_obey_request(board_machine *m, int64_t now_ns);
 void board_guard(board_machine *m, int64_t now_ns);
-/* A good word has come. */
+/* Good feedback has come. */
 void board_received(board_machine *m, int64_t now_ns);
-/* What goes to it last has gone out. */
+/* Its last frame has gone out. */
 void board_sent(board_machine *m, int64_t now_ns);
 
 #endif

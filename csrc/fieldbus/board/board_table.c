@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * board_table.c: is a board's table good? Nothing outside it is ever read or written because of
- * what it says. */
+ * board_table.c: checks a board's table. With a good table nothing outside it is ever read or
+ * written. */
 #include <math.h>
 #include <string.h>
 
@@ -8,7 +8,7 @@
 #include "finding.h"
 
 static const int64_t PERIOD_MAX_NS = INT64_C(100000000000);
-static const double NUMBER_MAX = 1e15; /* every integer up to there is a double */
+static const double NUMBER_MAX = 1e15; /* every integer up to this is a double */
 static const uint32_t WIDTH_MAX = 99;
 
 static void check_place(finding *f, const board_place *place, uint32_t bytes)
@@ -53,7 +53,7 @@ static void check_field(finding *f, const board_field *field, uint32_t bytes)
     check_meaning(f, &field->meaning, FIELD_KEPT);
 }
 
-/* What a part may come to stays a number that is written exactly. */
+/* A part's largest value is still written exactly. */
 static void check_written(finding *f, const board_part *part, const board_table *table)
 {
     double most = 0.0;
@@ -68,7 +68,7 @@ static void check_written(finding *f, const board_part *part, const board_table 
     need(f, part->width <= WIDTH_MAX && part->precision <= WIDTH_MAX, "part.width");
 }
 
-/* What may go on with a number would be read as its end. */
+/* Whether this byte ends a number: the others could continue it. */
 static bool parts_number(uint8_t byte)
 {
     return !((byte >= '0' && byte <= '9') || byte == '.' || byte == 'e' || byte == 'E');
@@ -87,7 +87,7 @@ static void check_read(finding *f, const board_text *text, uint32_t number, uint
     }
 }
 
-/* Names of members, none of which the reader would have to unescape. */
+/* Names of members, without escapes. */
 static void check_json(finding *f, const board_text *text, uint32_t number, uint32_t literal,
                        uint32_t bytes)
 {
@@ -183,7 +183,7 @@ static void check_sabertooths(finding *f, const board_table *table)
     need(f, table->answers == 0, "answers");
 }
 
-/* As long as the packets have room for, and as they are read. */
+/* The sizes of the packets' contents. */
 static void check_packets(finding *f, const board_table *table)
 {
     if (table->dialect == BOARD_HOVERBOARD) {
@@ -225,7 +225,7 @@ const char *board_table_check(const board_table *table, char *name)
     } else if (!f.bad && table->dialect > BOARD_TEXT) {
         check_packets(&f, table);
     } else if (!f.bad) {
-        /* which set-points were received, and when */
+        /* the received set-points, and when */
         need(&f, table->answers == 1 && table->feedback_bytes >= 10, "feedback_bytes");
     }
     return f.bad ? name : NULL;

@@ -7,11 +7,10 @@
 
 #include "board_machine.h"
 
-static const int32_t EXPONENT_MAX = 400; /* more is no number that a double holds */
+static const int32_t EXPONENT_MAX = 400; /* a longer number does not fit a double */
 
 /* ------------------------------------------------------------------------------ writing */
-/* printf's words for a part: a sign, zeros, and the form; width and precision are given beside
- * them. */
+/* printf's format of a part: sign, zeros and form; width and precision are arguments. */
 static void format_of(const board_part *part, char *out)
 {
     *out++ = '%';
@@ -95,7 +94,7 @@ void board_skip_white(board_reader *r)
     }
 }
 
-/* Digits onto a number; how many there were. */
+/* Appends digits to a number; returns how many there were. */
 static int32_t take_digits(board_reader *r, double *number)
 {
     int32_t count = 0;
@@ -106,7 +105,7 @@ static int32_t take_digits(board_reader *r, double *number)
     return count;
 }
 
-/* An `e` that no digits follow is not the number's. */
+/* An `e` without digits after it does not belong to the number. */
 static int32_t take_exponent(board_reader *r)
 {
     board_reader ahead = *r;
@@ -142,7 +141,7 @@ bool board_take_number(board_reader *r, double *out)
     return isfinite(*out);
 }
 
-/* White space fits any other; at both ends of the text it need not be there. */
+/* White space matches any other; at both ends of the text it is optional. */
 static bool take_literal(board_reader *r, const uint8_t *literal, uint32_t count, bool first,
                          bool last)
 {

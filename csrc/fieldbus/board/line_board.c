@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_board.c: the thread of a board's line: the port, the clock, the waiting. What is sent and
- * when is the machine's. */
+ * line_board.c: the thread of a board's line: the port, the clock, the waiting. The machine decides
+ * what is sent and when. */
 #include <errno.h>
 #include <locale.h>
 #include <string.h>
@@ -21,10 +21,10 @@ typedef struct {
     ring orders;
     board_order order_place[BOARD_ORDERS_MAX];
     board_report out;
-    uint32_t payload_bytes; /* for callers that put orders */
+    uint32_t payload_bytes; /* for callers that submit orders */
     uint32_t rest_bytes;
     bool woken;
-    uint8_t rest[BOARD_WIRE_MAX]; /* of a frame that the port has taken the beginning of */
+    uint8_t rest[BOARD_WIRE_MAX]; /* the rest of a frame whose beginning the port has taken */
     int send_error;
     uint64_t received_reported;
 } board_thread;
@@ -37,7 +37,7 @@ static line_thread *life_of(uint32_t line)
 }
 
 /* ----------------------------------------------------------------------------- the port */
-/* How many it took, 0 where it takes none now. */
+/* Returns how many it took, 0 if it takes none now. */
 static uint32_t write_some(board_thread *t, const uint8_t *bytes, uint32_t count)
 {
     ssize_t went;
@@ -64,7 +64,7 @@ static bool flush_rest(board_thread *t)
     return t->rest_bytes == 0;
 }
 
-/* Not behind older frames that have not gone out yet: it would come late. */
+/* Not behind older frames that still wait: it would come late. */
 static bool send_bytes(void *sink, const uint8_t *bytes, uint32_t count)
 {
     board_thread *t = sink;
@@ -119,7 +119,7 @@ static void take_order(board_thread *t)
 }
 
 /* --------------------------------------------------------------------------- the thread */
-/* Bytes, a wake or the time; the bytes' number or -errno. */
+/* Waits for bytes, a wake or the time; returns the bytes' number or -errno. */
 static int wait_for_wakeup(board_thread *t, int64_t until_ns, uint8_t *bytes, uint32_t room)
 {
     struct pollfd fds[2] = {[1] = {.fd = t->life.at.fd, .events = POLLIN}};
@@ -152,7 +152,7 @@ static void *run(void *arg)
     int64_t wake_ns = 0;
     int count = 0, error = 0;
     line_thread_begin(&t->life, "motord-board");
-    /* text has a point, whatever the process has set */
+    /* text uses a point, in any locale of the process */
     (void)uselocale(newlocale(LC_ALL_MASK, "C", (locale_t)0));
     while (!t->life.stop_requested && error == 0) {
         error = go_round(t, bytes, (uint32_t)count, &wake_ns);
@@ -166,7 +166,7 @@ static void *run(void *arg)
 }
 
 /* ----------------------------------------------------------------------------- its life */
-/* A sequence goes on where it was: the board takes none that is older. */
+/* The sequence goes on: the board takes no older one. */
 static int prepare(board_thread *t, uint32_t line, const board_config *config,
                    const board_table *table)
 {

@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_drive.c: one drive of a CAN line: what it gets, whether it is there, and when it has to
- * stop. */
+ * can_drive.c: one drive of a CAN line: what it gets, whether it responds, when it has to stop. */
 #include <string.h>
 
 #include "can_machine.h"
@@ -131,7 +130,7 @@ void can_stop_now(can_machine *m, uint32_t number, uint32_t kind)
     m->notify = true;
 }
 
-/* What the rules have decided: begun here. */
+/* Begins what the rules have decided. */
 void can_begin_stop(can_machine *m, uint32_t number, drive_stop stop)
 {
     if (stop != STOP_NOTHING) {
@@ -147,11 +146,11 @@ static bool send_stop(can_machine *m, uint32_t number, bool quick)
     uint32_t count = quick ? table->quick_stop_count : table->disarm_count;
     for (; drive->stop_place < count; drive->stop_place++) {
         if (!can_write_out(m, number, &write[drive->stop_place])) {
-            return false; /* sent again with the next look */
+            return false; /* sent again in the next step */
         }
     }
     if (!quick && table->idle_setpoints == 0) {
-        drive->state.sent_motion = false; /* set-points would switch it on again */
+        drive->state.sent_motion = false; /* its set-points would switch it on again */
     }
     return true;
 }
@@ -176,8 +175,8 @@ bool can_is_off(const can_machine *m, uint32_t number)
            drive_is_off(&drive->last_off, reports, drive->state.enabled, drive->newest_ns);
 }
 
-/* What does not come by itself is asked for behind it. One that the CAN bus took in part stays due:
- * its rest goes out with the next look. */
+/* Frames that do not come by themselves are requested after it. A stop that the CAN bus took in
+ * part stays due: its rest goes out in the next step. */
 static void send_last_power_off(can_machine *m, uint32_t number)
 {
     can_drive_state *drive = &m->drive[number];
@@ -265,7 +264,7 @@ static void becomes_unresponsive(can_machine *m, uint32_t number, int64_t now_ns
     }
 }
 
-/* It may receive though it sends nothing: one that may turn gets a stop. */
+/* A silent drive may still receive: if it may turn, it gets a stop. */
 static void probe(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
@@ -282,7 +281,7 @@ static void probe(can_machine *m, uint32_t number, int64_t now_ns)
         all_sent = all_sent && !drive->state.sent_motion;
     }
     send_all(m, table->probe, table->probe_count);
-    if (all_sent) { /* else again in the next cycle */
+    if (all_sent) { /* else it goes out again in the next cycle */
         drive->probe_at_ns = now_ns + drive->probe_pause_ns;
         drive->probe_pause_ns =
             2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
@@ -326,7 +325,7 @@ void can_guard(can_machine *m, uint32_t number, int64_t now_ns)
 }
 
 /* ----------------------------------------------------------------------------- requests */
-/* What comes only from now on has its time. */
+/* Frames have their full time to come, counted from now. */
 static void begin_listening(can_drive_state *drive, int64_t now_ns)
 {
     drive->last_sent_ns = now_ns;
@@ -364,7 +363,7 @@ void can_obey_request(can_machine *m, uint32_t number, int64_t now_ns)
     m->notify |= is_new;
     can_begin_stop(m, number, answer.stop);
     drive->stops += answer.overtaken;
-    /* also of one that is being armed */
+    /* also for a drive that is being armed */
     drive->stops += is_new && request->mode == DRIVE_STAND_DOWN;
     if (answer.request == REQUEST_SET_UP) {
         set_up(m, number, now_ns);
@@ -375,8 +374,8 @@ void can_obey_request(can_machine *m, uint32_t number, int64_t now_ns)
 }
 
 /* ---------------------------------------------------------------------------- its cycle */
-/* What may wait. A drive that cannot report its power gets its power-off again: the frame that took
- * it may have been lost. */
+/* Requests that may wait. A drive that cannot report its power gets its power-off again: the first
+ * one may have been lost. */
 static void now_and_then(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];

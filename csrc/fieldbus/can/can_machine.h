@@ -39,18 +39,18 @@ typedef struct {
     uint32_t stop_place;
     drive_last_off last_off;
     int64_t order_ns;     /* the newest order went out */
-    int64_t power_ns;     /* its newest word of its power */
+    int64_t power_ns;     /* its newest report of its power */
     bool may_turn;        /* armed since it was last set up, before the line was opened or after */
     int64_t last_sent_ns; /* set-points went out last */
     int64_t unresponsive_since_ns;
     int64_t probe_at_ns;
     int64_t probe_pause_ns;
     uint32_t fast;                       /* bit n: input n of the table is fast, ... */
-    uint32_t powers;                     /* ... says whether it has power, */
+    uint32_t powers;                     /* ... has its power, */
     uint32_t known;                      /* ... has come since it was set up */
     int64_t silence_ns[CAN_INPUTS_MAX];  /* the table's, in one place: looked at in each round */
     int64_t received_ns[CAN_INPUTS_MAX]; /* 0: never */
-    int64_t sample_ns[CAN_INPUTS_MAX];   /* of the values in use; 0: none since it was set up */
+    int64_t sample_ns[CAN_INPUTS_MAX]; /* stamp of the values in use; 0: none since it was set up */
     uint8_t held[CAN_OUTPUTS_MAX][CAN_BYTES_MAX];
     uint8_t last_sent[CAN_OUTPUTS_MAX][CAN_BYTES_MAX]; /* newest content of each set-point frame */
     uint64_t cycles;
@@ -65,14 +65,13 @@ typedef struct {
     int64_t count_ns; /* stamps of the newest of each kind; 0: none */
     int64_t velocity_ns;
     int64_t newest_ns;
-    bool no_number; /* its position is not finite: no feedback */
-    uint32_t taken; /* 1: the drive has taken its target, and takes no other before the trigger was
-                       0 */
+    bool no_number;       /* its position is not finite: no feedback */
+    uint32_t taken;       /* 1: the drive has taken its target; next it needs a trigger of 0 */
     position_place place; /* in the numbers of the drive's frames */
     uint32_t fault_word;
 } can_joint_state;
 
-/* The match of the table that an identifier may be. */
+/* An identifier and its match in the table. */
 typedef struct {
     uint32_t id;
     uint16_t drive;
@@ -81,7 +80,7 @@ typedef struct {
 
 typedef struct {
     can_table table;
-    /* by identifier; those of one, in the table's order */
+    /* by identifier; those of one identifier in the table's order */
     can_route route[CAN_DRIVES_MAX * CAN_MATCHES_MAX];
     uint32_t route_count;
     can_drive_state drive[CAN_DRIVES_MAX];
@@ -93,14 +92,14 @@ typedef struct {
     uint32_t order_count;
     int64_t now_ns;         /* of this step */
     uint32_t feedback_mask; /* joints whose feedback is new since it was taken */
-    bool receives_own;      /* the CAN bus says when a set-point frame of ours has left */
-    bool clogged;           /* it has taken nothing in a whole cycle, nor since */
-    bool motion_stays; /* in this step: set-points are zero, for motion would wait for a CAN bus
-                          that is dead */
+    bool receives_own;      /* the CAN bus reports when a set-point frame of ours has left */
+    bool clogged;           /* it has taken nothing for a whole cycle */
+    bool motion_stays; /* in this step: only zero goes out, because motion would wait for a dead CAN
+                          bus */
     int64_t motion_since_ns; /* set-points that are not zero went out, and nothing was seen to leave
                                 since; 0: no */
     line_ending end;
-    bool notify; /* something that Python wants to know */
+    bool notify; /* there is something new for Python */
     cycle_clock cycle;
     bool early; /* the set-points do not wait for the cycle */
     uint64_t received;
@@ -117,8 +116,8 @@ int can_machine_init(can_machine *m, const can_table *table, const can_before *b
 /* Drives that another program left running: each is READY and has a quick stop to get, as if it
  * had been armed here. */
 void can_take_over(can_machine *m, int64_t now_ns);
-/* A frame has come. Returns the receiver: the number of its drive, CAN_DRIVES_MAX for an error
- * frame, or CAN_FOR_NOBODY. Nothing is sent. */
+/* Takes a frame. Returns its receiver: the number of the drive, CAN_DRIVES_MAX for an error
+ * frame, or CAN_FOR_NOBODY. Sends nothing. */
 uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t stamp_ns,
                              int64_t now_ns);
 /* A set-point frame of ours has left. */
@@ -143,44 +142,43 @@ bool can_sends(const can_machine *m, uint32_t drive, uint32_t output);
 /* The frame of a cycle with the newest set-points, or zeros, or where the drive is; true: one of
  * them moves it. */
 bool can_build(const can_machine *m, uint32_t drive, uint32_t output, can_packet *out);
-/* What is written to the frame beside the set-points goes out with the newest place, never with
- * another one. */
+/* Writes to the frame beside the set-points go out with the newest target only. */
 void can_hold_positions(can_machine *m, uint32_t drive, uint32_t output);
 bool can_wants_motion(const can_machine *m, uint32_t drive);
 /* The frame has left: its targets are where the next ones begin. */
 void can_note_positions(can_machine *m, uint32_t drive, uint32_t output);
-/* It is to begin at the place where it is, and that is missing. */
+/* It has to begin at its own position, which is unknown. */
 bool can_place_is_missing(const can_machine *m, uint32_t drive);
 /* It is not armed: its first target is still to be sent. */
 void can_begin_positions(can_machine *m, uint32_t drive);
 void can_read(can_machine *m, uint32_t drive, const can_input *input, const uint8_t *data,
               int64_t stamp_ns);
 void can_publish(can_machine *m, uint32_t drive);
-/* Nothing is known of it: a new epoch's beginning. */
+/* Its state is unknown: begins a new epoch. */
 void can_forget(can_machine *m, uint32_t drive);
 bool can_at_rest(const can_machine *m, uint32_t drive);
 
 /* -------------------------------------------------------------------------- can_drive.c */
 bool can_send(can_machine *m, const can_packet *packet);
-/* The drives do now, all at once, what they got. */
+/* Sends SYNC: all drives act now on what they got. */
 void can_sync(can_machine *m);
 bool can_write_out(can_machine *m, uint32_t drive, const can_write *write);
 void can_hold_nothing(can_machine *m, uint32_t drive);
 void can_obey_request(can_machine *m, uint32_t drive, int64_t now_ns);
 void can_guard(can_machine *m, uint32_t drive, int64_t now_ns);
-/* What the newest frame says of its power, against what it should be. */
+/* Compares its newest report of its power with what it should be. */
 void can_check_power(can_machine *m, uint32_t drive, int64_t now_ns);
-/* What the rules of drive_state.h have decided. */
+/* Carries out what the rules of drive_state.h have decided. */
 void can_begin_stop(can_machine *m, uint32_t drive, drive_stop stop);
 void can_stop_now(can_machine *m, uint32_t drive, uint32_t kind);
 void can_send_stop(can_machine *m, uint32_t drive);
-/* Called when the line's end begins: keeps whether the drive is known to have no power. */
+/* Called when the line's end begins: keeps whether the drive has reported no power. */
 void can_note_power(can_machine *m, uint32_t drive, int64_t now_ns);
-/* It has got its last power-off: it says so, or, where it cannot, it is there. Else it gets it
- * again. */
+/* It has confirmed its last power-off by its report, or, if it cannot report, by responding. Else
+ * it gets it again. */
 bool can_is_off(const can_machine *m, uint32_t drive);
 void can_send_setpoints(can_machine *m, uint32_t drive, int64_t now_ns);
-/* Its set-point frames would differ from the last ones. */
+/* Whether its set-point frames would differ from the last ones. */
 bool can_differs(const can_machine *m, uint32_t drive);
 void can_cycle(can_machine *m, uint32_t drive, int64_t now_ns);
 

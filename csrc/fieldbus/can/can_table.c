@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_table.c: is a CAN line's table good? Nothing outside it is ever read or written because of
- * what it says. */
+ * can_table.c: checks a CAN line's table. With a good table nothing outside it is ever read or
+ * written. */
 #include <float.h>
 #include <math.h>
 
@@ -29,8 +29,7 @@ static void check_place(finding *f, const can_place *place, uint32_t bytes)
          "place.start_bit");
 }
 
-/* Beyond what the place holds, a number would go out as another one, even with the opposite
- * sign. */
+/* A number that does not fit its place would go out as another one, even with the opposite sign. */
 static void check_setpoint(finding *f, const can_setpoint *setpoint, uint32_t bytes)
 {
     const can_place *place = &setpoint->place;
@@ -93,7 +92,7 @@ static void check_input(finding *f, const can_input *input, uint32_t bytes)
     }
 }
 
-/* A frame that is one of the inputs is at least as long as what is read in it. */
+/* An input frame is at least as long as the values that are read in it. */
 static void check_matches(finding *f, const can_drive *drive)
 {
     for (uint32_t i = 0; !f->bad && i < drive->match_count; i++) {

@@ -69,8 +69,8 @@ static position_range range_of(const can_machine *m, const can_setpoint *setpoin
                                 place_window_ns(m->table.setpoint_timeout_ns, m->table.period_ns)};
 }
 
-/* Where it is, for a drive that is there and without power: it goes nowhere, and misses no
- * set-point. NaN: nothing is sent. */
+/* Its own position, for a drive that responds and has no power: it does not move, and still gets
+ * set-points. NaN: nothing is sent. */
 static double position_kept(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
     const drive_state *state = &m->drive[drive].state;
@@ -85,14 +85,14 @@ static bool takes_position(const can_setpoint *setpoint)
     return setpoint->scale.kind == SETPOINT_POSITION;
 }
 
-/* The target that is wanted, as its frame would carry it; NaN: none is. */
+/* The requested target, as its frame would carry it; NaN: none. */
 static double target_wanted(const can_machine *m, const can_setpoint *setpoint)
 {
     double wanted_rad = setpoint_of(&m->newest, setpoint->scale.joint, SETPOINT_POSITION);
     return wanted_rad * setpoint->scale.raw_per_si + setpoint->scale.raw_offset;
 }
 
-/* The target that goes out; NaN: none does. */
+/* The target that goes out; NaN: none. */
 static double target_of(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
     const position_range range = range_of(m, setpoint);
@@ -131,15 +131,15 @@ static int64_t raw_of(const can_machine *m, uint32_t drive, const can_setpoint *
     return pattern;
 }
 
-/* A place that is not where it is at rest moves it, whatever its number. */
+/* Any position that is sent moves it, whatever its number. */
 static bool moves(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
     return takes_position(setpoint) ? !isnan(target_of(m, drive, setpoint))
                                     : raw_of(m, drive, setpoint) != 0;
 }
 
-/* A handshake that needs no memory but the drive's: what the CAN bus loses is sent again with
- * the next cycle. */
+/* A handshake that uses only the drive's memory: what the CAN bus loses is sent again with the next
+ * cycle. */
 static void put_trigger(const can_machine *m, uint32_t drive, const can_setpoint *setpoint,
                         uint8_t *data)
 {
@@ -314,7 +314,7 @@ void can_publish(can_machine *m, uint32_t drive)
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         can_joint_state *joint = &m->joint[j];
         if (!has_joint(m, drive, j) || joint->no_number) {
-            continue; /* the sample grows old, and the core sees it */
+            continue; /* the sample grows old, and the core notices */
         }
         joint->feedback.stamp_ns = joint->count_ns > 0      ? joint->count_ns
                                    : joint->velocity_ns > 0 ? joint->velocity_ns

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_can.c: the thread of a CAN bus: the socket, the clock, the waiting. What is sent and when
- * is the machine's. */
+ * line_can.c: the thread of a CAN bus: the socket, the clock, the waiting. The machine decides what
+ * is sent and when. */
 #include <errno.h>
 #include <linux/can.h>
 #include <linux/can/raw.h>
@@ -17,8 +17,8 @@
 enum { BATCH = 32, BATCHES_MAX = 32, CONTROL_BYTES = CMSG_SPACE(sizeof(struct timespec)) };
 
 static const int64_t NS_PER_S = 1000000000;
-/* Frames wait for a look that is so near: the kernel has stamped them, and a wake-up costs more
- * than many frames. */
+/* Frames may wait this long for the next step: the kernel has stamped them, and a wake-up costs
+ * more than many frames. */
 static const int64_t FRAMES_WAIT_NS = 2 * 1000000;
 
 /* What belongs to a message, side by side: after a sleep the caches are cold. */
@@ -43,10 +43,10 @@ typedef struct {
     can_order order_place[CAN_ORDERS_MAX];
     can_received received_place[CAN_RECEIVED_MAX];
     can_inbox inbox;
-    int64_t emptied_ns; /* before the newest look that left nothing in the socket: what is read now
-                           has come since */
+    int64_t emptied_ns; /* before the newest look that emptied the socket: what is read now came
+                           later */
     can_report out;
-    uint32_t outputs[CAN_DRIVES_MAX]; /* of each drive, for callers that put orders; 0: no such
+    uint32_t outputs[CAN_DRIVES_MAX]; /* of each drive, for callers that submit orders; 0: no such
                                          drive */
     int send_error;
     bool woken;
@@ -60,8 +60,8 @@ static line_thread *life_of(uint32_t line)
 }
 
 /* --------------------------------------------------------------------------- the socket */
-/* struct can_frame and struct canfd_frame begin alike (linux/can.h): the length written says
- * which it is. */
+/* struct can_frame and struct canfd_frame begin alike (linux/can.h): the length written
+ * distinguishes them. */
 static bool send_packet(void *sink, const can_packet *packet)
 {
     can_thread *t = sink;
@@ -95,8 +95,8 @@ static void prepare_inbox(can_inbox *inbox)
     }
 }
 
-/* When the kernel saw it: CLOCK_MONOTONIC, by the age that its stamp of the wall clock gives it.
- * That clock may be set while the frame is in transit: no frame is of the future, and none is
+/* When the kernel saw it: CLOCK_MONOTONIC, from the age by its wall-clock stamp.
+ * That clock may be set while the frame is in transit: no frame is from the future, and none is
  * older than the look that found the socket empty. */
 static int64_t stamp_of(struct msghdr *message, int64_t emptied_ns, int64_t now_ns, int64_t wall_ns)
 {
@@ -134,7 +134,7 @@ static void take_frame(can_thread *t, const struct canfd_frame *frame, size_t si
     }
 }
 
-/* Frames of a batch; 0: there are none; -errno: the CAN bus is gone. */
+/* Frames of a batch; 0: none; -errno: the CAN bus is lost. */
 static int receive_batch(can_thread *t)
 {
     can_inbox *inbox = &t->inbox;
@@ -149,10 +149,10 @@ static int receive_batch(can_thread *t)
     int64_t now_ns = clock_now_ns(), wall_ns = wall.tv_sec * NS_PER_S + wall.tv_nsec;
     for (int i = 0; i < count; i++) {
         if (inbox->message[i].msg_len == 0) {
-            return -ENODEV; /* a socket pair's other end has gone */
+            return -ENODEV; /* the other end of a socket pair is closed */
         }
         int64_t stamp_ns = stamp_of(&inbox->message[i].msg_hdr, t->emptied_ns, now_ns, wall_ns);
-        /* the kernel has written how much it used */
+        /* the kernel has overwritten these lengths */
         inbox->message[i].msg_hdr.msg_controllen = CONTROL_BYTES;
         if ((inbox->message[i].msg_hdr.msg_flags & MSG_CONFIRM) != 0) {
             can_machine_left(&t->machine); /* linux Documentation/networking/can.rst: sent by this
@@ -165,7 +165,7 @@ static int receive_batch(can_thread *t)
     return count;
 }
 
-/* All that has come, before anyone is found missing; a flood does not keep the cycle waiting. */
+/* Takes all that has come before a drive counts as missing; a flood does not delay the cycle. */
 static int receive(can_thread *t)
 {
     int count = BATCH;
@@ -224,7 +224,7 @@ static void take_orders(can_thread *t)
 }
 
 /* --------------------------------------------------------------------------- the thread */
-/* Frames, a wake or the time. 0; -errno: the CAN bus is gone. */
+/* Waits for frames, a wake or the time. 0; -errno: the CAN bus is lost. */
 static int wait_for_wakeup(can_thread *t, int64_t until_ns)
 {
     struct pollfd fds[2] = {[1] = {.fd = t->life.at.fd, .events = POLLIN}};
@@ -239,7 +239,7 @@ static int wait_for_wakeup(can_thread *t, int64_t until_ns)
 
 static int go_round(can_thread *t, int64_t *wake_ns)
 {
-    /* the control first: what comes while Python listens is for it */
+    /* the control first: it has the drives whose frames Python receives */
     line_thread_take_control(&t->life, &t->machine.control);
     int error = receive(t);
     t->machine.enabled_count = line_thread_take_setpoints(&t->life, &t->machine.newest);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_begin.c: the line before its first step: which joints each drive has, and which get a
+ * line_begin.c: the line before its first step: the joints of each drive, and the drives that get a
  * stop first. */
 #include <errno.h>
 #include <string.h>

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_drive.c: one drive of a line: what it gets, whether it is there, and when it has to stop. */
+ * line_drive.c: one drive of a line: what it gets, whether it responds, and when it has to stop. */
 #include <string.h>
 
 #include "line_machine.h"
@@ -30,7 +30,7 @@ void line_stop_now(line_machine *m, uint32_t number, uint32_t kind)
     }
 }
 
-/* What the rules have decided: begun here. */
+/* Begins what the rules have decided. */
 void line_begin_stop(line_machine *m, uint32_t number, drive_stop stop, int64_t now_ns)
 {
     m->notify |= drive_is_changed(&m->drive[number].state);
@@ -114,7 +114,7 @@ void line_obey_request(line_machine *m, uint32_t number, int64_t now_ns)
         set_up(m, number, now_ns);
     } else if (answer.request == REQUEST_ARM) {
         drive->may_turn = true;
-        drive->enabled_before = 2; /* what it reported before it was armed is no loss of power */
+        drive->enabled_before = 2; /* a report from before it was armed is no loss of power */
         memset(drive->last_sent, 0, sizeof drive->last_sent);
     } else if (answer.request == REQUEST_STAND_DOWN) {
         drive->due_ns = now_ns;
@@ -162,7 +162,7 @@ static const line_frame *direction_frame(const line_machine *m, uint32_t number,
                                             : &from->reverse;
 }
 
-/* In REST: rest where the direction is to change. In DIRECTIONS: the new direction. */
+/* In REST: rest if the direction changes. In DIRECTIONS: the new direction. */
 static bool next_direction(line_machine *m, uint32_t number, line_frame *out)
 {
     line_drive_state *drive = &m->drive[number];
@@ -229,8 +229,7 @@ void line_cycle_begin(line_machine *m, uint32_t number, int64_t now_ns)
     drive->enabled_before = drive->state.enabled;
     drive->extra_due = drive->cycle_count % table->extra_every == 0;
     if (drive->state.enabled == 2 && table->extra_count > 0) {
-        drive->extra_due = true; /* whether it is enabled comes first of all: it is in the first
-                                    range */
+        drive->extra_due = true; /* the enabled state comes first: it is in the first range */
         drive->extra_next = 0;
     }
     int64_t period_ns = table->period_ns;
@@ -258,9 +257,9 @@ static void end_cycle(line_machine *m, uint32_t number)
         m, number,
         drive_end_stopping(&drive->state, line_at_rest(m, number), drive->cycle_start_ns),
         drive->cycle_start_ns);
-    /* Why it has disabled itself may stand in a fault that the power-off clears. A cycle reads its
-     * faults before its power, so it is judged at the end of the next one, also where it has its
-     * power back by then. */
+    /* The power-off may clear the fault because of which it disabled itself. A cycle reads faults
+     * before power, so this is judged at the end of the next cycle, even if it has power again by
+     * then. */
     if (drive->state.mode == DRIVE_ARMED && drive->enabled_before == 0) {
         drive->state.enabled = 0;
     } else if (drive->state.mode == DRIVE_ARMED && drive->state.enabled == 0) {
@@ -319,7 +318,7 @@ static bool reads_on(const line_drive *table, uint32_t place)
     return false;
 }
 
-/* `stamp_ns` 0: when the values were taken is not known. */
+/* `stamp_ns` 0: the time of the values is unknown. */
 static void read_reply(line_machine *m, uint32_t number, const line_exchange *turn,
                        const uint8_t *reply, int64_t stamp_ns)
 {
@@ -350,7 +349,7 @@ static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *repl
     }
 }
 
-/* The one in progress may be of an older stop: that proves nothing of the newest one. */
+/* The frame in progress may belong to an older stop: it proves nothing about the newest one. */
 static bool is_of_newest_stop(const line_machine *m, uint32_t number)
 {
     const line_frame *sent = &m->transaction.frame;
@@ -358,7 +357,7 @@ static bool is_of_newest_stop(const line_machine *m, uint32_t number)
     const line_frame *frame = stop_frames(m, number, &count);
     uint32_t place = m->drive[number].stop_place;
     if (place == count && line_reads_power(m, number)) {
-        return true; /* the frames before it are through */
+        return true; /* the frames before it have gone out */
     }
     return place < count && sent->request_bytes == frame[place].request_bytes &&
            memcmp(sent->request, frame[place].request, sent->request_bytes) == 0;
@@ -383,7 +382,7 @@ static void stop_frame_answered(line_machine *m, uint32_t number, const uint8_t 
 {
     line_drive_state *drive = &m->drive[number];
     bool reads = line_reads_power(m, number) && is_of_newest_stop(m, number);
-    /* it has left, and nothing says that it was received */
+    /* it has left; whether it was received is unknown */
     if (reads && m->transaction.frame.reply_bytes == 0) {
         drive->state.enabled = 2;
         drive->stop_sent |= 1U << drive->stop_place++;
@@ -396,15 +395,14 @@ static void stop_frame_answered(line_machine *m, uint32_t number, const uint8_t 
     }
 }
 
-/* At the end all is sent, whatever the drive does not answer: it may receive though it sends
- * nothing. */
+/* At the end everything is sent, even without answers: a silent drive may still receive. */
 static void stop_frame_failed(line_machine *m, uint32_t number, uint32_t failure)
 {
     line_drive_state *drive = &m->drive[number];
     drive->stop_failures++;
     if (failure == ANSWER_REFUSED && drive->stop_failures >= m->table.drive[number].tries) {
         drive->stop_refused |= is_of_newest_stop(m, number);
-        stop_frame_done(m, number); /* it is there and will not: the next frame may do */
+        stop_frame_done(m, number); /* it responds and refuses: the next frame may work */
         drive->failures = 0;
     } else if (m->end.stage != END_NOT && is_of_newest_stop(m, number)) {
         drive->stop_sent |= 1U << drive->stop_place++;
@@ -424,7 +422,7 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
         line_begin_stop(m, number, drive_quick_stop(&drive->state, DRIVE_FAULT_LEFT_ALONE, now_ns),
                         now_ns);
     }
-    /* else it may be the answer to one that counted as failed: it is late, not well */
+    /* else it may answer a request that counted as failed: then the drive is late, not well */
     if (drive->owed_count == 0) {
         drive->failures = 0;
     }
@@ -478,7 +476,7 @@ void line_drive_failed(line_machine *m, uint32_t number, uint32_t failure, uint3
     }
     bool counts = drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED ||
                   drive->state.stop != STOP_NOTHING;
-    /* it is there, and shall get the rest of its stop */
+    /* it responds: send it the rest of its stop */
     counts &= m->work != WORK_STOP || failure != ANSWER_REFUSED;
     if (counts && drive->failures >= table->tries) {
         line_becomes_unresponsive(m, number, now_ns);

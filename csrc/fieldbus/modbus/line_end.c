@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_end.c: a line is shut down: all its drives come to rest, then lose their power, then it
+ * line_end.c: shuts a line down: all its drives come to rest, then lose their power, then the line
  * is silent. */
 #include "line_machine.h"
 
-/* Beyond the end's time: until each drive was sent its whole power-off once. A silent one may
- * still receive. */
+/* Beyond the end's time: to send each drive its whole power-off once. A silent one may still
+ * receive. */
 static const int64_t POWER_OFF_EXTRA_NS = 2500 * LINE_MS;
 
 static bool was_sent_its_power_off(const line_machine *m, uint32_t number)
@@ -38,8 +38,8 @@ static bool reports_power(const line_exchange *turn)
     return false;
 }
 
-/* The first exchange that says whether it has power. Where none does, the one that probes it: that
- * it receives is all that can be known. */
+/* The first exchange that reads its power. If there is none, the one that probes it: then only that
+ * it receives can be known. */
 static uint32_t power_read(const line_drive *table)
 {
     for (uint32_t i = 0; i < table->cyclic_count + table->extra_count; i++) {

@@ -2,10 +2,9 @@
  * line_fast.c: the fast sync read of Dynamixel protocol 2.0: all servos answer in one packet, each
  * with a block of its own: error, unit, data, and the check sum of all that came before it in the
  * packet. The first one sends the head, with the length of the whole, so nothing is stuffed. A
- * servo that is missing ends the packet for those behind it: then plain sync reads follow, which
- * cost a head a servo, and take nothing from the others. Source: ROBOTIS e-Manual, DYNAMIXEL
- * Protocol 2.0, fast sync read; dynamixel-sdk 4.1, protocol2_packet_handler.py and
- * group_sync_read.py. */
+ * missing servo ends the packet for those behind it: then plain sync reads follow, which cost one
+ * head a servo, and work without it. Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, fast sync
+ * read; dynamixel-sdk 4.1, protocol2_packet_handler.py and group_sync_read.py. */
 #include <string.h>
 
 #include "line_machine.h"
@@ -34,7 +33,7 @@ static const line_frame *alone_of(const line_machine *m, uint32_t number)
     return &m->table.drive[number].cyclic[READ_TURN].frame;
 }
 
-/* All servos are asked for as many bytes. */
+/* The same number of bytes is read from all servos. */
 static uint32_t data_bytes(const line_machine *m)
 {
     return alone_of(m, 0)->reply_bytes - STATUS_BYTES;
@@ -87,7 +86,7 @@ static uint32_t begin_of(const line_machine *m, uint32_t from, uint32_t whole)
     return t->received_bytes;
 }
 
-/* As a status of its own would say it. */
+/* As if the servo had sent a status of its own. */
 static void take_block(line_machine *m, uint32_t place, uint32_t at, int64_t now_ns)
 {
     line_transaction *t = &m->transaction;
@@ -98,12 +97,12 @@ static void take_block(line_machine *m, uint32_t place, uint32_t at, int64_t now
     t->plain[UNIT_BYTE] = block[BLOCK_UNIT_BYTE];
     t->plain[HEAD_BYTES] = block[0];
     memcpy(t->plain + STATUS_DATA_BYTE, block + BLOCK_DATA_BYTE, count);
-    /* the head belongs to the first one */
+    /* the head comes from the first servo */
     uint32_t first = place == 0 ? 0 : end - BLOCK_BYTES - count;
     m->group.taken[m->group.taken_count++] =
         (group_reply){.offset = at + first, .bytes = end - first};
     m->answers++;
-    /* the last of it came as late as if it had been its own status */
+    /* its last byte came as late as in a status of its own */
     m->group.answered_ns =
         (int64_t)((double)end * m->table.character_ns) - line_reply_ns(m, alone_of(m, number));
     line_group_end_member(m, number, found.exception == 0 ? ANSWER_OK : ANSWER_REFUSED, &found,
@@ -115,7 +114,7 @@ void line_fast_look(line_machine *m, uint32_t from, int64_t now_ns)
     const line_transaction *t = &m->transaction;
     uint32_t whole = end_of(m, m->group.asked_count);
     uint32_t at = begin_of(m, from, whole), came = t->received_bytes - at;
-    /* the last check sum speaks for all blocks: the dynamixel-sdk looks at no other */
+    /* the last check sum covers all blocks: the dynamixel-sdk checks no other */
     bool good = came >= whole && rtu_is_sealed(t->received + at, whole, SEAL_STUFFED);
     for (uint32_t i = 0; i < m->group.asked_count && end_of(m, i + 1) <= came; i++) {
         uint32_t number = m->group.asked[i], end = end_of(m, i + 1);
@@ -128,7 +127,7 @@ void line_fast_look(line_machine *m, uint32_t from, int64_t now_ns)
     }
 }
 
-/* Servos that do not know it never answer: it is tried less and less often. */
+/* Servos without this instruction never answer: it is tried less and less often. */
 void line_fast_end(line_machine *m, bool all)
 {
     if (m->table.group.fast == 0 || m->group.asked_count == 0) {

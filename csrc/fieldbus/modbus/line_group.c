@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_group.c: the cycle of bus servos: one request carries the set-points of all and asks all,
- * and each answers for itself. A servo that does not answer costs the others nothing but the wait.
- * Nothing acknowledges a sync write: the next cycle, which comes whatever is answered, says the
- * same again, and stops go to each drive alone. */
+ * line_group.c: the cycle of bus servos: one request carries the set-points of all and reads all,
+ * and each servo answers for itself. A servo that does not answer costs the others only the wait.
+ * Nothing acknowledges a sync write: the next cycle, which comes in any case, repeats it, and stops
+ * go to each drive alone. */
 #include <string.h>
 
 #include "line_machine.h"
@@ -119,8 +119,8 @@ static void read_all(line_machine *m, int64_t now_ns, line_frame *out)
     }
 }
 
-/* Drives say whether they have power at different times: their extra exchanges do not come all
- * at once. */
+/* The drives' power is read at different times, so that their extra exchanges do not come all at
+ * once. */
 static void begin_members(line_machine *m, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
@@ -158,7 +158,7 @@ int64_t line_group_wait_ns(const line_machine *m)
 }
 
 /* ---------------------------------------------------------------------------- receiving */
-/* Where replies may begin: behind the copy that an adapter receives of its request. */
+/* Where replies may begin: after the echo of the request, if there is one. */
 static uint32_t first_byte(const line_machine *m)
 {
     const line_transaction *t = &m->transaction;
@@ -167,15 +167,15 @@ static uint32_t first_byte(const line_machine *m)
     return m->echo != ECHO_NONE && memcmp(t->received, t->frame.request, same) == 0 ? sent : 0;
 }
 
-/* For as long as this lasts, the exchange is that of one drive: its own request, and what it
- * waited for on the wire. */
+/* For this time, the exchange counts as one of this drive: its own request, and its wait for the
+ * wire. */
 void line_group_end_member(line_machine *m, uint32_t number, uint32_t kind, const received *found,
                            int64_t now_ns)
 {
     line_frame all = m->transaction.frame;
     int64_t end_ns = m->end_ns;
     m->transaction.frame = m->table.drive[number].cyclic[READ_TURN].frame;
-    m->transaction.frame.exact = m->group.fast; /* a packet of all that is late is like no servo's
+    m->transaction.frame.exact = m->group.fast; /* a late packet of all does not look like a servo's
                                                    own answer */
     m->group.waiting &= ~(1U << number);
     if (kind != ANSWER_OK) {
@@ -207,7 +207,7 @@ static void look_for(line_machine *m, uint32_t number, uint32_t from, int64_t no
                           &found, now_ns);
 }
 
-/* True: the exchange is over. */
+/* True: the exchange has ended. */
 static bool is_over(line_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns)
 {
     line_transaction *t = &m->transaction;
@@ -229,7 +229,7 @@ static bool is_over(line_machine *m, const uint8_t *bytes, uint32_t count, int64
     return answered || full || collided || now_ns >= m->until_ns;
 }
 
-/* Whether a reply begins here; where the next one begins, or all that came ends. */
+/* Whether a reply begins here; else where the next one begins, or where the bytes end. */
 static uint32_t next_taken(const line_machine *m, uint32_t at, uint32_t *skip)
 {
     uint32_t next = m->transaction.received_bytes;
@@ -242,7 +242,7 @@ static uint32_t next_taken(const line_machine *m, uint32_t at, uint32_t *skip)
     return next;
 }
 
-/* What belongs to no reply; true: it is no late reply either. */
+/* Bytes that belong to no reply; true: nor to a late one. */
 static bool sort_rest(line_machine *m, int64_t now_ns)
 {
     uint64_t noise_bytes = m->noise_bytes;
@@ -310,7 +310,7 @@ void line_group_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     if (stamp_ns > 0) {
         line_read(m, number, &m->table.drive[number].cyclic[READ_TURN], reply, stamp_ns);
     }
-    /* it has answered what came right behind its set-point */
+    /* it has answered the read right after its set-point */
     drive->state.sent_motion = drive->cycle_motion;
     m->group.answered |= 1U << number;
     line_publish(m, number);

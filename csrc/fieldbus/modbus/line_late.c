@@ -1,14 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_late.c: replies that come late. A reply does not say which request it answers, so a request
- * that failed leaves one that may still come. A drive answers in the order of its requests: the
- * certain answer to a newer request ends the wait for all older ones, and so does a silence as
- * long as a drive may be late. */
+ * line_late.c: replies that come late. A reply does not identify its request, so after a failed
+ * request its reply may still come. A drive answers in the order of its requests: the certain
+ * answer to a newer request ends the wait for all older ones, and so does a silence of the longest
+ * delay of a drive. */
 #include <string.h>
 
 #include "line_machine.h"
 
-static const int64_t LATE_NS = 120 * LINE_MS; /* after the request, whatever the profile's bound
-                                                 says */
+static const int64_t LATE_NS = 120 * LINE_MS;        /* after the request, at least */
 static const int64_t SUSPICIOUS_NS = 2000 * LINE_MS; /* after a failure */
 /* closer than that, scheduling hides the difference */
 static const int64_t TOO_SOON_NS = LINE_MS / 2;
@@ -53,7 +52,7 @@ static int64_t late_ns(const line_machine *m, uint32_t number)
     return twice_ns > LATE_NS ? twice_ns : LATE_NS;
 }
 
-/* Those that are older than the one at `first`. */
+/* Drops those that are older than the one at `first`. */
 static void drop_before(line_drive_state *drive, uint32_t first)
 {
     drive->owed_count -= first;
@@ -76,7 +75,7 @@ static uint32_t place_of(const line_drive_state *drive, const line_look *look)
     return place;
 }
 
-/* Each one that the drive has still to answer may make the next one later. */
+/* Each unanswered one may make the next one later. */
 static int64_t until_ns(const line_machine *m, uint32_t number)
 {
     const line_drive_state *drive = &m->drive[number];
@@ -88,7 +87,7 @@ static int64_t until_ns(const line_machine *m, uint32_t number)
            line_reply_ns(m, &m->transaction.frame);
 }
 
-/* Those that cannot come any more at this time. */
+/* Drops those that cannot come any more at this time. */
 static void forget_old(line_drive_state *drive, int64_t now_ns)
 {
     for (uint32_t i = drive->owed_count; i > 0; i--) {
@@ -103,7 +102,7 @@ void line_owe(line_machine *m, uint32_t number)
     line_drive_state *drive = &m->drive[number];
     const line_frame *frame = &m->transaction.frame;
     if (frame->exact != 0 || frame->reply_bytes == 0) {
-        return; /* no drive at all is asked until its late reply has passed */
+        return; /* no request at all goes out until its late reply has passed */
     }
     forget_old(drive, m->start_ns);
     line_owed owed = {.look = look_of(frame), .count = 1};
@@ -118,13 +117,13 @@ void line_owe(line_machine *m, uint32_t number)
     }
     drive->owed[drive->owed_count++] = owed;
     drive->owed[drive->owed_count - 1].until_ns = until_ns(m, number);
-    if (full) { /* more than can be distinguished: a silence sorts them out */
+    if (full) { /* more than can be distinguished: a silence clears them */
         drive->held_until_ns = drive->owed[drive->owed_count - 1].until_ns;
     }
     drive->failed_ns = m->end_ns;
 }
 
-/* What repeats all of its request says the same whichever of two equal requests it answers, as long
+/* A reply that repeats all of its request means the same for either of two equal requests, as long
  * as no other write may have come between them. */
 static bool is_same_reply(const line_drive_state *drive, uint32_t place)
 {
@@ -145,8 +144,7 @@ bool line_may_be_late(const line_machine *m, uint32_t number, const line_frame *
            !is_same_reply(drive, place);
 }
 
-/* A drive that has just failed, and now answers in less than half of the least time it ever
- * took. */
+/* A drive that has just failed, and now answers in less than half of its shortest time so far. */
 static bool too_soon(const line_machine *m, uint32_t number, int64_t sample_ns)
 {
     const line_drive_state *drive = &m->drive[number];
@@ -154,13 +152,13 @@ static bool too_soon(const line_machine *m, uint32_t number, int64_t sample_ns)
     return suspicious && drive->least_ns > 0 && sample_ns < drive->least_ns / 2 - TOO_SOON_NS;
 }
 
-/* The same stop has been answered more often than the drive owed answers of its kind: one of them
- * is the stop's own. It is sent again at once, so each of them would be doubtful for ever, and
- * no other drive would be asked. */
+/* The same stop was answered more often than the drive had older answers to give: one of them is
+ * its own. Without this rule the stop would be sent again and again, every answer would stay
+ * doubtful, and no other drive would get a turn. */
 static bool is_stop_proven(const line_machine *m, uint32_t number)
 {
     const line_drive_state *drive = &m->drive[number];
-    line_look look = look_of(&m->transaction.frame); /* one that is owed: its answer may be late */
+    line_look look = look_of(&m->transaction.frame); /* it is in owed[]: its answer may be late */
     return m->work == WORK_STOP && drive->stop_doubts >= drive->owed[place_of(drive, &look)].count;
 }
 
@@ -169,10 +167,10 @@ bool line_is_doubtful(line_machine *m, uint32_t number, int64_t now_ns)
     line_drive_state *drive = &m->drive[number];
     const line_frame *frame = &m->transaction.frame;
     if (frame->reply_bytes == 0 || frame->exact != 0 || m->work == WORK_PROBE) {
-        return false; /* that it is there is all that a probe needs */
+        return false; /* a probe only needs to know that it responds */
     }
     if (too_soon(m, number, turnaround_of(m, now_ns))) {
-        drive->least_ns = 0; /* once: it may have become quicker */
+        drive->least_ns = 0; /* once: it may have become faster */
         return true;
     }
     return line_may_be_late(m, number, frame, m->start_ns) && !is_stop_proven(m, number);
@@ -188,7 +186,7 @@ void line_settle(line_machine *m, uint32_t number, int64_t now_ns)
     line_look look = look_of(frame);
     forget_old(drive, m->start_ns);
     drop_before(drive, place_of(drive, &look));
-    if (drive->owed_count > 0) { /* of two that are alike, this was perhaps the older one's */
+    if (drive->owed_count > 0) { /* of two equal ones, this was perhaps the older one's */
         line_owed still = drive->owed[0];
         drop_at(drive, 0);
         drive->owed[drive->owed_count++] = still;
@@ -200,7 +198,7 @@ void line_settle(line_machine *m, uint32_t number, int64_t now_ns)
     }
 }
 
-/* It is there, and that is all that is known. Its cycle begins anew after the silence. */
+/* It responds; nothing more is known. Its cycle begins again after the silence. */
 void line_doubt(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
@@ -212,7 +210,7 @@ void line_doubt(line_machine *m, uint32_t number, int64_t now_ns)
     }
     line_owe(m, number);
     line_owed *newest = &drive->owed[drive->owed_count - 1];
-    newest->count -= newest->count > 1; /* one has come */
+    newest->count -= newest->count > 1; /* a late reply has come */
     drive->held_until_ns = newest->until_ns;
 }
 
@@ -269,8 +267,7 @@ void line_stray(line_machine *m, const uint8_t *bytes, uint32_t count, int64_t n
     }
 }
 
-/* What came beside the answer, if there was one. The copy that an adapter receives of its
- * request is no noise. */
+/* Bytes beside the answer, if there was one. The echo of the request is not noise. */
 void line_sort_received(line_machine *m, const received *verdict, int64_t now_ns)
 {
     const line_transaction *t = &m->transaction;
@@ -334,8 +331,8 @@ void line_learn_turnaround(line_machine *m, uint32_t number, int64_t now_ns)
     drive->usual_ns = drive->deadline_ns;
 }
 
-/* The middle of a usual exchange: however long the reply took, the value was taken after the
- * request's end, and the drive needs no more than its shortest turn-around for that. */
+/* The middle of a usual exchange: even if the reply took longer, the value was taken after the
+ * request's end, within the drive's shortest turn-around. */
 int64_t line_stamp(const line_machine *m, uint32_t number, int64_t now_ns)
 {
     int64_t middle_ns = m->start_ns + (now_ns - m->start_ns) / 2;

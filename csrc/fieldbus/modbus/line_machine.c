@@ -1,11 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_machine.c: whose turn it is, and what came of it. */
+ * line_machine.c: gives the drives their turns, and evaluates the answers. */
 #include "line_machine.h"
 
 #include <string.h>
 
 static const int64_t LOOK_MOVING_NS = 10 * LINE_MS, LOOK_RESTING_NS = 50 * LINE_MS;
-/* A drive whose turn it is waits so long for silence: then there is another master, or a broken
+/* Longest wait for silence at a drive's turn: after it there is another master, or a broken
  * transceiver. */
 static const int64_t NEVER_SILENT_NS = 250 * LINE_MS, FAR_NS = INT64_MAX;
 
@@ -63,7 +63,7 @@ static bool stops_wait(const line_machine *m)
     return waits;
 }
 
-/* Then no drive is waited for longer than is usual. */
+/* Then no drive's answer is awaited longer than usual. */
 static void shorten_wait(line_machine *m, int64_t now_ns)
 {
     if (m->sent && m->worker < m->table.drive_count && stops_wait(m)) {
@@ -147,7 +147,7 @@ static void end_exchange(line_machine *m, uint32_t kind, const received *verdict
     m->worker = LINE_DRIVES_MAX;
 }
 
-/* Nothing but late replies, or the copy of the request, is as if nothing had come. */
+/* Late replies, or the echo of the request, count as if nothing had come. */
 static void end_in_vain(line_machine *m, const received *verdict, int64_t now_ns)
 {
     uint64_t noise_bytes = m->noise_bytes;
@@ -157,7 +157,7 @@ static void end_in_vain(line_machine *m, const received *verdict, int64_t now_ns
     end_exchange(m, noise ? ANSWER_BAD_REPLY : ANSWER_NO_REPLY, verdict, now_ns);
 }
 
-/* An unresponsive drive that can be read: an echo shall not make it seem to be back. */
+/* An unresponsive drive that can be read: an echo must not make it look as if it were back. */
 static bool will_read(const line_machine *m)
 {
     if (m->work != WORK_PROBE) {
@@ -167,8 +167,8 @@ static bool will_read(const line_machine *m)
     return table->probe > 0 || table->extra_count > 0;
 }
 
-/* What the bytes since the request say. Where it is not known whether the adapter echoes, an answer
- * that looks like its request is taken: only what is read decides (and set-ups are read back). */
+/* Evaluates the bytes since the request. While it is unknown whether the adapter echoes, an answer
+ * that equals its request is accepted: only reads decide (and set-ups are read back). */
 static received listen(line_machine *m, const uint8_t *bytes, uint32_t count)
 {
     line_transaction *t = &m->transaction;
@@ -187,7 +187,7 @@ static received listen(line_machine *m, const uint8_t *bytes, uint32_t count)
     return found;
 }
 
-/* Whatever comes keeps the line busy: the gap counts from the last byte. */
+/* Any byte keeps the line busy: the gap counts from the last one. */
 static void receive(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t count)
 {
     received verdict = {.kind = RECEIVED_MORE};
@@ -219,9 +219,9 @@ static void receive(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint3
     }
 }
 
-/* --------------------------------------------------------------------------- whose turn */
-/* Unresponsive ones, and those whose answers are in doubt, do not keep the others waiting, nor one
- * of them the next: 0 comes first. */
+/* --------------------------------------------------------------------------- turns */
+/* Unresponsive drives, and those with doubtful answers, do not keep the others waiting, nor each
+ * other: 0 comes first. */
 static uint32_t stop_rank(const line_drive_state *drive)
 {
     return drive->stop_doubts + (drive->failures > 0 ? 1 + drive->stop_failures : 0);
@@ -286,7 +286,7 @@ static uint32_t most_due(const line_machine *m)
     return best;
 }
 
-/* What fits before the next one is due; at the worst it takes this long. */
+/* Whether it fits before the next one is due; at worst it takes this long. */
 static bool fits(const line_machine *m, const line_frame *frame, int64_t turnaround_ns,
                  int64_t now_ns, int64_t next_ns)
 {
@@ -301,7 +301,7 @@ static void spend_slot(line_machine *m, int64_t now_ns)
     m->slot_due_ns = later(m->slot_due_ns + m->slot_period_ns, now_ns);
 }
 
-/* From now on no insertion and no expiry in the queue touches it. */
+/* From now on the queue cannot change or drop it. */
 static void begin_request(line_machine *m, uint32_t place, line_output *out)
 {
     const line_request *request = &m->request[place];
@@ -352,7 +352,7 @@ static bool take_cycle(line_machine *m, int64_t now_ns, line_output *out)
                 begin(m, WORK_CYCLE, number, &frame, out);
                 return true;
             }
-            if (take_stop(m, out)) { /* its end may have sent a stop */
+            if (take_stop(m, out)) { /* its failure may have started a stop */
                 return true;
             }
             if (m->group.answered != 0) {
@@ -378,7 +378,7 @@ static bool take_cycle(line_machine *m, int64_t now_ns, line_output *out)
 }
 
 /* ----------------------------------------------------------------------------- the step */
-/* Behind the stops, on a line that is never silent. */
+/* After the stops, on a line that is never silent. */
 static void take_urgent(line_machine *m, int64_t now_ns, line_output *out)
 {
     uint32_t place = line_pick_request(m, now_ns);
@@ -425,7 +425,7 @@ static void decide(line_machine *m, int64_t now_ns, line_output *out)
     } else if (m->end.stage < END_POWER_OFF) {
         (void)take_cycle(m, now_ns, out);
     } else {
-        line_shut_down(m, now_ns); /* all have got it: that was it */
+        line_shut_down(m, now_ns); /* all have confirmed it: done */
     }
 }
 

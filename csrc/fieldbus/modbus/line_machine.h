@@ -13,7 +13,7 @@
  * line_group.c    one cycle for all drives of the line
  * line_fast.c     one packet with the answers of all
  * line_report.c   what the line reports
- * line_machine.c  the line: whose turn it is, and what the answer means
+ * line_machine.c  the line: turns of the drives, and their answers
  */
 #ifndef MOTORD_LINE_MACHINE_H
 #define MOTORD_LINE_MACHINE_H
@@ -35,12 +35,12 @@ typedef struct {
     uint32_t reply_bytes;
     uint32_t reply_seal;
     uint32_t head_bytes;
-    bool writes;  /* it says the beginning of its request again, */
+    bool writes;  /* it repeats the beginning of its request, */
     bool repeats; /* ... or all of it, with the value */
     uint8_t head[FRAME_MATCH_MAX];
 } line_look;
 
-/* Replies that look alike, of requests that failed: they may still come. */
+/* Equal-looking replies to failed requests: they may still come. */
 typedef struct {
     line_look look;
     uint32_t count;
@@ -49,10 +49,10 @@ typedef struct {
 
 typedef enum { ECHO_NONE = 0, ECHO_FIRST = 1, ECHO_UNKNOWN = 2 } line_echo;
 
-/* One request in progress, and all that came since it was sent. */
+/* One request in progress, and the bytes since it was sent. */
 typedef struct {
     line_frame frame;    /* request as it goes out */
-    uint64_t request_id; /* WORK_REQUEST: whose it is, and how long its drive may take */
+    uint64_t request_id; /* WORK_REQUEST: its caller's id, and its drive's bound */
     int64_t request_turnaround_ns;
     uint32_t received_bytes;
     uint8_t received[RECEIVED_BYTES_MAX];
@@ -97,7 +97,7 @@ typedef struct {
 /* The exchange with all drives at once. */
 typedef struct {
     uint32_t waiting;     /* bit n: drive n has still to answer */
-    uint32_t answered;    /* bit n: it has, and its cycle goes on with its extra exchange */
+    uint32_t answered;    /* bit n: drive n has answered, and goes on with its extra exchange */
     uint32_t taken_count; /* replies that were found */
     group_reply taken[LINE_DRIVES_MAX];
     int64_t answered_ns; /* time on the wire of the replies before */
@@ -121,7 +121,7 @@ typedef struct {
                             one, the read of its power */
     uint32_t stop_failures;
     uint32_t stop_doubts; /* answers to the frame that may have been those to older requests */
-    /* frames of the newest stop count as done though the drive will not do them */
+    /* frames of the newest stop count as done although the drive refuses them */
     bool stop_refused;
     uint32_t probe_place;
     uint32_t probes_at_once;
@@ -135,7 +135,7 @@ typedef struct {
     bool extra_due;
     int64_t arming_until_ns;
     int64_t due_ns;
-    int64_t silent_until_ns; /* a late answer may come till then: it is not asked again before */
+    int64_t silent_until_ns; /* a late answer may come till then: no request before */
     int64_t held_until_ns;   /* a reply was doubtful: silence but for stops and urgent requests */
     int64_t failed_ns;       /* the newest request that it did not answer in time; 0: none */
     int64_t least_ns;        /* turn-around: the shortest that is certain; 0: not known */
@@ -179,10 +179,10 @@ typedef struct line_machine {
     line_request request[LINE_REQUESTS_MAX]; /* those that wait; the urgent ones first */
     uint32_t request_count;
     uint32_t echo;   /* line_echo */
-    uint32_t work;   /* line_work in progress; NONE: the line is ours */
+    uint32_t work;   /* line_work in progress; NONE: the line is free */
     uint32_t worker; /* its drive; LINE_DRIVES_MAX: none */
     bool sent;       /* its request has left */
-    bool notify;     /* something that Python wants to know */
+    bool notify;     /* there is something new for Python */
     bool notified_shut;
     uint32_t broadcasts; /* frames of broadcast_stop still to be sent */
     uint32_t current;    /* drive in the middle of its cycle; LINE_DRIVES_MAX: none */
@@ -190,7 +190,7 @@ typedef struct line_machine {
     int64_t ours_ns;      /* earliest time of the next request on a line where nothing else sends */
     int64_t free_ns;      /* the same, after the newest byte that came */
     int64_t silent_ns;    /* when the line was seen silent last */
-    bool noisy;           /* what was urgent has gone out since then all the same */
+    bool noisy;           /* the urgent frame has gone out since then anyway */
     int64_t urgent_by_ns; /* an urgent request goes out then, silence or not; 0: none waits */
     int64_t start_ns;     /* of the request in progress */
     int64_t end_ns;       /* its last byte */
@@ -208,7 +208,7 @@ typedef struct line_machine {
     int64_t round_trip_ns;          /* of the exchange that ended in this step; 0: none did */
     line_transaction transaction;
     group_state group;
-    uint32_t plain_cycles; /* so many complete ones go by until the next fast sync read */
+    uint32_t plain_cycles; /* so many complete plain reads until the next fast sync read */
     uint32_t fast_pause;   /* the same, after its last failure */
     line_answer answer;
     bool answered;
@@ -238,8 +238,7 @@ int line_machine_init(line_machine *m, const line_table *table, uint32_t may_tur
 void line_take_over(line_machine *m, int64_t now_ns);
 /* false: no room */
 bool line_machine_request(line_machine *m, const line_request *request);
-/* The core has made new set-points of a new command: a drive that is to get something else is
- * due at once. */
+/* The core has new set-points: a drive whose set-points change is due at once. */
 void line_machine_kick(line_machine *m, int64_t now_ns);
 void line_machine_step(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t count,
                        line_output *out);
@@ -248,7 +247,7 @@ void line_machine_report(const line_machine *m, line_report *report);
 
 /* ------------------------------------------------------------------------- line_table.c */
 /* Whether a request can be sent and its answer recognised: nothing beyond its own bytes is ever
- * looked at. */
+ * read. */
 bool line_frame_is_good(const line_frame *frame);
 
 /* ---------------------------------------------------------------------- line_requests.c */
@@ -270,16 +269,16 @@ bool line_fill(line_machine *m, uint32_t drive, uint32_t turn, line_frame *out);
 /* The values of a good reply. */
 void line_read(line_machine *m, uint32_t drive, const line_exchange *turn, const uint8_t *reply,
                int64_t stamp_ns);
-/* The direction that the newest set-points want: REST, FORWARD, REVERSE. */
+/* The direction of the newest set-points: REST, FORWARD, REVERSE. */
 uint32_t line_direction_wanted(const line_machine *m, uint32_t drive, uint32_t direction);
-/* What may go to the drive now: the joint's set-point, or 0 unless armed, fresh and enabled. */
+/* The set-point that may go to the drive now: the joint's, or 0 unless armed, fresh and enabled. */
 double line_wanted(const line_machine *m, uint32_t drive, uint32_t joint, uint32_t kind);
 bool line_wants_motion(const line_machine *m, uint32_t drive);
-/* A joint of it is to begin at the place where it is, and that is missing. */
+/* A joint of it has to begin at its own position, which is unknown. */
 bool line_place_is_missing(const line_machine *m, uint32_t drive);
 /* It is not armed: its first targets are still to be sent. */
 void line_begin_positions(line_machine *m, uint32_t drive);
-/* Whether what it got last differs from what it would get now. */
+/* Whether it would now get other set-points than the last ones. */
 bool line_differs(line_machine *m, uint32_t drive);
 /* Its values are not known any more. */
 void line_forget(line_machine *m, uint32_t drive);
@@ -290,40 +289,40 @@ bool line_at_rest(const line_machine *m, uint32_t drive);
 /* ------------------------------------------------------------------------- line_drive.c */
 bool line_fresh(const line_machine *m, int64_t now_ns);
 void line_obey_request(line_machine *m, uint32_t drive, int64_t now_ns);
-/* What the set-points, its watchdog and its own words demand. */
+/* Carries out what the set-points, its watchdog and its own reports demand. */
 void line_guard(line_machine *m, uint32_t drive, int64_t now_ns);
-/* What the rules of drive_state.h have decided. */
+/* Carries out what the rules of drive_state.h have decided. */
 void line_begin_stop(line_machine *m, uint32_t drive, drive_stop stop, int64_t now_ns);
 void line_stop_now(line_machine *m, uint32_t drive, uint32_t kind);
-/* One that was armed before the port was opened. */
+/* A drive that was armed before the port was opened. */
 void line_stop_before_setup(line_machine *m, uint32_t drive, int64_t now_ns);
 /* The next frame of its cycle into the transaction; false: the cycle is over. */
 bool line_next_in_cycle(line_machine *m, uint32_t drive, int64_t now_ns, line_frame *out);
 bool line_next_stop(line_machine *m, uint32_t drive, line_frame *out);
-/* The answer that has come may be that to an older request. */
+/* The answer may belong to an older request. */
 void line_stop_doubted(line_machine *m, uint32_t drive);
 void line_cycle_begin(line_machine *m, uint32_t drive, int64_t now_ns);
 /* How the exchange for a drive ended. */
 void line_drive_answered(line_machine *m, uint32_t drive, const uint8_t *reply, int64_t now_ns);
 void line_drive_failed(line_machine *m, uint32_t drive, uint32_t failure, uint32_t exception,
                        int64_t now_ns);
-/* Its turn has come, but the line was not silent for so long that it counts as a failure. */
+/* At its turn the line was not silent for so long that this counts as a failure. */
 void line_drive_not_reached(line_machine *m, uint32_t drive, int64_t now_ns);
 int64_t line_reply_ns(const line_machine *m, const line_frame *frame);
 
 /* -------------------------------------------------------------------------- line_late.c */
 /* The request in progress has failed: its reply may still come. */
 void line_owe(line_machine *m, uint32_t drive);
-/* A reply to this request, sent then, could be an older one's, and would say something else. */
+/* A reply to this request, sent then, could belong to an older one, and mean something else. */
 bool line_may_be_late(const line_machine *m, uint32_t drive, const line_frame *frame,
                       int64_t sent_ns);
 /* The same of the reply that has just come, also because it came sooner than the drive can
  * answer. */
 bool line_is_doubtful(line_machine *m, uint32_t drive, int64_t now_ns);
-/* The reply that has just come is certain, or is doubtful. */
+/* Accepts the reply that has just come as certain, or as doubtful. */
 void line_settle(line_machine *m, uint32_t drive, int64_t now_ns);
 void line_doubt(line_machine *m, uint32_t drive, int64_t now_ns);
-/* No drive is understood: an adapter that was found to echo may not do so any more. */
+/* No drive is understood: the adapter may not echo any more. */
 void line_doubt_echo(line_machine *m);
 /* The bytes of a reply that was found, as its frame numbers them. */
 const uint8_t *line_reply(line_machine *m, const received *found);
@@ -331,7 +330,7 @@ const uint8_t *line_reply(line_machine *m, const received *found);
 void line_stray(line_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns);
 void line_sort_received(line_machine *m, const received *verdict, int64_t now_ns);
 void line_learn_turnaround(line_machine *m, uint32_t drive, int64_t now_ns);
-/* From what was learned, else from its profile; never longer than its replies are waited for. */
+/* From measurements, else from its profile; never longer than the wait for its replies. */
 int64_t line_expected_turnaround_ns(const line_machine *m, uint32_t drive);
 /* When the values of the reply that has just come were taken. */
 int64_t line_stamp(const line_machine *m, uint32_t drive, int64_t now_ns);
@@ -341,14 +340,14 @@ void line_becomes_unresponsive(line_machine *m, uint32_t drive, int64_t now_ns);
 void line_next_probe(line_machine *m, uint32_t drive, int64_t now_ns, line_frame *out);
 /* The exchanges of the cycle, and behind them the extra ones. */
 const line_exchange *line_exchange_at(const line_drive *table, uint32_t place);
-/* Which of them finds out whether the drive answers. */
+/* Which of them probes the drive. */
 uint32_t line_probe_place(const line_drive *table);
 /* The request of one of them for a drive that is not armed. */
 void line_build_read(line_machine *m, uint32_t drive, uint32_t place, line_frame *out);
-/* The first unresponsive drive that may be asked now, of those that may turn or of all;
+/* The first unresponsive drive that may be probed now, of those that may turn or of all;
  * LINE_DRIVES_MAX: none. */
 uint32_t line_due_probe(const line_machine *m, bool may_turn, int64_t now_ns);
-/* The line is not silent: whether what is urgent goes out all the same. */
+/* The line is not silent: whether an urgent frame still goes out. */
 bool line_ends_patience(line_machine *m, int64_t now_ns);
 
 /* ------------------------------------------------------------------------- line_group.c */
@@ -363,8 +362,8 @@ void line_group_step(line_machine *m, const uint8_t *bytes, uint32_t count, int6
  * none. */
 bool line_group_goes_on(line_machine *m);
 void line_group_answered(line_machine *m, uint32_t drive, const uint8_t *reply, int64_t stamp_ns);
-/* A drive has answered in the exchange of all, or has not. What it answers in a packet of all is
- * in transaction.plain. */
+/* A drive has answered in the exchange of all, or has not. Its answer in a packet of all is in
+ * transaction.plain. */
 void line_group_end_member(line_machine *m, uint32_t drive, uint32_t kind, const received *found,
                            int64_t now_ns);
 
@@ -372,18 +371,18 @@ void line_group_end_member(line_machine *m, uint32_t drive, uint32_t kind, const
 bool line_fast_is_good(const line_table *table);
 /* Whether the next read of all is a fast one. */
 bool line_fast_begins(const line_machine *m);
-/* Makes it of a sync read that asks group.asked[]; bytes of its one answer. */
+/* Turns a sync read of group.asked[] into a fast one; returns the bytes of its one answer. */
 uint32_t line_fast_request(line_machine *m, line_frame *packet);
 /* What has come of the answer, from there on. */
 void line_fast_look(line_machine *m, uint32_t from, int64_t now_ns);
-/* A read of all is over; `all`: each has answered. */
+/* A read of all has ended; `all`: each drive has answered. */
 void line_fast_end(line_machine *m, bool all);
 
 /* --------------------------------------------------------------------------- line_end.c */
 void line_shut_down(line_machine *m, int64_t now_ns);
-/* Its last power-off has frames that it does not acknowledge: what is read behind them decides. */
+/* Its last power-off has frames that it does not acknowledge: the read after them decides. */
 bool line_reads_power(const line_machine *m, uint32_t drive);
-/* That read, and what it says; true: it has no power, or cannot report it. */
+/* Evaluates that read; true: it has no power, or cannot report it. */
 void line_build_power_read(line_machine *m, uint32_t drive, line_frame *out);
 bool line_is_off(line_machine *m, uint32_t drive, const uint8_t *reply, int64_t stamp_ns);
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_table.c: is a line's table good? Nothing outside it is ever read or written because of
- * what it says. */
+ * line_table.c: checks a line's table. With a good table nothing outside it is ever read or
+ * written. */
 #include <math.h>
 #include <string.h>
 
@@ -49,8 +49,8 @@ static void check_frame(finding *f, const line_frame *frame)
                      frame->echo_bytes == 0;
         need(f, sealed || (known && frame->reply_seal == SEAL_NONE), "match");
     } else if (frame->reply_bytes > 0) {
-        /* without a beginning that says whose answer it is, and a check sum, everything would be
-         * one */
+        /* without a beginning that identifies the drive, and a check sum, any bytes would be an
+         * answer */
         uint32_t known = frame->echo_bytes > 0 ? frame->echo_bytes : frame->match_bytes;
         need(f, known > 0 && known <= frame->reply_bytes, "match");
         need(f,
@@ -73,7 +73,7 @@ static bool is_form(uint32_t form)
     return form <= FORM_I32_LE || rtu_sign_of(form) != 0;
 }
 
-/* Beyond what the form holds, a number would go out as another one, even with the opposite sign. */
+/* A number that does not fit its form would go out as another one, even with the opposite sign. */
 static void check_range(finding *f, const line_setpoint *setpoint)
 {
     bool form_has_sign = (setpoint->form & 1) != 0;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_unresponsive.c: what a drive that does not answer is sent all the same, and how often it is
- * polled; how long a stop waits on a line that is never silent. */
+ * line_unresponsive.c: what is sent to a drive that does not answer, and how often it is polled;
+ * how long a stop waits on a line that is never silent. */
 #include <string.h>
 
 #include "line_machine.h"
@@ -9,8 +9,7 @@
 static const int64_t URGENT_NOISE_NS = 20 * LINE_MS;
 static const int64_t PROBE_FIRST_NS = 100 * LINE_MS, PROBE_LAST_NS = 2000 * LINE_MS;
 
-/* Those that go out to a drive that is not armed; where there is a position in the first one,
- * there are no others. */
+/* Exchanges for a drive that is not armed; if the first one has a position, there are no others. */
 static uint32_t zero_exchanges(const line_machine *m, uint32_t number)
 {
     const line_drive *table = &m->table.drive[number];
@@ -22,8 +21,8 @@ static uint32_t zero_exchanges(const line_machine *m, uint32_t number)
     return count;
 }
 
-/* A drive that may turn is sent a stop: it may receive though its answers do not arrive, and
- * reads feed its watchdog. */
+/* A drive that may turn gets a stop: it may receive although its answers do not arrive, and reads
+ * feed its watchdog. */
 static uint32_t stop_probes(const line_machine *m, uint32_t number)
 {
     const line_drive *table = &m->table.drive[number];
@@ -38,8 +37,8 @@ void line_becomes_unresponsive(line_machine *m, uint32_t number, int64_t now_ns)
     }
     drive_unresponsive(&drive->state);
     if (m->end.stage < END_POWER_OFF) {
-        drive->state.stop = STOP_NOTHING; /* its probes stop it; later there are none: it gets the
-                                             stop until the end */
+        drive->state.stop = STOP_NOTHING; /* its probes stop it; when the line ends there are none:
+                                             then it keeps its pending stop */
     }
     drive->stage = STAGE_IDLE;
     drive->probe_place = 0;
@@ -58,7 +57,7 @@ const line_exchange *line_exchange_at(const line_drive *table, uint32_t place)
                                        : &table->extra[place - table->cyclic_count];
 }
 
-/* The first exchange of the cycle may hold a position: only where there is no other. */
+/* The first exchange of the cycle may hold a position: used only if there is no other. */
 uint32_t line_probe_place(const line_drive *table)
 {
     if (table->probe > 0) {

@@ -33,7 +33,7 @@ static position_range range_of(const line_machine *m, uint32_t drive, const line
                             .window_ns = place_window_ns(m->table.setpoint_timeout_ns, period_ns)};
 }
 
-/* The target that is wanted, as its request would carry it; NaN: none is, or none may. */
+/* The requested target, as its request would carry it; NaN: there is none, or it may not move. */
 static double target_wanted(const line_machine *m, uint32_t drive, const line_setpoint *setpoint)
 {
     double wanted_rad = may_move(m, drive)
@@ -42,7 +42,7 @@ static double target_wanted(const line_machine *m, uint32_t drive, const line_se
     return wanted_rad * setpoint->raw_per_si + setpoint->raw_offset;
 }
 
-/* The target that goes out; NaN: none does. */
+/* The target that goes out; NaN: none. */
 static double target_of(const line_machine *m, uint32_t drive, const line_setpoint *setpoint)
 {
     const position_range range = range_of(m, drive, setpoint);
@@ -111,8 +111,7 @@ static int64_t raw_of(const line_machine *m, uint32_t drive, const line_setpoint
     return (int64_t)nearbyint(within_span(raw, setpoint->raw_min, setpoint->raw_max));
 }
 
-/* It is to regulate nothing: neither armed nor coming to rest, and not one that may turn without
- * reporting it. */
+/* It regulates nothing: it is neither armed nor coming to rest, and cannot turn unnoticed. */
 static bool is_idle(const line_machine *m, uint32_t drive)
 {
     const line_drive_state *state = &m->drive[drive];
@@ -120,7 +119,7 @@ static bool is_idle(const line_machine *m, uint32_t drive)
            state->state.stop == STOP_NOTHING;
 }
 
-/* What is sent is where the next target begins. */
+/* The next target begins at the one that is sent. */
 static void note_position(line_machine *m, uint32_t drive, const line_setpoint *setpoint)
 {
     if (takes_position(setpoint)) {

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  * arbiter.c: which lease is in command. The fresh one with the highest priority; among equals the
  * first. A lease that requests motion while nothing may move is held: its command counts as zero
- * until it has sent zero itself or has let it lapse. So a source that goes on sending through a
- * stop, or before arming, moves nothing. */
+ * until the lease has sent zero, or its command has lapsed. So a source that keeps sending through
+ * a stop, or before arming, moves nothing. */
 #include <math.h>
 #include <stddef.h>
 #include <string.h>
@@ -20,22 +20,22 @@ _Static_assert(offsetof(command_datagram, lateral_m_s) == COMMAND_BYTES_PLANE,
 _Static_assert(offsetof(joint_datagram, velocity_rad_s) == offsetof(command_datagram, linear_m_s),
                "one head for both");
 
-/* What a datagram requests: of a base a twist, of joints without one what each shall do. */
+/* The request of a datagram: a twist of a base, or a command for each joint without one. */
 typedef struct {
     command_datagram twist;
     joint_command joints;
-    bool possible; /* it can be done, if it is finite */
+    bool possible; /* it is possible, if it is finite */
 } request;
 
 static const int64_t NS_PER_MS = 1000000;
 enum {
     BURST = 4,
     SMOOTH = 8
-}; /* commands that may come early; of the interval between them the newest counts 1/SMOOTH */
-/* What is shorter would lapse between two commands, and the hold of a held lease with it. */
+}; /* commands that may come early; the newest interval counts 1/SMOOTH */
+/* A shorter one would lapse between two commands, and end the hold of a held lease. */
 static const int64_t LIFETIME_LEAST_NS = 20000000;
-static const double OUT_OF_RANGE = 10.0; /* times the limit: a wrong unit or a broken program,
-                                            nothing to be scaled down */
+static const double OUT_OF_RANGE = 10.0; /* times the limit: a wrong unit or a broken program, not a
+                                            speed to scale down */
 
 void arbiter_init(arbiter *a, const core_config *base, const base_limits *limits)
 {
@@ -75,7 +75,7 @@ void arbiter_grant(arbiter *a, const lease_permissions *permissions)
     memcpy(a->report.lease, kept, sizeof kept);
 }
 
-/* The same time for a right token and a wrong one. */
+/* Takes the same time for a right token and a wrong one. */
 static bool same_token(const uint8_t *one, const uint8_t *other)
 {
     uint32_t differs = 0;
@@ -103,7 +103,7 @@ static int refuse(arbiter *a, command_refusal why)
     return 1 + (int)why;
 }
 
-/* How long it lives, 0: it cannot. */
+/* Its lifetime; 0: not allowed. */
 static int64_t lifetime_ns(const lease_permission *grant, const command_datagram *command)
 {
     int64_t requested_ns = (int64_t)command->lifetime_ms * NS_PER_MS;
@@ -114,13 +114,13 @@ static int64_t lifetime_ns(const lease_permission *grant, const command_datagram
                                                                                    : 0;
 }
 
-/* 0 is never a command's: in a lease it means that none came. */
+/* 0 never belongs to a command: in a lease it means that none came. */
 static bool is_new(const lease_state *lease, uint64_t sequence)
 {
     return sequence != 0 && (lease->sequence == 0 || (int64_t)(sequence - lease->sequence) > 0);
 }
 
-/* The generic cell rate algorithm, ITU-T I.371: as many as are due, and some of them early. */
+/* The generic cell rate algorithm, ITU-T I.371: as many as are due, some of them early. */
 static bool too_often(const lease_permission *grant, lease_state *lease, int64_t now_ns)
 {
     if (grant->interval_least_ns == 0) {
@@ -144,8 +144,8 @@ static void measure_interval(lease_state *lease, int64_t now_ns)
     lease->taken_ns = now_ns;
 }
 
-/* Of two limits, which are numbers. Not fmax: its code is a page that the loop's first command
- * would have to fetch. */
+/* Of two limits, which are numbers. Not fmax: its code page would have to be fetched at the first
+ * command. */
 static double larger(double a, double b)
 {
     return a > b ? a : b;
@@ -192,8 +192,8 @@ static bool joints_in_range(const arbiter *a, const joint_command *joints)
     return within;
 }
 
-/* Of the robot file's limit and the one in force the greater counts: a source that slows the
- * robot down by a limit stops none. */
+/* The greater of the robot file's limit and the one in force counts: so a lowered limit does not
+ * make commands invalid. */
 static bool in_range(const arbiter *a, const request *wanted)
 {
     const command_datagram *command = &wanted->twist;
@@ -236,7 +236,7 @@ static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_n
     if (life_ns == 0) {
         return refuse(a, REFUSED_LIFETIME);
     }
-    /* of the future, too: the sender's clock is this machine's */
+    /* from the future, too: the sender has the same clock */
     if (!fresh_stamp(now_ns, stamp_since(command->stamp_ns, a->resumed_ns), life_ns - 1)) {
         return refuse(a, REFUSED_AGE);
     }
@@ -250,7 +250,7 @@ static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_n
     lease->since = alive(lease, now_ns) ? lease->since : ++a->comers;
     bool left_held = grant->barred_until_ns > lease->lifted_ns && now_ns < grant->barred_until_ns;
     bool barred = alive(lease, now_ns) ? lease->held != 0 : left_held;
-    lease->lifted_ns = grant->barred_until_ns; /* from here on it is in lease->held */
+    lease->lifted_ns = grant->barred_until_ns; /* from now on it is in lease->held */
     lease->sequence = command->sequence;
     lease->stamp_ns = command->stamp_ns;
     lease->expires_ns = command->stamp_ns + life_ns;
@@ -261,7 +261,7 @@ static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_n
     lease->wants_motion = motion;
     lease->held = motion && (!may_move || barred);
     if (!good) {
-        lease->held = barred; /* that was no zero */
+        lease->held = barred; /* it was not zero */
         return refuse(a, !finite             ? REFUSED_NOT_FINITE
                          : !wanted->possible ? REFUSED_JOINTS
                                              : REFUSED_OUT_OF_RANGE);
@@ -271,7 +271,7 @@ static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_n
     return 0;
 }
 
-/* The datagram in the form of a twist; what it does not have stays zero. */
+/* The datagram as a twist; missing fields stay zero. */
 static bool read_form(const void *datagram, size_t bytes, command_datagram *command)
 {
     if (bytes != COMMAND_BYTES && bytes != COMMAND_BYTES_PLANE && bytes != JOINT_COMMAND_BYTES &&
@@ -297,8 +297,8 @@ static bool read_form(const void *datagram, size_t bytes, command_datagram *comm
     return command->kind == COMMAND_TWIST || command->kind == COMMAND_RELEASE;
 }
 
-/* In the newest form. Older ones give a velocity to each joint: one that takes positions has
- * none but zero. */
+/* In the newest form. Older forms have a velocity for each joint: only zero for a joint that takes
+ * positions. */
 static void read_joint_datagram(const arbiter *a, const void *datagram, size_t bytes,
                                 joint_position_datagram *found)
 {
@@ -313,7 +313,7 @@ static void read_joint_datagram(const arbiter *a, const void *datagram, size_t b
     }
 }
 
-/* False: one of them is no joint here, or takes the other kind of set-point. */
+/* False: one of them is not a joint here, or takes the other kind of set-point. */
 static bool read_independent(const arbiter *a, const joint_position_datagram *from,
                              joint_command *joints)
 {
@@ -330,7 +330,7 @@ static bool read_independent(const arbiter *a, const joint_position_datagram *fr
     return possible;
 }
 
-/* False: nothing that this base can do. */
+/* False: this base cannot do it. */
 static bool read_wheels(const arbiter *a, joint_position_datagram *from, command_datagram *command)
 {
     double twist_u_s[AXES];
@@ -380,7 +380,7 @@ int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_n
     if (wanted.twist.kind == COMMAND_JOINTS) {
         read_joints(a, datagram, bytes, &wanted);
     } else if (a->base != NULL && a->base->independent) {
-        /* without a base no twist but zero can be done */
+        /* without a base only a twist of zero is possible */
         wanted.possible = !wants_motion(a, &wanted);
     }
     return take(a, place, &wanted, now_ns, may_move);
@@ -408,7 +408,7 @@ void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *o
     const lease_state *lease = commander(a, now_ns, may_move);
     a->report.may_move = may_move;
     a->report.commander = lease != NULL ? lease->number : 0;
-    *out = (twist_command){.stamp_ns = a->last_stamp_ns}; /* none: its end lies behind us */
+    *out = (twist_command){.stamp_ns = a->last_stamp_ns}; /* none: it has ended */
     if (lease == NULL) {
         return;
     }

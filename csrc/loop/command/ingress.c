@@ -29,7 +29,8 @@ static uint32_t take_from(int fd, arbiter *a, bool may_move)
 {
     uint32_t taken = 0;
     while (taken < DATAGRAMS_A_SOCKET) {
-        uint8_t datagram[JOINT_POSITION_BYTES + 1]; /* one more shows what is too long */
+        uint8_t datagram[JOINT_POSITION_BYTES + 1]; /* one more byte shows a datagram that is too
+                                                       long */
         ssize_t bytes = recv(fd, datagram, sizeof datagram, MSG_DONTWAIT);
         if (bytes < 0) {
             break;
@@ -54,8 +55,8 @@ uint32_t ingress_take(const ingress *in, arbiter *a, bool may_move)
 }
 
 /* Owner, group and mode of the socket's file decide which programs may send; the kernel checks them
- * for each datagram. The credentials only name the sender. There is room for them alone:
- * descriptors that come along are dropped by the kernel. */
+ * for each datagram. The credentials only name the sender. There is room for them alone: the kernel
+ * drops descriptors in a message. */
 static ssize_t receive(int fd, void *datagram, size_t bytes, int32_t *pid)
 {
     union {
@@ -83,7 +84,8 @@ uint32_t ingress_take_stops(const ingress *in, stop_requests *stops)
     uint32_t taken = 0;
     while (in->stop_fd >= 0 && taken < STOPS_A_TICK) {
         stop_request request;
-        uint8_t datagram[STOP_REQUEST_BYTES + 1] = {0}; /* one more shows what is too long */
+        uint8_t datagram[STOP_REQUEST_BYTES + 1] = {0}; /* one more byte shows a datagram that is
+                                                           too long */
         int32_t pid;
         ssize_t bytes = receive(in->stop_fd, datagram, sizeof datagram, &pid);
         if (bytes < 0) {

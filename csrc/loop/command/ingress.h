@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * ingress.h: commands and stop requests from datagram sockets, and the waiting of the loop for
- * them. */
+ * ingress.h: commands and stop requests from datagram sockets, and the loop's wait for them. */
 #ifndef MOTORD_INGRESS_H
 #define MOTORD_INGRESS_H
 
@@ -20,12 +19,12 @@ typedef struct {
     _Atomic int32_t pid;
 } stop_requests;
 
-/* Until the time, or until a datagram is there: true. */
+/* Waits until the time, or until a datagram is there: true. */
 bool ingress_wait(const ingress *in, int64_t until_ns);
-/* Judge what is there, of each socket a bounded number of datagrams, so that no source keeps
- * another one's from being seen; how many there were. */
+/* Judges waiting datagrams, a bounded number from each socket, so that no source blocks another;
+ * returns how many there were. */
 uint32_t ingress_take(const ingress *in, arbiter *a, bool may_move);
-/* Count the stop requests that are there, again a bounded number; how many there were. */
+/* Counts waiting stop requests, a bounded number, too; returns how many there were. */
 uint32_t ingress_take_stops(const ingress *in, stop_requests *stops);
 
 #endif

@@ -5,14 +5,14 @@
 
 #include "rt.h"
 
-/* What the input's descriptor reported in one tick. */
+/* The input's reports of one tick. */
 typedef struct {
     bool known;  /* false: the level could not be read, or its device is gone */
     bool high;   /* level now */
     bool opened; /* there was an edge to the level that stops since the tick before */
 } estop_reading;
 
-/* What the watchdog goes by, once a tick. */
+/* The watchdog's input, once a tick. */
 typedef struct {
     int64_t now_ns;
     int64_t heartbeat_ns;      /* of asyncio; 0: never */
@@ -23,8 +23,7 @@ typedef struct {
 typedef struct {
     uint64_t takes[LINES_MAX];
     int64_t taken_ns[LINES_MAX];
-    bool watched[LINES_MAX]; /* it had enabled drives, and has not been seen to go on since they are
-                                not */
+    bool watched[LINES_MAX]; /* it had enabled drives, and has not worked since */
     bool was_enabled;
     bool high;
     uint32_t ticks; /* since the last edge */
@@ -33,7 +32,7 @@ typedef struct {
 typedef struct {
     guard_config config;
     watchdog_state watchdog;
-    bool lost;                    /* the input's device: for good */
+    bool lost;                    /* the input's device is lost: for good */
     _Atomic uint32_t estop_input; /* estop_input */
     _Atomic uint32_t watchdog_well;
     _Atomic uint64_t watchdog_edges;
@@ -41,9 +40,9 @@ typedef struct {
 } guard;
 
 int guard_config_check(const guard_config *config); /* 0 or -EINVAL */
-/* ESTOP_*: the slightest hint of a stop is one. */
+/* ESTOP_*: any sign of a stop is a stop. */
 uint32_t estop_judge(const guard_config *config, const estop_reading *reading);
-/* True: everybody lives. The pin's new level is in state->high. */
+/* True: all threads work. The pin's new level is in state->high. */
 bool watchdog_step(watchdog_state *state, const guard_config *config, const watchdog_input *input);
 
 void guard_init(guard *g, const guard_config *config);

@@ -12,7 +12,7 @@
 
 enum {
     EVENTS_A_TICK = 16
-}; /* of a contact that bounces: the kernel keeps that many, and the level shows the rest */
+}; /* of a contact that bounces: the kernel keeps this many, and the level shows the rest */
 
 void guard_init(guard *g, const guard_config *config)
 {
@@ -26,7 +26,7 @@ void guard_init(guard *g, const guard_config *config)
 }
 
 /* The events first: an edge that comes after them is in the level. The request is for one kind of
- * edge, so each event is one: of a line with both the kernel reports the edge by the level that
+ * edge, so each event is such an edge: with both kinds the kernel reports an edge by the level that
  * it finds later, and a short pulse is lost. */
 static estop_reading read_input(int fd)
 {

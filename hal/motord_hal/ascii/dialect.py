@@ -40,7 +40,7 @@ def feedback_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def check_setpoints(text: Text, joints: tuple[str, ...]) -> None:
-    """Raises ValueError for a template that does not say everything."""
+    """Raises ValueError for a template that lacks a field."""
     sent = set(text.fields)
     if sent not in (set(joints), set(rim_fields(joints)), {LINEAR, ANGULAR}):
         each = f"{', '.join(joints)}, or {', '.join(rim_fields(joints))}"
@@ -48,8 +48,8 @@ def check_setpoints(text: Text, joints: tuple[str, ...]) -> None:
 
 
 def check_feedback(text: Text, joints: tuple[str, ...], scaled: Iterable[str] = ()) -> None:
-    """`scaled`: the fields that have a scale. Raises ValueError for a value that is there twice,
-    and for a scale without its field."""
+    """`scaled`: the fields that have a scale. Raises ValueError for a duplicate value, and for a
+    scale without its field."""
     for name in joints:
         for pair in ((COUNT, RIM_DISTANCE), (VELOCITY, RIM_SPEED)):
             if {name + what for what in pair} <= set(text.fields):
@@ -87,7 +87,7 @@ def texts_of(spec: LineSpec) -> tuple[TextSpec, Text, Text | None]:
 
 
 def why_not_possible(sent: Text, received: Text | None) -> str:
-    """What of the templates cannot be written or read, and what to write instead; empty:
+    """What in the templates cannot be written or read, and what to write instead; empty:
     nothing."""
     for _, name, form in sent.parts:
         if name is not None and form[-1] not in "dfg":
@@ -105,7 +105,7 @@ def why_not_possible(sent: Text, received: Text | None) -> str:
 
 
 def text_bytes(spec: LineSpec) -> int:
-    """Of the longer of both lines of text, with numbers of a usual size."""
+    """Bytes of the longer of both lines of text, with numbers of a usual size."""
     _, sent, received = texts_of(spec)
     size = len(spec.text.prefix if spec.text else "")
     size += len(sent.say(dict.fromkeys(sent.fields, -999.0)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Templates of lines of text: `{left:.2f},{right:.2f}\\n` says two numbers and reads them again.
+"""Templates of lines of text: `{left:.2f},{right:.2f}\\n` writes two numbers and reads them again.
 
 A template that is a JSON object, `{{"T":1,"L":{left:.3f}}}\\n` (braces of its own are doubled), is
 read as one: by the names of its members, in any order, and other members are skipped.
@@ -22,7 +22,7 @@ _NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
 
 
 class Text:
-    """A template whose fields are numbers. Raises ValueError that says what is wrong with it."""
+    """A template whose fields are numbers. Raises ValueError with the reason if it is not valid."""
 
     def __init__(self, template: str, known: Collection[str]) -> None:
         self.template = template
@@ -44,15 +44,15 @@ class Text:
         self._check()
         self._pattern = re.compile(self._regex())
         self.members = self._members() if template.lstrip().startswith("{{") else {}
-        """Name → field or constant, of a JSON object; none: it is no such object."""
+        """Name → field or constant, of a JSON object; empty: the template is not a JSON object."""
 
     def _check(self) -> None:
         if not self.fields:
             raise ValueError("there is no {field} in it")
         if len(set(self.fields)) != len(self.fields):
-            raise ValueError("a field stands in it twice")
+            raise ValueError("a field is in it twice")
         if any(not literal for literal, name, _ in self._parts[1:] if name is not None):
-            raise ValueError("two fields need something between them")
+            raise ValueError("two fields need a separator between them")
         if not self.template.isascii():
             raise ValueError("it must be ASCII")
         if len(self.say(dict.fromkeys(self.fields, -1e9))) > LINE_BYTES_MAX:
@@ -67,14 +67,14 @@ class Text:
         try:
             found = json.loads(marked)
         except ValueError as error:
-            raise ValueError(f"it begins as a JSON object and is none: {error}") from None
+            raise ValueError(f"it begins like a JSON object but is not one: {error}") from None
         members: dict[str, str | float] = {}
         for name, value in found.items():
             is_field = isinstance(value, str) and value.startswith(_MARK)
             if not is_field and (isinstance(value, bool) or not isinstance(value, int | float)):
                 raise ValueError(f'member "{name}" must be a number or a {{field}}')
             if not name or set(name) & set('"\\'):
-                raise ValueError(f'member "{name}": a name has a character at least, and no escape')
+                raise ValueError(f'member "{name}": a name has 1 character or more, and no escape')
             members[name] = value.removeprefix(_MARK) if isinstance(value, str) else float(value)
         return members
 
@@ -104,7 +104,7 @@ class Text:
         return tuple(self._parts)
 
     def read(self, line: bytes) -> dict[str, float] | None:
-        """The numbers of a line; None: it is another one."""
+        """The numbers of a line; None: the line does not match."""
         if self.members:
             return self._read_members(line)
         text = line.decode("ascii", errors="replace").strip()
@@ -144,7 +144,7 @@ def _check_field(name: str, spec: str, conversion: str | None, known: Collection
 
 class Lines:
     """Cuts a stream of bytes at line ends. The first piece after `reset` may be half a line and is
-    thrown away; so is what never ends."""
+    dropped; so is a line that never ends."""
 
     def __init__(self) -> None:
         self._tail = bytearray()
@@ -152,7 +152,7 @@ class Lines:
 
     @classmethod
     def whole(cls, data: bytes) -> list[bytes]:
-        """The lines of a text that begins with one."""
+        """The lines of a text that begins at a line's start."""
         lines = cls()
         lines.feed(b"\n")
         return lines.feed(data + b"\n")

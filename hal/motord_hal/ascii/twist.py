@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wheel speeds as the base's own two numbers, for boards that want those, and back.
+"""Wheel speeds as the base's two speeds, for boards that take those, and back.
 
 Source: Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2: a differential base.
 """

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One drive of a line in asyncio: its state, its jobs, and what takes it back to rest.
+"""One drive of a line in asyncio: its state, its jobs, and how it comes to rest.
 
-How its words go over the wire is its line kind's.
+Its kind of line defines the frames on the wire.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self.tries = max(joint.tries for joint in plan.joints)
         self.faults = {name: FaultWatch(name, plan.profile, say) for name in self.names}
         self.enabled_count = 0
-        """How often set-points had become enabled when it was armed: those of a short while no look
-        may see."""
+        """How often set-points had become enabled when it was armed. The count also shows an enable
+        that ended before the line read it."""
         self._exchange = exchange
         self._say = say
         self._setup = setup
@@ -66,18 +66,19 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._rules = DriveRules()
         self._reported_unresponsive = False
         self._may_turn = False
-        """It has been armed since it was last seen set up: at rest and without power."""
+        """It has been armed since its last set-up, after which it was at rest and without power."""
 
     # --------------------------------------------------------------------------------- its own wire
     @abc.abstractmethod
     def opened(self) -> None:
-        """The medium is there: nothing is known of the drive yet."""
+        """The medium is open; the drive's state is unknown."""
 
     @property
     @abc.abstractmethod
     def has_stopped_itself(self) -> bool:
-        """It got nothing for so long that its watchdog has bitten, if it has one: a pause of
-        the whole process. One that cannot say so would start again with the next set-point."""
+        """It got nothing for so long that its watchdog, if it has one, has bitten: the whole
+        process paused. A drive that cannot report this would start again with the next
+        set-point."""
 
     @abc.abstractmethod
     def arming(self) -> Job:
@@ -95,7 +96,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
 
     @property
     def is_cycled(self) -> bool:
-        """Each cycle sends it its set-points."""
+        """Whether each cycle sends it its set-points."""
         return self.state in PRESENT
 
     @property
@@ -112,7 +113,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         return self._rules.may_move(fresh=fresh, enabled=enabled)
 
     def has_to_rest(self, wanted: Wanted) -> bool:
-        """It was sent motion, and the newest set-points are zero: that does not wait for its
+        """It was sent motion, and the newest set-points are zero: the zero does not wait for its
         cycle."""
         return self._rules.has_to_rest(wants_motion=self.plan.wants_motion(wanted))
 
@@ -122,7 +123,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         return self._rules.is_stopping
 
     def lose(self, error: HalError) -> None:
-        """The medium is gone: nothing is known of the drive."""
+        """The medium is lost; the drive's state is unknown."""
         self._forget(error)
         self._rules.request(Mode.OFF)
 
@@ -132,16 +133,16 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._values = {}
 
     def _forget_enabled(self) -> None:
-        """A step may have changed it: unknown until it is read again."""
+        """A step may have changed whether it is enabled: unknown until the next read."""
         if self.plan.profile.enabled is not None:
             self._values.pop(self.plan.profile.enabled.register, None)
 
     def _hint(self) -> str:
-        """What else could be the reason for its silence, as its medium shows it."""
+        """Other possible reasons for its silence, from its medium."""
         return ""
 
     def _answers(self) -> None:
-        """It is there: set it up. One that was unresponsive may still have power."""
+        """It answers: set it up. A drive that was unresponsive may still have power."""
         was_unresponsive = self.state is DriveState.UNRESPONSIVE
         stop = self._rules.answers() if was_unresponsive else Stop.NOTHING
         self.configure(f"{self} is being configured", stop)
@@ -157,9 +158,9 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._say(EventKind.DRIVE_UNRESPONSIVE, self.names, f"{self} is unresponsive: {why}")
         return True
 
-    # -------------------------------------------------------------------------------- what it says
+    # ------------------------------------------------------------------------------------- feedback
     def _put_feedback(self, joint: JointSpec, reading: Reading, stamp_ns: int) -> None:
-        """To the core; new faults are reported."""
+        """Hand it to the core, and report new faults."""
         faults = self.faults[joint.name]
         faults.update(reading.fault_word)
         self._exchange.put_feedback(
@@ -176,8 +177,8 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         )
 
     def _judge_power(self, enabled: bool | None) -> None:
-        """It has reported whether it is enabled. Armed, without power: it was taken away. Not armed
-        and with power: a power-off was lost or refused."""
+        """It has reported whether it is enabled. Armed but without power: it has lost its power.
+        Not armed but with power: a power-off was lost or refused."""
         before = self._rules.fault_reasons
         stop = self._rules.check_power(enabled, self.tries, settled=not self.jobs)
         if stop is Stop.NOTHING:
@@ -193,7 +194,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._take_power()
 
     def _rests_at(self, velocity_rad_s: float) -> bool:
-        """Of a wheel; NaN is not at rest: the time decides then."""
+        """Whether a wheel is at rest. NaN is not: then the time limit decides."""
         return abs(velocity_rad_s) < self._rest_velocity_rad_s
 
     def _end_stopping(self, *, at_rest: bool) -> None:
@@ -202,7 +203,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
             self._take_power()
 
     def _take_power(self) -> None:
-        """It shall have none, and no caller waits for that."""
+        """Remove its power; no caller waits for that."""
         self._submit_power_off()
 
     # ------------------------------------------------------------------------------------ its jobs
@@ -219,9 +220,9 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         return self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
 
     def configure(self, why: str, stop: Stop = Stop.NOTHING) -> None:
-        """Forget what was known, and set the drive up again. It ends READY, never ARMED. The
-        power-off comes first where it is pending, and where the rules demand it: by the `stop`
-        that they have returned, or now."""
+        """Discard the drive's values, and set it up again. It ends READY, never ARMED. A power-off
+        goes first if one is pending, or if the rules demand one: by the `stop` that they have
+        returned, or now."""
         pending = [job for job in self.jobs if job.name == "disarm"]
         for job in pending:
             self.jobs.remove(job)
@@ -266,8 +267,8 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
 
     # ------------------------------------------------------------------------------------ stopping
     async def guard(self, *, fresh: bool, enabled: bool, enabled_count: int) -> None:
-        """Of the newest set-points. What they demand is sent ahead of everything else. Of the
-        line's task. Raises PortError."""
+        """Check the newest set-points. A stop that they demand goes out ahead of everything else.
+        For the line's task. Raises PortError."""
         stop = self._rules.guard(
             now_ns(),
             fresh=fresh,
@@ -281,36 +282,36 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
             await self.power_off()
 
     async def take_over(self) -> None:
-        """Instead of `opened`, where another program left it running: it is stopped as if it had
-        been armed here. Raises PortError."""
+        """In place of `opened`, if another program left it running: stop it as if it had been armed
+        here. Raises PortError."""
         self._may_turn = True
         await self.quick_stop()
 
     async def quick_stop(self) -> None:
-        """Stop now, ahead of everything else; the power goes off when the wheel is at rest. Of the
+        """Stop now, ahead of everything else; the power goes off when the wheel is at rest. For the
         line's task. Raises PortError."""
         self._disarmed()
         self._rules.quick_stop(now_ns())
         await self._send_now("quick_stop", self.plan.profile.quick_stop)
 
     async def power_off(self) -> None:
-        """Power off now, ahead of everything else. Of the line's task. Raises PortError."""
+        """Power off now, ahead of everything else. For the line's task. Raises PortError."""
         self._powerless()
         await self._send_now("disarm", self.plan.profile.disarm)
 
     async def send_power_off(self) -> bool:
-        """As power_off, but only once. False: not all of it is known to have got through."""
+        """As power_off, but only once. False: some of it is not confirmed."""
         self._powerless()
         return not await self._write_now(self.plan.profile.disarm)
 
     @property
     def may_report(self) -> bool:
-        """It has been sent its last power-off, and is there to report that it has no power."""
+        """It was sent its last power-off, and still answers, so it can report that it has no
+        power."""
         return False
 
     async def _send_now(self, name: str, steps: Sequence[Step]) -> None:
-        """What does not get through becomes a job, but for a drive that is silent: that one is
-        probed."""
+        """Steps that fail become a job, unless the drive is unresponsive: then it is probed."""
         left = await self._write_now(steps)
         if left and self.state is not DriveState.UNRESPONSIVE:
             self.submit(Job(name, left, urgent=True))
@@ -322,7 +323,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._rules.power_off()
 
     def stand_down(self) -> Job:
-        """Zero from now on, power off with the next slot. Of any task."""
+        """Zero from now on, power off with the next slot. For any task."""
         self._disarmed()
         return self._submit_power_off()
 
@@ -332,5 +333,6 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._drop_all("arm", f"{self}: stopped while it was being armed")
 
     def _drop_quick_stop(self) -> None:
-        """After the power-off it would give the power back, where it is zero speed."""
-        self._drop_all("quick_stop", f"{self}: its power is taken")
+        """After the power-off, a quick stop that commands zero speed would switch the power on
+        again."""
+        self._drop_all("quick_stop", f"{self}: its power is switched off")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A line whose cycle runs in asyncio: when it begins, what it obeys, how it ends.
+"""A line whose cycle runs in asyncio: its start, its set-points, its end.
 
-One task sends, for all drives. What a kind of line has of its own is its wire: how it is opened,
-what a cycle sends on it, and how long a job takes there.
+One task sends, for all drives. A kind of line defines its wire: how it is opened, what a cycle
+sends, and how long a job takes.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from motord_hal.realtime.exchange import Exchange, is_fresh
 
 SHUTDOWN_WITHIN_S = 0.5
 SHUTDOWN_STOPPING_S = 0.35
-"""So much of it may pass until the wheels are at rest; then the power goes off all the same."""
+"""The wheels have this part of it to come to rest; then the power goes off anyway."""
 POWER_OFF_WITHIN_S = 2.5
-"""So long it may take until each drive was sent its whole power-off once, also beyond
-SHUTDOWN_WITHIN_S: a silent one may still receive."""
+"""Time to send each drive its whole power-off once, also beyond SHUTDOWN_WITHIN_S: a silent drive
+may still receive."""
 REPORT_WITHIN_S = 0.5
-"""Beyond SHUTDOWN_WITHIN_S: until a drive that is there has reported that it has no power."""
+"""Beyond SHUTDOWN_WITHIN_S: time for a drive that answers to report that it has no power."""
 STOPPING_CYCLE_S = 0.01
 LOOK_EVERY_S = 0.02
-"""Between cycles: how often it is looked whether the wheels have to stop, where nothing wakes the
-line: the loop has died, or asyncio has disarmed a drive."""
+"""Between cycles: how often the line checks for a stop that does not wake it, because the loop has
+died, or asyncio has disarmed a drive."""
 JOB_ALLOWANCE_S = 1.0
 """A caller that waits for jobs waits so much longer than they can take on the wire: the event loop
 may be late. Nothing moves meanwhile: a drive that is not armed gets zero, or nothing."""
@@ -49,7 +49,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
     """ports.Line, engine "asyncio"."""
 
     unresponsive_text = "no answer"
-    """Why drives may not get their last power-off, though the medium is there."""
+    """Why drives may not get their last power-off though the medium is open."""
 
     def __init__(
         self, spec: LineSpec, exchange: Exchange, listener: Listener, period_s: float
@@ -74,7 +74,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
 
     @abc.abstractmethod
     def _look(self) -> None:
-        """Before each cycle, and now and then between two: take in what has come unasked. Raises
+        """Take in what came without a request: before each cycle, and at times between two. Raises
         PortError."""
 
     @abc.abstractmethod
@@ -107,7 +107,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
         with contextlib.ExitStack() as block:
             try:
                 block.enter_context(self._exchange.waking(self.spec.index, self._woken.set))
-            except OSError as error:  # it stops its drives all the same
+            except OSError as error:  # the line still stops its drives
                 text = f"{self.spec.name} is not woken for new commands: {error.strerror}"
                 self._say_all(EventKind.DRIVE_WARNING, text)
             while True:
@@ -120,8 +120,8 @@ class AsyncioLine(DriveLine[AnyDrive]):
                 await self._wait_for_cycle(due_s)
 
     async def _wait_for_cycle(self, due_s: float) -> None:
-        """Until it is due. New set-points and a stop do not wait for it on a slow line."""
-        await asyncio.sleep(0)  # however late the next one is: the event loop has a turn
+        """Wait until it is due. New set-points and a stop do not wait for it on a slow line."""
+        await asyncio.sleep(0)  # let the event loop run, even if the next cycle is late
         while now_s() < due_s and not any(self._has_to_stop(drive) for drive in self._drives):
             if self._woken.is_set() and self._begins_early():
                 return
@@ -144,7 +144,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
 
     # ------------------------------------------------------------------------------------- safety
     def _wanted(self, drive: AnyDrive) -> Wanted:
-        """What a cycle sends."""
+        """The set-points that a cycle sends."""
         self._handed[drive] = self._newest(drive)
         return self._handed[drive]
 
@@ -172,10 +172,9 @@ class AsyncioLine(DriveLine[AnyDrive]):
             await drive.guard(fresh=good, enabled=newest.enabled, enabled_count=count)
 
     async def _shut_down(self) -> None:
-        """Quick stop, then power off, on every drive. The power-off is sent whatever the stop ends
-        in, also in a mistake of this program."""
-        # an unresponsive drive may receive it all the same, but it shall not keep the others
-        # waiting
+        """Quick stop, then power off, on every drive. The power-off goes out however the stop
+        ended, even by a bug of this program."""
+        # an unresponsive drive may still receive it, but must not keep the others waiting
         left = sorted(self._drives, key=lambda drive: drive.state is DriveState.UNRESPONSIVE)
         end_s = now_s() + SHUTDOWN_WITHIN_S
         try:
@@ -186,8 +185,8 @@ class AsyncioLine(DriveLine[AnyDrive]):
             await self._switch_all_off(left, end_s)
 
     async def _switch_all_off(self, left: list[AnyDrive], end_s: float) -> None:
-        """Each once, then until each has got it, or it is too late. A drive that has got it is
-        taken from `left`."""
+        """Each once, then again until each has confirmed it, or time is up. A drive that has
+        confirmed it is removed from `left`."""
         why = self.unresponsive_text
         try:
             async with within(POWER_OFF_WITHIN_S):
@@ -212,7 +211,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
         await self._switch_each_off(left)
 
     async def _switch_each_off(self, left: list[AnyDrive]) -> None:
-        """Once; all of them, also where a mistake with one ends it. Raises PortError."""
+        """Once, to all of them, even if a bug with one raises. Raises PortError."""
         async with contextlib.AsyncExitStack() as each:
             for drive in reversed(left):
                 each.push_async_callback(self._try_to_switch_off, drive, left)
@@ -269,7 +268,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
 
     async def _finish(self, jobs: Sequence[Job]) -> None:
         """Wait for all; raise the first HalError, or NoReply when it takes too long. A caller that
-        gives up withdraws them, but for urgent ones: power goes off also when no caller waits."""
+        gives up withdraws them, except urgent ones: power goes off also when no caller waits."""
         limit_s = JOB_ALLOWANCE_S + self._limit_s(jobs)
         waits = [asyncio.shield(job.done) if job.urgent else job.done for job in jobs]
         try:
@@ -277,7 +276,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
                 results = await asyncio.gather(*waits, return_exceptions=True)
         except TimeoutError:
             what = f"{self.spec.name}: {jobs[0].name}"
-            raise NoReply(f"{what} was not done in {limit_s:.1f} s") from None
+            raise NoReply(f"{what} was not finished in {limit_s:.1f} s") from None
         for result in results:
             if isinstance(result, BaseException):
                 raise result

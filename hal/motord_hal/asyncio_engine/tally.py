@@ -42,7 +42,7 @@ class RoundTripTally:
         self._trips_s.append(trip_s)
 
     def percentiles(self) -> RoundTrips:
-        """Zeros where there is none."""
+        """Zeros without round trips."""
         ordered_s = sorted(self._trips_s)
         if not ordered_s:
             return RoundTrips()

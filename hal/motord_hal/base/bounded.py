@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that people write, read within limits: no file, however long or deep, ends a program or
+"""Files that people write, read within limits: no file, however long or deep, crashes a program or
 keeps it busy."""
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ TOML_BYTES_MAX = 256 * 1024
 DESCRIPTION_BYTES_MAX = 16 * 1024 * 1024
 """Of DBC and EDS files."""
 DEPTH_MAX = 16
-"""Of brackets in each other, and of the parts of a dotted key; robot files need 4."""
+"""Of nested brackets, and of the parts of a dotted key; robot files need 4."""
 WORD_MAX = 200
 """Characters of a number, or of a part of a key without quotes."""
 
@@ -29,7 +29,7 @@ TOKEN = re.compile(
 
 
 def read(path: Path, bytes_max: int = TOML_BYTES_MAX) -> bytes:
-    """All of a file. Raises OSError, also for one that is longer, or whose name no file has."""
+    """All of a file. Raises OSError, also for a file that is too long or does not exist."""
     if "\0" in str(path):
         raise OSError(errno.EINVAL, os.strerror(errno.EINVAL), str(path))
     with path.open("rb") as file:
@@ -52,7 +52,7 @@ def toml(text: str) -> dict[str, Any]:
         elif match.lastgroup == "text" and word[0] not in "\"'" and len(word) > WORD_MAX:
             problem = f"a number or key of more than {WORD_MAX} characters"
         if brackets > DEPTH_MAX or parts >= DEPTH_MAX:
-            problem = f"more than {DEPTH_MAX} brackets in each other, or parts of a key"
+            problem = f"more than {DEPTH_MAX} nested brackets, or parts of a key"
         if problem:
             raise tomllib.TOMLDecodeError(f"{problem} (at line {line}, column 1)")
         line += word.count("\n")

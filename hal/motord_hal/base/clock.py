@@ -27,7 +27,7 @@ async def sleep_until_s(deadline_s: float) -> None:
 
 
 class _Within:
-    """asyncio.timeout whose end raises what it is."""
+    """asyncio.timeout that raises TimeoutError at its end, also in a task that is cancelled."""
 
     __slots__ = ("_asked_before", "_limit", "_task")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 
 def reflected_table(polynomial: int) -> tuple[int, ...]:
-    """By a byte, of a CRC whose bits go low first; the polynomial in that order."""
+    """The table by byte, for a CRC with the low bit first; the polynomial in the same order."""
     rows = []
     for byte in range(256):
         crc = byte

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong on a wire, sorted by what the reader can do about it.
+"""What can go wrong on a wire, sorted by what you can do about it.
 
     HalError
     ├── PortError        the port is absent, busy or was pulled: check cable, path and owner
@@ -9,7 +9,7 @@
     ├── DriveFault       the drive reports a fault of its own: its manual, then reset
     └── ProfileError     the drive profile cannot be used: mend the file
 
-Every message says what, where and with which numbers.
+Every message has what happened, where, and the numbers.
 """
 
 

@@ -7,11 +7,11 @@ import difflib
 from collections.abc import Iterable
 
 ALIKE = 0.6
-"""Ratio of what two words share: difflib's own bound for "close" (SequenceMatcher.ratio)."""
+"""Similarity of two words: difflib's own bound for "close" (SequenceMatcher.ratio)."""
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The known word that was probably meant; None: none is like it."""
+    """The known word that was probably meant; None: no word is close."""
     found = difflib.get_close_matches(word, list(known), n=1, cutoff=ALIKE)
     return found[0] if found else None
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When to try again. Pure: it counts, its caller waits."""
+"""When to try again. Pure: the caller does the waiting."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What python-can's kinds of adapters can and cannot do for a line. Pure."""
+"""Which kinds of python-can's adapters a line can use. Pure."""
 
 from __future__ import annotations
 
 _FD_KINDS = ("socketcan", "unix", "virtual", "udp_multicast")
 FD_ADAPTERS = ("kvaser", "vector", "ixxat")
-"""Of python-can's own drivers, those that take `fd` and `data_bitrate`."""
+"""python-can's own drivers that take `fd` and `data_bitrate`."""
 
 
 def why_unfit(interface: str, *, fd_frames: bool) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The name of a CAN bus, INTERFACE:CHANNEL, and what python-can wants to know of it."""
+"""The name of a CAN bus, INTERFACE:CHANNEL, and the arguments that python-can needs for it."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def split_address(address: str) -> tuple[str, str]:
 
 
 def bus_arguments(address: str, bitrate: int, data_bitrate: int | None) -> dict[str, Any]:
-    """What python-can wants to know to open it. On SocketCAN the bit rate is the kernel's. Raises
-    ProfileError: see why_unfit."""
+    """The arguments with which python-can opens it. On SocketCAN the bit rate is the kernel's.
+    Raises ProfileError: see why_unfit."""
     interface, channel = split_address(address)
     if problem := why_unfit(interface, fd_frames=data_bitrate is not None):
         raise ProfileError(f"{address}: {problem}")

@@ -31,15 +31,15 @@ from motord_hal.fieldbus.trace import PythonTrace
 OPEN_WITHIN_S = 5.0
 """Serial and USB adapters take a while."""
 READ_AT_ONCE = 64
-"""Frames that are taken in before the event loop has a turn."""
+"""Frames that are taken in before the event loop runs again."""
 QUEUE_FRAMES = 1024
-"""Of the reader thread, the oldest are lost first; and as many are taken in when catching up."""
+"""Queue of the reader thread, the oldest frames are lost first; also the most for catching up."""
 THREAD_LOOKS_S = 0.05
 AGE_MAX_S = 1.0
-"""A frame that the event loop has not seen for longer counts as new: a stamp that says so is more
-likely to be wrong."""
+"""A frame whose stamp is older than this counts as new: the stamp is more likely to be wrong than
+the event loop to be so late."""
 BAD_FRAMES_MAX = 100
-"""So many failures to read in a row are no bad frames any more."""
+"""After so many failed reads in a row the bus is at fault, not single frames."""
 _UNREADABLE = (can.CanError, OSError, ValueError)
 """ValueError: a driver that reads text (slcan) raises it for what is no frame."""
 _FULL = (errno.ENOBUFS, errno.EAGAIN, errno.ETIMEDOUT)
@@ -83,7 +83,7 @@ class CanBus:
         self._fd_frames = data_bitrate is not None
         self._bus_off = BusOffWatch(address)
         self._emptied_ns = 0
-        """The newest look that found nothing to read: what is read now has come since."""
+        """Time of the newest look that found nothing to read: what is read now came later."""
 
     # ------------------------------------------------------------------------------------- opening
     async def open(self) -> None:
@@ -113,7 +113,7 @@ class CanBus:
         self._emptied_ns = now_ns()
         try:
             self._fd = bus.fileno()
-        except RuntimeError:  # python-can's word for: it has none
+        except RuntimeError:  # python-can: the adapter has none
             self._fd = None
         if self._fd is not None and self._fd >= 0:
             asyncio.get_running_loop().add_reader(self._fd, self._readable)
@@ -130,7 +130,7 @@ class CanBus:
             asyncio.get_running_loop().remove_reader(self._fd)
             self._fd = None
         if self._reader is not None:
-            self._reader.stop()  # which closes the CAN bus when it has left it
+            self._reader.stop()  # which closes the CAN bus when it ends
             self._reader = None
         else:
             _shut(bus)
@@ -184,8 +184,8 @@ class CanBus:
             self.trouble = PortError(f"{self.address}: {error}{f' ({words})' if words else ''}")
 
     def catch_up(self) -> None:
-        """Take in what has come: an event loop that was late has not seen it yet. And what has
-        not: the frame that says bus-off may have been lost."""
+        """Take in what has come, in case the event loop is late. Check for bus-off, too: the error
+        frame that reports it may have been lost."""
         if self._fd is not None:
             self._read(QUEUE_FRAMES)
         elif self._reader is not None:
@@ -225,7 +225,7 @@ class CanBus:
 
 
 def receives_own(address: str) -> bool:
-    """Whether its kind says when a frame of ours has left: SocketCAN does."""
+    """Whether its kind reports when a frame of ours has left: SocketCAN does."""
     return split_address(address)[0] == "socketcan"
 
 
@@ -274,7 +274,7 @@ def _shut(bus: can.BusABC) -> None:
 
 
 def _shut_late(opening: asyncio.Future[can.BusABC]) -> None:
-    """It was opened when no caller waited for it any more."""
+    """Close a bus that was opened after its caller had given up."""
     if not opening.cancelled() and opening.exception() is None:
         _shut(opening.result())
 

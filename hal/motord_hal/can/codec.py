@@ -33,7 +33,7 @@ def build(frame: Frame, signals: tuple[Signal, ...], raw: Mapping[str, int]) -> 
 
 
 def parse(frame: Frame, signals: tuple[Signal, ...], data: bytes) -> dict[str, int] | None:
-    """Signal → raw; None: it is another frame, or one that was cut short."""
+    """Signal → raw; None: the data are of another frame, or cut short."""
     if not frame.matches(data):
         return None
     whole = data[: frame.size_bytes]

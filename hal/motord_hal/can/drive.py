@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One drive on a CAN bus: what it gets each cycle, what it reports, whether it is still there.
+"""One drive on a CAN bus: what it gets each cycle, what it reports, whether it still responds.
 
-That a frame was sent says nothing: presence is judged by what the drive has sent.
+A sent frame proves nothing: only frames of the drive show that it responds.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from motord_hal.realtime.exchange import Exchange
 PROBE_FIRST_S = 0.1
 PROBE_LIMIT_S = 2.0
 HELLO_GOOD_FOR_S = 5.0
-"""An answer to the first question counts for so long: until the drive is set up."""
+"""How long an answer to `hello` counts: time to set the drive up."""
 SAMPLE_PART = 0.5
 """Frames that the CAN bus has held up come in bunches; one sooner after the other than this part of
 its period adds nothing to the next one."""
@@ -68,22 +68,22 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._received_s: dict[str, float] = {}
         self._received_ns: dict[str, int] = {}
         self._unanswered: dict[str, tuple[float, int]] = {}
-        """Frame that was asked for since it came last → since when, and how often."""
+        """Frame that was requested and has not come since → since when, and how often."""
         self._sent_s = 0.0
         """When set-points went out last."""
         self._waits_since_s = 0.0
-        """Nothing is known of it since then: the line was opened."""
+        """When the line was opened or lost: the drive's state is unknown since then."""
         self._unresponsive_since_s = 0.0
         self._probe_at_s = 0.0
         self._cycles = 0
         self._job_s = 0.0
-        """When a job has written or asked last."""
+        """When a job last wrote or requested something."""
         self._last_off = LastPowerOff()
 
     def __str__(self) -> str:
         return f"{', '.join(self.names)} (node {self.plan.node})"
 
-    # ------------------------------------------------------------------------------- what it says
+    # ----------------------------------------------------------------------------------- feedback
     def receive(self, frame: Frame, values: dict[str, int], stamp_ns: int) -> None:
         """A frame of this drive has come. Nothing is sent from here."""
         self._received_s[frame.name] = stamp_ns * 1e-9
@@ -99,20 +99,20 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._check_power(frame)
 
     def _publish(self) -> None:
-        """To the core, once everything that the wheel is judged by is known."""
+        """Hand the feedback to the core, once every frame that the wheel needs has come."""
         if not all(frame.name in self._received_ns for frame in self.plan.fast):
             return
         for joint in self.plan.joints:
             reading = self.plan.reading(joint, self._values)
             if reading is None:
-                continue  # no numbers: the sample grows old, and the core sees it
+                continue  # not a number: the sample grows old, and the core notices
             channel = self.plan.channel(joint)
             measured = channel.position or channel.velocity
             frame = self.plan.read_frame_of(measured) if measured else self.plan.fast[0]
             self._put_feedback(joint, reading, self._received_ns[frame.name])
 
     def _check_power(self, frame: Frame) -> None:
-        """What the frame says of the power, against what it should be."""
+        """Compare the reported power with what it should be."""
         enabled_place = self.plan.profile.enabled
         enabled = self.plan.enabled(self._values)
         if (
@@ -139,8 +139,8 @@ class CanDrive(AsyncioDrive[CanPlan]):
         return next((frame for frame in self.plan.watched if self._is_missing(frame)), None)
 
     def _is_missing(self, frame: Frame) -> bool:
-        """What comes only when it is asked for is missed where it was asked for: this program may
-        have had a pause."""
+        """A frame that comes only on request counts as missing only after requests: this program
+        may have paused."""
         received_s = self._received_s.get(frame.name, -math.inf)
         if frame.period_s or received_s == -math.inf:
             return now_s() - received_s > self._silence_s(frame)
@@ -148,8 +148,8 @@ class CanDrive(AsyncioDrive[CanPlan]):
         return questions >= self.tries and now_s() - since_s > self._silence_s(frame)
 
     def _asked_for(self, *frames: Frame) -> None:
-        """They are to come now. The CAN bus need not have taken the question: one that takes
-        nothing has no drives to receive from."""
+        """Count a request for these frames, even if the CAN bus did not take it: from a bus that
+        takes no frame, no drive is received either."""
         for frame in frames:
             since_s, questions = self._unanswered.get(frame.name, (now_s(), 0))
             self._unanswered[frame.name] = (since_s, questions + 1)
@@ -159,7 +159,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._asked_for(*self.plan.answering.get(self.plan.table.sync, ()))
 
     def look(self) -> None:
-        """Once a cycle: is it there? Questions to one that is not, and jobs."""
+        """Once a cycle: does it respond? If not, probe it."""
         missing = self._missing()
         setting_up = any(job.name == "configure" for job in self.jobs)
         if missing is None:
@@ -171,13 +171,13 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._probe()
 
     def _set_up_again(self) -> None:
-        """It is there; one that has not let itself be set up is asked less and less often."""
+        """It responds: set it up. After each failed set-up, wait longer before the next."""
         if now_s() >= self._set_up_at_s:
             self._set_up_at_s = now_s() + self._set_up_backoff.next_s()
             self._answers()
 
     def _past_patience(self) -> tuple[DriveState, ...]:
-        """The states in which a missing frame counts now: at first a drive is given time."""
+        """The states in which a missing frame counts now: after opening, a drive has extra time."""
         longest_s = max(self._silence_s(frame) for frame in self.plan.watched)
         if now_s() > self._waits_since_s + longest_s + FIRST_WORD_S:
             return DriveState.READY, DriveState.ARMED, DriveState.UNKNOWN
@@ -198,8 +198,8 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._probe_at_s = 0.0
 
     def _probe(self) -> None:
-        """Request what does not come by itself. It may receive though it sends nothing, and then
-        follow its last set-point: so one that may turn gets a stop."""
+        """Request what does not come by itself. A silent drive may still receive and follow its
+        last set-point, so a drive that may turn gets a stop."""
         if now_s() < self._probe_at_s:
             return
         self._probe_at_s = now_s() + self._backoff.next_s()
@@ -213,7 +213,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
 
     # ----------------------------------------------------------------------------- the cyclic part
     def cycle(self, wanted: Wanted) -> None:
-        """Set-points out, questions out, one step of the first job. Raises PortError."""
+        """Send set-points and requests, and do one step of the first job. Raises PortError."""
         self.look()
         if self.is_cycled:
             self.send_setpoints(wanted)
@@ -228,8 +228,8 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._slot()
 
     def _now_and_then(self, turn: int) -> None:
-        """Request one thing that may wait. A drive that cannot report its power is sent
-        again that it shall have none: the frame that took it may have been lost."""
+        """Request one frame that may wait. A drive that cannot report its power gets its power-off
+        again: the first one may have been lost."""
         slow = self.plan.asked_slow
         if slow:
             self._ask(slow[turn % len(slow)])
@@ -253,7 +253,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._sent_s = now_s()
 
     def _write(self, frame: Frame, raw: Mapping[str, int]) -> bool:
-        """Send a frame with these signals, and what is held. False: the CAN bus takes nothing
+        """Send a frame with these signals and the held ones. False: the CAN bus takes nothing
         now."""
         self._held.update({name: raw[name] for name in self.plan.held if name in raw})
         self._asked_for(*self.plan.answering[frame.name])
@@ -261,7 +261,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
 
     def _ask(self, frame: Frame) -> bool:
         question = self.plan.question(frame)
-        if question == self.plan.sync:  # it goes to all drives: the line sends it, in its time
+        if question == self.plan.sync:  # SYNC goes to all drives: the line sends it
             return False
         self._asked_for(frame)
         return question is not None and self._send(question)
@@ -286,14 +286,13 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._waits_since_s = now_s()
 
     def opened(self) -> None:
-        """The drive may send. One that may turn gets a stop, as one that has just fallen
-        silent."""
+        """The line is open. A drive that may turn gets a stop, as if it had just fallen silent."""
         self._waits_since_s = self._unresponsive_since_s = now_s()
         self._probe_at_s = 0.0
         self._backoff.reset()
 
     async def take_over(self) -> None:
-        """As AsyncioDrive.take_over. What comes only from now on has its time."""
+        """As AsyncioDrive.take_over. Frames have their full time to come, counted from now."""
         self.opened()
         self._received_s.update(dict.fromkeys((f.name for f in self.plan.watched), now_s()))
         await super().take_over()
@@ -301,7 +300,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
     def _slot(self) -> None:
         """One step of the first job."""
         job = self.jobs[0]
-        if job.done.done():  # its caller has gone
+        if job.done.done():  # its caller has given up
             self._drop(job)
             return
         try:
@@ -334,14 +333,14 @@ class CanDrive(AsyncioDrive[CanPlan]):
 
     # ----------------------------------------------------------------------------------- stopping
     def _powerless(self) -> None:
-        """As AsyncioDrive._powerless. What has no power gets no zero either."""
+        """As AsyncioDrive._powerless. A drive without power gets no zero either."""
         super()._powerless()
         self.sent_motion = False
 
     async def send_power_off(self) -> bool:
-        """As AsyncioDrive.send_power_off. That the CAN bus has taken it says nothing, for its queue
-        has room behind a cut cable: a drive has to report that it has no power. One that cannot has
-        to be there."""
+        """As AsyncioDrive.send_power_off. That the CAN bus took it proves nothing: the queue also
+        takes frames when the cable is cut. So the drive has to report that it has no power. If it
+        cannot report that, it has to respond."""
         if self._is_off():
             return True
         suffices = self._needs_no_report()
@@ -389,10 +388,10 @@ class CanDrive(AsyncioDrive[CanPlan]):
         return all(one is not None and self._rests_at(one.velocity_rad_s) for one in readings)
 
     def _write_all(self, steps: Sequence[Step]) -> bool:
-        """All writes at once, each of them also where the CAN bus has not taken the one before."""
+        """All writes at once, each one even if the CAN bus did not take the one before."""
         sent = [self._write(*one) for one in merged_writes(self.plan, steps)]
         return all(sent)
 
     async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
-        """As AsyncioDrive._write_now: all of them where the CAN bus does not take one."""
+        """As AsyncioDrive._write_now: returns all of them if the CAN bus does not take one."""
         return () if self._write_all(steps) else steps

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an error frame of the kernel says (linux/can/error.h). Pure."""
+"""What an error frame of the kernel reports (linux/can/error.h). Pure."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _KINDS = (
 )
 _CONTROLLER = 0x004
 _OVERFLOW, _PASSIVE = 0x03, 0x30
-"""Of byte 1: receive or transmit buffer overflowed; receiver or sender is error-passive."""
+"""Bits of byte 1: receive or transmit buffer overflowed; receiver or sender error-passive."""
 
 
 WARN_EVERY_S = 60.0
-"""So seldom the same is logged again while it goes on."""
+"""Shortest time between two equal log lines while the errors go on."""
 _WARNINGS = MappingProxyType(
     {
         "error_passive": "error-passive: many frames fail (cable, termination, bit rate)",
@@ -50,13 +50,13 @@ def error_words(identifier: int, data: bytes) -> tuple[list[str], BusTrouble]:
 
 
 class BusWarnings:
-    """What error frames foretell, for people: each kind once in WARN_EVERY_S."""
+    """Warnings that follow from error frames: each kind once in WARN_EVERY_S."""
 
     def __init__(self) -> None:
         self._reported_s: dict[str, float] = {}
 
     def new(self, kinds: Iterable[str], now_s: float) -> list[str]:
-        """What is to be logged of these kinds of errors now."""
+        """The warnings to log now for these kinds of errors."""
         found = []
         for kind in kinds:
             if (

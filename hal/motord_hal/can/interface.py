@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A CAN interface of the kernel: is it there, is it up, does it carry CAN FD, and how it comes back
-from bus-off. Of other addresses than SocketCAN's nothing is asked."""
+from bus-off. Addresses other than SocketCAN's are not examined."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ BUS_OFF_TEXT = (
 
 
 async def make_ready(address: str, errors: Counter[str], *, fd_frames: bool) -> None:
-    """A controller that is bus-off is restarted where that is permitted; where it is not, the
-    kernel may do it (restart-ms), or a user with the right. Refusals are counted. Raises PortError:
-    a socket on an interface that is down or bus-off opens, and then says nothing."""
+    """A controller that is bus-off is restarted where that is permitted; otherwise the kernel
+    (restart-ms) or a user with the permission may do it. Refusals are counted. Raises PortError: a
+    socket opens also on an interface that is down or bus-off, and then receives nothing."""
     interface, channel = split_address(address)
     if interface != "socketcan":
         return
@@ -62,7 +62,7 @@ def _restart_if_off(channel: str) -> str:
 
 
 class BusOffWatch:
-    """Whether a controller has left the CAN bus unnoticed: the frame that reports it may have
+    """Whether a controller is bus-off although no error frame has reported it: that frame may have
     been lost."""
 
     def __init__(self, address: str) -> None:
@@ -70,13 +70,13 @@ class BusOffWatch:
         self._next_s = 0.0 if interface == "socketcan" else float("inf")
 
     def is_off(self) -> bool:
-        """Looked at every LOOK_EVERY_S. Only an interface without a carrier can be, and only of
-        such a one the kernel is asked, which may take ANSWER_WITHIN_S."""
+        """Checked every LOOK_EVERY_S. Only an interface without a carrier can be bus-off, so the
+        kernel is queried only for such an interface; that may take ANSWER_WITHIN_S."""
         if now_s() < self._next_s:
             return False
         self._next_s = now_s() + LOOK_EVERY_S
         try:
             carrier = (NET / self._channel / "carrier").read_text(encoding="ascii")
             return carrier.strip() == "0" and can_state(self._channel) == BUS_OFF
-        except OSError:  # down or gone: its socket says so
+        except OSError:  # down or gone: its socket reports it
             return False

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The steps of a job on a CAN bus: a write is a frame that goes out, a wait looks at frames that
-have come after it began."""
+"""The steps of a job on a CAN bus: a write sends a frame, a wait checks frames that came after it
+began."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.job import Job
 
 READ_WITHIN_S = 1.0
-"""For a wait that says no time: one value is read."""
+"""For a wait without a time: one value is read."""
 CONFIRM_WITHIN_S = 0.5
 """For a write that the drive confirms."""
 
@@ -23,16 +23,16 @@ Write = Callable[[Frame, Mapping[str, int]], bool]
 
 
 class StepRunner:
-    """Works off the steps of one drive's jobs, one write or look a call."""
+    """Carries out the steps of one drive's jobs, one write or check a call."""
 
     def __init__(self, plan: CanPlan, write: Write, ask: Callable[[Frame], bool]) -> None:
         self._plan = plan
         self._write = write
         self._ask = ask
         self._step: Step | None = None
-        """The wait, or the write that is not confirmed yet, that is going on."""
+        """The current wait, or the write that is not confirmed yet."""
         self._raw: int | None = None
-        """What has come for it since it began."""
+        """Frames that came for it since it began."""
         self._confirmed = False
         self._aborted: int | None = None
 
@@ -52,7 +52,7 @@ class StepRunner:
         """Go on with the job's current step. Raises NoReply, Refused and DriveFault when it
         failed."""
         step = job.step
-        assert step is not None  # the caller has looked
+        assert step is not None  # the caller has checked it
         if step.value is None:
             self._wait(job, step, who)
         elif self._plan.frame_of(step.register).confirm:
@@ -61,7 +61,7 @@ class StepRunner:
             self._advance_writes(job)
 
     def _advance_writes(self, job: Job) -> None:
-        """Past all writes that went out in that frame."""
+        """Go on past all writes that went out in that frame."""
         ahead = writes_ahead(job)
         first = self._plan.frame_of(ahead[0].register)
         for step in ahead:

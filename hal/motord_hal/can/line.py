@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The CAN line on asyncio: one task sends, for all drives of a CAN bus.
 
-A cycle: every drive gets the newest set-points, is asked for what it does not send by itself, and
-goes one step further in its jobs. What drives say is taken in as it comes; nothing is sent then.
+A cycle: every drive gets the newest set-points and requests for what it does not send by itself,
+and does one step of its jobs. Frames of drives are taken in as they come; they trigger no sending.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class CanLine(AsyncioLine[CanDrive]):
 
     def stats(self) -> LineStats:
         """As ports.Line.stats; `exchanges` counts frames of the drives. There are no round trips:
-        most of what comes was not asked for."""
+        most frames come without a request."""
         return LineStats(
             exchanges=self._frames,
             cycles=self._cycles.count,
@@ -96,7 +96,7 @@ class CanLine(AsyncioLine[CanDrive]):
         drive.receive(*found, stamp_ns)
 
     def _look(self) -> None:
-        """Before anyone is found missing."""
+        """Take in all frames before a drive counts as missing."""
         self._bus.catch_up()
         self._bus.check()
 
@@ -110,7 +110,8 @@ class CanLine(AsyncioLine[CanDrive]):
         return {} if self._gate.is_shut(now_s()) else super()._newest(drive)
 
     def _begins_early(self) -> bool:
-        """As AsyncioLine._begins_early. A cable that is pulled would keep more motion for later."""
+        """As AsyncioLine._begins_early. While a cable is pulled, it would queue more motion for
+        later."""
         if self._gate.holds_motion:
             self._woken.clear()
             return False
@@ -139,7 +140,7 @@ class CanLine(AsyncioLine[CanDrive]):
             self._synchronise()
 
     def _synchronise(self) -> None:
-        """The drives do now, all at once, what they got in this cycle. Raises PortError."""
+        """Send SYNC: all drives act now on what they got in this cycle. Raises PortError."""
         for sync in self._syncs:
             self._bus.send(sync)
         for drive in self._drives:
@@ -147,12 +148,12 @@ class CanLine(AsyncioLine[CanDrive]):
 
     # ---------------------------------------------------------------------------------------- jobs
     async def read_register(self, joint: str, register: str) -> float:
-        """As ports.Line.read_register; a register is a signal. One that the drive sends unasked is
-        the next one that comes."""
+        """As ports.Line.read_register; a register is a signal. If the drive sends it without a
+        request, the next frame counts."""
         self._drive_of(joint).plan.readable(register)
         return await super().read_register(joint, register)
 
     def _limit_s(self, jobs: Sequence[Job]) -> float:
-        """Of the longest one: each drive goes on with its own, and one may be ahead of it."""
+        """Time of the longest job: each drive works on its own, and one job may be ahead of it."""
         tries = max(drive.tries for drive in self._drives)
         return 2.0 * max((job.limit_s(self._period_s, tries) for job in jobs), default=0.0)

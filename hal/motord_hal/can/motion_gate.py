@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much motion may wait in the kernel for a CAN bus that may be dead.
+"""How much motion may wait in the kernel's queue of a CAN bus that may be dead.
 
-A cable that is pulled fills the kernel's queue, and what is in it goes out when it is plugged in
-again, whatever runs then: so little motion waits there, and zero behind it.
+While a cable is pulled, the kernel's queue fills, and it goes out when the cable is plugged in
+again, whether motord runs or not. So little motion may wait there, with zero behind it.
 """
 
 from __future__ import annotations
 
 LEAVES_WITHIN_S = 0.005
-"""Adapters on USB take milliseconds to say that a frame has left."""
+"""Adapters on USB take milliseconds to report that a frame has left."""
 
 
 class MotionGate:
     """Of one CAN bus. Times are those of clock.now_s."""
 
     def __init__(self, cycle_s: float, *, receives_own: bool) -> None:
-        """`receives_own`: the CAN bus says when a set-point frame of ours has left; else the gate
-        is always open."""
+        """`receives_own`: the CAN bus reports when a set-point frame of ours has left; otherwise
+        the gate is always open."""
         self.receives_own = receives_own
         self._limit_s = max(cycle_s, LEAVES_WITHIN_S)
         self.opened()
@@ -49,7 +49,7 @@ class MotionGate:
         return self.receives_own and self._since_s is not None
 
     def is_shut(self, now_s: float) -> bool:
-        """Set-points are to be zero: the CAN bus took nothing in a whole cycle, nor since, or
-        motion waits for longer than a cycle."""
+        """Only zero may go out: the CAN bus has taken nothing for a whole cycle, or motion waits
+        for longer than a cycle."""
         waits = self._since_s is not None and now_s - self._since_s > self._limit_s
         return self.receives_own and (self._clogged or waits)

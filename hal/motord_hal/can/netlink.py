@@ -43,7 +43,7 @@ def _attribute(kind: int, payload: bytes) -> bytes:
 
 
 def answer_error(answer: bytes) -> int:
-    """The error number of an acknowledgement; 0: it was done. ValueError: it is no
+    """The error number of an acknowledgement; 0: success. ValueError: it is not an
     acknowledgement."""
     if len(answer) < _HEADER.size + _ERROR.size:
         raise ValueError(f"{len(answer)} bytes are no acknowledgement")
@@ -55,7 +55,7 @@ def answer_error(answer: bytes) -> int:
 
 
 def state_request(index: int, sequence: int) -> bytes:
-    """The message that requests all that is known of the interface with this index."""
+    """The message that requests all attributes of the interface with this index."""
     body = _INTERFACE.pack(socket.AF_UNSPEC, 0, index, 0, 0)
     return _HEADER.pack(_HEADER.size + len(body), _RTM_GETLINK, _NLM_F_REQUEST, sequence, 0) + body
 
@@ -69,8 +69,8 @@ def state_in(answer: bytes) -> int | None:
 
 
 def _data_in(answer: bytes) -> dict[int, bytes] | None:
-    """What a CAN interface reports of its controller; None: it is no CAN interface. ValueError: it
-    is no such answer."""
+    """What a CAN interface reports of its controller; None: it is not a CAN interface. ValueError:
+    the answer is another one."""
     if len(answer) < _HEADER.size + _INTERFACE.size:
         raise ValueError(f"{len(answer)} bytes are no interface")
     size, kind, _, _, _ = _HEADER.unpack_from(answer)
@@ -83,7 +83,7 @@ def _data_in(answer: bytes) -> dict[int, bytes] | None:
 
 
 def _attributes(data: bytes) -> dict[int, bytes]:
-    """By type. What is cut off is left out."""
+    """Attributes by type. One that is cut off is left out."""
     found = {}
     while len(data) >= 4:
         size, kind = struct.unpack_from("=HH", data)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The cyclic table of one drive on a CAN bus, built once from its profile: which frames carry the
-set-points, which come back by themselves, which are asked for and how often. Pure."""
+set-points, which ones the drive sends by itself, which are requested and how often. Pure."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from motord_hal.fieldbus.plan import Plan, Reading
 from motord_hal.fieldbus.ports import JointSpec, LineSpec
 
 SLOW_EVERY_CYCLES = 8
-"""What may wait (current, voltage, temperature) is asked for so seldom, one frame at a time."""
+"""What may wait (current, voltage, temperature) is requested once in so many cycles, one frame at a
+time."""
 
 FIRST_WORD_S = 0.2
-"""On top of its longest silence: so long a drive may take for its first frame after opening."""
+"""Beyond its longest silence: time for a drive's first frame after opening."""
 
 STEADY_S = 1.0
-"""A line that has worked for so long is reopened at once when it fails again."""
+"""A line that worked for so long is reopened at once when it fails again."""
 
 CYCLE_TOLERANCE = 0.001
-"""A drive that knows its cycle interpolates over it: one that is off by more drifts by a whole
+"""A drive that is given the cycle interpolates over it: with a larger error it drifts by a whole
 cycle in less than a thousand."""
 
 
@@ -43,7 +44,7 @@ class Sent:
 
 
 def with_node(profile: DriveProfile, node: int) -> DriveProfile:
-    """The profile as it is for this node: steps that say so have its number in their values."""
+    """The profile for this node: steps with `plus_node` have its number in their values."""
 
     def own(steps: tuple[Step, ...]) -> tuple[Step, ...]:
         return tuple(
@@ -98,7 +99,7 @@ class CanPlan(Plan):
         self.setpoint_frames = tuple(dict.fromkeys(self.frame_of(name) for name in names))
         """Sent in every cycle."""
         self.fast = self._frames_of(self._fast_names())
-        """What the wheel is judged by."""
+        """The feedback of each cycle."""
         slow = self._frames_of(self._slow_names())
         self.slow = tuple(frame for frame in slow if frame not in self.fast)
         self.watched = tuple(
@@ -111,26 +112,26 @@ class CanPlan(Plan):
             name: tuple(frame for frame in self.watched if name in (frame.answers, frame.ask))
             for name in self.table.frames
         }
-        """By the name of what is sent: the watched frames that are to come of it."""
+        """Name of a frame that is sent → the watched frames that answer it."""
         self.held = tuple(
             signal.name
             for frame in self.setpoint_frames
             for signal in self._signals[frame.name]
             if signal.name not in names
         )
-        """What goes out with the set-points, as it was written last: a control word."""
+        """Signals that go out with the set-points as they were written last: a control word."""
         self.hello = self.read_frame_of(self.table.hello) if self.table.hello else None
         sync = self.table.frames.get(self.table.sync)
         self.sync = self.write(sync, {}) if sync else None
-        """What the line sends once a cycle, for all its drives."""
+        """The SYNC frame, which the line sends once a cycle for all its drives."""
         self.measuring = self._frames_of(self._measuring_names())
-        """What odometry is made of."""
+        """The feedback for the odometry."""
         self.probed = tuple(frame for frame in self.fast if not frame.period_s)
         """Requested when the drive is silent."""
         regular = self.table.idle_setpoints and not self.profile.goes_to_positions
         sent = {frame.name for frame in self.setpoint_frames if regular}
         self.asked_fast = tuple(frame for frame in self.probed if frame.answers not in sent)
-        """Asked for in every cycle: what does not answer the set-points."""
+        """Requested in every cycle: frames that do not answer the set-points."""
         self.asked_slow = tuple(
             frame
             for frame in self.slow
@@ -183,7 +184,7 @@ class CanPlan(Plan):
         return self.table.frames[found.reply_frame or found.frame]
 
     def readable(self, signal: str) -> Register:
-        """Raises LookupError for a signal that is not there or cannot be had."""
+        """Raises LookupError for a signal that does not exist or cannot be read."""
         found = readable(self.profile, signal)
         frame = self.read_frame_of(signal)
         if not frame.period_s and not frame.ask:
@@ -211,7 +212,7 @@ class CanPlan(Plan):
         return Sent(identifier, frame.is_extended(self.node), frame.fd, data)
 
     def question(self, frame: Frame) -> Sent | None:
-        """What requests a frame; None: nothing does."""
+        """The frame that requests this one; None: there is no such frame."""
         if frame.ask == "rtr":
             identifier = frame.identifier(self.node)
             extended, size_bytes = frame.is_extended(self.node), frame.size_bytes
@@ -222,7 +223,7 @@ class CanPlan(Plan):
     def parse(
         self, identifier: int, data: bytes, *, extended: bool
     ) -> tuple[Frame, dict[str, int]] | None:
-        """Which frame it is and what stands in it; None: not one of this drive's."""
+        """Which frame it is, and its signals; None: not one of this drive's."""
         for frame in self._by_identifier.get((identifier, extended), ()):
             values = parse(frame, self._signals[frame.name], data)
             if values is not None:
@@ -230,7 +231,7 @@ class CanPlan(Plan):
         return None
 
     def reading(self, joint: JointSpec, values: Mapping[str, int]) -> Reading | None:
-        """What the raw values say of a joint; None: they are no numbers."""
+        """A joint's reading from the raw values; None: one is not a number."""
         count = self._count(self.channel(joint).position, values)
         return None if count is None else self._reading(joint, values, count)
 
@@ -246,8 +247,8 @@ class CanPlan(Plan):
 
     # ------------------------------------------------------------------------------------ bus load
     def cycle_time_s(self, bitrate: int, data_bitrate: int | None) -> float:
-        """How long the frames of one cycle hold the CAN bus at worst: set-points, what is asked for
-        in every cycle, and one that may wait, now and then."""
+        """How long the frames of one cycle hold the CAN bus at worst: set-points, the requests of
+        every cycle, and at times one that may wait."""
 
         def time_s(frame: Frame, *, remote: bool = False) -> float:
             return frame_time_s(frame, bitrate, data_bitrate, remote=remote)
@@ -270,7 +271,7 @@ class CanPlan(Plan):
         return cycle_s
 
     def own_load(self, bitrate: int, data_bitrate: int | None) -> float:
-        """The part of the CAN bus that the drive takes by what it sends unasked."""
+        """The part of the CAN bus that the drive uses by what it sends without a request."""
         return sum(
             frame_time_s(frame, bitrate, data_bitrate) / frame.period_s
             for frame in self.table.frames_from(Sender.DRIVE)

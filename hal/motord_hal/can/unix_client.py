@@ -20,7 +20,7 @@ _ANCILLARY_BYTES = socket.CMSG_SPACE(_TIME.size)
 
 
 class UnixClient(can.BusABC):
-    """One program on such a CAN bus."""
+    """A program's connection to such a CAN bus."""
 
     def __init__(self, path: str) -> None:
         """Raises OSError where no CAN bus is there."""

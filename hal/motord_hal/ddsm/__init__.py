@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Direct-drive hub motors that speak ten-byte frames on RS485, not Modbus."""
+"""Direct-drive hub motors with ten-byte frames on RS485, not Modbus."""

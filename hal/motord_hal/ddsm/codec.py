@@ -44,7 +44,7 @@ def crc8(data: bytes) -> int:
 
 
 def is_answered(command: int) -> bool:
-    """Whether a request is answered; those that are also carry a check sum."""
+    """Whether a request is answered; such requests also carry a check sum."""
     return command != Command.MODE
 
 
@@ -72,7 +72,8 @@ def sealed(frame: bytes) -> bool:
 
 
 def build_request(unit: int, command: int, raw: Mapping[Register, int]) -> bytes:
-    """A request; content that is not named is 0. Raises ValueError for what does not fit."""
+    """A request; content that is not named is 0. Raises ValueError for a value that does not
+    fit."""
     frame = bytearray((unit, command, *bytes(FRAME_BYTES - _CONTENT_BEGIN)))
     for register, value in raw.items():
         place(frame, register, value)

@@ -47,28 +47,28 @@ class Frame:
     """What its data begin with: of a frame that is sent, under the signals; of one that comes, what
     distinguishes it from others with the same identifier."""
     ask: str
-    """How the drive is asked for it: "" not at all, "rtr" by a remote frame, else the name of the
-    frame that requests it."""
+    """How motord requests it: "" not at all, "rtr" by a remote frame, else the name of the frame
+    that requests it."""
     period_s: float
-    """How often the drive sends it unasked; 0: never."""
+    """How often the drive sends it by itself; 0: never."""
     silence_s: float
-    """A drive from which it has not come for so long is unresponsive; 0: it is not waited for."""
+    """After so long without this frame the drive is unresponsive; 0: the frame may be missing."""
     source: str
     addressed: bool = True
     """False: the identifier is the same for all nodes (CANopen's NMT and SYNC)."""
     node_byte: int | None = None
-    """The byte of the data that holds the node; None: none does."""
+    """The byte of the data that holds the node; None: no byte does."""
     open_at: frozenset[int] = frozenset()
     """Bytes of `begins` that may be anything when it comes: signals stand there. Where it is sent
     they are 0 under the signals."""
     short: bool = False
     """Of an extended one: an identifier that fits 11 bits is sent with 11."""
     or_begins: bytes = b""
-    """As long as `begins`: what identifies it as well when it comes; empty: nothing else does."""
+    """As long as `begins`: another beginning that identifies it; empty: there is no other."""
     answers: str = ""
-    """The frame of motord's that it answers each time, asked or not; "": none."""
+    """The frame of motord's that it always answers; "": none."""
     confirm: str = ""
-    """The frame by which the drive says that it has taken this one; "": it does not."""
+    """The frame with which the drive confirms this one; "": it does not confirm it."""
 
     def identifier(self, node: int) -> int:
         return self.base + (node << self.node_shift) if self.addressed else self.base
@@ -99,11 +99,11 @@ class Signal(Register):
     """Bits."""
     big_endian: bool
     offset: float = 0.0
-    """In `unit`: what raw 0 says."""
+    """In `unit`: the value of raw 0."""
     reply_frame: str = ""
     """Of a signal that is written and read: the frame in which it is read."""
     object: str = ""
-    """The object that says the same when it is asked, also where its frame does not come; "":
+    """The object with the same value, which can be read also when its frame does not come; "":
     there is none."""
 
     @property
@@ -129,7 +129,7 @@ class Signal(Register):
         return low * per_unit, high * per_unit
 
     def to_si(self, raw: int) -> float:
-        """NaN and infinity come through: the caller judges what a drive reports."""
+        """NaN and infinity pass: the caller judges what a drive reports."""
         number: float = raw
         if self.is_float:
             number = struct.unpack("<f", raw.to_bytes(4, "little"))[0]
@@ -178,15 +178,15 @@ class CanTable:
     node_min: int
     node_max: int
     idle_setpoints: bool
-    """Whether zero set-points are sent to a drive that is not armed; where a set-point itself
-    switches the motor on, they are not."""
+    """Whether a drive that is not armed gets zero set-points; not if a set-point itself switches
+    the motor on."""
     hello: str = ""
-    """The signal that is asked for until the drive is set up, where its frames come only then."""
+    """The signal that is read until the drive is set up, if its frames come only after that."""
     sync: str = ""
     """The frame that the line sends once in each of its cycles, for all drives at once, after their
-    set-points: what they act on and answer then belongs to one moment."""
+    set-points: so they act and measure at one moment."""
     abort: str = ""
-    """The frame by which the drive says that it has not taken another one."""
+    """The frame with which the drive refuses another one."""
 
     def frames_from(self, sender: Sender) -> tuple[Frame, ...]:
         return tuple(frame for frame in self.frames.values() if frame.sender is sender)

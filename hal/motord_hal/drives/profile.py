@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A drive profile as values: what config/drives/NAME.toml says, checked. The reader is `load.py`.
+"""A drive profile as values: the checked content of config/drives/NAME.toml. The reader is
+`load.py`.
 
 Drive units (rpm, 0.1 A, per cent) exist only here: `Register.to_si` and `Register.from_si` are the
-one door.
+only conversions.
 """
 
 from __future__ import annotations
@@ -28,8 +29,7 @@ class RegisterType(enum.StrEnum):
     I8 = "i8"
     U16 = "u16"
     U16_HIGH_FIRST = "u16-high-first"
-    """High byte first, of a bus servo whose series has it so (Feetech SCS); those of Modbus are
-    u16."""
+    """High byte first, of a series of bus servos (Feetech SCS); registers of Modbus are u16."""
     I16 = "i16"
     U32 = "u32"
     I32 = "i32"
@@ -63,7 +63,7 @@ class RegisterType(enum.StrEnum):
 
     @functools.cached_property
     def sign_bit(self) -> int:
-        """Of a signed one: the place of its sign, and the width of what is below."""
+        """Of a signed type: the place of its sign, and the width of what is below."""
         return 10 if self is RegisterType.M16_BIT10_HIGH_FIRST else self.bits - 1
 
 
@@ -197,7 +197,7 @@ class Handshake:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Channel:
-    """What one motor of the drive offers, as register names; None: the drive has no such thing."""
+    """The registers of one motor of the drive, by name; None: the drive has no such register."""
 
     velocity_setpoint: str | None = None
     duty_setpoint: str | None = None
@@ -207,10 +207,10 @@ class Channel:
     """In the unit of `position`, from the same origin. Exactly one of the four set-points is
     there."""
     setpoint_with: tuple[tuple[str, int], ...] = ()
-    """(register, raw value) of what is written with each set-point, in one request: the drive obeys
-    the set-point when it gets them."""
+    """(register, raw value) written with each set-point, in one request: the drive follows the
+    set-point when it gets them."""
     handshake: Handshake | None = None
-    """Of a drive that does not take each target that it gets."""
+    """Of a drive that takes a target only by a handshake."""
     position: str | None = None
     velocity: str | None = None
     current: str | None = None
@@ -225,15 +225,15 @@ class Channel:
         return next(filter(None, (*setpoints, self.position_setpoint)), "")
 
     def to_motor(self, gear_ratio: float) -> float:
-        """The motor's set-point for one of 1 at the wheel: a gear makes it faster and its torque
-        smaller; a duty is the same."""
+        """The motor's set-point for a set-point of 1 at the wheel: with a gear the speed is higher
+        and the torque lower; a duty is the same."""
         if self.torque_setpoint is not None:
             return 1.0 / gear_ratio
         return 1.0 if self.duty_setpoint is not None else gear_ratio
 
     @property
     def commands(self) -> frozenset[str]:
-        """All registers that say what the motor shall do."""
+        """All registers that command the motor."""
         direction = (self.direction.register,) if self.direction else ()
         return frozenset({self.setpoint, *direction, *dict(self.setpoint_with)})
 
@@ -258,8 +258,8 @@ class Step:
     copy_of: str = ""
     """A write whose raw value is that of this register, read right before."""
     if_different: bool = False
-    """For a write: only where the register reads as something else. Memory that survives a power
-    cut wears with each write."""
+    """For a write: only if the register holds another value. Memory that survives a power cut wears
+    with each write."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -284,7 +284,8 @@ class Watchdog:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultBit:
-    """One fault: a bit of the fault word or, on drives that number them, its code. One is None."""
+    """One fault: a bit of the fault word or, on drives with numbered faults, its code. The other is
+    None."""
 
     bit: int | None
     code: int | None = None
@@ -301,7 +302,7 @@ class Bridge:
     """A motor bridge as data: which level each of its pins has in each mode."""
 
     pwm_hz: float
-    """Carrier, unless the robot file says another one."""
+    """Carrier, unless the robot file sets another one."""
     pwm_min_hz: float
     pwm_max_hz: float
     rest: str
@@ -341,7 +342,7 @@ class DriveProfile:
     gap: Gap = Gap.SPEC
     """Silent interval that this drive needs before a request."""
     gap_s: float | None
-    """The same as a number, where it is neither of the two rules."""
+    """The same in seconds, if neither of the two rules applies."""
     max_registers: int
     """Most registers in one request."""
     write_function: int
@@ -349,11 +350,11 @@ class DriveProfile:
     read_write_function: int | None = None
     """23 where the drive reads and writes in one exchange; None: it cannot."""
     broadcast_stop: bool = False
-    """The drive obeys writes to unit 0: one frame stops all drives of the line."""
+    """The drive carries out writes to unit 0: one frame stops all drives of the line."""
     counts_per_turn: int
     """Of the motor shaft; 0: no position counter."""
     speed_in_counts: bool = False
-    """Its speeds are counts a second on the wire: they mean nothing without `counts_per_turn`."""
+    """Its speeds are counts a second on the wire: they need `counts_per_turn`."""
     counter_bits: int
     registers: dict[str, Register]
     channels: dict[int, Channel]
@@ -363,19 +364,19 @@ class DriveProfile:
     quick_stop: tuple[Step, ...]
     clear_fault: tuple[Step, ...]
     enabled: Enabled | None
-    """None: the drive cannot say."""
+    """None: the drive cannot report it."""
     power_off: Enabled | None = None
-    """Its motor has no power when this is so. None: it has none when it is not `enabled`."""
+    """The motor has no power when this holds. None: it has none when it is not `enabled`."""
     absolute: bool = False
     """Its position means the same after each power-up."""
     homed: Enabled | None = None
-    """Its position has a reference when this is so; None: the drive cannot say."""
+    """The position has a reference when this holds; None: the drive cannot report it."""
     watchdog: Watchdog | None
     watchdog_note: str
-    """Why there is none, and what to do instead; empty where there is one."""
+    """Why there is no watchdog, and what to do instead; empty if there is one."""
     watchdog_fixed_s: float = 0.0
-    """The drive stops by itself after such a silence, and the time can neither be set nor read;
-    0: it does not."""
+    """The drive stops by itself after this time of silence, which can neither be set nor read; 0:
+    it does not."""
     faults: tuple[FaultBit, ...]
     bus_voltage: str | None
     can: CanTable | None = None
@@ -388,7 +389,8 @@ class DriveProfile:
         return any(channel.position_setpoint for channel in self.channels.values())
 
     def faults_in(self, word: int) -> tuple[FaultBit, ...]:
-        """What a fault word says. A bit or code that the profile does not list is a fault too."""
+        """The faults of a fault word. A bit or code that the profile does not list is a fault
+        too."""
         if word == 0:
             return ()
         if any(fault.code is not None for fault in self.faults):
@@ -403,7 +405,7 @@ class DriveProfile:
         )
 
     def stopping_faults(self, word: int) -> int:
-        """The word without what is only a warning: 0 when the robot may go on."""
+        """The word without its warnings: 0 when the robot may go on."""
         kept = 0
         for fault in self.faults_in(word):
             if fault.severity == "fault":

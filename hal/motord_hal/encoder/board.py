@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A board that only counts: docs/mcu-frame.md, its motors never enabled.
+"""A board that only counts encoder edges: docs/mcu-frame.md, its motors never enabled.
 
-Its feedback has the board's own time, so the travel of a wheel is as old as it is; a board that is
-silent lets the feedback of its wheels get old, which the core judges.
+Its feedback has the board's own time, so the travel of a wheel is as old as it is; when the board
+is silent, the feedback of its wheels gets old, and the core stops.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ Say = Callable[[EventKind, str], None]
 
 
 def board_encoder(encoder: BoardEncoder) -> EncoderConfig:
-    """What the thread of the pins is to know of it."""
+    """The encoder's configuration for the thread of the pins."""
     return EncoderConfig(
         kind=EncoderKind.REPORTED, fd=-1, ceiling=WIDEST, rad_per_count=encoder.rad_per_count
     )
@@ -76,7 +76,7 @@ class CountingBoard:
         self._problem = ""
 
     async def run(self) -> None:
-        """Open, request, receive; open again with back-off; for ever."""
+        """Open, request, receive; open again with back-off. Never returns."""
         backoff = Backoff(REOPEN_FIRST_S, REOPEN_LIMIT_S)
         while True:
             try:
@@ -88,7 +88,7 @@ class CountingBoard:
             await asyncio.sleep(backoff.next_s())
 
     async def _listen(self, backoff: Backoff) -> None:
-        """Until the port has gone. Raises PortError."""
+        """Receive until the port is lost. Raises PortError."""
         self._stream.open()
         self._splitter, self._clock = Splitter(), BoardClock()
         self._received_s = now_s()
@@ -96,7 +96,7 @@ class CountingBoard:
             self._stream.send(self._question())
             await asyncio.sleep(ASK_EVERY_S)
             if now_s() - self._received_s > SILENT_S:
-                self._fail(f"{self._port}: the board that counts is silent")
+                self._fail(f"{self._port}: the encoder board is silent")
             elif self._well:
                 backoff.reset()
 
@@ -113,7 +113,7 @@ class CountingBoard:
             try:
                 frame = parse(piece)
             except FrameError:
-                continue  # the next one holds what this one held
+                continue  # the next frame has the counts, too
             last = FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * max(self._wheels)
             if frame.type == Type.FEEDBACK and len(frame.payload) >= last:
                 self._count(frame, came_ns)
@@ -123,7 +123,7 @@ class CountingBoard:
             if not self._control:
                 self._origin += 1
             self._control = _RESTART_NOTED
-            return  # its clock and its counts begin anew: the next frame is the first one
+            return  # its clock and counts restart: the next frame is the first one
         if self._control:
             self._control = 0
             self._clock = BoardClock()
@@ -143,7 +143,7 @@ class CountingBoard:
         if not self._well:
             self._well = True
             self._problem = ""
-            self._say(EventKind.DRIVE_BACK, f"{self._port}: the board counts")
+            self._say(EventKind.DRIVE_BACK, f"{self._port}: the encoder board sends counts")
 
     def _fail(self, problem: str) -> None:
         """Reported once each time it stops counting."""
@@ -154,7 +154,7 @@ class CountingBoard:
 
 
 def _spec(encoder: BoardEncoder) -> LineSpec:
-    """What a stream needs of a line."""
+    """The part of a LineSpec that a stream needs."""
     return LineSpec(
         index=0,
         name="encoders",

@@ -68,16 +68,16 @@ def open_counter(encoder: CounterEncoder, joint: str, root: Path = DEVICES) -> E
 
 
 def _set(file: Path, value: str, where: str) -> None:
-    """Written only where it is another, and read back. Raises OSError, PortError."""
+    """Write it only if it differs, and read it back. Raises OSError, PortError."""
     if _read(file) == value:
         return
     file.write_text(f"{value}\n")
     if (found := _read(file)) != value:
-        raise PortError(f'{where}: {file.name} is "{found}", and does not get "{value}"')
+        raise PortError(f'{where}: {file.name} is "{found}", and cannot be set to "{value}"')
 
 
 def _ceiling(folder: Path) -> int:
-    """The count before 0; as wide as it can be where the counter does not say."""
+    """The count before it wraps to 0; the widest possible if the counter does not report it."""
     text = _read(folder / "ceiling")
     return min(int(text), WIDEST) if text.isdecimal() else WIDEST
 

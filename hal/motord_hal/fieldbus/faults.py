@@ -11,7 +11,7 @@ from motord_hal.fieldbus.ports import EventKind
 Say = Callable[[EventKind, tuple[str, ...], str], None]
 
 STILL_ENABLED_TEXT = "stays enabled though it is disarmed: it is held at zero speed"
-"""Of a drive that a power-off has not reached, or that has refused it; its name goes before it."""
+"""Of a drive that did not get a power-off, or refused it; the text follows its name."""
 
 
 class FaultWatch:
@@ -29,11 +29,11 @@ class FaultWatch:
 
     @property
     def stopping(self) -> int:
-        """The word without warnings: what the core must know."""
+        """The word without warnings, for the core."""
         return self._profile.stopping_faults(self.word)
 
     def update(self, word: int) -> None:
-        """Note the newest word; an event for what is new, and one when all is gone."""
+        """Note the newest word; report new faults, and once when all are gone."""
         if word == self.word:
             return
         before = set(self._profile.faults_in(self.word))

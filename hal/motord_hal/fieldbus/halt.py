@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stopping the drives of a line whose program has died: an ordinary line, which begins with a quick
-stop instead of a set-up, and is shut down when its drives report that they have no power."""
+stop instead of a set-up, and is shut down when its drives report no power."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from motord_hal.realtime.drive_state import STOPPING_WITHIN_S
 from motord_hal.realtime.exchange import Exchange
 
 CONFIRM_WITHIN_S = 0.75
-"""After the longest quick stop: until a drive reports that it has no power."""
+"""After the longest quick stop: time for a drive to report that it has no power."""
 LOOK_EVERY_S = 0.01
 
 
 async def halt_line(spec: LineSpec) -> list[str]:
     """Quick stop, then power off, on every drive of a line that no daemon runs. Nothing is read
     before the stop is sent, and nothing else is written. Returns what was not confirmed, in words.
-    Raises PortError where the line cannot be had at all."""
+    Raises PortError if the line cannot be opened."""
     if spec.kind == "pwm":
         from motord_hal.pwm.pins import rest_pins  # a robot loads only the lines that it has
 
@@ -51,14 +51,14 @@ async def halt_line(spec: LineSpec) -> list[str]:
     if events.lost and not events.opened:
         raise PortError(events.lost)
     for names, text in events.left_on.items():
-        if names not in _drives_that_report(spec):  # what such a drive was read to say counts
+        if names not in _drives_that_report(spec):  # for such a drive its own report counts
             problems.setdefault(names, text)
     return list(problems.values())
 
 
 def _drives_that_report(spec: LineSpec) -> set[tuple[str, ...]]:
-    """The names of each drive's joints. Its end knows less: it reads nothing but what comes by
-    itself, and a node that is not operational sends nothing."""
+    """The names of each drive's joints. The end of a line knows less than a read: it uses only
+    frames that come by themselves, and a node that is not operational sends none."""
     return {
         tuple(joint.name for joint in joints)
         for joints in joints_by_unit(spec)
@@ -84,7 +84,7 @@ class _Events:
     lost: str = ""
     """Why the medium is not there."""
     left_on: dict[tuple[str, ...], str] = field(default_factory=dict)
-    """Names of a drive's joints → why it may have power still."""
+    """Names of a drive's joints → why it may still have power."""
 
     def take(self, event: LineEvent) -> None:
         self.first.set()
@@ -100,8 +100,8 @@ class _Events:
 
 
 async def _until_off(line: DriveLine[Any], events: _Events) -> dict[tuple[str, ...], str]:
-    """Until all drives have stopped and have no power, or it has taken too long. Returns what is
-    not so, in words, by the names of a drive's joints."""
+    """Wait until all drives have stopped and have no power, or time is up. Returns the drives for
+    which that is not confirmed, by the names of their joints, with the reason."""
     await events.first.wait()
     until_s = now_s() + STOPPING_WITHIN_S + CONFIRM_WITHIN_S
     drives = list(joints_by_unit(line.spec))
@@ -113,7 +113,7 @@ async def _until_off(line: DriveLine[Any], events: _Events) -> dict[tuple[str, .
 async def _until_drive_off(
     line: DriveLine[Any], joints: Sequence[JointSpec], until_s: float
 ) -> str:
-    """Returns why it may not be off; empty: it is."""
+    """Returns why it may still have power; empty: it is off."""
     names = ", ".join(joint.name for joint in joints)
     report, failure = "", "did not report whether it has power"
     while line.state is not LineState.CLOSED:
@@ -141,7 +141,7 @@ async def _report(line: DriveLine[Any], joint: JointSpec) -> str:
     HalError."""
     profile = joint.profile
     if profile.enabled is not None or profile.power_off is not None:
-        # a drive that brakes is not enabled for some: what is read after the power-off counts
+        # some drives are not enabled while they brake: only a report after the power-off counts
         stopping = line.is_stopping(joint.name)
         if profile.enabled is not None and await _holds(line, joint, profile.enabled):
             return "reports that it is still enabled"
@@ -152,22 +152,22 @@ async def _report(line: DriveLine[Any], joint: JointSpec) -> str:
         return "is unresponsive"
     if line.is_stopping(joint.name):
         return "is still stopping"
-    # a frame that was sent is no acknowledgement
+    # a sent frame is not an acknowledgement
     if joint.profile.can is not None or _nothing_answers(line.spec):
         return "the stop was sent; the drive cannot report whether it has power"
     return ""
 
 
 def _nothing_answers(spec: LineSpec) -> bool:
-    """All that is known of such a line is that its port has taken the bytes."""
+    """Such a line knows only that its port has taken the bytes."""
     return spec.kind == "sabertooth" or (
         spec.kind == "ascii" and spec.text is not None and not spec.text.feedback
     )
 
 
 async def _holds(line: DriveLine[Any], joint: JointSpec, place: Enabled) -> bool:
-    """Whether the drive reports it. Of a CAN drive the object is read, which answers also where
-    its frames do not come. Raises HalError."""
+    """Whether the drive reports it. Of a CAN drive the object is read, which works also when its
+    frames do not come. Raises HalError."""
     registers = joint.profile.registers
     found = registers[place.register]
     register = (isinstance(found, Signal) and found.object) or place.register

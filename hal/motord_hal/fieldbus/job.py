@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sequence of steps that a drive works off in acyclic slots: one exchange a slot."""
+"""A sequence of steps for a drive, done in acyclic slots: one exchange a slot."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 _ALL_BITS = 0xFFFFFFFF
 VERIFY_WITHIN_S = 0.5
-"""How long a value that was written may take until it reads back."""
+"""How long it may take until a written value reads back."""
 
 
 class Job:
-    """Steps, how far they are, and the future of the caller that waits for the end."""
+    """Steps, the current one, and the future of the caller that waits for the end."""
 
     def __init__(self, name: str, steps: Sequence[Step], *, urgent: bool = False) -> None:
         from asyncio import get_running_loop  # reading a robot file needs no asyncio
@@ -30,11 +30,11 @@ class Job:
         self.failures = 0
         self.done: asyncio.Future[None] = get_running_loop().create_future()
         self.raw = 0
-        """What the newest wait has read."""
+        """The value that the newest wait has read."""
         self.wait_until_s: float | None = None
-        """Deadline of the wait that is the current step; None: it has not begun."""
+        """Deadline of the current wait; None: it has not begun."""
         self.refused: HalError | None = None
-        """Why the drive refused a step, where the others were done all the same."""
+        """Why the drive refused a step, if the other steps were still done."""
         self._index = 0
 
     @property
@@ -44,7 +44,7 @@ class Job:
 
     @property
     def steps_ahead(self) -> tuple[Step, ...]:
-        """From the current step on."""
+        """The steps from the current one on."""
         return self.steps[self._index :]
 
     def advance(self) -> None:
@@ -61,7 +61,7 @@ class Job:
     def fail(self, error: HalError) -> None:
         if not self.done.done():
             self.done.set_exception(error)
-            self.done.exception()  # its caller may not wait for it
+            self.done.exception()  # its caller may have given up
 
     def limit_s(self, slot_s: float, tries: int) -> float:
         """How long it may take at worst, when a slot comes every `slot_s`."""
@@ -69,8 +69,8 @@ class Job:
 
 
 def watchdog_time_s(profile: DriveProfile, wanted_s: float) -> float:
-    """The drive stops by itself after such a silence: as wanted, within what it can; infinity: it
-    has no watchdog."""
+    """The silence after which the drive stops by itself: as requested, within its limits; infinity:
+    it has no watchdog."""
     watchdog = profile.watchdog
     if watchdog is None:
         return math.inf
@@ -91,14 +91,14 @@ def configure_steps(profile: DriveProfile, watchdog_s: float) -> tuple[Step, ...
 
 
 def read_back(write: Step) -> Step:
-    """The wait until the register says what was written."""
+    """The wait until the register reads as it was written."""
     assert write.value is not None  # a write
     return Step(register=write.register, equals=write.value & _ALL_BITS, within_s=VERIFY_WITHIN_S)
 
 
 def _unverified(profile: DriveProfile) -> tuple[Step, ...]:
     """The last write of each level that the profile's own steps do not wait for. Set-points and
-    what other sequences write, too, are commands: what they read as depends on what came after."""
+    what other sequences write, too, are commands: their value depends on later writes."""
     others = (profile.arm, profile.disarm, profile.quick_stop, profile.clear_fault)
     commands = {step.register for steps in others for step in steps if step.value is not None}
     for channel in profile.channels.values():
@@ -113,19 +113,19 @@ def _unverified(profile: DriveProfile) -> tuple[Step, ...]:
 
 
 def kept_steps(steps: Sequence[Step]) -> tuple[Step, ...]:
-    """The waits for what the same steps have written: true until the drive loses its set-up, as by
-    a power cut too short to be missed."""
+    """The waits for what the same steps have written: they hold until the drive loses its set-up,
+    for example by a power cut too short to be noticed."""
     written = {(step.register, step.value & _ALL_BITS) for step in steps if step.value is not None}
     return tuple(step for step in steps if (step.register, step.equals) in written)
 
 
 def kept_registers(profile: DriveProfile) -> tuple[str, ...]:
-    """What `kept_steps` of its set-up look at."""
+    """The registers that `kept_steps` of its set-up read."""
     return tuple(step.register for step in kept_steps(configure_steps(profile, 0.0)))
 
 
 def clear_steps(profile: DriveProfile) -> tuple[Step, ...]:
-    """The profile's own steps, then a look whether the faults are gone (warnings may stay)."""
+    """The profile's own steps, then a check that the faults are gone (warnings may stay)."""
     warnings = sum(
         1 << fault.bit
         for fault in profile.faults

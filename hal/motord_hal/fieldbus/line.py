@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every line does, on each engine. This is where a line begins and where it ends:
-whatever ends it, its drives are brought to rest before its medium is closed.
+however it ends, its drives are brought to rest before its medium is closed.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ REOPEN_FIRST_S = 0.1
 REOPEN_LIMIT_S = 2.0
 SETPOINT_LOOK_EVERY_S = 0.02
 SETPOINT_LOOKS = 50
-"""Before arming is refused: a number, not a time, because what holds up the loop may hold up this
+"""Looks before arming is refused: a number, not a time, because what delays the loop may delay this
 process, too."""
 NO_SETPOINTS = "no fresh set-points: is the loop running?"
 PRESENT = (DriveState.READY, DriveState.ARMED)
-"""Set up, and responsive."""
+"""States of a drive that is set up and responds."""
 
 
 class DriveOnLine(Protocol):
@@ -51,10 +51,10 @@ class DriveOnLine(Protocol):
 
 
 class LineTask(abc.ABC):
-    """The life of a medium: opened, worked on, lost, opened again, and closed at last."""
+    """The life of a medium: opened, used, lost, opened again, and closed in the end."""
 
     _drives: Sequence[DriveOnLine] = ()
-    """None where only C knows of them."""
+    """None if only C has them."""
 
     def __init__(self, spec: LineSpec, listener: Listener) -> None:
         self.spec = spec
@@ -70,12 +70,12 @@ class LineTask(abc.ABC):
     # ------------------------------------------------------------------------------- its own medium
     @abc.abstractmethod
     async def _open_medium(self) -> str:
-        """Open it, with a deadline; returns what is reported of it. Raises HalError; then, and
-        when it is cancelled, `_close_medium` closes what was opened."""
+        """Open it, with a deadline; returns the text of its event. Raises HalError; then, and when
+        it is cancelled, `_close_medium` closes what was opened."""
 
     @abc.abstractmethod
     async def _work(self) -> None:
-        """Run the drives, for as long as the medium is there; then PortError says what happened."""
+        """Run the drives until the medium is lost; then raises PortError with the reason."""
 
     @abc.abstractmethod
     async def _shut_down(self) -> None:
@@ -87,7 +87,7 @@ class LineTask(abc.ABC):
 
     # ------------------------------------------------------------------------------------ the task
     async def run(self) -> None:
-        """As ports.Line.run. Also where a mistake of this program ends it."""
+        """As ports.Line.run. It shuts the drives down also when a bug ends it."""
         try:
             while True:
                 await self._open()
@@ -123,7 +123,7 @@ class LineTask(abc.ABC):
             self._say_all(EventKind.LINE_LOST, f"{self.spec.name}: {error}")
 
     def _close(self, error: HalError) -> None:
-        """`error` is for callers that wait for something of a drive."""
+        """`error` goes to callers that wait for a drive."""
         self._is_open = False
         self._close_medium()
         for drive in self._drives:
@@ -167,11 +167,11 @@ class DriveLine(LineTask, Generic[AnyDrive]):
         return {name: watch.words for drive in self._drives for name, watch in drive.faults.items()}
 
     def is_stopping(self, joint: str) -> bool:
-        """Its drive was sent a quick stop, and its power has not been taken since."""
+        """Its drive was sent a quick stop, and no power-off since."""
         return self._drive_of(joint).is_stopping
 
     def _say_left_on(self, drives: Sequence[AnyDrive], why: str = "") -> None:
-        """They may have power still when the medium is closed."""
+        """They may still have power when the medium is closed."""
         for drive in drives:
             text = f"{self.spec.name}: {', '.join(drive.names)} not switched off at the end"
             self._say(EventKind.DRIVE_LEFT_ON, drive.names, ": ".join(filter(None, (text, why))))
@@ -179,16 +179,16 @@ class DriveLine(LineTask, Generic[AnyDrive]):
     # --------------------------------------------------------------------------------- its engine's
     @abc.abstractmethod
     def _setpoints_ns(self) -> int:
-        """When the newest set-points were made; what is known of the drives is as new then."""
+        """When the newest set-points were made."""
 
     @abc.abstractmethod
     async def _arm(self, drives: Sequence[AnyDrive]) -> None:
-        """Enable these, at zero speed. Raises the first HalError."""
+        """Enable these drives, at zero speed. Raises the first HalError."""
 
     @abc.abstractmethod
     async def _stand_down(self, drives: Sequence[AnyDrive]) -> None:
-        """Zero and no power: begun at once on all of these, and done also when no caller waits for
-        it any more. Raises the first HalError when all are through."""
+        """Zero and no power: begins at once on all of these, and goes on if the caller gives up.
+        Raises the first HalError when all have ended."""
 
     @abc.abstractmethod
     async def _clear(self, drives: Sequence[AnyDrive]) -> None:
@@ -200,7 +200,7 @@ class DriveLine(LineTask, Generic[AnyDrive]):
 
     # ---------------------------------------------------------------------------------- its orders
     async def arm(self) -> None:
-        """As ports.Line.arm. Whatever keeps one drive from being armed disarms all."""
+        """As ports.Line.arm. If one drive cannot be armed, all are disarmed."""
         await self._be_ready_to_arm()
         armed = False
         try:
@@ -212,8 +212,8 @@ class DriveLine(LineTask, Generic[AnyDrive]):
                     drive.stand_down()
 
     async def _be_ready_to_arm(self) -> None:
-        """Nothing is armed without a loop that commands it; one that is held up goes on soon.
-        Raises HalError."""
+        """Wait for a loop that sends set-points: nothing is armed without one, and a delayed one
+        goes on soon. Raises HalError."""
         for _ in range(SETPOINT_LOOKS):
             self._check_open()
             setpoints_ns = self._setpoints_ns()

@@ -34,12 +34,12 @@ KINDS = MappingProxyType(
 )
 
 RT_CAN_INTERFACES = ("socketcan", "unix")
-"""Of the others only python-can knows how they are reached."""
+"""The others are reached through python-can alone."""
 
 
 def engine_of(spec: LineSpec) -> str:
-    """ "rt" or "asyncio": what `spec.engine` comes to; "auto" is rt where there is one, of CAN
-    adapters where they are the kernel's."""
+    """ "rt" or "asyncio" for `spec.engine`; "auto" is rt if the kind has it, for CAN only on the
+    kernel's adapters."""
     if spec.engine != "auto":
         return spec.engine
     if spec.kind == "can" and spec.port.partition(":")[0] not in RT_CAN_INTERFACES:
@@ -49,7 +49,7 @@ def engine_of(spec: LineSpec) -> str:
 
 def open_line(spec: LineSpec, exchange: Exchange, listener: Listener) -> Line:
     """The line for a spec; nothing is opened before its `run()`. Raises HalError for an unknown
-    kind or engine and ProfileError for joints that cannot be together."""
+    kind or engine and ProfileError for joints that cannot share a line."""
     engine = engine_of(spec)
     if spec.kind == "can" and engine == "rt" and engine_of(replace(spec, engine="auto")) != "rt":
         raise HalError(f'{spec.name}: engine "rt" needs SocketCAN, not {spec.port}')

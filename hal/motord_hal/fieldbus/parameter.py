@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which registers of a drive a person may read and write, and with which values: pure."""
+"""Which registers of a drive a user may read and write, and with which values: pure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from motord_hal.fieldbus.job import read_back
 
 
 def readable(profile: DriveProfile, name: str) -> Register:
-    """Raises LookupError for a register that is not there or cannot be read."""
+    """Raises LookupError for a register that does not exist or cannot be read."""
     register = profile.registers.get(name)
     if register is None:
         raise LookupError(f'{profile.name} has no register "{name}"')
@@ -36,7 +36,7 @@ def kept_back(profile: DriveProfile) -> frozenset[str]:
 
 
 def raw_to_write(profile: DriveProfile, name: str, value: float) -> int:
-    """The raw value for a value in SI. LookupError: no such register; ValueError: it is not to be
+    """The raw value for a value in SI. LookupError: no such register; ValueError: it must not be
     written, or not with this value."""
     register = readable(profile, name)
     if "w" not in register.access:

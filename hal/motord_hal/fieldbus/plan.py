@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a drive's profile comes to for its joints, whatever its wire. Pure."""
+"""What a drive's profile means for its joints, on any wire. Pure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ REST = JointSetpoint(0.0, 0.0)
 
 
 def of_kind(channel: Channel, setpoint: JointSetpoint) -> float:
-    """What the channel takes of it, at the wheel."""
+    """The part of a set-point that the channel takes, at the wheel."""
     if channel.torque_setpoint is not None:
         return setpoint.torque_n_m
     if channel.position_setpoint is not None:
@@ -27,7 +27,7 @@ def of_kind(channel: Channel, setpoint: JointSetpoint) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a drive says of one joint, at the wheel, in SI; what it does not say is NaN or None."""
+    """What a drive reports of one joint, at the wheel, in SI; NaN or None where it does not."""
 
     count: int
     velocity_rad_s: float
@@ -39,7 +39,7 @@ class Reading:
 
 
 def present_positions(channels: Iterable[Channel]) -> Iterator[Step]:
-    """Writes after which a drive that gets its power stays where it is."""
+    """Writes that keep a drive at rest when it gets its power."""
     for channel in channels:
         if channel.position_setpoint is not None and channel.position is not None:
             yield Step(
@@ -59,7 +59,7 @@ class Plan:
         return self.profile.channels[joint.channel]
 
     def enabled(self, values: Mapping[str, int]) -> bool | None:
-        """None: the drive cannot report it, or has not yet."""
+        """None: the drive cannot report it, or has not reported it yet."""
         enabled = self.profile.enabled
         if enabled is None or enabled.register not in values:
             return None
@@ -88,7 +88,7 @@ class Plan:
         return value if math.isfinite(value) else math.nan
 
     def wants_motion(self, wanted: Wanted) -> bool:
-        """Whether a joint is to move. An angle is a place to go to, also that of 0."""
+        """Whether a joint is to move. Any angle is a target, also 0."""
         for joint in self.joints:
             channel, setpoint = self.channel(joint), wanted.get(joint.index, REST)
             if channel.position_setpoint is not None and setpoint.position_rad is not None:
@@ -100,7 +100,7 @@ class Plan:
 
     def setpoints(self, wanted: Wanted) -> dict[str, int]:
         """Register → raw for the set-points, and for what goes with them. What is missing, NaN or
-        infinite is zero; where a register of its own says the direction, it is the magnitude."""
+        infinite is zero; if a register of its own has the direction, it is the magnitude."""
         raw = {}
         for joint in self.joints:
             channel = self.channel(joint)

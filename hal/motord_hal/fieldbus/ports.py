@@ -17,7 +17,7 @@ from motord_hal.drives.profile import DriveProfile, Gap
 from motord_hal.fieldbus.trace import Trace
 
 SETPOINT_TIMEOUT_S = 0.1
-"""Set-points older than this do not count: it stops and disarms its drives."""
+"""Set-points older than this do not count: the line stops and disarms its drives."""
 REST_VELOCITY_RAD_S = 0.05
 """A wheel slower than this is at rest, unless the robot file sets another limit."""
 
@@ -45,7 +45,7 @@ class CounterEncoder:
     count: int
     """Which count of it."""
     rad_per_count: float
-    """As of EdgesEncoder."""
+    """As in EdgesEncoder."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,7 @@ class BoardEncoder:
     motor: int
     """Which one of the board, from 1 on."""
     rad_per_count: float
-    """As of EdgesEncoder."""
+    """As in EdgesEncoder."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,9 +75,9 @@ class JointSpec:
     gear_ratio: float = 1.0
     """Motor turns per wheel turn, > 0."""
     inverted: bool = False
-    """True where the motor turns backward when the robot drives forward."""
+    """True if the motor turns backward when the robot drives forward."""
     counts_per_turn: int = 0
-    """Of the motor, of a joint that takes positions; 0: as its profile has them."""
+    """Of the motor, of a joint that takes positions; 0: those of its profile."""
     zero_count: int = 0
     """The counter where the angle of such a joint is 0."""
     position_velocity_rad_s: float = 0.0
@@ -138,14 +138,14 @@ class PinsSpec:
     gpio_chip: str = ""
     """The chip's label or device file."""
     pwm_hz: float | None = None
-    """Carrier; None: as each bridge's profile says."""
+    """Carrier; None: that of each bridge's profile."""
     software_pwm: bool = False
-    """Whether a chip will do whose pulses the kernel makes by timer interrupts."""
+    """Whether a chip is allowed whose pulses the kernel makes by timer interrupts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextWheel:
-    """Where a wheel is: for boards that want the base's speed and turn rate."""
+    """Where a wheel is: for boards that take the base's speed and turn rate."""
 
     side: float
     """-1 left, 1 right."""
@@ -221,7 +221,7 @@ class LineSpec:
     """"none" | "even" | "odd"."""
     stop_bits: int
     cycle_hz: float
-    """Wanted cyclic rate; the line goes as fast as the wire lets it, never faster than this."""
+    """Requested cyclic rate; the line goes as fast as the wire allows, never faster than this."""
     gap_s: float | None
     """Silent interval between frames; None: by `gap`."""
     engine: str
@@ -229,7 +229,7 @@ class LineSpec:
     data_baudrate: int | None = None
     """Of the data of CAN FD frames; None: a CAN bus of classic frames."""
     gap: Gap | None = None
-    """Rule for the silent interval; None: what the most demanding drive of the line needs."""
+    """Rule for the silent interval; None: the longest that a drive of the line needs."""
     direction: DirectionSpec = DirectionSpec()
     echo: Echo = Echo.AUTO
     priority: int = 70
@@ -240,7 +240,7 @@ class LineSpec:
     text: TextSpec | None = None
     """Of the kind "ascii"."""
     imu: Mounting | None = None
-    """Of the sensor that the board reads for the core; None: it reads none."""
+    """Of the sensor that the board reads for the core; None: there is no sensor."""
     fast_sync_read: bool = False
     """Of the kind "dynamixel": all servos answer in one packet while none of them fails."""
     pins: PinsSpec = PinsSpec()
@@ -253,7 +253,7 @@ class LineSpec:
     rest_velocity_rad_s: float = REST_VELOCITY_RAD_S
     """A wheel slower than this is at rest: the power goes off at the end of a quick stop."""
     left_running: bool = False
-    """Another program left the drives running: each begins with a quick stop, before all else."""
+    """Another program left the drives running: each begins with a quick stop."""
 
 
 class LineState(enum.StrEnum):
@@ -287,7 +287,7 @@ class EventKind(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LineEvent:
-    """Reported once when something changes, never once a try. `text` is a sentence for the log."""
+    """Reported once, when something changes, not at each try. `text` is a sentence for the log."""
 
     kind: EventKind
     line: str
@@ -314,7 +314,7 @@ class LineStats:
     errors: dict[str, int] = field(default_factory=dict)
     cycle_hz: float = 0.0
     wire_limit_hz: float = 0.0
-    """Highest cyclic rate that the wire itself could carry with these drives, frames and gaps."""
+    """Highest cyclic rate that the wire can carry with these drives, frames and gaps."""
     round_trip: RoundTrips = field(default_factory=RoundTrips)
 
 
@@ -322,14 +322,13 @@ Listener = Callable[[LineEvent], None]
 
 
 class Line(Protocol):
-    """A medium under one runner. All requests go through `run()`'s own cycle: one in flight,
-    ever."""
+    """A medium with one runner. All requests go through the cycle of `run()`: one at a time."""
 
     spec: LineSpec
 
     @property
     def engine(self) -> str:
-        """ "asyncio" or "rt": what `spec.engine` came to."""
+        """ "asyncio" or "rt": the engine that `spec.engine` chose."""
         ...
 
     @property
@@ -354,13 +353,13 @@ class Line(Protocol):
 
     async def run(self) -> None:
         """Open, configure, exchange; reopen with back-off, disarmed; for ever. Does not raise for
-        the world's faults. On cancellation: stop and disarm every drive within a short deadline,
-        close, re-raise."""
+        faults of drives or ports. On cancellation: stop and disarm every drive within a short
+        deadline, close, re-raise."""
         ...
 
     async def arm(self) -> None:
-        """Enable all drives at zero speed and see that they report it; on any failure all
-        are disarmed again and the first HalError is raised. Deadline inside."""
+        """Enable all drives at zero speed and check that they report it; on any failure all are
+        disarmed again and the first HalError is raised. Deadline inside."""
         ...
 
     async def disarm(self) -> None:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What goes over a line, for `motord trace`: the newest entries, each with its number, so that a
-reader knows what it has missed."""
+reader sees what it has missed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class TraceEntry:
 
 
 class Trace(Protocol):
-    """Of one line. Several may read; switched off it keeps nothing."""
+    """Of one line. Several may read; while it is off it keeps nothing."""
 
     def switch(self, *, on: bool) -> None: ...
 
@@ -35,7 +35,7 @@ class Trace(Protocol):
         ...
 
     def after(self, number: int) -> Iterator[TraceEntry]:
-        """Entries with greater numbers that are still there, the oldest first."""
+        """Entries with greater numbers that were not overwritten, the oldest first."""
         ...
 
 
@@ -51,7 +51,7 @@ class PythonTrace:
         self.on = on
 
     def put(self, stamp_ns: int, data: bytes, *, outward: bool) -> None:
-        """Where it is on; ask that first, it is cheaper."""
+        """Only while it is on; check that first, it is cheaper."""
         if self.on:
             self.newest += 1
             self._entries.append(TraceEntry(self.newest, stamp_ns, outward, data))

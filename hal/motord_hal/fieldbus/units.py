@@ -10,7 +10,7 @@ from motord_hal.fieldbus.ports import JointSpec, LineSpec
 
 
 def joints_by_unit(spec: LineSpec) -> Iterable[list[JointSpec]]:
-    """Joints by unit. Raises ProfileError where two joints cannot be on one unit."""
+    """Joints by unit. Raises ProfileError if two joints cannot share a unit."""
     units: dict[int, list[JointSpec]] = {}
     for joint in spec.joints:
         others = units.setdefault(joint.unit, [])

@@ -22,13 +22,13 @@ LINES_MAX = 64
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """Lines that are ours until the descriptor is closed, which is the owner's to do."""
+    """Lines that this process holds until the owner closes the descriptor."""
 
     fd: int
     offsets: tuple[int, ...]
     """The lines' numbers on the chip."""
     levels: tuple[int, ...]
-    """0 or 1 for each, as they were."""
+    """0 or 1 for each, at the time of the request."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class Chip:
         consumer: str,
         events: int = 0,
     ) -> Request:
-        """These lines in this order. `events`: so many the kernel keeps at least; 0: as it likes.
+        """These lines in this order. `events`: how many the kernel keeps at least; 0: its default.
         Raises OSError."""
         config: dict[Iterable[int | str] | int | str, LineSettings | None] = {}
         config.update(zip(offsets, settings, strict=True))
@@ -77,7 +77,7 @@ def _only_line(names: Sequence[str], wanted: str) -> int:
         raise LookupError(f'no GPIO line "{wanted}" on this chip')
     if len(found) > 1:
         numbers = ", ".join(map(str, found))
-        raise LookupError(f'lines {numbers} of this chip are "{wanted}": name one by its number')
+        raise LookupError(f'lines {numbers} of this chip have the name "{wanted}": give a number')
     return found[0]
 
 
@@ -116,13 +116,13 @@ def _only_chip(labels: dict[Path, str], wanted: str, refused: Sequence[str] = ()
         raise PortError(f'no GPIO chip "{wanted}"; there: {", ".join([*seen, *refused]) or "none"}')
     if len(found) > 1:
         paths = ", ".join(map(str, found))
-        text = f'{len(found)} GPIO chips are "{wanted}": {paths}'
+        text = f'{len(found)} GPIO chips have the label "{wanted}": {paths}'
         raise PortError(f"{text}: name one by its device file (a udev rule keeps its name)")
     return found[0]
 
 
 def why(error: OSError) -> str:
-    """In words, with what helps."""
+    """The error in words, with a remedy."""
     if error.errno in (errno.EACCES, errno.EPERM):
         return f"{error.strerror}: put this user into the group gpio, or see the udev rules"
     return error.strerror or str(error)

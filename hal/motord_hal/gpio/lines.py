@@ -31,8 +31,8 @@ class Wanted:
 def request_outputs(
     chip: str, wanted: Sequence[Wanted], consumer: str, dev: Path = Path("/dev")
 ) -> int:
-    """Bit i of the request is `wanted[i]`. The caller closes the descriptor: the lines then keep
-    their levels, or not, as the chip likes. Raises PortError."""
+    """Bit i of the request is `wanted[i]`. The caller closes the descriptor: whether the lines then
+    keep their levels depends on the chip. Raises PortError."""
     settings = [
         LineSettings(
             direction=Direction.OUTPUT, output_value=Value.ACTIVE if line.high else Value.INACTIVE
@@ -60,7 +60,8 @@ def request_edges(
     dev: Path = Path("/dev"),
 ) -> int:
     """As `request_inputs`, for one input that also keeps its edges to be read: the rising ones, or
-    the falling ones. Of both the kernel says which it was by the level that it finds afterwards."""
+    the falling ones. With both, the kernel would report the edge by the level that it finds
+    afterwards."""
     edge = Edge.RISING if rising else Edge.FALLING
     return _request(chip, [wanted], [_edges(edge, pull)], consumer, dev).fd
 
@@ -105,7 +106,7 @@ def _request(
 
 
 def check_pull(label: str, line: Wanted, pull: Bias) -> None:
-    """Raises PortError where the chip with that label would ignore it."""
+    """Raises PortError for a chip that ignores it."""
     if pull in (Bias.PULL_UP, Bias.PULL_DOWN) and (problem := why_no_pull(label)):
         raise PortError(f"{line.purpose}: {problem}")
 
@@ -140,7 +141,7 @@ def _refusal(chip: Chip, wanted: Sequence[Wanted], offsets: Sequence[int], error
 
 
 def _name_and_owner(chip: Chip, offset: int) -> tuple[str, str]:
-    """The owner of the line, else of the pin that it is; empty where the chip does not say."""
+    """The owner of the line, else of its pin; empty if the chip does not report it."""
     try:
         name, owner = chip.info(offset)
     except OSError:

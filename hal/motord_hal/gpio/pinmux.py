@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which step on this machine makes a pin what a robot file needs, and what uses it now.
+"""Which step on this machine gives a pin the function that a robot file needs, and what uses the
+pin now.
 
 Sources: Raspberry Pi firmware, overlays/README (pwm, pwm-2chan: pins and functions; func counts as
 the BCM2835 does, on the Pi 5 too) and the RP1 peripherals' table of functions; Jetson.GPIO's pin
@@ -16,7 +17,7 @@ from pathlib import Path
 
 TREE = Path("/proc/device-tree")
 DEBUG = Path("/sys/kernel/debug")
-"""Only root sees into it."""
+"""Only root can read it."""
 CONFIG_TXT = "/boot/firmware/config.txt"
 JETSON_IO = "sudo /opt/nvidia/jetson-io/jetson-io.py"
 FOUR_CHANNELS = "docs/pwm-pi5-4chan.dts"
@@ -65,18 +66,17 @@ _BOARDS = (
 
 
 _WITHOUT_PULLS = "tegra"
-"""How the labels of the chips of all Jetsons begin. Their driver has no bias, and the kernel
-takes that for no error: gpio_set_bias of drivers/gpio/gpiolib.c, tegra186_gpio_set_config."""
+"""How the labels of the chips of all Jetsons begin. Their driver has no bias, and the kernel does
+not report that as an error: gpio_set_bias of drivers/gpio/gpiolib.c, tegra186_gpio_set_config."""
 
 
 def why_no_pull(label: str) -> str:
-    """Why a line of that chip cannot be pulled, and what to do; empty where nothing is known
-    against it."""
+    """Why a line of that chip cannot be pulled, and what to do; empty: it can, as far as known."""
     if not label.startswith(_WITHOUT_PULLS):
         return ""
     return (
         f'the chip "{label}" has no pulls that Linux can switch on, and Linux does not report '
-        "that: an open line would float, and an open contact be no stop. Put a resistor outside "
+        "that: an open line would float, and an open contact would not stop. Add a resistor "
         "(pull up: from the line to 3.3 V; down: to ground), and set pull = false (of an "
         'encoder: "none")'
     )
@@ -138,7 +138,7 @@ def _header(chosen: list[Carrier]) -> str:
 
 
 def freeing_step(owner: str, tree: Path = TREE) -> str:
-    """What takes a pin or channel from a driver of the kernel, in a clause."""
+    """How to take a pin or channel from a driver of the kernel, in a clause."""
     names = _compatible(tree)
     if "brcm,bcm2" in names:
         other = f"take the dtoverlay or dtparam that gives it away out of {CONFIG_TXT}"
@@ -149,7 +149,7 @@ def freeing_step(owner: str, tree: Path = TREE) -> str:
 
 
 def pwm_owner(device: str, channel: int, debug: Path = DEBUG) -> str:
-    """Which driver in the kernel has a channel; empty where that cannot be seen."""
+    """Which driver in the kernel has a channel; empty if that cannot be read."""
     block = ""
     for row in _rows(debug / "pwm"):
         if not row.startswith(" "):
@@ -160,8 +160,8 @@ def pwm_owner(device: str, channel: int, debug: Path = DEBUG) -> str:
 
 
 def mux_owner(label: str, offset: int, debug: Path = DEBUG) -> str:
-    """To which device the pin controller with that label has given a pin; empty where to none, or
-    where that cannot be seen."""
+    """The device that has a pin of the controller with that label; empty: none, or that cannot be
+    read."""
     for folder in _folders(debug, label):
         for row in _rows(folder / "pinmux-pins"):
             found = re.match(rf"pin {offset} \(\S+\): (?:device )?([^\s(]\S*)", row)
@@ -173,8 +173,8 @@ def mux_owner(label: str, offset: int, debug: Path = DEBUG) -> str:
 def not_muxed(
     device: str, channels: Collection[int], tree: Path = TREE, debug: Path = DEBUG
 ) -> str:
-    """A sentence where the kernel knows that no pin carries a channel of this chip; empty where one
-    does, or that cannot be seen."""
+    """A sentence if the kernel reports that no pin carries a channel of this chip; empty if one
+    does, or that cannot be read."""
     shown = [row for folder in _folders(debug) for row in _rows(folder / "pinmux-pins")]
     carriers = [each for each in _carriers(tree) if each.chip == device and each.number]
     dark = []
@@ -194,11 +194,11 @@ def _folders(debug: Path, label: str = "") -> list[Path]:
     try:
         return [path for path in sorted((debug / "pinctrl").iterdir()) if label in path.name]
     except OSError:
-        return []  # not ours to see
+        return []  # no permission
 
 
 def _rows(path: Path) -> list[str]:
     try:
         return path.read_text(errors="replace").splitlines()
     except OSError:
-        return []  # not ours to see
+        return []  # no permission

@@ -9,8 +9,7 @@ bits, low byte first: a start word, values, and the exclusive or of all words be
 In a drive profile with `protocol = "hoverboard"` a register's address is a byte behind the start
 word: access "w" in the command (0 left, 2 right), "r" in the feedback. With `protocol =
 "hoverboard-steer"` it is the same, and what goes out is steer and speed: left = speed + steer / 2,
-right = speed - steer / 2, as the firmware's mixer has it with the coefficients that it is delivered
-with.
+right = speed - steer / 2, the firmware's mixer with its default coefficients.
 """
 
 from __future__ import annotations
@@ -49,8 +48,8 @@ def build(values: bytes) -> bytes:
 
 
 def parse(packet: bytes) -> bytes | None:
-    """The values of a packet; None: it is no packet. The halves of two equal packets have a good
-    sum, too, but the start word between them, and no value is near that."""
+    """The values of a packet; None: it is not one. The halves of two equal packets have a good sum,
+    too, but contain the start word, and no value comes near that."""
     if not packet.startswith(_START) or _sum(packet[:-2]) != int.from_bytes(packet[-2:], "little"):
         return None
     values = packet[2:-2]
@@ -58,8 +57,8 @@ def parse(packet: bytes) -> bytes | None:
 
 
 class Splitter:
-    """Cuts a stream into packets of one length. What begins no good packet is given up byte by
-    byte: a packet may begin within."""
+    """Cuts a stream into packets of one length. Bytes that begin no good packet are dropped one by
+    one: a packet may begin among them."""
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -67,7 +66,7 @@ class Splitter:
         self._synced = False
 
     def feed(self, data: bytes) -> Iterator[bytes | None]:
-        """The values of each packet; None where the stream was lost."""
+        """The values of each packet; None: bytes were dropped."""
         self._tail += data
         while True:
             begin = self._begin()

@@ -26,7 +26,7 @@ _SILENT = (errno.ENXIO, errno.EREMOTEIO, errno.ETIMEDOUT, errno.EAGAIN)
 
 
 class Registers(Protocol):
-    """What a chip's driver needs of its I2C bus. All raise HalError."""
+    """Register access on an I2C bus, for a chip's driver. All methods raise HalError."""
 
     def read_word(self, register: int) -> int:
         """16 bits, the byte that comes first is the upper one."""
@@ -49,7 +49,8 @@ class ByteRegisters(Protocol):
     def write_byte(self, register: int, value: int) -> None: ...
 
     def read_row(self, register: int, size: int) -> bytes:
-        """So many registers from this one on, in one transfer; at most 32 (I2C_SMBUS_BLOCK_MAX)."""
+        """This many registers from this one on, in one transfer; at most 32
+        (I2C_SMBUS_BLOCK_MAX)."""
         ...
 
     def close(self) -> None: ...
@@ -67,7 +68,7 @@ class I2cDevice:
     @classmethod
     def open(cls, path: Path, address: int) -> Self:
         """Raises PortError."""
-        from smbus2 import SMBus  # only here: most robots have no I2C bus
+        from smbus2 import SMBus  # imported only here: most robots have no I2C bus
 
         where = f"{path} at 0x{address:02x}"
         try:
@@ -105,7 +106,7 @@ class I2cDevice:
             i2c_smbus_ioctl_data,
         )
 
-        # not read_i2c_block_data: it takes what an adapter has not filled for zeros
+        # not read_i2c_block_data: it returns zeros for what an adapter has not filled
         message = i2c_smbus_ioctl_data.create(
             read_write=I2C_SMBUS_READ, command=register, size=I2C_SMBUS_I2C_BLOCK_DATA
         )
@@ -132,7 +133,7 @@ class I2cDevice:
 
 
 def _swapped(word: int) -> int:
-    """SMBus sends the lower byte first, these chips the upper one."""
+    """SMBus sends the lower byte first, these chips send the upper one first."""
     return int.from_bytes(word.to_bytes(2, "big"), "little")
 
 

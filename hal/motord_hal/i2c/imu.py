@@ -21,9 +21,9 @@ from motord_hal.i2c.bus import ByteRegisters
 STANDARD_GRAVITY_M_S2 = 9.80665
 """CODATA."""
 STUCK_SAMPLES = 50
-"""So many equal ones in a row, of six noisy numbers: the chip converts no more."""
+"""After so many equal samples in a row, of six noisy numbers, the chip has stopped converting."""
 CHECK_EVERY_SAMPLES = 100
-"""The set-up is read back: a chip that was without power has lost it and reads zero."""
+"""How often the set-up is read back: a chip that lost its power has lost it and reads zero."""
 _COUNTS_MAX = 32767
 _FULL_MPU, _FULL_LSM = 32768.0, 1e3 / 8.75 * 250.0
 """Counts of the nominal full scale; LSM6DS: 8.75 mdps a count at 250 dps."""
@@ -31,7 +31,7 @@ _FULL_MPU, _FULL_LSM = 32768.0, 1e3 / 8.75 * 250.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Family:
-    """What differs between the families."""
+    """The differences between the families."""
 
     identity_register: int
     reset: tuple[int, int]
@@ -39,13 +39,13 @@ class Family:
     ranges_dps: tuple[float, ...]
     full_counts: float
     first: int
-    """Of the registers that are read in one row."""
+    """The first of the registers that are read in one row."""
     row: struct.Struct
     gyro_at: int
     """Place of the gyro's x in the row."""
     acceleration_at: int
     acceleration_g: float
-    """Of one count."""
+    """The acceleration of one count."""
     default_address: int
 
 
@@ -148,7 +148,7 @@ class ImuChip:
         self._before = b""
 
     def read(self) -> Motion:
-        """Raises HalError, also where the chip has lost its set-up or stands still: it has to be
+        """Raises HalError, also if the chip has lost its set-up or repeats one sample: it has to be
         opened again."""
         family = self._family
         data = self._registers.read_row(family.first, family.row.size)
@@ -173,7 +173,7 @@ class ImuChip:
         )
 
     def close(self) -> None:
-        """Lets go of the I2C bus."""
+        """Close the I2C bus."""
         self._registers.close()
 
     def _check(self) -> None:
@@ -186,7 +186,7 @@ class ImuChip:
 
 
 def range_place(family: Family, range_rad_s: float) -> int:
-    """The smallest scale that holds it; the largest one where none does."""
+    """The smallest scale that includes it; the largest one if none does."""
     for place, range_dps in enumerate(family.ranges_dps):
         if math.radians(range_dps) >= range_rad_s:
             return place

@@ -16,9 +16,10 @@ from motord_hal.i2c.imu import ImuChip
 from motord_hal.realtime.exchange import Exchange
 
 LATE_NS = 20_000_000
-"""A transfer takes some 0.5 ms; what came after so long has no known time."""
+"""A transfer takes some 0.5 ms; a sample that took longer than this has no known time."""
 LATE_MAX = 50
-"""So many late ones in a row are no busy machine: the I2C bus is too slow, or it is held."""
+"""After so many late ones in a row the I2C bus is too slow, or held; the machine is not just
+busy."""
 TRIES = 3
 """Failed reads in a row before the chip is given up."""
 
@@ -54,8 +55,8 @@ class ImuReader:
         self._stopped.set()
 
     def run(self) -> None:
-        """Open the chip, set it up and read it until `stop`. Raises HalError for what ends it
-        before; then it may be run again."""
+        """Open the chip, set it up and read it until `stop`. Raises HalError if it ends earlier;
+        then it may be run again."""
         spec, device = self._spec, self._open_device()
         try:
             chip = ImuChip(

@@ -5,7 +5,7 @@ last two their own temperature.
 Sources: the register maps of Texas Instruments' data sheets SBOS448 (INA219), SBOS547 (INA226),
 SLYS021 (INA228) and SLYS025 (INA238); counts and set-up compared with the kernel's
 drivers/hwmon/ina2xx.c and ina238.c. Current is shunt voltage over resistance: the chips'
-calibration register is not used, so that a value of another program in it does not count.
+calibration register is not used, so a value that another program left in it does not matter.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ class Field:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chip:
-    """What differs between them."""
+    """The differences between the chips."""
 
     settings: tuple[tuple[int, int], ...]
     """Register and content: continuous measuring of everything, averaged over some 50 to 70 ms."""
     shunt: Field
     shunt_max: int
-    """Counts at the end of the scale: what reads more was cut off."""
+    """Counts at the end of the scale: more than that was cut off."""
     bus: Field
     overflow: int = 0
     """Bit of the bus voltage register: what was computed from it is wrong."""
@@ -118,8 +118,8 @@ class Ina:
         self._check_settings()
 
     def read(self) -> Power:
-        """Raises HalError, also where the chip has lost its set-up: it was without power then, and
-        has to be opened again."""
+        """Raises HalError, also if the chip has lost its set-up: it was without power, and has to
+        be opened again."""
         self._check_settings()
         chip = self._chip
         bus, shunt = self._raw(chip.bus), self._raw(chip.shunt)
@@ -139,7 +139,7 @@ class Ina:
         return int.from_bytes(self._registers.read_row(field.register, field.register_bytes), "big")
 
     def close(self) -> None:
-        """Lets go of the I2C bus."""
+        """Close the I2C bus."""
         self._registers.close()
 
     def _check_settings(self) -> None:
@@ -152,6 +152,6 @@ class Ina:
 
 
 def _counts(field: Field, raw: int) -> int:
-    """Of a register, as it was read."""
+    """The counts in a register, as it was read."""
     bits = 8 * field.register_bytes
     return (raw - (1 << bits) if field.signed and raw >> (bits - 1) else raw) >> field.shift

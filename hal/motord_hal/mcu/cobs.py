@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Consistent overhead byte stuffing: bytes without a zero, so that zeros can part frames.
+"""Consistent overhead byte stuffing: bytes without a zero, so that zeros can separate frames.
 
 Source: Cheshire & Baker, Consistent Overhead Byte Stuffing, IEEE/ACM Transactions on Networking
 7(2), 1999.
@@ -8,7 +8,7 @@ Source: Cheshire & Baker, Consistent Overhead Byte Stuffing, IEEE/ACM Transactio
 from __future__ import annotations
 
 _BLOCK_MAX = 254
-"""Bytes behind one code byte; the code 255 says that no zero follows them."""
+"""Bytes behind one code byte; the code 255 means that no zero follows them."""
 
 
 def encode(data: bytes) -> bytes:
@@ -25,7 +25,7 @@ def encode(data: bytes) -> bytes:
 
 
 def decode(data: bytes) -> bytes:
-    """What was encoded. Raises ValueError for what `encode` never makes."""
+    """The decoded bytes. Raises ValueError for bytes that `encode` never makes."""
     out = bytearray()
     at = 0
     while at < len(data):

@@ -30,12 +30,12 @@ FEEDBACK_MOTOR_BYTES = 10
 RESTARTED = 8
 """The bit of status that a board sets when it starts, until the same bit of control is set."""
 HAS_IMU = 16
-"""The bit of status that says that what an inertial sensor measured follows the motors."""
+"""The bit of status with which an inertial sensor's sample follows the motors."""
 HELD_UNIT_S = 0.0001
 RATE_UNIT_RAD_S = 1e-6
 ACCELERATION_UNIT_M_S2 = 1e-3
 IMU_SATURATED = 1
-"""The bit of the sensor's flags that says that a rate was at the end of its scale."""
+"""The bit of the sensor's flags for a rate at the end of its scale."""
 
 _HEAD = struct.Struct("<BBHI")
 _CRC = struct.Struct("<H")
@@ -69,7 +69,7 @@ def crc16(data: bytes, start: int = 0xFFFF) -> int:
 
 
 def build(frame: Frame) -> bytes:
-    """As it goes out: a zero, the stuffed frame, a zero. The first one ends whatever noise came
+    """As it goes out: a zero, the stuffed frame, a zero. The first one ends noise that came
     before."""
     head = _HEAD.pack(VERSION, frame.type, frame.sequence & 0xFFFF, frame.time_us % _TIME_US)
     body = head + frame.payload
@@ -79,7 +79,7 @@ def build(frame: Frame) -> bytes:
 
 
 def parse(stuffed: bytes) -> Frame:
-    """What stood between two zeros. Raises FrameError."""
+    """The frame between two zeros. Raises FrameError."""
     try:
         raw = cobs.decode(stuffed)
     except ValueError as error:
@@ -96,15 +96,15 @@ def parse(stuffed: bytes) -> Frame:
 
 
 class Splitter:
-    """Cuts a stream of bytes at its zeros. What never ends is thrown away, not kept."""
+    """Cuts a stream of bytes at its zeros. Bytes without an end are dropped, not kept."""
 
     def __init__(self) -> None:
         self._tail = bytearray()
         self._too_long = False
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """What stood between zeros, without the empty pieces; what is too long comes cut off, so
-        that it is counted as no frame."""
+        """The non-empty pieces between zeros; a piece that is too long is cut, so that it counts as
+        no frame."""
         for number, piece in enumerate(data.split(b"\0")):
             if number and (self._tail or self._too_long):
                 yield bytes(self._tail)
@@ -116,7 +116,7 @@ class Splitter:
 
 
 def wire_bytes(motors: int, *, imu: bool = False) -> int:
-    """Of the longer of both frames, with the zeros and the byte that the stuffing adds."""
+    """Bytes of the longer of both frames, with the zeros and the stuffing's byte."""
     setpoints = SETPOINTS_HEAD_BYTES + SETPOINTS_MOTOR_BYTES * motors
     feedback = FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * motors + imu * _IMU.size
     return _HEAD.size + max(setpoints, feedback) + _CRC.size + 3
@@ -160,7 +160,7 @@ def setpoints_payload(
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """What the board reports of the set-points that it received last."""
+    """What the board reports of the newest set-points that it received."""
 
     sequence: int
     held_s: float
@@ -174,7 +174,7 @@ def feedback_payload(
     period_ms: int,
     received: Received,
 ) -> bytes:
-    """What a board says: the simulator's side."""
+    """What a board sends: the simulator's side."""
     payload = bytearray(FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * motors)
     for register in registers:
         if "r" in register.access:
@@ -187,7 +187,7 @@ def feedback_payload(
 
 @dataclass(frozen=True, slots=True)
 class BoardImu:
-    """What an inertial sensor on the board says, about its own axes. NaN: not measured."""
+    """A sample of an inertial sensor on the board, about its own axes. NaN: not measured."""
 
     angular_rad_s: tuple[float, ...]
     acceleration_m_s2: tuple[float, ...]

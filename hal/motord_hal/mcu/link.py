@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A serial port as a stream in both directions on asyncio: bytes are handed on the moment they
-come."""
+"""A serial port as a stream in both directions on asyncio: bytes are handed on as they come."""
 
 from __future__ import annotations
 
@@ -60,8 +59,8 @@ class Stream:
         self.close()
 
     def send(self, data: bytes) -> bool:
-        """Whether it was sent: not behind older frames that have not gone out yet, for they would
-        come late. Raises PortError."""
+        """Send it, unless older frames still wait: behind them it would come late. Returns whether
+        it was sent. Raises PortError."""
         if self._port is None:
             raise PortError(f"{self._spec.port} went away: {self._lost or 'it is closed'}")
         fd = self._port.fd

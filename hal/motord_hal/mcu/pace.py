@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How often frames go over a stream line: as the robot file says, and no more than its wire."""
+"""How often frames go over a stream line: the robot file's rate, limited by the wire."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.modbus.codec import frame_time_s
 
 WIRE_SHARE_MAX = 0.9
-"""The clocks of both ends differ: a wire that is full would fall behind more and more."""
+"""The clocks of both ends differ: on a full wire, frames would queue up more and more."""
 
 
 def wire_limit_hz(spec: LineSpec, wire_bytes: int) -> float:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modbus: the frames, and the RTU line that speaks them."""
+"""Modbus: the frames, and the RTU line."""

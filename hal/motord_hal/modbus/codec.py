@@ -53,7 +53,7 @@ class Function(IntEnum):
 
 
 class FrameError(ValueError):
-    """These bytes are not a frame of the kind that was looked for."""
+    """These bytes are not a frame of the expected kind."""
 
 
 class CrcError(FrameError):
@@ -90,7 +90,7 @@ class Request:
     address: int
     count: int = 0
     write_address: int = 0
-    """Only of READ_WRITE: where `values` go; `address` and `count` are what is read."""
+    """Only of READ_WRITE: the address of `values`; `address` and `count` are for the read."""
     values: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
@@ -144,8 +144,8 @@ def build_request(request: Request) -> bytes:
 
 
 def request_bytes(head: bytes) -> int | None:
-    """Length of the whole request that begins with these bytes; None: too few bytes to know it, or
-    a function that this codec does not know (FrameError)."""
+    """Length of the whole request that begins with these bytes; None: too few bytes. Raises
+    FrameError for an unknown function."""
     if len(head) < 2:
         return None
     function = head[1]
@@ -155,11 +155,11 @@ def request_bytes(head: bytes) -> int | None:
         return None if len(head) < 7 else 9 + head[6]
     if function == Function.READ_WRITE:
         return None if len(head) < 11 else 13 + head[10]
-    raise FrameError(f"function {function} is not spoken here")
+    raise FrameError(f"function {function} is not supported")
 
 
 def parse_request(frame: bytes) -> Request:
-    """The request in a whole frame. Raises CrcError, or FrameError for what is no request."""
+    """The request in a whole frame. Raises CrcError, or FrameError if it is not a request."""
     if len(frame) < 4:
         raise FrameError(f"{len(frame)} bytes are no frame")
     if not sealed(frame):
@@ -192,11 +192,11 @@ def _counted_words(frame: bytes, offset: int) -> tuple[int, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What a drive answered: words of a read, nothing of a write, or an exception code."""
+    """A drive's answer: the words of a read, nothing for a write, or an exception code."""
 
     values: tuple[int, ...] = ()
     exception: int | None = None
-    """No code of the standard is 0, but a drive may send it: a refusal like any other."""
+    """The standard has no code 0, but a drive may send it: a refusal like any other."""
 
 
 def reply_bytes(request: Request) -> int:
@@ -232,7 +232,7 @@ def build_exception(unit: int, function: int, code: int) -> bytes:
 
 def parse_reply(request: Request, frame: bytes) -> Reply:
     """The answer to exactly this request: unit, function, length, write echo and CRC all fit.
-    Raises CrcError or FrameError that says which of them does not."""
+    Raises CrcError or FrameError with the one that does not."""
     if len(frame) < EXCEPTION_BYTES:
         raise FrameError(f"{len(frame)} bytes are no reply")
     if not sealed(frame):
@@ -265,7 +265,7 @@ def frame_time_s(size_bytes: int, baudrate: int, parity: str, stop_bits: int) ->
 
 
 def silent_interval_s(baudrate: int, bits: int) -> float:
-    """Silence that must stand before a frame; `bits` of one character (see character_bits)."""
+    """Silence that is required before a frame; `bits` of one character (see character_bits)."""
     if baudrate > SILENT_FIXED_ABOVE_BAUDRATE:
         return SILENT_FIXED_S
     return SILENT_CHARACTERS * bits / baudrate

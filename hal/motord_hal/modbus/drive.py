@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One drive on the line: what it gets each cycle, what it reports, whether it is still there."""
+"""One drive on the line: what it gets each cycle, what it reports, whether it still responds."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PROBE_LIMIT_S = 2.0
 
 
 class Drive(AsyncioDrive[DrivePlan]):
-    """One unit. All that waits runs in the line's one task."""
+    """One unit. All its waiting runs in the line's one task."""
 
     def __init__(
         self, plan: DrivePlan, link: Link, exchange: Exchange, spec: LineSpec, say: Say
@@ -54,13 +54,13 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._probes: deque[Request] = deque()
         self._probes_at_once = 0
         self._usual_s = 0.0
-        """Twice the longest round trip of late: neighbours wait no longer for their stop."""
+        """Twice the longest recent round trip: other drives wait no longer for their stop."""
         self._asked_s = 0.0
-        """When it got the newest request that it has answered."""
+        """When it received the newest request that it has answered."""
         self._left_alone = False
         """Its watchdog has bitten since it was armed."""
         self._power_off_left: Sequence[Step] = ()
-        """What was not answered of a power-off at the end."""
+        """The steps of the final power-off that were not answered."""
 
     def __str__(self) -> str:
         return f"{', '.join(self.names)} (unit {self.plan.unit})"
@@ -124,13 +124,13 @@ class Drive(AsyncioDrive[DrivePlan]):
         raw = self.plan.setpoints(wanted)
         motion = self.plan.wants_motion(wanted)
         self.sent_motion |= motion
-        # made before a pause of the process, motion is not sent after it
+        # motion from before a pause of the process is not sent after it
         good_for_s = min(self._watchdog_s, self._setpoint_timeout_s + self.plan.slowest_cycle_s())
         send_by_s = now_s() + good_for_s if motion else math.inf
         armed = self.state is DriveState.ARMED
         directions = self.plan.directions(wanted, raw) if armed else {}
         for register, direction in directions.items():
-            # never a new magnitude in the old direction, also when the next frame is lost
+            # never a new magnitude in the old direction, even if the next frame is lost
             if direction not in (self._directions.get(register), self.plan.rests[register]):
                 await self._turn({register: self.plan.rests[register]})
         exchanges = self.plan.cyclic(raw)
@@ -139,11 +139,11 @@ class Drive(AsyncioDrive[DrivePlan]):
             await self._ask_cyclic(one, send_by_s if one.request.values else math.inf)
             if number == last_write:
                 self.sent_motion = motion
-                if self.state is DriveState.ARMED:  # and not disarmed meanwhile
+                if self.state is DriveState.ARMED:  # and it was not disarmed meanwhile
                     await self._turn(directions)
 
     async def _turn(self, directions: Mapping[str, int]) -> None:
-        """Send the directions that are not known to have arrived."""
+        """Send the directions whose arrival is not confirmed."""
         for register, direction in directions.items():
             if self._directions.pop(register, None) != direction:
                 await self._write({register: direction})
@@ -152,7 +152,8 @@ class Drive(AsyncioDrive[DrivePlan]):
                 self._last_directions[register] = direction
 
     def _check_setup(self) -> None:
-        """A drive whose power failed for a moment answers as before, without its watchdog."""
+        """Check its set-up: after a short power failure a drive answers as before, but without its
+        watchdog."""
         for step in self._kept:
             raw = self._values.get(step.register)
             if raw is not None and raw & step.mask != step.equals:
@@ -162,7 +163,7 @@ class Drive(AsyncioDrive[DrivePlan]):
                 return
 
     def _due_extra(self) -> ReadRange | None:
-        """One range that may wait; first of all the one that says whether the drive is enabled."""
+        """Read one range that may wait; first the one with the enabled state."""
         extra, enabled_place = self.plan.extra, self.plan.profile.enabled
         if enabled_place is not None and enabled_place.register not in self._values:
             telling = (
@@ -191,7 +192,7 @@ class Drive(AsyncioDrive[DrivePlan]):
         self.configure("the line has just been opened")
 
     def arming(self) -> Job:
-        """Zero in its set-point registers, its set-up still there, then the profile's own steps."""
+        """Zero in its set-point registers, a check of its set-up, then the profile's own steps."""
         return Job("arm", (*self.plan.zero_steps(), *self._kept, *self.plan.profile.arm))
 
     def _forget(self, error: HalError) -> None:
@@ -203,7 +204,7 @@ class Drive(AsyncioDrive[DrivePlan]):
     async def slot(self) -> None:
         """One exchange of the first job. Failures are counted, not raised; PortError passes."""
         job = self.jobs[0]
-        if job.done.done():  # its caller has gone
+        if job.done.done():  # its caller has given up
             self._drop(job)
             return
         try:
@@ -226,7 +227,7 @@ class Drive(AsyncioDrive[DrivePlan]):
             self._job_failed(job, error)
 
     def _job_refused(self, job: Job, error: Refused) -> None:
-        """It is there and will not: of a stop, the next write may do."""
+        """The drive answers and refuses. In a stop, the next write may still work."""
         if not job.urgent:
             self._job_failed(job, error)
             return
@@ -287,8 +288,8 @@ class Drive(AsyncioDrive[DrivePlan]):
         self.probe_at_s = now_s() + self._probe_pause_s()
 
     def _probe_requests(self) -> Iterable[Request]:
-        """It may receive though it sends nothing, and then follow its last set-point, as long as
-        questions keep its watchdog fed: so one that may turn is sent a stop."""
+        """A silent drive may still receive, and follow its last set-point as long as reads feed its
+        watchdog: so a drive that may turn gets a stop."""
         if self._may_turn:
             for step in self.plan.profile.quick_stop:
                 if step.value is not None:
@@ -300,7 +301,7 @@ class Drive(AsyncioDrive[DrivePlan]):
             yield ranges[0].request(self.plan.unit)
 
     def _probe_pause_s(self) -> float:
-        """None until each request was sent once."""
+        """None until each request of the power-off was sent once."""
         self._probes_at_once -= 1
         return 0.0 if self._probes_at_once >= 0 else self._backoff.next_s()
 
@@ -327,16 +328,16 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._forget_enabled()
 
     async def send_power_off(self) -> bool:
-        """As AsyncioDrive.send_power_off: all of it, whatever is not answered, for the drive may
-        receive though it sends nothing. The next time only what was not answered."""
+        """As AsyncioDrive.send_power_off: sends all of it even without answers, because a silent
+        drive may still receive. The next call sends only what was not answered."""
         self._powerless()
         steps = self._power_off_left or self.plan.profile.disarm
         self._power_off_left = [step for step in steps if await self._write_step(step) is not None]
         return not self._power_off_left
 
     async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
-        """As AsyncioDrive._write_now: from the one on that was not answered, and those before it
-        that were refused."""
+        """As AsyncioDrive._write_now: returns the steps from the first unanswered one on, and the
+        refused ones before it."""
         refused: list[Step] = []
         for number, step in enumerate(steps):
             error = await self._write_step(step)
@@ -347,8 +348,8 @@ class Drive(AsyncioDrive[DrivePlan]):
         return refused
 
     async def _write_step(self, step: Step) -> HalError | None:
-        """Returns why it has not got through. A drive that refuses a write is there, and gets the
-        others: only what it does not answer counts as a failure."""
+        """Returns the error, if any. A drive that refuses a write responds, and gets the other
+        writes: only a missing answer counts as a failure."""
         raw = {} if step.value is None else {step.register: step.value}
         try:
             for request in self.plan.writes(raw):

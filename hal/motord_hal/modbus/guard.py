@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""pymodbus behind a guard that believes nothing.
+"""pymodbus behind a guard that checks every byte.
 
-pymodbus 3.16 gives a late reply to the next request, takes short replies, wrong functions and
-wrong echoes for answers, loses a good reply behind a glitch byte and keeps no silent interval. So:
+pymodbus 3.16 gives a late reply to the next request, accepts short replies, wrong functions and
+wrong echoes, loses a good reply behind a glitch byte and keeps no silent interval. So:
 
-- the framer is armed with the one request that is out; only a frame that `codec.parse_reply` takes
-  for the answer to exactly this request is let through, wherever in the bytes it begins;
+- the framer has the one request in flight; only a frame that `codec.parse_reply` accepts as the
+  answer to exactly this request passes, wherever in the bytes it begins;
 - nothing is sent before the line was silent for the gap of the standard, counted from the last
   byte seen in either direction (MODBUS over Serial Line V1.02, 2.5.1.1);
-- a unit that failed to answer is left alone for one more reply time, so that its late reply falls
+- a unit that failed to answer gets no request for one more reply time, so that its late reply falls
   into the silence and not into the next request;
 - a broadcast is followed by the turn-around delay of the standard (2.4.1).
 
@@ -62,20 +62,21 @@ timer as delivered), and the event loop may be late by some milliseconds."""
 BROADCAST_TURNAROUND_S = 0.1
 """Serial Line V1.02, 2.4.1: 100 to 200 ms, typically."""
 NEVER_SILENT_S = 0.25
-"""A line on which bytes come for so long, unasked, has another master or a broken transceiver."""
+"""A line on which bytes come for so long without a request has another master or a broken
+transceiver."""
 URGENT_NOISE_S = 0.02
 URGENT_UNIT_S = 0.05
-"""An urgent request waits so much longer than its gap at a line that is never silent, and so long
-for a unit that is to be left alone. Then it goes out all the same: a stop that may collide is
-better than one that is never sent."""
+"""How long an urgent request waits beyond its gap on a line that is never silent, or for a unit
+that may still answer late. Then it goes out anyway: a stop that may collide is better than one that
+is never sent."""
 
-# One failing try is no line in the log: the line says once when a drive stops answering.
+# A failed try is not logged: the line reports once when a drive stops answering.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 
 @contextlib.contextmanager
 def keeping_cancellation() -> Iterator[None]:
-    """No cancellation gets lost in the block: pymodbus turns one into an exception of its own, and
+    """No cancellation gets lost in the block: pymodbus turns it into an exception of its own, and
     asyncio.wait_for, which it uses, drops one that meets the result (before Python 3.12)."""
     task = asyncio.current_task()
     cancels = task.cancelling() if task else 0
@@ -87,7 +88,7 @@ def keeping_cancellation() -> Iterator[None]:
 
 
 class Strict(FramerBase):
-    """Lets the answer to the armed request through and nothing else: what all media share."""
+    """Passes the answer to the current request and nothing else: the part that all media share."""
 
     def __init__(self) -> None:
         super().__init__(DecodePDU(is_server=False))
@@ -97,21 +98,21 @@ class Strict(FramerBase):
         self.refused = ""
         """Why the bytes that came are no answer; empty when none came."""
         self._kept = b""
-        """Left over for the next call: pymodbus hands it over once more, with what came then."""
+        """Bytes left for the next call: pymodbus passes them again, with the newer ones."""
 
     def arm(self, request: Request) -> None:
         self._request, self.reply, self.refused = request, None, ""
-        self._kept = b""  # pymodbus forgets it when it sends
+        self._kept = b""  # pymodbus drops it when it sends
 
     def unseen(self, data: bytes) -> bytes:
-        """What was not seen before of the bytes that the next call of handleFrame gets."""
+        """The new bytes among those that the next call of handleFrame gets."""
         return data.removeprefix(self._kept)
 
     def disarm(self) -> None:
         self._request = None
 
     def _accept(self, request: Request, frame: bytes) -> ModbusPDU | None:
-        """The answer as pymodbus wants it; None: there is none, and `refused` is the reason."""
+        """The answer for pymodbus; None: there is none, and `refused` is the reason."""
         try:
             self.reply = parse_reply(request, frame)
         except FrameError as error:
@@ -127,9 +128,9 @@ class Strict(FramerBase):
 class StrictFramer(Strict, FramerRTU):
     """RTU frames, wherever in the bytes they begin.
 
-    An adapter with echo brings each request before its reply; of function 6 both are alike.
-    Whether it does is known from the robot file, or from the newest read: then the first copy of a
-    write is no acknowledgement.
+    An adapter with echo returns each request before its reply; for function 6 both are equal.
+    Whether it echoes is known from the robot file, or from the newest read: if it does, the first
+    copy of a write is not an acknowledgement.
     """
 
     def __init__(self, echo: Echo = Echo.AUTO) -> None:
@@ -141,7 +142,7 @@ class StrictFramer(Strict, FramerRTU):
         self, data: bytes, exp_devid: int, exp_tid: int
     ) -> tuple[int, ModbusPDU | None]:
         """Called by pymodbus with all bytes not yet used; returns how many are used up."""
-        del exp_devid, exp_tid  # the armed request says more
+        del exp_devid, exp_tid  # the current request has all that is needed
         used, pdu = self._judge(data)
         self._kept = data[used:]
         return used, pdu
@@ -164,14 +165,14 @@ class StrictFramer(Strict, FramerRTU):
                         self._echoes = data[:begin].endswith(copy)
                     self.disarm()
                     return len(data), pdu
-        # Anything but a tail that may still grow into the answer is garbage.
+        # All but a tail that may still become the answer is garbage.
         self.refused = self.refused or f"{data.hex(' ')} is no answer"
         return max(0, len(data) - max(due, EXCEPTION_BYTES) - len(copy) + 1), None
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A reply and when: `stamp_ns` is the middle of the exchange, `round_trip_s` all of it."""
+    """A reply and its time: `stamp_ns` is the middle of the exchange, `round_trip_s` all of it."""
 
     values: tuple[int, ...]
     stamp_ns: int
@@ -225,21 +226,21 @@ class GuardedClient:
 
     async def open(self) -> None:
         """Open the port for ourselves alone. Raises PortError."""
-        # only a line with a port needs its libraries
+        # imported only here: only lines with a port need these libraries
         from motord_hal.serial.loop_port import LoopPort
 
         self.close()
         client = AsyncModbusSerialClient(
             self.port,
-            timeout=10.0,  # never met: every request has a deadline of its own, far below
+            timeout=10.0,  # never reached: every request has its own deadline, far below
             retries=0,
             reconnect_delay=0,
             trace_packet=self._trace_packet,
         )
         client.ctx.framer = self._framer
-        protocol = cast("asyncio.Protocol", client.ctx)  # it has what a protocol has
+        protocol = cast("asyncio.Protocol", client.ctx)  # it has the methods of a protocol
         self._port = LoopPort(device_file(self.port), *self._serial, protocol)
-        # the transport says so itself, but not before the event loop turns
+        # the transport reports this itself, but only in the next turn of the event loop
         protocol.connection_made(self._port.transport)
         self._client, self._lost = client, "went away"
         self._witness.forget()
@@ -249,7 +250,7 @@ class GuardedClient:
         self._unit_silent_until_s.clear()
 
     def close(self) -> None:
-        """Let the port go; nothing happens when it is not open."""
+        """Close the port; does nothing if it is not open."""
         if self._port is not None:
             self._port.let_go()
             self._port = None
@@ -281,7 +282,7 @@ class GuardedClient:
         urgent: bool = False,
     ) -> Answer:
         """Send and return the answer, `within_s` after the request's last byte. After `send_by_s`
-        it is not sent any more: NoReply. An urgent one stops a drive: no noise keeps it back.
+        it is not sent: NoReply. An urgent request stops a drive: noise does not delay it for ever.
 
         Raises NoReply, BadReply, Refused, PortError. A broadcast answers at once with nothing.
         """
@@ -372,7 +373,7 @@ class GuardedClient:
     def _leave_alone(self, request: Request, within_s: float) -> None:
         """After a failure or a cancellation: silence for one more reply time of this unit."""
         if self._port is not None and self._port.is_stuck:
-            self.close()  # a set-point that goes out later must not move anything
+            self.close()  # a set-point must not go out later and move a motor
             self._lost = "takes no bytes"
         self._late.failed(request)
         self._noise_bytes += self._received_bytes
@@ -384,8 +385,8 @@ class GuardedClient:
             self._unit_silent_until_s[request.unit] = max(now, sent + within_s) + within_s
 
     async def _wait_for_silence(self, unit: int, *, urgent: bool) -> None:
-        """Until the line was silent for the gap and no drive is to be left alone. Raises BadReply
-        when it is never silent; an urgent request is sent then."""
+        """Wait until the line was silent for the gap and no late reply is expected. Raises BadReply
+        if it is never silent; an urgent request is sent then."""
         asked_s = self._unit_silent_until_s.get(unit, 0.0)
         patience_s = NEVER_SILENT_S
         if urgent:
@@ -410,13 +411,13 @@ class GuardedClient:
         return Traffic(noise_bytes=self._noise_bytes, frames=self._frames, late=self._late.count)
 
     def unresponsive_hint(self) -> str:
-        """What the UART's driver has to say of a drive that is unresponsive; empty: nothing."""
+        """What the UART's driver counted, as a hint on an unresponsive drive; empty: nothing."""
         if self._port is None or not self.connected:
             return ""
         return self._witness.hint(self._port.fileno(), self._traffic)
 
     def _drain(self) -> None:
-        """Throw away what was not requested, and note when it came. Raises PortError."""
+        """Drop bytes that were not requested, and note when they came. Raises PortError."""
         if self._port is None or not self.connected:
             raise PortError(f"{self.port} is not open")
         self._witness.look(self._port.fileno(), self._traffic)

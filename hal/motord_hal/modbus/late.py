@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Replies that come after their time: a drive that is slow is not one that is silent, and what it
-sends is not noise."""
+"""Replies that come too late: a slow drive is not a silent drive, and its late reply is not
+noise."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ KEPT_BYTES = 512
 
 
 class LateReplies:
-    """Remembers of each unit the newest request that was not answered in time, and counts the
-    answers that came later. It only counts: no late reply is ever an answer."""
+    """Keeps the newest request of each unit that was not answered in time, and counts late answers.
+    It only counts: a late reply is never used as an answer."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -30,25 +30,25 @@ class LateReplies:
         self._bytes = b""
 
     def forget(self) -> None:
-        """The port is another one."""
+        """The port was opened again."""
         self.count, self._bytes = 0, b""
         self._owed.clear()
 
     def sent(self) -> None:
-        """A request goes out: what came before it belongs to none after it."""
+        """A request goes out: bytes before it do not belong to it or to later ones."""
         self._bytes = b""
 
     def came(self, data: bytes) -> None:
-        """Bytes of any drive, or noise."""
+        """Bytes came, from a drive or noise."""
         self._bytes = (self._bytes + data)[-KEPT_BYTES:]
 
     def answered(self, request: Request) -> None:
-        """Whatever this unit owed before: an answer to it may look like this one."""
+        """The unit has answered: forget its older requests, whose answers may look the same."""
         self._owed.pop(request.unit, None)
         self.look()
 
     def failed(self, request: Request) -> None:
-        """From now on its answer is late. A single write has none that differs from its echo."""
+        """From now on its answer is late. The answer to a single write equals its echo."""
         self.look()
         if request.unit != BROADCAST_UNIT and request.function is not Function.WRITE_SINGLE:
             self._owed[request.unit] = request
@@ -66,7 +66,7 @@ def _holds(data: bytes, request: Request) -> bool:
 
 
 def _frames(data: bytes, request: Request) -> Iterator[bytes]:
-    """Whatever may be the answer, by unit and length."""
+    """Every place where the answer may be, by unit and length."""
     for begin in (place for place, byte in enumerate(data) if byte == request.unit):
         for size in (reply_bytes(request), EXCEPTION_BYTES):
             if begin + size <= len(data):

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Modbus RTU line on asyncio: one task owns the port and goes round the drives.
+"""The Modbus RTU line on asyncio: one task owns the port and serves the drives in turn.
 
 A cycle: every drive in turn gets the newest set-points and is read; then one acyclic slot, for one
 exchange of one job (configure, arm, disarm, clear) or one probe of an unresponsive drive. So a dead
-drive costs its neighbours one reply deadline now and then, and a job costs them one exchange a
-cycle.
+drive costs the others one reply deadline at times, and a job costs them one exchange a cycle.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from motord_hal.modbus.timing import line_gap_s
 from motord_hal.realtime.exchange import Exchange
 
 SLOT_ALLOWANCE_S = 0.1
-"""On top of the slowest cycle: lost replies of this drive or of its neighbours."""
+"""Allowance beyond the slowest cycle: lost replies of this drive or of others."""
 
 
 class ModbusRtuLine(AsyncioLine[Drive]):
@@ -79,7 +78,7 @@ class ModbusRtuLine(AsyncioLine[Drive]):
         self._link.client.close()
 
     def _look(self) -> None:
-        """Nothing comes that was not asked for."""
+        """Does nothing: bytes come only after requests."""
 
     async def _cycle(self) -> None:
         for drive in self._drives:

@@ -16,7 +16,7 @@ _KINDS = ((NoReply, "no_reply"), (BadReply, "bad_reply"), (Refused, "refused"), 
 
 
 class Link:
-    """What drives send and receive through."""
+    """The port through which drives send and receive."""
 
     def __init__(self, client: GuardedClient) -> None:
         self.client = client

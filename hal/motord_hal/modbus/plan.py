@@ -30,7 +30,7 @@ from motord_hal.modbus.codec import (
 EXTRA_EVERY_CYCLES = 4
 """Current, voltage, temperature and the like: one range of them every so many cycles."""
 _REQUEST_OVERHEAD_BYTES = 13
-"""A read request (8) and what a reply carries beside its words (5)."""
+"""Bytes of a read request (8) and of a reply without its words (5)."""
 
 WireTime = Callable[[int], float]
 """Frame length in bytes → seconds on the wire."""
@@ -63,7 +63,7 @@ class CyclicExchange:
 
     request: Request
     reads: ReadRange | None
-    """What its reply says; None: nothing."""
+    """The registers in its reply; None: none."""
 
 
 def wanted_registers(
@@ -103,7 +103,7 @@ class DrivePlan(Plan):
         """Direction register → the value that means neither direction."""
 
     def _merge(self, wanted: list[Register]) -> list[ReadRange]:
-        """Few requests: a hole of known registers is read along where that is faster."""
+        """As few requests as possible: a gap of known registers is read too if that is faster."""
         ranges: list[list[Register]] = []
         for register in sorted(wanted, key=lambda r: r.address):
             if ranges and self._joins(ranges[-1], register):
@@ -180,8 +180,8 @@ class DrivePlan(Plan):
         )
 
     def zero_steps(self) -> tuple[Step, ...]:
-        """Writes that leave zero in the set-point registers, or the place where the motor is, one
-        by one, and let the drive know."""
+        """Writes that set the set-point registers to zero, or to the motor's position, one by one,
+        and trigger them."""
         channels = [self.channel(joint) for joint in self.joints]
         zeros = [Step(register=one.setpoint, value=0) for one in channels]
         if self.profile.goes_to_positions:
@@ -217,8 +217,8 @@ class DrivePlan(Plan):
 
     def cycle_time_s(self) -> float:
         """Wire time of one mean cycle: two gaps an exchange (before the request, and what a drive
-        must let pass before it answers), set-points and fast ranges always, an extra one now and
-        then."""
+        must let pass before it answers), set-points and fast ranges always, an extra one at
+        times."""
         cyclic = self.cyclic(self.setpoints({}))
         time_s = sum(self._exchange_time_s(exchange.request) for exchange in cyclic)
         if self.extra:

@@ -2,10 +2,10 @@
 """The same guard (guard.py) for drives behind a gateway in the network: Modbus TCP, or RTU frames
 through a serial server.
 
-What TCP adds: a reply names the transaction that it belongs to, so one that comes late differs from
-the next (MODBUS Messaging on TCP/IP Implementation Guide V1.0b, 3.1.3). And what the network has
-not taken at once it may deliver much later: requests that are stuck are thrown away with their
-connection, so that no old set-point ever reaches a drive.
+What TCP adds: a reply has the number of its transaction, so a late one differs from the next
+(MODBUS Messaging on TCP/IP Implementation Guide V1.0b, 3.1.3). And the network may deliver a
+request much later: a request that is stuck is dropped with its connection, so that no old set-point
+ever reaches a drive.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ CONNECT_WITHIN_S = 2.0
 NETWORK_ALLOWANCE_S = 0.05
 """Added to every reply deadline: there and back, and the gateway's own work."""
 DELIVERED_WITHIN_S = 0.5
-"""A gateway acknowledges what it got; many wait for 0.2 s with that."""
+"""A gateway acknowledges what it got; many do so only after 0.2 s."""
 LOOK_EVERY_S = 0.002
 SILENT_S = 5.0
-"""A gateway that has answered nothing for so long may have forgotten the connection: a new one."""
+"""A gateway that was silent for so long may have lost the connection: open a new one."""
 _HEADER_BYTES = 7
 _LENGTH_MAX = 254
 """Unit and PDU: Implementation Guide V1.0b, 3.1.3, and Application Protocol V1.1b3, 4.1."""
 _UNREAD_MAX = 4096
-"""Of a gateway that has one request to answer at a time: its own answer, and some late ones."""
+"""A gateway has one request at a time to answer: room for its answer and some late ones."""
 _SHOWN_BYTES = 16
 _GATEWAY_EXCEPTIONS = (10, 11)
-"""V1.1b3, 7: the gateway itself says that its drive is not to be had."""
+"""V1.1b3, 7: the gateway reports that it does not reach the drive."""
 
 
 class StrictTcpFramer(Strict, FramerSocket):
@@ -62,19 +62,19 @@ class StrictTcpFramer(Strict, FramerSocket):
         super().__init__()
         self._buffer = b""
         self.lost = ""
-        """Why it is not known any more where frames begin: what came is no Modbus TCP."""
+        """Why frames cannot be found any more: the bytes are not Modbus TCP."""
 
     def handleFrame(  # noqa: N802  # pymodbus's name
         self, data: bytes, exp_devid: int, exp_tid: int
     ) -> tuple[int, ModbusPDU | None]:
         """Called by pymodbus with all bytes not yet used; returns how many are used up."""
-        del exp_devid  # the armed request says it
+        del exp_devid  # the current request has it
         if len(data) > _UNREAD_MAX:
             self._lose(f"{len(data)} bytes at once are no Modbus TCP")
         if self.lost:
             return len(data), None
-        # pymodbus forgets the first half of a late reply when it sends: kept here, so that the
-        # other half is not taken for the beginning of a frame
+        # pymodbus drops the first half of a late reply when it sends: kept here, so that the other
+        # half is not read as the beginning of a frame
         self._buffer += data
         found = None
         while found is None and len(self._buffer) >= _HEADER_BYTES:
@@ -99,7 +99,7 @@ class StrictTcpFramer(Strict, FramerSocket):
         if request is None or not expected or request.unit == BROADCAST_UNIT:
             return None
         pdu = self._accept(request, seal(body))
-        self.disarm()  # a transaction has one answer
+        self.disarm()  # only one answer belongs to a transaction
         return pdu
 
 
@@ -133,7 +133,7 @@ class GatewayClient(GuardedClient):
             trace_packet=self._trace_packet,
         )
         client.ctx.framer = framer
-        # pymodbus throws away what is more than a frame without a word; the framer judges it
+        # pymodbus silently drops what is longer than a frame; the framer judges it
         client.ctx.max_buffer_size = sys.maxsize
         with contextlib.ExitStack() as undo:
             undo.callback(client.close)
@@ -170,7 +170,7 @@ class GatewayClient(GuardedClient):
         return transport.get_extra_info("socket") if transport else None
 
     def _undelivered(self) -> bool:
-        """Whether bytes of a request are still on this side of the network."""
+        """Whether bytes of a request still wait on this computer."""
         transport, link = self._transport(), self._socket()
         if transport is None or link is None or link.fileno() < 0:
             return False
@@ -178,7 +178,7 @@ class GatewayClient(GuardedClient):
         return bool(transport.get_write_buffer_size() or any(unacknowledged))
 
     def close(self) -> None:
-        """As GuardedClient.close; what was not sent yet never will be."""
+        """As GuardedClient.close; bytes that were not sent are dropped."""
         if (transport := self._transport()) is not None:
             transport.abort()
         super().close()
@@ -190,8 +190,8 @@ class GatewayClient(GuardedClient):
         return data
 
     async def _wait_for_silence(self, unit: int, *, urgent: bool) -> None:
-        """Until the request before has arrived, too. Raises PortError when it does not. For an
-        urgent one a connection that is of no use any more is made anew."""
+        """Wait until the request before has arrived, too. Raises PortError if it does not. An
+        urgent request opens a new connection in place of a stuck one."""
         if now_s() - self._silent_since_s > SILENT_S:
             await self.open()
         try:

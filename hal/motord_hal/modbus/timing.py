@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The silent interval of a line: as the robot file says, else as its most demanding drive needs."""
+"""The silent interval of a line: from the robot file, else the longest that a drive needs."""
 
 from __future__ import annotations
 

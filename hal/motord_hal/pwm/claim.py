@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One owner for a channel: two programs that write the same pin would each undo what the other
-one says of a motor.
+"""One owner for a channel: two programs that write the same pin would undo each other's commands.
 
-Sources: flock(2): the kernel lets go when the owner ends, however it ends; proc_locks(5).
+Sources: flock(2): the kernel releases the lock when the owner ends, however it ends; proc_locks(5).
 """
 
 from __future__ import annotations
@@ -15,11 +14,11 @@ PROC = Path("/proc")
 
 
 class Taken(OSError):
-    """A living program has it; the text names it, where that can be seen."""
+    """A running program holds it; the text names the program if that can be read."""
 
 
 def claim(fd: int, proc: Path = PROC) -> None:
-    """For the holder of this descriptor, until it is closed. Raises Taken, OSError."""
+    """Lock the channel until this descriptor is closed. Raises Taken, OSError."""
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
@@ -28,8 +27,7 @@ def claim(fd: int, proc: Path = PROC) -> None:
 
 
 def owner_of(fd: int, proc: Path = PROC) -> str:
-    """The program that has locked this file, as "program (pid N)"; empty where that cannot be
-    seen."""
+    """The program that has locked this file, as "program (pid N)"; empty if that cannot be read."""
     status = os.fstat(fd)
     device = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
     try:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motor bridges on pins of this machine. A thread in C writes the pins and obeys the set-points;
-here pins are opened, requests handed on, and what changes is reported."""
+"""Motor bridges on pins of this machine. A thread in C writes the pins by the set-points; this
+module opens pins, passes requests on and reports changes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from motord_hal.realtime.pwm import (
 )
 
 STOPPING_S = 0.3
-"""A quick stop brakes for so long, then the power goes off."""
+"""A quick stop brakes for this time, then the power goes off."""
 OBEYED_WITHIN_S = 1.0
 LOOK_EVERY_S = 0.005
 WATCH_EVERY_S = 0.05
@@ -49,8 +49,8 @@ FAULT_WORDS = ("the bridge reports a fault",)
 
 
 class PwmLine(LineTask):
-    """ports.Line for `kind = "pwm"`, engine "rt". Nothing shows whether a bridge is there: its
-    drives are as present as their pins are."""
+    """ports.Line for `kind = "pwm"`, engine "rt". Nothing shows whether a bridge is connected: a
+    drive counts as present while its pins are open."""
 
     def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
         super().__init__(spec, listener)
@@ -64,7 +64,7 @@ class PwmLine(LineTask):
         self._thread = BridgeThread(spec.index, exchange)
         self._pins: OpenPins | None = None
         self._was_armed = False
-        """By `arm`, and its end has not been reported yet."""
+        """Armed by `arm`; the end of that has not been reported yet."""
         self._faults: dict[str, tuple[str, ...]] = dict.fromkeys(self._names, ())
         self._stats = LineStats()
         self._epoch = 0
@@ -92,7 +92,7 @@ class PwmLine(LineTask):
         return dict(self._faults)
 
     def stats(self) -> LineStats:
-        """As ports.Line.stats. An exchange is a write to pins; what is never late has no limit."""
+        """As ports.Line.stats. An exchange is a write to pins; there is no limit for late ones."""
         if self._pins is not None:
             report = self._thread.report()
             self._stats.exchanges, self._stats.cycles = report.writes, report.cycles
@@ -117,7 +117,7 @@ class PwmLine(LineTask):
             await super().run()
 
     def _counting_boards(self) -> Iterator[CountingBoard]:
-        """One for each port that encoders of this line hang on."""
+        """One for each port with encoder boards of this line."""
         by_port: dict[str, dict[int, int]] = {}
         encoders: dict[str, BoardEncoder] = {}
         for place, joint in enumerate(self.spec.joints):
@@ -175,7 +175,7 @@ class PwmLine(LineTask):
         )
 
     async def _work(self) -> None:
-        """Say what changes, until the pins are gone."""
+        """Report changes, until the pins are lost."""
         self._backoff.reset()
         self._say_all(EventKind.DRIVE_READY, f"{', '.join(self._names)}: no power")
         if self._pins is not None and self._pins.doubt:
@@ -227,7 +227,7 @@ class PwmLine(LineTask):
             self._say_all(EventKind.DRIVE_WARNING, text)
 
     async def _shut_down(self) -> None:
-        """Brake, then no power; the thread's last words are those in any case."""
+        """Brake, then no power; the thread ends without power in any case."""
         self._thread.request_mode(BridgeMode.STOP)
         until_s = now_s() + STOPPING_S + OBEYED_WITHIN_S / 10
         await asyncio.sleep(2 / self.spec.cycle_hz)
@@ -298,11 +298,11 @@ class PwmLine(LineTask):
                 raise DriveFault(f"{name} reports {', '.join(words)}")
 
     async def read_register(self, joint: str, register: str) -> float:
-        """There is none that can be read."""
+        """Raises LookupError: no register can be read."""
         raise LookupError(f"{self._profile_of(joint).name} has no register to read: {register}")
 
     async def write_register(self, joint: str, register: str, value: float) -> float:
-        """There is none that a person may write."""
+        """Raises LookupError: no register can be written."""
         del value
         raise LookupError(f"{self._profile_of(joint).name} has no register to write: {register}")
 
@@ -314,4 +314,4 @@ class PwmLine(LineTask):
 
     def _check_open(self) -> None:
         if not self._is_open:
-            raise PortError(f"{self.spec.name} has not got its pins")
+            raise PortError(f"{self.spec.name}: its pins are not open")

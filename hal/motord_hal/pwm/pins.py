@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From the pins that a robot file names to open channels and GPIO lines, or an error that names the
-joint, the pin and what helps."""
+joint, the pin and the remedy."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def place_of(number: int, joint: JointSpec, pin: str, where: str) -> Place:
     inverted, bare = where.startswith("!"), where.removeprefix("!")
     channel = _CHANNEL.fullmatch(bare)
     if not bare:
-        raise ValueError(f"pin {pin} is nowhere")
+        raise ValueError(f"pin {pin} has no channel or line")
     purpose = f"joint {joint.name}, pin {pin}"
     at = int(channel.group(1)) if channel else None
     return Place(number, pin, purpose, at, "" if channel else bare, inverted)
@@ -85,7 +85,7 @@ def place_of(number: int, joint: JointSpec, pin: str, where: str) -> Place:
 
 def places_of(number: int, joint: JointSpec) -> list[Place]:
     """All pins of a bridge. Raises ValueError for one that is missing, unknown or cannot do what
-    the bridge needs. One that only gives power may be left out, if it is wired so for ever."""
+    the bridge needs. A pin that only gives power may be left out, if it is wired permanently."""
     bridge = bridge_of(joint)
     unknown = set(joint.pins) - {*bridge.levels, FAULT, PUMP}
     if unknown:
@@ -110,14 +110,14 @@ def places_of(number: int, joint: JointSpec) -> list[Place]:
 
 
 def may_be_left_out(bridge: Bridge, pin: str) -> bool:
-    """Pins that only say whether the bridge has power may be wired to it for ever."""
+    """Pins that only switch the bridge's power may be wired permanently."""
     driven = [bridge.levels[pin][mode] for mode in ("brake", "forward", "reverse")]
     return all(level == (1.0, 0.0) for level in driven)
 
 
 def lines_take_power(joint: JointSpec) -> bool:
-    """Whether its GPIO lines end motion by themselves at COAST: they are neither as forward nor as
-    backward then. Those of PWM and DIR are, and only give the direction."""
+    """Whether its GPIO lines end motion by themselves at COAST: their levels then differ from
+    forward and from backward. Those of PWM and DIR do not differ: they only give the direction."""
     bridge = bridge_of(joint)
     lines = [
         bridge.levels[place.pin]
@@ -132,13 +132,13 @@ def lines_take_power(joint: JointSpec) -> bool:
 
 @dataclass(slots=True)
 class OpenPins:
-    """All pins of a line. The descriptors are this object's."""
+    """All pins of a line. This object owns the descriptors."""
 
     pins: list[Pin] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
-    """What each of them is for."""
+    """The purpose of each of them."""
     fault_masks: list[int] = field(default_factory=list)
-    """By joint's place: of the inputs."""
+    """Masks of the inputs, by the joint's place."""
     low_inputs: int = 0
     """Inputs that are active when they are low."""
     outputs_fd: int = -1
@@ -147,10 +147,11 @@ class OpenPins:
     encoders: list[EncoderConfig | None] = field(default_factory=list)
     """By joint's place."""
     doubt: str = ""
-    """Why pulses may not reach the pins, in a sentence; empty: there is no reason."""
+    """Why pulses may not reach the pins, in a sentence; empty: no reason is known."""
 
     def close(self) -> list[str]:
-        """The thread has let them rest. Returns which pulses could not be ended, in words."""
+        """Close them after the thread has brought them to rest. Returns which pulses could not be
+        ended, in words."""
         problems = []
         for name, channel in zip(self.names, self.channels, strict=False):  # lines come after them
             try:
@@ -167,8 +168,8 @@ class OpenPins:
 
 
 async def open_pins(spec: LineSpec) -> OpenPins:
-    """Raises PortError, ProfileError; nothing stays open then. A motor may be turning still, as a
-    dead program left it: what can be brought to rest is, also where something else is missing."""
+    """Raises PortError, ProfileError; nothing stays open then. A motor may still turn if a program
+    was killed: every pin that can be brought to rest is, even if others are missing."""
     try:
         return await _open_all(spec)
     except PortError as error:
@@ -188,7 +189,7 @@ async def _open_all(spec: LineSpec) -> OpenPins:
         _open_inputs(spec, opened, inputs)
         for joint in spec.joints:
             opened.encoders.append(_open_encoder(spec, joint))
-        # a channel may be running still: it rests before a line can give another direction
+        # a channel may still run: it rests before a line can give another direction
         await _open_channels(spec, opened, [place for place in places if place.channel is not None])
         _open_outputs(spec, opened, lines)
         undo.pop_all()
@@ -292,10 +293,10 @@ def _allow_software(spec: LineSpec, places: list[Place]) -> None:
 
 
 async def rest_pins(spec: LineSpec) -> list[str]:
-    """Every pin to no power, whatever another one says; then they are let go. Channels first, all
-    at once; the lines also where no caller waits for the channels any more. Returns what could not
-    be done, in words. A motor whose pulses go on is not turned: those of its direction stay as
-    they are. Raises ProfileError."""
+    """Set every pin to no power, even if another one fails; then release them. Channels first, all
+    at once; lines even if the caller has given up on the channels. Returns what could not be done,
+    in words. While the pulses of a motor go on, its direction pins stay as they are.
+    Raises ProfileError."""
     places = _places(spec)
     channels = [place for place in places if place.channel is not None]
     problems: list[str] = []
@@ -323,8 +324,8 @@ async def _rest_channel(spec: LineSpec, chip: Path, place: Place, driven: set[Pl
 
 
 def _rest_lines(spec: LineSpec, places: list[Place], driven: set[int]) -> list[str]:
-    """All at once; where one is busy or missing, those that can be had. `driven`: joints whose
-    pulses may go on."""
+    """All at once; if one is busy or missing, the others. `driven`: joints whose pulses may go
+    on."""
     lines = [
         place
         for place in places
@@ -358,16 +359,16 @@ def _rest_lines(spec: LineSpec, places: list[Place], driven: set[int]) -> list[s
 def split_for_rest(
     spec: LineSpec, lines: list[Place], driven: set[int]
 ) -> tuple[list[Place], list[list[Place]]]:
-    """Lines that may rest one by one, then those that may only together, when the ones before have.
-    The latter are of a joint that is driven: two lines that hold it braked would pass through a
-    direction, and one that gives the direction would turn it."""
+    """First lines that may rest one by one, then those that may only rest together. The latter
+    belong to a joint that is driven: two lines that brake it would pass through a direction, and a
+    direction line would reverse it."""
     alone = [place for place in lines if place.joint not in driven or _takes_power(spec, place)]
     others = ([p for p in lines if p.joint == joint and p not in alone] for joint in sorted(driven))
     return alone, [group for group in others if group]
 
 
 def _takes_power(spec: LineSpec, place: Place) -> bool:
-    """Whether the line ends motion by itself: at COAST it is as in neither direction."""
+    """Whether the line ends motion by itself: its level at COAST differs from both directions."""
     levels = {mode: base >= 0.5 for mode, (base, _) in _levels(spec, place).items()}
     return place.pin == PUMP or levels["coast"] not in (levels["forward"], levels["reverse"])
 

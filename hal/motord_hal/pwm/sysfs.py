@@ -39,14 +39,14 @@ class Channel:
     rests_low: bool = True
 
     def close(self) -> None:
-        """No pulses, then let it go. The channel's last value is the caller's care. One that
-        rests high stays enabled: disabled it would be low, and an active-low pin have power. Raises
-        PortError where pulses may go on; also then it is let go."""
+        """End its pulses, then release it. The caller sets the last value. A channel that rests
+        high stays enabled: disabled it would be low, and an active-low pin would have power. Raises
+        PortError if pulses may go on; it is released then, too."""
         try:
             if self.rests_low:
                 (self.folder / "enable").write_text("0")
         except OSError as error:
-            if error.errno not in (errno.ENODEV, errno.ENOENT):  # gone, and its pulses with it
+            if error.errno not in (errno.ENODEV, errno.ENOENT):  # gone, and its pulses too
                 raise PortError(f"{self.folder}: enable: {error.strerror}") from error
         finally:
             os.close(self.duty_fd)
@@ -115,8 +115,8 @@ async def _until_writable(folder: Path) -> None:
 
 
 def _set_up(folder: Path, period_ns: int, rest_ns: int) -> None:
-    """A channel may be running still, as its last user left it: first its pulses end. One that
-    rests high stays as high meanwhile as the old and the new period let it be."""
+    """A channel may still run as its last user left it: first its pulses end. A channel that rests
+    high stays as high meanwhile as the old and the new period allow."""
     old_ns = int((folder / "period").read_text())
     if old_ns > 0 and rest_ns > 0:
         (folder / "duty_cycle").write_text(str(min(old_ns, period_ns)))

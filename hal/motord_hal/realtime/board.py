@@ -29,28 +29,29 @@ from motord_hal.realtime.thread import (
 
 
 class BoardClock:
-    """A board's clock on ours, csrc/fieldbus/board/board_clock.c: what waited in a buffer
-    is as old as it is."""
+    """A board's clock on ours, csrc/fieldbus/board/board_clock.c: time in a buffer counts as
+    age."""
 
     def __init__(self) -> None:
         self._clock = ffi.new("board_clock *")
 
     def stamp_ns(self, time_us: int, came_ns: int) -> int:
         """When a frame with the board's time `time_us` (32 bits) was made; never after it came. Not
-        later than the stamp before: it is no news, and the next one will hold what it held."""
+        later than the stamp before: the frame adds nothing, and the next one has the same
+        content."""
         return int(lib.board_clock_stamp(self._clock, time_us, came_ns))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardDriveReport(OrderedDriveReport):
-    """The board, as its thread sees it; `cycles`: feedback that the core was given."""
+    """The thread's report of the board; `cycles`: feedback that the core got."""
 
     knows: bool
-    """Its newest report is from after it had received all that was written to it."""
+    """Its newest feedback was made after it had received all writes."""
     received_ns: int
     """0: never."""
     payload: bytes
-    """Of its newest report; empty: none has come since it was unresponsive, or ever."""
+    """Of its newest feedback; empty: none has come since it was unresponsive, or ever."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,7 +104,7 @@ class BoardThread(LineThreadHandle):
 
     @property
     def ordered(self) -> int:
-        """Orders since the start; the report says what has become of them."""
+        """Orders since the start; the report has their results."""
         return self._ordered
 
     def report(self) -> BoardReport:

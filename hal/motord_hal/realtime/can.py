@@ -90,7 +90,7 @@ class CanThread(LineThreadHandle):
         self._ordered = [0] * self._drives
 
     def listen(self, drive: int, *, wanted: bool) -> None:
-        """Whether the frames of a drive are handed on to `take`."""
+        """Set whether `take` gets the frames of a drive."""
         bit = 1 << drive
         self._control.listen = self._control.listen & ~bit | bit * wanted
         self._put_control()
@@ -104,7 +104,7 @@ class CanThread(LineThreadHandle):
         return True
 
     def ordered(self, drive: int) -> int:
-        """Orders for a drive since the start; the report says what has become of them."""
+        """Orders for a drive since the start; the report has their results."""
         return self._ordered[drive]
 
     def take(self) -> Received | None:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every drive has, whatever its medium and its engine. The rules of when it has to stop are in
-csrc/base/drive_state.c; lines in C and lines in asyncio call them."""
+"""The state of a drive on any medium and engine. The rules for when it has to stop are in
+csrc/base/drive_state.c; lines in C and in asyncio call them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from _motord_rt import ffi, lib
 
 STOPPING_WITHIN_S: float = lib.DRIVE_STOPPING_NS * 1e-9
-"""After a quick stop the power stays on until the wheels are at rest, so long at most."""
+"""After a quick stop the power stays on until the wheels are at rest, at most this long."""
 
 
 class Mode(enum.IntEnum):
@@ -36,7 +36,7 @@ class FaultReason(enum.IntFlag):
 
 
 class Stop(enum.IntEnum):
-    """What has to be sent to a drive because a rule demands it."""
+    """The stop that a rule demands for a drive."""
 
     NOTHING = lib.STOP_NOTHING
     QUICK = lib.STOP_QUICK
@@ -44,25 +44,25 @@ class Stop(enum.IntEnum):
 
 
 def left_alone(last_s: float, now_s: float, watchdog_s: float) -> bool:
-    """It last got something at `last_s`, and its watchdog has bitten since. Infinity: it has
-    none."""
+    """Whether its watchdog has bitten since `last_s`, when it last got something. Infinity: it has
+    no watchdog."""
     watchdog_ns = round(watchdog_s * 1e9) if math.isfinite(watchdog_s) else 0
     return bool(lib.drive_left_alone(round(last_s * 1e9), round(now_s * 1e9), watchdog_ns))
 
 
 class EarlyShare:
-    """Of a line: set-points that are sent before their cycle, because they are new."""
+    """How often a line may send new set-points before their cycle."""
 
     def __init__(self) -> None:
         self._early_ns: Any = ffi.new("int64_t *")
 
     def take(self, period_s: float, now_ns: int) -> bool:
-        """Whether some may be; they are counted."""
+        """Whether it may now; if so, it is counted."""
         return bool(lib.may_be_early(self._early_ns, round(period_s * 1e9), now_ns))
 
 
 class LastPowerOff:
-    """Of a line whose medium confirms nothing. Monotonic times."""
+    """The last power-off, on a medium that confirms nothing. Monotonic times."""
 
     def __init__(self) -> None:
         self._off: Any = ffi.new("drive_last_off *")
@@ -72,7 +72,7 @@ class LastPowerOff:
         return bool(self._off.first_ns)
 
     def sent(self, now_ns: int, *, suffices: bool) -> None:
-        """It went out. `suffices`: of the first one, that nothing has to confirm it."""
+        """It went out. `suffices`: the first one needs no confirmation."""
         if not self._off.first_ns:
             self._off.first_ns, self._off.suffices = now_ns, suffices
         self._off.newest_ns = now_ns
@@ -80,14 +80,14 @@ class LastPowerOff:
     def is_confirmed(
         self, *, reports_enabled: bool, enabled: bool | None, received_ns: int
     ) -> bool:
-        """By what the drive reports; where it does not report its power, by its newest word."""
+        """By the drive's report of its power; without one, by its newest frame."""
         number = 2 if enabled is None else int(enabled)
         return bool(lib.drive_is_off(self._off, reports_enabled, number, received_ns))
 
 
 class DriveRules:
-    """The state of one drive of a line in asyncio, judged by the rules in C. Each method that
-    returns a Stop leaves it to the caller to send that."""
+    """The state of one drive of a line in asyncio, judged by the rules in C. The caller sends the
+    Stop that a method returns."""
 
     def __init__(self) -> None:
         self._state: Any = ffi.new("drive_state *")
@@ -109,7 +109,7 @@ class DriveRules:
 
     @property
     def is_stopping(self) -> bool:
-        """A quick stop was begun, and its power has not been taken since."""
+        """A quick stop has begun, and no power-off has followed yet."""
         return bool(self._state.stopping)
 
     @property
@@ -123,8 +123,8 @@ class DriveRules:
         self._state.sent_motion = value
 
     def request(self, mode: Mode, *, fresh: bool = False, enabled_count: int = 0) -> Stop:
-        """As drive_obey in C: what cannot be is not done. For ARMED: whether the set-points are
-        `fresh`, and their `enabled_count` when its arming began."""
+        """As drive_obey in C: a request that is not possible changes nothing. For ARMED: whether
+        the set-points are `fresh`, and their `enabled_count` when its arming began."""
         self._request.count += 1
         self._request.mode = mode
         self._view.fresh, self._view.enabled_count = fresh, enabled_count
@@ -135,14 +135,14 @@ class DriveRules:
         return bool(lib.drive_may_move(self._state, fresh, enabled))
 
     def has_to_rest(self, *, wants_motion: bool) -> bool:
-        """Zero goes out at once, and does not wait for its cycle."""
+        """Whether zero has to go out at once, before its cycle."""
         return bool(lib.drive_has_to_rest(self._state, wants_motion))
 
     def unresponsive(self) -> None:
         lib.drive_unresponsive(self._state)
 
     def answers(self) -> Stop:
-        """It was unresponsive, and is not any more."""
+        """It was unresponsive, and answers again."""
         return Stop(lib.drive_answers(self._state))
 
     def lost_setup(self) -> Stop:
@@ -151,7 +151,7 @@ class DriveRules:
     def guard(
         self, now_ns: int, *, fresh: bool, left_alone: bool, enabled: bool, enabled_count: int
     ) -> Stop:
-        """What the newest set-points demand, and a watchdog that has bitten."""
+        """The stop that the newest set-points, or a watchdog that has bitten, demand."""
         view = self._view
         view.now_ns, view.fresh, view.left_alone = now_ns, fresh, left_alone
         view.enabled, view.enabled_count = enabled, enabled_count
@@ -168,6 +168,6 @@ class DriveRules:
         return Stop(lib.drive_end_stopping(self._state, at_rest, now_ns))
 
     def check_power(self, enabled: bool | None, tries: int, *, settled: bool) -> Stop:
-        """What its own word demands. `settled`: it is not being armed."""
+        """The stop that its own report demands. `settled`: it is not being armed."""
         self._state.enabled = 2 if enabled is None else enabled
         return Stop(lib.drive_check_power(self._state, tries, settled))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lines' interface to the C core: the clock, and the mailboxes between lines and loop.
 
-Newest wins in each mailbox; a put never waits, and a take gives the newest value whether it is new
+In each mailbox the newest value wins; a put never waits, and a take returns the newest value, new
 or not. The meaning of each field is in csrc/api/api.h.
 """
 
@@ -24,17 +24,17 @@ LINES_MAX: int = lib.LINES_MAX
 _U32 = 0xFFFF_FFFF
 _U64 = 0xFFFF_FFFF_FFFF_FFFF
 _UNKNOWN = 2
-"""Of what a drive may say of itself: csrc/api/api.h."""
+"""Value of a report that a drive does not make: csrc/api/api.h."""
 _ALIGNMENT_BYTES = 64
 _WAKE_FDS: dict[tuple[int, int], int] = {}
-"""By exchange and line. They stay open for good: the loop may write to one at any time."""
+"""By exchange and line. They are never closed: the loop may write to one at any time."""
 Value = TypeVar("Value")
 _types_of = functools.cache(get_type_hints)
 
 
 def value_of(kind: Callable[..., Value], raw: Any, **own: Any) -> Value:
-    """A struct of C as a plain value whose fields have the same names; `own`: those that have
-    not."""
+    """A struct of C as a plain value whose fields have the same names; `own`: fields with other
+    names."""
     made = {n: of(getattr(raw, n)) for n, of in _types_of(kind).items() if n not in own}
     return kind(**made, **own)
 
@@ -52,15 +52,15 @@ def now_ns() -> int:
 
 
 def is_fresh(stamp_ns: int, timeout_s: float) -> bool:
-    """Neither older than the timeout, nor of the future, nor from before the computer was
-    suspended: the rule of the lines in C and of the core."""
+    """Not older than the timeout, not from the future, not from before a suspend of the computer:
+    the rule of the lines in C and of the core."""
     return bool(lib.clock_stamp_is_fresh(stamp_ns, round(timeout_s * 1e9)))
 
 
 @dataclass(frozen=True, slots=True)
 class JointSetpoint:
-    """What one joint is to do: its speed, and the same as a duty in -1..1, and as a torque
-    where its drive takes one. `position_rad` None: no angle, it stays where it is."""
+    """The set-point of one joint: its speed, the same as a duty in -1..1, and as a torque if its
+    drive takes one. `position_rad` None: no angle, it stays where it is."""
 
     velocity_rad_s: float
     duty: float
@@ -70,10 +70,10 @@ class JointSetpoint:
 
 @dataclass(frozen=True, slots=True)
 class Setpoints:
-    """What all wheels are to do; `joints` by the joint's index in the core.
+    """The set-points of all joints; `joints` by the joint's index in the core.
 
-    Never written: stamp 0, not enabled, no joints. The caller has to check `stamp_ns`: a loop
-    that died leaves its last word behind.
+    Never written: stamp 0, not enabled, no joints. The caller has to check `stamp_ns`: a loop that
+    died leaves its last set-points behind.
     """
 
     stamp_ns: int
@@ -84,7 +84,7 @@ class Setpoints:
 
 @dataclass(frozen=True, slots=True)
 class Feedback:
-    """What a drive reported last. NaN: it does not report that. `enabled`, and `referenced` (its
+    """A drive's newest feedback. NaN: it does not report that. `enabled`, and `referenced` (its
     counter has a reference), None: it cannot report it."""
 
     stamp_ns: int
@@ -101,7 +101,7 @@ class Feedback:
 
 @dataclass(frozen=True, slots=True)
 class ImuSample:
-    """What the inertial sensor measured last, about the base's axes. Stamp 0: never."""
+    """The inertial sensor's newest sample, about the base's axes. Stamp 0: never."""
 
     stamp_ns: int
     angular_rad_s: tuple[float, ...]
@@ -126,12 +126,12 @@ class Exchange:
 
     @classmethod
     def of_loop(cls) -> Exchange:
-        """The one that the loop of this process reads and writes."""
+        """The exchange that the loop of this process reads and writes."""
         return cls(lib.loop_exchange())
 
     @classmethod
     def private(cls) -> Exchange:
-        """One of its own, empty, for tests and tools."""
+        """A separate, empty exchange, for tests and tools."""
         memory = ffi.new("uint8_t[]", lib.exchange_bytes() + _ALIGNMENT_BYTES)
         address = int(ffi.cast("uintptr_t", memory))
         aligned = -(-address // _ALIGNMENT_BYTES) * _ALIGNMENT_BYTES
@@ -165,8 +165,8 @@ class Exchange:
         )
 
     def enabled_count(self, line: int) -> int:
-        """How often a line's set-points have become enabled: those of a short while it may never
-        see. Read it before the take."""
+        """How often a line's set-points have become enabled: a line may never read those of a short
+        time. Read it before the take."""
         return int(lib.exchange_enabled_count(self._exchange, line))
 
     @contextlib.contextmanager
@@ -253,7 +253,7 @@ class Exchange:
         saturated: bool,
         epoch: int,
     ) -> None:
-        """Of the reader of the inertial sensor: about the base's x, y, z."""
+        """For the reader of the inertial sensor: a sample about the base's x, y, z."""
         raw = self._imu
         raw.stamp_ns = stamp_ns
         raw.angular_rad_s = angular_rad_s

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The interface to the lines that run in C: one thread a line, its table, its requests, its report.
 
-The meaning of each field is in api_line.h. A line that runs needs no Python; what is done here
-is done when a person, a fault or a parameter needs it.
+The meaning of each field is in api_line.h. A running line needs no Python; this module serves
+users, faults and parameters.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class ThreadSpec:
     def of(
         cls, spec: LineSpec, *, fd: int, de_fd: int, event_fd: int, may_turn: int = 0
     ) -> ThreadSpec:
-        """As the robot file has it."""
+        """From the robot file."""
         return cls(
             fd=fd,
             event_fd=event_fd,
@@ -104,7 +104,7 @@ class Answer:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveReport(AnyDriveReport):
     enabled: bool | None
-    """None: it cannot report it, or has not since the last request."""
+    """None: it cannot report it, or has not reported it since the last request."""
     sent_motion: bool
     may_turn: bool
     """Armed since it was last set up, also before this start."""

@@ -44,7 +44,7 @@ class Pin:
     levels: dict[str, tuple[float, float]]
     """Mode → (base, slope)."""
     pumps: bool = False
-    """It changes with every cycle while the motor may move; the levels do not count."""
+    """It changes with every cycle while the motor may move; the levels are ignored."""
 
 
 class EncoderKind(enum.IntEnum):
@@ -76,7 +76,7 @@ class BridgeJoint:
     fault_mask: int
     encoder: EncoderConfig | None = None
     full_rad: float = 0.0
-    """Of a servo: the joint's angle at the longest pulse. 0: it takes duties."""
+    """Of a servo: the joint's angle at the longest pulse. 0: the bridge takes duties."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,11 +135,11 @@ class BridgeThread:
             raise HalError(f"the thread of the bridges did not start: {os.strerror(-code)}")
 
     def stop(self) -> None:
-        """The pins rest afterwards. Nothing happens when it does not run."""
+        """End the thread; the pins then rest. Does nothing if it does not run."""
         lib.pwm_line_stop(self._line)
 
     def request_mode(self, request: BridgeMode) -> int:
-        """Request it; the number by which the report shows that it was obeyed."""
+        """Request a mode; returns the number that the report shows once it is in force."""
         self._number += 1
         lib.pwm_line_put_control(
             self._line, ffi.new("bridge_control *", {"mode": int(request), "number": self._number})
@@ -148,7 +148,7 @@ class BridgeThread:
 
     def report_count(self, joint: int, count: int, stamp_ns: int, origin: int) -> None:
         """What a board has counted of the joint at that place (EncoderKind.REPORTED), and when.
-        `origin`: another number each time the board has begun anew."""
+        `origin`: another number after each restart of the board."""
         sample = {"count": count, "stamp_ns": stamp_ns, "origin": origin}
         lib.pwm_line_put_sample(self._line, joint, ffi.new("encoder_sample *", sample))
 

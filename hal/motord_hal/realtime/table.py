@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of a real-time line as plain values, named as in api_line.h, where each field's
-meaning stands. Making one needs no C; `rt_line.py` hands it over."""
+"""The table of a real-time line as plain values, named as in api_line.h, which has each field's
+meaning. Making one needs no C."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the interfaces to the threads of lines in C have in common, whatever the medium.
+"""The part that the interfaces to the threads of lines in C share, on any medium.
 
 The meaning of each field is in csrc/api/line/api_line.h.
 """
@@ -34,12 +34,12 @@ class AnyDriveReport:
     stopping: bool
     cycles: int
     stop_waits: bool
-    """It has not got, or has not acknowledged, all of its newest stop."""
+    """It has not received, or not acknowledged, all of its newest stop."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrderedDriveReport(AnyDriveReport):
-    """The same of one that gets orders beside its cycle."""
+    """The same for a drive that gets orders beside its cycle."""
 
     stops: int
     epoch: int
@@ -102,8 +102,8 @@ def config_of(values: Plain, exchange: Exchange) -> dict[str, Any]:
 
 
 def check_plain(name: str, check: Callable[[Any, Any], Any], kind: str, table: Plain) -> None:
-    """`check` in C, of a table's struct. Raises ProfileError for a table that no line runs, with
-    the first bad field's name, and for more than the table has places for."""
+    """`check` in C, of a table's struct. Raises ProfileError for a bad table, with the first bad
+    field's name, and for one with too many entries."""
     try:
         found = first_bad(check, ffi.new(kind, table))
     except (IndexError, OverflowError) as error:
@@ -126,7 +126,7 @@ def is_taken(code: int, what: str) -> bool:
 
 
 class LineThreadHandle:
-    """What asyncio wants of one line's thread. One caller's thread at a time."""
+    """What asyncio requests of one line's thread. One caller's thread at a time."""
 
     def __init__(
         self,
@@ -142,7 +142,7 @@ class LineThreadHandle:
         self._stop = stop
 
     def stop(self) -> None:
-        """The thread has ended when this returns. Nothing happens where there is none."""
+        """The thread has ended when this returns. Does nothing if there is none."""
         code = self._stop(self._line)
         if code != -errno.ESRCH:
             check_code(code, "the line cannot be stopped")
@@ -160,12 +160,13 @@ class LineThreadHandle:
         return int(self._request_of(drive).count)
 
     def allow_arming(self, drive: int, until_ns: int) -> None:
-        """Until then the drive may say that it is enabled, though it is not armed; 0: no more."""
+        """Until then the drive may report that it is enabled although it is not armed; 0: not any
+        more."""
         self._request_of(drive).arming_until_ns = until_ns
         self._put_control()
 
     def shut_down(self) -> None:
-        """Quick stop, power off, silence: the report says when it is done."""
+        """Quick stop, power off, silence: the report shows when it is done."""
         self._control.shut_down = 1
         self._put_control()
 

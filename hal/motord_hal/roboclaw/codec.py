@@ -27,12 +27,12 @@ READ_BYTES = MappingProxyType({15: 1, 24: 2, 49: 4, 78: 8, 82: 2, 90: 4, 108: 8}
 """Content of each answer: 15 serial timeout, 24 main battery, 49 both currents, 78 both encoders,
 82 temperature, 90 status, 108 both mean speeds."""
 READ_BY = MappingProxyType({14: 15})
-"""What a command writes is read by another one."""
+"""The command that reads what a command writes."""
 WRITTEN_BY = MappingProxyType({reading: writing for writing, reading in READ_BY.items()})
 
 
 class PacketError(ValueError):
-    """Bytes that are not the answer, or nothing that a RoboClaw is asked."""
+    """Bytes that are not the answer, or a request that RoboClaw does not have."""
 
 
 def _words(content: bytes) -> tuple[int, ...]:
@@ -59,12 +59,12 @@ def build(request: Request) -> bytes:
     if request.function is Function.READ_HOLDING:
         command = reading_command(request)
         if command not in READ_BYTES:
-            raise PacketError(f"command {command} is not known to read")
+            raise PacketError(f"command {command} is not known for reading")
         return bytes((request.unit, command))
     command, first = request.address >> 8, request.address & 0xFF
     size = WRITE_BYTES.get(command)
     if size is None:
-        raise PacketError(f"command {command} is not known to write")
+        raise PacketError(f"command {command} is not known for writing")
     words = [0] * -(-size // 2)
     words[first : first + len(request.values)] = request.values
     content = _content(tuple(words), size)
@@ -79,7 +79,7 @@ def reply_size(request: Request) -> int:
 
 
 def parse(request: Request, reply: bytes) -> tuple[int, ...]:
-    """The words that a read asked for, none for a write. Raises PacketError."""
+    """The words that a read requested, none for a write. Raises PacketError."""
     if len(reply) != reply_size(request):
         raise PacketError(f"{reply.hex(' ')} is no answer of {reply_size(request)} bytes")
     if request.function is not Function.READ_HOLDING:
@@ -95,7 +95,7 @@ def parse(request: Request, reply: bytes) -> tuple[int, ...]:
 
 # ------------------------------------------------------------------------- the controller's side
 def packet_bytes(packet: bytes) -> int | None:
-    """How long a packet is that begins like this; None: too short to say, or no known command."""
+    """Length of a packet that begins like this; None: too short, or an unknown command."""
     if len(packet) < 2:
         return None
     size = WRITE_BYTES.get(packet[1])

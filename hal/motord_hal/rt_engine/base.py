@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A line whose cycle runs in C: opened, set up, armed and watched from asyncio.
 
-When asyncio is late, hogged or dead, the thread goes on: set-points that are old stop its drives.
+When asyncio is late, hogged or dead, the thread goes on: it stops its drives when set-points are
+old.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from motord_hal.rt_engine.notifier import Notifier
 from motord_hal.rt_engine.rs485.drive import RtDrive
 
 SHUTDOWN_WITHIN_S = 3.1
-"""The thread itself needs 0.5 s, 1 s where drives report that they have power still, and 3 s at
-most where they do not answer."""
+"""The thread itself needs 0.5 s, 1 s if drives report that they still have power, and 3 s at most
+if they do not answer."""
 
 
 Report = TypeVar("Report", bound=AnyLineReport)
@@ -42,7 +43,7 @@ class ReportingThread(Protocol[ReportOut]):
 
 
 class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
-    """What lines of engine "rt" have in common, whatever their medium."""
+    """What lines of engine "rt" share, on any medium."""
 
     _thread: ReportingThread[Report]
 
@@ -59,19 +60,19 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
     # --------------------------------------------------------------------------------- its own port
     @abc.abstractmethod
     async def _start(self) -> tuple[str, ...]:
-        """Open the port, start the thread, take its first report; what is worth saying of it.
-        Raises HalError."""
+        """Open the port, start the thread, take its first report. Returns what the user should
+        know. Raises HalError."""
 
     @abc.abstractmethod
     def _close_port(self) -> None:
-        """The thread has ended; its last report is still there."""
+        """The thread has ended; its last report can still be read."""
 
     @abc.abstractmethod
     def _is_steady(self, report: Report) -> bool:
-        """It works, and is reopened at once when it fails again."""
+        """Whether it works; then it is reopened at once when it fails again."""
 
     def _look(self) -> Report:
-        """Take in what the thread says."""
+        """Take in the thread's report."""
         return self._take_report()
 
     def _ended(self, report: Report) -> PortError | None:
@@ -101,7 +102,8 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
         self._report = None
 
     async def _work(self) -> None:
-        """Set up and watch the drives for as long as the thread runs; PortError is why it ended."""
+        """Set up and watch the drives while the thread runs; raises PortError with the reason for
+        its end."""
         async with asyncio.TaskGroup() as group:
             tasks = [
                 group.create_task(task())
@@ -122,7 +124,7 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
             await self._notifier.wait()
 
     def _take_report(self) -> Report:
-        """The newest one, to its drives."""
+        """Pass the newest report to its drives."""
         report = self._report = self._thread.report()
         for drive, drive_report in zip(self._drives, report.drives, strict=True):
             drive.update(drive_report, report.fault_words)

@@ -11,7 +11,7 @@ _ERRORS = ("no_reply", "bad_reply", "refused")
 
 
 class LineCounters:
-    """What earlier threads counted, and what the present one does."""
+    """Counts of earlier threads and of the present one."""
 
     def __init__(self, wire_limit_hz: float) -> None:
         self._wire_limit_hz = wire_limit_hz
@@ -29,7 +29,7 @@ class LineCounters:
         self._round_trip = thread.round_trips()
 
     def stats(self, report: LineReport | None, thread: LineThread) -> LineStats:
-        """Without what the line counts itself. `report`: None where no thread runs."""
+        """Without the line's own counts. `report`: None if no thread runs."""
         stats = LineStats(
             exchanges=self._exchanges,
             cycles=self._cycles,
@@ -51,14 +51,14 @@ def _cycles(report: LineReport) -> int:
 
 
 def _cycle_hz(report: LineReport) -> float:
-    """Of the slowest drive that is asked."""
+    """Of the slowest drive that is in the cycle."""
     asked = (drive for drive in report.drives if drive.mode in (Mode.READY, Mode.ARMED))
     slowest_ns = max((drive.cycle_ns for drive in asked), default=0)
     return 1e9 / slowest_ns if slowest_ns else 0.0
 
 
 def _with(errors: dict[str, int], report: LineReport) -> dict[str, int]:
-    """The same with what the report counts; what never happened is left out."""
+    """The same with the report's counts; counters of zero are left out."""
     total = dict(errors)
     for kind in _ERRORS:
         count = sum(getattr(drive, kind) for drive in report.drives)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What drive profiles say of numbers, for the tables of every medium: pure."""
+"""Numbers of drive profiles, for the tables of every medium: pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from motord_hal.realtime.table import FieldKind, SetpointKind
 
 
 def sources_of(profile: DriveProfile, channel: Channel) -> Iterator[tuple[FieldKind, str]]:
-    """What is known of a channel's joint, and the register that says it."""
+    """The kinds of values of a channel, and their registers."""
     sources = {
         FieldKind.COUNT: channel.position,
         FieldKind.VELOCITY: channel.velocity,
@@ -26,7 +26,7 @@ def sources_of(profile: DriveProfile, channel: Channel) -> Iterator[tuple[FieldK
 
 
 def setpoint_kind(channel: Channel) -> SetpointKind:
-    """What is reported of its joint."""
+    """The values that are reported of its joint."""
     if channel.torque_setpoint is not None:
         return SetpointKind.TORQUE
     if channel.position_setpoint is not None:
@@ -35,19 +35,19 @@ def setpoint_kind(channel: Channel) -> SetpointKind:
 
 
 def raw_offset(joint: JointSpec, profile: DriveProfile) -> float:
-    """The raw set-point of an angle of 0; of what is no position 0."""
+    """The raw set-point of an angle of 0; 0 for other set-points."""
     channel = profile.channels[joint.channel]
     if channel.position_setpoint is None:
         return 0.0
     register, bits = profile.registers[channel.position_setpoint], profile.counter_bits
     count = joint.zero_count % (1 << bits)
     if register.type.signed and register.type.bits == bits and count >> (bits - 1):
-        count -= 1 << bits  # the drive's number of that place has a sign
+        count -= 1 << bits  # the drive's number for that position has a sign
     return count * _unit_per_count(joint, profile, register) / register.scale
 
 
 def raw_per_rad(joint: JointSpec, profile: DriveProfile) -> float:
-    """Of a joint that takes positions: as the core converts its counts to an angle."""
+    """Raw set-point for each radian of a joint that takes positions, by the core's conversion."""
     register = profile.registers[profile.channels[joint.channel].setpoint]
     counts = (joint.counts_per_turn or profile.counts_per_turn) * joint.gear_ratio
     sign = -1.0 if joint.inverted else 1.0
@@ -63,7 +63,7 @@ def raw_per_s(joint: JointSpec, profile: DriveProfile) -> float:
 
 
 def _unit_per_count(joint: JointSpec, profile: DriveProfile, register: Register) -> float:
-    """A register in turns has the count that the profile makes of them."""
+    """A register in turns has the counts a turn of the profile."""
     counts = joint.counts_per_turn or profile.counts_per_turn
     return 1.0 if register.unit == "count" else 1.0 / counts
 

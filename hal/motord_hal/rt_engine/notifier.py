@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable
 
 LOOK_EVERY_S = 0.5
-"""So often the report is read when nothing calls for it: what matters calls."""
+"""How often the report is read without a wake: important changes wake."""
 
 
 class Notifier:
@@ -36,11 +36,11 @@ class Notifier:
         self.poke()
 
     def poke(self) -> None:
-        """There is something to look at."""
+        """There is a new report."""
         self._called.set()
 
     async def wait(self) -> None:
-        """Until there is something to look at; LOOK_EVERY_S at most."""
+        """Wait for a new report; LOOK_EVERY_S at most."""
         timer = asyncio.get_running_loop().call_later(LOOK_EVERY_S, self.poke)
         try:
             await self._called.wait()

@@ -12,14 +12,14 @@ from motord_hal.base.errors import HalError
 from motord_hal.realtime.thread import LineThreadHandle, OrderedDriveReport
 
 ORDER_WITHIN_S = 0.5
-"""So long an order may wait while the medium takes nothing."""
+"""How long an order may wait while the medium takes nothing."""
 SEEN_WITHIN_S = 1.0
 ARM = "arm"
-"""Of this job nothing is sent any more once a stop was sent to the drive."""
+"""Once a stop was sent to the drive, nothing of this job is sent any more."""
 
 
 class OrderJobs(abc.ABC):
-    """One job at a time; an urgent one does not wait for its turn."""
+    """One job at a time; an urgent one does not wait."""
 
     def __init__(self, index: int, name: str, thread: LineThreadHandle, cycle_s: float) -> None:
         """`index`: the drive's number in the line's table."""
@@ -39,14 +39,14 @@ class OrderJobs(abc.ABC):
 
     @property
     def request_limit_s(self) -> float:
-        """Longest time until an order is sent, or will never be."""
+        """Longest time until an order is sent or dropped."""
         return self._cycle_s + ORDER_WITHIN_S
 
     def _in_turn(self, *, urgent: bool) -> contextlib.AbstractAsyncContextManager[None]:
         return contextlib.nullcontext() if urgent else self._turn
 
     async def _all_sent(self, dropped_before: int) -> bool:
-        """Waits until all that was ordered has gone out. False: some of it never will."""
+        """Waits until all orders have gone out. False: some were dropped."""
         until_s = now_s() + self.request_limit_s + SEEN_WITHIN_S
         while now_s() < until_s:
             await asyncio.sleep(self._cycle_s)

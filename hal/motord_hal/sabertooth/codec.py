@@ -48,7 +48,7 @@ class Receiver:
 
     def feed(self, data: bytes) -> Iterator[dict[str, int] | None]:
         """Register → raw of each packet for this unit; None: no packet, or a wrong check
-        sum. An address is above 127 and nothing else is: one begins a packet anywhere."""
+        sum. Only an address is above 127: such a byte always begins a packet."""
         for byte in data:
             if byte > 0x7F:
                 if self._tail:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the UART's driver counted, and what it says about a drive that is unresponsive.
+"""What the UART's driver counted, and what it shows about an unresponsive drive.
 
 Source: kernel, include/uapi/linux/serial.h (struct serial_icounter_struct), ioctl TIOCGICOUNT.
 """
@@ -15,7 +15,7 @@ from motord_hal.base.clock import now_s
 
 LOOK_EVERY_S = 0.2
 LOOKS_KEPT = 10
-"""What an unresponsive drive may have to do with came within the last two seconds."""
+"""Errors of the last two seconds may explain an unresponsive drive."""
 
 _TIOCGICOUNT = 0x545D
 _ICOUNTER = struct.Struct("=20i")
@@ -49,11 +49,11 @@ class Traffic:
     """What came over the line since the port was opened."""
 
     noise_bytes: int = 0
-    """No frame, nor the copy of a request."""
+    """Bytes that are neither a frame nor the copy of a request."""
     frames: int = 0
     """Good replies and refusals, of any drive."""
     late: int = 0
-    """Good replies that came after their time."""
+    """Good replies that came too late."""
 
 
 NOTHING = Traffic()
@@ -65,8 +65,8 @@ def unresponsive_hint(
     seen: Traffic = NOTHING,
     now: Traffic = NOTHING,
 ) -> str:
-    """Why a drive may be unresponsive, to stand behind "is unresponsive"; empty: nothing hints at
-    anything. `seen` is of the time of `before`."""
+    """Why a drive may be unresponsive, to stand behind "is unresponsive"; empty: no hint. `seen` is
+    from the time of `before`."""
     if before is not None and after is not None:
         framing, parity = after.framing - before.framing, after.parity - before.parity
         if parity > 0 and parity >= framing:
@@ -97,17 +97,17 @@ class Witness:
         self._seen: deque[tuple[float, Counters | None, Traffic]] = deque(maxlen=LOOKS_KEPT)
 
     def forget(self) -> None:
-        """The port is another one."""
+        """The port was opened again."""
         self._seen.clear()
 
     def look(self, fd: int, traffic: Traffic = NOTHING) -> None:
-        """To be called often: it looks at the driver when it is time."""
+        """Call it often: it reads the driver's counters when that is due."""
         now = now_s()
         if not self._seen or now - self._seen[-1][0] >= LOOK_EVERY_S:
             self._seen.append((now, read_counters(fd), traffic))
 
     def hint(self, fd: int, traffic: Traffic = NOTHING) -> str:
-        """As unresponsive_hint, from the oldest look that is remembered to now."""
+        """As unresponsive_hint, from the oldest stored counters to now."""
         if not self._seen:
             return ""
         _, before, seen = self._seen[0]

@@ -18,7 +18,7 @@ _TIOCSRS485 = 0x542F
 _RS485 = struct.Struct("=3I20x")
 _ENABLED, _RTS_ON_SEND, _RTS_AFTER_SEND, _RX_DURING_TX = 1, 2, 4, 16
 _DELAY_MAX_MS = 100
-"""The serial core takes no more (RS485_MAX_RTS_DELAY)."""
+"""The longest that the serial core takes (RS485_MAX_RTS_DELAY)."""
 
 
 def pack_rs485(spec: DirectionSpec) -> bytes:
@@ -33,7 +33,7 @@ def pack_rs485(spec: DirectionSpec) -> bytes:
 
 
 def kept_problem(asked: bytes, kept: bytes) -> str:
-    """What the driver kept differently, in words; empty: nothing that matters."""
+    """The settings that the driver changed, in words; empty: none that matters."""
     flags, *delays_ms = _RS485.unpack(asked)
     kept_flags, *kept_delays_ms = _RS485.unpack(kept)
     if not kept_flags & _ENABLED:
@@ -48,7 +48,7 @@ def kept_problem(asked: bytes, kept: bytes) -> str:
 
 
 def set_kernel_direction(fd: int, port: str, spec: DirectionSpec) -> None:
-    """Let the driver turn the transceiver, and see that it does. Raises PortError."""
+    """Let the driver turn the transceiver, and check its settings. Raises PortError."""
     try:
         asked = pack_rs485(spec)
         fcntl.ioctl(fd, _TIOCSRS485, asked)

@@ -10,7 +10,7 @@ from motord_hal.gpio.lines import Wanted, request_outputs
 
 
 def request_line(spec: DirectionSpec, name: str, dev: Path = Path("/dev")) -> int:
-    """The descriptor of the line `name`'s GPIO line, an output at the level of listening: the
+    """The descriptor of the line `name`'s GPIO line, an output at the level for receiving: the
     caller closes it. Raises PortError."""
     purpose, listening_high = f"line {name}, direction", not spec.active_high
     wanted = Wanted(line=spec.gpio_line, purpose=purpose, high=listening_high)

@@ -16,7 +16,7 @@ from pathlib import Path
 _FLAGS_OFFSET = 16
 """In struct serial_struct: after type, line, port and irq."""
 _SERIAL_STRUCT_BYTES = 128
-"""More than struct serial_struct has on any architecture."""
+"""Larger than struct serial_struct on any architecture."""
 _ASYNC_LOW_LATENCY = 1 << 13
 _TIMER_MS = 1
 UDEV_LINE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
@@ -36,7 +36,8 @@ def ask_low_latency(fd: int) -> bool:
 
 
 def shorten_latency_timer(device: str, sys: Path = Path("/sys")) -> str:
-    """Sets an FTDI adapter's timer to 1 ms. What is still wrong, in a sentence; empty: nothing."""
+    """Sets an FTDI adapter's timer to 1 ms. Returns a remaining problem in a sentence; empty:
+    none."""
     name = Path(os.path.realpath(device)).name
     timer = sys / "class" / "tty" / name / "device" / "latency_timer"
     try:
@@ -54,5 +55,5 @@ def shorten_latency_timer(device: str, sys: Path = Path("/sys")) -> str:
         return ""
     return (
         f"{device} holds bytes back for up to {after_ms} ms (FTDI latency timer) and motord may "
-        f"not change it; a udev rule mends it: {UDEV_LINE}"
+        f"not change it; a udev rule fixes it: {UDEV_LINE}"
     )

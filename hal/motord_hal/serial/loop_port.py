@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A serial port of pyserial under the asyncio transport of pyserial-asyncio-fast.
 
-Four things of theirs (pyserial 3.5, pyserial-asyncio-fast 0.16) are gone round here:
+It works around four problems of pyserial 3.5 and pyserial-asyncio-fast 0.16:
 
 - pyserial tries for ever, in the event loop, where a port that must not block is full;
 - the transport closes the port later and in a thread, where the next opener would find it taken;
@@ -25,13 +25,13 @@ from motord_hal.serial.port import reason
 
 READ_BYTES = 4096
 WAITING_BYTES_MAX = 256
-"""The longest frame of MODBUS over Serial Line (V1.02, 2.5.1). One request at a time is sent: where
-more than one waits to go out after its time, the port is stuck."""
+"""The longest frame of MODBUS over Serial Line (V1.02, 2.5.1). One request is sent at a time: if
+more than one waits, the port is stuck."""
 _PARITY = {"none": "N", "even": "E", "odd": "O"}
 
 
 class LoopPort(Serial):
-    """A port for ourselves alone; what comes goes to `protocol`."""
+    """An exclusive port; received bytes go to `protocol`."""
 
     def __init__(
         self,
@@ -48,12 +48,12 @@ class LoopPort(Serial):
             super().__init__(
                 path, baudrate, 8, _PARITY[parity], stop_bits, timeout=0, exclusive=True
             )
-            # it configures the port once more: a driver may refuse then what it took before
+            # it configures the port again: a driver may then refuse what it took before
             self.transport = SerialTransport(asyncio.get_running_loop(), protocol, self)
         except SerialException as error:
             self.close()
             why = "it is no serial port"
-            if error.errno:  # of the kind that an errno has in Python
+            if error.errno:  # the type that an errno has in Python
                 why = reason(path, OSError(error.errno, os.strerror(error.errno)))
             raise PortError(f"{path} cannot be opened: {why}") from error
         except (ValueError, termios.error) as error:
@@ -69,7 +69,7 @@ class LoopPort(Serial):
 
     @property
     def is_stuck(self) -> bool:
-        """Whether bytes wait to go out that should have gone long ago; of a port that is usable."""
+        """Whether a usable port holds bytes that should have gone out long ago."""
         if not self.is_usable:
             return False
         if self.transport.get_write_buffer_size():
@@ -77,21 +77,21 @@ class LoopPort(Serial):
         try:
             return self.out_waiting > WAITING_BYTES_MAX
         except OSError:
-            return False  # it went away, as the reader will find
+            return False  # it is lost, as the reader will find
 
     def drain(self) -> bytes:
-        """What came and was not handed on yet. Raises PortError."""
+        """Bytes that came and were not handed on yet. Raises PortError."""
         try:
             return bytes(self.read(READ_BYTES))
         except SerialException as error:
             raise PortError(f"{self.name} went away: {error}") from error
 
     def let_go(self) -> None:
-        """Close it at once. Of a port that is stuck, what was not sent yet never will be."""
+        """Close it at once. If it is stuck, unsent bytes are dropped."""
         if self.is_stuck:
             with contextlib.suppress(termios.error):
                 self.reset_output_buffer()
-        self.transport.flush()  # one that closed by itself may still want to write
+        self.transport.flush()  # a port that closed by itself may still have bytes to write
         if not self.transport.is_closing():
             self.transport.abort()
         self.close()
@@ -108,7 +108,7 @@ class LoopPort(Serial):
             return len(data)
 
     def flush(self) -> None:
-        """No caller waits for what has not gone out."""
+        """Do not wait for unsent bytes."""
 
     def close(self) -> None:
         """As Serial.close, which two threads must not enter: a descriptor closed twice may be

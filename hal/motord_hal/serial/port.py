@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Opens a serial port: found anew each time, exclusive, raw, its transceiver's direction
-set, and without waiting in the adapter."""
+"""Opens a serial port: looked up each time, exclusive, raw, with its transceiver's direction set
+and the adapter's latency removed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from motord_hal.serial.sysfs import device_file, holders
 
 
 class SettingRefused(PortError):
-    """The port is there, but it does not take this baud rate, parity or these stop bits."""
+    """The port exists, but does not take this baud rate, parity or these stop bits."""
 
 
 @dataclass(slots=True)
@@ -35,7 +35,7 @@ class OpenPort:
     """What the user should know of this port, in sentences."""
 
     def flush(self) -> None:
-        """Throw away what came, or was to go, before now. Raises PortError."""
+        """Drop bytes that have come or wait to be sent. Raises PortError."""
         try:
             termios.tcflush(self.fd, termios.TCIOFLUSH)
         except termios.error as error:
@@ -48,8 +48,7 @@ class OpenPort:
 
 
 def open_port(spec: LineSpec) -> OpenPort:
-    """The port of a line; an adapter that came back under another name is found. Raises
-    PortError."""
+    """The port of a line; an adapter is found again under another name. Raises PortError."""
     path = device_file(spec.port)
     fd = open_exclusively(path)
     with contextlib.ExitStack() as undo:
@@ -62,7 +61,7 @@ def open_port(spec: LineSpec) -> OpenPort:
         facts = tune(fd, path, spec)
         de_fd = -1
         if spec.direction.kind is DirectionKind.GPIO:
-            # only here: other lines go without libgpiod
+            # imported only here: other lines need no libgpiod
             from motord_hal.serial.gpio import request_line
 
             de_fd = request_line(spec.direction, spec.name)
@@ -71,7 +70,7 @@ def open_port(spec: LineSpec) -> OpenPort:
 
 
 def tune(fd: int, path: str, spec: LineSpec) -> tuple[str, ...]:
-    """What termios does not know: the kernel's direction and the adapter's latency. Returns facts
+    """Settings beyond termios: the kernel's direction and the adapter's latency. Returns facts
     for the user. Raises PortError."""
     if spec.direction.kind is DirectionKind.KERNEL:
         set_kernel_direction(fd, path, spec.direction)
@@ -106,7 +105,7 @@ def reason(path: str, error: OSError) -> str:
             "log in again"
         )
     if isinstance(error, FileNotFoundError):
-        # only here: a line of pins or boards goes without pyserial
+        # imported only here: lines of pins or boards need no pyserial
         from serial.tools.list_ports import comports
 
         found = sorted({port.device for port in comports()})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Raw termios for any baud rate, read back: a driver may take less than it was asked for.
+"""Raw termios for any baud rate, read back: a driver may set less than requested.
 
 Sources: termios(3), ioctl_tty(2); struct termios2 and BOTHER: linux asm-generic/termbits.h.
 """
@@ -36,7 +36,7 @@ def is_pty(fd: int) -> bool:
 
 def set_raw(fd: int, baudrate: int, parity: str, stop_bits: int) -> None:
     """Eight data bits, raw, no flow control, no modem lines. Raises OSError, termios.error, or
-    ValueError that says what the driver did not take."""
+    ValueError with what the driver did not take."""
     stop = termios.CSTOPB if stop_bits == 2 else 0
     control = termios.CS8 | termios.CLOCAL | termios.CREAD | stop | PARITY[parity]
     speed = getattr(termios, f"B{baudrate}", None)
@@ -59,7 +59,7 @@ def _check(fd: int, baudrate: int, control: int) -> None:
     fields = _TERMIOS2.unpack(fcntl.ioctl(fd, _TCGETS2, bytes(_TERMIOS2.size)))
     kept, speed = fields[2], fields[7]
     if abs(speed - baudrate) > BAUDRATE_TOLERANCE * baudrate:
-        raise ValueError(f"the driver made {speed} baud of {baudrate}")
+        raise ValueError(f"the driver set {speed} baud, not {baudrate}")
     if not is_pty(fd) and (kept ^ control) & _FRAMING:
         raise ValueError("the driver does not take this parity or these stop bits")
 
@@ -72,5 +72,5 @@ def claim(fd: int) -> None:
 
 
 def busy(error: OSError) -> bool:
-    """Whether this is what an opener sees of a port that another has claimed."""
+    """Whether this error means that another program has claimed the port."""
     return error.errno in (errno.EBUSY, errno.EWOULDBLOCK)

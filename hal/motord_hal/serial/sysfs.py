@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which device file an adapter has now, and which program holds it."""
+"""The device file that an adapter has now, and the program that holds it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _text(path: Path) -> str:
 
 def usb_ports() -> list[ListPortInfo]:
     """The serial ports of all USB adapters that are plugged in."""
-    # only here: lines whose port is a path go without pyserial
+    # imported only here: lines whose port is a path need no pyserial
     from serial.tools.list_ports import comports
 
     try:
@@ -55,8 +55,8 @@ def device_file(port: str) -> str:
 
 
 def holders(path: str, proc: Path = _PROC) -> tuple[str, ...]:
-    """Which other program has the file open, as "program (pid N)": as far as we are permitted to
-    see."""
+    """The other programs that have the file open, as "program (pid N)": as far as permissions
+    allow."""
     real = os.path.realpath(path)
     found = []
     for process in proc.glob("[0-9]*"):
@@ -65,7 +65,7 @@ def holders(path: str, proc: Path = _PROC) -> tuple[str, ...]:
         try:
             links = {os.readlink(entry) for entry in (process / "fd").iterdir()}
         except OSError:
-            continue  # not ours to see, or it has just ended
+            continue  # no permission, or it has just ended
         if real in links:
             found.append(f"{_text(process / 'comm')} (pid {process.name})")
     return tuple(sorted(found))

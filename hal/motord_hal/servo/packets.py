@@ -2,9 +2,9 @@
 """Packets of bus servos as pure functions: Feetech's protocol 0 (STS and SMS series) and ROBOTIS'
 Dynamixel protocol 2.0.
 
-A packet is a head, the unit, a length, an instruction (of a status: what went wrong), parameters
-and a check sum; a servo's registers are bytes by address, low byte first. Feetech's SCS series has
-the high byte first (profiles say so by the register's type) and no sync read. Sources: the makers'
+A packet is a head, the unit, a length, an instruction (of a status: the error), parameters and a
+check sum; a servo's registers are bytes by address, low byte first. Feetech's SCS series has the
+high byte first (profiles mark it by the register's type) and no sync read. Sources: the makers'
 SDKs (`ftservo-python-sdk`, protocol_packet_handler.py; `dynamixel-sdk`,
 protocol2_packet_handler.py) and the ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0: instruction packet,
 status packet, packet process.
@@ -21,10 +21,10 @@ from typing import Literal, Protocol
 from motord_hal.drives.profile import DriveProfile, Register
 
 UNIT_MAX = 252
-"""ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, packet ID; what every bus servo takes, from 0 on."""
+"""ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, packet ID: the range of every bus servo, from 0 on."""
 BROADCAST_UNIT = 0xFE
 KINDS = ("feetech", "dynamixel")
-"""Kinds of lines, and the protocols of drive profiles, that speak in such packets."""
+"""Kinds of lines, and protocols of drive profiles, that use such packets."""
 INSTRUCTION_ADDRESS = 0xFF00
 """A register from here on is no address in the servo: writing it sends the instruction of its low
 byte, without parameters (0xFF08: reboot)."""
@@ -76,7 +76,7 @@ class Packets(Protocol):
     seal_bytes: int
     unit_byte: int
     match_bytes: int
-    """So many bytes of a status say whose it is, and how long where the length is fixed."""
+    """The bytes of a status with its unit, and its length if that is fixed."""
 
     def build(self, unit: int, code: int, parameters: bytes = b"") -> bytes:
         """A request as it goes out."""
@@ -88,12 +88,12 @@ class Packets(Protocol):
         """An address, or a count of bytes."""
 
     def take(self, data: bytes, *, status: bool = False) -> tuple[Packet | None, int]:
-        """The first packet in what came, and how many bytes are done with: with no packet they are
-        none, or garbage. Raises PacketError where a whole packet has a wrong check sum."""
+        """The first packet in the bytes, and how many bytes are used up: without a packet none, or
+        garbage. Raises PacketError if a whole packet has a wrong check sum."""
 
 
 class PacketError(ValueError):
-    """A packet came whole, and its check sum is wrong. `done`: so many bytes are done with."""
+    """A whole packet with a wrong check sum. `done`: how many bytes are used up."""
 
     def __init__(self, done: int) -> None:
         super().__init__("wrong check sum")
@@ -210,9 +210,9 @@ _HEAD = b"\xff\xff\xfd"
 
 
 def build_fast_status(asked: int, answers: Iterable[tuple[int, int, bytes]]) -> list[bytes]:
-    """What each servo puts on the wire for a fast sync read of so many: `answers`: unit, error and
-    data. The first one sends the head, with the length of what all are to send; each ends with the
-    CRC of the packet so far. Nothing is stuffed (`dynamixel-sdk`, group_sync_read.py)."""
+    """The bytes of each servo for a fast sync read of so many: `answers`: unit, error and data. The
+    first one sends the head, with the length of what all are to send; each ends with the CRC of the
+    packet so far. Nothing is stuffed (`dynamixel-sdk`, group_sync_read.py)."""
     packet, parts = b"", []
     for unit, error, data in answers:
         begin = len(packet)
@@ -226,7 +226,7 @@ def build_fast_status(asked: int, answers: Iterable[tuple[int, int, bytes]]) -> 
 
 
 def split_fast_status(status: Packet, count: int) -> Iterator[Packet]:
-    """The servos' own statuses, each with so many bytes of data, of one that answers a fast sync
+    """The statuses of all servos, each with so many bytes of data, from one answer to a fast sync
     read."""
     blocks = bytes((status.code,)) + status.parameters
     for at in range(0, len(blocks) - count - 1, count + 4):
@@ -239,12 +239,12 @@ _PACKETS: Mapping[str, Packets] = MappingProxyType(
 
 
 def packets_of(kind: str) -> Packets:
-    """Of a line's kind, or of a profile's protocol."""
+    """The packets of a line's kind, or of a profile's protocol."""
     return _PACKETS[kind]
 
 
 def take_all(packets: Packets, data: bytes, *, status: bool = False) -> Iterator[Packet | None]:
-    """Every packet in what came; None: one with a wrong check sum."""
+    """Every packet in the bytes; None: one with a wrong check sum."""
     while data:
         try:
             packet, done = packets.take(data, status=status)
@@ -259,7 +259,7 @@ def take_all(packets: Packets, data: bytes, *, status: bool = False) -> Iterator
 
 
 def is_whole(packets: Packets, data: bytes) -> bool:
-    """Whether what came ends with a packet's end."""
+    """Whether the bytes end with a packet's end."""
     while data:
         try:
             done = packets.take(data)[1]
@@ -277,13 +277,13 @@ def size_bytes(register: Register) -> int:
 
 
 def has_no_sync_read(profile: DriveProfile) -> bool:
-    """As Feetech's SCS series, which is known by its numbers with the high byte first
+    """As Feetech's SCS series, recognised by numbers with the high byte first
     (`ftservo-python-sdk`, scscl.py: it reads servos one by one)."""
     return any(register.type.high_first for register in profile.registers.values())
 
 
 def encode(register: Register, raw: int) -> bytes:
-    """A raw value as it stands in a packet. Raises ValueError where it does not fit."""
+    """A raw value as bytes of a packet. Raises ValueError if it does not fit."""
     low, high = register.raw_range
     if not low <= raw <= high:
         raise ValueError(f"{register.name}: {raw} does not fit {register.type.value}")

@@ -16,7 +16,7 @@ class Defect(NamedTuple):
 
     kind: str
     channel: int | None
-    """None: with all of them."""
+    """None: all of them."""
     value: float
     """0 where the kind has none."""
 
@@ -31,7 +31,7 @@ class Axis:
     full_duty_rad_s: float = 15.0
     """Wheel speed at full duty, of drives whose set-point is a duty."""
     counts_per_turn: int = 0
-    """Of this motor; 0: as the profile says."""
+    """Of this motor; 0: the profile's."""
 
     @property
     def sign(self) -> float:
@@ -64,10 +64,10 @@ class Motor:
     switched_on: bool = False
     braking: bool = False
     sent_raw: int | None = 0
-    """The set-point that it obeys, where one counts only with what is written beside it; None: no
-    position since it got its power."""
+    """The set-point in force, if one counts only with a register beside it; None: no position since
+    it got its power."""
     defects: Mapping[str, float] = field(default_factory=dict)
-    """What is wrong with it now: `FaultScript.defects`."""
+    """Its present defects: `FaultScript.defects`."""
     _frozen: int = 0
     _turned_at_rad: float = 0.0
     _forward: bool = False
@@ -104,7 +104,7 @@ class Motor:
         return shaft_rad
 
     def suffer(self, defects: Mapping[str, float]) -> None:
-        """From now on these are wrong with it, and nothing else."""
+        """From now on it has these defects and no others."""
         self._frozen = self.count or 0
         if "turned-encoder" not in self.defects:
             self._turned_at_rad = self.axis.shaft_rad

@@ -16,12 +16,12 @@ REPLY_TIMEOUT_S = 5.0
 
 
 class ControlError(RuntimeError):
-    """The simulator refused, is gone, or did not answer in time."""
+    """The simulator refused, has ended, or did not answer in time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointTruth:
-    """What a wheel really does, forward positive."""
+    """The true state of a wheel, forward positive."""
 
     position_rad: float
     velocity_rad_s: float
@@ -31,7 +31,7 @@ class JointTruth:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotTruth:
-    """What the robot really did since the start or the last reset_truth."""
+    """The robot's true motion since the start or the last reset_truth."""
 
     time_s: float
     """On the simulator's clock."""
@@ -95,7 +95,7 @@ class SimControl:
         return line
 
     def truth(self) -> RobotTruth:
-        """What the robot really did, and its wheels do now."""
+        """The robot's true motion, and its wheels' state now."""
         result = self.call("truth")
         joints = {name: JointTruth(**joint) for name, joint in result.pop("joints").items()}
         return RobotTruth(**result, joints=joints)
@@ -120,7 +120,7 @@ class SimControl:
         self.call("inject", spec=spec)
 
     def clear_faults_script(self) -> None:
-        """Nothing goes wrong any more; what a drive has latched stays latched."""
+        """End all faults; a fault that a drive has latched stays latched."""
         self.call("clear_faults_script")
 
     def pull(self, line: str | None = None) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kinds of faults and their keys: what a line of a fault script may say.
+"""The kinds of faults and their keys: the lines of a fault script.
 
 KIND[:KEY=VALUE,...]        described in docs/simulator.md
 """
@@ -16,7 +16,7 @@ from motord_hal.drives.can_profile import NODE_MAX
 
 
 class FaultError(ValueError):
-    """The text is no fault; the message says why and what would be."""
+    """The text is not a fault; the message has the reason and what is allowed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Kind:
 _UNIT = Key(0, NODE_MAX, whole=True)
 """A Modbus address, or a node of a CAN bus."""
 _CHANNEL = Key(1, 8, whole=True)
-"""Which motor of the unit; all of them where it is not given."""
+"""Which motor of the unit; all of them if it is not given."""
 _TIME_S = Key(0.0, 1e6)
 _SPAN = {"from_s": _TIME_S, "for_s": _TIME_S}
 _WHEN = {"unit": _UNIT, **_SPAN}
@@ -71,10 +71,10 @@ def _once(text: str, **keys: Key) -> Kind:
 KINDS = MappingProxyType(
     {
         "drop": _reply("the request is obeyed, the reply is lost"),
-        "delay": _reply("the reply comes so much later", ms=_ms(50.0)),
+        "delay": _reply("the reply comes later by this time", ms=_ms(50.0)),
         "late": _reply("the reply is held back until the next request has come"),
         "tear": _reply(
-            "the reply ends after so many bytes", after_bytes=Key(0, 255, whole=True, default=4)
+            "the reply ends after this many bytes", after_bytes=Key(0, 255, whole=True, default=4)
         ),
         "corrupt": _reply("one bit of the reply is flipped"),
         "glitch": _reply("a zero byte before the reply"),
@@ -94,10 +94,10 @@ KINDS = MappingProxyType(
             busy=Key(0, 1, whole=True, default=0),
         ),
         "unheard": _reply("CAN: a frame to the drive is lost"),
-        "segments": _reply("TCP: the reply comes in pieces, so far apart", ms=_ms(5.0)),
+        "segments": _reply("TCP: the reply comes in pieces, this far apart", ms=_ms(5.0)),
         "silence": _state("the unit receives nothing", unit=_UNIT, for_s=_FOR_S),
         "turnaround": _state(
-            "the unit takes so long to answer, and evenly spread up to so much longer",
+            "the unit takes this time to answer, and up to the spread longer, evenly",
             unit=_UNIT,
             ms=_ms(1.0),
             spread_ms=_ms(0.0),
@@ -107,9 +107,7 @@ KINDS = MappingProxyType(
             "bit errors in both directions at this rate; a hit start or stop bit loses the byte",
             ber=Key(0.0, 0.1, default=1e-4),
         ),
-        "babble": _state(
-            "bytes out of nothing, so many a second", hz=Key(0.001, 1000.0, default=2.0)
-        ),
+        "babble": _state("bytes out of nothing, at this rate", hz=Key(0.001, 1000.0, default=2.0)),
         "wrong-baud": _state(
             "the unit is set to another baud rate",
             unit=_UNIT,
@@ -138,7 +136,7 @@ KINDS = MappingProxyType(
         "tcp-stall": _once(
             "TCP: nothing passes in or out, then all of it", for_s=Key(0.0, 1e6, default=1.0)
         ),
-        "half-open": _once("TCP: connections are forgotten without a word; new ones are served"),
+        "half-open": _once("TCP: connections are dropped silently; new ones are served"),
         "bus-off": _once(
             "CAN: the master's controller goes bus-off; nothing passes",
             for_s=Key(0.0, 1e6, default=0.5),

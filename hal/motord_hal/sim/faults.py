@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A script of faults: what the wire and the drives do wrong, and when. The same seed and the same
-requests give the same faults. What there is: `fault_kinds`.
+"""A script of faults of the wire and the drives, with their times. The same seed and the same
+requests give the same faults. The kinds are in `fault_kinds`.
 
 A fault of replies happens to every one, or with `p=` to this part of them, or with `nth=` to each
 nth one; `unit=` keeps it to one drive, `from_s=` and `for_s=` to a time.
@@ -34,10 +34,10 @@ class Fault:
     starts_s: float
     random: random.Random
     seen: int = 0
-    """Replies that it could have happened to."""
+    """Replies to which it could have happened."""
     fired: int = 0
     waits_until_s: float = 0.0
-    """Of babble: when it sends next."""
+    """Of babble: the time of its next bytes."""
 
     @property
     def once(self) -> bool:
@@ -50,13 +50,13 @@ class Fault:
         return int(values["channel"]), _whole(values.get("bit")), _whole(values.get("code"))
 
     def over(self, now_s: float) -> bool:
-        """Whether nothing will come of it any more."""
+        """Whether it has no further effect."""
         if self.once:
             return self.fired > 0
         return now_s >= self.starts_s + self.values.get("for_s", math.inf)
 
     def matches(self, unit: int | None, now_s: float) -> bool:
-        """Whether it concerns this unit (None: the line itself) now."""
+        """Whether it applies to this unit (None: the line itself) now."""
         ends_s = self.starts_s + self.values.get("for_s", math.inf)
         return self.values.get("unit", unit) == unit and self.starts_s <= now_s < ends_s
 
@@ -75,15 +75,15 @@ class Fault:
 
 @dataclass(slots=True)
 class Spoiled:
-    """What becomes of a reply."""
+    """How a reply is changed."""
 
     frame: bytes
     delay_s: float = 0.0
     held: bool = False
-    """Kept back until the next request has come: the late reply that must not be taken for its
-    answer."""
+    """Kept back until the next request has come: a late reply, which is not the answer to that
+    request."""
     deafening_s: float = 0.0
-    """For so long after the request's end the adapter drives the wire itself."""
+    """How long the adapter drives the wire itself after the request's end."""
     segments_s: float = 0.0
     """TCP: this long between the pieces of the reply."""
 
@@ -93,12 +93,12 @@ class FaultScript:
     seed: int
     faults: list[Fault] = field(default_factory=list)
     past: Counter[str] = field(default_factory=Counter)
-    """How often those have happened that are over, by kind."""
+    """Counts of ended entries, by kind."""
     _added: int = 0
 
     def add(self, text: str, now_s: float = 0.0) -> Fault:
-        """Add an entry; its times count from now_s. Entries that are over go, so that a long run
-        of many stays quick. Raises FaultError."""
+        """Add an entry; its times count from now_s. Ended entries are removed, so that a long run
+        stays fast. Raises FaultError."""
         kind, values = parse_fault(text)
         self._forget(fault for fault in self.faults if fault.over(now_s))
         starts_s = now_s + values.get("at_s", values.get("from_s", 0.0))
@@ -117,22 +117,21 @@ class FaultScript:
             self.faults.remove(fault)
 
     def due(self, now_s: float) -> Iterable[Fault]:
-        """Those that happen once and whose time has come."""
+        """Entries that happen once and are due."""
         for fault in self.faults:
             if fault.once and not fault.fired and now_s >= fault.starts_s:
                 fault.fired = 1
                 yield fault
 
     def states(self, kind: str, unit: int | None, now_s: float) -> Iterator[Fault]:
-        """Those of a kind that are so now, for a unit or (None) for the line; counted when they
-        are taken."""
+        """Active entries of a kind, for a unit or (None) for the line; the call counts them."""
         for fault in self.faults:
             if fault.kind == kind and fault.matches(unit, now_s):
                 fault.fired += 1
                 yield fault
 
     def defects(self, unit: int, now_s: float) -> tuple[Defect, ...]:
-        """What is wrong with this unit's motors now."""
+        """The present defects of this unit's motors."""
         if not self.faults:
             return ()
         return tuple(
@@ -146,7 +145,7 @@ class FaultScript:
         return any(True for _ in self.states("silence", unit, now_s))
 
     def turnaround_s(self, unit: int, now_s: float) -> float | None:
-        """How long this unit takes to answer; None: as its profile says."""
+        """How long this unit takes to answer; None: the profile's time."""
         for fault in self.states("turnaround", unit, now_s):
             spread_ms = fault.random.uniform(0.0, fault.values["spread_ms"])
             return (fault.values["ms"] + spread_ms) / 1000.0
@@ -160,7 +159,7 @@ class FaultScript:
         return None
 
     def spoil(self, unit: int, frame: bytes, framing: Rewriting, now_s: float) -> Spoiled:
-        """A good reply as it goes on the wire; nothing is left of a dropped one."""
+        """A good reply as it goes on the wire; a dropped one is empty."""
         spoiled = Spoiled(frame)
         for fault in self.faults:
             on_replies = KINDS[fault.kind].happens == "reply" and fault.kind != "slow-flash"
@@ -193,7 +192,7 @@ def _spoil(spoiled: Spoiled, unit: int, framing: Rewriting, fault: Fault) -> Non
         case "wrong-unit":
             other = fault.random.choice([one for one in range(1, UNIT_MAX) if one != unit])
             spoiled.frame = framing.readdressed(frame, other)
-        case "exception" if len(frame) > 1:  # of less is not known what it answers
+        case "exception" if len(frame) > 1:  # a shorter one does not show what it answers
             spoiled.frame = framing.refusal(frame, int(fault.values["code"]))
         case "stuck-de":
             spoiled.deafening_s = max(spoiled.deafening_s, fault.values["ms"] / 1000.0)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 Row = tuple[float, float, float]
-"""What a speed at the ground is of a motion forward, to the left and about."""
+"""The parts of a speed at the ground: of a motion forward, to the left and about."""
 
 
 class LeastSquares:
@@ -57,8 +57,8 @@ class Module:
 
 class SteeredGround:
     """Wheels that roll where they point to and do not slide across: the rolling and the sliding
-    constraint of each (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3). What they do
-    against each other is slip."""
+    constraint of each (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3). Contradictions
+    between them are slip."""
 
     def __init__(self, modules: Sequence[Module], angle_rad: Callable[[str], float]) -> None:
         """`angle_rad`: of a joint. Raises ValueError where the wheels do not determine the

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated inertial sensor on the base: what it says of the plant's motion, with a zero-rate
-offset and white noise, as the cheap chips have them (data sheet of the MPU-6050, 6.1: 0.005
-°/s/√Hz, and up to 20 °/s of offset)."""
+"""A simulated inertial sensor on the base: it measures the plant's motion, with a zero-rate offset
+and white noise, as the cheap chips have them (data sheet of the MPU-6050, 6.1: 0.005 °/s/√Hz, and
+up to 20 °/s of offset)."""
 
 from __future__ import annotations
 

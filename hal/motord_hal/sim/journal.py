@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a drive has really sent: the ground truth for a proof that no value was taken from a
-frame that was not the answer to its request."""
+"""What a drive has really sent: the ground truth to prove that no value came from a frame that did
+not answer its request."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 ENTRIES_KEPT = 50_000
-"""The oldest go first."""
+"""The oldest are dropped first."""
 
 
 @dataclass(frozen=True, slots=True)

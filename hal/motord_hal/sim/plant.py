@@ -29,8 +29,8 @@ THERMAL_TIME_S = 300.0
 HEATING_C_S_A2 = 0.002
 """A winding of about 60 °C above ambient at a steady 10 A, as small hub motors are rated."""
 STANDSTILL_RAD_S = 0.02
-"""Slower than this with a set-point of zero, the speed loop lets go of its integral, which would
-balance the friction and creep for ever."""
+"""Slower than this with a set-point of zero, the speed loop drops its integral, which would balance
+the friction and creep for ever."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +125,7 @@ class Wheel:
     def substep(self, dt_s: float) -> None:
         idle = self._power is _Power.OFF and self.velocity_rad_s == self.torque_n_m == 0.0
         if idle and self.winding_c == AMBIENT_C:
-            return  # nothing of what follows would change
+            return  # nothing below would change
         torque_max = self.model.torque_max_n_m
         self.torque_n_m = max(-torque_max, min(torque_max, self._wanted_torque_n_m(dt_s)))
         self._move(dt_s)
@@ -175,8 +175,8 @@ class Contact:
     """"left" | "right"."""
     wheel_radius_m: float
     row: tuple[float, float, float] | None = None
-    """What the rim's speed is of a motion forward, to the left and about, of a base that moves
-    sideways. None: of two sides."""
+    """The parts of the rim's speed: of a motion forward, to the left and about, of a base that
+    moves sideways. None: a wheel of a base with two sides."""
 
 
 @dataclass(slots=True)
@@ -250,8 +250,8 @@ class Plant:
         self.truth = Truth()
 
     def step(self, dt_s: float) -> None:
-        """Go on by dt_s, in sub-steps; the rest waits for the next call. NaN, infinity, negative:
-        ValueError."""
+        """Go on by dt_s, in sub-steps; a remainder waits for the next call. NaN, infinity,
+        negative: ValueError."""
         if not (math.isfinite(dt_s) and dt_s >= 0.0):
             raise ValueError(f"time step {dt_s} s")
         self._due_s += dt_s
@@ -310,7 +310,7 @@ class Plant:
         return rims_m
 
     def _follow_best(self, motion: tuple[float, float, float]) -> None:
-        """What fits all rims best: what they do against each other is slip."""
+        """The motion that fits all rims best; the rest is slip."""
         forward_m, left_m, turn_rad = motion
         self._follow_arc(forward_m, turn_rad, left_m)
 

@@ -33,7 +33,7 @@ def approach_rad_s(profile: DriveProfile, motor: Motor, goal_raw: int) -> float:
 
 
 def _count(profile: DriveProfile, motor: Motor) -> int:
-    """Its counter, with a sign where it fills a register that has one."""
+    """The motor's counter, signed if it fills a signed register."""
     count, bits = motor.count or 0, profile.counter_bits
     position = profile.registers[motor.channel.position or ""]
     signed = position.type.signed and position.type.bits == bits

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A whole simulated robot: lines, drives, wheels and ground, a fault script, a control socket.
 
-All that happens is a function of the requests and of the time handed to `work`, so a test may drive
-the clock by hand. In real time: `runner`.
+Its behaviour depends only on the requests and on the time given to `work`, so a test may step the
+clock by hand. In real time: `runner`.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ AnySimulatedLine: TypeAlias = "SimulatedLine | SimulatedBoard | SimulatedPins | 
 TCP_KINDS = ("modbus-tcp", "rtu-over-tcp")
 """Kinds of lines behind a gateway."""
 PUNCTUAL_KINDS = ("can", "pwm")
-"""Kinds of lines that are believed at the time at which something is seen on them."""
+"""Kinds of lines whose values count at the time at which they are read."""
 OTHER_THAN_CAN = SimulatedLine | SimulatedBoard | SimulatedPins
 SIDES = ("left", "right")
 """As the fault "slip" numbers them."""
@@ -64,7 +64,7 @@ JOURNAL_REPLY_ENTRIES = 1000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WheelSpec:
-    """What the ground has to know of a joint."""
+    """A joint's properties for the ground."""
 
     side: str
     """"left" | "right"."""
@@ -74,9 +74,9 @@ class WheelSpec:
     full_duty_rad_s: float = 15.0
     """Wheel speed at full duty, of drives whose set-point is a duty."""
     counts_per_turn: int = 0
-    """Of this motor's encoder; 0: as the profile says."""
+    """Of this motor's encoder; 0: the profile's."""
     rolls: bool = True
-    """Else it turns no wheel on the ground: it steers one."""
+    """False: it turns no wheel on the ground, it steers one."""
     model: WheelModel = field(default_factory=WheelModel)
 
 
@@ -87,7 +87,7 @@ class PortSpec:
     host: str = "127.0.0.1"
     port: int = 0
     raw: bool = False
-    """RTU frames as they are; else a Modbus TCP gateway."""
+    """True: RTU frames as they are; false: a Modbus TCP gateway."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,19 +104,18 @@ class RigSpec:
     faults: tuple[str, ...] = ()
     slip_variance_m2_per_m: float = 0.0
     watchdog_s: float = 0.0
-    """A watchdog for drives whose profile has none; 0: none, as in life."""
+    """A watchdog for drives whose profile has none; 0: none, like the real drive."""
     gyro_scale: float = 1.0
     """Measured over true rate of turn."""
     ports: Mapping[str, PortSpec] = field(default_factory=dict)
     """By line name; a line that is not named is a pseudo-terminal, or on any free TCP port of this
-    machine where its kind says TCP."""
+    machine if its kind is TCP."""
     can: str = ""
     """INTERFACE:CHANNEL of the robot's one CAN bus; empty: each is on UDP datagrams of its own."""
     units: int = 0
     """At least this many drives on each line, from unit 1 on; the spare ones are as its first."""
     tagged: bool = False
-    """Counters start at a number that identifies the unit, and what is answered is kept
-    (Journal)."""
+    """Counters start at a number that identifies the unit, and answers are kept (Journal)."""
 
 
 class Rig:
@@ -192,7 +191,7 @@ class Rig:
         )
 
     def _profiles(self, line: LineSpec) -> dict[int, DriveProfile]:
-        """By unit: those of the robot, and the spare ones beside them."""
+        """Profiles by unit: the robot's, and those of the spare units."""
         spare = dict.fromkeys(range(1, self.spec.units + 1), line.joints[0].profile)
         return spare | {joint.unit: joint.profile for joint in line.joints}
 
@@ -219,7 +218,7 @@ class Rig:
         return SimulatedLine(line, drives, self.script, port)
 
     def _make_talks(self, line: LineSpec) -> dict[int, Talk]:
-        """By its address what each board takes and sends; empty: no board is on this line."""
+        """Each board's protocol by its address; empty: no board is on this line."""
         units = {joint.unit: joint.profile for joint in line.joints}
         talks = {unit: self._make_talk(line, unit, profile) for unit, profile in units.items()}
         return {unit: talk for unit, talk in talks.items() if talk is not None}
@@ -236,7 +235,7 @@ class Rig:
         return None
 
     def _watchdog_s(self, profile: DriveProfile) -> float:
-        """Of a drive whose profile has no watchdog that can be set."""
+        """The time of a watchdog that cannot be set; 0: there is none."""
         return 0.0 if profile.watchdog else self.spec.watchdog_s or profile.watchdog_fixed_s
 
     def _make_gyro(self, line: LineSpec) -> SimulatedGyro | None:
@@ -248,7 +247,7 @@ class Rig:
     def _make_can_line(
         self, line: LineSpec, drives: Mapping[int, SimulatedDrive], link_dir: Path
     ) -> SimulatedCanLine:
-        # python-can is there only where a robot has a CAN bus
+        # python-can is needed only for a robot with a CAN bus
         from motord_hal.sim.can.line import SimulatedCanLine
         from motord_hal.sim.can.port import BusSettings, CanPort, free_address
 
@@ -297,8 +296,8 @@ class Rig:
     # ------------------------------------------------------------------------------------- running
     @property
     def pauses(self) -> bool:
-        """Whether its time has to stand still while no work is done on it. A frame that is late is
-        only late, but a counter that leaps is read in time, and no wheel turns so far."""
+        """Whether its time has to stand still while the process gets no CPU. A late frame is only
+        late, but a counter that jumps is read on time, and no wheel turns so far."""
         return any(line.kind == "pwm" for line in self.spec.lines)
 
     def filenos(self, now_s: float) -> list[int]:
@@ -307,7 +306,7 @@ class Rig:
         return [*ports, *self.server.filenos()]
 
     def due_s(self, now_s: float | None = None) -> float:
-        """When something happens next without a request."""
+        """Time of the next event without a request."""
         at_s = self.plant.time_s if now_s is None else now_s
         return min((line.due_s(at_s) for line in self.lines.values()), default=math.inf)
 
@@ -319,8 +318,8 @@ class Rig:
             line.work(now_s)
 
     def work_lines(self, clock: Clock) -> None:
-        """Only the wires, on a clock that goes on meanwhile. Frames on a CAN bus carry the time at
-        which they went out and counters have that of the look, so what they say has to be of that
+        """Serve only the wires, on a clock that goes on meanwhile. CAN frames carry the time at
+        which they went out, and counters that of the reading, so their content has to be of that
         time."""
         while self._punctual and self.substep_due(clock()):
             self.substep()
@@ -331,7 +330,7 @@ class Rig:
         return self.plant.time_s + SUBSTEP_S <= now_s
 
     def substep(self) -> None:
-        """One step of the physics, the drives' clocks and the script."""
+        """One step of the physics, of the drives' clocks and of the script."""
         if self.script.faults or self.plant.slipping:
             self.plant.slipping = {
                 SIDES[int(fault.values["side"])]: fault.values["part"]
@@ -352,7 +351,7 @@ class Rig:
             self._replug(name, now_s)
 
     def _replug(self, name: str, now_s: float) -> None:
-        """Its old TCP port may be taken for a while."""
+        """Plug it in, or try again later: its old TCP port may be in use for a while."""
         try:
             self.lines[name].plug()
         except OSError:
@@ -362,8 +361,8 @@ class Rig:
 
     # -------------------------------------------------------------------------------------- faults
     def inject(self, text: str) -> None:
-        """Add a fault to the script, its times counted from now; what is due now has happened when
-        this returns. Raises FaultError."""
+        """Add a fault to the script, its times counted from now; a fault that is due now has
+        happened when this returns. Raises FaultError."""
         self._add(text)
         self._do_due(self.plant.time_s)
 
@@ -461,7 +460,7 @@ class Rig:
         }
 
     def journal(self, line: str, unit: int, since: int) -> list[dict[str, Any]]:
-        """What a unit has really answered, from this entry on; of a tagged rig."""
+        """The real answers of a unit, from this entry on; only of a tagged rig."""
         drives = self._line(line).drives
         if unit not in drives:
             raise ValueError(f"no unit {unit} on {line}")
@@ -485,7 +484,7 @@ class Rig:
 def new_drive(
     profile: DriveProfile, unit: int, axes: Mapping[int, Axis], *, watchdog_s: float
 ) -> SimulatedDrive:
-    """A drive of the kind that the profile describes."""
+    """The drive of this profile."""
     kind = Cia402Drive if speaks_cia402(profile) else SimulatedDrive
     kind = SimulatedBridge if profile.bridge is not None else kind
     kind = SimulatedServo if profile.protocol in SERVO_KINDS else kind
@@ -493,5 +492,5 @@ def new_drive(
 
 
 def _free_name(line: LineSpec, unit: int, channel: int) -> str:
-    """Of a motor that no joint uses: it turns in the air."""
+    """The wheel of a motor that no joint uses: it turns in the air."""
     return f"{line.name} unit {unit} channel {channel}"

@@ -22,16 +22,16 @@ from motord_hal.sim.rig import Rig
 from motord_hal.sim.rs485.wire import Clock
 
 WAIT_MAX_S = 0.02
-"""Longest sleep: bounds how much physics has to be caught up at once."""
+"""Longest sleep: it limits how much physics is caught up at once."""
 SPIN_S = 0.0001
-"""Longer than a wake-up of a SCHED_FIFO thread takes."""
+"""Longer than the wake-up of a SCHED_FIFO thread."""
 PHYSICS_SPARE_S = 0.0005
 """The physics waits where something is due on a wire within this time."""
 PHYSICS_LAG_MAX_S = 0.01
-"""But no longer than so."""
+"""But at most this long."""
 HELD_UP_S = 0.002
-"""Of a longer time for which the process got no CPU, a robot that pauses has lived through this
-much: in the 5 ms between two looks of a line the wheel still turns no further than it can."""
+"""If the process got no CPU for longer than this, the time of a robot that pauses goes on by this
+much only: so in the 5 ms between two looks of a line, a wheel turns no farther than it can."""
 NICE = -15
 PUNCTUAL = "\0motord-simulator-on-time"
 """A socket of this name (unix(7), abstract) exists while a simulator has SCHED_FIFO."""
@@ -51,13 +51,13 @@ def set_pace(priority: int) -> None:
         with contextlib.suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, 0, NICE)
     gc.collect()
-    gc.freeze()  # what is there now stays: later collections have nearly nothing to look through
+    gc.freeze()  # present objects stay: later collections have little to examine
 
 
 @contextlib.contextmanager
 def punctual() -> Iterator[bool]:
     """Whether a simulator may have SCHED_FIFO meanwhile: it is allowed, a processor is left for
-    others, and no other simulator of this machine has asked so."""
+    others, and no other simulator of this machine has it."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as place:
         try:
             place.bind(PUNCTUAL)
@@ -90,8 +90,8 @@ def run(
     *,
     spin_s: float = 0.0,
 ) -> None:
-    """Be the robot until `stopped()` or until that file descriptor ends. `spin_s`: do not sleep
-    over this time before something is due."""
+    """Run the robot until `stopped()` or until that file descriptor ends. `spin_s`: do not sleep in
+    this time before something is due."""
     rig.began_ns = time.monotonic_ns() - round(rig.plant.time_s * 1e9)
     began_s = rig.began_ns * 1e-9
     clock = PausingClock(began_s) if rig.pauses else lambda: time.monotonic() - began_s

@@ -24,13 +24,13 @@ class ControlServer:
         self._methods = methods
         self._clients: dict[int, tuple[socket.socket, bytearray]] = {}
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        if path.is_socket():  # of a simulator that was killed; anything else is not ours to remove
+        if path.is_socket():  # left by a simulator that was killed; nothing else may be removed
             path.unlink()
         try:
             self._listener.bind(os.fspath(path))
         except OSError as error:
             self._listener.close()
-            number = error.errno or errno.ENAMETOOLONG  # Python has no number for it
+            number = error.errno or errno.ENAMETOOLONG  # Python has no constant for it
             raise OSError(number, error.strerror or str(error), os.fspath(path)) from error
         path.chmod(0o600)
         self._listener.listen()

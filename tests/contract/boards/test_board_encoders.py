@@ -81,7 +81,7 @@ async def test_a_silent_board_lets_the_feedback_of_its_wheels_get_old_and_is_rep
     peer.do("m")
     await until(lambda: EventKind.DRIVE_WARNING in rig.kinds(), "it is reported")
     assert "left, right" in rig.events[-1].text
-    assert "the board that counts is silent" in rig.events[-1].text
+    assert "the encoder board is silent" in rig.events[-1].text
     old = feedback_of(rig).stamp_ns
     cycles = rig.line.stats().cycles
     await until(lambda: rig.line.stats().cycles > cycles + 20)

@@ -136,7 +136,7 @@ def test_a_function_that_the_counter_does_not_take_is_reported(counter):
     os.mkfifo(file)
     file.unlink()
     file.symlink_to("/dev/null")
-    with pytest.raises(PortError, match='function is "", and does not get "quadrature x4"'):
+    with pytest.raises(PortError, match='function is "", and cannot be set to "quad'):
         open_counter(counter_of(counter.folder), "left")
 
 

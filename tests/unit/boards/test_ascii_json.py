@@ -49,12 +49,12 @@ def test_an_unmatched_line_is_ignored(line):
 @pytest.mark.parametrize(
     ("template", "why"),
     [
-        ('{{"L":{left}', "begins as a JSON object and is none"),
-        ('{{"L":{left}}} {right}', "begins as a JSON object and is none"),
+        ('{{"L":{left}', "begins like a JSON object but is not one"),
+        ('{{"L":{left}}} {right}', "begins like a JSON object but is not one"),
         ('{{"L":{left},"s":"x"}}', "must be a number or a"),
         ('{{"L":{left},"o":{{}}}}', "must be a number or a"),
         ('{{"L":{left},"b":true}}', "must be a number or a"),
-        ('{{"":{left}}}', "has a character at least"),
+        ('{{"":{left}}}', "has 1 character or more"),
     ],
 )
 def test_a_template_that_is_no_object_of_numbers_is_refused_with_the_reason(template, why):

@@ -32,7 +32,7 @@ def test_no_pull_and_a_supported_pull_pass_the_check():
 
 def test_of_two_chips_with_one_label_neither_is_taken():
     labels = {ONE: "pca9555", OTHER: "pca9555", Path("/dev/gpiochip0"): "pinctrl-rp1"}
-    with pytest.raises(PortError, match=r'2 GPIO chips are "pca9555": /dev/gpiochip1, /dev/gpioc'):
+    with pytest.raises(PortError, match=r'2 GPIO chips have the label "pca9555": /dev/gpiochip1'):
         _only_chip(labels, "pca9555")
     assert _only_chip(labels, "pinctrl-rp1") == Path("/dev/gpiochip0")
 
@@ -57,7 +57,7 @@ def test_a_device_file_that_is_no_chip_is_reported_with_its_path(tmp_path, wante
 
 def test_a_name_that_two_lines_have_is_refused_with_their_numbers():
     assert _only_line(["", "A", "B", ""], "B") == 2
-    with pytest.raises(LookupError, match=r'lines 1, 3 of this chip are "A": name one by its num'):
+    with pytest.raises(LookupError, match=r'lines 1, 3 of this chip have the name "A": give a'):
         _only_line(["", "A", "B", "A"], "A")
     with pytest.raises(LookupError, match='no GPIO line "C"'):
         _only_line(["", "A"], "C")

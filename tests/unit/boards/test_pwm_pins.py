@@ -79,7 +79,7 @@ def test_a_pin_is_a_channel_or_a_line_and_may_be_active_low():
         ("drv8871", {"in1": "pwm0", "in3": "pwm1"}, "drv8871 has no pin in3"),
         ("drv8871", {"in1": "pwm0", "in2": "pwm1", "fault": "pwm2"}, "fault is an input"),
         ("drv8871", {"in1": "pwm0", "in2": "pwm1", "pump": "pwm2"}, "pump is no PWM"),
-        ("drv8871", {"in1": "pwm0", "in2": "!"}, "in2 is nowhere"),
+        ("drv8871", {"in1": "pwm0", "in2": "!"}, "in2 has no channel or line"),
     ],
 )
 def test_what_a_bridge_cannot_do_with_its_pins_is_reported(drive, pins, words):

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_rtu.c: the thread of a serial line: the port, the clock, the waiting. What is sent and
- * when is the machine's. */
+ * line_rtu.c: the thread of a serial line: the port, the clock, the waiting. The machine decides
+ * what is sent and when. */
 #include <errno.h>
 #include <linux/gpio.h>
 #include <string.h>
@@ -45,7 +45,7 @@ static line_thread *life_of(uint32_t line)
 static void sleep_until(int64_t until_ns)
 {
     if (until_ns <= clock_now_ns()) {
-        return; /* the kernel would set a timer all the same, and be back late */
+        return; /* the kernel would still set a timer, and return late */
     }
     struct timespec until = {.tv_sec = until_ns / NS_PER_S, .tv_nsec = until_ns % NS_PER_S};
     while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL) == EINTR) {
@@ -74,15 +74,15 @@ static int write_all(const rtu_thread *t, const uint8_t *bytes, uint32_t count)
             struct pollfd port = {.fd = t->life.at.fd, .events = POLLOUT};
             int ready = poll(&port, 1, 100);
             if (ready == 0 || (port.revents & (POLLERR | POLLNVAL)) != 0) {
-                return -EIO; /* an output buffer that does not empty is no line */
+                return -EIO; /* an output buffer that does not empty: the port is lost */
             }
         }
     }
     return 0;
 }
 
-/* Until the last bit has left the shift register, where the driver can say so (not on ptys and
- * some adapters). */
+/* Until the last bit has left the shift register, if the driver reports it (not on ptys and some
+ * adapters). */
 static void wait_until_sent(const rtu_thread *t)
 {
     sleep_until(t->machine.end_ns);
@@ -155,7 +155,7 @@ static void hand_on(rtu_thread *t, const line_output *out)
 }
 
 /* --------------------------------------------------------------------------- the thread */
-/* Bytes, a wake or the time; the bytes' number or -errno. */
+/* Waits for bytes, a wake or the time; returns the bytes' number or -errno. */
 static int wait_for_wakeup(rtu_thread *t, int64_t until_ns, uint8_t *bytes, uint32_t room)
 {
     struct pollfd fds[2] = {[1] = {.fd = t->life.at.fd, .events = POLLIN}};
@@ -206,8 +206,7 @@ static void *run(void *arg)
 }
 
 /* ----------------------------------------------------------------------------- its life */
-/* The newest of the start before: a drive may have been switched off meanwhile, and its counter
- * with it. */
+/* The newest epochs of the last start: a drive may have lost its power and its counter since. */
 static uint32_t last_epoch(const line_machine *m)
 {
     uint32_t epoch = 0;

@@ -203,7 +203,7 @@ static bool is_exception(const line_frame *frame, const uint8_t *request, const 
 
 bool rtu_answer_is_request(const line_frame *frame, const uint8_t *request)
 {
-    /* no status is like an instruction */
+    /* a status never looks like an instruction */
     bool differs = frame->reply_seal == SEAL_SUM || frame->reply_seal == SEAL_STUFFED;
     return !differs && frame->reply_bytes == frame->request_bytes &&
            is_answer(frame, request, request);
@@ -298,7 +298,7 @@ void rtu_finish(line_frame *frame)
     rtu_seal(frame->request, frame->request_bytes, frame->request_seal);
 }
 
-/* One that does not say what it answers is nothing but all that came. */
+/* A reply that does not identify its request must be all that came. */
 static received whole(const line_frame *frame, const uint8_t *request, const uint8_t *bytes,
                       uint32_t count)
 {
@@ -321,7 +321,7 @@ received rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32
     if (echo == 1 && !comes_back) {
         return (received){.kind = RECEIVED_BAD};
     }
-    /* not known whether there is an echo: what is like the request is no answer, until it has
+    /* unknown whether there is an echo: bytes that equal the request are an answer only when they
      * come twice */
     bool passes = echo != 0 && comes_back;
     received found = rtu_hunt(frame, request, passes ? sent : 0, bytes, count);

@@ -57,8 +57,8 @@ bool rtu_answer_is_request(const line_frame *frame, const uint8_t *request);
 received rtu_hunt(const line_frame *frame, const uint8_t *request, uint32_t from,
                   const uint8_t *bytes, uint32_t count);
 /* The answer to `request` (frame's, as it was sent) among what came since. echo: as
- * line_table.echo. Garbage before it is passed over; nothing but prefix, whole length and seal
- * makes an answer. */
+ * line_table.echo. Garbage before it is passed over; an answer needs its prefix, its whole length
+ * and its seal. */
 received rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32_t echo,
                          const uint8_t *bytes, uint32_t count);
 

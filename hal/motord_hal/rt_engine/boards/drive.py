@@ -21,7 +21,7 @@ START_GRACE_S = 2.5
 
 
 class BoardRtDrive(RtDrive):
-    """The one drive of its line. Presence is judged by what C has received."""
+    """The one drive of its line. Whether it responds is judged by what C has received."""
 
     def __init__(
         self,
@@ -45,7 +45,7 @@ class BoardRtDrive(RtDrive):
         return f"nothing for {self._silence_s * 1e3:.0f} ms"
 
     async def _present(self) -> None:
-        """Until it sends. One that was restarted by the opening of its port takes its time."""
+        """Wait until it sends. A board that restarts when its port is opened needs more time."""
         patience_s = now_s() + START_GRACE_S
         while not self._board.report().drives[0].received_ns:
             if now_s() > patience_s:
@@ -54,7 +54,7 @@ class BoardRtDrive(RtDrive):
             await asyncio.sleep(LOOK_EVERY_S)
 
     def _arming_steps(self) -> tuple[Step, ...]:
-        """Every frame says zero until it is armed: there is nothing to write before."""
+        """Every frame carries zero until it is armed: nothing has to be written before."""
         return self.jobs.profile.arm
 
     async def enable(self, began: int) -> None:

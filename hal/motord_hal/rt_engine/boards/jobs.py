@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Jobs of a board whose cycle runs in C: what is written stays in every frame, and what is waited
-for is in what the board sends after it has received that."""
+"""Jobs of a board whose cycle runs in C: a write stays in every frame, and a wait checks what the
+board sends after it has received the writes."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from motord_hal.rt_engine.orders import ARM, OrderJobs
 from motord_hal.rt_engine.rs485.request_queue import Check, always
 
 WAIT_LEAST_S = 0.25
-"""For a step that waits: a frame there and one back, also where the profile gives it no time."""
+"""For a step that waits: time for a frame there and one back, if the profile gives no time."""
 
 
 class BoardJobs(OrderJobs):
-    """What can be done with the board of a line."""
+    """Jobs of the board of a line."""
 
     def __init__(
         self, name: str, plan: DrivePlan, layout: Layout, thread: BoardThread, period_s: float
@@ -41,7 +41,8 @@ class BoardJobs(OrderJobs):
     async def run(
         self, name: str, steps: Sequence[Step], *, urgent: bool = False, check: Check = always
     ) -> None:
-        """Step by step; `check` is made before each, and again while it lasts. Raises HalError."""
+        """Step by step; `check` is called before each, and again while it lasts. Raises
+        HalError."""
         async with self._in_turn(urgent=urgent):
             await self._work(name, steps, check)
 
@@ -61,7 +62,7 @@ class BoardJobs(OrderJobs):
         return self._thread.ordered
 
     async def _write(self, name: str, write: Plain, stops: int | None) -> None:
-        """Until a frame with it has gone out."""
+        """Wait until a frame with it has gone out."""
         dropped = self._drive_report().orders_dropped
         order = {
             "write": write,
@@ -74,7 +75,7 @@ class BoardJobs(OrderJobs):
             raise NoReply(f"{self._name}: {name}: not written: stopped, or the port takes no bytes")
 
     async def _wait_for(self, name: str, step: Step, check: Check) -> None:
-        """Until a word that was sent after it had received all that was written shows it."""
+        """Wait until feedback shows it that the board made after it had received all writes."""
         until_s = now_s() + max(step.within_s, WAIT_LEAST_S)
         while True:
             report = self._drive_report()

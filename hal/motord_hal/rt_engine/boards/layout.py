@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a board's registers stand in what goes to it and in what it sends, by the kind of its line:
-pure."""
+"""Where a board's registers are in what it receives and sends, by the kind of its line: pure."""
 
 from __future__ import annotations
 
@@ -46,29 +45,29 @@ _PROTOCOLS = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where registers stand in what goes to the board, and in what it sends."""
+    """Where registers are in what the board receives, and in what it sends."""
 
     sent: Mapping[str, Plain]
     reported: Mapping[str, Plain]
     dialect: Plain
-    """What the table needs of the protocol itself."""
+    """The protocol's entries of the table."""
     rate_z: Plain | None = None
-    """Of an inertial sensor in a text; None: there is none."""
+    """The rate of an inertial sensor in a text; None: there is none."""
     units: tuple[int, ...] = ()
-    """Of drivers on one wire, each with its part of what is sent; empty: there is one board."""
+    """Addresses of drivers on one wire, each with its part of the frame; empty: one board."""
 
     def place(self, register: str, unit: int) -> Plain:
-        """Where it stands in what goes to the board with this address."""
+        """Its place in what the board with this address receives."""
         first = self.sent[register]
         part = self.units.index(unit) if self.units else 0
         return {**first, "byte": first["byte"] + part * sabertooth.ADDRESSES}
 
     def places(self, register: str) -> list[Plain]:
-        """Of all boards on the line."""
+        """The register's places for all boards on the line."""
         return [self.place(register, unit) for unit in self.units or (0,)]
 
     def raw(self, register: str, payload: bytes) -> int | None:
-        """Its value in a word of the board; None: it is not in it."""
+        """Its value in a board's feedback; None: the feedback does not have it."""
         place = self.reported.get(register)
         if place is None or len(payload) < place["byte"] + place["bytes"]:
             return None
@@ -104,7 +103,7 @@ def _frames(plan: DrivePlan, period_s: float) -> Layout:
 
 
 def _text(spec: LineSpec, plan: DrivePlan) -> Layout:
-    """Numbers stand in no order of the board's: one after the other."""
+    """The numbers follow one another; a text has no layout of its own."""
     sent, end = {}, 0
     for register in plan.profile.registers.values():
         if "w" in register.access:
@@ -189,7 +188,7 @@ def setpoint_of(plan: DrivePlan, joint: JointSpec) -> tuple[JointSpec, Register]
 
 
 def wire_bytes(spec: LineSpec, channels: Iterable[int]) -> int:
-    """Of the longer of both directions, in a cycle. Raises ProfileError."""
+    """Bytes of the longer of both directions, in a cycle. Raises ProfileError."""
     if spec.kind == "mcu":
         return frame_bytes(max(channels), imu=spec.imu is not None)
     if spec.kind == "ascii":

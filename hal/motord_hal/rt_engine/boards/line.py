@@ -49,12 +49,11 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         self._exchanges = self._cycles = 0
         self._round_trips = RoundTrips()
         self._epoch = 0
-        """What comes after a reopening is new, though its counters may look alike."""
+        """What comes after a reopening is new, even if its counters look the same."""
 
     def stats(self) -> LineStats:
         """As ports.Line.stats, to this moment. An exchange is a feedback; a round trip is from
-        set-points to the feedback that acknowledges them, without the time that the board
-        kept it."""
+        set-points to the feedback that acknowledges them, without the board's own delay."""
         stats = LineStats(
             exchanges=self._exchanges,
             cycles=self._cycles,
@@ -73,7 +72,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         return stats
 
     def _counted(self) -> Counter[str]:
-        """By earlier threads, and by the line itself."""
+        """Errors that earlier threads and the line itself have counted."""
         return self._errors + Counter({"port": self._losses})
 
     # --------------------------------------------------------------------------------- its own port
@@ -120,7 +119,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
 
 
 def _check_boards(spec: LineSpec) -> None:
-    """Raises ProfileError for boards that cannot be on one line."""
+    """Raises ProfileError for boards that cannot share a line."""
     boards = list(joints_by_unit(spec))
     if spec.kind != "sabertooth" and len(boards) != 1:
         raise ProfileError(f"{spec.name}: one board a line: all its joints have the same unit")
@@ -129,7 +128,7 @@ def _check_boards(spec: LineSpec) -> None:
 
 
 def _errors(report: BoardReport) -> Counter[str]:
-    """What never happened is left out."""
+    """Counters of zero are left out."""
     counts = {
         "bad_reply": report.bad_frames,
         "no_room": report.no_room,

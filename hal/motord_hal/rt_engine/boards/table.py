@@ -19,7 +19,7 @@ from motord_hal.rt_engine.decoding import harmless_words, setpoint_scale, source
 from motord_hal.rt_engine.rs485.table import raw_limits, si_per_raw
 
 UNRESPONSIVE_ALLOWANCE_S = 0.12
-"""On top of the feedback that may be lost: an adapter may be late."""
+"""Beyond the feedback that may be lost: an adapter may be late."""
 _NS_PER_S = 1e9
 _U32 = 0xFFFF_FFFF
 
@@ -28,8 +28,8 @@ _U32 = 0xFFFF_FFFF
 def board_table(
     spec: LineSpec, plan: DrivePlan, layout: Layout, period_s: float, gap_s: float
 ) -> Plain:
-    """`gap_s`: so long a frame is on the wire. C checks the table once more and names the first bad
-    field."""
+    """`gap_s`: the time of a frame on the wire. C checks the table once more and names the first
+    bad field."""
     profile = plan.profile
     tries = max(joint.tries for joint in plan.joints)
     parts: dict[str, Sequence[Plain]] = {
@@ -68,7 +68,7 @@ def _imu(spec: LineSpec, layout: Layout) -> Plain:
 
 
 def writes(layout: Layout, steps: Iterable[Step]) -> list[Plain]:
-    """The writes of a sequence, in order, each to all boards; what it waits for is left out."""
+    """The writes of a sequence, in order, each to all boards; waits are left out."""
     return [
         {"place": place, "raw": step.value}
         for step in steps
@@ -111,7 +111,7 @@ def _meaning(plan: DrivePlan, joint: JointSpec, kind: FieldKind, register: Regis
 
 
 def _board_fields(spec: LineSpec, profile: DriveProfile, layout: Layout) -> Iterator[Plain]:
-    """What its set-up waited for must stay so: a board that was restarted says it there."""
+    """The waits of its set-up must stay true: a restarted board shows it there."""
     waited = [step for step in configure_steps(profile, spec.watchdog_s) if step.value is None]
     wanted = [(FieldKind.KEPT, step.register, step.mask, step.equals or 0) for step in waited]
     if profile.enabled is not None:

@@ -32,11 +32,11 @@ from motord_hal.rt_engine.rs485.table import si_per_raw
 Plain = dict[str, Any]
 
 NUMBER_BYTES = 6
-"""Of a number that was read: with its sign more than any counter of 32 bits."""
+"""Range of a number that is read: more than any signed counter of 32 bits."""
 _FORMS = MappingProxyType({"d": 1, "f": 2, "g": 3})
 _NO_NUMBER, _CONSTANT = 0, 4
 _PRECISION = 6
-"""Where a format gives none: that of printf and of Python."""
+"""The default of printf and of Python, if a format gives none."""
 _FORMAT = re.compile(
     r"(?P<sign>[+ ]?)(?P<zeros>0?)(?P<width>\d*)(\.(?P<precision>\d+))?(?P<form>[dfg])"
 )
@@ -118,7 +118,7 @@ def read(
 
 
 def feedback_factors(spec: LineSpec) -> dict[str, float]:
-    """Field → what 1 in the text is at its motor, of rims in rad/s and counts."""
+    """Field → what 1 in the text means at its motor, for rims in rad/s and counts."""
     text, _, received = texts_of(spec)
     rims = {joint.name + RIM_SPEED: motor_rad_per_m(text, joint) for joint in spec.joints}
     rims |= {joint.name + RIM_DISTANCE: counts_per_m(text, joint) for joint in spec.joints}

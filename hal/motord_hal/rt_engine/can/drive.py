@@ -25,7 +25,7 @@ PROBE_LIMIT_S = 2.0
 
 
 class CanRtDrive(RtDrive):
-    """Number `index` of the line's table. Presence is judged by what C has received."""
+    """Number `index` of the line's table. Whether it responds is judged by what C has received."""
 
     def __init__(
         self,
@@ -51,8 +51,8 @@ class CanRtDrive(RtDrive):
         return f"{', '.join(self.names)} (node {self.jobs.unit})"
 
     def update(self, report: Any, fault_words: Sequence[int]) -> None:
-        """As RtDrive.update. A fault is reported also where the stop that C sent for it has made
-        the drive forget it since."""
+        """As RtDrive.update. A fault is reported also if the stop that C sent for it has cleared it
+        in the drive."""
         if report.faults > self._faults:
             for joint in self.jobs.joints:
                 if joint.index == report.last_fault_joint:
@@ -67,7 +67,7 @@ class CanRtDrive(RtDrive):
         return f"no {frame.name} frame" + (f" for {silent_s:.2g} s" if silent_s else "")
 
     async def _present(self) -> None:
-        """Until its frames come. What it does not send unasked is requested."""
+        """Wait until its frames come. Frames that it does not send by itself are requested."""
         patience_s = now_s() + max(self._silences_s, default=0.0) + FIRST_WORD_S
         backoff, probe_s = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S), 0.0
         while (report := self._bus.report().drives[self._index]).missing:
@@ -82,7 +82,7 @@ class CanRtDrive(RtDrive):
 
     def _arming_steps(self) -> tuple[Step, ...]:
         plan, arm = self.jobs.plan, self.jobs.profile.arm
-        if plan.profile.goes_to_positions:  # C sends it the place where it is as long as it rests
+        if plan.profile.goes_to_positions:  # C sends it its own position as long as it rests
             positions = {plan.channel(joint).position or "" for joint in plan.joints}
             known = (Step(register=name, mask=0, equals=0) for name in sorted(positions))
             return (*known, *arm)
@@ -96,7 +96,7 @@ class CanRtDrive(RtDrive):
         await super().enable(began)
 
     async def write_register(self, register: str, steps: Sequence[Step]) -> float:
-        """As RtDrive.write_register: what the drive has read back."""
+        """As RtDrive.write_register: the value that was read back."""
         job = Job("write", steps)
         await self.jobs.finish(job)
         return self.profile.registers[register].to_si(job.raw)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Jobs of one drive on a CAN bus whose cycle runs in C: frames go out as orders, and while a job
-goes on the frames of the drive are handed on to here."""
+"""Jobs of one drive on a CAN bus whose cycle runs in C: frames go out as orders, and during a job
+the frames of the drive come here."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from motord_hal.rt_engine.rs485.request_queue import Check, always
 
 
 class CanJobs(OrderJobs):
-    """What can be done with drive number `index` of the line's table. `take_in` hands on what has
+    """Jobs of drive number `index` of the line's table. `take_in` passes on frames that have
     come."""
 
     def __init__(
@@ -50,7 +50,7 @@ class CanJobs(OrderJobs):
     async def run(
         self, name: str, steps: Sequence[Step], *, urgent: bool = False, check: Check = always
     ) -> None:
-        """Step by step; `check` is made before each. Raises HalError."""
+        """Step by step; `check` is called before each. Raises HalError."""
         await self.finish(Job(name, steps), urgent=urgent, check=check)
 
     async def finish(self, job: Job, *, urgent: bool = False, check: Check = always) -> None:
@@ -92,7 +92,7 @@ class CanJobs(OrderJobs):
     def ask(self, frame: Frame) -> bool:
         """Request a frame of the drive; False: it was not requested."""
         question = self.plan.question(frame)
-        if question is None or question == self.plan.sync:  # that is the cycle's own
+        if question is None or question == self.plan.sync:  # the cycle sends it
             return False
         return self._order({"packet": packet(question)}, None)
 

@@ -66,12 +66,12 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         self._warnings = BusWarnings()
         self._frames = self._cycles = 0
         self._before = {"epoch": 0, "may_turn": 0, "left_running": int(spec.left_running)}
-        """What comes after a reopening is new, though its counters may look alike; and a drive
-        that was armed may turn still."""
+        """What comes after a reopening is new, even if its counters look the same; and a drive that
+        was armed may still turn."""
 
     def stats(self) -> LineStats:
         """As ports.Line.stats, to this moment; `exchanges` counts frames of the drives. There are
-        no round trips: most of what comes was not asked for."""
+        no round trips: most frames come without a request."""
         stats = LineStats(
             exchanges=self._frames,
             cycles=self._cycles,
@@ -124,7 +124,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
     def _ended(self, report: CanReport) -> PortError | None:
         if self._trouble is not None:
             return self._trouble
-        if self._bus_off.is_off():  # the frame that says so was lost
+        if self._bus_off.is_off():  # the frame that reports it was lost
             self._errors["bus_off"] += 1
             return PortError(f"{self.spec.port}: {BUS_OFF_TEXT}")
         if not report.running:
@@ -166,8 +166,8 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
 
     # ---------------------------------------------------------------------------------- parameters
     async def read_register(self, joint: str, register: str) -> float:
-        """As ports.Line.read_register; a register is a signal. One that the drive sends unasked is
-        the next one that comes."""
+        """As ports.Line.read_register; a register is a signal. If the drive sends it without a
+        request, the next frame counts."""
         jobs = self._drive_of(joint).jobs
         found = jobs.plan.readable(register)
         self._check_open()
@@ -177,6 +177,6 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
 
 
 def _errors(report: CanReport) -> Counter[str]:
-    """What never happened is left out."""
+    """Counters of zero are left out."""
     counts = {"tx_full": report.tx_full, "bad_frame": report.bad_frames, "unheard": report.dropped}
     return Counter({kind: count for kind, count in counts.items() if count})

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The socket of a CAN bus for its thread: SocketCAN's, or unix:PATH, a SOCK_SEQPACKET socket that
-carries the same frames (simulators, tests, programs that stand for a CAN bus)."""
+carries the same frames (simulators, tests, programs in place of a CAN bus)."""
 
 from __future__ import annotations
 

@@ -23,8 +23,8 @@ from motord_hal.realtime.table import FieldKind
 from motord_hal.rt_engine.decoding import harmless_words, setpoint_scale, sources_of
 
 SAMPLE_PART = 0.5
-"""As of the asyncio engine: measurements that the CAN bus has bunched are kept apart by this part
-of their period."""
+"""As in the asyncio engine: samples that the CAN bus has pushed together count only if they are
+apart by this part of their period."""
 _NS_PER_S = 1e9
 _U32 = 0xFFFF_FFFF
 
@@ -46,7 +46,7 @@ def can_table(spec: LineSpec, plans: Sequence[CanPlan]) -> Plain:
 
 
 def inputs_of(plan: CanPlan) -> tuple[Frame, ...]:
-    """The frames of the drive that the cycle lives on, in the order of the table."""
+    """The frames of the drive that the cycle uses, in the order of the table."""
     hello = () if plan.hello is None else (plan.hello,)
     return tuple(dict.fromkeys((*plan.fast, *plan.slow, *plan.watched, *hello)))
 
@@ -91,7 +91,7 @@ def packet(sent: Sent) -> Plain:
 
 
 def write(plan: CanPlan, frame: Frame, raw: Mapping[str, int]) -> Plain:
-    """A frame with these signals in it. In one that also carries set-points they are held."""
+    """A frame with these signals. In a frame that also carries set-points they are held."""
     plain: Plain = {"packet": packet(plan.write(frame, raw))}
     if frame in plan.setpoint_frames:
         mask = bytearray(frame.size_bytes)
@@ -107,14 +107,14 @@ def _mark(signal: Signal, mask: bytearray) -> None:
 
 
 def _step_writes(plan: CanPlan, steps: Iterable[Step]) -> list[Plain]:
-    """The writes of a sequence, in order; what it waits for is left out."""
+    """The writes of a sequence, in order; waits are left out."""
     return [write(plan, frame, raw) for frame, raw in merged_writes(plan, steps)]
 
 
 def _questions(plan: CanPlan, frames: Iterable[Frame]) -> Iterator[Plain]:
     for frame in frames:
         question = plan.question(frame)
-        if question is not None and question != plan.sync:  # that is the cycle's own
+        if question is not None and question != plan.sync:  # the cycle sends it
             yield packet(question)
 
 
@@ -153,7 +153,7 @@ def _setpoints(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
 
 
 def _trigger(plan: CanPlan, handshake: Handshake | None) -> Plain:
-    """The bit with which the drive takes a target; a length of 0: it takes each."""
+    """The bit with which the drive takes a target; a length of 0: it takes every target."""
     if handshake is None:
         return {}
     signal, place = plan.signal(handshake.register), handshake.mask.bit_length() - 1
@@ -176,8 +176,8 @@ def _raw_limits(signal: Signal) -> tuple[float, float]:
 
 # --------------------------------------------------------------------------------------- frames in
 def _matches(plan: CanPlan, inputs: Sequence[Frame]) -> Iterator[Plain]:
-    """How each frame is known. Replies about objects that the cycle does not live on are Python's,
-    which sees what each of them is: one match stands for all, behind those of their identifier."""
+    """How each frame is recognised. Replies about objects that the cycle does not use go to Python,
+    which decodes them: one match covers all, after the other matches of their identifier."""
     reply = plan.table.frames.get(plan.table.abort)
     for frame in plan.table.frames_from(Sender.DRIVE):
         if reply is None or frame in inputs or frame.base != reply.base:
@@ -206,7 +206,7 @@ def _sent_by(frame: Frame) -> Iterator[int]:
 
 
 def silence_s(plan: CanPlan, spec: LineSpec, frame: Frame) -> float:
-    """So long without a frame that is waited for, and the drive is unresponsive; 0: it is not."""
+    """After so long without this frame the drive is unresponsive; 0: the frame may be missing."""
     if frame not in plan.watched:
         return 0.0
     if frame.period_s:

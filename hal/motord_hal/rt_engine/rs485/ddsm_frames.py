@@ -51,7 +51,7 @@ class DdsmFrames:
         return tuple(Step(register=register.name, value=0) for register in self._setpoints())
 
     def writes(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:
-        """One frame a command; what is not named in it is 0, so that it moves nothing."""
+        """One frame a command; content that is not given is 0, so that it moves nothing."""
         by_command: dict[int, dict[Register, int]] = {}
         for name, value in raw.items():
             register = self.profile.registers[name]
@@ -90,7 +90,7 @@ class DdsmFrames:
         )
 
     def _frame(self, command: int, raw: Mapping[Register, int]) -> LineFrame:
-        """A reply names the unit, and nothing else that could be looked for beside its seal."""
+        """A reply is recognised by its unit and its check sum alone."""
         answered = is_answered(command)
         seal = Seal.CRC8 if answered else Seal.NONE
         return LineFrame(

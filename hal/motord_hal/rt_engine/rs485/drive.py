@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One drive of a real-time line: it is set up, armed and disarmed here, and watched.
 
-Its cycle and what takes it back to rest are C's (api_line.h). Here are only requests, which C
-obeys where it is safe, and sequences of requests.
+Its cycle and its stops are in C (api_line.h). Here are only requests, which C carries out if that
+is safe, and sequences of requests.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from motord_hal.rt_engine.rs485.request_queue import Check, exception_text
 RETRY_FIRST_S = 0.1
 RETRY_LIMIT_S = 2.0
 OBEYED_WITHIN_S = 1.0
-"""C obeys or refuses a request within milliseconds; asyncio may learn of it later."""
+"""C carries out or refuses a request within milliseconds; asyncio may learn of it later."""
 
 _STATES = MappingProxyType(
     {
@@ -45,8 +45,8 @@ _WARNINGS = MappingProxyType(
     {
         FaultReason.LOST_SETUP: "has lost its set-up: set up again, disarmed",
         FaultReason.DISABLED_ITSELF: "is not enabled any more: set up again, disarmed",
-        FaultReason.POSITION_UNKNOWN: "gets no power: where it is is not known, not fresh, out of "
-        "its range, or not where its first target is: check zero_count",
+        FaultReason.POSITION_UNKNOWN: "gets no power: its position is unknown, too old, out "
+        "of its range, or far from its first target: check zero_count",
         FaultReason.STILL_ENABLED: STILL_ENABLED_TEXT,
     }
 )
@@ -61,7 +61,7 @@ class Jobs(Protocol):
 
     @property
     def request_limit_s(self) -> float:
-        """Longest time until a request is on the wire, or will never be."""
+        """Longest time until a request is on the wire or dropped."""
         ...
 
     async def run(
@@ -94,7 +94,7 @@ class RtDrive(abc.ABC):
         self._failed_setup = False
         self._reported_unresponsive = False
         self.stops = 0
-        """How often it was stood down: an arming that began before is over."""
+        """How often it was stood down: this ends an arming that began before."""
         self._standing_down = 0
         """The last request that did so."""
         self._powering_off: asyncio.Future[None] | None = None
@@ -104,19 +104,19 @@ class RtDrive(abc.ABC):
 
     @abc.abstractmethod
     def _why_unresponsive(self, report: Any) -> str:
-        """In words, for people."""
+        """The report in words."""
 
     @abc.abstractmethod
     def _arming_steps(self) -> tuple[Step, ...]:
-        """Zero in its set-points, then the profile's steps, until it says that it is enabled."""
+        """Zero in its set-points, then the profile's steps, until it reports that it is enabled."""
 
     def _hint(self) -> str:
-        """What else could be the reason, as its medium shows it."""
+        """Other possible reasons, from its medium."""
         return ""
 
     @abc.abstractmethod
     async def _present(self) -> None:
-        """Returns when it is there to be set up, where that can be known before it is asked."""
+        """Returns when it responds, if its medium shows that before the set-up."""
 
     # --------------------------------------------------------------------------------- what it is
     @property
@@ -139,21 +139,21 @@ class RtDrive(abc.ABC):
         return self._report is not None and self._report.stopping
 
     def lose(self, error: HalError) -> None:
-        """The line is gone: nothing is known of the drive."""
+        """The line is lost; the drive's state is unknown."""
         self._report = None
         self._failed_setup = False
         self.stops += 1
         self._powered_off(error)
 
     def update(self, report: AnyDriveReport, fault_words: Sequence[int]) -> None:
-        """Note what C reports, and say what is new."""
+        """Note what C reports, and report changes."""
         before = self.mode
         before_reasons = FaultReason(0) if self._report is None else self._report.fault_reasons
         self._report = report
         if report.cycles:  # else its fault words have not been read
             for joint in self._jobs.joints:
                 self.faults[joint.name].update(fault_words[joint.index])
-        # what came between two looks is not seen: it may have been unresponsive in the first
+        # states between two looks are not seen: it may have been unresponsive in the first
         if report.mode is Mode.READY and before not in (Mode.READY, Mode.ARMED):
             self._is_ready()
         elif report.mode in (Mode.UNRESPONSIVE, Mode.BACK):
@@ -178,7 +178,7 @@ class RtDrive(abc.ABC):
 
     # -------------------------------------------------------------------------------- its two tasks
     async def keep_set_up(self) -> None:
-        """Whenever C holds it for not set up: set it up, and request it ready. For ever."""
+        """Whenever C reports that it is not set up: set it up, and request READY. Never returns."""
         while True:
             await self._notifier.until(lambda: self.mode in (Mode.OFF, Mode.BACK))
             try:
@@ -188,15 +188,14 @@ class RtDrive(abc.ABC):
                 await self._obeyed(self._thread.request_mode(self._index, Mode.READY))
                 continue
             except PortError:
-                pass  # the line has seen it, too, and ends this task
+                pass  # the line has noticed it, too, and ends this task
             except HalError as error:
                 self._failed_setup = True
                 self._is_unresponsive(str(error))
             await asyncio.sleep(self._backoff.next_s())
 
     async def keep_powered_off(self) -> None:
-        """Whenever it has been stood down: power off, ahead of all other requests. For
-        ever."""
+        """Whenever it was stood down: power off, ahead of all other requests. Never returns."""
         while True:
             await self._notifier.until(lambda: self._powering_off is not None)
             try:
@@ -215,10 +214,10 @@ class RtDrive(abc.ABC):
             future.set_result(None)
         else:
             future.set_exception(error)
-            future.exception()  # no caller may be waiting for it
+            future.exception()  # perhaps no caller waits for it
 
     async def _obeyed(self, request: int) -> None:
-        """Until C has seen it: then it is obeyed, or refused. Raises HalError."""
+        """Wait until C has carried the request out, or refused it. Raises HalError."""
         try:
             async with within(OBEYED_WITHIN_S):
                 await self._notifier.until(
@@ -229,8 +228,8 @@ class RtDrive(abc.ABC):
 
     # -------------------------------------------------------------------------- what is sent to it
     def stand_down(self) -> asyncio.Future[None]:
-        """Zero from now on, and no arming goes on; then power off. The future is shared: a caller
-        that waits for it shields it."""
+        """Zero from now on, and the end of any arming; then power off. The future is shared: a
+        caller that waits for it shields it."""
         self.stops += 1
         self._standing_down = self._thread.request_mode(self._index, Mode.STAND_DOWN)
         self._thread.allow_arming(self._index, 0)
@@ -245,7 +244,7 @@ class RtDrive(abc.ABC):
 
     async def enable(self, began: int) -> None:
         """The first half of arming: zero in its set-point registers, its set-up still there, the
-        profile's own steps, and it says that it is enabled. `began`: its stops when the arming
+        profile's own steps, until it reports that it is enabled. `began`: its stops when the arming
         began. Raises HalError."""
 
         def check() -> None:
@@ -257,14 +256,14 @@ class RtDrive(abc.ABC):
         check()
 
     async def go(self, began: int) -> None:
-        """The second half: from now on it gets the core's set-points. Raises HalError."""
+        """The second half of arming: from now on it gets the core's set-points. Raises HalError."""
         self._check_arming(began, Mode.READY)
         await self._obeyed(self._thread.request_mode(self._index, Mode.ARMED))
         if self.mode is not Mode.ARMED:
             reasons = FaultReason(0) if self._report is None else self._report.fault_reasons
             why = "it was stopped, or the set-points are old"
             if FaultReason.POSITION_UNKNOWN in reasons:
-                why = "where it is is not known, not fresh, or out of its range"
+                why = "its position is unknown, too old, or out of its range"
             raise HalError(f"{self}: not armed: {why}")
         self._check_arming(began, Mode.ARMED)
 
@@ -300,7 +299,7 @@ class SerialDrive(RtDrive):
         return self._line_hint()
 
     async def _present(self) -> None:
-        """Only what it answers says so."""
+        """Only an answer shows that it responds."""
 
     def _why_unresponsive(self, report: DriveReport) -> str:
         return _last_failure(report, servo=self.profile.protocol == "dynamixel")

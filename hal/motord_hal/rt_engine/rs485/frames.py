@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a drive's protocol has to offer so that its line can run in C."""
+"""What a drive's protocol must provide so that its line can run in C."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class DriveFrames(Protocol):
     unit: int
 
     def cyclic(self) -> tuple[PlannedFrame, ...]:
-        """The exchanges of each cycle, set-points first; as they stand here they say zero."""
+        """The exchanges of each cycle, set-points first; these set-points are zero."""
         ...
 
     def extra(self) -> tuple[PlannedFrame, ...]:
-        """Exchanges of which one is made now and then."""
+        """Exchanges that may wait: one at a time, between cycles."""
         ...
 
     def idle(self) -> tuple[LineFrame, ...]:
@@ -42,7 +42,7 @@ class DriveFrames(Protocol):
         ...
 
     def zero_steps(self) -> tuple[Step, ...]:
-        """Writes that leave zero in the set-point registers."""
+        """Writes that set the set-point registers to zero."""
         ...
 
     def writes(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:

@@ -14,7 +14,7 @@ from motord_hal.rt_engine.rs485.request_queue import Check, RequestQueue, always
 
 
 class DriveJobs:
-    """What can be done with drive number `index` of the line's table, one request at a time."""
+    """Jobs of drive number `index` of the line's table, one request at a time."""
 
     def __init__(self, index: int, frames: DriveFrames, queue: RequestQueue) -> None:
         self.frames = frames
@@ -28,7 +28,7 @@ class DriveJobs:
 
     @property
     def request_limit_s(self) -> float:
-        """Longest time until a request is on the wire, or will never be."""
+        """Longest time until a request is on the wire or dropped."""
         return self._queue.limit_s
 
     async def run(
@@ -39,8 +39,8 @@ class DriveJobs:
         urgent: bool = False,
         check: Check = always,
     ) -> None:
-        """Step by step; `check` is made right before each request. What is urgent takes the power:
-        a write that the drive refuses does not keep back those behind it. Raises HalError."""
+        """Step by step; `check` is called right before each request. An urgent job is a power-off:
+        a refused write does not keep the later ones from being sent. Raises HalError."""
         refused: Refused | None = None
         for step in steps:
             if step.value is None:
@@ -83,7 +83,7 @@ class DriveJobs:
         return self.frames.raw(register, reply)
 
     async def send(self, frame: LineFrame, *, urgent: bool = False, check: Check = always) -> bytes:
-        """One request, tried again when it was lost. Raises HalError."""
+        """One request, repeated if it was lost. Raises HalError."""
         turnaround_s = self.frames.profile.turnaround_s
         tries = 1
         while True:

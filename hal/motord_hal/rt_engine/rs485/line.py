@@ -19,7 +19,7 @@ from motord_hal.serial.counters import Traffic, Witness
 from motord_hal.serial.port import OpenPort, open_port
 
 SLOT_ALLOWANCE_S = 0.3
-"""On top of the slowest cycle: lost replies of this drive or of its neighbours, and the silence in
+"""Allowance beyond the slowest cycle: lost replies of this drive or of others, and the silence in
 which a late one may still come."""
 
 

@@ -25,7 +25,7 @@ _VALUES_BEGIN = {Function.WRITE_SINGLE: 4, Function.WRITE_MULTIPLE: 7, Function.
 
 
 def modbus_frame(request: Request) -> LineFrame:
-    """A request with what its answer must look like: the echo of a write (V1.1b3, 6.6, 6.12), the
+    """A request with the form of its answer: the echo of a write (V1.1b3, 6.6, 6.12), the
     head of a read's data (6.3, 6.17)."""
     reads = request.function not in (Function.WRITE_SINGLE, Function.WRITE_MULTIPLE)
     alone = request.unit == BROADCAST_UNIT
@@ -42,7 +42,7 @@ def modbus_frame(request: Request) -> LineFrame:
 
 
 class ModbusFrames:
-    """DriveFrames of a Modbus drive, from the plan that the asyncio engine works by, too."""
+    """DriveFrames of a Modbus drive, from the same plan as in the asyncio engine."""
 
     def __init__(self, plan: DrivePlan) -> None:
         self.plan = plan
@@ -94,7 +94,7 @@ class ModbusFrames:
         return self.profile.registers[name].decode(tuple(words))
 
     def _written(self, request: Request) -> dict[str, int]:
-        """Where the set-points stand in a request that writes some."""
+        """Where the set-points are in a request that writes some."""
         if not request.values:
             return {}
         both = request.function is Function.READ_WRITE

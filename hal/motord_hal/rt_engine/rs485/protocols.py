@@ -18,7 +18,7 @@ from motord_hal.servo.packets import KINDS as SERVO_KINDS
 
 
 def frames_of(spec: LineSpec) -> list[DriveFrames]:
-    """One a unit. Raises ProfileError for joints that cannot be together on the line."""
+    """One for each unit. Raises ProfileError for joints that cannot share the line."""
     for joint in spec.joints:
         if joint.profile.protocol != spec.kind:
             raise ProfileError(

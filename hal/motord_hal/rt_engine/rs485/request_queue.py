@@ -16,21 +16,19 @@ from motord_hal.realtime.table import LineFrame, Seal
 from motord_hal.servo.packets import DYNAMIXEL_ERRORS
 
 ANSWER_ALLOWANCE_S = 1.0
-"""A caller that waits for an answer waits so much longer than the line may take: the event loop may
-be late."""
+"""How much longer than the line a caller waits for an answer: the event loop may be late."""
 
 Check = Callable[[], None]
-"""Raises HalError where a request must not be made any more."""
+"""Raises HalError if a request must not be made any more."""
 
 
 def always() -> None:
-    """The Check of what may be asked at any time."""
+    """The Check of a request that is always allowed."""
 
 
 class _Turn:
-    """Whose turn it is to send a request: one at a time, urgent requests first, else in their
-    order. The turn is handed over, so that a caller that comes back at once waits behind those that
-    wait already."""
+    """Turns to send a request: one at a time, urgent requests first, else in their order. A turn is
+    handed over, so that a caller that returns at once waits behind those already waiting."""
 
     def __init__(self) -> None:
         self._taken = False
@@ -57,7 +55,7 @@ class _Turn:
         return kept
 
     def give(self) -> None:
-        """To the next one."""
+        """Hand the turn over."""
         for waiting in (self._urgent, self._others):
             if waiting:
                 waiting.popleft().set_result(None)
@@ -72,7 +70,7 @@ class RequestQueue:
         self._name = name
         self._thread = thread
         self._within_s = within_s
-        """So long a request may wait for its slot; then it is not sent any more."""
+        """How long a request may wait for its slot; then it is dropped."""
         self._ids = itertools.count(1)
         self._waiting: dict[int, asyncio.Future[Answer]] = {}
         self._turns: defaultdict[int, _Turn] = defaultdict(_Turn)
@@ -94,9 +92,9 @@ class RequestQueue:
     ) -> bytes:
         """The reply. Raises NoReply, BadReply, Refused, PortError, and what `check` raises.
 
-        A request whose caller has gone may still be in the queue, and the next one of its drive
-        waits for its end: what is handed over later is never sent earlier. `check` is made when
-        nothing can come between it and the request any more: an urgent one may have overtaken."""
+        A request whose caller has given up may still be in the queue, and the next one of its drive
+        waits for it: a later request is never sent earlier. `check` is called when nothing can come
+        between it and the request: an urgent one may have overtaken it before."""
         limit_s = self._within_s + ANSWER_ALLOWANCE_S
         turn = self._turns[drive]
         if not await turn.take(limit_s, urgent=urgent):
@@ -116,7 +114,7 @@ class RequestQueue:
     def _hand_over(
         self, drive: int, frame: LineFrame, turnaround_s: float, *, urgent: bool
     ) -> tuple[LineRequest, asyncio.Future[Answer]]:
-        """To the thread. Raises NoReply where it takes no more."""
+        """Pass it to the thread. Raises NoReply if the queue is full."""
         request = LineRequest(
             id=next(self._ids),
             drive=drive,
@@ -132,17 +130,17 @@ class RequestQueue:
         return request, future
 
     def take_answers(self) -> None:
-        """Hand out what has come."""
+        """Pass answers to their callers."""
         while (answer := self._thread.take_answer()) is not None:
             future = self._waiting.pop(answer.id, None)
             if future is not None:
                 future.set_result(answer)
 
     def lose(self, error: HalError) -> None:
-        """The line is gone: no caller gets an answer any more."""
+        """The line is lost: no caller gets an answer any more."""
         for future in self._waiting.values():
             future.set_exception(error)
-            future.exception()  # its caller may have gone
+            future.exception()  # its caller may have given up
         self._waiting.clear()
 
 

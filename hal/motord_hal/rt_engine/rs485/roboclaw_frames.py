@@ -20,7 +20,7 @@ _WORD_BYTES = 2
 
 
 def packet_frame(request: Request) -> LineFrame:
-    """A packet with what its answer must look like: it names no unit, so it is all that comes."""
+    """A packet with the form of its answer: that names no unit, so it must be all that comes."""
     reads = request.function is Function.READ_HOLDING
     return LineFrame(
         request=codec.build(request),
@@ -33,7 +33,7 @@ def packet_frame(request: Request) -> LineFrame:
 
 
 class RoboclawFrames:
-    """One controller with one or two motors, from the plan that the asyncio engine works by."""
+    """One controller with one or two motors, from the plan of the asyncio engine."""
 
     def __init__(self, joints: Iterable[JointSpec], gap_s: float, wire_time_s: WireTime) -> None:
         self._plan = DrivePlan(
@@ -66,7 +66,7 @@ class RoboclawFrames:
         )
 
     def idle(self) -> tuple[LineFrame, ...]:
-        """Speeds of zero hold the wheels, duties of zero let them go."""
+        """Speeds of zero hold the wheels, duties of zero release them."""
         first = self._plan.cyclic(self._plan.setpoints({}))[0].request
         if first.address >> 8 != codec.SPEEDS:
             return ()
@@ -94,7 +94,7 @@ class RoboclawFrames:
         return ReadRange(register.address, register.type.words, (register,)).request(self.unit)
 
     def _written(self, request: Request) -> dict[str, int]:
-        """Where the set-points stand in a packet that writes some."""
+        """Where the set-points are in a packet that writes some."""
         if not request.values:
             return {}
         names = (self._plan.channel(joint).setpoint for joint in self.joints)
@@ -108,7 +108,7 @@ class RoboclawFrames:
 
 
 def _byte_of(register: Register) -> int:
-    """In the content of its command."""
+    """The register's byte in the content of its command."""
     return _WORD_BYTES * (register.address & 0xFF)
 
 
@@ -117,7 +117,7 @@ def _places(span: ReadRange) -> dict[str, int]:
 
 
 def _narrowed(profile: DriveProfile) -> DriveProfile:
-    """Content of one byte is a byte on the wire, and a word only to code that has no bytes."""
+    """Content of one byte is a byte on the wire; code without bytes has it as a word."""
     sizes = codec.READ_BYTES | codec.WRITE_BYTES
     registers = {
         name: replace(one, type=RegisterType.U8) if sizes.get(one.address >> 8) == 1 else one

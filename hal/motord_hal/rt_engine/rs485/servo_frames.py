@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One bus servo as frames for its line (frames.DriveFrames), and what a cycle of all of them is."""
+"""One bus servo as frames for its line (frames.DriveFrames), and the cycle for all of them."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from motord_hal.servo.packets import (
 )
 
 EXTRA_EVERY_CYCLES = 8
-"""Torque, mode, watchdog and the like: a servo's cycles are several times as many as a Modbus
-drive's."""
+"""Cycles between reads of torque, mode, watchdog and the like: servos have several times the cycles
+of a Modbus drive."""
 _SEALS = {"feetech": Seal.SUM, "dynamixel": Seal.STUFFED}
 _CYCLIC_HOLE_BYTES = 4
-"""What no cycle needs is read along where it is not longer than this."""
+"""A gap of other bytes is read too if it is not longer than this."""
 _EXTRA_HOLE_BYTES = 30
 """Of extra exchanges: each one costs a request and a reply's head."""
 
@@ -54,7 +54,7 @@ class ServoFrames:
         fast, slow = wanted_registers(self.profile, self.joints)
         channel = self.profile.channels[self.joints[0].channel]
         moving = [self.profile.registers[n] for n in (channel.position, channel.velocity) if n]
-        # of one that measures no motion, what else it measures: that says how old its answer is
+        # a servo that measures no motion: its other values, which show how old its answer is
         self._cyclic = _around(moving or fast[:1] or slow[-1:], [*fast, *slow])
         rest = [r for r in dict.fromkeys([*fast, *slow]) if r not in self._cyclic.registers]
         self._extra = _spans(rest, _EXTRA_HOLE_BYTES)
@@ -92,17 +92,17 @@ class ServoFrames:
 
     # --------------------------------------------------------------------------------------- times
     def cycle_time_s(self) -> float:
-        """As if it were alone on its line."""
+        """As if the servo were alone on its line."""
         return self.heads_s() + self.share_s()
 
     def heads_s(self) -> float:
-        """Of a cycle of all servos: the two requests, but for what they carry for each."""
+        """Of a cycle of all servos: the two requests, without their parts for each servo."""
         heads = 2 * (self._group_head_bytes() + self._packets.seal_bytes)
         return self._wire_time_s(heads) + self._gap_s
 
     def share_s(self) -> float:
-        """What it adds to such a cycle: its set-point, its reply, and its extra exchange now and
-        then."""
+        """What it adds to such a cycle: its set-point, its reply, and at times its extra
+        exchange."""
         asked = size_bytes(self._setpoint()) + 2
         extra_s = max(map(self._exchange_s, self._extra), default=0.0)
         cyclic_s = self._wire_time_s(asked + self._reply_bytes(self._cyclic.count))
@@ -115,7 +115,7 @@ class ServoFrames:
 
     def group(self) -> LineGroup | None:
         """The cycle of all servos that are written and read at the same addresses as this one.
-        None: a servo of its series knows no sync read."""
+        None: its series has no sync read."""
         if has_no_sync_read(self.profile):
             return None
         setpoint, packets = self._setpoint(), self._packets
@@ -177,7 +177,7 @@ class ServoFrames:
 
 
 def group_of(drives: Sequence[ServoFrames]) -> LineGroup | None:
-    """What all of them are written and read by; None: they differ."""
+    """The reads and writes that all of them share; None: they differ."""
     groups = {each.group() for each in drives}
     return groups.pop() if len(groups) == 1 else None
 

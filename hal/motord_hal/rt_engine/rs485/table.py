@@ -53,7 +53,7 @@ def line_table(spec: LineSpec, drives: Sequence[DriveFrames]) -> LineTable:
     """The table of a line. C checks it once more and names the first bad field."""
     bits = character_bits(spec.parity, spec.stop_bits)
     return LineTable(
-        echo=0 if spec.kind == "roboclaw" else _ECHO[spec.echo],  # it has no echo to look for
+        echo=0 if spec.kind == "roboclaw" else _ECHO[spec.echo],  # it has no echo
         character_ns=bits * _NS_PER_S / spec.baudrate,
         gap_ns=round(line_gap_s(spec) * _NS_PER_S),
         setpoint_timeout_ns=round(spec.setpoint_timeout_s * _NS_PER_S),
@@ -71,7 +71,8 @@ def _group(spec: LineSpec, drives: Sequence[DriveFrames]) -> LineGroup:
 
 
 def _broadcast_stop(drives: Sequence[DriveFrames]) -> tuple[LineFrame, ...]:
-    """Only where all are of one kind: what stops one drive may be another register of the next."""
+    """Only if all are of one kind: the register that stops one drive may mean something else to
+    another."""
     first = drives[0]
     alike = all(frames.profile.name == first.profile.name for frames in drives)
     if not alike or not first.profile.broadcast_stop:
@@ -110,7 +111,7 @@ def drive_table(frames: DriveFrames, spec: LineSpec) -> LineDrive:
 
 
 def step_frames(frames: DriveFrames, steps: Iterable[Step]) -> tuple[LineFrame, ...]:
-    """The writes of a sequence, in order; what it waits for is left out."""
+    """The writes of a sequence, in order; waits are left out."""
     return tuple(
         frame
         for step in steps
@@ -120,12 +121,12 @@ def step_frames(frames: DriveFrames, steps: Iterable[Step]) -> tuple[LineFrame, 
 
 
 def _probe(cyclic: Sequence[PlannedFrame]) -> int:
-    """1 + the first exchange that only reads; 0: C takes what there is."""
+    """1 + the first exchange that only reads; 0: C chooses one."""
     return next((n for n, planned in enumerate(cyclic, 1) if not planned.writes), 0)
 
 
 def _extra(frames: DriveFrames) -> list[PlannedFrame]:
-    """What says whether the drive is enabled comes first."""
+    """The exchange with the enabled state comes first."""
     place = frames.profile.enabled
     return sorted(frames.extra(), key=lambda p: place is None or place.register not in p.reads)
 
@@ -170,7 +171,7 @@ def _setpoints(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineS
 
 
 def form_of(profile: DriveProfile, register: Register, *, signed: bool = True) -> Form:
-    """How the register stands in the drive's frames."""
+    """The register's form in the drive's frames."""
     name = register.type.value
     if not signed and name.startswith("i"):
         name = f"u{name[1:]}"
@@ -258,7 +259,7 @@ def _joint_field(
 
 
 def _counter(register: Register, profile: DriveProfile) -> tuple[Form, int]:
-    """A counter goes to the core without a sign, and with no more bits than it has."""
+    """A counter goes to the core unsigned, with its own bits only."""
     form, bits = form_of(profile, register, signed=False), profile.counter_bits
     whole = (1 << form.bits) - 1
     mask = register.mask or whole

@@ -33,7 +33,7 @@ class FrameTalk:
     def __init__(
         self, profile: DriveProfile, true_s: Callable[[], float], gyro: SimulatedGyro | None = None
     ) -> None:
-        """`true_s`: of what time its registers are. `gyro`: a sensor on the board."""
+        """`true_s`: the time of its registers. `gyro`: a sensor on the board."""
         self._true_s = true_s
         self._gyro = gyro
         self._registers = tuple(profile.registers.values())

@@ -20,7 +20,7 @@ from motord_hal.sim.rs485.wire import Clock
 
 
 class Talk(Protocol):
-    """What a board makes of bytes."""
+    """How a board reads and writes bytes."""
 
     feedback_s: float
     """From one feedback to the next; infinity: there is none."""
@@ -28,14 +28,14 @@ class Talk(Protocol):
     def power_up(self) -> None: ...
 
     def feed(self, data: bytes, now_s: float) -> Iterator[dict[str, int] | None]:
-        """Register → raw of each set-points; None for what was none."""
+        """Register → raw for each set-points message; None for bytes that were none."""
         ...
 
     def feedback(self, content: NamedContent, now_s: float) -> bytes: ...
 
 
 class _Board:
-    """One drive, and what it makes of the bytes on its wire."""
+    """One drive, and the protocol on its wire."""
 
     def __init__(self, drive: SimulatedDrive, talk: Talk) -> None:
         self.drive = drive
@@ -45,18 +45,18 @@ class _Board:
 
     @property
     def due_s(self) -> float:
-        """Of its next feedback."""
+        """When its next feedback is due."""
         return self._fed_back_s + self.talk.feedback_s
 
     def is_awake(self) -> bool:
-        """False while it has no power; what it knew is lost when that comes back."""
+        """False while it has no power; its memory is lost when the power comes back."""
         if self.drive.on and self.drive.stats.reboots != self._reboots:
             self._reboots = self.drive.stats.reboots
             self.talk.power_up()
         return self.drive.on
 
     def feedback(self, now_s: float, *, silent: bool) -> bytes:
-        """Empty: it has none, or is silent."""
+        """Empty: it has no feedback, or is silent."""
         self._fed_back_s = now_s
         content = self.drive.registers
         if silent or not self.is_awake() or not isinstance(content, NamedContent):
@@ -65,7 +65,7 @@ class _Board:
 
 
 class SimulatedBoard(SimulatedWire):
-    """As SimulatedLine, with one board on it, or several that only listen."""
+    """As SimulatedLine, with one board on it, or several that only receive."""
 
     def __init__(
         self,
@@ -111,8 +111,7 @@ class SimulatedBoard(SimulatedWire):
 
     # -------------------------------------------------------------------------- what comes and goes
     def _receive(self, data: bytes, now_s: float) -> None:
-        """The bytes are over when they would have passed the wire: each direction has one of its
-        own."""
+        """The bytes end when they would have passed the wire: each direction has its own."""
         settings = self.port.settings()
         if not self._fits(settings):
             self.counters.bad_crc += 1
@@ -125,7 +124,7 @@ class SimulatedBoard(SimulatedWire):
         return settings is None or settings.baudrate == self.spec.baudrate
 
     def _obey(self, data: bytes, now_s: float) -> None:
-        """Each board receives all of it, and takes what is for it."""
+        """Each board receives all bytes, and uses its own."""
         for board in self._boards:
             if not board.is_awake():
                 continue

@@ -74,7 +74,7 @@ class TextTalk:
 
     def feedback(self, content: NamedContent, now_s: float) -> bytes:
         del now_s
-        assert self._received is not None  # without feedback there is no time for it
+        assert self._received is not None  # without feedback there is no period
         rate_rad_s = self._gyro.measure().angular_rad_s[2] if self._gyro else 0.0
         numbers = {VOLTAGE: self._si(content, self._profile.bus_voltage), GYRO_Z: rate_rad_s}
         for joint in self._joints:

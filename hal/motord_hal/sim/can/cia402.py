@@ -17,8 +17,8 @@ SWITCH_ON_DISABLED, READY, SWITCHED_ON, OPERATION = 0x40, 0x21, 0x23, 0x27
 QUICK_STOP_ACTIVE, FAULT = 0x07, 0x08
 _FAULT_RESET = 0x80
 _NEW_SETPOINT, _AT_ONCE = 0x10, 0x20
-"""Of the control word in profile position mode (CiA 402-2, 10.3): the rising edge of the first has
-the target taken, the second ends the move before."""
+"""Of the control word in profile position mode (CiA 402-2, 10.3): the rising edge of the first
+makes the drive take the target, the second ends the move before."""
 _TAKEN = 0x1000
 """Of the status word: set-point acknowledge, until the first is 0 again."""
 _INVALID = 0x8000_0000
@@ -31,7 +31,7 @@ _NMT_STATES = {1: _OPERATIONAL, 2: 4, 128: 127, 129: 127, 130: 127}
 
 
 def speaks_cia402(profile: DriveProfile) -> bool:
-    """Whether the profile names what this drive needs."""
+    """Whether the profile has the objects that this drive needs."""
     needed = {"control_word", "status_word", "nmt_command", "nmt_state", "mode", "mode_shown"}
     return profile.can is not None and needed <= profile.registers.keys()
 
@@ -51,11 +51,11 @@ class Cia402Drive(SimulatedDrive):
         self._state = SWITCH_ON_DISABLED
         self._control = 0
         self._taken = False
-        """It has acknowledged a target."""
+        """Whether it has acknowledged a target."""
         self._kept: dict[str, tuple[Frame, bytes]] = {}
         """PDOs that wait for the next SYNC, by name."""
         self.registers.make_live("status_word", self._status)
-        assert isinstance(self.registers, NamedContent)  # that of every drive on a CAN bus
+        assert isinstance(self.registers, NamedContent)  # every drive on a CAN bus has it
         for one in profile.registers.values():
             if isinstance(one, Signal) and one.object:
                 self.registers.make_live(one.object, partial(self.registers.value, one.name))
@@ -146,7 +146,7 @@ class Cia402Drive(SimulatedDrive):
         self._take_target(word, rising)
 
     def _take_target(self, word: int, rising: int) -> None:
-        """Of a drive in profile position mode; a target without "at once" is not taken."""
+        """Take a target in profile position mode; one without "at once" is not taken."""
         self._taken &= bool(word & _NEW_SETPOINT)
         if self._state == OPERATION and rising & _NEW_SETPOINT and word & _AT_ONCE:
             for motor in self._motors.values():
@@ -156,7 +156,7 @@ class Cia402Drive(SimulatedDrive):
 
 
 def _next(state: int, word: int) -> int:
-    """The state after a control word; faults are seen to elsewhere."""
+    """The state after a control word; faults are handled elsewhere."""
     if not word & 0x02:  # disable voltage
         return SWITCH_ON_DISABLED
     if not word & 0x04:  # quick stop

@@ -10,7 +10,7 @@ from motord_hal.sim.rs485.content import NamedContent
 
 
 class CanContent(NamedContent):
-    """What a drive's profile lists, and how its frames carry it."""
+    """The signals of a drive's profile, and its frames."""
 
     def __init__(self, profile: DriveProfile, table: CanTable) -> None:
         super().__init__(profile)
@@ -21,8 +21,8 @@ class CanContent(NamedContent):
         self._in = {name: signals_of(profile.registers, name) for name in table.frames}
 
     def written(self, frame: Frame, data: bytes) -> list[tuple[str, int]] | None:
-        """Store what a frame says, in the order of its places; what is out of its range, or no
-        number, is left as it was. None: it is another frame."""
+        """Store a frame's signals, in the order of their places; a value that is out of range, or
+        not a number, changes nothing. None: it is another frame."""
         values = parse(frame, self._in[frame.name], data)
         if values is None:
             return None
@@ -36,7 +36,7 @@ class CanContent(NamedContent):
         return low <= signal.to_si(raw) <= high  # false for NaN
 
     def sent(self, frame: Frame) -> bytes:
-        """The frame as the drive says it now."""
+        """The frame with the drive's present values."""
         now = {
             signal.name: self._live[signal.name]()
             if signal.name in self._live
@@ -46,7 +46,7 @@ class CanContent(NamedContent):
         return build(frame, self._in[frame.name], now)
 
     def answers(self, asking: Frame) -> tuple[Frame, ...]:
-        """The frames that are asked for by this one, or confirm it."""
+        """The frames that this one requests, or that confirm it."""
         own = self.table.frames_from(Sender.DRIVE)
         return tuple(
             f for f in own if asking.name in (f.ask, f.answers) or asking.confirm == f.name

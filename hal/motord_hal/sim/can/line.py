@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A CAN bus of a simulated robot: drives that send their frames in their time and obey those of the
-master."""
+"""A CAN bus of a simulated robot: drives that send their frames at their own times and follow those
+of the master."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class CanCounters:
     frames: int = 0
     """From the master."""
     unanswered: int = 0
-    """Of those, for nodes that are not here, or in no frame that they know."""
+    """Those of them for absent nodes, or with an unknown frame."""
     sent: int = 0
     lost: int = 0
     """Frames that the CAN bus did not take, or a fault."""
@@ -68,7 +68,7 @@ class SimulatedCanLine:
 
     # ---------------------------------------------------------------------------------- plugging
     def plug(self) -> None:
-        """Does nothing while it is plugged. Raises OSError."""
+        """Plug it in, if it is not. Raises OSError."""
         if not self.port.plugged:
             self.port.plug()
             self.counters.plugged += 1
@@ -170,7 +170,7 @@ class SimulatedCanLine:
 
     # ----------------------------------------------------------------------------- from the drives
     def _speak(self, now_s: float) -> None:
-        """What the drives send unasked. A time that was missed is not made up for."""
+        """Frames that the drives send by themselves. A missed time is not made up for."""
         for (unit, name), due_s in self._periods.items():
             if now_s < due_s:
                 continue
@@ -205,5 +205,5 @@ class SimulatedCanLine:
 
 
 def _content(drive: SimulatedDrive) -> CanContent:
-    assert isinstance(drive.registers, CanContent)  # the rig has made it so
+    assert isinstance(drive.registers, CanContent)  # the rig ensures it
     return drive.registers

@@ -49,7 +49,7 @@ class CanPort:
         return self._bus is not None
 
     def plug(self) -> None:
-        """Be there. Raises OSError."""
+        """Open it. Raises OSError."""
         interface, channel = split_address(self._address)
         if interface == "unix":
             self._bus = UnixBus(channel)
@@ -61,7 +61,7 @@ class CanPort:
             raise OSError(error.error_code or 0, str(error), self._address) from error
         try:
             self._fd = self._bus.fileno()
-        except RuntimeError:  # python-can's word for: it has none
+        except RuntimeError:  # python-can: the adapter has none
             self._fd = None
 
     def pull(self) -> None:

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A CAN bus on this machine without CAN in the kernel: a SOCK_SEQPACKET socket at a path, whose
-datagrams are struct can_frame and canfd_frame (linux/can.h). Its maker receives all; what one
-sends, all others receive. Nothing waits: a reader whose buffer is full loses the frame, as on a
-CAN bus.
+datagrams are struct can_frame and canfd_frame (linux/can.h). Its creator receives all frames; what
+one client sends, all others receive. Nothing waits: a reader whose buffer is full loses the frame,
+as on a CAN bus.
 
 One thread receives, any number send, any may close. A socket is closed under the lock that its
-users hold, so no thread ever uses a closed descriptor, or one that another file has got since."""
+users hold, so no thread uses a descriptor that is closed, or that belongs to another file by
+then."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ import can
 from motord_hal.can.socket_frames import FRAME_BYTES_MAX, packed, unpacked
 
 _LATEST = 128
-"""Connections that wait to be taken in."""
+"""Connections that wait to be accepted."""
 
 
 class UnixBus(can.BusABC):
@@ -47,7 +48,7 @@ class UnixBus(can.BusABC):
         super().__init__(channel=path)
 
     def fileno(self) -> int:
-        """Readable where there is something to be taken in."""
+        """Readable when there is something to receive."""
         return self._ready.fileno()
 
     def shutdown(self) -> None:
@@ -116,7 +117,7 @@ class UnixBus(can.BusABC):
             return None
         try:
             message = unpacked(frame, time.time())
-        except struct.error:  # not a frame: no node on a CAN bus would see it
+        except struct.error:  # not a frame: no node on a CAN bus would receive it
             return None
         self._spread(frame, client)
         return message

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated motor bridge: does at once what its pins say, and for as long as they say it.
+"""A simulated motor bridge: follows its pins at once, for as long as they keep their levels.
 
-No watchdog, no sequences: a bridge has power while its pins give it some, whatever wrote them.
+No watchdog, no sequences: a bridge has power while its pins enable it, whichever program wrote
+them.
 """
 
 from __future__ import annotations
@@ -17,15 +18,15 @@ from motord_hal.sim.positioning import GAIN_PER_S, SPEED_RAD_S
 from motord_hal.sim.rs485.drive import SimulatedDrive
 
 SERVO_DEAD_BAND_RAD = 0.003
-"""Of a servo on pulses: about what 2 to 4 µs of the pulse are."""
+"""Of a servo on pulses: about 2 to 4 µs of the pulse."""
 LEVEL_TOLERANCE = 1e-4
 """Of a period: channels take whole nanoseconds, and half of one is less than this up to
 200 kHz."""
 
 
 def mode_of(bridge: Bridge, levels: Mapping[str, float]) -> tuple[str, float] | None:
-    """Which mode, and the duty from 0 to 1 in it, these levels of all pins are; None: of none.
-    Where braking and coasting look the same, what the bridge does at rest is meant."""
+    """Which mode, and the duty from 0 to 1 in it, these levels of all pins are; None: of no mode.
+    If braking and coasting have the same levels, it is the bridge's mode at rest."""
     for mode in (bridge.rest, "brake", "coast", "forward", "reverse"):
         pins = {pin: modes[mode] for pin, modes in bridge.levels.items()}
         duty = _duty(pins, levels)
@@ -38,13 +39,13 @@ def mode_of(bridge: Bridge, levels: Mapping[str, float]) -> tuple[str, float] | 
 
 
 def _duty(pins: Mapping[str, tuple[float, float]], levels: Mapping[str, float]) -> float:
-    """What the first pin that shows it gives."""
+    """The duty, from the first pin that shows it."""
     sent = ((levels[pin] - base) / slope for pin, (base, slope) in pins.items() if slope != 0.0)
     return max(0.0, min(1.0, next(sent, 0.0)))
 
 
 class SimulatedBridge(SimulatedDrive):
-    """Without power until its pins give it some."""
+    """Without power until its pins enable it."""
 
     def __init__(
         self,
@@ -63,7 +64,7 @@ class SimulatedBridge(SimulatedDrive):
         return super().enabled(channel) and self._mode != "coast"
 
     def follow(self, mode: str, duty: float) -> None:
-        """What its pins say now."""
+        """Take over the present levels of its pins."""
         directions = {"forward": 1.0, "reverse": -1.0}
         self._mode, self._duty = mode, duty * directions.get(mode, 0.0)
         self._apply()
@@ -72,11 +73,11 @@ class SimulatedBridge(SimulatedDrive):
         if motor.channel.position_setpoint is not None:
             motor.axis.wheel.turn(self._servo_rad_s(motor))
             return
-        # a shorted motor is one at a duty of zero: its own voltage brakes it
+        # a shorted motor is like a duty of zero: its own voltage brakes it
         motor.axis.wheel.push(self._duty * motor.axis.sign, motor.axis.full_duty_rad_s)
 
     def _servo_rad_s(self, motor: Motor) -> float:
-        """Speed towards the angle that the pulses are."""
+        """Speed towards the angle of the pulses."""
         full_rad = self.profile.registers[motor.channel.setpoint].si_limits[1]
         goal_rad = self._duty * full_rad / motor.axis.motor_per_wheel
         off_rad = goal_rad - motor.axis.wheel.position_rad

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A folder with the files of a PWM chip and of a counter: what /sys has for a robot on pins.
+"""A folder with the files of a PWM chip and of a counter: the part of /sys that a robot on pins
+uses.
 
 Source of names and contents: kernel, Documentation/ABI/testing/sysfs-class-pwm and
 sysfs-bus-counter. Plain files keep the tail of a longer number, and are empty while they are
-written anew: what is no number leaves the one before it.
+written anew: text that is not a number keeps the number before it.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 COUNTER_BITS = 16
 """As wide as those of many timers: a run of some minutes goes across the wrap."""
 COUNT_DIGITS = 7
-"""With the newline eight bytes, which are written as one: no reader gets half a number."""
+"""Eight bytes with the newline, written at once: no reader gets half a number."""
 NUMBER_BYTES = 24
 _CHANNEL = {"period": "0", "duty_cycle": "0", "enable": "0", "polarity": "normal"}
 _COUNT = {
@@ -30,7 +31,7 @@ _COUNT = {
 
 @dataclass(slots=True)
 class _Number:
-    """What another program writes into a file."""
+    """A file that another program writes."""
 
     fd: int
     value: int = 0
@@ -56,7 +57,7 @@ class PinFolder:
 
     @property
     def address(self) -> str:
-        """What a robot file would name as its pwm_chip, and as the counter of an encoder."""
+        """The pwm_chip of a robot file, and the counter of an encoder."""
         return str(self.folder)
 
     @property
@@ -82,7 +83,7 @@ class PinFolder:
         self._plugged = False
 
     def remove(self) -> None:
-        """The files are gone for programs that open them; one that is open stays so."""
+        """Remove the files; a program that has one open keeps it."""
         self.pull()
         for numbers in self._numbers.values():
             for number in numbers:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A line of simulated motor bridges on the files of a PWM chip, their encoders on those of a
-counter. Files do not report that they were written, so they are looked at often."""
+counter. Files do not report writes, so the line reads them often."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from motord_hal.sim.pins.folder import PinFolder
 from motord_hal.sim.rs485.wire import Clock
 
 LOOK_EVERY_S = 0.001
-"""As often as the physics goes on."""
+"""The step of the physics."""
 
 
 def channels_of(joints: Sequence[JointSpec]) -> list[list[Place]]:
@@ -47,8 +47,8 @@ def selects_direction(joint: JointSpec, place: Place) -> bool:
 class PinCounters:
     looks: int = 0
     no_mode: int = 0
-    """Looks at levels that are no mode of a bridge, as between the writes to two of its pins. It
-    gives no power meanwhile."""
+    """Readings of levels that are no mode of a bridge, for example between the writes to two pins.
+    The bridge gives no power meanwhile."""
     plugged: int = 0
 
 
@@ -71,7 +71,7 @@ class SimulatedPins:
 
     # ---------------------------------------------------------------------------------- plugging
     def plug(self) -> None:
-        """Does nothing while it is plugged. Raises OSError."""
+        """Plug it in, if it is not. Raises OSError."""
         if not self.port.plugged:
             self.port.plug()
             self.counters.plugged += 1
@@ -88,7 +88,7 @@ class SimulatedPins:
         return self._looked_s + LOOK_EVERY_S
 
     def work(self, now_s: float, clock: Clock | None = None) -> None:
-        """Do what the pins command, and report what the encoders have counted."""
+        """Follow the pins, and write the encoders' counts."""
         del clock
         self._looked_s = now_s
         if self.port.plugged:

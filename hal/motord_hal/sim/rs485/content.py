@@ -15,7 +15,7 @@ TABLE_BYTES = 256
 
 
 class NamedContent:
-    """What a drive's profile lists, by name. A live one is computed when it is read."""
+    """The registers of a drive's profile, by name. A live one is computed when it is read."""
 
     def __init__(self, profile: DriveProfile) -> None:
         self._registers = profile.registers
@@ -46,7 +46,7 @@ class FrameContent(NamedContent):
     """Of DDSM motors."""
 
     def write(self, frame: bytes) -> list[tuple[str, int]]:
-        """Store what a request sets; what is out of its range is left as it was."""
+        """Store the values of a request; one that is out of range changes nothing."""
         written = []
         for name, register in self._registers.items():
             if command_of(register) != frame[1] or "w" not in register.access:
@@ -58,7 +58,7 @@ class FrameContent(NamedContent):
         return written
 
     def reply(self, unit: int, command: int) -> bytes | None:
-        """What the drive answers to a command; None: it does not know it."""
+        """The drive's answer to a command; None: the command is unknown."""
         sent = [
             register
             for register in self._registers.values()
@@ -73,7 +73,7 @@ class FrameContent(NamedContent):
 
 
 class ControlTable(NamedContent):
-    """Bytes by address: the profile's registers, and memory where it lists none."""
+    """Bytes by address: the profile's registers, and memory elsewhere."""
 
     def __init__(self, profile: DriveProfile) -> None:
         super().__init__(profile)
@@ -84,7 +84,7 @@ class ControlTable(NamedContent):
         self._memory = bytearray(TABLE_BYTES)
 
     def read(self, address: int, count: int) -> bytes:
-        """So many bytes from an address on."""
+        """This many bytes from an address on."""
         data = bytearray(self._memory[address : address + count].ljust(count, b"\0"))
         for register in self._within(address, count):
             place = register.address - address
@@ -95,7 +95,7 @@ class ControlTable(NamedContent):
         return bytes(data)
 
     def write(self, address: int, data: bytes) -> list[tuple[str, int]]:
-        """Store them; what registers got which raw values."""
+        """Store them; returns the raw values by register."""
         self._memory[address : address + len(data)] = data
         written = []
         for register in self._within(address, len(data)):

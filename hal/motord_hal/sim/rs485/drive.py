@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated drive: what a profile says, done to motors.
+"""A simulated drive: it carries out a profile on motors.
 
 The profile's sequences give the control words their meaning: the drive is enabled when the writes
-of `arm` have been made in their order, and not any more after those of `disarm` or `quick_stop`.
-It is as strict as a real one: set-points stay where they were written, also through a disarming, so
-a master that enables it with an old set-point moves the motor.
+of `arm` have been made in their order, and disabled after those of `disarm` or `quick_stop`. It is
+as strict as a real one: a set-point stays in its register through a disarming, so a master that
+enables it with an old set-point moves the motor.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class DriveStats:
     watchdog_bites: int = 0
     reboots: int = 0
     flashed: int = 0
-    """Settings that took their time to be stored (slow-flash)."""
+    """Settings that were stored slowly (slow-flash)."""
 
 
 class _Sequence:
@@ -97,7 +97,7 @@ class SimulatedDrive:
         self._flash_until_s = -math.inf
         self._flash_busy = False
         self.homed = profile.homed is not None
-        """Its position has a reference."""
+        """Whether its position has a reference."""
         Reports(profile, self.registers, self._motors, self.enabled, lambda: self.homed)
 
     # ------------------------------------------------------------------------------- state, read
@@ -120,7 +120,7 @@ class SimulatedDrive:
 
     # -------------------------------------------------------------------------------- the wire
     def receives(self, now_s: float) -> bool:
-        """False while it stores a setting and does not listen."""
+        """False while it stores a setting and receives nothing."""
         return self._flash_busy or now_s >= self._flash_until_s
 
     def takes_setting(self) -> bool:
@@ -134,7 +134,7 @@ class SimulatedDrive:
         self._flash_until_s, self._flash_busy = until_s, busy
 
     def execute(self, request: Request, now_s: float) -> tuple[int, ...]:
-        """Do what a request says; the words read. Raises Refusal."""
+        """Carry out a request; returns the words read. Raises Refusal."""
         self.stats.requests += 1
         self._received_s = now_s
         try:
@@ -157,12 +157,12 @@ class SimulatedDrive:
         if request.function != Function.READ_WRITE:
             self._obey(registers.write(request.address, request.values))
             return ()
-        registers.read(request.address, request.count)  # refused as a whole, before it is obeyed
+        registers.read(request.address, request.count)  # refused before anything is written
         self._obey(registers.write(request.write_address, request.values))
         return registers.read(request.address, request.count)
 
     def execute_ddsm(self, frame: bytes, now_s: float) -> bytes | None:
-        """Do what a good DDSM frame says; what is answered, None where it is not known."""
+        """Carry out a good DDSM frame; returns the answer, None for an unknown command."""
         assert isinstance(self.registers, FrameContent)
         self.stats.requests += 1
         self._received_s = now_s
@@ -173,7 +173,7 @@ class SimulatedDrive:
         return reply
 
     def sends(self, frame: Frame) -> bool:
-        """Whether it sends this frame unasked now."""
+        """Whether it sends this frame by itself now."""
         del frame
         return True
 
@@ -183,17 +183,18 @@ class SimulatedDrive:
         return True
 
     def due(self, frame: Frame, data: bytes) -> list[tuple[Frame, bytes]]:
-        """What it acts on now that this frame has come."""
+        """The signals that take effect now that this frame has come."""
         return [(frame, data)]
 
     def execute_can(self, written: list[tuple[str, int]], now_s: float) -> None:
-        """A frame to this drive has come, and these signals in it."""
+        """A frame to this drive has come, with these signals."""
         self.stats.requests += 1
         self._received_s = now_s
         self._obey(written)
 
     def obey(self, written: Mapping[str, int], now_s: float) -> None:
-        """Do what a frame says that carries every register; a sequence goes on with a change."""
+        """Carry out a frame that has every register; only a change counts as a step of a
+        sequence."""
         self.stats.requests += 1
         self._received_s = now_s
         changed = [
@@ -215,7 +216,7 @@ class SimulatedDrive:
             self._apply()
 
     def _take_setpoint(self, motor: Motor, written: Mapping[str, int]) -> None:
-        """Where the set-point counts only together with others: when all of them came at once."""
+        """If the set-point counts only together with others: take it when all came at once."""
         channel = motor.channel
         whole = all(written.get(name) == raw for name, raw in channel.setpoint_with)
         if channel.setpoint_with and channel.setpoint in written and whole:
@@ -255,7 +256,7 @@ class SimulatedDrive:
     def _zero_setpoints(self) -> None:
         for motor in self._motors.values():
             if motor.channel.position_setpoint is not None:
-                continue  # 0 would be a place to go to
+                continue  # 0 would be a target
             motor.sent_raw = 0
             self.registers.put(motor.channel.setpoint, 0)
             if motor.channel.direction is not None:
@@ -325,8 +326,8 @@ class SimulatedDrive:
         return limit_s > 0.0 and now_s - self._received_s > limit_s
 
     def reboot(self, now_s: float, for_s: float, *, keeps_counter: bool = False) -> None:
-        """Power fails for this long; then everything is as after power-up, but for the counter of
-        a drive that keeps it (its logic lived through the dip)."""
+        """Power fails for this long; then everything is as after power-up, except the counter of a
+        drive that keeps it (its logic kept its power)."""
         self.stats.reboots += 1
         self._keeps_counter = keeps_counter
         self._flash_until_s = -math.inf
@@ -348,7 +349,7 @@ class SimulatedDrive:
 
     # ---------------------------------------------------------------------------------- faults
     def find_fault(self, channel: int, bit: int | None, code: int | None) -> FaultBit:
-        """One of the profile's faults. ValueError where it has no such fault."""
+        """One of the profile's faults. ValueError if it has no such fault."""
         for fault in self.profile.faults:
             motor = self._motors.get(channel)
             if (fault.bit, fault.code) == (bit, code) and motor and motor.channel.fault:
@@ -359,7 +360,7 @@ class SimulatedDrive:
         )
 
     def raise_fault(self, channel: int, bit: int | None = None, code: int | None = None) -> None:
-        """Latch one of the profile's faults. ValueError where it has no such fault."""
+        """Latch one of the profile's faults. ValueError if it has no such fault."""
         fault, motor = self.find_fault(channel, bit, code), self._motors[channel]
         if fault not in motor.faults:
             motor.faults.append(fault)
@@ -368,7 +369,7 @@ class SimulatedDrive:
         self._apply()
 
     def suffer(self, defects: tuple[Defect, ...]) -> None:
-        """From now on these are wrong with its motors."""
+        """From now on its motors have these defects."""
         if defects == self._defects:
             return
         self._defects = defects
@@ -382,8 +383,8 @@ class SimulatedDrive:
             motor.start_near_wrap(self.profile)
 
     def tag_counters(self) -> None:
-        """Let each motor of the robot count from a number of its own, so that a count shows whose
-        it is."""
+        """Let each motor of the robot count from its own number, so that a count shows its
+        motor."""
         for number, motor in self._motors.items():
             motor.start_at(tagged_count(self.profile.counter_bits, self.unit, number))
 
@@ -400,7 +401,7 @@ def _content(profile: DriveProfile) -> RegisterFile | NamedContent:
 
 
 def _commands(profile: DriveProfile, name: str) -> bool:
-    """Whether a sequence is more than set-points: those give a drive nothing but a speed."""
+    """Whether a sequence is more than set-points, which only set a speed."""
     setpoints = {channel.setpoint for channel in profile.channels.values()}
     writes = {step.register for step in getattr(profile, name) if step.value is not None}
     return profile.can is None or not writes or not writes <= setpoints
@@ -414,7 +415,7 @@ def _switching(profile: DriveProfile) -> set[str]:
 
 
 def _settings(profile: DriveProfile) -> frozenset[str]:
-    """What is written once, when a drive is set up: not what commands it."""
+    """Registers that are written once, at the set-up: not commands."""
     once = {step.register for step in profile.configure if step.value is not None}
     once |= {profile.watchdog.register} if profile.watchdog else set()
     sequences = (profile.arm, profile.disarm, profile.quick_stop, profile.clear_fault)

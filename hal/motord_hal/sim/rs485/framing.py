@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a line's protocol makes of bytes: when a request is whole and good, which unit answers it
-and how."""
+"""A line's protocol: when a request is whole and good, which unit answers it and how."""
 
 from __future__ import annotations
 
@@ -23,10 +22,10 @@ from motord_hal.sim.rs485.slave import Answer, answer, answer_ddsm, answer_roboc
 
 
 class Rewriting(Protocol):
-    """What of a protocol a fault has to know."""
+    """The part of a protocol that faults need."""
 
     def refusal(self, frame: bytes, code: int) -> bytes:
-        """Instead of this frame; nothing where the protocol cannot refuse."""
+        """The refusal in place of this frame; empty if the protocol has none."""
 
     def readdressed(self, frame: bytes, unit: int) -> bytes:
         """A good frame with another unit's address."""
@@ -36,7 +35,7 @@ class Framing(Rewriting, Protocol):
     """One protocol of a line."""
 
     def whole(self, frame: bytes) -> bool:
-        """Whether nothing more can come, so that the silence after it need not be awaited."""
+        """Whether the request is complete without the silence after it."""
 
     def good(self, frame: bytes) -> bool:
         """Whether its check sum fits."""
@@ -44,7 +43,7 @@ class Framing(Rewriting, Protocol):
     def is_broadcast(self, frame: bytes) -> bool: ...
 
     def is_answered(self, frame: bytes) -> bool:
-        """Whether the unit that it names has something to say to a good frame."""
+        """Whether the unit that it names answers a good frame."""
 
     def answer(
         self, frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float
@@ -155,7 +154,7 @@ class ServoFraming:
         return is_whole(self._packets, frame)
 
     def refusal(self, frame: bytes, code: int) -> bytes:
-        """A Dynamixel says an error number; a Feetech servo refuses nothing."""
+        """A Dynamixel sends an error number; a Feetech servo refuses nothing."""
         if not frame.startswith(_DYNAMIXEL_HEAD):
             return frame
         return self._packets.build_status(frame[self._packets.unit_byte], code)
@@ -168,7 +167,7 @@ class ServoFraming:
 
 
 class Unaddressed:
-    """Of a board alone on its port: no other unit is there, and it refuses nothing."""
+    """A board alone on its port: there is no other unit, and it refuses nothing."""
 
     def refusal(self, frame: bytes, code: int) -> bytes:
         del frame, code
@@ -183,7 +182,7 @@ _DYNAMIXEL_HEAD = b"\xff\xff\xfd\x00"
 
 
 def framing_of(kind: str) -> Framing:
-    """Of a line's kind."""
+    """The framing of a line's kind."""
     if kind == "roboclaw":
         return RoboclawFraming()
     return DdsmFraming() if kind == "ddsm" else ModbusFraming()

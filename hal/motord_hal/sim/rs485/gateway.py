@@ -18,7 +18,7 @@ from motord_hal.sim.rs485.tcp import Client, TcpPort
 
 TARGET_SILENT = 0x0B
 REPLY_TIMEOUT_S = 0.2
-"""After the request's last byte on the wire; what a gateway of the shelf can be set to."""
+"""After the request's last byte on the wire; a usual setting of gateways."""
 REST_TIMEOUT_S = 0.02
 """Between the pieces of a reply."""
 _HEADER_BYTES = 7
@@ -48,7 +48,7 @@ class GatewayPort(TcpPort):
         self._reply = bytearray()
         self._deadline_s = math.inf
         self._overdue = False
-        """Seen after the deadline: what the wire carried until then has come by the next look."""
+        """The deadline has passed; bytes that were on the wire by then come with the next look."""
         self._free_s = -math.inf
         self._just_over = False
         self._hold = False
@@ -67,13 +67,13 @@ class GatewayPort(TcpPort):
         return min(super().due_s(now_s), self._deadline_s, waiting_s)
 
     def take_in(self, now_s: float) -> bytes | None:
-        """The next request's frame, once the one before is through."""
+        """The next request's frame, once the one before has ended."""
         if now_s >= self._stalled_until_s:
             self._flush(now_s)
             self._accept()
             for client in list(self._clients):
                 self._read(client, now_s)
-        if self._just_over:  # only now is the last byte surely over
+        if self._just_over:  # only now the last byte has surely passed
             self._just_over = False
             self._free_s = now_s + self._gap_s
         if self._in_progress is not None and self._overdue:
@@ -84,7 +84,7 @@ class GatewayPort(TcpPort):
         return self._begin(self._requests.popleft(), now_s)
 
     def put(self, data: bytes, now_s: float) -> int:
-        """Bytes of the wire; those that were not requested are dropped."""
+        """Bytes from the wire; bytes that were not requested are dropped."""
         if self._in_progress is None:
             return len(data)
         self._reply += data

@@ -35,20 +35,20 @@ BABBLE_BYTES_MAX = 3
 class WireCounters:
     frames: int = 0
     bad_crc: int = 0
-    """Frames with a wrong check sum, torn ones, those that ran into each other and those at a baud
-    rate or parity that no unit here is set to; of boards, pieces that were no set-points."""
+    """Frames with a wrong check sum, torn ones, merged ones, and those at a baud rate or parity of
+    no unit here; of boards, pieces that were no set-points."""
     replies: int = 0
     gap_violations: int = 0
-    """Of boards none: their frames are parted by zeros, not by silence."""
+    """Boards have none: zeros separate their frames, not silence."""
     bits_hit: int = 0
-    """By noise."""
+    """Bits that noise has changed."""
     plugged: int = 0
 
 
 @dataclass(slots=True)
 class LineCounters(WireCounters):
     unanswered: int = 0
-    """Requests for units that are not on this line, have no power or are silenced."""
+    """Requests for units that are absent, without power or silenced."""
 
 
 class SimulatedWire(abc.ABC):
@@ -72,10 +72,10 @@ class SimulatedWire(abc.ABC):
 
     @abc.abstractmethod
     def _unresponsive(self) -> None:
-        """Forget what was in transit."""
+        """Drop bytes in transit."""
 
     def plug(self) -> None:
-        """Does nothing while it is plugged. Raises OSError."""
+        """Plug it in, if it is not. Raises OSError."""
         if not self.port.plugged:
             self.port.plug()
             self.counters.plugged += 1
@@ -174,7 +174,7 @@ class SimulatedLine(SimulatedWire):
         return self._framing.whole(frame)
 
     def _follow_settings(self) -> None:
-        """The wire has the pace that the master gives it."""
+        """The wire runs at the master's baud rate."""
         self._master = self.port.settings()
         baudrate = self.spec.baudrate if self._master is None else self._master.baudrate
         self.wire.character_s = self._bits / baudrate
@@ -202,14 +202,14 @@ class SimulatedLine(SimulatedWire):
         self._answer(frame, ended_s, now_s)
 
     def _due_gap_s(self, drive: SimulatedDrive | None) -> float:
-        """The drive's own word, else the robot file's, else the standard's."""
+        """The silence of the drive's profile, else of the robot file, else of the standard."""
         if drive is None or (drive.profile.gap is Gap.SPEC and drive.profile.gap_s is None):
             return line_gap_s(self.spec)
         return drive_gap_s(drive.profile, self.spec)
 
     def _understands(self, drive: SimulatedDrive, now_s: float) -> bool:
-        """Whether the master sends at the drive's baud rate and parity. What no one has set up is
-        taken to fit."""
+        """Whether the master sends at the drive's baud rate and parity. A port that was never set
+        up counts as right."""
         baudrate = self.spec.baudrate
         for fault in self._script.states("wrong-baud", drive.unit, now_s):
             baudrate = int(fault.values["baudrate"])

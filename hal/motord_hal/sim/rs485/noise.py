@@ -8,7 +8,7 @@ import random
 
 
 def disturb(data: bytes, ber: float, bits: int, source: random.Random) -> tuple[bytes, int]:
-    """Bytes as they are received, and how many bits were hit. A character has `bits` on the wire: a
+    """The received bytes, and how many bits were hit. A character has `bits` on the wire: a
     hit start, parity or stop bit loses it (the receiver sees a framing or parity error), a hit data
     bit is flipped."""
     if ber <= 0.0:

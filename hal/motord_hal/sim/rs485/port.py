@@ -19,7 +19,7 @@ ABSENT_RETRY_S = 0.005
 _RATES = (300, 600, 1200, 2400, 4800, 9600, 19200, 57600, 115200, 230400, 460800, 500000, 576000)
 _FAST_RATES = (921600, 1000000, 1152000, 1500000, 2000000, 2500000, 3000000, 3500000, 4000000)
 _BAUDRATES = MappingProxyType({getattr(termios, f"B{r}"): r for r in (*_RATES, *_FAST_RATES)})
-"""Without 38400, at which a pseudo-terminal stands that was never set up."""
+"""Without 38400, the rate of a pseudo-terminal that was never set up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,44 +34,45 @@ class Port(Protocol):
     """One end of a line. `take_in` and `put` never wait."""
 
     segments_s: float
-    """Pause between the pieces of what is sent; only TCP knows pieces."""
+    """Pause between the pieces of what is sent; only TCP has pieces."""
 
     @property
     def address(self) -> str:
-        """What a robot file would name as its port."""
+        """The port's name in a robot file."""
 
     @property
     def plugged(self) -> bool: ...
 
     def plug(self) -> None:
-        """Be there. Raises OSError."""
+        """Open the port. Raises OSError."""
 
     def pull(self) -> None:
-        """Be gone: a connected program gets a hang-up."""
+        """Remove the port: a connected program gets a hang-up."""
 
     def filenos(self, now_s: float) -> list[int]:
         """What to wait for with select."""
 
     def due_s(self, now_s: float) -> float:
-        """When `take_in` has to be called without a ready file."""
+        """The time at which `take_in` has to be called without a ready file."""
 
     def take_in(self, now_s: float) -> bytes | None:
-        """What has come; None: no program is connected (any more)."""
+        """Bytes that have come; None: no program is connected."""
 
     def put(self, data: bytes, now_s: float) -> int:
-        """Send; how many bytes went. What no reader takes is lost, as in a UART's full buffer."""
+        """Send; returns how many bytes went. Bytes without a reader are lost, as in a UART's full
+        buffer."""
 
     def settings(self) -> MasterSettings | None:
         """None: they were never set, or there are none."""
 
     def hold_reply(self) -> bool:
-        """Keep the next reply back until the next request, if the port itself pairs them."""
+        """Hold the next reply back until the next request, if the port itself pairs them."""
 
     def stall(self, until_s: float) -> None:
         """Let nothing pass until then."""
 
     def forget(self) -> None:
-        """Lose the connections without a word."""
+        """Drop the connections silently."""
 
 
 class PtyPort:
@@ -97,7 +98,7 @@ class PtyPort:
             raise FileExistsError(errno.EEXIST, "is in the place of a line's port", str(self.link))
         try:
             self._fd, slave_fd = os.openpty()
-        except OSError as error:  # it names no file
+        except OSError as error:  # the error has no file name
             why = f"{error.strerror}: a simulated port is a pseudo-terminal; is devpts mounted?"
             raise OSError(error.errno, why, "/dev/ptmx") from None
         os.set_blocking(self._fd, False)

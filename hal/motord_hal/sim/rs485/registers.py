@@ -26,8 +26,8 @@ class Refusal(Exception):
 
 
 def raw_of(register: Register, value: float) -> int:
-    """Raw value of a physical one as a drive reports it: what does not fit is clipped, what has no
-    sign in the register loses it."""
+    """Raw value of a physical one as a drive reports it: a value that does not fit is clipped, and
+    an unsigned register drops the sign."""
     low, high = register.raw_range
     if register.mask is not None:
         bits = register.mask.bit_count()
@@ -37,7 +37,7 @@ def raw_of(register: Register, value: float) -> int:
 
 
 class Registers(Protocol):
-    """What a drive's insides need of its registers."""
+    """The registers, for the simulated drive itself."""
 
     def power_up(self) -> None: ...
 
@@ -49,7 +49,7 @@ class Registers(Protocol):
 
 
 class RegisterFile:
-    """What a drive's profile lists, as words. A live register is computed when it is read."""
+    """The registers of a drive's profile, as words. A live register is computed when it is read."""
 
     def __init__(self, profile: DriveProfile) -> None:
         self._profile = profile
@@ -72,7 +72,7 @@ class RegisterFile:
         self._live[name] = value
 
     def stored(self, name: str) -> int:
-        """Raw value that was written last or stood there at power-up, signed as the register is."""
+        """Raw value that was written last, or the one at power-up, signed like the register."""
         register = self._profile.registers[name]
         words, at = self._words, register.address
         both = (words[at], words[at + 1]) if register.type.words == 2 else (words[at],)
@@ -105,8 +105,8 @@ class RegisterFile:
         return word & ~register.mask | raw * (register.mask & -register.mask) & register.mask
 
     def write(self, address: int, words: tuple[int, ...]) -> list[tuple[str, int]]:
-        """Store the words and say which registers got which raw values, in the order of their
-        addresses; nothing is stored when one of them is refused."""
+        """Store the words; returns the raw values by register, in the order of their addresses. If
+        one is refused, nothing is stored."""
         self._check_count(len(words))
         values = []
         at = address

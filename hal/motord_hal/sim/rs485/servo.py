@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated bus servos: their control table, what they do with a packet, and their line.
+"""Simulated bus servos: their control table, their packets, and their line.
 
-What a real servo does is from the makers' manuals: a sync read is answered by each servo in the
-order of the request; a broadcast write by none. A Dynamixel refuses what is out of range, its
-EEPROM while it has torque (access error), and goal values after its bus watchdog has bitten, until
-0 is written to that (ROBOTIS e-Manual, XL430-W250, 2.4: Bus Watchdog (98)). A servo of Feetech's
-SCS series is a motor only while both its angle limits are 0, and what is written below address 40
-outlives its power only where its lock was open (`ftservo-python-sdk`, scscl.py).
+The behaviour is from the makers' manuals: a sync read is answered by each servo in the order of the
+request; a broadcast write by none. A Dynamixel refuses what is out of range, its EEPROM while it
+has torque (access error), and goal values after its bus watchdog has bitten, until 0 is written to
+that (ROBOTIS e-Manual, XL430-W250, 2.4: Bus Watchdog (98)). A servo of Feetech's SCS series is a
+motor only while both its angle limits are 0, and writes below address 40 survive a power cut only
+while the lock is open (`ftservo-python-sdk`, scscl.py).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ ANGLE_LIMITS, LOCK = ("minimum_angle", "maximum_angle"), "lock"
 SCS_EEPROM_END = 40
 RANGE_ERROR, LENGTH_ERROR, ACCESS_ERROR, INSTRUCTION_ERROR = 4, 5, 7, 2
 REBOOT_S = 0.1
-"""A rebooting servo receives nothing for so long."""
+"""How long a rebooting servo receives nothing."""
 
 
 class ServoError(Exception):
@@ -47,7 +47,7 @@ class ServoError(Exception):
 
 
 class SimulatedServo(SimulatedDrive):
-    """One servo: what its profile says, and what packets make of it."""
+    """One servo: its profile, and its packets."""
 
     registers: ControlTable
 
@@ -61,12 +61,12 @@ class SimulatedServo(SimulatedDrive):
         self._strict = profile.protocol == "dynamixel"
         self._scs_motor = has_no_sync_read(profile) and not profile.goes_to_positions
         self._saved: dict[str, int] = {}
-        """What an SCS servo has kept through a power cut."""
+        """The values that an SCS servo keeps through a power cut."""
         self._now_s = 0.0
 
     # ------------------------------------------------------------------------------- the wire
     def execute_packet(self, packet: Packet, now_s: float) -> bytes | None:
-        """Do what a packet for this servo, or for all, says; the status, None: it is silent."""
+        """Carry out a packet for this servo, or for all; returns the status, None: it is silent."""
         error, data = self.outcome_of(packet, now_s)
         pinged = packet.code == Instruction.PING and self._strict
         if packet.unit == BROADCAST_UNIT and packet.code != Instruction.SYNC_READ and not pinged:
@@ -74,7 +74,7 @@ class SimulatedServo(SimulatedDrive):
         return self.packets.build_status(self.unit, error, data)
 
     def outcome_of(self, packet: Packet, now_s: float) -> tuple[int, bytes]:
-        """The same; what its status says: error and data."""
+        """The same; returns error and data of its status."""
         self.stats.requests += 1
         self._received_s = self._now_s = now_s
         error, data = 0, b""
@@ -170,7 +170,7 @@ class SimulatedServo(SimulatedDrive):
         return on and not self._bitten and super()._watchdog_bites(now_s)
 
     def _brake(self) -> None:
-        """Its watchdog has bitten: a Dynamixel stands at a velocity of zero, with torque."""
+        """Its watchdog has bitten: a Dynamixel holds a velocity of zero, with torque."""
         if self.profile.watchdog is None:
             super()._brake()
             return
@@ -183,7 +183,7 @@ class SimulatedServo(SimulatedDrive):
 def answer_servos(
     packet: Packet, drives: Mapping[int, SimulatedDrive], now_s: float
 ) -> list[tuple[SimulatedServo, bytes]]:
-    """What the servos on a line do with a good packet, and what they answer, in their order."""
+    """Carry out a good packet on the servos of a line; returns their answers, in their order."""
     servos = {unit: drive for unit, drive in drives.items() if isinstance(drive, SimulatedServo)}
     servos = {unit: servo for unit, servo in servos.items() if servo.on}
     if packet.code == Instruction.FAST_SYNC_READ:
@@ -208,7 +208,7 @@ def answer_servos(
 def _answer_together(
     packet: Packet, servos: Mapping[int, SimulatedServo], now_s: float
 ) -> list[tuple[SimulatedServo, bytes]]:
-    """Each servo waits for the one before it: one that is missing ends the packet."""
+    """Each servo waits for the one before it: a missing servo ends the packet."""
     asked, answers = _asked(packet, servos), []
     for unit in asked:
         servo = servos.get(unit)

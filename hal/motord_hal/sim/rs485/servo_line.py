@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A line of simulated bus servos: packets end where their length says, not by silence, and one
+"""A line of simulated bus servos: packets end by their length, not by silence, and one
 request may be answered by many."""
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class SimulatedServoLine(SimulatedLine):
                 ended_s = self._execute(packet, ended_s, now_s)
 
     def _execute(self, packet: Packet, ended_s: float, now_s: float) -> float:
-        """Let the servos answer; when they have ended."""
+        """Let the servos answer; returns when they have ended."""
         hearing = {
             unit: drive
             for unit, drive in self.drives.items()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All units of one line as one function: a frame in, the frame that comes back or none."""
+"""All units of one line as one function: a frame in, the answer or None out."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Answer:
 
 
 def answer(frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float) -> Answer | None:
-    """What the units do with a whole frame whose CRC is good. None: no unit answers, because it is
-    a broadcast or for a unit that is not here or has no power."""
+    """Carry out a whole frame with a good CRC. None: no unit answers, because it is a broadcast, or
+    its unit is absent or without power."""
     unit, function = frame[0], frame[1]
     if unit == BROADCAST_UNIT:
         _broadcast(frame, drives, now_s)
@@ -50,7 +50,7 @@ def answer(frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float) -> 
 
 
 def _broadcast(frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float) -> None:
-    """Serial Line V1.02, 2.1: writes for all, no answer, also not when refused."""
+    """Serial Line V1.02, 2.1: writes for all, without an answer, even if refused."""
     try:
         request = parse_request(frame)
     except FrameError:
@@ -66,8 +66,7 @@ def _broadcast(frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float)
 
 
 def answer_ddsm(frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float) -> Answer | None:
-    """What the units do with a good frame of DDSM motors, which refuse nothing: what they do not
-    know they ignore."""
+    """Carry out a good frame of DDSM motors, which refuse nothing: they ignore unknown commands."""
     drive = drives.get(frame[0])
     if drive is None or not drive.on:
         return None
@@ -78,7 +77,7 @@ def answer_ddsm(frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float
 def answer_roboclaw(
     packet: bytes, drives: Mapping[int, SimulatedDrive], now_s: float
 ) -> Answer | None:
-    """What the controllers do with a good packet; what they cannot do they ignore."""
+    """Carry out a good packet on the controllers, which ignore unknown commands."""
     drive = drives.get(packet[0])
     if drive is None or not drive.on:
         return None

@@ -14,7 +14,7 @@ from motord_hal.sim.rs485.port import MasterSettings
 
 RECEIVE_BYTES = 4096
 PIECES = 3
-"""Into so many segments a reply is cut that comes in pieces."""
+"""Number of segments of a reply that comes in pieces."""
 
 
 @dataclass(slots=True, eq=False)
@@ -25,7 +25,7 @@ class Client:
 
 
 class TcpPort:
-    """A listening socket and its connections; what they carry is the subclass's."""
+    """A listening socket and its connections; subclasses define what they carry."""
 
     def __init__(self, host: str, port: int) -> None:
         """Port 0: any; it stays the same when the plug is pulled and put in again."""
@@ -104,7 +104,7 @@ class TcpPort:
         return fresh
 
     def _receive(self, client: Client) -> bytes:
-        """What it sent; a client that has gone is dropped."""
+        """The bytes that it sent; a closed connection is removed."""
         try:
             data = client.socket.recv(RECEIVE_BYTES)
         except BlockingIOError:
@@ -121,7 +121,7 @@ class TcpPort:
             self._clients.remove(client)
 
     def _transmit(self, client: Client, data: bytes, now_s: float) -> None:
-        """Send, in pieces or behind a stall where a fault says so."""
+        """Send, in pieces or after a stall if a fault demands it."""
         pieces = [data]
         if self.segments_s > 0.0:
             size = max(1, -(-len(data) // PIECES))
@@ -143,7 +143,7 @@ class TcpPort:
 
 class RawTcpPort(TcpPort):
     """RTU frames as a stream. The newest connection has the line, the one before is closed: so a
-    client that has lost its connection gets in again."""
+    client that has lost its connection can connect again."""
 
     def take_in(self, now_s: float) -> bytes | None:
         if now_s < self._stalled_until_s:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a line sends, byte by byte at the baud rate, and how late it was at that.
 
-A pty carries a frame in no time. Here each byte is there when the wire would have brought it, in
-pieces of about a millisecond, as a UART's receive buffer hands them over.
+A pty carries a frame in no time. Here each byte comes when the wire would have brought it, in
+pieces of about a millisecond, as from a UART's receive buffer.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from motord_hal.sim.rs485.port import Port
 Clock = Callable[[], float]
 PIECE_S = 0.001
 ROUNDING_CHARACTERS = 0.0005
-"""What is due now must not wait for a rounding error."""
+"""Tolerance, so that a rounding error delays nothing that is due now."""
 LATENESS_KEPT = 20_000
-"""So many of the last frames the percentiles are of."""
+"""The percentiles are of this many newest frames."""
 
 
 @dataclass(slots=True)
@@ -62,16 +62,16 @@ class Wire:
         self.unresponsive()
 
     def unresponsive(self) -> None:
-        """Forget what was in transit."""
+        """Drop bytes in transit."""
         self.free_s = -math.inf
         self._outgoing: deque[_Outgoing] = deque()
 
     def receive(self, count: int, now_s: float) -> None:
-        """The master has put so many bytes on the wire."""
+        """The master has put this many bytes on the wire."""
         self.free_s = max(self.free_s, now_s) + count * self.character_s
 
     def send(self, frame: bytes, starts_s: float) -> None:
-        """Behind what is in transit already."""
+        """Queue bytes behind those in transit."""
         if self._outgoing:
             last = self._outgoing[-1]
             starts_s = max(starts_s, last.starts_s + len(last.frame) * self.character_s)
@@ -98,6 +98,6 @@ class Wire:
             if upto < len(first.frame):
                 return
             self.lateness.add(clock() - first.starts_s - upto * self.character_s)
-            # Read off before the write: being preempted behind it must blame no unit.
+            # Read the clock before the write: a preemption after it must not count as lateness.
             self.free_s = max(self.free_s, now_s)
             self._outgoing.popleft()
