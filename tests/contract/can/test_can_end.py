@@ -100,7 +100,7 @@ async def turning(rig, axis):
 
 @pytest.mark.parametrize("kind", BUSES)
 @pytest.mark.parametrize("unresponsive", [False, True])
-async def test_a_power_off_that_went_into_a_cut_cable_is_sent_again(kind, unresponsive):
+async def test_a_power_off_that_a_cut_cable_lost_is_sent_again(kind, unresponsive):
     """The bus has taken it: that says nothing."""
 
     async def mend(axis):

@@ -140,7 +140,7 @@ async def test_a_pause_of_this_program_makes_no_drive_unresponsive(rig, nodes):
     assert EventKind.DRIVE_UNRESPONSIVE not in rig.kinds()
 
 
-async def test_stop_all_stops_drives_that_nothing_synchronises_any_more(nodes, spec):
+async def test_stop_all_stops_drives_that_no_longer_get_a_sync(nodes, spec):
     async with running(spec) as rig:
         await rig.arm()
     for node in nodes:
@@ -150,7 +150,7 @@ async def test_stop_all_stops_drives_that_nothing_synchronises_any_more(nodes, s
     assert [node.velocity for node in nodes] == [0, 0]
 
 
-def test_a_cycle_that_the_drive_cannot_be_sent_is_refused(spec):
+def test_a_cycle_that_the_drive_cannot_represent_is_refused(spec):
     odd = dataclasses.replace(spec, cycle_hz=300.0)
     with pytest.raises(ProfileError, match=r"cannot hold the line's cycle, 3\.333 ms"):
         open_line(odd, Exchange.private(), lambda event: None)
@@ -166,6 +166,6 @@ async def test_drives_that_turn_and_take_no_pdo_are_stopped_before_they_are_set_
     assert all(node.status != OPERATION for node in turning)
 
 
-async def test_drives_that_turn_and_take_no_pdo_are_stopped_by_who_comes_for_that(spec, turning):
+async def test_stop_all_stops_drives_that_turn_and_take_no_pdo(spec, turning):
     assert await halt_line(spec) == []
     assert all(node.status == SWITCH_ON_DISABLED and node.velocity == 0 for node in turning)

@@ -126,7 +126,7 @@ async def test_it_is_set_up_by_sdo_started_by_nmt_and_not_armed(rig, drive):
     assert reported["wanted"] == 0
 
 
-async def test_it_is_armed_edge_by_edge_and_turns_both_ways(rig, drive):
+async def test_it_is_armed_edge_by_edge_and_turns_in_both_directions(rig, drive):
     await rig.arm()
     assert drive.reported["statuses"][-4:] == [0x40, 0x21, 0x23, OPERATION]
     drive.put(set=[0x6064, -1234])

@@ -44,7 +44,7 @@ async def some_cycles(rig):
     await rig.drive(lambda: rig.line.stats().cycles > cycles + 20, "it could have moved")
 
 
-async def test_steppers_go_where_they_are_sent_and_stay_there_without_a_place_to_go_to(tmp_path):
+async def test_steppers_go_to_their_targets_and_stay_there_without_a_target(tmp_path):
     with simulated(PROFILE, tmp_path) as control:
         async with running(line_of(tmp_path)) as rig:
             await rig.arm()
@@ -94,14 +94,14 @@ async def test_old_set_points_stop_a_stepper_and_take_its_power(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["modbus-rtu", "modbus-tcp", "rtu-over-tcp"])
-def test_no_line_in_asyncio_takes_positions(tmp_path, kind):
+def test_a_line_in_asyncio_refuses_positions(tmp_path, kind):
     engine = "asyncio" if kind == "modbus-rtu" else "auto"
     spec = dataclasses.replace(line_of(tmp_path), engine=engine, kind=kind)
     with pytest.raises(ProfileError, match="left: positions are carried by the engine rt alone"):
         open_line(spec, Exchange.private(), print)
 
 
-async def test_a_stepper_that_lost_its_power_has_no_reference_and_is_sent_nowhere(tmp_path):
+async def test_a_stepper_that_lost_its_power_has_no_reference_and_gets_no_target(tmp_path):
     with simulated(PROFILE, tmp_path) as control:
         async with running(line_of(tmp_path)) as rig:
             await rig.arm()

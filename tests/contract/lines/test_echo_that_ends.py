@@ -30,7 +30,7 @@ def echo(peer, until=lambda request: False):
     peer.tricks.append(both)
 
 
-async def test_a_line_that_does_not_echo_any_more_is_received_again(peer):
+async def test_a_line_that_stops_echoing_is_read_again(peer):
     echo(peer)
     async with running(spec_of(peer, hub_servo())) as rig:
         await rig.ready()
@@ -40,13 +40,13 @@ async def test_a_line_that_does_not_echo_any_more_is_received_again(peer):
         await rig.arm()
 
 
-async def test_an_echo_that_ends_while_the_drives_are_set_up_is_given_up_again(peer):
+async def test_an_echo_that_ends_while_the_drives_are_set_up_does_not_prevent_arming(peer):
     echo(peer, until=lambda request: request.function is Function.READ_HOLDING)
     async with running(spec_of(peer, hub_servo())) as rig:
         await rig.arm()
 
 
-async def test_a_line_that_begins_to_echo_is_received_all_the_same(peer):
+async def test_a_line_that_begins_to_echo_is_still_read(peer):
     async with running(spec_of(peer, hub_servo())) as rig:
         await rig.ready()
         echo(peer)
@@ -72,7 +72,7 @@ async def test_an_echo_is_no_acknowledgement_of_a_dead_drive(peer):
 
 
 @pytest.mark.parametrize(("echo_setting", "acknowledged"), [(Echo.YES, False), (Echo.NO, True)])
-async def test_the_robot_files_word_on_the_echo_is_obeyed(echo_setting, acknowledged):
+async def test_the_robot_file_decides_whether_the_line_echoes(echo_setting, acknowledged):
     """Of a write of one register echo and reply are alike: asyncio's framer, by itself."""
     framer = StrictFramer(echo_setting)
     request = Request(1, Function.WRITE_SINGLE, 0x200E, values=(8,))

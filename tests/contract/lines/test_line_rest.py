@@ -40,7 +40,7 @@ async def bus(request):
         yield peer
 
 
-async def test_a_disarming_that_nothing_waits_for_any_more_takes_the_power_all_the_same(peer):
+async def test_a_disarming_whose_caller_was_cancelled_still_takes_the_power(peer):
     mute = [
         replace(joint, profile=replace(joint.profile, enabled=None)) for joint in hub_servo()
     ]  # a drive that says that it is enabled would be sent that again

@@ -43,7 +43,7 @@ def adu(transaction, *words, unit=1, protocol=0):
     return struct.pack(">HHH", transaction, protocol, len(body)) + body
 
 
-async def test_a_reply_is_believed(client):
+async def test_an_honest_reply_is_accepted(client):
     assert (await client.exchange(VOLTAGE, WITHIN_S)).values == (3600,)
 
 
@@ -83,14 +83,14 @@ async def test_what_is_no_modbus_tcp_ends_the_connection(client, peer):
     assert (await client.exchange(VOLTAGE, WITHIN_S)).values == (3600,)
 
 
-async def test_a_drive_that_the_gateway_does_not_reach_is_silent(client, peer):
+async def test_a_drive_that_the_gateway_cannot_reach_counts_as_silent(client, peer):
     refusal = build_exception(1, Function.READ_HOLDING, 11)
     peer.tricks.append(lambda request, honest: [(0.0, refusal)])
     with pytest.raises(NoReply, match="gateway target did not respond"):
         await client.exchange(VOLTAGE, WITHIN_S)
 
 
-async def test_a_gateway_that_has_forgotten_the_connection_is_called_anew(
+async def test_a_gateway_that_has_dropped_the_connection_is_connected_again(
     client, peer, monkeypatch
 ):
     monkeypatch.setattr(tcp_guard, "SILENT_S", 0.0)

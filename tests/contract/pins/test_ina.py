@@ -91,7 +91,7 @@ def test_the_two_with_a_thermometer_are_not_taken_for_each_other(kind, other):
         Ina(kind, other, 0.01)
 
 
-def test_a_range_that_something_changes_later_reports_nothing():
+def test_a_chip_whose_range_changes_later_reports_nothing():
     bus = ina228(x05=245760 << 4)
     chip = Ina("ina228", bus, 0.01)
     bus.words[0] = 0x0010
@@ -119,7 +119,7 @@ def test_a_current_that_flows_back_is_negative():
     ],
     ids=["219", "219's overflow bit", "226", "226's other end", "228", "228's other end", "238"],
 )
-def test_a_current_beyond_the_scale_is_no_number_and_the_voltage_still_is(kind, bus):
+def test_a_current_beyond_the_scale_is_nan_and_the_voltage_is_still_measured(kind, bus):
     power = Ina(kind, bus, 0.01).read()
     assert math.isnan(power.current_a)
     assert power.voltage_v == pytest.approx(12.0)
@@ -141,7 +141,7 @@ def test_a_chip_that_lost_power_reports_nothing_until_it_is_set_up_again():
     assert Ina("ina219", bus, 0.1).read().voltage_v == pytest.approx(5.968)
 
 
-def test_a_chip_that_keeps_no_configuration_is_another_one():
+def test_a_chip_that_keeps_no_configuration_is_refused():
     class Stubborn(Bus):
         def write_word(self, register, value):
             """Acknowledges, and keeps what it had."""
@@ -150,7 +150,7 @@ def test_a_chip_that_keeps_no_configuration_is_another_one():
         Ina("ina219", Stubborn(x00=0x399F), 0.1)
 
 
-def test_a_bus_that_is_not_there_is_named_with_what_helps(tmp_path):
+def test_a_missing_bus_is_named_with_the_remedy(tmp_path):
     with pytest.raises(PortError, match=r"i2c-9 at 0x40: there is no such I2C bus: switch I2C on"):
         I2cDevice.open(tmp_path / "i2c-9", 0x40)
 

@@ -80,7 +80,7 @@ def test_a_scan_names_the_first_profile_of_the_series(tmp_path):
     assert found == [(1, "scs0009"), (2, "scs0009")]
 
 
-async def test_the_line_moves_servos_that_the_makers_sdk_speaks_for(tmp_path):
+async def test_the_line_moves_servos_that_the_makers_sdk_emulates(tmp_path):
     servos = ScsServos(tmp_path / "bus", ScsSdk(), (1, 2))
     for table in servos.tables.values():
         table[56:58] = MIDDLE.to_bytes(2, "big")
@@ -107,7 +107,7 @@ async def test_the_line_moves_servos_that_the_makers_sdk_speaks_for(tmp_path):
         servos.close()
 
 
-async def test_simulated_servos_go_where_they_are_sent_and_lose_their_torque_at_a_stop(tmp_path):
+async def test_simulated_servos_go_to_their_targets_and_lose_their_torque_at_a_stop(tmp_path):
     with simulated(PROFILE, tmp_path) as control:
         async with running(line_of(tmp_path)) as rig:
             angles = lambda: [j.position_rad for j in control.truth().joints.values()]  # noqa: E731

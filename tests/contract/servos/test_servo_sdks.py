@@ -109,7 +109,7 @@ def test_robotis_sdk_drives_simulated_servos(fast, tmp_path):
         assert control.stats()["lines"]["bus"]["bad_crc"] == 0
 
 
-def test_robotis_sdk_sees_the_watchdog_bite_and_clears_it(tmp_path):
+def test_robotis_sdk_sees_the_watchdog_trip_and_clears_it(tmp_path):
     profile = dataclasses.replace(find_profile("xl430"), baudrate=BAUDRATE)
     handler = dynamixel_sdk.PacketHandler(2.0)
     with (
@@ -130,7 +130,7 @@ def test_robotis_sdk_sees_the_watchdog_bite_and_clears_it(tmp_path):
 
 
 # ---------------------------------------------------------------- motord's line, their packets
-async def test_a_watchdog_that_has_bitten_disarms_and_its_servo_is_set_up_again(tmp_path):
+async def test_a_servo_whose_watchdog_tripped_is_disarmed_and_set_up_again(tmp_path):
     servos = SdkServos(tmp_path / "bus", DynamixelSdk(), (1, 2))
     try:
         async with running(spec_of(find_profile("xl430"), tmp_path)) as rig:
@@ -153,7 +153,7 @@ async def test_a_watchdog_that_has_bitten_disarms_and_its_servo_is_set_up_again(
 
 
 @pytest.mark.parametrize(("name", "sdk"), [("sts3215", FeetechSdk), ("xl430", DynamixelSdk)])
-async def test_the_line_drives_servos_that_the_makers_sdk_speaks_for(name, sdk, tmp_path):
+async def test_the_line_drives_servos_that_the_makers_sdk_emulates(name, sdk, tmp_path):
     profile = find_profile(name)
     servos = SdkServos(tmp_path / "bus", sdk(), (1, 2))
     try:

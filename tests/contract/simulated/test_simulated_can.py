@@ -77,7 +77,7 @@ async def test_bus_off_ends_the_drive_and_it_comes_back_disarmed(rig, sim):
 
 
 @pytest.mark.parametrize("variant", long_but(FEW, with_rt(LOSSY)), indirect=True)
-async def test_lost_frames_both_ways_are_borne(rig, sim):
+async def test_lost_frames_in_both_directions_are_tolerated(rig, sim):
     sim.inject("drop:p=0.03")
     sim.inject("unheard:p=0.05")
     await set_off(rig, sim)

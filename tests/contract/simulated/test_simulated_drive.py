@@ -136,7 +136,9 @@ async def test_set_points_move_nothing_before_the_line_has_armed(rig, sim):
     assert sim.truth().moved_max_m_s == 0.0
 
 
-async def test_armed_wheels_turn_as_sent_and_feedback_agrees_with_the_plant(rig, sim, profile):
+async def test_armed_wheels_follow_their_set_points_and_feedback_agrees_with_the_plant(
+    rig, sim, profile
+):
     await set_off(rig, sim)
     for joint in rig.line.spec.joints:
         values = feedback(rig, joint)
@@ -192,7 +194,7 @@ async def test_counters_count_what_the_wheels_turned(rig, sim, profile):
         await until(lambda joint=joint: missed(joint) <= 2.0, "the counts of the truth")
 
 
-async def test_a_disarmed_drive_comes_to_rest_and_obeys_no_set_point(rig, sim, profile):
+async def test_a_disarmed_drive_comes_to_rest_and_follows_no_set_point(rig, sim, profile):
     await set_off(rig, sim)
     await rig.line.disarm()
     assert rig.states() == {DriveState.READY}
@@ -241,7 +243,7 @@ def watchdog_bites(sim):
 
 
 @pytest.mark.parametrize("variant", each_that(lambda profile: profile.can is None), indirect=True)
-async def test_a_pulled_plug_lets_the_watchdog_bite_and_the_line_comes_back_disarmed(rig, sim):
+async def test_a_pulled_plug_trips_the_watchdog_and_the_line_comes_back_disarmed(rig, sim):
     await set_off(rig, sim)
     left = rig.line.spec.joints[0]
     epoch = feedback(rig, left).epoch
@@ -295,7 +297,7 @@ CHECKED = one_of_each_protocol(profiles_that(has_check_sums))
 
 
 @pytest.mark.parametrize("variant", CHECKED, indirect=True)
-async def test_a_bad_wire_never_bends_what_the_drive_reports(profile, folder):
+async def test_a_bad_wire_never_falsifies_feedback(profile, folder):
     noise = ("drop:p=0.02", "corrupt:p=0.03", "glitch:p=0.1", "tear:nth=29", "wrong-unit:nth=41")
     async with contextlib.AsyncExitStack() as stack:
         sim = stack.enter_context(simulated(profile, folder, seed=11))

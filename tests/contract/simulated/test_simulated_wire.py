@@ -58,7 +58,7 @@ def test_a_pause_inside_a_frame_ends_it(bench):
     assert bench.exchange(FRAME) == REPLY
 
 
-def test_two_requests_without_silence_between_them_are_none(bench):
+def test_two_requests_without_silence_between_them_are_both_lost(bench):
     assert bench.exchange(FRAME + FRAME) == b""
     assert bench.line.counters.bad_crc == 1
 
@@ -77,7 +77,7 @@ def test_a_request_for_another_unit_is_met_with_silence(bench):
     assert bench.line.counters.unanswered == 1
 
 
-def test_a_broadcast_is_obeyed_and_not_answered(bench):
+def test_a_broadcast_is_carried_out_and_not_answered(bench):
     bench.run_steps(bench.profile.configure)
     assert bench.exchange(ENABLE) == b""
     assert bench.drive.enabled(1)
@@ -109,7 +109,7 @@ def test_a_function_that_no_drive_has_is_refused(bench):
     assert bench.exchange(seal(b"\x01\x2b\x0e\x01\x00")) == build_exception(1, 0x2B, 1)
 
 
-def test_too_early_a_request_is_answered_and_counted(bench):
+def test_a_request_that_comes_too_early_is_answered_and_counted(bench):
     unresponsive_s = silent_interval_s(115200, 10)
     exchange_s = 0.0
     bench.exchange(FRAME)
@@ -164,7 +164,7 @@ def test_a_corrupt_reply_and_one_of_a_wrong_unit_are_seen_on_the_wire(tmp_path):
     assert foreign[0] != REPLY[0]
 
 
-def test_a_delayed_reply_comes_later_by_that(tmp_path):
+def test_a_delayed_reply_comes_later_by_its_delay(tmp_path):
     with Bench(tmp_path, faults=("delay:ms=40",)) as bench:
         assert bench.exchange(FRAME, 0.040) == b""
         bench.go_on(0.010)
@@ -229,7 +229,7 @@ def test_a_script_can_pull_and_plug(tmp_path):
         assert bench.link.is_symlink()
 
 
-def test_whatever_opens_the_port_after_another_gets_no_old_bytes(bench):
+def test_a_program_that_opens_the_port_after_another_gets_no_old_bytes(bench):
     bench.send(FRAME)
     bench.hang_up()
     bench.go_on(0.5)

@@ -150,7 +150,7 @@ CASES = [
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 @pytest.mark.parametrize(("happen", "reports", "speed_m_s", "fault"), CASES)
-def test_what_cannot_be_true_or_is_not_obeyed_is_a_fault_within_two_seconds_and_ends_at_rest(
+def test_implausible_feedback_or_ignored_set_points_are_a_fault_within_two_seconds(
     happen, reports, speed_m_s, fault, direction
 ):
     rig = Wheels(reports=reports)
@@ -166,7 +166,7 @@ def test_what_cannot_be_true_or_is_not_obeyed_is_a_fault_within_two_seconds_and_
     assert_rest(rig, enabled=0)
 
 
-def test_a_wheel_that_turns_the_wrong_way_and_does_not_stop_has_no_power_sooner():
+def test_a_wheel_that_turns_in_the_wrong_direction_loses_its_power_sooner():
     rig = Wheels()
     rig.moving()
     left_turns(rig, lambda wanted: -8.0 if rig.out.enabled else wanted)

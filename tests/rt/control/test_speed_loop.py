@@ -71,7 +71,7 @@ class TorqueRig(Rig):
 
 
 @given(want=anything, measured=anything, integral=anything, dt_s=anything)
-def test_the_torque_is_a_number_within_its_limit_whatever_comes(want, measured, integral, dt_s):
+def test_the_torque_is_finite_and_within_its_limit_for_any_input(want, measured, integral, dt_s):
     loop = Loop(integral_u=integral)
     torque = loop.step(want, measured, dt_s)
     assert abs(torque) <= TORQUE_MAX_N_M
@@ -91,7 +91,7 @@ speeds = st.lists(
     gains=st.tuples(gain, st.floats(0.001, 20.0), gain, gain, gain, st.floats(0.0, 0.1)),
     filter_s=st.floats(0.0, 0.5), dt_s=st.floats(0.0005, 0.1),
 )  # fmt: skip
-def test_a_run_is_that_of_the_textbook(run, limits, gains, filter_s, dt_s):
+def test_a_run_matches_the_textbook(run, limits, gains, filter_s, dt_s):
     # rest is another rule: none of these is slower than it while nothing is wanted
     want, measured = np.array([(w, m if w or abs(m) > REST_RAD_S else 1.0) for w, m in run]).T
     names = ("proportional", "integral", "derivative", "static", "viscous", "acceleration")
@@ -135,9 +135,7 @@ def test_without_feed_forward_and_derivative_it_is_the_plain_pi_bit_for_bit(
     speeds=st.tuples(*[st.floats(-15.0, 15.0)] * 2), held=st.floats(-2.0, 2.0),
     gains=st.tuples(*[st.floats(0.01, 0.5)] * 4, st.just(0.0), st.just(0.0)),
 )  # fmt: skip
-def test_a_loop_that_begins_or_whose_gains_change_goes_on_from_the_output_of_before(
-    speeds, held, gains
-):
+def test_a_loop_that_starts_or_changes_gains_continues_from_the_last_output(speeds, held, gains):
     want, measured = speeds
     if want == 0.0 and abs(measured) < REST_RAD_S:
         return
@@ -146,7 +144,7 @@ def test_a_loop_that_begins_or_whose_gains_change_goes_on_from_the_output_of_bef
     assert loop.step(want, measured) == pytest.approx(held + step_u, abs=1e-9)
 
 
-def test_wheels_come_to_the_speed_that_was_asked_for_and_to_rest():
+def test_wheels_reach_the_commanded_speed_and_rest():
     rig = TorqueRig()
     rig.moving(SPEED_M_S)
     assert rig.wheel_rad_s == pytest.approx([SPEED_M_S / RADIUS_M] * 2, abs=0.02)
@@ -167,7 +165,7 @@ def test_a_stop_is_driven_to_rest_by_the_loop(action):
 
 
 @pytest.mark.parametrize("wheel", [0, 1])
-def test_a_wheel_that_runs_the_wrong_way_is_let_go_and_that_is_a_fault(wheel):
+def test_a_wheel_that_runs_in_the_wrong_direction_loses_its_power_with_a_fault(wheel):
     rig = TorqueRig()
     rig.sign[wheel] = -1.0
     rig.arm()

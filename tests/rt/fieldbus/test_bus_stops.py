@@ -75,7 +75,7 @@ async def test_a_daemon_that_was_started_again_is_stopped_by_the_same_socket(rob
         task.cancel()
 
 
-async def test_nothing_there_is_reported_as_for_every_call(robot, tmp_path):
+async def test_a_missing_daemon_is_reported_as_for_every_call(robot, tmp_path):
     runtime = Runtime(robot, tmp_path / "none.sock")
     with pytest.raises(ClientError, match="no daemon has this socket"):
         await runtime.call("estop")

@@ -96,7 +96,7 @@ def test_feedback_arrives_as_it_was_reported(stamp_ns, count, floats, epoch, ena
     assert got.drive_faults == drive_faults
 
 
-def test_what_a_drive_does_not_report_is_nan():
+def test_values_that_a_drive_does_not_report_are_nan():
     exchange = Exchange.private()
     put(exchange, 0, 1)
     got = exchange.take_feedback(0)

@@ -61,7 +61,7 @@ def test_without_pins_there_is_no_emergency_stop_input_and_no_watchdog():
         assert loop.read_state().faults == ()
 
 
-def test_an_input_that_cannot_be_read_is_an_emergency_stop_from_the_first_tick_on(pipe):
+def test_an_unreadable_input_is_an_emergency_stop_from_the_first_tick_on(pipe):
     with looped(estop=1, estop_fd=pipe[0]) as loop:
         assert loop.read_state().faults == ("estop",)
         assert loop.status().estop_input == "lost"

@@ -105,7 +105,7 @@ def test_the_refusal_names_the_process_that_the_header_names():
     page.close()
 
 
-def test_a_file_that_is_something_elses_by_now_is_left_alone():
+def test_a_file_that_another_program_has_replaced_is_not_removed():
     page = PageFile.open("robot")
     page.path.unlink()
     page.path.write_text("another's")
@@ -176,7 +176,7 @@ def stranger(path, deed):
             process.kill()
 
 
-def test_a_stranger_who_makes_the_folder_first_keeps_nothing_out_and_is_not_read(shared):
+def test_a_folder_made_by_a_stranger_blocks_nothing_and_is_not_read(shared):
     """Without root the stranger is another process of this user that lets everybody write."""
     taken = shared / f"motord-{os.geteuid()}"
     with stranger(taken / "robot.page", "makes the folder") as process:
@@ -202,20 +202,20 @@ def test_nothing_else_can_write_in_the_folder():
 
 
 @pytest.mark.parametrize("deed", ["locks", "locks for reading"])
-def test_a_lock_of_a_reader_on_a_dead_daemons_page_keeps_nothing_out(folder, deed):
+def test_a_reader_s_lock_on_a_dead_daemon_s_page_blocks_nothing(folder, deed):
     path = folder / "robot.page"
     path.touch(0o644)
     with stranger(path, deed), PageFile.open("robot") as page:
         assert os.path.samestat(path.stat(), os.fstat(page.fd))
 
 
-def test_no_lock_of_a_reader_takes_the_page_of_a_living_daemon(holder):
+def test_a_reader_s_lock_does_not_take_the_page_of_a_living_daemon(holder):
     with stranger(find_page("robot"), "looks"), pytest.raises(PageInUse, match="living daemon"):
         PageFile.open("robot")
 
 
 @pytest.mark.parametrize("kind", ["fifo", "others write", "second name"])
-def test_what_is_not_a_plain_file_of_this_user_alone_is_replaced(folder, kind):
+def test_a_page_that_is_not_a_private_plain_file_of_this_user_is_replaced(folder, kind):
     path = folder / "robot.page"
     if kind == "fifo":
         os.mkfifo(path)
