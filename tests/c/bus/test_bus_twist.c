@@ -59,7 +59,7 @@ static void a_twist_is_read_in_both_byte_orders(void)
     }
 }
 
-static void what_is_no_number_passes_and_is_the_loops_to_refuse(void)
+static void a_twist_that_is_not_finite_is_parsed_and_left_to_the_loop_to_refuse(void)
 {
     static uint8_t raw[ROOM];
     const double twist[6] = {(double)NAN, (double)NAN, 0.0, 0.0, 0.0, (double)INFINITY};
@@ -159,7 +159,7 @@ static void a_lease_numbers_all_that_goes_out_under_it(void)
     }
 }
 
-static void who_has_not_seen_the_newest_command_does_not_override_it(void)
+static void a_sender_that_has_not_seen_the_newest_command_does_not_override_it(void)
 {
     outlet o;
     int pair[2];
@@ -179,7 +179,7 @@ static void who_has_not_seen_the_newest_command_does_not_override_it(void)
     (void)close(pair[1]);
 }
 
-static void while_python_stands_still_nothing_is_handed_on(void)
+static void nothing_is_handed_on_while_python_stands_still(void)
 {
     outlet o;
     int pair[2];
@@ -223,12 +223,12 @@ static void a_full_socket_is_reported(void)
 int main(void)
 {
     a_twist_is_read_in_both_byte_orders();
-    what_is_no_number_passes_and_is_the_loops_to_refuse();
+    a_twist_that_is_not_finite_is_parsed_and_left_to_the_loop_to_refuse();
     another_encoding_or_length_is_no_twist();
     an_age_is_that_of_the_stamp();
     a_lease_numbers_all_that_goes_out_under_it();
-    who_has_not_seen_the_newest_command_does_not_override_it();
-    while_python_stands_still_nothing_is_handed_on();
+    a_sender_that_has_not_seen_the_newest_command_does_not_override_it();
+    nothing_is_handed_on_while_python_stands_still();
     a_full_socket_is_reported();
     return checks_report("bus_twist");
 }

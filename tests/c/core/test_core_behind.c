@@ -99,7 +99,7 @@ static const robot_state *tick_beside(void)
     return &r.shown;
 }
 
-static void no_tick_takes_or_changes_what_stands_behind_the_last_joint(void)
+static void no_tick_reads_or_changes_entries_after_the_last_joint(void)
 {
     const core_config bases[] = {good_config(), bicycle(), ackermann(WHEELBASE_M), head_and_belt()};
     for (uint32_t i = 0; i < 2 * COUNT_OF(bases); i++) {
@@ -127,6 +127,6 @@ static void no_tick_takes_or_changes_what_stands_behind_the_last_joint(void)
 
 int main(void)
 {
-    no_tick_takes_or_changes_what_stands_behind_the_last_joint();
+    no_tick_reads_or_changes_entries_after_the_last_joint();
     return checks_report("test_core_behind");
 }

@@ -3,7 +3,7 @@
  * middle of a move. */
 #include "core_rig.h"
 
-static void all_causes_of_one_tick_are_sent(void)
+static void all_causes_of_one_tick_are_reported(void)
 {
     core_config config = good_config();
     rig r;
@@ -109,7 +109,7 @@ static void the_pose_is_at_its_origin_in_the_tick_of_the_reset_and_the_base_goes
     CHECK(r.shown.setpoint_linear_m_s == 0.4 && r.shown.reasons == 0 && r.shown.faults == 0);
 }
 
-static void limits_that_differ_in_one_bit_are_others(void)
+static void limits_that_differ_in_one_bit_are_different_limits(void)
 {
     core_config config = good_config();
     rig r;
@@ -124,7 +124,7 @@ static void limits_that_differ_in_one_bit_are_others(void)
 }
 
 /* Nor does one that has been off since before the base was armed. */
-static void a_drive_that_is_none_of_the_base_says_nothing(void)
+static void a_drive_outside_of_the_base_causes_no_fault(void)
 {
     core_config config = good_config();
     rig r;
@@ -142,12 +142,12 @@ static void a_drive_that_is_none_of_the_base_says_nothing(void)
 
 int main(void)
 {
-    all_causes_of_one_tick_are_sent();
+    all_causes_of_one_tick_are_reported();
     a_reset_during_an_emergency_stop_clears_nothing();
     each_brake_holds_its_power_for_two_seconds();
     feedback_that_grows_old_is_stale_in_the_tick_in_which_it_is();
     the_pose_is_at_its_origin_in_the_tick_of_the_reset_and_the_base_goes_on();
-    limits_that_differ_in_one_bit_are_others();
-    a_drive_that_is_none_of_the_base_says_nothing();
+    limits_that_differ_in_one_bit_are_different_limits();
+    a_drive_outside_of_the_base_causes_no_fault();
     return checks_report("test_watch_rare");
 }

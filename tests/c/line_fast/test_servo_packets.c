@@ -27,7 +27,7 @@ static line_frame read_of(uint32_t reply_bytes)
     return frame;
 }
 
-static void the_manual_s_check_sums_are_ours(void)
+static void check_sums_match_the_manual(void)
 {
     CHECK(rtu_is_sealed(PING, sizeof PING, SEAL_STUFFED));
     CHECK(rtu_is_sealed(PONG, sizeof PONG, SEAL_STUFFED));
@@ -79,7 +79,7 @@ static void a_status_is_found_whole_good_and_of_the_right_servo_only(void)
     CHECK(found_in(&frame, POSITION, sizeof POSITION).kind == RECEIVED_MORE);
 }
 
-static void an_error_number_is_a_refusal_and_an_alert_is_none(void)
+static void an_error_number_is_a_refusal_and_an_alert_is_not(void)
 {
     line_frame status = {.request_bytes = 11,
                          .request_seal = SEAL_STUFFED,
@@ -97,7 +97,7 @@ static void an_error_number_is_a_refusal_and_an_alert_is_none(void)
 }
 
 /* A status of four bytes that hold a head: sync'ed readers would begin there. */
-static void stuffing_is_taken_out_and_put_in(void)
+static void stuffing_is_added_and_removed(void)
 {
     static const uint8_t data[][4] = {{0xFF, 0xFF, 0xFD, 0x00},
                                       {0xFF, 0xFF, 0xFD, 0xFD},
@@ -156,7 +156,7 @@ static void a_head_is_stuffed_between_length_and_check_sum_only(void)
     }
 }
 
-static void a_first_byte_is_never_taken_out(void)
+static void a_first_byte_is_never_removed_as_stuffing(void)
 {
     static const uint8_t WIRE[] = {0xFD, 0xFD, 0x00, 0x00, 0x00};
     uint8_t plain[FRAME_BYTES_MAX];
@@ -201,7 +201,7 @@ static void a_packet_without_an_error_number_is_no_status(void)
     }
 }
 
-static void values_stand_low_byte_first_but_those_of_one_series(void)
+static void values_are_low_byte_first_except_in_one_series(void)
 {
     static const struct {
         uint32_t form, bytes;
@@ -265,16 +265,16 @@ static void a_status_is_never_taken_for_an_instruction(void)
 
 int main(void)
 {
-    the_manual_s_check_sums_are_ours();
+    check_sums_match_the_manual();
     three_bytes_are_no_packet_with_a_sum_and_four_are_the_shortest();
     a_status_is_found_whole_good_and_of_the_right_servo_only();
-    an_error_number_is_a_refusal_and_an_alert_is_none();
-    stuffing_is_taken_out_and_put_in();
+    an_error_number_is_a_refusal_and_an_alert_is_not();
+    stuffing_is_added_and_removed();
     a_head_is_stuffed_between_length_and_check_sum_only();
-    a_first_byte_is_never_taken_out();
+    a_first_byte_is_never_removed_as_stuffing();
     the_longest_packet_has_room_for_its_stuffing();
     a_packet_without_an_error_number_is_no_status();
-    values_stand_low_byte_first_but_those_of_one_series();
+    values_are_low_byte_first_except_in_one_series();
     a_status_is_never_taken_for_an_instruction();
     return checks_report("servo packets");
 }

@@ -39,7 +39,7 @@ static bool is_sent(uint8_t unit, uint8_t function, uint8_t address)
            request[3] == address;
 }
 
-static void an_urgent_request_leaves_the_one_on_the_wire_alone(void)
+static void an_urgent_request_does_not_interrupt_the_one_on_the_wire(void)
 {
     begin_with(2, 0);
     put(request_of(READ_ID, 0, false));
@@ -77,7 +77,7 @@ static void the_one_on_the_wire_does_not_expire_behind_an_urgent_one(void)
     CHECK(w.machine.answer.id == STOP_ID && w.power_offs[1] == 1);
 }
 
-static void one_that_waits_too_long_is_not_sent(void)
+static void a_request_that_waits_too_long_is_not_sent(void)
 {
     begin_with(1, 0);
     line_request stop = request_of(STOP_ID, 0, true);
@@ -88,7 +88,7 @@ static void one_that_waits_too_long_is_not_sent(void)
           w.power_offs[0] == 0);
 }
 
-static void urgent_requests_overtake_what_waits_and_keep_their_own_order(void)
+static void urgent_requests_overtake_waiting_ones_and_keep_their_own_order(void)
 {
     begin_with(3, 0);
     put(request_of(READ_ID, 0, false));
@@ -150,10 +150,10 @@ static void the_one_on_the_wire_is_still_answered_when_the_line_is_shut_down(voi
 
 int main(void)
 {
-    an_urgent_request_leaves_the_one_on_the_wire_alone();
+    an_urgent_request_does_not_interrupt_the_one_on_the_wire();
     the_one_on_the_wire_does_not_expire_behind_an_urgent_one();
-    one_that_waits_too_long_is_not_sent();
-    urgent_requests_overtake_what_waits_and_keep_their_own_order();
+    a_request_that_waits_too_long_is_not_sent();
+    urgent_requests_overtake_waiting_ones_and_keep_their_own_order();
     reads_without_end_do_not_keep_an_urgent_request_from_being_sent();
     the_one_on_the_wire_is_still_answered_when_the_line_is_shut_down();
     return checks_report("line requests");

@@ -41,7 +41,7 @@ static void begin_with_extras(uint32_t reports_enabled)
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
 }
 
-static void what_may_wait_is_read_by_turns(void)
+static void slow_values_are_read_by_turns(void)
 {
     begin_with_extras(1);
     request(0, DRIVE_READY);
@@ -82,7 +82,7 @@ static void fail_once(void)
     }
 }
 
-static void a_deadline_doubles_with_each_reply_that_is_missing_up_to_the_drive_s_bound(void)
+static void a_deadline_doubles_with_each_missing_reply_up_to_the_drive_s_bound(void)
 {
     begin_with(1, 0);
     w.table.drive[0].turnaround_ns = 100 * MS;
@@ -109,7 +109,7 @@ static void a_deadline_doubles_with_each_reply_that_is_missing_up_to_the_drive_s
 
 /* The reply may come as late as the drive's bound allows: it must not be taken for the next
  * one's. */
-static void after_a_missing_reply_the_drive_is_left_alone_for_its_whole_bound(void)
+static void after_a_missing_reply_the_line_pauses_for_the_drive_s_whole_bound(void)
 {
     begin_with(1, 0);
     w.table.drive[0].turnaround_ns = 60 * MS;
@@ -159,7 +159,7 @@ a_frame_of_a_stop_that_is_refused_is_sent_as_often_as_the_drive_s_tries_and_the_
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.released[0] == 1 && w.refusals == 4);
 }
 
-static void a_new_stop_has_all_of_its_tries(void)
+static void a_new_stop_starts_with_all_of_its_tries(void)
 {
     begin_with(1, 0);
     arm(0);
@@ -212,11 +212,11 @@ a_drive_that_refuses_one_frame_of_its_power_off_gets_the_others_while_the_line_r
 int main(void)
 {
     a_drive_that_refuses_one_frame_of_its_power_off_gets_the_others_while_the_line_runs();
-    what_may_wait_is_read_by_turns();
+    slow_values_are_read_by_turns();
     until_a_drive_has_reported_whether_it_is_enabled_only_that_is_read();
-    a_deadline_doubles_with_each_reply_that_is_missing_up_to_the_drive_s_bound();
-    after_a_missing_reply_the_drive_is_left_alone_for_its_whole_bound();
+    a_deadline_doubles_with_each_missing_reply_up_to_the_drive_s_bound();
+    after_a_missing_reply_the_line_pauses_for_the_drive_s_whole_bound();
     a_frame_of_a_stop_that_is_refused_is_sent_as_often_as_the_drive_s_tries_and_the_next_one_then();
-    a_new_stop_has_all_of_its_tries();
+    a_new_stop_starts_with_all_of_its_tries();
     return checks_report("line tries");
 }

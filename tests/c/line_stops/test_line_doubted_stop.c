@@ -14,7 +14,7 @@ static void answer_alike(line_frame *frame)
 /* After a request that it did not answer each answer may be the one to that, for as long as its
  * stop is sent again: so many of them prove the stop as are more than it owes. Its neighbour
  * goes on meanwhile. */
-static void a_stop_whose_acknowledgements_may_be_late_ends_and_keeps_no_neighbour_waiting(void)
+static void a_stop_with_late_acknowledgements_ends_and_delays_no_neighbour(void)
 {
     for (uint32_t i = 0; i < 8; i++) {
         uint32_t owed = i / 2;
@@ -49,7 +49,7 @@ static void a_stop_whose_acknowledgements_may_be_late_ends_and_keeps_no_neighbou
     }
 }
 
-static void a_stop_is_not_kept_back_by_that_of_a_neighbour_whose_answers_are_in_doubt(void)
+static void a_neighbour_with_doubtful_answers_does_not_delay_a_stop(void)
 {
     begin_with(2, 0);
     line_drive *table = &w.machine.table.drive[0];
@@ -80,7 +80,7 @@ static void a_stop_is_not_kept_back_by_that_of_a_neighbour_whose_answers_are_in_
 
 int main(void)
 {
-    a_stop_whose_acknowledgements_may_be_late_ends_and_keeps_no_neighbour_waiting();
-    a_stop_is_not_kept_back_by_that_of_a_neighbour_whose_answers_are_in_doubt();
+    a_stop_with_late_acknowledgements_ends_and_delays_no_neighbour();
+    a_neighbour_with_doubtful_answers_does_not_delay_a_stop();
     return checks_report("line doubted stop");
 }

@@ -125,7 +125,7 @@ static void a_clock_that_stands_still_for_long_stops_the_base(void)
     CHECK(work.core.snapshot.faults == FAULT_TIME_STEP && work.out.joint[0].velocity_rad_s == 0.0);
 }
 
-static void each_tick_in_which_the_clock_moves_makes_good_for_those_before(void)
+static void a_tick_in_which_the_clock_moves_excuses_those_before(void)
 {
     drive();
     for (uint32_t i = 0; i < 1000; i++) {
@@ -168,7 +168,7 @@ static void after_a_suspend_the_base_stands_at_once_disarmed_by_a_fault(void)
     }
 }
 
-static void what_was_stamped_before_a_suspend_is_not_fresh_after_it(void)
+static void stamps_from_before_a_suspend_are_not_fresh_after_it(void)
 {
     drive();
     const command_datagram on_its_direction = {.magic = COMMAND_MAGIC,
@@ -195,7 +195,7 @@ static void what_was_stamped_before_a_suspend_is_not_fresh_after_it(void)
     CHECK(work.core.snapshot.joint[0].stale == 0 && work.core.snapshot.joint[1].stale == 0);
 }
 
-static void a_base_that_is_not_armed_is_not_moved_by_what_waits_either(void)
+static void a_disarmed_base_is_not_moved_by_waiting_commands_either(void)
 {
     drive();
     beat(0);
@@ -207,7 +207,7 @@ static void a_base_that_is_not_armed_is_not_moved_by_what_waits_either(void)
     CHECK(work.core.snapshot.faults == FAULT_SUSPENDED && work.core.snapshot.armed == 0);
 }
 
-static void clocks_that_are_read_apart_are_no_suspend(void)
+static void clocks_read_at_different_times_are_not_a_suspend(void)
 {
     drive();
     slept_ns += 2 * MS;
@@ -219,12 +219,12 @@ static void clocks_that_are_read_apart_are_no_suspend(void)
 int main(void)
 {
     after_a_suspend_the_base_stands_at_once_disarmed_by_a_fault();
-    what_was_stamped_before_a_suspend_is_not_fresh_after_it();
-    a_base_that_is_not_armed_is_not_moved_by_what_waits_either();
-    clocks_that_are_read_apart_are_no_suspend();
+    stamps_from_before_a_suspend_are_not_fresh_after_it();
+    a_disarmed_base_is_not_moved_by_waiting_commands_either();
+    clocks_read_at_different_times_are_not_a_suspend();
     a_clock_that_has_not_moved_between_two_ticks_is_no_fault();
     a_clock_that_stands_still_for_long_stops_the_base();
-    each_tick_in_which_the_clock_moves_makes_good_for_those_before();
+    a_tick_in_which_the_clock_moves_excuses_those_before();
     a_clock_that_runs_backwards_stops_the_base_at_once();
     return checks_report("loop clock");
 }

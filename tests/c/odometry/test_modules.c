@@ -126,7 +126,7 @@ static void too_few_joints_determine_nothing(void)
 
 /* Two wheels on nearly one line: an error of a rim would be one of the turn a thousand times as
  * large. */
-static void a_base_that_hangs_on_a_thread_is_not_determined(void)
+static void a_nearly_degenerate_base_is_not_determined(void)
 {
     static const struct {
         double part;
@@ -167,7 +167,7 @@ static void wheels_share_the_axes_that_they_determine(void)
 }
 
 /* Straight on: what the set-points and the configuration check take. */
-static void of_a_base_with_modules_the_inverse_is_that_of_wheels_straight_ahead(void)
+static void the_inverse_of_a_base_with_modules_assumes_wheels_straight_ahead(void)
 {
     const core_config base = swerve();
     twist_inverse straight, found;
@@ -247,9 +247,9 @@ int main(void)
     the_motion_is_that_of_least_squares_at_any_angle();
     joints_without_feedback_leave_their_equations_out();
     too_few_joints_determine_nothing();
-    a_base_that_hangs_on_a_thread_is_not_determined();
+    a_nearly_degenerate_base_is_not_determined();
     wheels_share_the_axes_that_they_determine();
-    of_a_base_with_modules_the_inverse_is_that_of_wheels_straight_ahead();
+    the_inverse_of_a_base_with_modules_assumes_wheels_straight_ahead();
     wheel_speeds_alone_are_a_twist_where_they_fit_together();
     a_wheel_turns_as_its_row_of_the_twist();
     a_base_strafes_where_all_of_its_wheels_are_steered_or_one_rolls_sideways();

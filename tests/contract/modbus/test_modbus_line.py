@@ -378,7 +378,7 @@ async def test_a_magnitude_is_sent_with_its_direction(peer):
         await until(lambda: 3 in peer.written(run), "it brakes")
 
 
-async def test_a_fault_code_is_one_fault_and_an_unlisted_one_too(peer):
+async def test_a_fault_code_is_a_single_fault_listed_or_not(peer):
     peer.units[1] = Unit(registers_of("bld-305s"))
     joints = (JointSpec(index=0, name="mill", profile=find_profile("bld-305s"), unit=1),)
     async with running(spec_of(peer, joints)) as rig:

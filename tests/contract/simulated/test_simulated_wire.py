@@ -45,7 +45,7 @@ def test_a_reply_takes_the_time_that_the_wire_and_the_drive_take(bench):
     assert bench.receive(len(REPLY)) == REPLY
 
 
-def test_a_request_in_pieces_is_one_request(bench):
+def test_a_request_in_pieces_is_answered_as_a_whole(bench):
     bench.send(FRAME[:3])
     bench.go_on(3 * CHARACTER_S)
     assert bench.exchange(FRAME[3:]) == REPLY
@@ -110,7 +110,7 @@ def test_a_function_that_no_drive_has_is_refused(bench):
 
 
 def test_a_request_that_comes_too_early_is_answered_and_counted(bench):
-    unresponsive_s = silent_interval_s(115200, 10)
+    silent_s = silent_interval_s(115200, 10)
     exchange_s = 0.0
     bench.exchange(FRAME)
     assert bench.drive.stats.gap_violations == 0
@@ -118,9 +118,9 @@ def test_a_request_that_comes_too_early_is_answered_and_counted(bench):
     while bench.line.wire.bytes_sent < 2 * len(REPLY):
         bench.go_on(0.0001)
         exchange_s += 0.0001
-    bench.go_on(0.8 * unresponsive_s)
+    bench.go_on(0.8 * silent_s)
     bench.send(FRAME)
-    bench.go_on(exchange_s + 1.1 * unresponsive_s)
+    bench.go_on(exchange_s + 1.1 * silent_s)
     assert bench.drive.stats.gap_violations == 1
     bench.send(FRAME)
     bench.go_on(0.05)

@@ -120,7 +120,7 @@ def test_a_duty_that_is_not_finite_is_zero(bad):
     assert bench.step(bad) == bench.levels("brake")
 
 
-def test_a_duty_beyond_one_is_one():
+def test_a_duty_beyond_one_counts_as_one():
     bench = Bench()
     bench.request_mode(lib.PWM_ARMED)
     assert bench.step(7.0) == bench.levels("forward", 1.0)

@@ -111,6 +111,6 @@ def test_a_line_that_hangs_with_enabled_drives_stops_the_watchdog(pipe):
         until(lambda: loop.status().watchdog_edges > before)
 
 
-def test_settings_that_make_no_sense_are_refused(pipe):
+def test_invalid_settings_are_refused(pipe):
     with pytest.raises(ValueError, match="the loop refuses"):
         looped(watchdog=1, watchdog_every_ticks=0).start()
