@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board's machine in virtual time: what goes out, what is believed, and when the board is
+ * A board's machine in virtual time: what is sent, which feedback counts, and when the board is
  * stopped. */
 #include "board_wire.h"
 
@@ -111,7 +111,7 @@ static void a_new_start_continues_the_sequence(void)
     CHECK(w.peer.frames_good >= good + 2 && w.peer.enabled == 0);
 }
 
-/* The machine knows nothing of the program before it, whose numbers go round at 65536. */
+/* The machine has no state of the program before it, whose sequence wraps at 65536. */
 static void a_new_program_continues_the_sequence_that_the_board_has_received(void)
 {
     const uint16_t received[] = {1, 300, 20000, 32767, 32768, 32769, 65535};
@@ -201,7 +201,7 @@ static void only_feedback_from_after_the_stop_proves_rest(void)
     begin();
     arm();
     go_on(20 * MS);
-    w.stuck = true; /* it says 0, and turns */
+    w.stuck = true; /* it reports 0, and turns */
     w.measured[0].velocity_mrad_s = 0;
     w.measured[1].velocity_mrad_s = 0;
     go_on(20 * MS);
@@ -357,7 +357,7 @@ static void a_board_that_is_enabled_without_arming_is_switched_off(void)
     order(CONTROL, 1, CONTROL_ENABLE, 0);
     go_on(50 * MS);
     CHECK(w.peer.enabled == 0 && (w.machine.state.fault_reasons & DRIVE_FAULT_STILL_ENABLED) == 0);
-    for (uint32_t i = 0; i < 3; i++) { /* one that does not obey */
+    for (uint32_t i = 0; i < 3; i++) { /* one that ignores its power-off */
         uint8_t frame[BOARD_WIRE_MAX],
             payload[BOARD_PAYLOAD_MAX] = {STATUS_ENABLED, MOTORS, WATCHDOG_MS};
         w.mute = true;

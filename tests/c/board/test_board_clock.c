@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_clock: what a board's own time says of when its feedback was true. */
+ * test_board_clock: the time of feedback, from the board's own clock. */
 #include <string.h>
 
 #include "board_machine.h"
@@ -46,8 +46,7 @@ static void feedback_that_was_delayed_longer_is_stamped_older(void)
     CHECK(stamped_late_ns(&b, 9 * MS) == 1 * MS);
 }
 
-/* Of all that are remembered the one with the least delay counts, wherever it stands, until it
- * is forgotten. */
+/* The smallest of the remembered delays counts, in any place of the list, until it is dropped. */
 static void the_least_of_the_delays_counts_until_it_is_forgotten(void)
 {
     for (uint32_t begin = 0; begin < BOARD_CLOCK_SAMPLES; begin++) {

@@ -107,7 +107,7 @@ static void a_board_that_was_seen_without_power_is_not_waited_for(void)
     CHECK(ends(INT64_MAX).stop_waits == 0 && w.now_ns < asked_ns + 2 * w.table.period_ns + 10 * MS);
 }
 
-/* A board that turns, and whose wire is cut. Returns the time. */
+/* A board that turns and whose wire is cut. Returns the time. */
 static int64_t cut_off(bool unresponsive)
 {
     begin();

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board whose line the loop has woken: what is new does not wait for its cycle. */
+ * A board whose line the loop has woken: new set-points do not wait for their cycle. */
 #include "board_wire.h"
 
 /* The loop has woken the line. */
@@ -36,7 +36,7 @@ static void a_new_set_point_is_sent_at_once_but_not_before_the_gap(void)
     kick(2.0);
     step();
     CHECK(w.sent_count == before + 1 && last_sent(TARGET, 4, 1) == 2000);
-    CHECK(w.machine.cycle.due_ns == w.now_ns + 20 * MS); /* the cycle goes on from there */
+    CHECK(w.machine.cycle.due_ns == w.now_ns + 20 * MS); /* the cycle continues from there */
     w.now_ns += MS;
     kick(3.0);
     step();

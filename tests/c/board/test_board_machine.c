@@ -120,8 +120,7 @@ static void a_frame_is_remembered_until_enough_newer_ones_are_sent(void)
     CHECK(knows_after(first, 0) == 0); /* another stands in its place */
 }
 
-/* A board refuses frames that are older than the newest it received, whichever program sent
- * that. */
+/* A board refuses frames that are older than the newest it received, from any program. */
 static void a_line_continues_after_the_sequence_that_the_board_has_received(void)
 {
     begin_again();
@@ -181,8 +180,8 @@ static void an_order_to_a_board_that_was_stopped_is_dropped_and_asyncio_notified
     CHECK(!w.machine.has_order && w.machine.orders_dropped == 1 && w.machine.notify);
 }
 
-/* What may move is looked at often: its set-points may become old, or its wheels come to rest,
- * between two cycles. */
+/* A board that may move is checked often: between two cycles its set-points may become old, or
+ * its wheels come to rest. */
 static void a_board_that_may_move_is_checked_more_often_than_one_at_rest(void)
 {
     board_table table = frames_table();

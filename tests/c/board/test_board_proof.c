@@ -28,13 +28,13 @@ static void a_board_is_known_to_have_no_power_unless_a_condition_contradicts(voi
 {
     for (int against = 0; against < 10; against++) {
         CHECK(suffices(against, true) == (against == 0));
-        /* there is no word of its power */
+        /* its feedback does not have its power */
         CHECK(suffices(against, false) == (against == 0 || against >= 8));
     }
     (void)suffices(2, true);
     w.machine.table.answers = 0;
     board_note_power(&w.machine, w.now_ns);
-    CHECK(w.machine.off_suffices); /* there is no word at all */
+    CHECK(w.machine.off_suffices); /* there is no feedback at all */
 }
 
 /* ------------------------------------------------------------------------------- frames */
@@ -120,7 +120,7 @@ static void receives(const char *word)
     go_on(20 * MS);
 }
 
-/* The first power-off of a text board that turned has just gone out; no word has come since. */
+/* The first power-off of a text board that turned has just been sent; no line has come since. */
 static void goes_out_first_to(board_table table)
 {
     begin_with(table);
@@ -181,7 +181,7 @@ static void a_board_that_keeps_reporting_power_is_reported(void)
 }
 
 /* ----------------------------------------------------------------------------- the rule */
-/* A word that says neither what the board has received nor whether it has power. */
+/* Feedback has neither the received sequence nor the power. */
 static void two_reports_with_a_power_off_between_prove_it_where_feedback_has_no_power(void)
 {
     begin();
@@ -222,7 +222,7 @@ static void feedback_from_before_the_power_off_proves_nothing(void)
     CHECK(!m->off_waits);
 }
 
-/* A line whose clock begins with it: its first power-off goes out at 1 ns, and a word comes at
+/* A line whose clock starts with it: its first power-off is sent at 1 ns, and feedback comes at
  * once. */
 static void begins_and_ends_at_the_first_nanosecond(board_table table, const char *word)
 {

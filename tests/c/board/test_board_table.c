@@ -112,7 +112,7 @@ static void full_lists_are_checked_to_their_last_entry(void)
         last[i]->bytes = 0;
         CHECK(refused("place.bytes"));
     }
-    t = frames_table(); /* what is not counted is not looked at */
+    t = frames_table(); /* entries beyond the count are not checked */
     t.setpoint[t.setpoint_count] = t.setpoint[0];
     t.setpoint[t.setpoint_count].scale.kind = 99;
     t.quick_stop[1].place.bytes = t.disarm[1].place.bytes = t.field[t.field_count].place.bytes = 7;
@@ -201,7 +201,7 @@ static void the_axes_of_a_sensor(void)
         BAD(t.imu.axis[axis], 3, "imu.axis");
     }
     t = frames_table();
-    t.imu.used = 1; /* in frames its rate stands where the protocol says */
+    t.imu.used = 1; /* in frames the protocol fixes the place of its rate */
     CHECK(is_good());
 }
 
@@ -317,7 +317,7 @@ static void the_text_after_a_number_cannot_continue_the_number(void)
     for (uint32_t i = 0; goes_on[i] != '\0'; i++) {
         TEXT_BAD(t.read.literal[2], (uint8_t)goes_on[i], "read.part.literal_bytes");
         TEXT_GOOD(t.read.literal[2], (uint8_t)ends[i]);
-        /* before the first number stands what likes to */
+        /* any text may stand before the first number */
         TEXT_GOOD(t.read.literal[0], (uint8_t)goes_on[i]);
         TEXT_GOOD(t.written.literal[2], (uint8_t)goes_on[i]);
     }

@@ -179,7 +179,7 @@ static void a_start_word_among_the_values_is_no_feedback_and_does_not_hide_the_f
     CHECK(good == 1 && values[0] == 3);
 }
 
-/* The last value's second byte, and the check sum's first, come to whatever they come. */
+/* The last value's second byte and the check sum's first may have any value. */
 static void single_bytes_of_the_start_word_may_stand_anywhere(void)
 {
     static const uint8_t parts[] = {0xCD, 0xAB};

@@ -115,7 +115,7 @@ static void each_field_goes_to_the_value_that_it_means(void)
     field(3, 0, FIELD_VOLTAGE, 6);
     field(4, 0, FIELD_TEMPERATURE, 8);
     field(5, 1, FIELD_COUNT, 10);
-    m->table.field[6] = m->table.field[0]; /* not counted: joint 0 would read what is behind */
+    m->table.field[6] = m->table.field[0]; /* not counted: joint 0 would read what follows */
     m->table.field[6].place.byte = 12;
     const int64_t raw[] = {0x7123, -8, 6, 48, 50, -1, 77};
     for (uint32_t i = 0; i < 7; i++) {

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a board says, in frames and in text, in any pieces, with a sensor and with noise. */
+ * Feedback of a board, in frames and in text, in any pieces, with a sensor and with noise. */
 #include "board_wire.h"
 
 /* ---------------------------------------------------------------------------- frames in */
@@ -255,7 +255,7 @@ static void samples_of_a_sensor_are_in_the_base_s_axes(void)
     sensor_flags = 0;
     CHECK(report_with_sensor(56) && imu->saturated == 0);
     sensor_flags = 1;
-    /* it says that it has one, and ends before */
+    /* it announces a sensor, and ends before it */
     CHECK(!report_with_sensor(55) && w.machine.bad_frames == 1);
     table.imu.used = 0;
     begin_with(table);

@@ -67,7 +67,7 @@ void dds_lset_data_available(dds_listener *listener, void (*call)(int32_t reader
     listener->call = call;
 }
 
-/* As dds_entity.c: a call that goes on is waited for. */
+/* As dds_entity.c: it waits for a running call. */
 int32_t dds_set_listener(int32_t reader, const dds_listener *listener)
 {
     CHECK(reader == READER && pthread_mutex_lock(&lock) == 0);

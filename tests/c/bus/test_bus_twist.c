@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Commands of the second process: what a TwistStamped says, how old it is, and under which
- * number it goes out. */
+ * Commands of the second process: the content of a TwistStamped, its age, and the sequence
+ * under which it is sent. */
 #include <errno.h>
 #include <math.h>
 #include <string.h>

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A CAN bus's machine in virtual time: what goes out, what is believed, and who is stopped when. */
+ * A CAN bus's machine in virtual time: what is sent, which feedback counts, and when drives are
+ * stopped. */
 #include "can_wire.h"
 
 /* ------------------------------------------------------------------------------- values */

@@ -1,13 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A CAN bus as a whole: whose frames count, a bus that is full of drives and tables, its cycle,
- * and its end. */
+ * A CAN bus as a whole: which frames count, a bus with full tables, its cycle, and its end. */
 #include <errno.h>
 
 #include "can_wire.h"
 
 enum { SYNC = 0x80, OFF_WORD = 0x700 };
 
-/* -------------------------------------------------------------------- whose frame is it */
+/* ------------------------------------------------------------------- the drive of a frame */
 static void a_frame_with_a_foreign_identifier_belongs_to_no_drive_even_when_its_bytes_match(void)
 {
     begin_with(2);
@@ -79,7 +78,7 @@ static void the_core_gets_feedback_of_a_drive_that_is_set_up_and_by_its_fast_fra
 {
     begin_with(2);
     go_on(50 * MS);
-    CHECK(w.machine.feedback_mask == 0 && state_of(0)->cycles == 0); /* both speak, and are off */
+    CHECK(w.machine.feedback_mask == 0 && state_of(0)->cycles == 0); /* both send, and are off */
     table_of(0)->match_count = 4;
     table_of(0)->match[3] = (can_match){.id = ANSWER + 0x20, .bytes = 1, .input = 3};
     table_of(0)->input_count = 3;
@@ -242,7 +241,7 @@ static void a_full_table_is_driven_to_its_last_entry(void)
         w.powered = n == last;
     }
     for (uint32_t n = 0; n < CAN_DRIVES_MAX; n++) {
-        /* the others say that they are off */
+        /* the others report that they are off */
         CHECK(state_of(n)->state.mode == (n == last ? DRIVE_ARMED : DRIVE_OFF));
     }
     w.powered = true;
@@ -270,8 +269,8 @@ static void a_full_table_is_driven_to_its_last_entry(void)
     }
 }
 
-/* What lies behind the last drive, shaped like one that moves and stops, is no drive: it is not
- * looked at, nor changed. */
+/* The entry after the last drive looks like one that moves and stops: it is neither read nor
+ * changed. */
 static void a_line_has_eight_drives_at_most(void)
 {
     begin_with(CAN_DRIVES_MAX);

@@ -62,7 +62,7 @@ static void wait_for(uint32_t mode, can_report *report)
 }
 
 /* The loop has not ticked since: the set-points in the exchange are young by CLOCK_MONOTONIC,
- * and want motion. */
+ * and request motion. */
 static void set_points_from_before_a_suspend_stop_the_drive(void)
 {
     can_report report;
@@ -92,7 +92,7 @@ int main(void)
     begin_with(1);
     w.table.setpoint_timeout_ns = 60000 * MS;
     for (uint32_t i = 0; i < w.table.drive[0].input_count; i++) {
-        w.table.drive[0].input[i].silence_ns = 0; /* it need not speak */
+        w.table.drive[0].input[i].silence_ns = 0; /* it need not send */
     }
     exchange_init(&shared);
     CHECK(socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_NONBLOCK, 0, ends) == 0);

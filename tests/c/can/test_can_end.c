@@ -5,8 +5,8 @@
 static const int64_t END_NS = 480 * 1000000, REPORT_END_NS = 980 * 1000000;
 static int64_t begun_ns;
 
-/* Until the line is silent: the drives say each 10 ms what they do, but while they are cut off.
- * `obeys_ns`: so long a drive takes to lose its power. */
+/* Until the line is silent: the drives send their state each 10 ms, except while they are cut off.
+ * `obeys_ns`: how long a drive takes to lose its power. */
 static can_report ends(int64_t cut_until_ns, int64_t obeys_ns)
 {
     can_report report;
@@ -46,7 +46,7 @@ static uint32_t power_offs(void)
     return count;
 }
 
-/* Set up and at rest; the drives say that they have no power. */
+/* Set up and at rest; the drives report that they have no power. */
 static void rest_without_power(void)
 {
     arm(0);
@@ -75,7 +75,7 @@ static void order_something(void)
     CHECK(state_of(0)->orders_sent == 1);
 }
 
-/* Whichever of its frames says it. */
+/* In any of its frames. */
 static void a_drive_seen_without_power_gets_one_power_off_and_the_end_does_not_wait_for_it(void)
 {
     for (int second = 0; second < 2; second++) {
@@ -209,7 +209,7 @@ static void a_drive_that_is_cut_off_or_keeps_its_power_is_reported(void)
     CHECK(report.drive[0].stop_waits == 1 && w.now_ns == begun_ns + REPORT_END_NS + MS);
 }
 
-/* The second cannot say that it has lost its power: it is done with its power-off. */
+/* The second cannot report that it has lost its power: it is done with its power-off. */
 static void the_end_waits_for_a_drive_that_keeps_its_power_whatever_the_others_do(void)
 {
     begin_with(2);
@@ -284,8 +284,7 @@ static void a_drive_that_cannot_report_its_power_has_to_be_present(void)
     CHECK(report.drive[0].stop_waits == 1 && w.now_ns >= begun_ns + END_NS);
 }
 
-/* Behind each power-off: what is asked for, and the synchronisation that makes drives obey and
- * speak. */
+/* After each power-off: the poll, and the SYNC that makes drives follow their frames and send. */
 static void frames_that_a_drive_does_not_send_by_itself_are_requested(void)
 {
     for (uint32_t hello = 0; hello < 2; hello++) {

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Drives on a bus whose line the loop has woken: what is new does not wait for its cycle. */
+ * Drives on a bus whose line the loop has woken: new set-points do not wait for their cycle. */
 #include "can_wire.h"
 
 /* The loop has woken the line; the first joint is to do something else than the others. */

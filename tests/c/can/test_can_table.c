@@ -60,7 +60,7 @@ static void the_bus_s_own_numbers(void)
         w.table.sync_count = CAN_SYNCS_MAX;
         w.table.sync[i].id = 0x800;
         CHECK(refused("packet.id"));
-        w.table.sync_count = i; /* what is not counted is not looked at */
+        w.table.sync_count = i; /* entries beyond the count are not checked */
         CHECK(is_good());
     }
 }

@@ -100,7 +100,7 @@ static void fault_reasons_add_up_until_the_next_set_up(void)
     w.enabled = 0;
     step();
     CHECK(state_of(0)->state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
-    go_on(60 * MS); /* and it goes on saying that it has power */
+    go_on(60 * MS); /* and it keeps reporting that it has power */
     CHECK(state_of(0)->state.fault_reasons ==
           (DRIVE_FAULT_NOT_ENABLED | DRIVE_FAULT_STILL_ENABLED));
     become_unresponsive();
@@ -142,7 +142,7 @@ static void silence_is_allowed_up_to_its_bound(void)
 {
     begin_with(1);
     arm_by_hand();
-    w.machine.newest.stamp_ns = w.now_ns + 200 * MS; /* only the silence is looked at */
+    w.machine.newest.stamp_ns = w.now_ns + 200 * MS; /* only the silence is checked */
     w.machine.table.setpoint_timeout_ns = 1000 * MS;
     report_state(0, 8);
     report_motion(0, 1.0F, 0.0F);
@@ -237,7 +237,7 @@ static void quick_stops_continue_for_a_second_of_silence(void)
     restart();
     arm(0);
     go_on(30 * MS);
-    w.not_taken = SPEED; /* so it is sent anew in each cycle */
+    w.not_taken = SPEED; /* so it is sent again in each cycle */
     become_unresponsive();
     int64_t unresponsive_ns = state_of(0)->unresponsive_since_ns;
     w.machine.cycle.due_ns = unresponsive_ns + 1000 * MS;

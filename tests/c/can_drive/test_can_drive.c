@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a bus, moment by moment: what it is sent and asked, what is forgotten when, and
- * what asyncio gets. */
+ * One drive of a bus, step by step: which frames it is sent, when state is cleared, and what
+ * asyncio gets. */
 #include "can_wire.h"
 
 enum { SECOND = 0x700 };
@@ -150,7 +150,7 @@ static void a_drive_with_power_that_was_not_armed_is_switched_off_and_reported_o
     (void)took_changes();
     report_state(0, 8);
     report_state(0, 8);
-    report_state(0, 1); /* the count begins anew */
+    report_state(0, 1); /* the count restarts */
     report_state(0, 8);
     report_state(0, 8);
     CHECK(state_of(0)->state.fault_reasons == 0 && !took_changes());
@@ -375,7 +375,7 @@ static void asyncio_is_notified_of_each_change(void)
     w.full = true;
     w.silent = false;
     go_on(20 * MS);
-    CHECK(state_of(0)->state.back && took_changes()); /* it has to be sent off first */
+    CHECK(state_of(0)->state.back && took_changes()); /* it has to be switched off first */
     go_on(20 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && !took_changes());
     w.full = false;
@@ -392,7 +392,7 @@ static void a_change_in_any_of_its_frames_is_noticed_and_in_no_other(void)
             (void)can_build(&w.machine, 0, o, &packet);
             memcpy(w.machine.drive[0].last_sent[o], packet.data, packet.bytes);
         }
-        /* behind the last one */
+        /* after the last one */
         w.machine.table.drive[0].output[2] = w.machine.table.drive[0].output[1];
         CHECK(!can_differs(&w.machine, 0));
         w.machine.drive[0].last_sent[other][0] ^= 1;

@@ -139,7 +139,7 @@ static void a_first_target_far_from_its_position_takes_the_power(void)
     }
 }
 
-/* Beyond its range, old, no number: neither ARMED nor the frames that would give it its power. */
+/* Beyond its range, old, or NaN: neither ARMED nor the frames that would give it its power. */
 static void a_drive_whose_position_is_missing_gets_no_power(void)
 {
     for (uint32_t why = 0; why < 4; why++) {
@@ -196,7 +196,7 @@ static void a_stop_keeps_the_target_in_its_frame(void)
     }
 }
 
-/* The second target of a frame stands in turns of 16 bits. */
+/* The second target of a frame is in turns of 16 bits. */
 static void a_stop_keeps_each_target_of_its_frame_and_no_other_byte(void)
 {
     static const can_setpoint SECOND = {
@@ -305,7 +305,7 @@ static void a_joint_without_set_points_gets_no_target(void)
     CHECK(!setpoint_position(&from, 0, &position_rad));
 }
 
-/* A second target of the frame, or a second frame, for a joint of its own, whose place is not
+/* A second target of the frame, or a second frame, for a joint of its own, whose position is not
  * known. */
 static void begin_with_two(uint32_t targets, uint32_t frames)
 {
@@ -380,7 +380,7 @@ static void only_a_target_that_left_is_the_start_of_the_next_one(void)
     }
 }
 
-/* Three of its cycles are longer than the time-out: its place is looked at no more often. */
+/* Three of its cycles are longer than the time-out: its position is read no more often. */
 static void on_a_slow_bus_a_position_is_fresh_for_three_cycles(void)
 {
     static const int64_t AGES_NS[] = {201 * 1000000, 299 * 1000000, 301 * 1000000, 399 * 1000000};

@@ -197,7 +197,7 @@ static void motion_that_leaves_in_its_cycle_continues(void)
     CHECK(moving(0) == count_sent(SPEED) && moving(0) >= 49);
 }
 
-/* A USB adapter takes longer than a cycle of 1 ms to say so. */
+/* A USB adapter takes longer than a cycle of 1 ms to report it. */
 static void motion_reported_some_milliseconds_late_continues(void)
 {
     turning(1);

@@ -2,7 +2,7 @@
  * Drives that take a target with a bit, and acknowledge it. */
 #include "can_position_rig.h"
 
-/* The trigger is a bit of its last byte; bit 4 of what the drive sends says that it has taken
+/* The trigger is a bit of its last byte; bit 4 of what the drive sends is set when it has taken
  * the target. */
 static void begin_with_trigger(void)
 {

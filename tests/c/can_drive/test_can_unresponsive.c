@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a bus: what it is asked, when it counts as gone, and what is sent to one that may
- * be there all the same. */
+ * One drive of a bus: how it is polled, when it counts as unresponsive, and what is sent to one
+ * that may still receive. */
 #include "can_wire.h"
 
 enum { ASK = 0x600, SLOW = 0x610, PROBE = 0x620 };
@@ -144,7 +144,7 @@ static void a_newly_set_up_drive_has_the_time_of_its_silence_for_its_first_frame
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->missing == 2);
 }
 
-/* Received all the time, but set up anew only where it answers what it was asked. */
+/* Its frames arrive all the time, but it is set up again only when it answers its hello. */
 static void a_drive_with_a_hello_is_back_when_it_has_answered(void)
 {
     begin_with(1);

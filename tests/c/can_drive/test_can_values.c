@@ -22,8 +22,8 @@ static void add_input(uint32_t id, uint32_t fast, const can_field *field, uint32
         (can_match){.id = id, .bytes = 8, .input = drive->input_count};
 }
 
-/* Wheel 0 says its motion as before; wheel 1 a count and a speed that are not 0 at raw 0; both,
- * health and power now and then. */
+/* Wheel 0 reports its motion as before; wheel 1 a count and a speed that are not 0 at raw 0; both
+ * report health and power periodically. */
 static void begin_with_two_wheels(void)
 {
     begin_with(1);
@@ -183,7 +183,7 @@ static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_new
     int64_t powers_ns = w.now_ns;
     w.now_ns += MS;
     report_state(0, 8);
-    /* whether it has power says nothing of the wheel */
+    /* its power is no value of the wheel */
     CHECK(feedback_of(1)->stamp_ns == powers_ns);
 }
 

@@ -287,7 +287,7 @@ static void hostile_input_never_moves_an_unarmed_base(void)
     }
 }
 
-/* The gyro says that the base turns though its wheels do not: a person carries it. */
+/* The gyro reports a turn though the wheels do not: a person carries the base. */
 static void a_gyro_turns_the_pose(void)
 {
     core_config config = good_config();

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Speed loops of wheels whose drives take a duty, in the core: in place of the open-loop map, by
- * gains that change while the robot moves, and back to the map where the feedback is not to be
+ * gains that change while the robot moves, and back to the map where the feedback cannot be
  * trusted. */
 #include "core_rig.h"
 
@@ -171,7 +171,7 @@ static void a_duty_rises_by_its_slew_and_falls_at_once(void)
     start(&r, &config);
     go(&r, 0.4, 0.0);
     double before = r.out.joint[0].duty;
-    turned(&r, 0.5); /* wants 0.2 more */
+    turned(&r, 0.5); /* needs 0.2 more */
     CHECK(fabs(r.out.joint[0].duty - before - 0.002) < 1e-12);
     turned(&r, 1.5);
     CHECK(r.out.joint[0].duty < before - 0.1);

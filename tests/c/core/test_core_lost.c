@@ -5,7 +5,7 @@
 
 static const double LOST[] = {NAN, INFINITY, -INFINITY};
 
-/* Whichever number of whichever joint it is, moving, at rest and without power. */
+/* Any number of any joint, moving, at rest and without power. */
 static void a_set_point_that_is_not_finite_is_noticed_at_once(void)
 {
     core_config config = good_config();
@@ -36,7 +36,7 @@ static void a_set_point_that_is_not_finite_is_noticed_at_once(void)
     }
 }
 
-/* Whichever axis of it, while it ramps, brakes, and without power. */
+/* Any axis of it, while it ramps, brakes, and without power. */
 static void a_twist_that_is_not_finite_is_noticed_at_once(void)
 {
     core_config bases[] = {good_config(), swerve()};
@@ -60,7 +60,7 @@ static void a_twist_that_is_not_finite_is_noticed_at_once(void)
     }
 }
 
-/* Whichever part it is: the others do not count either, and what is steered holds. */
+/* Any part: the others do not count either, and steered joints hold. */
 static void a_command_with_a_part_that_is_not_finite_moves_and_arms_nothing(void)
 {
     const core_config bases[] = {good_config(), swerve()};
@@ -128,7 +128,7 @@ static void a_tick_begins_with_numbers_of_its_own(void)
     }
 }
 
-/* The twist that it was commanded is worked out anew, too. */
+/* The commanded twist is computed again, too. */
 static void after_lost_numbers_no_earlier_results_are_used(void)
 {
     core_config config = good_config();
@@ -220,7 +220,8 @@ static core_config watched(void)
     return config;
 }
 
-/* Wheel j stands, whatever it is sent, for so long or until that is a fault; milliseconds. */
+/* Wheel j stands and ignores its set-points for this time or until that is a fault; milliseconds.
+ */
 static int stuck_ms(rig *r, int j, int most_ms)
 {
     int ms = 0;
@@ -297,7 +298,7 @@ static void a_runaway_ends_all_set_points_in_its_tick(void)
     }
 }
 
-/* Samples that come each millisecond are looked at each five. */
+/* Samples that come each millisecond are checked each five. */
 static void samples_in_quick_succession_are_checked_together(void)
 {
     core_config config = watched();
@@ -353,7 +354,7 @@ static void a_turn_during_a_suspend_is_that_of_the_wheels(void)
     CHECK(tick(&r)->imu.state == GYRO_NONE);
 }
 
-/* Its zero is what a gyro says of a base that stands: all wheels report, and none turns. */
+/* The zero of a gyro is its rate while the base stands: all wheels report, and none turns. */
 static void a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on(void)
 {
     core_config config = good_config();
@@ -383,8 +384,8 @@ static void a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on(void)
     }
 }
 
-/* Three wheels are silent; the fourth alone does not say how the base moves, and its set-points
- * may have carried it on. */
+/* Three wheels are silent; the fourth alone does not determine the motion, and the base may have
+ * followed its set-points. */
 static void a_base_whose_motion_is_no_longer_measured_grows_uncertain_until_it_rests(void)
 {
     core_config config = good_config();

@@ -110,7 +110,7 @@ static void a_steering_joint_stays_within_its_range_with_late_and_extra_ticks(vo
     }
 }
 
-/* Of whichever joint; and it ends with it. */
+/* Of any joint; the reason ends with it. */
 static void a_duty_at_its_limit_is_reported(void)
 {
     for (int j = 0; j < 4; j++) {
@@ -149,7 +149,7 @@ static void a_steered_base_waits_for_a_slow_duty_and_names_its_joint(void)
     CHECK(fabs(r.shown.joint[0].setpoint_rad_s - 1.0) < 0.01);
 }
 
-/* Whichever wheel it is of, before it takes its next one. */
+/* Of any wheel, before it takes its next one. */
 static void a_duty_that_is_not_finite_is_noticed_at_once(void)
 {
     core_config config = swerve_of_four();

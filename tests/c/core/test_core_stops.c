@@ -226,7 +226,7 @@ static void a_torque_ends_with_its_power_its_feedback_or_its_runaway(void)
     CHECK(r.state.speed_loop[2].integral_u == 0.0 && r.out.joint[0].velocity_rad_s > 1.0);
 }
 
-/* A step of time that is long, but one, is no reason to stand still at once. */
+/* A single long time step is no reason to stand still at once. */
 static void a_late_tick_in_a_stop_ramps_by_the_elapsed_time(void)
 {
     static const double STEPS_S[] = {0.1, 1.0, 0.0, -0.1};

@@ -116,7 +116,7 @@ static void the_whole_twist_is_scaled_by_the_worst_joint_and_slows_down_by_its_d
           fabs(r.shown.setpoint_linear_m_s - factor * 1.0) < 1e-3);
     CHECK(r.shown.reason.since_ns[25] > before_ns &&
           r.shown.reason.since_ns[25] < r.shown.stamp_ns);
-    r.input.command.linear_m_s = 0.2; /* below the derated limit: as it was asked for */
+    r.input.command.linear_m_s = 0.2; /* below the derated limit: as it was commanded */
     r.input.command.angular_rad_s = 0.0;
     ticks(&r, 1000);
     CHECK(near(r.shown.setpoint_linear_m_s, 0.2) && !(r.shown.reasons & REASON_DERATED) &&

@@ -126,7 +126,7 @@ static void a_time_of_zero_switches_a_check_off(void)
     CHECK(isinf(until_fault(&w, 0.1, 25.0, 25.0, 25.0)));
 }
 
-/* Whichever way it turns: what is too fast for a set-point of zero is a runaway, or nothing. */
+/* In either direction: a speed too high for a set-point of zero is a runaway, or no fault. */
 static void no_wheel_is_too_slow_for_a_set_point_of_zero(void)
 {
     for (int sign = -1; sign <= 1; sign += 2) {

@@ -28,8 +28,8 @@ typedef enum {
     EVENT_COUNT
 } walk_event;
 
-/* One drive whose wheel turns whatever it is sent. The core's set-points are fresh, enabled, and
- * not zero. What cannot occur on a medium is NULL. */
+/* One drive whose wheel keeps turning. The core's set-points are fresh, enabled, and not zero.
+ * What cannot occur on a medium is NULL. */
 typedef struct {
     walk_kind kind;
     void (*begin)(void); /* OFF, or where there is no set-up READY */
@@ -42,7 +42,7 @@ typedef struct {
     void (*answers)(void);
     void (*disabled)(void); /* it has no power, and reports it */
     void (*lost_setup)(void);
-    void (*still_enabled)(void); /* it has power whatever it is sent, and reports it */
+    void (*still_enabled)(void); /* it keeps its power, and reports it */
     void (*end)(void);
     void (*go_on)(int64_t for_ns);
     const drive_state *(*state)(void);

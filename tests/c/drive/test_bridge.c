@@ -41,7 +41,7 @@ int ioctl(int fd, unsigned long request, ...)
     return 0;
 }
 
-/* One pin with the duty, one that is active low and says backward. */
+/* One pin with the duty, one that is active low and selects backward. */
 static bridge_config config_of(int fd)
 {
     bridge_config config = {
@@ -288,7 +288,7 @@ static void pins_are_brought_to_rest_after_a_failure(void)
     CHECK(report.error == ENOTTY && report.rest_error == 0 && close(fd) == 0);
 }
 
-/* Driven at `duty`, the files fail from then on, and `then` is wanted: which lines changed. */
+/* The motor runs at `duty`; then writes fail, and the set-point is `then`: which lines changed. */
 static uint64_t changed_at_a_failure(const bridge_config *wanted, double duty, double then)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC), pipe_ends[2];
@@ -315,7 +315,8 @@ static void a_motor_whose_duty_cannot_be_cleared_gets_no_direction_change(void)
 {
     bridge_config config = config_of(-1);
     CHECK(changed_at_a_failure(&config, 0.5, -0.5) == 0);
-    CHECK(changed_at_a_failure(&config, -0.5, 0.5) == 0); /* at rest the line would say forward */
+    CHECK(changed_at_a_failure(&config, -0.5, 0.5) == 0); /* at rest the line would select forward
+                                                           */
     CHECK(changed_at_a_failure(&config, -0.5, -0.25) == 0);
 }
 

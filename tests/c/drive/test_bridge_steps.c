@@ -93,7 +93,7 @@ static void each_mode_has_its_level(void)
     CHECK(is(b.level[0], 0.3 + 0.25 * 0.05) && is(b.level[1], 0.3 + 0.25 * 0.05));
     b.newest.joint[0].duty = b.newest.joint[1].duty = 0.0;
     steps_on(&b, MS);
-    CHECK(b.level[0] == 0.2 && b.level[1] == 0.1); /* each rests in its way */
+    CHECK(b.level[0] == 0.2 && b.level[1] == 0.1); /* each has its own level of rest */
     for (int direction = -1; direction <= 1; direction += 2) {
         for (int i = 0; i < 4; i++) {
             b.newest.joint[0].duty = direction * (const double[]){1.0, 1.05, 1.5, 40.0}[i];
@@ -165,7 +165,7 @@ static void a_servo_may_have_any_range_and_zero_is_its_middle(void)
     }
 }
 
-/* In either place of the table, whichever joint of the robot it is. */
+/* In either place of the table, for any joint of the robot. */
 static void each_servo_has_a_position_of_its_own(void)
 {
     bench b = servo();
@@ -202,7 +202,7 @@ static void the_full_number_of_servos_have_a_position_each(void)
     bench b = servo();
     b.config.joint_count = b.newest.joint_count = JOINTS_MAX;
     b.newest.positioned = (1U << JOINTS_MAX) - 1U;
-    b.config.output[0].pumps = 1; /* what lies behind the joints in memory is not zero */
+    b.config.output[0].pumps = 1; /* the memory after the joints is not zero */
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         b.config.joint[j] =
             (bridge_joint){.index = j, .sign = 1.0, .full_rad = 0.8, .rest_mode = BRIDGE_COAST};

@@ -192,7 +192,7 @@ static int file_with(const char *text)
     return fd;
 }
 
-/* In one piece, as the kernel's files are; the tail of a longer number stays behind the line's
+/* In one piece, as the kernel's files are; the tail of a longer number stays after the line's
  * end. */
 static void say(int fd, const char *text)
 {
@@ -225,8 +225,7 @@ static void a_counter_is_read_from_its_file(void)
     CHECK(encoder_config_check(&config) == -EINVAL);
 }
 
-/* The kernel's files are whole numbers and a line's end; whatever else they hold is not taken
- * for more. */
+/* The kernel's files hold a whole number and a line's end; nothing else counts. */
 static void an_empty_file_is_an_error_and_text_after_the_number_is_ignored(void)
 {
     encoder_config config = {
@@ -414,7 +413,7 @@ static void counts_of_a_board_are_fed_back_with_its_own_time(void)
     CHECK(comes_true(0, (uint64_t)-20, &found));
     CHECK(fabs(found.velocity_rad_s - 0.5 * 10 / 0.01) < 1e-6);
     sample = (encoder_sample){.count = 4000, .stamp_ns = START_NS + 30 * MS, .origin = 2};
-    pwm_line_put_sample(0, 0, &sample); /* the board has begun anew: no way was made */
+    pwm_line_put_sample(0, 0, &sample); /* the board has restarted: no motion */
     for (int tries = 0; tries < 4000 && found.epoch == 3u << 16; tries++) {
         (void)nanosleep(&(struct timespec){.tv_nsec = 5 * MS}, NULL);
         (void)exchange_take_feedback(&mailboxes, 0, &found);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_watch: who may move, and how a move ends. Tables: one field of the input changed, and
- * what comes of it. */
+ * test_watch: when the base may move, and how a move ends. Tables: one field of the input that
+ * changes, and its effect. */
 #include "core_rig.h"
 
 static const change ARMING[] = {
@@ -169,7 +169,7 @@ static void a_suspend_and_a_bad_time_step_are_reported_without_their_consequence
         CHECK(r.shown.faults == FAULT_TIME_STEP && r.shown.dt_s == 0.0 && zero(&r) &&
               r.shown.armed == 0);
     }
-    /* after a pause the ramp goes on as if it had been a tenth of a second */
+    /* after a pause the ramp continues by a tenth of a second */
     config.limits.linear = (axis_limits){10.0, 1.0, 1.5, INFINITY};
     start(&r, &config);
     tick(&r);
@@ -282,7 +282,7 @@ static void a_reset_clears_faults_when_every_cause_is_gone_and_never_arms(void)
     /* it is still on its ramp */
     CHECK(tick(&r)->faults == FAULT_EXTERNAL && r.shown.setpoint_linear_m_s > 0.3);
     ticks(&r, 1000);
-    CHECK(r.shown.faults == FAULT_EXTERNAL && r.shown.at_rest == 1); /* one count asks once */
+    CHECK(r.shown.faults == FAULT_EXTERNAL && r.shown.at_rest == 1); /* each count is one request */
     prepare(&r);
     r.input.feedback[1].velocity_rad_s = 0.05;
     CHECK(step(&r)->at_rest == 0);

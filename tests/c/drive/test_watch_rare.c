@@ -82,7 +82,7 @@ static void each_brake_holds_its_power_for_two_seconds(void)
     }
 }
 
-/* Nothing new was received: the tick in which that has lasted too long says so itself. */
+/* Nothing new was received: the tick in which that has lasted too long reports it. */
 static void feedback_that_grows_old_is_stale_in_the_tick_in_which_it_is(void)
 {
     core_config config = good_config();
@@ -123,7 +123,7 @@ static void limits_that_differ_in_one_bit_are_different_limits(void)
     CHECK(ticks(&r, 100)->setpoint_linear_m_s == 0.5);
 }
 
-/* Nor does one that has been off since before the base was armed. */
+/* Also not one that has been off since before the base was armed. */
 static void a_drive_outside_of_the_base_causes_no_fault(void)
 {
     core_config config = good_config();

@@ -85,7 +85,7 @@ static void a_late_tick_of_joints_is_a_step_of_a_tenth_of_a_second(void)
     }
 }
 
-/* Its end is not where the set-point is cut off: it moves there as its speed says. */
+/* Its set-point is not clamped to the end of the range: it moves there at its speed. */
 static void a_late_tick_takes_no_set_point_past_its_goal(void)
 {
     const core_config config = head_and_belt();
@@ -124,7 +124,7 @@ static void a_target_ends_with_power_finite_commands_or_its_lease(void)
     tick(&r);
     ask(&r, 3, 1.0, 2.0);
     ticks(&r, 100);
-    r.input.control.owner = 5; /* another lease: it does not go on */
+    r.input.control.owner = 5; /* another lease: it stops */
     ask(&r, 0, 0.0, 0.0);
     ticks(&r, 600);
     double held_rad = r.out.position_rad[0];
@@ -345,7 +345,7 @@ static void a_warm_belt_is_derated_and_a_cold_one_is_not(void)
     }
 }
 
-/* What one tick has computed with is looked at, also where the next set-point hides it. */
+/* The numbers of one tick are checked, also where the next set-point hides them. */
 static void a_duty_that_is_not_finite_is_a_fault_of_a_belt_too(void)
 {
     core_config config = head_and_belt();

@@ -112,7 +112,7 @@ static void a_head_goes_to_its_target_within_its_range(void)
         position_step(&expected, &r.config.joint[PAN].position, CASES[i].expected_rad, DT_S);
         CHECK(angle(&r, PAN) == expected.position_rad &&
               r.steer.profile[PAN].velocity_rad_s == expected.velocity_rad_s);
-        r.command.named = 0; /* left out, it goes on */
+        r.command.named = 0; /* left out, it continues */
         CHECK(step_joints(&r, 200) == CASES[i].reasons && angle(&r, PAN) == CASES[i].expected_rad);
         CHECK(angle(&r, TILT) == 0.0 && isnan(r.joints.target_rad[TILT]));
     }

@@ -174,7 +174,7 @@ static void a_lowered_acceleration_is_taken_as_soon_as_it_is_enough(void)
         {0.5, 2.0, 1.9, false},
         {0.5, 0.2, 0.5, false}, /* it passes it now */
         {0.5, -0.2, 0.5, false},
-        /* its goal lies behind: before the end of its range */
+        /* its goal is passed: before the end of its range */
         {0.5, 0.2, 0.4, true},
         {0.5, -0.2, 0.6, true},
         {1.9729, 0.2, 1.0, true},

@@ -19,7 +19,7 @@ static position_profile stepped(position_profile profile, const position_config 
     return profile;
 }
 
-/* After a step at this speed the way to its rest is no longer than what is left then. */
+/* After a step at this speed its braking distance is no longer than the rest of the path. */
 static double largest_that_brakes(double left_rad, double acceleration_rad_s2)
 {
     double low = 0.0, high = 2.0 * left_rad / DT_S;
@@ -77,8 +77,8 @@ static void a_goal_is_not_passed_for_any_length_of_its_steps(void)
     }
 }
 
-/* Its goals change, and go, while it moves: each is within the range, and so is what it needs to
- * come to rest. */
+/* Its goals change and end while it moves: each is within the range, and so is its braking
+ * distance. */
 static void a_range_is_not_left_for_any_length_of_its_steps(void)
 {
     for (int round = 0; round < 200; round++) {
@@ -117,7 +117,7 @@ static void a_motion_takes_the_shortest_time_and_ends_exactly_at_its_goal(void)
         }
         double shortest_s =
             distance_rad * a > v * v ? distance_rad / v + v / a : 2.0 * sqrt(distance_rad / a);
-        /* the last of the way, less than a dt^2, takes some steps more */
+        /* the last distance, less than a dt^2, takes some more steps */
         double last_s = (5.0 + 0.5 * log(1.0 + v / (a * DT_S))) * DT_S;
         CHECK(steps * DT_S >= shortest_s - DT_S && steps * DT_S <= shortest_s + last_s);
     }
@@ -150,7 +150,7 @@ static void single_steps_have_the_expected_numbers(void)
         {0.0, 1.0, INFINITY, 0.009, 0.9},
         {0.0, 0.0, INFINITY, 0.0, 0.0},
         {0.0, 0.0, -INFINITY, 0.0, 0.0},
-        /* what is no number stands */
+        /* a joint with NaN stands */
         {0.3, NAN, 1.0, 0.3, 0.0},
         {0.3, INFINITY, 1.0, 0.3, 0.0},
     };
@@ -164,7 +164,7 @@ static void single_steps_have_the_expected_numbers(void)
     CHECK(stepped((position_profile){0.0, 0.0}, &own, 1e-20, DT_S).position_rad == 1e-20);
     CHECK(isnan(stepped((position_profile){NAN, 1.0}, &own, 0.0, DT_S).position_rad));
     CHECK(stepped((position_profile){NAN, 1.0}, &own, 0.0, DT_S).velocity_rad_s == 0.0);
-    /* arrived, but too fast for one step to let go of it: it goes on, and comes back */
+    /* arrived, but too fast to stop in one step: it overshoots, and comes back */
     position_profile passes = stepped((position_profile){0.0, 1.0}, &own, 0.009, DT_S);
     CHECK(passes.velocity_rad_s > 0.89);
 }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A line before its first step: nothing is left of before, each drive knows its joints, and what
- * may turn is sent a stop. */
+ * A line before its first step: no old state is left, each drive has its joints, and drives that
+ * may turn are stopped. */
 #include <errno.h>
 
 #include "line_wire.h"
@@ -110,7 +110,7 @@ static void each_drive_has_the_joints_of_its_exchanges(void)
     }
 }
 
-/* What lies behind the last one of each list is not of the drive. */
+/* Entries after the last one of each list do not belong to the drive. */
 static void entries_after_the_end_of_a_list_are_ignored(void)
 {
     line_table table = table_of(1);
@@ -128,7 +128,7 @@ static void entries_after_the_end_of_a_list_are_ignored(void)
     CHECK(w.machine.drive[1].due_ns == 0);
 }
 
-/* Its targets say whether a place has a sign: without one, the upper half of its range is not
+/* Its targets decide whether a position is signed: unsigned, the upper half of its range is not
  * below zero. */
 static void a_position_is_signed_where_its_targets_are(void)
 {

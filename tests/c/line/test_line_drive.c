@@ -76,7 +76,7 @@ static void a_reply_takes_the_time_of_its_bytes(void)
     CHECK(line_reply_ns(&w.machine, &frame) == 7 * CHARACTER_NS);
 }
 
-/* An armed drive after a look at `now`: does it stop, and why? */
+/* Whether and why an armed drive stops after a look at `now`. */
 static void guarded(line_drive_state *drive, uint32_t why, uint32_t stop)
 {
     line_guard(&w.machine, 0, w.now_ns);

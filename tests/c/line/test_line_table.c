@@ -208,7 +208,7 @@ static void a_set_point_lies_in_its_request(void)
     t = good;
     setpoint->form = FORM_M16_BIT10, setpoint->raw_min = -1023.0, setpoint->raw_max = 1023.0;
     CHECK(is_good());
-    setpoint->raw_max = 1023.5; /* 1024 is the sign: the motor would stand where it is to turn */
+    setpoint->raw_max = 1023.5; /* 1024 is the sign: the motor would stand instead of turning */
     CHECK(refused("drive[0].setpoint.raw_max"));
     setpoint->raw_max = 1023.0, setpoint->raw_min = -1023.5;
     CHECK(refused("drive[0].setpoint.raw_min"));

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_turns: whose turn it is on a serial line, and when it is looked at next. */
+ * test_line_turns: which drive has its turn on a serial line, and when the next look is. */
 #include "line_wire.h"
 
 static const int64_t RESTING_NS = 50 * MS, MOVING_NS = 10 * MS;
@@ -125,7 +125,7 @@ static void the_slot_has_its_own_turn_like_a_drive(void)
           m->slot_due_ns == w.now_ns + 20 * MS);
     begin_ready(1, 0);
     put(7, LINE_DRIVES_MAX, 0);
-    m->slot_due_ns = w.now_ns; /* both are: the slot goes first, for it is asked once in a period */
+    m->slot_due_ns = w.now_ns; /* both are due: the slot goes first, once in a period */
     look();
     CHECK(is_sent(WORK_REQUEST, LINE_DRIVES_MAX));
     begin_ready(1, -1);
@@ -169,7 +169,7 @@ static void requests_and_probes_take_turns_but_for_urgent_ones(void)
         m->drive[1].probe_at_ns = 0;
         m->slot_due_ns = w.now_ns;
         look();
-        CHECK(is_sent(WORK_PROBE, 1)); /* nothing else wants the slot */
+        CHECK(is_sent(WORK_PROBE, 1)); /* nothing else needs the slot */
         forget_request();
     }
 }

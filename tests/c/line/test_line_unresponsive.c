@@ -142,7 +142,7 @@ static void the_probe_may_be_the_first_of_the_cycle(void)
 }
 
 /* It answers again: power off first, and only then may it be set up; the next silence begins
- * with a quick stop anew. */
+ * with a quick stop again. */
 static void a_drive_that_answers_gets_its_power_off_and_is_back(void)
 {
     begin_with(1, 0);
@@ -181,8 +181,7 @@ static void a_drive_that_falls_silent_ends_its_running_stop(void)
     CHECK(!w.machine.drive[0].state.stopping && w.machine.drive[0].state.stop == STOP_NOTHING);
 }
 
-/* Whatever it was in the middle of: its next cycle and its next round of probes begin at their
- * beginning. */
+/* Its next cycle and its next round of probes start at the beginning. */
 static void a_drive_that_falls_silent_in_its_cycle_restarts_and_delays_no_other(void)
 {
     begin_with(2, 0);
@@ -211,7 +210,7 @@ static void the_first_round_is_as_long_as_what_stops_the_drive(void)
         line_drive *table = &w.machine.table.drive[0];
         table->cyclic[0].setpoint_count = writes > 0;
         table->cyclic[1].setpoint_count = 1;
-        /* what lies behind the last is no exchange of it */
+        /* the entry after the last is no exchange of it */
         table->cyclic_count = writes == 2 ? 2 : 1;
         w.machine.drive[0].may_turn = true;
         line_becomes_unresponsive(&w.machine, 0, w.now_ns);

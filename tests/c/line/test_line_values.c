@@ -15,7 +15,7 @@ static line_exchange *const turn = &w.machine.table.drive[JOINT].cyclic[1];
 static line_frame built;
 static uint8_t reply[FRAME_BYTES_MAX];
 
-/* The second of two drives is armed, and the core wants it to turn. */
+/* The second of two drives is armed, and its set-point is not zero. */
 static void begin(double velocity_rad_s)
 {
     begin_with(2, 0);
@@ -98,7 +98,7 @@ static void only_an_armed_and_enabled_drive_gets_set_points_other_than_zero(void
     const double behind = 1.0;
     memcpy(&m->newest.joint[0] + JOINTS_MAX, &behind, sizeof behind);
     CHECK(line_wanted(m, JOINT, JOINTS_MAX, SETPOINT_VELOCITY) == 0.0);
-    m->newest.joint_count = JOINT; /* the core says nothing of it */
+    m->newest.joint_count = JOINT; /* the core has no set-point for it */
     CHECK(!line_build(m, JOINT, 0, &built) && sent_raw() == 0);
 }
 

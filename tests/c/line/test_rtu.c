@@ -338,8 +338,8 @@ static void short_frames_of_other_protocols_have_a_check_sum_of_one_byte(void)
     CHECK(is(find(&frame, 0, reply, 10), RECEIVED_MORE, 0, 0));
 }
 
-/* RoboClaw packet serial: the answer to a read has the sum of what was asked in it, that to a
- * write is 0xFF. */
+/* RoboClaw packet serial: the check sum of an answer to a read covers the request too; the answer
+ * to a write is 0xFF. */
 static void an_answer_that_names_no_request_is_all_bytes_received(void)
 {
     line_frame asked = {.request_bytes = 2,

@@ -20,7 +20,7 @@ static void one_packet_has_the_answers_of_all_servos(void)
     }
 }
 
-/* Its block is the end of the packet: those behind it lose one answer, and those before it none. */
+/* Its block ends the packet: servos after it lose one answer, and servos before it none. */
 static void plain_reads_follow_while_a_servo_is_missing(void)
 {
     for (uint32_t missing = 0; missing < SERVOS; missing++) {
@@ -38,7 +38,7 @@ static void plain_reads_follow_while_a_servo_is_missing(void)
             CHECK(i == missing || (measures(i, 2.0 + 0.1 * i) && lost == (i > missing ? 1U : 0U)));
         }
         CHECK(before == 0);
-        go_on(2.0, 400 * MS); /* it is not asked any more */
+        go_on(2.0, 400 * MS); /* it is no longer read */
         CHECK(s.fast - fast > 10 && m->drive[(missing + 1) % SERVOS].state.mode == DRIVE_ARMED);
     }
 }
@@ -172,7 +172,7 @@ static void only_complete_plain_reads_count_towards_the_next_fast_one(void)
         line_fast_end(&machine, true);
         CHECK(machine.plain_cycles == left);
     }
-    machine.group.asked_count = 0; /* none was asked */
+    machine.group.asked_count = 0; /* none was read */
     line_fast_end(&machine, true);
     line_fast_end(&machine, false);
     CHECK(machine.plain_cycles == 5);

@@ -60,7 +60,7 @@ static void look_until_all_answer_in_one_packet(void)
     CHECK(s.count == HEAD + SERVOS * BLOCK);
 }
 
-/* Behind so many bytes of noise. */
+/* After this many bytes of noise. */
 static void receive_after_noise(uint32_t noise, const uint8_t *packet_of_all, uint32_t count)
 {
     uint8_t bytes[FRAME_BYTES_MAX];

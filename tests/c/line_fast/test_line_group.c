@@ -90,7 +90,7 @@ static void a_silent_servo_does_not_cost_the_answers_of_others(void)
     CHECK(m->drive[2].count.cycles - before > 100);
     CHECK(m->drive[1].state.mode == DRIVE_UNRESPONSIVE && m->drive[1].count.no_reply >= 3);
     CHECK(s.goal[0] == 200 && s.goal[2] == 220);
-    CHECK(s.goal[1] == 0); /* it receives though it does not answer: it gets its zero */
+    CHECK(s.goal[1] == 0); /* its replies are lost, but it receives: it gets its zero */
     s.silent = 0;
     servos_go_on(2.0, 3000 * SERVO_MS);
     CHECK(m->drive[1].state.mode == DRIVE_BACK && !s.torque[1] && s.goal[1] == 0);
@@ -139,7 +139,7 @@ static void a_late_reply_is_not_taken_for_the_next_request_s(void)
         servos_step(2.0, 1);
         CHECK(s.goal[0] == 200 || s.goal[0] == 100);
     }
-    /* held: not asked, and its set-points go on */
+    /* held: it is not read, and still gets set-points */
     CHECK(s.goal[0] == 200 && (s.asked_last & 1) == 0);
     servos_go_on(2.0, 400 * SERVO_MS);
     CHECK((s.asked_last & 1) != 0 && m->joint[0].feedback.stamp_ns > failed_ns + 100 * SERVO_MS);
@@ -204,7 +204,7 @@ static void at_the_end_all_come_to_rest_and_lose_their_torque(void)
     }
 }
 
-/* In a group, one exchange asks all of them: the last one waits for those before it. */
+/* In a group, one exchange reads all servos: the last one waits for those before it. */
 static void a_servo_whose_reply_is_awaited_is_not_left_alone(void)
 {
     static const uint32_t WORK[] = {WORK_NONE, WORK_GROUP};
@@ -350,7 +350,7 @@ static void the_first_replies_of_a_group_show_whether_the_adapter_receives_itsel
     }
 }
 
-/* Dynamixel protocol 2.0: unit and length stand behind a longer head. */
+/* Dynamixel protocol 2.0: unit and length follow a longer head. */
 static void a_group_of_stuffed_packets_has_its_units_and_its_length(void)
 {
     static const uint8_t WRITE[] = {0xFF, 0xFF, 0xFD, 0, 0xFE, 7, 0, 0x83, GOAL, 0, 2, 0};
@@ -413,7 +413,7 @@ static void replies_that_come_byte_by_byte_are_the_same_replies(void)
     }
 }
 
-/* An adapter that receives itself brings its own request first: anything else says that both
+/* An adapter that receives itself returns its own request first: anything else means that both
  * have sent at once. */
 static void a_collision_ends_the_exchange_and_silence_does_not(void)
 {

@@ -6,7 +6,7 @@
 static const int64_t SERVO_MS = 1000000;
 static const line_machine *const m = &s.machine;
 
-/* A servo's reply with this number, put behind what is there. */
+/* Appends a servo's reply with this number. */
 static uint32_t put_reply(uint8_t *bytes, uint32_t count, uint32_t number)
 {
     const uint8_t reply[] = {0xFF, 0xFF, (uint8_t)(number + 7), 4, 0, (uint8_t)(10 + number), 0, 0};
@@ -47,7 +47,7 @@ static void noise_before_between_and_after_replies_is_counted_and_costs_no_reply
     }
 }
 
-/* To a request of an exchange before this one, in which its servo is not asked. */
+/* It answers an earlier exchange; this one does not read its servo. */
 static void a_late_reply_after_a_due_one_is_not_noise(void)
 {
     uint8_t bytes[32];

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a line does for controllers whose answers name no unit, and whose zero regulates: packets
- * of a RoboClaw. */
+ * Lines of controllers whose answers name no unit and whose zero is regulated: packets of a
+ * RoboClaw. */
 #include "line_wire.h"
 
 enum { UNIT = 0x80, SPEEDS = 37, DUTIES = 34, STATE_OF = 90 };
@@ -123,7 +123,7 @@ static void a_late_answer_belongs_to_no_request(void)
         asked = sent[0];
     }
     int64_t failed_ns = w.now_ns, bound_ns = w.machine.bound_ns;
-    w.bytes[0] = 0xFF; /* when the time is over, and no other drive has been asked */
+    w.bytes[0] = 0xFF; /* when the time is over, and no other drive has been read */
     line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out);
     CHECK(w.out.send == NULL && w.machine.work == WORK_NONE);
     line_machine_step(&w.machine, failed_ns + bound_ns / 2, w.bytes, 1, &w.out);

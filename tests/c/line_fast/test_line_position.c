@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Positions on a serial line: 0 is a place like any other, so what must not move is sent
- * nothing. */
+ * Positions on a serial line: 0 is a position like any other, so a drive that must not move is
+ * sent nothing. */
 #include "position_wire.h"
 
 static void a_position_is_scaled_from_its_zero_and_held_within_its_range(void)
@@ -231,7 +231,7 @@ static void a_position_lost_before_the_first_target_takes_the_power(void)
     CHECK(m->drive[0].state.mode == DRIVE_READY && w.power_offs[0] > 0 && targets == 0);
 }
 
-/* Armed anew it begins where it is now, wherever it was sent before. */
+/* Armed again it begins at its own position, not at its old target. */
 static void each_arming_begins_at_the_position_of_that_moment(void)
 {
     begin_at_limited_speed();

@@ -88,7 +88,7 @@ static void an_error_number_is_a_refusal_and_an_alert_is_not(void)
     rtu_finish(&status);
     received found = found_in(&frame, status.request, status.request_bytes);
     CHECK(found.kind == RECEIVED_REFUSED && found.exception == 7 && found.bytes == 11);
-    status.request[8] = 0x80; /* hardware error: what was asked for is done */
+    status.request[8] = 0x80; /* hardware error: the request is carried out */
     rtu_finish(&status);
     CHECK(found_in(&frame, status.request, status.request_bytes).kind == RECEIVED_ANSWER);
     status.request[8] = 0x87;
@@ -231,11 +231,11 @@ static void values_are_low_byte_first_except_in_one_series(void)
     CHECK(rtu_read(minus_zero, FORM_M16_LE) == 0);
     const uint8_t minus_zero_high_first[2] = {0x04, 0x00};
     CHECK(rtu_read(minus_zero_high_first, FORM_M16_BIT10) == 0);
-    /* bits that no number of this form has are no zero: who looks for one does not find it */
+    /* bits that no number of this form has are not zero: a search for zero does not find them */
     const uint8_t beyond[2] = {0x08, 0x00}, beyond_below[2] = {0x0C, 0x01};
     CHECK(rtu_read(beyond, FORM_M16_BIT10) == 0x800 &&
           rtu_read(beyond_below, FORM_M16_BIT10) == -0x801);
-    /* a counter of twelve bits goes on below zero as it does above: -1 is one before 0 */
+    /* a counter of twelve bits continues below zero: -1 is one before 0 */
     const uint8_t below[2] = {0x01, 0x80};
     CHECK(((uint64_t)rtu_masked(rtu_read(below, FORM_M16_LE), 0xFFF, FORM_M16_LE) & 0xFFF) ==
           0xFFF);

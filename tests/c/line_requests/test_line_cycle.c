@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_cycle: the cycle of one drive, frame by frame: ways, set-points, what is read, and
- * how it ends. */
+ * test_line_cycle: the cycle of one drive, frame by frame: directions, set-points, reads, and its
+ * end. */
 #include "line_cycle.h"
 
 /* A whole cycle: what is sent, and all of it is answered. */
@@ -241,7 +241,8 @@ static void why_a_drive_disabled_itself_is_read_before_it_is_switched_off(void)
           drive->state.stop == STOP_POWER_OFF);
 }
 
-/* Without power it may have lost its set-up: it is switched off, whatever it reports by then. */
+/* Without power it may have lost its set-up: it is switched off, even if it reports power by then.
+ */
 static void an_armed_drive_that_lost_its_power_for_a_cycle_is_disarmed(void)
 {
     for (uint32_t how = 0; how < 2; how++) {
@@ -302,7 +303,7 @@ static void the_core_gets_the_feedback_of_a_cycle_with_its_last_read(void)
     begin_directions(0.0);
     drive->direction_sent[0] = DIRECTION_REST;
     drive->cycle_count = 4;
-    /* behind the last one */
+    /* after the last one */
     w.machine.table.drive[0].cyclic[2] = w.machine.table.drive[0].cyclic[1];
     line_cycle_begin(&w.machine, 0, w.now_ns);
     w.machine.feedback_mask = 0;
@@ -318,8 +319,8 @@ static void the_core_gets_the_feedback_of_a_cycle_with_its_last_read(void)
     CHECK(sends() == NO_FRAME);
 }
 
-/* Of two that are written and nothing that is read the first answer says all; else it is the
- * last one that is read. */
+/* Of two writes without a read the first answer completes the feedback; otherwise the last read
+ * does. */
 static void writes_give_the_core_no_feedback_while_a_read_is_outstanding(void)
 {
     for (uint32_t reads = 0; reads < 2; reads++) {

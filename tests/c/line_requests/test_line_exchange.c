@@ -94,7 +94,7 @@ static void the_wait_for_a_reply_includes_the_time_of_the_request_s_bytes(void)
     CHECK(line_machine_request(m, &next));
     w.now_ns = m->free_ns;
     look(NULL, 0);
-    CHECK(w.out.send != NULL && !m->sent); /* until the thread says so */
+    CHECK(w.out.send != NULL && !m->sent); /* until the thread reports it */
 }
 
 static int64_t bound_of(uint32_t work, uint32_t worker)
@@ -128,7 +128,7 @@ static void each_kind_of_request_has_the_wait_of_its_drive(void)
     CHECK(bound_of(WORK_BROADCAST, LINE_DRIVES_MAX) == 5 * MS);
 }
 
-/* Who has to be stopped does not wait until another drive is late. */
+/* A drive that has to be stopped does not wait until another one is late. */
 static void a_wait_is_short_while_another_drive_has_to_be_stopped(void)
 {
     for (uint32_t waiting = 0; waiting < 5; waiting++) {
@@ -163,7 +163,7 @@ static void a_wait_is_short_while_another_drive_has_to_be_stopped(void)
     CHECK(m->until_ns == 77); /* it has not left yet */
 }
 
-/* What comes behind the drives is not looked at, and not changed. */
+/* Entries after the drives are neither read nor changed. */
 static void an_answer_to_a_broadcast_counts(void)
 {
     static line_joint_state before[JOINTS_MAX];
@@ -238,7 +238,7 @@ static void bytes_that_are_no_answer_are_counted_once(void)
 }
 
 /* One byte is the whole answer of a controller that names no unit; after a failure no drive is
- * asked until it has passed. */
+ * read until it has passed. */
 static void an_answer_may_be_one_byte_long(void)
 {
     line_frame frame = read_frame(1);
@@ -325,7 +325,7 @@ static void when_no_reply_is_understood_the_echo_is_unknown_again(void)
     }
 }
 
-/* A drive that is asked whether it is back: its echo is no answer. */
+/* A probe of an unresponsive drive: its echo is no answer. */
 static void an_echo_does_not_bring_back_an_unresponsive_drive(void)
 {
     /* by what it can be read: an exchange, one extra, two, nothing */

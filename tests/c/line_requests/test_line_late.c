@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Drives that answer late, on a wire of virtual time: whose request a reply belongs to, and how old
+ * Drives that answer late, on a wire of virtual time: which request a reply belongs to, and how old
  * its values are. A drive answers in the order of its requests. Its counter is the time itself,
  * in tenths of a millisecond. */
 #include <math.h>
@@ -200,7 +200,7 @@ static void no_value_is_older_than_its_stamp(bool one_look)
                 run(2, 3000 * MS);
                 late_every = 0;
                 published = 0;
-                run(2, 4000 * MS);     /* an unresponsive one is asked every two seconds */
+                run(2, 4000 * MS);     /* an unresponsive one is probed every two seconds */
                 CHECK(published > 90); /* and it is well again after that */
             }
         }
@@ -217,7 +217,7 @@ static void a_late_reply_is_distinguished_from_noise(void)
     CHECK(w.machine.drive[0].count.late > 0 && w.machine.noise_bytes == 0);
 }
 
-/* Other drives go on while one waits for what may still come of it. */
+/* Other drives continue while a late reply of one may still come. */
 static void a_late_drive_does_not_keep_its_neighbour_waiting(bool one_look)
 {
     begin_late(2, one_look, 3);

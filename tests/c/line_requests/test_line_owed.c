@@ -91,8 +91,8 @@ static void only_the_reply_to_a_known_request_is_doubted(void)
     }
 }
 
-/* What repeats its request says the same whichever it answers, while no other write may have
- * come between. */
+/* Replies that repeat their request are equal, so either may be taken unless another write may
+ * have come between. */
 static void a_reply_that_repeats_its_request_is_doubtful_after_another_write(void)
 {
     line_frame write = frame_of(1, WRITE, CONTROL, 1), other = frame_of(1, WRITE, SPEED, 1),

@@ -96,7 +96,7 @@ static void the_first_unresponsive_drive_that_is_due_is_probed(void)
     CHECK(line_due_probe(m, true, w.now_ns) == 1);
 }
 
-/* Whatever of it is urgent. */
+/* For each kind of urgent work. */
 static void urgent_requests_wait_twenty_milliseconds_for_silence_and_others_without_limit(void)
 {
     for (uint32_t what = 0; what < 6; what++) {

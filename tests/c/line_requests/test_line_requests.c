@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Requests from outside the cycle, on a wire of virtual time: which one is sent, in which order,
- * and whose reply it gets. */
+ * and which reply it gets. */
 #include "line_wire.h"
 
 enum { READ_ID = 100, STOP_ID = 200 };

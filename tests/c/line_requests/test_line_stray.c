@@ -1,12 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_stray: bytes that belong to no answer: whose late reply they are, or noise, or our
- * own request. */
+ * test_line_stray: bytes that belong to no answer: a late reply, noise, or the echo of our own
+ * request. */
 #include "line_wire.h"
 
 static line_machine *const m = &w.machine;
 static line_drive_state *const drive = &w.machine.drive[0];
 
-/* A read of that many bytes, so that its reply looks like no other's. */
+/* A read of that many bytes, so that its reply differs from all others. */
 static line_frame read_of(uint8_t unit, uint8_t data_bytes)
 {
     line_frame frame = frame_of(unit, READ, STATUS, data_bytes);
@@ -186,7 +186,7 @@ static void bytes_before_and_after_an_answer_are_noise(void)
     memmove(bytes + 10, bytes + 8, 7);
     bytes[8] = 0xEE, bytes[9] = 0xFF, answer.offset = 10;
     CHECK(noise_of(ECHO_FIRST, bytes, 17, answer) == 2 && m->stray[0] == 0xEE);
-    answer.echoed = 0; /* whatever stands there is no copy of ours then */
+    answer.echoed = 0; /* then these bytes are no echo */
     CHECK(noise_of(ECHO_UNKNOWN, bytes, 17, answer) == 10);
 }
 

@@ -20,7 +20,7 @@ static void look(uint32_t times)
     }
 }
 
-/* Three ranges are read besides the cycle; the first says whether the drive is enabled. */
+/* Three ranges are read besides the cycle; the first has whether the drive is enabled. */
 static void begin_with_extras(uint32_t reports_enabled)
 {
     begin_with(1, 0);
@@ -54,7 +54,7 @@ static void slow_values_are_read_by_turns(void)
     request(0, DRIVE_OFF);
     look(4);
     sent_count = 0;
-    request(0, DRIVE_READY); /* set up anew it begins anew */
+    request(0, DRIVE_READY); /* a new set-up restarts it */
     while (sent_count < 2) {
         look(1);
     }
@@ -154,7 +154,7 @@ a_frame_of_a_stop_that_is_refused_is_sent_as_often_as_the_drive_s_tries_and_the_
     shut_down_until(3);
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.refusals == 6);
     begin_with(1, 0);
-    w.refused = CONTROL; /* the second one is received: what follows is counted anew */
+    w.refused = CONTROL; /* the second one is received: later failures are counted from zero */
     shut_down_until(3);
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.released[0] == 1 && w.refusals == 4);
 }
@@ -192,7 +192,7 @@ static void run_refusing(uint32_t failures, uint32_t unanswered)
     go_on();
     for (uint32_t lost = 0; w.machine.drive[0].state.stop != STOP_NOTHING;
          lost += w.mute && w.out.send != NULL) {
-        /* the frame behind the refused one, the first times */
+        /* the frame after the refused one, the first times */
         w.mute = w.refusals == 3 && lost < unanswered;
         go_on();
     }
@@ -205,7 +205,7 @@ a_drive_that_refuses_one_frame_of_its_power_off_gets_the_others_while_the_line_r
         run_refusing(failures, 0);
         CHECK(w.refusals == 3 && w.released[0] == 1 && w.machine.drive[0].count.unresponsive == 0);
     }
-    run_refusing(0, 2); /* a refusal is an answer: the frame behind it has all of its tries */
+    run_refusing(0, 2); /* a refusal is an answer: the frame after it has all of its tries */
     CHECK(w.refusals == 3 && w.released[0] == 3 && w.machine.drive[0].count.unresponsive == 0);
 }
 

@@ -3,7 +3,7 @@
  * its neighbours. */
 #include "line_wire.h"
 
-/* As of bus servos: an answer to a write does not say which one. */
+/* As of bus servos: an answer does not name the write that it answers. */
 static void answer_alike(line_frame *frame)
 {
     frame->echo_bytes = 0;
@@ -11,14 +11,14 @@ static void answer_alike(line_frame *frame)
     memcpy(frame->match, (const uint8_t[]){1, WRITE}, 2);
 }
 
-/* After a request that it did not answer each answer may be the one to that, for as long as its
- * stop is sent again: so many of them prove the stop as are more than it owes. Its neighbour
- * goes on meanwhile. */
+/* After an unanswered request each later answer may belong to that request, as long as the stop is
+ * sent again: only answers beyond the number that is owed prove the stop. The neighbour continues
+ * meanwhile. */
 static void a_stop_with_late_acknowledgements_ends_and_delays_no_neighbour(void)
 {
     for (uint32_t i = 0; i < 8; i++) {
         uint32_t owed = i / 2;
-        bool after_another = i % 2 != 0; /* whose answers prove nothing of it */
+        bool after_another = i % 2 != 0; /* whose answers prove nothing about it */
         begin_with(2, 0);
         line_drive *table = &w.machine.table.drive[0];
         answer_alike(&table->cyclic[0].frame), answer_alike(&table->quick_stop[0]);

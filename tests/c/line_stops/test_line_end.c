@@ -112,8 +112,8 @@ static void the_end_does_not_clear_a_notification(void)
     CHECK(w.machine.notify && w.machine.end.stage == END_NOT);
 }
 
-/* What lies behind the last drive, shaped like one that moves and stops, is no drive: it is not
- * looked at, nor changed. */
+/* The entry after the last drive looks like one that moves and stops: it is neither read nor
+ * changed. */
 static void a_line_has_eight_drives_at_most(void)
 {
     line_drive_state mover = {.state.mode = DRIVE_ARMED,

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A line that is never silent: stops go out all the same, and its drives become unresponsive. */
+ * A line that is never silent: stops are sent all the same, and its drives become unresponsive. */
 #include "line_wire.h"
 
 static const int64_t LONG_GAP_NS = 20 * MS;
@@ -94,8 +94,8 @@ static void only_an_urgent_request_is_sent(void)
           w.machine.request[0].id == 1);
 }
 
-/* Nothing can be asked: no drive is known to be there. One that may turn is sent its stop again
- * and again. */
+/* Nothing can be read: no drive is known to be present. One that may turn gets its stop
+ * repeatedly. */
 static void its_drives_become_unresponsive_and_are_stopped(void)
 {
     begin_turning(2);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Stops on a line where a drive is missing, on a wire of virtual time: which is sent a stop,
- * when, and which is believed. */
+ * Stops on a line where a drive is missing, on a wire of virtual time: which drive is sent a stop,
+ * when, and which answers count. */
 #include "line_wire.h"
 
 static int64_t shut_down(void)
@@ -25,8 +25,8 @@ static void power_offs_of_several_drives_are_one_gap_apart(void)
     }
 }
 
-/* Drives that are ready have their cycles until then; behind its power-off each one is left as
- * it is. */
+/* Drives that are ready have their cycles until then; after its power-off each one gets no more
+ * frames. */
 static void once_the_power_goes_off_nothing_else_is_sent(void)
 {
     begin_with(2, 0);
@@ -59,8 +59,8 @@ static void missing_drives_do_not_keep_the_power_of_the_others_on(void)
     CHECK(w.power_offs[2] >= 2 && w.power_offs[3] >= 2);
 }
 
-/* Whatever is in transit when the end comes: a cycle's exchange that is its third failure, a
- * probe, nothing. */
+/* In transit when the end comes: a cycle's exchange that is its third failure, a probe, or
+ * nothing. */
 static void a_missing_drive_gets_its_power_off_at_the_end_whatever_was_in_transit(void)
 {
     for (uint32_t steps = 0; steps < 60; steps++) {
@@ -391,7 +391,7 @@ static void a_drive_that_comes_to_rest_loses_its_power_despite_a_new_set_up(void
     CHECK(w.power_offs[0] == 2);
 }
 
-/* Whatever is in transit when the stop comes, an exchange with the missing drive among it. */
+/* For anything in transit when the stop comes, also an exchange with the missing drive. */
 static void a_slow_reply_does_not_delay_the_stops_of_others(void)
 {
     for (uint32_t steps = 0; steps < 40; steps++) {

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * How a line ends whose drives do not acknowledge their power-off: it counts when a read behind
- * it says so. */
+ * The end of a line whose drives do not acknowledge their power-off: a later read has to confirm
+ * it. */
 #include "line_wire.h"
 
 static const int64_t END_NS = 480 * 1000000;
@@ -24,8 +24,8 @@ static line_field power_field(uint32_t joint)
                         .si_per_raw = 1.0};
 }
 
-/* Drives whose status says whether they have power; `reports` false: it says nothing of it.
- * `frames`: of their power-off those that they do not acknowledge. */
+/* Drives whose status has their power; with `reports` false it does not. `frames`: the frames of
+ * their power-off that they do not acknowledge. */
 static void begin_frames(uint32_t drives, bool reports, uint32_t frames)
 {
     begin_with(drives, 0);
@@ -118,7 +118,7 @@ static void a_drive_that_reports_power_at_the_end_is_named(void)
     CHECK(report.drive[0].stop_waits == 1 && w.turning == 1);
 }
 
-/* Its answer to any read is all that there is to know. */
+/* An answer to any read is the only evidence. */
 static void a_drive_that_cannot_report_its_power_has_to_answer_a_read(void)
 {
     for (int cut = 0; cut < 2; cut++) {
@@ -200,8 +200,7 @@ static void reports_from_before_another_power_off_do_not_count(void)
     CHECK(report.drive[0].enabled == 2);
 }
 
-/* It refuses the read twice, says that it has power, and so on: only refusals in a row are
- * counted. */
+/* It refuses the read twice, reports power, and so on: only refusals in a row are counted. */
 static void a_read_that_is_refused_at_times_is_repeated(void)
 {
     begin_unanswered(1, true);
@@ -264,7 +263,7 @@ static void the_first_read_with_power_is_used_or_else_the_probe(void)
     }
 }
 
-/* A target is nothing that could be sent for its answer: it is not known where the joint stands. */
+/* A target cannot serve as a probe: the position of the joint is unknown. */
 static void no_position_is_sent_to_probe_a_drive(void)
 {
     begin_reads(5, 0, 1);

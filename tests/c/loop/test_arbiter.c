@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Leases in detail: whose token it is, how old and how new a command may be, who is held over the
+ * Leases in detail: tokens, how old and how new a command may be, which source is held beyond the
  * end of a lease, and what is reported. */
 #include <math.h>
 #include <string.h>
@@ -184,7 +184,7 @@ static void among_equals_the_first_lease_commands_and_a_higher_priority_in_any_p
     CHECK(say(0, 1, 0.1) == 0);
     b.now_ns += LIFE_NS / 2;
     CHECK(say(1, 1, 0.2) == 0 && obeyed().linear_m_s == 0.1);
-    b.now_ns += LIFE_NS / 2; /* the first one has lapsed, and comes again behind the other */
+    b.now_ns += LIFE_NS / 2; /* the first one has lapsed, and comes again after the other */
     CHECK(obeyed().linear_m_s == 0.2 && say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.2);
 }
 
@@ -264,7 +264,7 @@ static void a_held_source_is_held_under_its_next_lease_until_the_bar_ends(void)
     begin_barred(until_ns);
     b.now_ns = until_ns - 1;
     CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.0 && lease_of(0)->held == 1);
-    b.now_ns += 200 * MS; /* it goes on, and so does the hold */
+    b.now_ns += 200 * MS; /* it keeps sending, and the hold stays */
     CHECK(say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.0);
     CHECK(say(0, 3, 0.0) == 0 && say(0, 4, 0.1) == 0 && obeyed().linear_m_s == 0.1);
     begin_barred(until_ns);
@@ -302,7 +302,7 @@ static void after_a_suspend_no_command_is_alive(void)
         CHECK(b.arbiter.report.lease[lease].expires_ns == 0);
     }
     CHECK(submit(before) != 0);
-    CHECK(say(0, 3, 0.1) == 0); /* of the moment in which it went on */
+    CHECK(say(0, 3, 0.1) == 0); /* of the moment in which it continued */
 }
 
 static void motion_along_any_axis_holds_a_source_that_requests_it_before_arming(void)

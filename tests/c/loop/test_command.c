@@ -98,7 +98,7 @@ static void a_lease_that_is_no_longer_granted_has_ended(void)
     two_sources(&a);
     CHECK(say(&a, command_of('b', 1, START_NS, 0.1), START_NS, true) == 0);
     lease_permissions permissions = {.lease = {grant_of('d', 1), grant_of('b', 30)}};
-    arbiter_grant(&a, &permissions); /* b has moved to another place, and goes on */
+    arbiter_grant(&a, &permissions); /* b has moved to another place, and continues */
     CHECK(speed_m_s(&a, START_NS, true) == 0.1 && a.report.lease[1].priority == 30);
     permissions.lease[1] = (lease_permission){.number = 0};
     arbiter_grant(&a, &permissions);
@@ -176,7 +176,7 @@ static void a_wake_up_takes_a_bounded_number_of_datagrams(void)
     CHECK(ingress_wait(&in, clock_now_ns() + 10000 * MS));
     uint64_t taken = 0, now = 0;
     while ((now = ingress_take(&in, &a, true)) > 0) {
-        /* eight of who floods, and the other one's beside them */
+        /* eight of the flooding source, and the other's beside them */
         CHECK(now <= 9 && (taken > 0 || now == 9));
         taken += now;
     }
@@ -349,7 +349,7 @@ static void a_turn_on_the_spot_counts_as_motion_even_where_the_steering_prevents
     CHECK(a.report.on_spot == 1 && a.report.sideways == 1);
 }
 
-/* Version 1 ends before the lateral speed, which is zero; a base that cannot strafe obeys the
+/* Version 1 ends before the lateral speed, which is zero; a base that cannot strafe follows the
  * rest, and the command counts. */
 static void a_command_of_either_version_is_followed(void)
 {

@@ -339,7 +339,7 @@ static void motion_that_was_requested_too_early_is_held(void)
         joints.position_rad[0] = 0.0; /* an angle is a motion, also that of 0 */
         CHECK(arbiter_submit(a, &joints, sizeof joints, NOW_NS, false) == 0);
         CHECK((commanded(a).named == 0) == CASES[i].held);
-        joints.head.sequence = 2; /* also when it goes on */
+        joints.head.sequence = 2; /* also when it continues */
         CHECK(submit(a, &joints) == 0 && (commanded(a).named == 0) == CASES[i].held);
         joints.head.sequence = 3, joints.velocities = joints.positions = 0; /* until nothing was
                                                                                requested */

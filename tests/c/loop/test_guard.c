@@ -79,7 +79,7 @@ static void a_pin_that_cannot_be_written_is_reported_with_the_reason(void)
                                    .watchdog_every_ticks = 1,
                                    .heartbeat_timeout_ns = MS});
     CHECK(ioctl(-1, GPIO_V2_LINE_SET_VALUES_IOCTL, &(struct gpio_v2_line_values){0}) != 0);
-    /* EBADF; an emulator that does not know the request has another one */
+    /* EBADF; an emulator without this request has another one */
     const int reason = errno;
     guard_drive_watchdog(&g, &(watchdog_input){.now_ns = START_NS, .heartbeat_ns = START_NS});
     CHECK(g.watchdog_edges == 1 && g.watchdog_errno == reason && g.watchdog_well == 1);

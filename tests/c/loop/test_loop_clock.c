@@ -77,7 +77,7 @@ static void tick(int64_t after_ns)
     loop_tick(&work, now_ns, now_ns);
 }
 
-/* Armed, and as fast as was asked for. */
+/* Armed, and at the commanded speed. */
 static void drive(void)
 {
     const loop_config loop = {.rate_hz = 1000, .event_fd = -1, .command_fd = -1};
@@ -143,7 +143,7 @@ static void a_clock_that_runs_backwards_stops_the_base_at_once(void)
     CHECK(work.core.snapshot.faults == FAULT_TIME_STEP && work.out.joint[0].velocity_rad_s == 0.0);
 }
 
-/* Time goes on by the real clock, which shows when the computer woke up. */
+/* Time follows the real clock, which shows when the computer woke up. */
 static void wake_up(int64_t after_ns)
 {
     while (clock_now_ns() <= now_ns) { /* the ticks so far were of the test's own making */
@@ -160,7 +160,7 @@ static void after_a_suspend_the_base_stands_at_once_disarmed_by_a_fault(void)
     loop_tick(&work, now_ns, now_ns);
     CHECK(work.core.snapshot.faults == FAULT_SUSPENDED && work.core.snapshot.armed == 0);
     CHECK(work.out.joint[0].velocity_rad_s == 0.0 && work.out.joint[1].velocity_rad_s == 0.0);
-    for (uint32_t i = 0; i < 100; i++) { /* the drives answer again, and the source goes on */
+    for (uint32_t i = 0; i < 100; i++) { /* the drives answer again, and the source continues */
         (void)command(0.5);
         tick(MS);
         CHECK(work.out.joint[0].velocity_rad_s == 0.0 &&

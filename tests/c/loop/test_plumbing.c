@@ -115,7 +115,7 @@ static void each_value_has_a_box_of_its_own(void)
           exchange_line_wake(&x, LINES_MAX) == -1);
 }
 
-/* Whatever was in the memory before: nothing of it is a value, a wake-up or a count. */
+/* Old content of the memory is no value, no wake-up and no count. */
 static void an_exchange_begins_empty_in_memory_that_was_used_before(void)
 {
     static exchange x;
@@ -275,7 +275,7 @@ static void a_page_begins_empty_in_memory_that_was_used_before(uint8_t *page)
     for (uint32_t slot = 0; slot < 4; slot++) {
         all_zero(page + SLOTS_AT + slot * stride, 8 + sizeof(robot_state));
     }
-    CHECK(page[SLOTS_AT + 4 * stride] == 0xAA); /* and nothing behind the last */
+    CHECK(page[SLOTS_AT + 4 * stride] == 0xAA); /* and nothing after the last */
 }
 
 static void a_page_that_cannot_be_trusted_is_refused(uint8_t *page)

@@ -57,7 +57,7 @@ static double step_of(double from, double goal, double gains, double jerk, uint3
     base_limits limits = {.linear = {1e6, gains, FAST_U_S2, jerk},
                           .angular = {1.0, 1.0, 1.0, INFINITY}};
     double sense = goal > from ? 1.0 : -1.0;
-    /* as fast as it likes already: the growth bounds nothing */
+    /* fast enough already: the growth bounds nothing */
     limit_state axis[AXES] = {{from, sense * FAST_U_S2}};
     uint32_t reason =
         ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){goal, 0.0}, DT_S, false);

@@ -145,7 +145,7 @@ static const core_config FOUR_WHEELS = {
               {.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
               {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.2}}};
 
-/* Where the wheels go meanwhile is not known: as far as their set-points say, either way. */
+/* The motion of the wheels is unknown meanwhile: up to their set-points, in either direction. */
 static void a_blind_base_is_as_uncertain_as_its_set_points_may_have_carried_it(void)
 {
     static odometry_state state;

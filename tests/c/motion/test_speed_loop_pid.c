@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The speed loop by its exact numbers: feed-forward, derivative, limits, and what goes on
- * without a step. */
+ * The speed loop by its exact numbers: feed-forward, derivative, limits, and changes without a
+ * step of the output. */
 #include "check.h"
 #include "torque_loop.h"
 

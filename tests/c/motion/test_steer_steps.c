@@ -13,7 +13,7 @@ static steer_state begun(const core_config *base)
     return steer;
 }
 
-/* What is left of a goal when the base moves like `from`, and its wheels are at these angles. */
+/* The part of a goal that is left when the base moves like `from` with these wheel angles. */
 typedef struct {
     double goal_u_s[AXES];
     double rate_max_s;
@@ -138,8 +138,8 @@ static void the_worst_wheel_counts(void)
     }
 }
 
-/* Turning about a wheel, that one points anywhere: below a millionth of the fastest speed it
- * stands. */
+/* In a turn about a wheel, that wheel may point anywhere: below a millionth of the fastest speed
+ * it counts as standing. */
 static void a_wheel_that_stands_points_anywhere(void)
 {
     core_config base = swerve();

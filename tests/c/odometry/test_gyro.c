@@ -66,12 +66,12 @@ static void the_turn_is_the_rate_times_the_time(void)
     CHECK(memcmp(&before, &s.state, sizeof before) == 0);
     say(&s, 0.6, 200, false);
     CHECK(turned(&s, &turn_rad) && fabs(turn_rad - 0.5) < 0.002);
-    s.now_ns += SAMPLE_NS; /* beyond the newest sample: as it went on */
+    s.now_ns += SAMPLE_NS; /* beyond the newest sample: extrapolated */
     CHECK(turned(&s, &turn_rad) && fabs(turn_rad - 0.5 * 0.005) < 1e-12);
     s.now_ns += 20 * SAMPLE_NS;
     CHECK(!turned(&s, &turn_rad));
     CHECK(gyro_status(&s.state, &CONFIG, s.now_ns) == GYRO_STALE);
-    say(&s, 0.6, 2, false); /* after a gap it begins anew */
+    say(&s, 0.6, 2, false); /* after a gap it restarts */
     CHECK(!turned(&s, &turn_rad));
     CHECK(turned(&s, &turn_rad));
     say(&s, 0.1, 1000, true); /* the zero is measured again */
@@ -79,7 +79,7 @@ static void the_turn_is_the_rate_times_the_time(void)
     CHECK(gyro_status(&s.state, &(gyro_config){0}, s.now_ns) == GYRO_NONE);
 }
 
-/* Moving at 0.5 rad/s more than its zero, its turn asked for; then what breaks the way. */
+/* It moves at 0.5 rad/s more than its zero, and its turn is read; then the integral breaks. */
 static sensor on_the_move(void)
 {
     sensor s = new_sensor();
@@ -287,7 +287,7 @@ static void a_zero_may_be_as_far_off_as_is_allowed_and_the_rate_follows_it(void)
     }
 }
 
-/* It knows its zero, which is 0. */
+/* Its zero is known, and is 0. */
 static exact at_rest(double noise_rad_s)
 {
     exact e = new_exact();

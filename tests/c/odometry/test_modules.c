@@ -3,7 +3,7 @@
  * equations of the textbook (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3). */
 #include "steered_bases.h"
 
-/* What one wheel says of the twist. */
+/* The equation of one wheel for the twist. */
 typedef struct {
     double of[AXES];
     double rim;
@@ -87,7 +87,7 @@ static void the_motion_is_that_of_least_squares_at_any_angle(void)
     }
 }
 
-/* A wheel whose angle is not known says nothing, and one whose rim is not known that it does not
+/* A wheel with an unknown angle gives no equation; one with an unknown rim only that it does not
  * slide. */
 static void joints_without_feedback_leave_their_equations_out(void)
 {
@@ -182,8 +182,8 @@ static void the_inverse_of_a_base_with_modules_assumes_wheels_straight_ahead(voi
     CHECK(found.determined == 0 && found.joints == 0 && found.shared == 1.0);
 }
 
-/* Also of a base with one module only; and a joint that is not there neither counts nor hides
- * what the others do. */
+/* Also of a base with one module only; and a missing joint neither counts nor hides the
+ * others. */
 static void wheel_speeds_alone_are_a_twist_where_they_fit_together(void)
 {
     double twist_u_s[AXES + 1] = {9.0, 9.0, 9.0, 7.0},

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_odometry: counters that are narrow, late or wrong, and the pose against the same in other
- * words. */
+ * test_odometry: counters that are narrow, late or wrong, and the pose against a second
+ * implementation. */
 #include "odometry_base.h"
 
 static void the_velocity_decides_about_an_unseen_turn_of_a_counter(void)
@@ -86,7 +86,7 @@ static void a_velocity_that_no_wheel_has_is_no_travel(void)
     CHECK(isnan(b.state.joint[0].velocity_rad_s) && b.state.joint[0].jumps == 1);
 }
 
-/* --- the pose, against the same in other words: long double, and whole matrices */
+/* --- the pose, against a second implementation: long double, and whole matrices */
 
 typedef struct {
     double x_m, y_m, heading_rad, distance_m, turned_rad, p[3][3];
@@ -159,7 +159,7 @@ static int64_t any(int64_t least, int64_t most)
 }
 
 /* Four wheels, of other sizes and counts; those of a side go together, along one exact arc. Each
- * step is looked at. */
+ * step is checked. */
 static void pose_and_covariance_are_those_of_exact_arcs(void)
 {
     core_config config = begun(32).config;
@@ -330,7 +330,7 @@ static void the_possible_travels_of_a_counter_decide_which_is_accepted(void)
         {32, 1, 2742, NAN, NAN, 0.0, 1, 1},
         {32, 1, -2741, NAN, NAN, -2741 * COUNT_RAD, 0, 0},
         {32, 1, -2742, NAN, NAN, 0.0, 1, 1},
-        {32, 1, 9000, 20.0, 30.0, 0.25, 1, 1}, /* the mean of both ends stands in */
+        {32, 1, 9000, 20.0, 30.0, 0.25, 1, 1}, /* the mean of both ends is used */
         {32, 1, 9000, NAN, 30.0, 0.30, 1, 1},
         {32, 1, 9000, 20.0, NAN, 0.0, 1, 1},
         {32, 1, 9000, 20.0, 85.1, 0.0, 1, 1}, /* 52.55 rad/s: no wheel is so fast */
@@ -360,7 +360,7 @@ static void the_possible_travels_of_a_counter_decide_which_is_accepted(void)
     }
 }
 
-/* Another epoch: the counter's origin may have moved, so the drive's velocity stands in once. */
+/* Another epoch: the counter's origin may have moved, so the drive's velocity is used once. */
 static void a_moved_origin_is_no_travel(void)
 {
     base b = begun(32);

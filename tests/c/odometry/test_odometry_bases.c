@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_odometry_bases: the odometry of bases that strafe and of those that are steered, and what a
- * look at the errors takes in where wheels fall silent or a gyro begins. */
+ * test_odometry_bases: the odometry of bases that strafe and of those that are steered, and what
+ * the errors include where wheels fall silent or a gyro begins. */
 #include "steered_bases.h"
 
 static const int64_t STEP_NS = 10000000;
@@ -130,7 +130,7 @@ static void same_pose_variance(const odometry_state *a, const odometry_state *b)
     }
 }
 
-/* What they have gone together is looked at by what they determined together. */
+/* Their common travel is checked with the equations of all of them. */
 static void before_a_wheel_is_left_out_the_errors_of_all_are_checked(void)
 {
     static const int64_t COUNTS[] = {3000, 5000, 3500, 4000};
@@ -164,8 +164,8 @@ static void all_but(base *b, uint32_t out)
     }
 }
 
-/* It brought a sample before it fell silent, or brings some before it is one of the others
- * again: not all of its way is known. */
+/* It sent a sample before it fell silent, or sends some before it counts again: not all of its
+ * travel is known. */
 static void a_wheel_that_is_left_out_has_no_travel_in_a_look(void)
 {
     enum { OUT = 3 };

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_odometry_edges: where a travel is just believed and where not any more, and what a
- * beginning and a reset leave. */
+ * test_odometry_edges: the bounds up to which a travel is accepted, and the state after a start
+ * and a reset. */
 #include "odometry_base.h"
 
 static void a_narrow_counter_goes_on_beyond_its_end(void)
@@ -40,7 +40,7 @@ static void the_reach_of_a_joint_is_computed_at_the_beginning(void)
     }
 }
 
-/* What came before the reset counts for no arc after it, whichever side brought it. */
+/* Travel of either side from before the reset counts for no arc after it. */
 static void a_reset_waits_for_both_sides_again(void)
 {
     for (int first = 0; first < 2; first++) {
@@ -63,7 +63,7 @@ static void a_reset_waits_for_both_sides_again(void)
     }
 }
 
-/* A counter of one turn, silent for so long that it may have turned once: the velocities say
+/* A counter of one turn, silent for so long that it may have turned once: the velocities decide
  * whether it has. */
 static void velocities_that_are_certain_enough_decide_about_whole_turns(void)
 {
@@ -172,7 +172,7 @@ static void a_counter_that_has_used_all_its_reach_has_none_left(void)
     CHECK(received(&b, STEP_NS, 2742, NAN)->jumps == 1);
 }
 
-/* Two steps since the last one that was believed: 5475.8 counts, and four. */
+/* Two steps since the last accepted sample: 5475.8 counts, and four. */
 static void after_a_refused_sample_all_time_since_the_last_good_one_counts(void)
 {
     for (int far = 0; far < 2; far++) {
@@ -221,7 +221,7 @@ static void an_estimate_among_several_samples_of_a_side_is_kept(void)
     }
 }
 
-/* A wheel that begins anew beside it makes nothing good again. */
+/* A wheel beside it that restarts does not clear this. */
 static void a_wheel_without_feedback_is_reported_whatever_the_others_measure(void)
 {
     base b = begun(32);
@@ -262,8 +262,8 @@ static void the_chord_of_an_arc_is_right_to_the_last_bits(void)
     }
 }
 
-/* Then the heading is as uncertain as the gyro, whatever the wheels scrub, and has nothing to do
- * with the way's error. */
+/* Then the heading is as uncertain as the gyro, however the wheels scrub, and independent of the
+ * error of the distance. */
 static void a_turn_by_the_gyro_has_the_gyro_s_variance(void)
 {
     base b = begun(32);
@@ -317,15 +317,15 @@ static void no_variance_of_the_pose_is_below_its_floor(void)
     base b = begun(32);
     b.config.pose_variance_floor_m2 = 1e-4, b.config.heading_variance_floor_rad2 = 2e-4;
     received(&b, STEP_NS, 0, NAN);
-    received(&b, SPREAD_EVERY_NS - 1, 0, NAN); /* not yet looked at */
+    received(&b, SPREAD_EVERY_NS - 1, 0, NAN); /* not yet checked */
     CHECK(b.state.pose_covariance[0] < 1e-4 && b.state.pose_covariance[5] < 2e-4);
     received(&b, 1, 0, NAN);
     CHECK(b.state.pose_covariance[0] == 1e-4 && b.state.pose_covariance[3] == 1e-4 &&
           b.state.pose_covariance[5] == 2e-4);
 }
 
-/* One wheel of a side begins anew while the other is silent: what the other side goes meanwhile
- * is no arc. */
+/* One wheel of a side restarts while the other is silent: travel of the other side meanwhile is no
+ * arc. */
 static void a_side_that_only_starts_makes_no_turn(void)
 {
     for (int side = 0; side < 2; side++) {
@@ -349,7 +349,7 @@ static void a_side_that_only_starts_makes_no_turn(void)
     }
 }
 
-/* All of a side: the base goes nowhere meanwhile, and then as far as the counters say. */
+/* All of a side: the pose does not move meanwhile, and then moves as far as the counters did. */
 static void a_side_that_was_silent_adds_the_missed_travel(void)
 {
     base b = begun(32);
@@ -369,7 +369,7 @@ static void a_side_that_was_silent_adds_the_missed_travel(void)
     CHECK(near(b.state.heading_rad, 0.0));
 }
 
-/* It has never reported before, whichever it is. */
+/* Either side, which has never reported before. */
 static void a_side_that_reports_later_makes_no_turn(void)
 {
     for (uint32_t silent = 0; silent < 2; silent++) {

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * test_spread: pose and covariances of a base with mecanum wheels by the formulas of the textbook,
- * written out anew; what steering that measures nothing adds, and how uncertain a base becomes
- * whose wheels are not seen. */
+ * implemented a second time; what steering without measurement adds, and how uncertain a base
+ * becomes whose wheels are silent. */
 #include "steered_bases.h"
 
 enum { WHEELS = 4 };
@@ -186,7 +186,7 @@ static void a_curve_sideways_ends_where_the_textbook_puts_it(void)
     CHECK(fabs(s.angular_rad_s - turn / 0.05) < 1e-5 && s.degraded == 0);
 }
 
-/* One that is left out has its own no longer: it begins anew when it is back. */
+/* One that is left out no longer has its own error: it restarts when it is back. */
 static void only_wheels_that_determine_the_motion_count_in_the_slip(void)
 {
     static const uint32_t JOINTS[] = {0xB, 0xD, 0x7, 0xE, 0xF};
@@ -222,7 +222,7 @@ static void only_wheels_that_determine_the_motion_count_in_the_slip(void)
 
 /* --- steering that measures nothing */
 
-/* The variance of the heading after a way of the rims with these angles, of a base that has no
+/* The variance of the heading after a travel of the rims with these angles, of a base without
  * other errors. */
 static double steered_rad2(core_config config, const double *angle_rad, double rim_m)
 {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RoboClaws on the wire: which packets go out, and when wheels are held or let go."""
+"""RoboClaws on the wire: which packets are sent, and when wheels are held or released."""
 
 import asyncio
 import os
@@ -22,7 +22,7 @@ SPEEDS, DUTIES, TIMEOUT, READ_TIMEOUT = 37, 34, 14, 15
 
 
 class Controller:
-    """A RoboClaw of few words: zeros for all reads but the timeout."""
+    """A RoboClaw that answers all reads but the timeout with zeros."""
 
     def __init__(self, link):
         self.link = link
@@ -166,7 +166,7 @@ async def test_a_speed_is_not_held_by_a_controller_that_was_stopped(peer):
         await until(lambda: rig.states() == {DriveState.READY})
         rig.loop.running = True
         free = len(peer.sent(DUTIES))
-        await until(lambda: len(peer.sent(DUTIES)) > free + 5, "at rest it is let go")
+        await until(lambda: len(peer.sent(DUTIES)) > free + 5, "at rest it is released")
         held = len(peer.sent(SPEEDS))
         await until(lambda: len(peer.sent(DUTIES)) > free + 20)
         assert len(peer.sent(SPEEDS)) == held

@@ -69,7 +69,7 @@ def spec_of(path, watchdog_s=0.3, places=((UNIT, 1), (UNIT, 2))):
 
 @contextlib.contextmanager
 def sabertooth(path, address):
-    """pysabertooth's; its __del__ would close the port whenever it likes."""
+    """pysabertooth's; its __del__ would close the port at any time."""
     saber = Sabertooth(path, baudrate=9600, address=address)
     try:
         yield saber
@@ -80,7 +80,7 @@ def sabertooth(path, address):
 
 
 async def all_of(master, count):
-    """So many bytes: a pty hands over what was written a moment later."""
+    """Reads this many bytes: a pty delivers them a moment later."""
     seen = b""
 
     def complete():
@@ -201,7 +201,7 @@ async def test_pysabertooth_drives_the_simulated_driver_until_its_time_out(tmp_p
             return sim.stats()["lines"]["bus"]["units"]["128"]["watchdog_bites"]
 
         def turn():
-            saber.driveBoth(60, 60)  # the right motor faces the other way
+            saber.driveBoth(60, 60)  # the right motor is mounted in reverse
             left, right = speeds()
             return left > 2.0 and right < -2.0
 

@@ -97,7 +97,7 @@ async def test_feedback_is_read_from_the_template_and_silence_is_seen(peer):
         assert left(0).voltage_v == pytest.approx(11.9)
         assert left(0).enabled is None
         assert rig.line.stats().errors["bad_reply"] >= 1
-        await until(lambda: rig.states() == {DriveState.UNRESPONSIVE}, "it says nothing any more")
+        await until(lambda: rig.states() == {DriveState.UNRESPONSIVE}, "it sends nothing any more")
         assert EventKind.DRIVE_UNRESPONSIVE in rig.kinds()
 
 

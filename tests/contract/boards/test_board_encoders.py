@@ -63,7 +63,7 @@ async def test_a_wheel_that_turns_is_reported_with_count_speed_and_stamp(rig, pe
     assert feedback_of(rig, 1).count == 0
     await until(lambda: feedback_of(rig).stamp_ns > first.stamp_ns)
     peer.do("s")
-    await until(lambda: feedback_of(rig).velocity_rad_s == 0.0, "it stands")
+    await until(lambda: feedback_of(rig).velocity_rad_s == 0.0, "the wheel stands")
 
 
 async def test_a_board_that_only_counts_is_never_enabled_even_when_the_bridges_are(rig, peer, chip):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What only the line of a board in C promises: nothing that asyncio does, or does not, moves a
+"""What only the line of a board in C guarantees: no action and no delay of asyncio moves a
 motor."""
 
 import time
@@ -27,7 +27,7 @@ def sleep_until(condition):
 
 
 def core_alone(loop, ticks):
-    """New set-points every 10 ms, from a core that lives; how long the longest pause was."""
+    """New set-points every 10 ms, from a living core; returns the longest pause."""
     longest_ns = 0
     for tick in range(ticks):
         before_ns, loop.put_ns = loop.put_ns, now_ns()

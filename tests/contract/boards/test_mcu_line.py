@@ -200,7 +200,7 @@ async def test_a_mute_board_is_unresponsive_and_stopped_and_comes_back_disarmed(
     await armed_and_turning(rig, peer)
     peer.do("m")
     await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
-    await until(lambda: not peer.now.enabled, "it is sent a stop though it is not received")
+    await until(lambda: not peer.now.enabled, "it is stopped though its replies are lost")
     with pytest.raises(NoReply):
         await rig.line.arm()
     peer.do("w")
@@ -266,7 +266,7 @@ async def test_a_port_that_goes_away_while_it_is_opened_is_opened_again(peer, mo
 
 
 async def left_turning(peer, spec, spoke=0):
-    """As a program leaves it that was killed: enabled, turning, its watchdog two seconds away; it
+    """As a killed program leaves it: enabled, turning, its watchdog two seconds away; it
     had sent some frames before."""
     sender = FrameSender(spec)
     for _ in range(spoke):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The reference sketch on every chip that it is for: what frames make it do to the pins."""
+"""The reference sketch on every supported chip: what it does to the pins for each frame."""
 
 import shutil
 import struct

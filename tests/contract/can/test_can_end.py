@@ -24,7 +24,7 @@ async def opened(rig, bus):
 
 
 async def fill(rig, bus):
-    """No drive takes in what is sent, until nothing can be sent any more."""
+    """Fills the queue: no drive reads until nothing more can be sent."""
 
     def full():
         bus.say()
@@ -101,7 +101,7 @@ async def turning(rig, axis):
 @pytest.mark.parametrize("kind", BUSES)
 @pytest.mark.parametrize("unresponsive", [False, True])
 async def test_a_power_off_that_a_cut_cable_lost_is_sent_again(kind, unresponsive):
-    """The bus has taken it: that says nothing."""
+    """That the bus has taken it proves nothing."""
 
     async def mend(axis):
         await until(lambda: not axis.ignored or len(axis.received) > mark + 10)

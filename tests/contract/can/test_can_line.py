@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CAN lines against scripted drives that speak raw frames: who is armed, who is unresponsive, what
-is reported."""
+"""CAN lines against scripted drives that send raw frames: which drive is armed, which is
+unresponsive, and what is reported."""
 
 import asyncio
 import math

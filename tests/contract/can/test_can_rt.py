@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What only the CAN line in C promises: nothing that asyncio does, or does not, moves a motor."""
+"""What only the CAN line in C guarantees: no action and no delay of asyncio moves a motor."""
 
 import math
 import time

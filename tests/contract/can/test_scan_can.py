@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is on a CAN bus: simulated drives and scripted ones on a bus whose every frame is seen."""
+"""`motord scan` on a CAN bus with simulated and scripted drives; the test sees every frame."""
 
 import contextlib
 import threading
@@ -176,7 +176,7 @@ def standard(identifier, data):
 
 
 def test_pdos_of_a_canopen_node_are_not_taken_for_an_odrive():
-    pdo = standard(0x181, bytes(8))  # the heartbeat of an ODrive 12 would look like it
+    pdo = standard(0x181, bytes(8))  # the heartbeat of an ODrive 12 looks the same
     heartbeat = standard(0x701, b"\x05")
     assert nodes_of(pdo) == set()
     assert nodes_of(pdo, pdo) == {("ODrive", 12)}

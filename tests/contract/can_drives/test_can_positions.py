@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every shipped drive on CAN that goes to positions, against simulated ones, whose joints say where
-they really are."""
+"""Every shipped drive on CAN that goes to positions, against simulated ones, whose true joint
+angles are known."""
 
 import dataclasses
 import math
@@ -156,7 +156,7 @@ async def test_a_cut_cable_stops_the_joints_by_their_watchdogs_and_they_come_bac
 async def test_a_joint_that_lost_its_power_comes_back_disarmed_and_goes_nowhere(rig, sim, profile):
     await wait_for_motion(rig, sim)
     with without_power(sim, 1):
-        await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is missed")
+        await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is unresponsive")
         await until(lambda: sim.truth().joints["left"].velocity_rad_s == 0.0, "it rests")
         before_rad = angles_rad(sim)[0]
     await until(lambda: EventKind.DRIVE_BACK in rig.kinds(), "it is back")

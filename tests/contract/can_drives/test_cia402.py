@@ -164,10 +164,10 @@ async def test_registers_are_objects(rig, node):
 
 
 async def left_turning(node):
-    """As a daemon leaves it that is killed: mapped, operational, with power, at speed."""
+    """As a killed daemon leaves it: mapped, operational, with power, at speed."""
     async with running(spec_of(node)) as rig:
         await rig.arm()
-    await until(lambda: node.silent_s > 0.3, "the end of that program is all over")
+    await until(lambda: node.silent_s > 0.3, "that program has ended")
     node.status, node.velocity = OPERATION, 60
     node.controls.clear()
     node.operational_at.clear()

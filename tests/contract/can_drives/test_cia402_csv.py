@@ -38,7 +38,7 @@ def nodes(address):
 
 @pytest.fixture
 def turning(nodes):
-    """As a daemon leaves them that is killed: with power, and no longer operational."""
+    """As a killed daemon leaves them: with power, and no longer operational."""
     for node in nodes:
         node.status, node.velocity, node.node.nmt.state = OPERATION, 60, "PRE-OPERATIONAL"
     return nodes
@@ -92,7 +92,7 @@ async def test_both_drives_turn_and_measure_with_one_sync_a_cycle(rig, nodes):
     await until(lambda: feedback(0).count == (1 << 32) - 1234)
 
     async def counted():
-        """Of a report that has just come: the engine in C says its cycles now and then."""
+        """Of a report that has just come: the engine in C reports its cycles periodically."""
         old = rig.line.stats().cycles
         await until(lambda: rig.line.stats().cycles != old)
         return rig.line.stats().cycles, nodes[0].syncs
@@ -104,7 +104,7 @@ async def test_both_drives_turn_and_measure_with_one_sync_a_cycle(rig, nodes):
 
 
 async def test_a_speed_without_a_sync_is_not_obeyed(nodes, spec, address):
-    """By frames of our own: what the node that others wrote does with the mapping it was given."""
+    """With frames of our own: how the other project's node uses its mapping."""
     async with running(spec) as rig:
         await rig.arm()
     node = nodes[0]

@@ -73,7 +73,7 @@ async def test_each_target_is_taken_with_a_rising_edge_and_the_last_one_is_where
     assert node.taken[0] == HERE, "the first one is where it was"
     assert node.taken == sorted(node.taken)
     came = len(node.taken)
-    await rig.drive(lambda: len(node.taken) > came + 3, "the handshake goes on")
+    await rig.drive(lambda: len(node.taken) > came + 3, "the handshake continues")
     rig.loop.position_rad = {0: math.nan}
     await some_cycles(rig)
     assert node.position == there
@@ -83,7 +83,7 @@ async def test_a_new_target_waits_until_the_acknowledge_bit_is_clear(rig, node):
     await rig.arm()
     rig.loop.position_rad = {0: 0.0}
     await rig.drive(lambda: node.taken, "it has taken one")
-    node.stuck = True  # it does nothing with its control word any more
+    node.stuck = True  # it ignores its control word from now on
     node.more_status |= TAKEN
     rig.loop.position_rad = {0: 0.3}
     await some_cycles(rig)

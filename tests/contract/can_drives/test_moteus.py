@@ -18,7 +18,7 @@ from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 
 TURN = 2 * math.pi
 NODES = (3, 9)
-"""One whose replies have 11 bits of identifier, one whose have 29."""
+"""One drive replies with identifiers of 11 bits, the other with 29."""
 WATCHDOG_S = 0.25
 
 
@@ -206,7 +206,7 @@ async def test_a_fault_is_reported_also_where_this_program_had_a_pause_and_the_s
 ):
     await turning(rig, drives)
     drives[1].fail(33)
-    time.sleep(0.1)  # noqa: ASYNC251  # the engine in C goes on
+    time.sleep(0.1)  # noqa: ASYNC251  # the engine in C continues
     await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
     await until(lambda: drives[1].mode == STOPPED)
     await until(lambda: rig.line.drive_faults["wheel_9"] == ())

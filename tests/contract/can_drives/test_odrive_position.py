@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ODrives in position control, against axes that speak raw frames and go to their input at once."""
+"""ODrives in position control, against axes that send raw frames and go to their input at once."""
 
 import asyncio
 import math

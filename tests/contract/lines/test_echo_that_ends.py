@@ -20,7 +20,7 @@ async def peer(tmp_path, request):
 
 
 def echo(peer, until=lambda request: False):
-    """From now on whatever is sent comes back before the reply; `until` says which is the last."""
+    """From now on each request is echoed before its reply, up to that for which `until` is true."""
 
     def both(request, honest):
         if not until(request):
@@ -36,7 +36,7 @@ async def test_a_line_that_stops_echoing_is_read_again(peer):
         await rig.ready()
         peer.tricks.clear()
         received = len(peer.received)
-        await until(lambda: len(peer.received) > received + 20, "it goes on asking")
+        await until(lambda: len(peer.received) > received + 20, "it keeps sending requests")
         await rig.arm()
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The line against drives that go on turning, start again or are on when they shall not be."""
+"""The line against drives that keep turning, start again or are enabled when they must not be."""
 
 import asyncio
 import errno
@@ -133,7 +133,7 @@ async def test_no_drive_is_enabled_with_an_old_set_point_in_its_register(rig, pe
 
 
 def set_up_again(peer, watchdog):
-    """Where a busy machine lets an answer come late, it is written once more."""
+    """It is written once more where a busy machine delays an answer."""
     written = peer.written(watchdog)
     return len(written) > 1 and set(written) == {500}
 
@@ -298,7 +298,7 @@ async def test_a_line_that_nothing_can_wake_is_opened_and_stops_its_drives(peer,
 
 
 async def send(rig, percent):
-    """A command of the loop, which wakes the line; it has time to look at it."""
+    """A command of the loop, which wakes the line, and time for the line to handle it."""
     rig.loop.enabled, rig.loop.duty = True, {0: percent / 100} if percent else {}
     rig.loop.put()
     rig.loop.exchange.wake_line(0)

@@ -73,7 +73,7 @@ async def test_a_drive_that_stays_unreachable_until_the_end_is_named(peer):
 
 @pytest.mark.parametrize("later_s", [0.0, 0.02, 0.05])
 async def test_a_missing_drive_does_not_delay_the_stop_of_its_neighbour(peer, later_s):
-    """Where replies are waited for so long that the end would be over with the first one."""
+    """Where the wait for one reply is longer than the whole end."""
     other = peer.units[2] = Unit(registers_of("speed-register"))
 
     def switch(address, value):
@@ -113,7 +113,7 @@ LEARNT_AFTER = 10
 
 
 def slow(peer, reply, after_s=0.018):
-    """From now on each reply comes so long after its request."""
+    """From now on each reply is late by this time."""
     peer.tricks.clear()
 
     def later(request, honest):

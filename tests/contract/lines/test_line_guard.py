@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pymodbus lets through, the guard must refuse: a peer on a pty misbehaves in real bytes."""
+"""The guard refuses what pymodbus accepts: a peer on a pty misbehaves in real bytes."""
 
 import asyncio
 import time
@@ -92,10 +92,10 @@ async def test_a_cancellation_passes_through(client, peer):
     ("request_", "sent"),
     [
         pytest.param(
-            read(0x10, 10), build_reply(read(0x10, 2), (1, 2)), id="fewer registers than asked"
+            read(0x10, 10), build_reply(read(0x10, 2), (1, 2)), id="fewer registers than requested"
         ),
         pytest.param(
-            read(0x10, 2), build_reply(read(0x10, 3), (1, 2, 3)), id="more registers than asked"
+            read(0x10, 2), build_reply(read(0x10, 3), (1, 2, 3)), id="more registers than requested"
         ),
         pytest.param(
             READ, build_reply(Request(1, Function.READ_INPUT, 0x10, count=1), (7,)), id="function"

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines whose drive answers what no drive should: each answer ends in an error that is handled, and
-the power-off goes out at the end."""
+"""Lines whose drive answers what no drive should: the line handles each answer as an error, and
+the power-off is sent at the end."""
 
 import asyncio
 
@@ -89,7 +89,7 @@ async def test_a_bug_in_motord_does_not_keep_the_power_on(peer, monkeypatch):
             (drive,) = rig.line._drives
 
             def mistaken(*_):
-                raise IndexError("a mistake")
+                raise IndexError("a bug")
 
             monkeypatch.setattr(drive, "_publish", mistaken)
             await asyncio.wait([rig.task])
@@ -124,7 +124,7 @@ async def test_a_gateway_that_does_not_answer_in_modbus_does_not_block_a_power_o
 
 @pytest.mark.parametrize("peer", ["modbus-tcp"], indirect=True)
 async def test_junk_that_comes_before_a_power_off_does_not_block_it(peer):
-    """It comes while the power-off waits, behind a request that was not answered."""
+    """It comes while the power-off waits for the answer of an earlier request."""
     client = GatewayClient(spec_of(peer, hub_servo()))
     await client.open()
     peer.units[1].silent = True

@@ -55,7 +55,7 @@ def answer_late(peer, late_s, part, seed=1):
 
 
 def age_ns(feedback):
-    """How much older its position is than its stamp says."""
+    """How much older its position is than its stamp."""
     behind = (feedback.stamp_ns // TICK_NS - feedback.count) & 0xFFFFFFFF
     return (behind - (1 << 32) if behind >> 31 else behind) * TICK_NS
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests beside the cycle on serial lines of both engines: whose reply is whose, and what waits
-for what."""
+"""Requests beside the cycle on serial lines of both engines: which reply belongs to which request,
+and what waits for what."""
 
 import asyncio
 import contextlib

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The serial port of the Modbus line on asyncio: full, closed, unplugged, and for itself alone."""
+"""The serial port of the Modbus line on asyncio: full, closed, unplugged, opened exclusively."""
 
 import asyncio
 import contextlib
@@ -64,10 +64,10 @@ async def test_an_adapter_that_disappears_while_it_is_opened_is_a_port_error(
 
 
 def fill(slave):
-    """Until it takes no byte more, also when the kernel has passed on what it took."""
+    """Fills it until it takes no more bytes, even after the kernel has passed some on."""
     room = True
     while room:
-        for size in (4096, 1):  # a pty may have room for a byte and not say so
+        for size in (4096, 1):  # a pty may have room for a byte and not report it
             with contextlib.suppress(BlockingIOError):
                 while os.write(slave, NOISE * size):
                     pass

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a gateway's client believes: one exchange at a time against a scripted gateway."""
+"""Which replies a gateway's client accepts: one exchange at a time against a scripted gateway."""
 
 import struct
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modbus lines of both engines and over all media against scripted slaves: who is armed, who is
-unresponsive, what is reported."""
+"""Modbus lines of both engines and over all media against scripted slaves: which drive is armed,
+which is unresponsive, and what is reported."""
 
 import math
 from itertools import pairwise
@@ -237,7 +237,7 @@ async def test_a_drive_that_answers_again_is_switched_off_before_it_is_set_up(ri
     mark = len(peer.received)
     peer.units[1].silent = False
     await rig.ready()
-    # whatever it is probed with may stop it before that
+    # its probe may stop it before that
     written = [one for one in single_writes(peer, mark) if one != (CONTROL, QUICK_STOP)]
     assert written[0] == (CONTROL, OFF)
 
@@ -393,7 +393,7 @@ async def test_a_fault_code_is_a_single_fault_listed_or_not(peer):
 async def test_the_counters_are_kept(rig, peer):
     await rig.ready()
     await until(lambda: rig.line.stats().cycles > 20)
-    received = len(peer.received)  # both go on meanwhile
+    received = len(peer.received)  # both continue meanwhile
     await until(lambda: rig.line.stats().exchanges >= received)
     stats = rig.line.stats()
     assert stats.cycle_hz > 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modbus lines of both engines whose port goes and comes back: what is reported and sent."""
+"""Modbus lines of both engines whose port disappears and comes back: what is reported and sent."""
 
 import pytest
 from loop_side import running, until

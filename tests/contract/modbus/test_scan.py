@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord scan` against simulated drives on a pty: who is there, which drive it is, and who holds
-the port."""
+"""`motord scan` against simulated drives on a pty: which units answer, which drive each is, and
+which program holds the port."""
 
 import json
 import os

@@ -60,7 +60,7 @@ class Chip:
 
 
 class Mpu(Chip):
-    """MPU-6050 and its heirs: asleep after power came (PWR_MGMT_1 = 0x40), high byte first."""
+    """MPU-6050 and its successors: asleep after power-on (PWR_MGMT_1 = 0x40), high byte first."""
 
     ID, RESET, FIRST, SIZE = 0x75, (0x6B, 0x80), 0x3B, 14
 
@@ -190,7 +190,7 @@ def test_a_missing_bus_is_reported_with_the_remedy(tmp_path):
 
 
 def test_a_row_that_the_adapter_has_cut_short_is_a_bad_reply(monkeypatch):
-    """An SMBus controller may end a transfer early and say so in the count alone."""
+    """An SMBus controller may end a transfer early and show it in the count alone."""
     adapter = SimpleNamespace(fd=-1)
     device = I2cDevice(adapter, 0x68, "i2c-1 at 0x68")
 

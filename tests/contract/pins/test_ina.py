@@ -12,7 +12,7 @@ from motord_hal.i2c.ina import Ina
 
 
 class Bus:
-    """A device's registers, as they are after power came on, and who holds on to it."""
+    """A device's registers as they are after power-on."""
 
     def __init__(self, **words):
         self.words = {int(name[1:], 16): value for name, value in words.items()}
@@ -40,7 +40,7 @@ def ina226(**words):
 
 
 def ina228(**words):
-    """ADC_CONFIG after power came on; the range may be another program's."""
+    """ADC_CONFIG after power-on; the range may be another program's."""
     return Bus(x00=0x0010, x01=0xFB68, x3E=0x5449, x3F=0x2281, **words)
 
 
@@ -70,7 +70,7 @@ def test_an_ina228_measures_195_3125_uv_312_5_nv_and_7_8125_mk_a_count():
     assert power.voltage_v == pytest.approx(48.0)
     assert power.current_a == pytest.approx(40.0)
     assert power.chip_c == pytest.approx(25.0)
-    assert bus.words[0] == 0  # the wide range, whatever had set the narrow one
+    assert bus.words[0] == 0  # the wide range, though another program had set the narrow one
 
 
 def test_an_ina238_measures_3_125_mv_5_uv_and_an_eighth_of_a_kelvin_a_count():

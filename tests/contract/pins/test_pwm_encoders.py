@@ -20,7 +20,7 @@ PER_COUNT = math.tau / 1320
 
 class Counter:
     """Files like those of /sys/bus/counter/devices/counterN; a count changes in one piece, and the
-    tail of a longer one stays behind the line's end."""
+    tail of a longer one stays after the line's end."""
 
     def __init__(self, folder, name="104-quadrature", ceiling="65535", **files):
         self.folder = folder

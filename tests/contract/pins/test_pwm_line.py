@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thread of motor bridges on descriptors of plain files: when it writes what. What the kernel
-makes of it is in tests/vm/guest/pins/test_gpio_pwm.py."""
+"""The thread of motor bridges on descriptors of plain files: what it writes, and when. On kernel
+drivers: tests/vm/guest/pins/test_gpio_pwm.py."""
 
 import asyncio
 import errno
@@ -134,7 +134,7 @@ async def test_a_line_that_could_not_be_armed_does_not_report_that_it_was_stoppe
 
 
 def test_set_points_that_a_thread_in_c_reads_have_no_second_reader():
-    """The mailbox has room for one: the other one's value could be written while it is read."""
+    """The mailbox allows one reader: what a second one reads could be overwritten meanwhile."""
     for package in (motord_hal.pwm, motord_hal.rt_engine):
         for path in Path(package.__path__[0]).glob("*.py"):
             assert "take_setpoints" not in path.read_text("utf-8"), path
@@ -232,7 +232,7 @@ async def test_missing_pins_are_reported_once_and_found_later(tmp_path):
 
 
 def as_software(chip):
-    """What the kernel's tree says of a chip of its driver pwm-gpio."""
+    """The entry of a chip of the driver pwm-gpio in the kernel's tree."""
     driver = chip.folder.parent / "drivers/pwm-gpio"
     driver.mkdir(parents=True)
     (chip.folder / "device").mkdir()

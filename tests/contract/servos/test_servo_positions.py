@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bus servos that go to positions: against simulated ones, whose wheels say where they really are,
+"""Bus servos that go to positions: against simulated ones, whose true angles are known,
 and against servos whose packets their makers' SDKs make."""
 
 import dataclasses
@@ -123,7 +123,9 @@ async def test_a_servo_that_reboots_comes_back_disarmed_and_goes_nowhere(name, t
             await until(lambda: control.truth().at_rest, "they rest")
             before = angles_rad(control)
             with without_power(control, 1):
-                await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is missed")
+                await until(
+                    lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is unresponsive"
+                )
             rig.loop.position_rad = {0: -0.5, 1: 0.5}
             await until(lambda: EventKind.DRIVE_BACK in rig.kinds(), "it is back")
             assert rig.line.drive_states["left"] is DriveState.READY

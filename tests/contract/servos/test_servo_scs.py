@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Feetech's SCS series, whose numbers stand high byte first: the maker's SDK drives the simulated
+"""Feetech's SCS series, whose numbers are high byte first: the maker's SDK drives the simulated
 servos, and motord's line drives servos whose packets that SDK makes."""
 
 import dataclasses

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated board of one's own: its frames are of the time that they say."""
+"""A simulated board of one's own: its frames carry their true time."""
 
 import math
 

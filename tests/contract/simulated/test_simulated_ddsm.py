@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated hub motor that speaks ten-byte frames, with the byte places of the maker's tables."""
+"""A simulated hub motor with ten-byte frames, whose bytes stand as in the maker's tables."""
 
 import math
 

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong on a wire and in a drive, seen by a master on a pty whose clock is turned by
-hand."""
+"""Faults of a wire and of a drive, seen by a master on a pty whose clock the test advances."""
 
 import dataclasses
 import os

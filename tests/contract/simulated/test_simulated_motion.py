@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the simulated drives do with the motors, asked over the wire on a clock turned by hand."""
+"""What the simulated drives do with the motors, read over the wire; the test advances the clock."""
 
 import math
 
@@ -24,7 +24,7 @@ def arm(bench):
 
 
 def spin(bench, seconds=1.0):
-    """Both wheels forward at 60 rpm, the drive asked often enough for its watchdog."""
+    """Both wheels forward at 60 rpm; the drive is polled often enough for its watchdog."""
     velocities = (60, 0x10000 - 60)
     until_s = bench.now_s + seconds
     while bench.now_s < until_s:
@@ -209,7 +209,7 @@ def test_a_drive_that_reboots_is_silent_and_comes_back_disabled_with_its_default
 
 
 def test_an_injected_fault_takes_effect_before_the_injection_returns(bench):
-    """Else what is sent next may reach a drive that still has its power."""
+    """Otherwise the next request may reach a drive that still has its power."""
     arm(bench)
     assert bench.drive.enabled(1)
     bench.rig.inject("reboot:unit=1,for_s=1")

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated motor bridges: what they make of the files of a PWM chip, on a clock turned by hand,
-and with the shipped line on them."""
+"""Simulated motor bridges: how they follow the files of a PWM chip, on a clock that the test
+advances, and with the shipped line on them."""
 
 import math
 import os
@@ -373,7 +373,7 @@ def test_its_settings_make_the_robot_file_find_pins_and_counters(simulator):
         (simulator.ports["pins"], 1),
     ]
     assert encoders[0].rad_per_count == pytest.approx(PER_COUNT)
-    assert encoders[1].rad_per_count == pytest.approx(-PER_COUNT)  # that motor is turned round
+    assert encoders[1].rad_per_count == pytest.approx(-PER_COUNT)  # its motor is in reverse
 
 
 def test_a_reversed_encoder_stays_reversed(tmp_path):

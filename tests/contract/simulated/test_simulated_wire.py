@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator's side of the wire, byte by byte, on a real pty and a clock turned by hand."""
+"""The simulator's side of the wire, byte by byte, on a real pty; the test advances the clock."""
 
 import os
 

@@ -47,7 +47,7 @@ class DutyRig(Rig):
         self.push_n_m = [0.0, 0.0]
         self.sign = [1.0, 1.0]
         self.frozen = set()
-        """Wheels whose encoder does not count any more."""
+        """Wheels whose encoder no longer counts."""
 
     def follow(self, dt_s):
         for j, wheel in enumerate(self.wheels):
@@ -75,7 +75,7 @@ class DutyRig(Rig):
         return [(b - a) / seconds for a, b in zip(before, after, strict=True)]
 
     def check_feedback(self):
-        """As [safety.feedback] has it by default. Begins anew."""
+        """Restarts with the defaults of [safety.feedback]."""
         for joint in self.config.joint[0:2]:
             checks = joint.plausible
             checks.setpoint_min_rad_s, checks.slow_rad_s = 0.5, 0.1

@@ -70,7 +70,7 @@ class Wheels(Rig):
         return super().arm()
 
     def without_fault(self, *speeds_m_s, seconds=3.0):
-        """Each for so long."""
+        """How long each lasts."""
         self.arm()
         for speed_m_s in speeds_m_s:
             self.drive(speed_m_s)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The speed loop against its textbook, and of wheels whose drives take a torque: it holds the speed
-and lets go of a wheel beyond all speed."""
+"""The speed loop against its textbook, and with wheels whose drives take a torque: it holds the
+speed and releases a wheel that is impossibly fast."""
 
 import math
 
@@ -44,7 +44,7 @@ class Loop:
 
 
 class TorqueRig(Rig):
-    """Wheels with inertia and friction, turned by the torque that the core wants."""
+    """Wheels with inertia and friction, turned by the torque that the core sets."""
 
     def __init__(self, **changes):
         joints = [joint_config(side, speed_loop=torque_loop()) for side in (-1.0, 1.0)]
@@ -92,7 +92,7 @@ speeds = st.lists(
     filter_s=st.floats(0.0, 0.5), dt_s=st.floats(0.0005, 0.1),
 )  # fmt: skip
 def test_a_run_matches_the_textbook(run, limits, gains, filter_s, dt_s):
-    # rest is another rule: none of these is slower than it while nothing is wanted
+    # rest has a rule of its own: with a set-point of zero none of these is that slow
     want, measured = np.array([(w, m if w or abs(m) > REST_RAD_S else 1.0) for w, m in run]).T
     names = ("proportional", "integral", "derivative", "static", "viscous", "acceleration")
     correction, low, high = limits
@@ -119,7 +119,7 @@ def test_a_run_matches_the_textbook(run, limits, gains, filter_s, dt_s):
 def test_without_feed_forward_and_derivative_it_is_the_plain_pi_bit_for_bit(
     run, most, proportional, integral
 ):
-    """What robot files of before the other gains get."""
+    """The loop of robot files that have none of the newer gains."""
     loop, total = Loop(torque_loop(proportional, integral, most)), 0.0
     for want, measured in run:
         error = want - measured

@@ -162,7 +162,7 @@ def test_every_stop_ends_at_rest_and_leaves_no_target_behind(
     assert [rig.shown.joint[j].setpoint_rad_s for j in range(3)] == [0.0] * 3
     assert rig.belt() == 0.0
     held = rig.goals()
-    if end is not ask_nonsense:  # the lease goes on, and nothing else requests motion
+    if end is not ask_nonsense:  # the lease continues, and nothing else requests motion
         rig.ask()
     rig.hold.clear()
     rig.input.control.stop = rig.input.control.estop = rig.input.suspended = 0

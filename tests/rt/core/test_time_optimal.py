@@ -88,7 +88,7 @@ def test_the_oracle_has_the_times_of_the_textbook(change_u_s, most_u_s2, jerk_u_
 @given(BOUNDS, BOUNDS, SPEED, SPEED, SPEED, SPEED, ALONG)
 def test_the_oracle_has_the_time_of_a_forward_and_backward_pass(one, other, a, b, c, d, along):
     """The usual method to time a path under limits: on a fine grid, the fastest that can be reached
-    from the start, then the fastest that can still be let go before the end."""
+    from the start, then the fastest from which the end can still be reached."""
     changes = [Change(one, a, b, along), Change(other, c, d, along)]
     moving = [x for x in changes if x.size_u_s > 0.05 and math.isfinite(x.bounds.jerk_u_s3)]
     if not moving:

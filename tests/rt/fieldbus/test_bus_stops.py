@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second process has the robot stopped over the real loop when it cannot ask the daemon."""
+"""The second process stops the robot through the real loop when it cannot reach the daemon."""
 
 import asyncio
 import contextlib

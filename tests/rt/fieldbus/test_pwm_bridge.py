@@ -20,7 +20,7 @@ BRIDGES = [name for name in NAMES if shipped_profile(name).bridge]
 
 
 class Bench:
-    """One bridge; time is what the test says."""
+    """One bridge; the test sets the time."""
 
     def __init__(self, drive="bts7960", inverted=False):
         self.bridge = shipped_profile(drive).bridge

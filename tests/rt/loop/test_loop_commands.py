@@ -34,7 +34,7 @@ class Line:
         return False
 
     def settle(self):
-        """Nothing that was done before will wake it."""
+        """After this no earlier action wakes it."""
         ticks_pass(self.loop)
         self.was_woken()
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pins of safety in the running loop, on descriptors that are no GPIO lines: what is lost
-stops, and who is missed by the watchdog. On real lines: tests/vm/guest/pins/test_safety_pins.py."""
+"""The pins of safety in the running loop, on descriptors that are no GPIO lines: a lost input
+stops the robot, and the watchdog pin stops when a part hangs. On real lines:
+tests/vm/guest/pins/test_safety_pins.py."""
 
 import dataclasses
 import fcntl

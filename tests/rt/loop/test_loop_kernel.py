@@ -35,7 +35,7 @@ def environment() -> dict[str, str]:
 
 
 def without_privileges(arguments: list[str]) -> list[str]:
-    """The command line that runs them as a user who may not lock memory or take a priority."""
+    """The command line that runs them as a user without locked memory and real-time priority."""
     status = Path("/proc/self/status").read_text()
     effective = int(status.partition("CapEff:")[2].split()[0], 16)
     if not effective >> CAP_SYS_NICE & 1 and not effective >> CAP_IPC_LOCK & 1:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stop requests: datagrams that the loop reads by itself and goes by until asyncio has followed."""
+"""Stop requests: datagrams that the loop reads and follows until asyncio acknowledges them."""
 
 import array
 import dataclasses

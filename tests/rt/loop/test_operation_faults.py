@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the daemon says of a latched fault, over the real loop."""
+"""What the daemon reports about a latched fault, over the real loop."""
 
 import asyncio
 from dataclasses import replace
@@ -60,7 +60,7 @@ def test_a_drive_fault_without_a_latched_fault_is_not_a_reason(operation):
 
 
 def test_a_stop_is_over_only_when_the_loop_has_seen_it(operation):
-    """Its newest word may be from before the stop was asked for; the robot rests in it."""
+    """Its newest state may be from before the stop request; the robot rests in it."""
     operation.take(Event.STOP)
     assert operation.snapshot.at_rest
     operation.loop.read_state = lambda: operation.snapshot
@@ -71,7 +71,7 @@ def test_a_stop_is_over_only_when_the_loop_has_seen_it(operation):
 
 
 def test_the_reason_of_an_emergency_stop_replaces_the_core_s_plain_estop(operation):
-    """The loop reads the request, and its next state may be looked at before the request is."""
+    """The loop reads the request; asyncio may see the loop's next state before the request."""
     seen = replace(operation.snapshot, faults=("estop",))
     operation.loop.read_state = lambda: seen
     operation.look()
@@ -88,7 +88,7 @@ def ticks(operation, count):
 
 
 async def looking(operation, procedure):
-    """What it returns, while the newest state is looked at."""
+    """What it returns, while the newest state is processed."""
     running = asyncio.ensure_future(procedure)
     while not running.done():
         operation.look()

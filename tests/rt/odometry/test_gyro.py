@@ -25,7 +25,7 @@ NOISE_RAD_S = 0.003
 
 
 class GyroRig(Rig):
-    """A base with a gyro that says what is true, plus an offset and noise, 200 times a second."""
+    """A base with a gyro that reports the true rate plus offset and noise, 200 times a second."""
 
     def __init__(self, bias_rad_s: float = 0.03, noise_rad_s: float = NOISE_RAD_S):
         super().__init__(core_config(gyro=GYRO))
@@ -35,7 +35,7 @@ class GyroRig(Rig):
         self.slip_left = 0.0
         """Part of the left wheels' turn that moves nothing on the ground."""
         self.still = False
-        """The base does not turn, whatever the wheels do."""
+        """The base does not turn though the wheels do."""
         self.sign = 1.0
         self.true_heading_rad = 0.0
         self.ticked = 0

@@ -40,7 +40,7 @@ class Base:
         lib.odometry_step(self.state, self.config, self.feedback, self.stale, self.setpoint)
 
     def step(self, left: int, right: int) -> None:
-        """Time goes on; each joint counts on by its number and reports."""
+        """Advance time; each joint counts on by its number and reports."""
         self.now_ns += self.step_ns
         for j, count in ((LEFT, left), (RIGHT, right)):
             bits = self.config.joint[j].counter_bits or 64

@@ -136,7 +136,7 @@ def test_the_documented_offsets_are_those_of_the_compiler(struct_name):
 
 @pytest.fixture(scope="module")
 def reader(tmp_path_factory):
-    """docs/read_state.c, built as its first line says."""
+    """docs/read_state.c, built with the command in its first line."""
     program = tmp_path_factory.mktemp("reader") / "read_state"
     source = ROOT / "docs/read_state.c"
     subprocess.run(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whose the file of the state page is."""
+"""Which process owns the file of the state page."""
 
 import contextlib
 import os
@@ -129,7 +129,7 @@ def test_a_name_that_is_no_file_name_is_refused(name):
 
 
 def open_to_others(folder):
-    """Another user may go there: what lies above it in the folder for temporary files is ours."""
+    """Lets other users reach it: the folders above it, below the temporary one, are ours."""
     for above in folder.parents:
         if above == Path(tempfile.gettempdir()):
             return
@@ -177,7 +177,7 @@ def stranger(path, deed):
 
 
 def test_a_folder_made_by_a_stranger_blocks_nothing_and_is_not_read(shared):
-    """Without root the stranger is another process of this user that lets everybody write."""
+    """Without root the stranger is a process of this user, with a folder open to all writers."""
     taken = shared / f"motord-{os.geteuid()}"
     with stranger(taken / "robot.page", "makes the folder") as process:
         if os.geteuid() != 0:
@@ -224,7 +224,7 @@ def test_a_page_that_is_not_a_private_plain_file_of_this_user_is_replaced(folder
         path.chmod(0o666 if kind == "others write" else 0o644)
     if kind == "second name":
         os.link(path, path.with_name("second"))
-    before = os.open(path, os.O_PATH)  # its number is not given again
+    before = os.open(path, os.O_PATH)  # its inode number is not reused
     with PageFile.open("robot") as page:
         assert stat.S_IMODE(path.lstat().st_mode) == 0o644
         assert stat.S_ISREG(os.fstat(page.fd).st_mode)
