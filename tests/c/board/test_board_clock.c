@@ -70,8 +70,8 @@ static void a_board_s_time_passes_the_end_of_its_32_bits(void)
     }
 }
 
-/* Two feedbacks, the second quicker by so much: stamps step back, and it is no news before its
- * stamp is on again. */
+/* Two frames of feedback, the second quicker by this much: stamps step back, and it is not new
+ * until its stamp is later again. */
 static int64_t second_ns(int64_t passed_ns, int64_t quicker_ns, int64_t *first_ns, int64_t *true_ns)
 {
     board_clock clock = {0};
@@ -106,8 +106,8 @@ static void a_stamp_that_is_held_is_never_from_the_future(void)
     CHECK(second_ns(40 * MS, 40 * MS + 1, &first_ns, &true_ns) == first_ns - 1);
 }
 
-/* What was held does not count as given: the three quarters are of all that passed since the
- * last that was. */
+/* A held stamp does not count as given: three quarters of the time since the last given one have
+ * to pass. */
 static void the_time_since_the_last_stamp_that_was_given_counts(void)
 {
     board_clock clock = {0};

@@ -152,7 +152,8 @@ static void the_end_waits_a_little_longer_for_a_board_that_sends_and_does_not_re
           w.now_ns < asked_ns + END_OFF_NS + 530 * MS);
 }
 
-/* Its power-off has gone out, and nothing has come for so long when the end's time is over. */
+/* Its power-off has been sent, and the board has been silent for this time when the end's time
+ * is over. */
 static void ends_after_a_silence_of(int64_t silent_ns)
 {
     begin();

@@ -43,7 +43,7 @@ static bool line_is_silent(void)
     return w.machine.end.stage == END_SILENT;
 }
 
-/* It is silent, after so long. */
+/* Time until the line is silent. */
 static int64_t ends_after(void)
 {
     int64_t from_ns = w.now_ns;

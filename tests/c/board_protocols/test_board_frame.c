@@ -122,7 +122,7 @@ static void a_truncated_or_damaged_frame_is_refused(void)
 }
 
 /* Not even with a correct check sum: a zero ends a frame. */
-static void a_zero_within_a_block_is_no_part_of_a_frame(void)
+static void a_zero_within_a_block_ends_the_frame(void)
 {
     uint8_t raw[BOARD_FRAME_MAX], stuffed[256];
     uint32_t count = without_zeros(raw, 40);
@@ -133,7 +133,7 @@ static void a_zero_within_a_block_is_no_part_of_a_frame(void)
     CHECK(parsed(stuffed, count + 1, NULL) == 0);
 }
 
-static void too_many_bytes_are_no_frame(void)
+static void a_frame_that_is_too_long_is_refused(void)
 {
     uint8_t raw[256];
     CHECK(read_back(raw, without_zeros(raw, BOARD_FRAME_MAX)) == BOARD_FRAME_MAX - CRC_BYTES);
@@ -166,8 +166,8 @@ int main(void)
     a_built_frame_is_head_payload_and_check_sum_between_zeros();
     a_payload_is_at_most_as_long_as_a_frame_has_room_for();
     a_truncated_or_damaged_frame_is_refused();
-    a_zero_within_a_block_is_no_part_of_a_frame();
-    too_many_bytes_are_no_frame();
+    a_zero_within_a_block_ends_the_frame();
+    a_frame_that_is_too_long_is_refused();
     a_frame_without_a_whole_head_or_of_another_version_is_refused();
     return checks_report("test_board_frame");
 }

@@ -33,7 +33,7 @@ static void each_motor_has_a_packet_with_its_direction_and_the_sum_of_seven_bits
           memcmp(out, backward, sizeof backward) == 0);
 }
 
-static void the_time_out_goes_out_with_every_set_point(void)
+static void the_time_out_is_sent_with_every_set_point(void)
 {
     static const uint8_t still[] = {128, 14, 3, 17, 128, 0, 0, 0, 128, 4, 0, 4};
     uint8_t out[3 * SABERTOOTH_PACKET_BYTES];
@@ -178,7 +178,7 @@ static void tables_of_packets_that_do_not_fit_are_refused(void)
 int main(void)
 {
     each_motor_has_a_packet_with_its_direction_and_the_sum_of_seven_bits();
-    the_time_out_goes_out_with_every_set_point();
+    the_time_out_is_sent_with_every_set_point();
     only_an_address_byte_is_above_127();
     a_sabertooth_counts_as_present_while_its_port_takes_bytes();
     sabertooths_on_one_wire_are_driven_and_stopped_in_one_cycle();

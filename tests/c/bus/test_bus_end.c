@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * An input of ROS 2 ends while commands arrive, in every order in which lease and listener may go:
- * then nothing of it is sent or notified any more. This program stands for Cyclone's library:
+ * An input of ROS 2 ends while commands arrive, in every order in which lease and listener may
+ * end: after it nothing is sent or notified. This program replaces Cyclone's library:
  * receiver_library finds its functions here. */
 #include <errno.h>
 #include <poll.h>
@@ -113,7 +113,7 @@ void ddsi_serdata_unref(ddsi_serdata *data)
     held--;
 }
 
-/* As dds_reader.c: what waits for its turn calls the listener that there is then. */
+/* As dds_reader.c: a waiting call uses the listener that is set when it runs. */
 static void *receives(void *unused)
 {
     (void)unused;

@@ -389,7 +389,7 @@ static void one_missing_frame_makes_a_drive_unresponsive(void)
     CHECK(w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE && w.machine.drive[0].missing == 1);
 }
 
-static void the_epochs_of_a_line_that_is_reopened_go_on(void)
+static void epochs_continue_when_a_line_is_reopened(void)
 {
     begin_with(1);
     arm(0);
@@ -489,7 +489,7 @@ int main(void)
     shutting_down_stops_and_then_takes_the_power_within_half_a_second();
     a_silent_drive_is_unresponsive_and_comes_back_disarmed_in_a_new_epoch();
     one_missing_frame_makes_a_drive_unresponsive();
-    the_epochs_of_a_line_that_is_reopened_go_on();
+    epochs_continue_when_a_line_is_reopened();
     only_frames_that_asyncio_listens_to_are_handed_on();
     a_table_that_points_outside_of_its_frames_is_refused();
     return checks_report("can");

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a CAN bus at the very edge of each of its times: still good, and a nanosecond
- * later no more. */
+ * One drive of a CAN bus at the very edge of each of its times: still good, and too late a
+ * nanosecond later. */
 #include "can_wire.h"
 
 enum { SLOW = 0x610, PROBE = 0x620, OFF_WORD = 0x700 };
@@ -73,7 +73,7 @@ static void a_wheel_that_keeps_turning_has_exactly_a_second_to_come_to_rest(void
     CHECK(!state_of(0)->state.stopping && last_sent_ns(0, DISABLE) == stopped_ns + 1000 * MS);
 }
 
-static void a_quick_stop_that_is_sent_sends_zero_in_the_same_moment(void)
+static void a_quick_stop_also_sends_zero_at_once(void)
 {
     begin_with(1);
     w.table.period_ns = 1000 * MS;
@@ -463,7 +463,7 @@ int main(void)
     set_points_are_good_until_their_timeout_and_ten_milliseconds_ahead();
     set_points_without_a_stamp_do_not_count_even_one_nanosecond_after_boot();
     a_wheel_that_keeps_turning_has_exactly_a_second_to_come_to_rest();
-    a_quick_stop_that_is_sent_sends_zero_in_the_same_moment();
+    a_quick_stop_also_sends_zero_at_once();
     fault_reasons_add_up_until_the_next_set_up();
     reports_of_power_count_from_the_end_of_its_arming();
     silence_is_allowed_up_to_its_bound();

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Positions on a CAN bus: a drive without power gets the place where it is, one that must not
- * move gets nothing. */
+ * Positions on a CAN bus: a drive without power gets its own position, one that must not move
+ * gets nothing. */
 #include <math.h>
 
 #include "can_position_rig.h"
@@ -19,7 +19,7 @@ static void a_drive_without_power_gets_its_own_position(void)
     run(-3.5F, 50 * MS); /* turned by hand */
     CHECK(target_in(newest_of(0)) == -3.5F && !state_of(0)->state.sent_motion &&
           !can_wants_motion(m, 0));
-    run(11.0F, 10 * MS); /* a place that it could not be sent to */
+    run(11.0F, 10 * MS); /* a position that is no valid target */
     forget_sent();
     run(11.0F, 50 * MS);
     CHECK(count_sent(SPEED) == 0);
@@ -56,8 +56,8 @@ static void an_armed_drive_gets_its_targets_and_nothing_without_one(void)
     }
 }
 
-/* Where nothing is sent for as long as its watchdog waits, it may have stopped by itself: it is
- * stopped here, too. */
+/* A drive that got nothing for the time of its watchdog may have stopped by itself: the line
+ * stops it, too. */
 static void a_drive_whose_targets_are_withheld_too_long_is_left_alone(void)
 {
     begin();
@@ -90,7 +90,7 @@ static void a_drive_that_does_not_answer_gets_stops_and_no_target(void)
     }
 }
 
-/* 2 rad/s are a turn a second: 0.1 in the time that a place counts. */
+/* 2 rad/s are a turn a second: 0.1 in the time for which a position is fresh. */
 static void begin_at_limited_speed(void)
 {
     begin();
@@ -181,8 +181,7 @@ static void its_reference_is_reported_beside_its_power(void)
     CHECK(m->joint[0].feedback.referenced == 1 && state_of(0)->state.enabled == 1);
 }
 
-/* A frame that stops it has a target, too: where it is; and where it was sent last while that is
- * not known. */
+/* A stop has a target, too: the position of the drive, or its last target while that is unknown. */
 static void a_stop_keeps_the_target_in_its_frame(void)
 {
     static const float AT[] = {3.0F, 11.0F}, KEPT[] = {3.0F, 2.25F};
@@ -248,7 +247,7 @@ static void a_frame_is_sent_only_when_each_of_its_targets_is_known(void)
     CHECK(!can_sends(m, 0, 0));
 }
 
-/* The place where it is goes to a drive that rests without power, and to no other. */
+/* Only a drive at rest without power gets its own position. */
 static void only_a_ready_drive_without_power_keeps_its_own_position_as_target(void)
 {
     static const uint32_t MODES[] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_UNRESPONSIVE,

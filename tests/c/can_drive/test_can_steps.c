@@ -72,7 +72,7 @@ static void it_is_armed_when_nothing_prevents_it_and_its_state_is_reset(void)
         drive->state.off_due = against == 7;
         w.machine.control.shut_down = against == 4;
         obey(DRIVE_ARMED, against == 5 ? 1 : 0);
-        /* what was not seen may have been a stop: there is nothing to stop */
+        /* an overtaken request may have been a stop: there is nothing to stop */
         bool armed = against == 0 || against == 5;
         CHECK((drive->state.mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
         if (armed) {
@@ -128,7 +128,7 @@ static void switching_off_and_overtaken_requests_take_the_power_of_a_powered_dri
     CHECK(drive->state.mode == DRIVE_UNRESPONSIVE && drive->stops == stops + 1);
 }
 
-/* An armed drive after a look: does it stop, and why? */
+/* Whether and why an armed drive stops after a look. */
 static void guarded(uint32_t why, uint32_t stop)
 {
     for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {

@@ -167,7 +167,7 @@ static void a_bus_that_takes_some_frames_of_a_cycle_is_given_motion(void)
     CHECK(moving(1) == count_sent(SPEED + 1) && moving(1) >= 9);
 }
 
-static void no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_behind_them(void)
+static void at_most_two_cycles_of_motion_wait_in_the_kernel_followed_by_zero(void)
 {
     turning(2);
     can_machine_left(&w.machine);
@@ -259,7 +259,7 @@ int main(void)
     a_silent_drive_left_running_is_stopped_repeatedly_after_its_time_of_silence();
     a_bus_that_took_nothing_for_a_cycle_is_given_zero_first_and_then_the_newest();
     a_bus_that_takes_some_frames_of_a_cycle_is_given_motion();
-    no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_behind_them();
+    at_most_two_cycles_of_motion_wait_in_the_kernel_followed_by_zero();
     motion_that_leaves_in_its_cycle_continues();
     motion_reported_some_milliseconds_late_continues();
     a_drive_that_was_armed_is_stopped_after_a_reopening_even_when_it_is_silent();

@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a drive of two wheels on a CAN bus is sent in one frame, and what is made of what it
- * reports. */
+ * What a drive of two wheels on a CAN bus is sent in one frame, and how its reports are read. */
 #include "can_wire.h"
 
 enum { SECOND = 0x410, HEALTH = 0x510, POWERS = 0x520, HARMLESS = 4 };
@@ -322,7 +321,7 @@ static void a_field_beyond_the_count_does_not_report_power(void)
     CHECK(w.machine.drive[0].powers == 3);
 }
 
-static void a_count_of_two_to_the_power_of_62_is_no_position(void)
+static void a_count_of_two_to_the_power_of_62_is_refused_as_a_position(void)
 {
     begin_with(1);
     table_of(0)->input[1].spacing_ns = 0;
@@ -352,6 +351,6 @@ int main(void)
     each_kind_of_set_point_is_sent_to_its_own_wheel();
     a_set_point_beyond_the_count_does_not_move();
     a_field_beyond_the_count_does_not_report_power();
-    a_count_of_two_to_the_power_of_62_is_no_position();
+    a_count_of_two_to_the_power_of_62_is_refused_as_a_position();
     return checks_report("can values");
 }

@@ -303,7 +303,7 @@ static void gains_alone_move_nothing(void)
 }
 
 /* Whatever their number is. */
-static void gains_that_are_there_at_the_first_tick_count(void)
+static void gains_set_before_the_first_tick_count(void)
 {
     static const uint32_t COUNTS[] = {1, 2, 7};
     for (int i = 0; i < COUNT_OF(COUNTS); i++) {
@@ -371,7 +371,7 @@ int main(void)
     only_changed_gains_keep_the_output_and_missing_joints_do_not_count();
     a_loop_without_gains_ends_when_its_integral_is_gone();
     gains_alone_move_nothing();
-    gains_that_are_there_at_the_first_tick_count();
+    gains_set_before_the_first_tick_count();
     a_loop_keeps_running_whatever_the_count_of_its_gains();
     a_state_that_is_not_finite_gives_no_duty_in_any_loop();
     return checks_report("test_core_duty");

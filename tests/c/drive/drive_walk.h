@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * drive_walk.h: one table of what becomes of a drive in every mode after every event, for the
+ * drive_walk.h: one table of the mode of a drive after every event in every mode, for the
  * machines of all media. */
 #ifndef MOTORD_TESTS_DRIVE_WALK_H
 #define MOTORD_TESTS_DRIVE_WALK_H
@@ -135,7 +135,7 @@ static inline bool walk_cannot_occur(walk_kind kind, int event, int from)
     return false;
 }
 
-/* Only a drive that is ARMED is sent motion. `cells`: so many can occur. */
+/* Only a drive that is ARMED is sent motion. `cells`: how many can occur. */
 static inline int walk_all(const walk_medium *medium, uint32_t cells, const char *name)
 {
     uint32_t walked = 0;

@@ -116,7 +116,7 @@ static void old_set_points_or_a_late_thread_brake_and_then_coast(void)
     CHECK(level_at(&state, &stop, 0.5, 1, 0, START_NS + 503 * MS) == 0.0 && state.drive.stopping);
 }
 
-/* The mailbox keeps the newest request only: one that was never seen may have been a stop. */
+/* The mailbox keeps the newest request only: an overtaken one may have been a stop. */
 static void a_stop_that_an_arming_overtakes_still_takes_the_power(void)
 {
     bridge_state state = {0};

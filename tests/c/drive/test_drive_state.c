@@ -16,7 +16,7 @@ static drive_view good_view(void)
 }
 
 /* ----------------------------------------------------------------------------- requests */
-/* By mode and request: the mode that follows where nothing is against it. */
+/* By mode and request: the mode that follows where nothing prevents it. */
 static const uint32_t FOLLOWS[MODES][REQUESTS] = {
     {DRIVE_OFF, DRIVE_READY, DRIVE_OFF, DRIVE_OFF, DRIVE_OFF, DRIVE_OFF},
     {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_READY, DRIVE_READY, DRIVE_READY},
@@ -86,8 +86,8 @@ static void a_drive_is_not_armed_while_any_condition_prevents_it(void)
     }
 }
 
-/* One that was never seen may have been a stop: what may have power loses it, and is not armed
- * by the one after it. */
+/* An overtaken request may have been a stop: a drive that may have power loses it, and the newer
+ * request does not arm it. */
 static void a_request_that_was_overtaken_counts_as_a_stop(void)
 {
     for (int m = 0; m < MODES; m++) {

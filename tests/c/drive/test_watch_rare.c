@@ -45,7 +45,7 @@ static void a_reset_during_an_emergency_stop_clears_nothing(void)
     CHECK(tick(&r)->faults == 0);
 }
 
-/* The wheels turn on: what brakes them needs its power for the whole time, to the nanosecond, at
+/* The wheels keep turning: the brake needs its power for the whole time, to the nanosecond, at
  * the second fault as well. */
 static void each_brake_holds_its_power_for_two_seconds(void)
 {
@@ -95,7 +95,7 @@ static void feedback_that_grows_old_is_stale_in_the_tick_in_which_it_is(void)
     CHECK(step(&r)->joint[2].stale == 1 && r.shown.odometry_degraded == 1);
 }
 
-static void the_pose_is_at_its_origin_in_the_tick_of_the_reset_and_the_base_goes_on(void)
+static void the_pose_is_zero_in_the_tick_of_the_reset_and_the_base_keeps_moving(void)
 {
     core_config config = good_config();
     rig r;
@@ -146,7 +146,7 @@ int main(void)
     a_reset_during_an_emergency_stop_clears_nothing();
     each_brake_holds_its_power_for_two_seconds();
     feedback_that_grows_old_is_stale_in_the_tick_in_which_it_is();
-    the_pose_is_at_its_origin_in_the_tick_of_the_reset_and_the_base_goes_on();
+    the_pose_is_zero_in_the_tick_of_the_reset_and_the_base_keeps_moving();
     limits_that_differ_in_one_bit_are_different_limits();
     a_drive_outside_of_the_base_causes_no_fault();
     return checks_report("test_watch_rare");

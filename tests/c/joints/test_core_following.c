@@ -15,7 +15,7 @@ static core_config watched(core_config config)
     return config;
 }
 
-/* Joint j stays where it was at first, for so long or until that is a fault. */
+/* Joint j stays where it was at first, for this time or until that is a fault. */
 static void stuck(uint32_t j, double at_rad, int most_ms)
 {
     for (int ms = 0; ms < most_ms && r.shown.faults == 0; ms++) {

@@ -122,7 +122,7 @@ static void a_head_at_rest_moves_by_its_new_limits(void)
           r.config.joint[PAN].position.acceleration_rad_s2 == 40.0);
 }
 
-static void a_head_goes_no_faster_than_its_file_whatever_its_limit(void)
+static void a_head_moves_no_faster_than_its_file_allows_with_any_limit(void)
 {
     joints_rig r;
     begin(&r);
@@ -425,7 +425,7 @@ int main(void)
     limits_are_applied_once_for_each_count();
     where_one_limit_is_out_of_range_all_stay_as_they_are();
     a_head_at_rest_moves_by_its_new_limits();
-    a_head_goes_no_faster_than_its_file_whatever_its_limit();
+    a_head_moves_no_faster_than_its_file_allows_with_any_limit();
     a_head_gets_down_to_a_lowered_speed_by_deceleration();
     a_lowered_acceleration_is_taken_as_soon_as_it_is_enough();
     a_lowered_deceleration_that_just_suffices_is_applied();

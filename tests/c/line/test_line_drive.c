@@ -222,7 +222,7 @@ static void it_is_armed_when_nothing_prevents_it_and_its_state_is_reset(void)
         drive->state.stop = against == 3 ? STOP_POWER_OFF : STOP_NOTHING;
         w.machine.control.shut_down = against == 4;
         obey(DRIVE_ARMED, against == 5 ? 1 : 0);
-        /* what was not seen may have been a stop: there is nothing to stop */
+        /* an overtaken request may have been a stop: there is nothing to stop */
         bool armed = against == 0 || against == 5;
         CHECK((drive->state.mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
         if (armed) {

@@ -6,7 +6,7 @@ static const int64_t RESTING_NS = 50 * MS, MOVING_NS = 10 * MS;
 
 static line_machine *const m = &w.machine;
 
-/* Silence, and no drive's turn: each drive is ready, and due in so long. */
+/* Silence, and no drive's turn: each drive is ready, and due after this time. */
 static void begin_ready(uint32_t drives, int64_t due_in_ns)
 {
     begin_with(drives, 0);

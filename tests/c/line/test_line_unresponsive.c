@@ -202,7 +202,7 @@ static void a_drive_that_falls_silent_in_its_cycle_restarts_and_delays_no_other(
     }
 }
 
-/* One quick stop, the exchanges with set-points that begin the cycle, and the question. */
+/* One quick stop, the exchanges with set-points that begin the cycle, and the probe. */
 static void the_first_round_is_as_long_as_what_stops_the_drive(void)
 {
     for (uint32_t writes = 0; writes <= 2; writes++) {

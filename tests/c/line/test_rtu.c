@@ -255,7 +255,7 @@ static void an_adapter_that_receives_itself_brings_the_request_first(void)
     CHECK(is(find(&frame, 2, good_reply(), 9), RECEIVED_ANSWER, 0, 0));
 }
 
-static void an_echo_of_a_write_is_no_answer(void)
+static void an_echo_of_a_write_does_not_count_as_its_answer(void)
 {
     line_frame frame = writing();
     uint8_t bytes[ROOM];
@@ -382,7 +382,7 @@ int main(void)
     a_write_is_answered_by_its_own_first_bytes();
     a_refusal_is_reported_with_its_code();
     an_adapter_that_receives_itself_brings_the_request_first();
-    an_echo_of_a_write_is_no_answer();
+    an_echo_of_a_write_does_not_count_as_its_answer();
     an_answer_may_repeat_only_one_byte();
     no_answer_begins_within_the_echo();
     without_received_bytes_nothing_is_reported();

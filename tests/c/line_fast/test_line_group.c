@@ -85,8 +85,7 @@ static void a_silent_servo_does_not_cost_the_answers_of_others(void)
             oldest_ns = age_ns > oldest_ns ? age_ns : oldest_ns;
         }
     }
-    CHECK(oldest_ns < 50 * SERVO_MS); /* so long was waited once for who did not answer, and a
-                                         period */
+    CHECK(oldest_ns < 50 * SERVO_MS); /* one wait for the silent servo, and a period */
     CHECK(m->drive[2].count.cycles - before > 100);
     CHECK(m->drive[1].state.mode == DRIVE_UNRESPONSIVE && m->drive[1].count.no_reply >= 3);
     CHECK(s.goal[0] == 200 && s.goal[2] == 220);

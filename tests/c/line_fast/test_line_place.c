@@ -25,7 +25,7 @@ static void add_target(uint32_t turn, uint32_t n, uint32_t joint)
 }
 
 /* Only joint 0 is where its first target may begin. */
-static void begin_with_one_place(void)
+static void begin_with_one_known_position(void)
 {
     begin();
     m->now_ns = w.now_ns;
@@ -37,7 +37,7 @@ static void begin_with_one_place(void)
 
 static void a_missing_position_is_found_in_every_target_of_every_exchange(void)
 {
-    begin_with_one_place();
+    begin_with_one_known_position();
     line_drive *drive = &m->table.drive[0];
     add_target(0, 1, 1), add_target(2, 0, 1); /* which the table does not have */
     drive->cyclic[2].setpoint_count = 1;
@@ -46,7 +46,7 @@ static void a_missing_position_is_found_in_every_target_of_every_exchange(void)
     CHECK(line_place_is_missing(m, 0));
     add_target(0, 0, 1), add_target(0, 1, 0);
     CHECK(line_place_is_missing(m, 0));
-    begin_with_one_place();
+    begin_with_one_known_position();
     add_target(1, 0, 1);
     drive->cyclic[1].setpoint_count = 1;
     CHECK(line_place_is_missing(m, 0));
@@ -54,7 +54,7 @@ static void a_missing_position_is_found_in_every_target_of_every_exchange(void)
 
 static void all_targets_are_reset_and_nothing_else(void)
 {
-    begin_with_one_place();
+    begin_with_one_known_position();
     line_drive *drive = &m->table.drive[0];
     add_target(0, 1, 1), add_target(1, 0, 2), add_target(1, 1, 3), add_target(2, 0, 3);
     drive->cyclic[0].setpoint_count = 2;

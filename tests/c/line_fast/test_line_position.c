@@ -85,8 +85,8 @@ static void old_set_points_stop_it_without_sending_a_position(void)
     CHECK(targets == sent);
 }
 
-/* Its probes are its stop and a question: the first set-point exchange "with zeros" would be a
- * place to go to. */
+/* Its probes are its stop and a read: the first set-point exchange "with zeros" would be a
+ * target. */
 static void a_drive_that_does_not_answer_gets_its_stop_and_no_position(void)
 {
     begin();
@@ -121,8 +121,8 @@ static void whether_its_counter_has_a_reference_is_reported(void)
 }
 
 /* ---------------------------------------------------------------------- where it begins */
-/* It is at 1500: a target of 0.5 rad. 2 rad/s are 2000 counts/s, 200 in the time that a place
- * counts. */
+/* It is at 1500: a target of 0.5 rad. 2 rad/s are 2000 counts/s, 200 in the time for which a
+ * position is fresh. */
 static void begin_at_limited_speed(void)
 {
     begin();
@@ -214,8 +214,8 @@ static void a_drive_with_a_position_out_of_range_old_or_unknown_is_not_armed(voi
     }
 }
 
-/* Armed, and before its first target its place is lost: no power. Its targets are signed, and so
- * is its place. */
+/* Armed, and its position is lost before its first target: no power. Its targets and its
+ * position are signed. */
 static void a_position_lost_before_the_first_target_takes_the_power(void)
 {
     begin_at_limited_speed();

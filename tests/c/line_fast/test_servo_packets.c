@@ -44,7 +44,7 @@ static void check_sums_match_the_manual(void)
     CHECK(!rtu_is_sealed(ping, sizeof ping, SEAL_SUM));
 }
 
-static void three_bytes_are_no_packet_with_a_sum_and_four_are_the_shortest(void)
+static void the_shortest_packet_with_a_check_sum_has_four_bytes(void)
 {
     const uint8_t short_one[] = {0xFF, 0xFF, 0xFF}; /* its last byte is the sum of nothing */
     CHECK(!rtu_is_sealed(short_one, sizeof short_one, SEAL_SUM));
@@ -190,7 +190,7 @@ static void the_longest_packet_has_room_for_its_stuffing(void)
 }
 
 /* Eleven bytes are the shortest one: shorter ones have no error number. */
-static void a_packet_without_an_error_number_is_no_status(void)
+static void a_packet_without_an_error_number_is_not_a_status(void)
 {
     line_frame frame = read_of(11);
     for (uint32_t bytes = 8; bytes <= 10; bytes++) {
@@ -266,14 +266,14 @@ static void a_status_is_never_taken_for_an_instruction(void)
 int main(void)
 {
     check_sums_match_the_manual();
-    three_bytes_are_no_packet_with_a_sum_and_four_are_the_shortest();
+    the_shortest_packet_with_a_check_sum_has_four_bytes();
     a_status_is_found_whole_good_and_of_the_right_servo_only();
     an_error_number_is_a_refusal_and_an_alert_is_not();
     stuffing_is_added_and_removed();
     a_head_is_stuffed_between_length_and_check_sum_only();
     a_first_byte_is_never_removed_as_stuffing();
     the_longest_packet_has_room_for_its_stuffing();
-    a_packet_without_an_error_number_is_no_status();
+    a_packet_without_an_error_number_is_not_a_status();
     values_are_low_byte_first_except_in_one_series();
     a_status_is_never_taken_for_an_instruction();
     return checks_report("servo packets");

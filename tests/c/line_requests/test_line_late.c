@@ -366,8 +366,8 @@ static void a_late_reply_to_one_read_is_not_the_answer_to_another(void)
     }
 }
 
-/* What a stop acknowledges late was sent before something else: that it has been received now is
- * not known. */
+/* A late acknowledgement belongs to an older stop: it does not prove that the newer one was
+ * received. */
 static void the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer_one(void)
 {
     begin_late(1, false, 1);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_outcomes: what comes of each answer of a drive, of each failure, and of the frames
+ * test_line_outcomes: the effect of each answer of a drive, of each failure, and of the frames
  * of a stop. */
 #include "line_cycle.h"
 
@@ -181,7 +181,7 @@ static void a_frame_of_a_stop_that_is_refused_repeatedly_counts_as_done(void)
         }
         CHECK(drive->stop_done == (older != 0 ? 1 : 3) && drive->stop_refused == (older == 0) &&
               drive->stop_failures == 0);
-        /* what becomes of an older one changes nothing */
+        /* the result of an older one changes nothing */
         w.machine.transaction.frame.request[5] ^= 0x40;
         drive->failures = 0, drive->stop_failures = 2;
         line_drive_failed(&w.machine, 0, ANSWER_REFUSED, 1, w.now_ns);

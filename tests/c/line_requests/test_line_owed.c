@@ -165,8 +165,8 @@ static void a_value_was_taken_in_the_middle_or_soon_after_the_request(void)
     CHECK(line_stamp(&w.machine, 0, w.machine.start_ns + 90 * MS) == w.machine.start_ns + 7 * MS);
 }
 
-/* It is there, and that is all that is known: what it sent may be another's, and one of those
- * that are owed has come. */
+/* The drive is present, and no more is known: the reply may belong to another request, and one
+ * owed reply has come. */
 static void a_doubtful_reply_ends_the_cycle_and_holds_the_drive(void)
 {
     for (uint32_t current = 0; current < 2; current++) {
@@ -209,7 +209,7 @@ static void too_many_owed_replies_hold_the_drive_until_all_have_expired(void)
     CHECK(drive->owed_count == 1 && drive->owed[0].count == 1);
 }
 
-/* What is certain shows how short a turn-around may be; 0 is: not known. */
+/* A certain reply shows how short a turn-around may be; 0: not known. */
 static void the_shortest_turn_around_is_that_of_a_certain_reply(void)
 {
     begin_asking();

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_probes: what a drive of a line loses when it becomes unresponsive, and how long what
- * is urgent waits for silence. */
+ * test_line_probes: which state a drive of a line loses when it becomes unresponsive, and how
+ * long urgent requests wait for silence. */
 #include "line_wire.h"
 
 static void a_drive_that_becomes_unresponsive_has_no_last_set_points(void)
@@ -27,7 +27,7 @@ static void a_drive_that_becomes_unresponsive_has_no_last_set_points(void)
               !drive->state.stopping && !drive->state.back);
         CHECK(drive->stage == STAGE_IDLE && drive->probe_place == 0 &&
               drive->probe_pause_ns == 100 * MS);
-        /* one quick stop, one set-point of zero, and a question; or the question alone */
+        /* one quick stop, one set-point of zero, and a probe; or the probe alone */
         CHECK(drive->probe_at_ns == w.now_ns && drive->probes_at_once == (how == 1 ? 1 : 3));
         for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
             CHECK(drive->direction_sent[direction] == DIRECTION_UNKNOWN);

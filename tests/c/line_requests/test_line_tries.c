@@ -8,7 +8,7 @@ enum { EXTRA = 0x40, EXTRAS = 3, SENT_MAX = 64 };
 static uint8_t sent_address[SENT_MAX];
 static uint32_t sent_count;
 
-/* So many looks; the registers that were read. */
+/* This many looks; returns the registers that were read. */
 static void look(uint32_t times)
 {
     for (uint32_t i = 0; i < times; i++) {

@@ -78,7 +78,7 @@ static void a_drive_that_does_not_come_to_rest_still_loses_its_power_at_the_end(
     CHECK(w.machine.end.stage == END_SILENT && w.machine.notify);
 }
 
-/* One that is not received may receive: a silent neighbour does not take its time away. */
+/* A drive whose replies are lost may still receive: a silent neighbour does not take its time. */
 static void
 the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_but_not_for_ever(void)
 {

@@ -123,7 +123,7 @@ static void its_drives_become_unresponsive_and_are_stopped(void)
           w.machine.drive[1].state.mode == DRIVE_BACK);
 }
 
-static void noise_before_a_turn_that_has_just_come_is_no_failure(void)
+static void noise_before_a_turn_that_has_just_come_is_not_a_failure(void)
 {
     begin_turning(1);
     w.machine.table.drive[0].period_ns = 1000 * MS;
@@ -146,6 +146,6 @@ int main(void)
     a_stop_waits_a_bounded_time_for_silence();
     only_an_urgent_request_is_sent();
     its_drives_become_unresponsive_and_are_stopped();
-    noise_before_a_turn_that_has_just_come_is_no_failure();
+    noise_before_a_turn_that_has_just_come_is_not_a_failure();
     return checks_report("line noise");
 }

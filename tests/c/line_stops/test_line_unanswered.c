@@ -108,7 +108,7 @@ static void a_drive_that_never_reports_no_power_is_named_in_the_end(void)
     CHECK(w.sent_off[0] > 3 * w.table.drive[0].disarm_count);
 }
 
-/* It takes what it is sent, and does not do it. */
+/* It receives requests, and does not carry them out. */
 static void a_drive_that_reports_power_at_the_end_is_named(void)
 {
     begin_unanswered(1, true);
@@ -171,7 +171,7 @@ static void while_it_reports_power_it_gets_each_unanswered_frame_again(void)
     }
 }
 
-static void while_the_line_goes_on_an_unanswered_power_off_is_sent_once(void)
+static void while_the_line_runs_an_unanswered_power_off_is_sent_once(void)
 {
     begin_unanswered(1, true);
     turn();
@@ -282,7 +282,7 @@ int main(void)
 {
     any_unacknowledged_frame_makes_a_power_off_unanswered();
     while_it_reports_power_it_gets_each_unanswered_frame_again();
-    while_the_line_goes_on_an_unanswered_power_off_is_sent_once();
+    while_the_line_runs_an_unanswered_power_off_is_sent_once();
     reports_from_before_another_power_off_do_not_count();
     a_read_that_is_refused_at_times_is_repeated();
     the_first_read_with_power_is_used_or_else_the_probe();

@@ -100,7 +100,7 @@ static void drive(void)
           work.core.snapshot.setpoint_linear_m_s == 0.5);
 }
 
-static void a_clock_that_has_not_moved_between_two_ticks_is_no_fault(void)
+static void a_clock_that_has_not_moved_between_two_ticks_causes_no_fault(void)
 {
     drive();
     uint64_t tick_before = work.core.snapshot.tick;
@@ -222,7 +222,7 @@ int main(void)
     stamps_from_before_a_suspend_are_not_fresh_after_it();
     a_disarmed_base_is_not_moved_by_waiting_commands_either();
     clocks_read_at_different_times_are_not_a_suspend();
-    a_clock_that_has_not_moved_between_two_ticks_is_no_fault();
+    a_clock_that_has_not_moved_between_two_ticks_causes_no_fault();
     a_clock_that_stands_still_for_long_stops_the_base();
     a_tick_in_which_the_clock_moves_excuses_those_before();
     a_clock_that_runs_backwards_stops_the_base_at_once();

@@ -51,8 +51,8 @@ static void each_wheel_is_reported_separately(void)
 {
     begin();
     drive();
-    r->input.feedback[1].drive_faults = 0; /* a fault would stop the base; its word is looked at
-                                              below */
+    r->input.feedback[1].drive_faults = 0; /* a fault would stop the base; its word is checked
+                                            * below */
     const robot_state *shown = tick_with(0.875);
     for (uint32_t j = 0; j < 4; j++) {
         const joint_state *joint = &shown->joint[j];
@@ -230,8 +230,8 @@ static void lateral_motion_is_reported_like_the_other_two(void)
     CHECK(tick(r)->lateral.covariance[0] == 0.0 && r->shown.lateral.covariance[2] == 0.0);
 }
 
-/* A steering joint is shown where it is; where it is to be, while it has power and its place is
- * known. */
+/* A steering joint is shown with its angle, and with its target while it has power and a known
+ * position. */
 static void joints_that_take_positions_are_reported_with_their_set_points(void)
 {
     core_config config = bicycle();

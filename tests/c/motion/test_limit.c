@@ -72,7 +72,7 @@ static void one_step_keeps_each_limit_and_names_it(void)
     }
 }
 
-static void an_acceleration_goes_on_in_its_direction_and_counts_for_nothing_against_it(void)
+static void an_acceleration_is_kept_in_its_direction_and_dropped_against_it(void)
 {
     static const struct {
         double acceleration, goal, expected;
@@ -313,7 +313,7 @@ static void a_state_that_is_not_finite_rests_and_such_a_goal_is_zero(void)
 int main(void)
 {
     one_step_keeps_each_limit_and_names_it();
-    an_acceleration_goes_on_in_its_direction_and_counts_for_nothing_against_it();
+    an_acceleration_is_kept_in_its_direction_and_dropped_against_it();
     a_ramp_takes_the_shortest_time_and_is_soft_at_both_ends();
     a_change_of_sign_is_eased_and_loses_no_time();
     a_duty_slew_bounds_the_acceleration_of_a_wheel();

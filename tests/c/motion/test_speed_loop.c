@@ -105,7 +105,7 @@ static void an_impossibly_fast_wheel_loses_its_power(void)
     CHECK(b.out.joint[0].torque_n_m == 0.0);
 }
 
-/* What the integral held was for a wheel that was seen: it must not push one that is seen again. */
+/* The integral is from before the loss: it must not push the wheel when its feedback is back. */
 static void a_wheel_without_feedback_loses_its_integral_while_it_holds(void)
 {
     base b;

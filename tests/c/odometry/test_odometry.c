@@ -22,7 +22,7 @@ static void the_velocity_decides_about_an_unseen_turn_of_a_counter(void)
     }
 }
 
-static void a_counter_that_was_wrong_once_is_taken_back_and_one_that_stays_is_followed(void)
+static void a_single_wrong_count_is_undone_and_a_lasting_jump_is_followed(void)
 {
     base b = begun(32);
     received(&b, STEP_NS, 0, NAN);
@@ -51,7 +51,7 @@ static void a_sample_that_is_no_newer_than_the_last_is_ignored(void)
 }
 
 /* As far as it can come while feedback counts, and no farther. */
-static void what_a_counter_at_rest_may_catch_up_is_bounded(void)
+static void the_catching_up_of_a_counter_at_rest_is_bounded(void)
 {
     for (int far = 0; far < 2; far++) {
         base b = begun(32);
@@ -76,7 +76,7 @@ static void a_counter_that_comes_late_catches_up(void)
     CHECK(received(&b, STEP_NS, 18000, NAN)->jumps == 1);
 }
 
-static void a_velocity_that_no_wheel_has_is_no_travel(void)
+static void an_impossible_velocity_is_no_travel(void)
 {
     base b = begun(0);
     received(&b, STEP_NS, 0, 5.0);
@@ -444,11 +444,11 @@ static void a_wheel_that_was_silent_restarts_and_is_reported_degraded(void)
 int main(void)
 {
     the_velocity_decides_about_an_unseen_turn_of_a_counter();
-    a_counter_that_was_wrong_once_is_taken_back_and_one_that_stays_is_followed();
+    a_single_wrong_count_is_undone_and_a_lasting_jump_is_followed();
     a_sample_that_is_no_newer_than_the_last_is_ignored();
-    what_a_counter_at_rest_may_catch_up_is_bounded();
+    the_catching_up_of_a_counter_at_rest_is_bounded();
     a_counter_that_comes_late_catches_up();
-    a_velocity_that_no_wheel_has_is_no_travel();
+    an_impossible_velocity_is_no_travel();
     pose_and_covariance_are_those_of_exact_arcs();
     a_reset_throws_away_what_is_pending();
     without_a_side_the_deviations_grow_by_the_distance();

@@ -3,7 +3,7 @@
  * and a reset. */
 #include "odometry_base.h"
 
-static void a_narrow_counter_goes_on_beyond_its_end(void)
+static void a_narrow_counter_continues_beyond_its_end(void)
 {
     base b = begun(16);
     for (int j = 0; j < 2; j++) {
@@ -192,7 +192,7 @@ static void after_a_refused_sample_all_time_since_the_last_good_one_counts(void)
     CHECK(received(&b, STEP_NS, 6000 - 90000, NAN)->jumps == 1);
 }
 
-static void a_new_origin_that_is_near_is_no_travel_either(void)
+static void a_nearby_new_origin_is_no_travel_either(void)
 {
     base b = begun(32);
     received(&b, STEP_NS, 0, 4.0);
@@ -389,7 +389,7 @@ static void a_side_that_reports_later_makes_no_turn(void)
 
 /* The newest stamp was that of a wheel that is silent now: no time has passed since then, and no
  * speed is measured. */
-static void samples_that_are_no_newer_than_the_last_arc_show_no_speed(void)
+static void samples_no_newer_than_the_last_arc_give_no_speed(void)
 {
     for (int64_t short_ns = 0; short_ns < 2; short_ns++) {
         base b = begun(32);
@@ -412,7 +412,7 @@ static void samples_that_are_no_newer_than_the_last_arc_show_no_speed(void)
 
 int main(void)
 {
-    samples_that_are_no_newer_than_the_last_arc_show_no_speed();
+    samples_no_newer_than_the_last_arc_give_no_speed();
     a_side_that_only_starts_makes_no_turn();
     a_side_that_was_silent_adds_the_missed_travel();
     a_side_that_reports_later_makes_no_turn();
@@ -428,9 +428,9 @@ int main(void)
     a_speed_is_that_of_the_time_in_which_the_distance_was_covered();
     a_counter_that_has_used_all_its_reach_has_none_left();
     after_a_refused_sample_all_time_since_the_last_good_one_counts();
-    a_new_origin_that_is_near_is_no_travel_either();
+    a_nearby_new_origin_is_no_travel_either();
     an_estimate_among_several_samples_of_a_side_is_kept();
-    a_narrow_counter_goes_on_beyond_its_end();
+    a_narrow_counter_continues_beyond_its_end();
     the_reach_of_a_joint_is_computed_at_the_beginning();
     a_reset_waits_for_both_sides_again();
     velocities_that_are_certain_enough_decide_about_whole_turns();

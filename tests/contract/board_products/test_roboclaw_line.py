@@ -93,7 +93,7 @@ async def test_its_timeout_is_read_back_and_it_gets_duties_alone_until_it_is_arm
         assert {packet[2:6] for packet in peer.sent(DUTIES)} == {bytes(4)}
 
 
-async def test_speeds_go_out_in_edges_a_second_and_zero_is_held_while_armed(peer):
+async def test_speeds_are_sent_in_edges_a_second_and_zero_is_held_while_armed(peer):
     async with running(spec_of(peer.link)) as rig:
         await rig.arm()
         rig.loop.enabled = True

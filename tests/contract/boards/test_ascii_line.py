@@ -28,7 +28,7 @@ def peer(tmp_path):
     peer.close()
 
 
-async def test_duties_go_out_as_the_classic_line_and_zeros_until_it_is_armed(peer):
+async def test_duties_are_sent_as_the_classic_line_and_zeros_until_it_is_armed(peer):
     async with running(spec_of(peer.link, "{left:d},{right:d}\n")) as rig:
         rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 1.0}
         await rig.ready()
@@ -59,7 +59,7 @@ async def test_a_new_set_point_does_not_wait_for_its_cycle(peer):
         await until(lambda: peer.lines[-1:] == [b"0,0"])
 
 
-async def test_a_board_may_be_sent_the_base_s_own_speeds(peer):
+async def test_a_board_may_get_the_speeds_of_the_base(peer):
     spec = spec_of(peer.link, "{v:.2f} {w:.2f}\n", drive="ascii-velocity")
     async with running(spec) as rig:
         await rig.arm()
@@ -116,7 +116,7 @@ async def test_a_rate_in_the_text_reaches_the_core_in_the_axes_of_the_base(peer)
         assert sample.angular_rad_s[0] != sample.angular_rad_s[0]
 
 
-async def test_without_feedback_the_port_reports_whether_it_is_there(tmp_path):
+async def test_without_feedback_the_state_of_the_port_is_that_of_the_board(tmp_path):
     peer = Reader(tmp_path / "board")
     async with running(spec_of(peer.link, "{left:d},{right:d}\n")) as rig:
         await rig.arm()

@@ -266,7 +266,7 @@ async def test_a_drive_is_sent_zero_before_it_is_armed(rig, peer):
     assert set(before) == {bytes(8)}
 
 
-async def test_disarming_is_zero_and_power_off(rig, peer):
+async def test_disarming_sends_zero_and_the_power_off(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
     await until(lambda: any(peer.axes[0].velocities()))

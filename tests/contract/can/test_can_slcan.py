@@ -51,7 +51,7 @@ async def test_the_end_of_the_line_stops_the_drive(peer):
     assert peer.axes[0].velocities()[-1] == 0.0
 
 
-async def test_bytes_that_are_no_frames_are_counted_and_the_line_goes_on(adapter, peer):
+async def test_bytes_that_are_no_frames_are_counted_and_the_line_continues(adapter, peer):
     async with running(spec_of(peer, 0)) as rig:
         await turning(rig, peer)
         for garbage in (b"tXYZ\r", b"t0018001122\r", b"t\r", b"\a"):

@@ -197,7 +197,7 @@ def test_a_canopen_device_of_another_kind_fits_no_profile():
      standard(0x241, bytes(8)), can.Message(arbitration_id=0x55, is_extended_id=True),
      standard(0x581, b"\x80\x00\x10\x00" + bytes(4)), standard(0x700, b"\x00")],
 )  # fmt: skip
-def test_a_frame_that_is_no_answer_is_no_drive(message):
+def test_a_frame_that_is_no_answer_is_not_taken_for_a_drive(message):
     assert nodes_of(message) == set()
 
 

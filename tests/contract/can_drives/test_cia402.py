@@ -83,7 +83,7 @@ async def words_while_armed(rig, node):
     return words if rig.states() == {DriveState.ARMED} else []
 
 
-async def test_the_control_word_stays_while_set_points_go_out(rig, node):
+async def test_the_control_word_stays_while_set_points_are_sent(rig, node):
     for _ in range(INTERRUPTIONS_MAX):
         words = await words_while_armed(rig, node)
         if words:
@@ -92,7 +92,7 @@ async def test_the_control_word_stays_while_set_points_go_out(rig, node):
     assert set(words) == {0x0F}
 
 
-async def test_old_set_points_are_a_quick_stop_and_then_no_power(rig, node):
+async def test_old_set_points_cause_a_quick_stop_and_then_a_power_off(rig, node):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: node.velocity == 60)

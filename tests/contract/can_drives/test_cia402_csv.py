@@ -103,7 +103,7 @@ async def test_both_drives_turn_and_measure_with_one_sync_a_cycle(rig, nodes):
     assert abs((cycles_later - cycles) - (syncs_later - syncs)) <= 2
 
 
-async def test_a_speed_without_a_sync_is_not_obeyed(nodes, spec, address):
+async def test_a_speed_without_a_sync_has_no_effect(nodes, spec, address):
     """With frames of our own: how the other project's node uses its mapping."""
     async with running(spec) as rig:
         await rig.arm()

@@ -140,7 +140,7 @@ async def test_it_is_armed_edge_by_edge_and_turns_in_both_directions(rig, drive)
     assert feedback(rig).enabled is True
 
 
-async def test_old_set_points_are_a_quick_stop_and_then_no_power(rig, drive):
+async def test_old_set_points_cause_a_quick_stop_and_then_a_power_off(rig, drive):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: drive.reported["velocity"] == 60)

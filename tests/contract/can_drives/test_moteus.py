@@ -227,9 +227,7 @@ async def test_stop_all_stops_both(drives, spec):
     assert [drive.mode for drive in drives] == [STOPPED, STOPPED]
 
 
-async def test_stop_all_goes_on_until_a_drive_that_brakes_reports_that_it_has_no_power(
-    drives, spec
-):
+async def test_stop_all_continues_until_a_braking_drive_reports_no_power(drives, spec):
     for drive in drives:
         drive.values |= {0x000: POSITION, 0x002: 2.0}
         drive.lost_stops = 5
@@ -238,7 +236,7 @@ async def test_stop_all_goes_on_until_a_drive_that_brakes_reports_that_it_has_no
     assert all(ZERO_VELOCITY in drive.modes for drive in drives)
 
 
-async def test_stop_all_reports_a_drive_that_keeps_its_power_though_it_is_at_rest(drives, spec):
+async def test_stop_all_reports_a_drive_that_keeps_its_power_at_rest(drives, spec):
     for drive in drives:
         drive.values |= {0x000: POSITION, 0x002: 2.0}
     drives[0].lost_stops = 1_000_000

@@ -53,7 +53,7 @@ async def test_a_line_that_begins_to_echo_is_still_read(peer):
         await rig.arm()
 
 
-async def test_an_echo_is_no_acknowledgement_of_a_dead_drive(peer):
+async def test_an_echo_does_not_count_as_the_acknowledgement_of_a_dead_drive(peer):
     """It answered on an adapter that receives itself; then it dies, and its echo is left."""
     echo(peer)
     async with running(spec_of(peer, hub_servo())) as rig:

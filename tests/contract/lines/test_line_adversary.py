@@ -267,7 +267,7 @@ async def test_a_new_command_does_not_wait_for_the_next_cycle_of_a_slow_line(pee
 
 
 @pytest.mark.parametrize("peer", ["asyncio"], indirect=True)  # the other ones: tests/c
-async def test_commands_without_end_do_not_fill_a_slow_line_and_a_stop_is_sent_at_once(peer):
+async def test_continuous_commands_do_not_fill_a_slow_line_and_a_stop_is_sent_at_once(peer):
     peer.units[1] = Unit(registers_of("duty-register"))
     async with running(spec_of(peer, [single("duty-register")])) as rig:
         await rig.arm()

@@ -160,7 +160,7 @@ async def test_a_broadcast_is_followed_by_the_turnaround_delay(client, peer):
     assert second.at_s - first.at_s >= BROADCAST_TURNAROUND_S / 2
 
 
-async def test_a_reply_in_the_buffer_counts_though_the_loop_was_late(client, peer):
+async def test_a_reply_in_the_buffer_counts_even_when_the_loop_was_late(client, peer):
     def stall(request, honest):
         peer.send(honest)
         time.sleep(0.1)  # the whole event loop: the deadline passes meanwhile
@@ -237,7 +237,7 @@ async def test_an_absent_port_is_named_with_the_reason(tmp_path):
         await client.exchange(READ, SHORT_S)
 
 
-async def test_a_file_is_no_port(tmp_path):
+async def test_a_plain_file_is_refused_as_a_port(tmp_path):
     path = tmp_path / "file"
     path.write_text("")
     with pytest.raises(PortError):

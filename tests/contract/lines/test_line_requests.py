@@ -113,7 +113,7 @@ async def test_disarming_two_drives_while_one_is_read_switches_both_off(peer):
         assert rig.states() == {DriveState.READY}
 
 
-async def test_reads_without_end_do_not_keep_the_drives_from_being_disarmed(peer):
+async def test_continuous_reads_do_not_keep_the_drives_from_being_disarmed(peer):
     async with running(spec_of(peer, two_drives())) as rig:
         await rig.arm()
         reads = 0

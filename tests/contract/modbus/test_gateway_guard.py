@@ -66,14 +66,14 @@ async def test_a_late_reply_is_not_given_to_the_next_request(client, peer, cut):
         build_reply(Request(1, Function.WRITE_SINGLE, 0x20A1, values=(7,))),
     ],
 )
-async def test_a_wrong_unit_length_or_function_is_no_answer(client, peer, wrong):
+async def test_a_reply_with_a_wrong_unit_length_or_function_is_refused(client, peer, wrong):
     peer.tricks.append(lambda request, honest: [(0.0, wrong)])
     with pytest.raises(BadReply):
         await client.exchange(VOLTAGE, WITHIN_S)
     assert (await client.exchange(VOLTAGE, WITHIN_S)).values == (3600,)
 
 
-async def test_what_is_no_modbus_tcp_ends_the_connection(client, peer):
+async def test_data_that_is_not_modbus_tcp_ends_the_connection(client, peer):
     peer.tricks.append(lambda request, honest: peer.send_raw(adu(1, 7, protocol=5)) or [])
     with pytest.raises(BadReply, match="no Modbus TCP"):
         await client.exchange(VOLTAGE, WITHIN_S)
@@ -104,7 +104,7 @@ async def test_a_gateway_that_has_dropped_the_connection_is_connected_again(
 
 
 @pytest.mark.parametrize("kind", GATEWAYS)
-async def test_nothing_listening_is_a_port_error(kind):
+async def test_a_host_without_a_listener_is_a_port_error(kind):
     peer = peer_on(kind, None)
     peer.pull()
     client = GatewayClient(spec_of(peer, hub_servo()))

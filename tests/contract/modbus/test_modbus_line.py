@@ -187,7 +187,7 @@ async def test_cancelling_the_line_stops_and_disarms_every_drive(peer):
 
 
 # -------------------------------------------------------------------------------------- disarming
-async def test_disarming_is_zero_and_power_off(rig, peer):
+async def test_disarming_sends_zero_and_the_power_off(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))

@@ -77,7 +77,7 @@ def test_no_unit_answers_until_the_right_baud_rate_is_tried(line):
     assert str(json.loads(usual.stdout)["found"][0]["baudrate"]) == baudrate_of(line)
 
 
-def test_nothing_there_is_reported_within_the_bound(line):
+def test_a_scan_without_results_is_reported_within_the_bound(line):
     run = scan(port_of(line), "--units", "100-247", "--within-s", "1")
     assert run.returncode == 1
     assert "stopped after 1 s" in run.stderr

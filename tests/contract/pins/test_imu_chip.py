@@ -269,7 +269,7 @@ def test_two_missing_answers_do_not_close_the_sensor_and_three_do():
     assert device.closed
 
 
-def test_a_chip_that_is_opened_again_reports_so_by_its_epoch():
+def test_a_chip_that_is_opened_again_has_a_new_epoch():
     device = Mpu(0x68)
     running = Running(device)
     running.until(lambda: running.reader.samples > 3)

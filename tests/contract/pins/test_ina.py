@@ -125,7 +125,7 @@ def test_a_current_beyond_the_scale_is_nan_and_the_voltage_is_still_measured(kin
     assert power.voltage_v == pytest.approx(12.0)
 
 
-def test_an_ina226_is_known_by_its_maker_before_anything_is_written():
+def test_an_ina226_is_identified_by_its_maker_before_anything_is_written():
     stranger = Bus(x00=0x1234, xFE=0xFFFF)
     with pytest.raises(BadReply, match="no ina226: register 0xFE reads 0xFFFF"):
         Ina("ina226", stranger, 0.01)
@@ -155,7 +155,7 @@ def test_a_missing_bus_is_named_with_the_remedy(tmp_path):
         I2cDevice.open(tmp_path / "i2c-9", 0x40)
 
 
-def test_a_file_that_is_no_bus_is_refused_and_closed(tmp_path):
+def test_a_file_that_is_not_a_bus_is_refused_and_closed(tmp_path):
     path = tmp_path / "file"
     path.touch()
     with pytest.raises(PortError, match=r"file at 0x40: Inappropriate ioctl"):

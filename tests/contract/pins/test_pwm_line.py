@@ -162,7 +162,7 @@ def broken(chip, number):
     return kept
 
 
-async def test_a_pin_that_keeps_its_duty_is_no_success_of_disarming(chip):
+async def test_disarming_fails_when_a_pin_keeps_its_duty(chip):
     async with running(spec_of(chip)) as rig:
         await half_forward(rig, chip)
         kept = broken(chip, 0)
@@ -200,14 +200,14 @@ async def test_pulses_that_cannot_be_ended_are_reported_by_the_line_that_ends(ch
     assert chip.duties() == REST
 
 
-async def test_a_channel_that_is_gone_at_the_end_is_no_reason_for_a_warning(chip):
+async def test_a_channel_that_is_gone_at_the_end_causes_no_warning(chip):
     async with running(spec_of(chip)) as rig:
         await rig.ready()
         (chip.folder / "pwm2/enable").unlink()
     assert EventKind.DRIVE_WARNING not in rig.kinds()
 
 
-async def test_feedback_is_fresh_though_a_bridge_reports_nothing(chip):
+async def test_feedback_is_fresh_even_though_a_bridge_reports_nothing(chip):
     async with running(spec_of(chip)) as rig:
         await until(lambda: rig.loop.exchange.take_feedback(0).stamp_ns > 0)
         first = rig.loop.exchange.take_feedback(0)
@@ -376,7 +376,7 @@ async def test_only_the_power_lines_of_a_motor_whose_pulses_go_on_are_touched(
     assert len(problems) == 1 + touched
 
 
-async def test_no_channel_waits_for_another_one_to_rest(chip):
+async def test_channels_are_brought_to_rest_independently(chip):
     period = chip.folder / "pwm0/period"
     period.unlink()
     (chip.folder / "pwm2/duty_cycle").write_text("30000\n")

@@ -130,7 +130,7 @@ def test_garbage_on_the_socket_is_answered_with_an_error(sim, line):
     assert sim.control.truth().at_rest
 
 
-def test_a_client_that_sends_without_end_is_dropped(sim):
+def test_a_client_that_sends_continuously_is_dropped(sim):
     with socket.socket(socket.AF_UNIX) as raw:
         raw.settimeout(ARRIVAL_DEADLINE_S)
         raw.connect(sim.control_path)
@@ -171,7 +171,7 @@ def test_a_signal_ends_it_cleanly(tmp_path, number):
         ((str(DEMO), "--control", "/proc/no.sock"), 1, "/proc/no.sock"),
     ],
 )
-def test_what_cannot_be_simulated_is_reported_with_its_status(arguments, status, says):
+def test_a_robot_that_cannot_be_simulated_is_reported_with_its_status(arguments, status, says):
     with simulate(*arguments) as process:
         errors = process.stderr.read()
         assert process.wait(ARRIVAL_DEADLINE_S) == status
@@ -180,7 +180,7 @@ def test_what_cannot_be_simulated_is_reported_with_its_status(arguments, status,
 
 
 @pytest.mark.parametrize("taken", ["rs485", "control.sock"])
-def test_a_file_of_something_else_is_not_replaced(tmp_path, taken):
+def test_a_foreign_file_is_not_replaced(tmp_path, taken):
     (tmp_path / taken).write_text("mine", encoding="ascii")
     with simulate(str(DEMO), "--link-dir", str(tmp_path)) as process:
         errors = process.stderr.read()
@@ -189,7 +189,7 @@ def test_a_file_of_something_else_is_not_replaced(tmp_path, taken):
     assert (tmp_path / taken).read_text(encoding="ascii") == "mine"
 
 
-def test_what_a_killed_simulator_left_behind_is_replaced(tmp_path):
+def test_files_that_a_killed_simulator_left_are_replaced(tmp_path):
     arguments = (str(DEMO), "--json", "--link-dir", str(tmp_path))
     with simulate(*arguments) as killed:
         killed.stdout.readline()
@@ -203,7 +203,7 @@ def test_a_simulator_that_does_not_start_is_an_error():
         start_simulator(ROOT / "nowhere.toml")
 
 
-def test_no_simulator_is_an_error_that_names_the_path(tmp_path):
+def test_a_missing_simulator_is_an_error_that_names_the_path(tmp_path):
     with pytest.raises(ControlError, match=r"gone\.sock"):
         SimControl(tmp_path / "gone.sock")
 

@@ -69,7 +69,7 @@ def test_babble_reaches_a_master_that_has_sent_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("lost", [1, 3, len(REPLY) - 1])
-def test_an_adapter_that_goes_on_driving_swallows_the_beginning_of_the_reply(tmp_path, lost):
+def test_an_adapter_that_keeps_driving_swallows_the_beginning_of_the_reply(tmp_path, lost):
     stuck_ms = 1000 * (0.001 + (lost - 0.5) * CHARACTER_S)
     with Bench(tmp_path, faults=("turnaround:ms=1", f"stuck-de:ms={stuck_ms}")) as bench:
         assert bench.exchange(FRAME) == REPLY[lost:]

@@ -119,7 +119,7 @@ def test_a_simulator_that_was_held_up_does_not_blame_the_drive(tmp_path):
 
 
 @pytest.mark.parametrize("head", [b"\0\1\0\5\0\6", b"\0\1\0\0\0\1", b"\0\1\0\0\xff\xff"])
-def test_what_is_no_modbus_tcp_ends_the_connection(tmp_path, head):
+def test_data_that_is_not_modbus_tcp_ends_the_connection(tmp_path, head):
     with served(tmp_path, raw=False) as (_, address):
         with dial(address) as connection:
             connection.sendall(head + b"\1\3\0\0\0\1")

@@ -99,7 +99,9 @@ def test_a_broadcast_is_carried_out_and_not_answered(bench):
         (Request(1, Function.WRITE_MULTIPLE, 0x2089, values=(10, 10)), 2),
     ],
 )
-def test_what_a_drive_does_not_have_is_refused_with_the_right_code(bench, request_, code):
+def test_a_register_that_a_drive_does_not_have_is_refused_with_the_right_code(
+    bench, request_, code
+):
     assert bench.ask(request_).exception == code
     assert bench.drive.stats.exceptions == 1
     assert bench.read("target_velocity_1") == 0.0

@@ -119,7 +119,7 @@ def test_a_slope_is_held(push_n_m):
     assert rig.mean_rad_s(1.0) == pytest.approx([SPEED_RAD_S] * 2, rel=0.02)
 
 
-def test_one_wheel_alone_is_corrected_so_that_the_robot_goes_straight():
+def test_a_single_wheel_is_corrected_so_that_the_robot_goes_straight():
     rig = DutyRig()
     rig.moving(SPEED_M_S)
     rig.push_n_m = [-1.0, 0.0]

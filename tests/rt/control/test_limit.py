@@ -67,7 +67,7 @@ def used_s(axis: Axis, before: float, after: float) -> float:
 
 
 @given(axes, st.lists(SPEED, min_size=1, max_size=30))
-def test_no_limit_is_exceeded_and_no_goal_overshot_whatever_the_goals(axis, goals):
+def test_no_limit_is_exceeded_and_no_goal_overshot_for_any_goals(axis, goals):
     before = 0.0
     for goal in goals:
         for _ in range(5):

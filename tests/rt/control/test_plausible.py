@@ -192,7 +192,7 @@ def test_a_drive_whose_own_ramp_is_much_slower_only_lags(slope_rad_s2, reports, 
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("reports", [True, False])
-def test_commands_that_change_all_the_time_are_no_fault(seed, reports):
+def test_constantly_changing_commands_cause_no_fault(seed, reports):
     rig = Wheels(slope_rad_s2=random.Random(seed).choice((3.0, 20.0, 80.0)), reports=reports)
     rig.arm()
     operator = random.Random(f"operator {seed}")
@@ -203,7 +203,7 @@ def test_commands_that_change_all_the_time_are_no_fault(seed, reports):
 
 
 @pytest.mark.parametrize("delay_s", [0.1, 0.5, 0.7])
-def test_a_drive_that_takes_its_time_before_it_starts_is_no_fault(delay_s):
+def test_a_drive_that_starts_late_causes_no_fault(delay_s):
     """A brake that opens, a converter that magnetises its motor."""
     rig = Wheels(reports=False)
     rig.arm()
@@ -214,7 +214,7 @@ def test_a_drive_that_takes_its_time_before_it_starts_is_no_fault(delay_s):
 
 
 @pytest.mark.parametrize("renewed_every_s", [0.05, 0.1, 0.2])
-def test_a_counter_that_is_renewed_slowly_is_no_fault(renewed_every_s):
+def test_a_slowly_updated_counter_causes_no_fault(renewed_every_s):
     rig = Wheels()
     seen = {}
 
@@ -229,7 +229,7 @@ def test_a_counter_that_is_renewed_slowly_is_no_fault(renewed_every_s):
 
 
 @pytest.mark.parametrize("lag_s", [0.05, 0.3])
-def test_a_reported_velocity_that_is_filtered_is_no_fault(lag_s):
+def test_a_filtered_reported_velocity_causes_no_fault(lag_s):
     rig = Wheels()
     shown = [0.0, 0.0]
 

@@ -33,7 +33,7 @@ def test_after_scaling_every_wheel_is_within_its_limits_to_the_last_bit(rows):
 
 
 @given(wheels)
-def test_no_more_is_taken_away_than_the_worst_wheel_needs(rows):
+def test_the_twist_is_scaled_no_more_than_the_worst_wheel_needs(rows):
     share = factor([row[0] for row in rows], [row[1:] for row in rows])
     if share < 1.0:
         used = [want * share / (high if want > 0 else low) for want, low, high in rows if want]

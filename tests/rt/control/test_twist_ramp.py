@@ -206,7 +206,7 @@ def walk(judge: Judge, chance: Random) -> None:
 
 @settings(max_examples=40)
 @given(AXIS, AXIS, LOW, HIGH, SEED)
-def test_no_limit_of_body_or_wheel_is_exceeded_whatever_the_goals(linear, angular, low, high, seed):
+def test_no_limit_of_body_or_wheel_is_exceeded_for_any_goals(linear, angular, low, high, seed):
     walk(Judge(base(linear, angular, low, high)), Random(seed))
 
 

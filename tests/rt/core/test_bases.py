@@ -252,7 +252,7 @@ def test_the_covariance_stays_positive_semidefinite_and_grows_with_distance_and_
         assert twist_values.min() > 0.0
 
 
-def test_a_base_with_a_redundant_wheel_goes_on_without_one_of_them():
+def test_a_base_with_a_redundant_wheel_continues_without_one_wheel():
     base = Base("mecanum")
     counts, done = base.counts((0.1, 0.15, 0.2), 0.02)
     base.step(counts)

@@ -188,7 +188,7 @@ def test_joints_whose_position_is_not_known_are_named():
     assert rt._snapshot(raw).reason_joints == {"position_unknown": (1, 2)}
 
 
-def test_without_a_fault_of_the_feedback_there_is_no_doubt():
+def test_without_a_fault_of_the_feedback_no_joint_is_doubted():
     raw = raw_state()
     raw.doubt.fault = 0
     assert rt._snapshot(raw).doubt is None

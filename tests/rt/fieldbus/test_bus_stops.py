@@ -47,7 +47,7 @@ def looped(robot, path):
 
 
 @pytest.mark.parametrize("method", ["stop", "estop", "disarm"])
-async def test_without_a_descriptor_the_robot_is_stopped_all_the_same(
+async def test_the_robot_is_stopped_even_without_a_free_descriptor(
     robot, tmp_path, method, no_descriptor_left
 ):
     path = tmp_path / "robot.sock"

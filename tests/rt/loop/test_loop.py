@@ -173,7 +173,7 @@ def test_a_cpu_number_out_of_range_is_refused():
         rt.Loop(core_config(), settings(cpu=(64,)))
 
 
-def test_a_page_that_cannot_be_mapped_leaves_nothing_behind():
+def test_a_page_that_cannot_be_mapped_leaves_no_descriptor_open():
     core, config = ffi.new("core_config *", core_config()), ffi.new("loop_config *")
     config.rate_hz, config.event_fd, config.page_fd = 100, -1, 987654
     config.journal_fd = -1

@@ -171,7 +171,7 @@ def test_the_pose_is_finite_for_any_stamp_and_count(rows):
 @pytest.mark.parametrize("measured", [True, False])
 @pytest.mark.parametrize("renewed_every", [2, 5, 10, 20])
 @pytest.mark.parametrize("speed_rad_s", [1.0, -7.0, 15.0])
-def test_a_counter_that_is_renewed_more_slowly_than_it_is_read_loses_no_distance(
+def test_a_counter_updated_more_slowly_than_it_is_read_loses_no_distance(
     renewed_every, speed_rad_s, measured
 ):
     base = Base()

@@ -59,7 +59,7 @@ def holder(shared):
         process.kill()
 
 
-def test_the_file_is_there_for_every_reader_until_it_is_closed(shared):
+def test_every_reader_can_open_the_file_until_it_is_closed(shared):
     page = PageFile.open("robot")
     path = shared / f"motord-{os.geteuid()}" / "robot.page"
     assert page.path == path == find_page("robot")
@@ -71,7 +71,7 @@ def test_the_file_is_there_for_every_reader_until_it_is_closed(shared):
     assert not path.parent.exists()
 
 
-def test_readers_get_in_whatever_the_umask():
+def test_readers_can_open_the_file_with_any_umask():
     before = os.umask(0o077)
     try:
         page = PageFile.open("robot")
@@ -123,7 +123,7 @@ def test_a_link_is_not_followed(folder):
 
 
 @pytest.mark.parametrize("name", ["", "../passwd", "a/b", "nul\0"])
-def test_a_name_that_is_no_file_name_is_refused(name):
+def test_a_name_that_is_not_a_file_name_is_refused(name):
     with pytest.raises(ValueError, match="file name"):
         PageFile.open(name)
 
@@ -194,7 +194,7 @@ def test_a_folder_made_by_a_stranger_blocks_nothing_and_is_not_read(shared):
                 PageFile.open("robot")
 
 
-def test_nothing_else_can_write_in_the_folder():
+def test_no_other_user_can_write_in_the_folder():
     with PageFile.open("robot") as page:
         info = page.path.parent.stat()
         assert info.st_uid == os.geteuid()
