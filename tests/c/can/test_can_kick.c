@@ -153,7 +153,7 @@ static void a_kick_sends_nothing_to_a_drive_that_is_not_armed(void)
     CHECK(w.sent_count == 0);
 }
 
-static void a_kick_of_a_drive_outside_of_the_table_does_nothing(void)
+static void a_kick_ignores_drives_outside_of_the_table(void)
 {
     begin_with(1);
     arm(0);
@@ -205,7 +205,7 @@ int main(void)
     a_stop_is_sent_at_once_however_many_frames_came_before();
     motion_that_has_not_left_the_queue_is_not_followed_by_early_motion();
     a_kick_sends_nothing_to_a_drive_that_is_not_armed();
-    a_kick_of_a_drive_outside_of_the_table_does_nothing();
+    a_kick_ignores_drives_outside_of_the_table();
     four_frames_may_be_sent_at_once_and_then_one_a_cycle();
     return checks_report("can_kick");
 }

@@ -358,7 +358,7 @@ static void each_target_of_each_frame_restarts_while_the_drive_is_not_armed_and_
     CHECK(isnan(m->joint[0].place.sent));
 }
 
-static void only_a_target_that_left_is_the_start_of_the_next_one(void)
+static void each_target_that_left_is_the_start_of_the_next_one_and_no_other(void)
 {
     for (uint32_t count = 1; count <= 2; count++) {
         begin_with_two(count, 1);
@@ -426,7 +426,7 @@ int main(void)
     a_new_target_is_sent_at_once_as_far_as_the_joint_s_speed_allows();
     each_target_of_each_frame_needs_its_own_position_and_no_other();
     each_target_of_each_frame_restarts_while_the_drive_is_not_armed_and_no_other();
-    only_a_target_that_left_is_the_start_of_the_next_one();
+    each_target_that_left_is_the_start_of_the_next_one_and_no_other();
     a_stop_keeps_the_target_in_its_frame();
     a_stop_keeps_each_target_of_its_frame_and_no_other_byte();
     a_frame_is_sent_only_when_each_of_its_targets_is_known();

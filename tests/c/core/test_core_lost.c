@@ -220,8 +220,7 @@ static core_config watched(void)
     return config;
 }
 
-/* Wheel j stands and ignores its set-points for this time or until that is a fault; milliseconds.
- */
+/* Wheel j stands and ignores its set-points for this time, or until that is a fault; ms. */
 static int stuck_ms(rig *r, int j, int most_ms)
 {
     int ms = 0;

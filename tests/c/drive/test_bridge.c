@@ -315,8 +315,7 @@ static void a_motor_whose_duty_cannot_be_cleared_gets_no_direction_change(void)
 {
     bridge_config config = config_of(-1);
     CHECK(changed_at_a_failure(&config, 0.5, -0.5) == 0);
-    CHECK(changed_at_a_failure(&config, -0.5, 0.5) == 0); /* at rest the line would select forward
-                                                           */
+    CHECK(changed_at_a_failure(&config, -0.5, 0.5) == 0); /* at rest it would select forward */
     CHECK(changed_at_a_failure(&config, -0.5, -0.25) == 0);
 }
 

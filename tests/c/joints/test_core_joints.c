@@ -15,8 +15,7 @@ static void joints_move_independently_and_no_base_is_measured(void)
     ready(&r, &config);
     r.input.control.armed = 1;
     CHECK(tick(&r)->armed == 1 && r.out.positioned == 5);
-    r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.5; /* a twist moves none of them
-                                                                       */
+    r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.5; /* a twist moves none */
     CHECK(ticks(&r, 100)->at_rest == 1 && zero(&r) && r.out.position_rad[0] == 0.0 &&
           r.out.position_rad[2] == 0.0);
     ask(&r, 3, 1.0, -4.0);
@@ -109,7 +108,7 @@ static void a_late_tick_takes_no_set_point_past_its_goal(void)
     }
 }
 
-static void a_target_ends_with_power_finite_commands_or_its_lease(void)
+static void a_target_requires_power_a_finite_command_and_its_lease(void)
 {
     core_config config = head_and_belt();
     rig r;
@@ -380,7 +379,7 @@ int main(void)
     every_stop_of_joints_ends_at_rest_and_leaves_no_target();
     a_late_tick_of_joints_is_a_step_of_a_tenth_of_a_second();
     a_late_tick_takes_no_set_point_past_its_goal();
-    a_target_ends_with_power_finite_commands_or_its_lease();
+    a_target_requires_power_a_finite_command_and_its_lease();
     joints_of_which_one_begins_to_move_are_not_at_rest();
     joints_are_armed_without_a_command_that_moves_one();
     without_power_a_joint_is_where_it_was_moved_to();

@@ -215,7 +215,7 @@ static void a_lowered_acceleration_is_taken_as_soon_as_it_is_enough(void)
     }
 }
 
-static void a_lowered_deceleration_that_just_suffices_is_applied(void)
+static void a_lowered_acceleration_that_just_suffices_is_applied(void)
 {
     joints_rig r;
     begin(&r);
@@ -428,7 +428,7 @@ int main(void)
     a_head_moves_no_faster_than_its_file_allows_with_any_limit();
     a_head_gets_down_to_a_lowered_speed_by_deceleration();
     a_lowered_acceleration_is_taken_as_soon_as_it_is_enough();
-    a_lowered_deceleration_that_just_suffices_is_applied();
+    a_lowered_acceleration_that_just_suffices_is_applied();
     while_a_head_keeps_its_old_braking_it_gets_no_faster();
     a_raised_acceleration_is_taken_at_once();
     an_acceleration_that_stays_bounds_no_speed();

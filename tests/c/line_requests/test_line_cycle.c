@@ -19,7 +19,7 @@ static void goes(const uint32_t *frames, uint32_t count)
     goes((const uint32_t[]){__VA_ARGS__},                                                          \
          sizeof((const uint32_t[]){__VA_ARGS__}) / sizeof(uint32_t))
 
-static void zero_precedes_a_new_direction_which_follows_its_first_magnitude(void)
+static void a_new_direction_is_sent_after_rest_and_its_first_magnitude(void)
 {
     begin_directions(1.0);
     uint32_t rest = frame_to(DIRECTION, DIRECTION_REST),
@@ -241,8 +241,7 @@ static void why_a_drive_disabled_itself_is_read_before_it_is_switched_off(void)
           drive->state.stop == STOP_POWER_OFF);
 }
 
-/* Without power it may have lost its set-up: it is switched off, even if it reports power by then.
- */
+/* Without power it may have lost its set-up: it is switched off, even if it has power again. */
 static void an_armed_drive_that_lost_its_power_for_a_cycle_is_disarmed(void)
 {
     for (uint32_t how = 0; how < 2; how++) {
@@ -340,7 +339,7 @@ static void writes_give_the_core_no_feedback_while_a_read_is_outstanding(void)
 
 int main(void)
 {
-    zero_precedes_a_new_direction_which_follows_its_first_magnitude();
+    a_new_direction_is_sent_after_rest_and_its_first_magnitude();
     an_unacknowledged_or_outdated_direction_is_unknown();
     motion_in_any_exchange_counts_as_motion();
     each_of_several_directions_is_sent();

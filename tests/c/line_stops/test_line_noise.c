@@ -61,7 +61,7 @@ static void all_drives_are_switched_off_at_the_end(void)
     }
 }
 
-static void a_stop_waits_a_bounded_time_for_silence(void)
+static void a_stop_waits_for_the_full_silence_after_noise_has_ended(void)
 {
     begin_turning(1);
     babble_for(10 * MS);
@@ -143,7 +143,7 @@ int main(void)
     a_power_off_is_sent();
     a_quick_stop_is_sent();
     all_drives_are_switched_off_at_the_end();
-    a_stop_waits_a_bounded_time_for_silence();
+    a_stop_waits_for_the_full_silence_after_noise_has_ended();
     only_an_urgent_request_is_sent();
     its_drives_become_unresponsive_and_are_stopped();
     noise_before_a_turn_that_has_just_come_is_not_a_failure();

@@ -129,7 +129,7 @@ static void a_drive_that_cannot_report_its_power_has_to_answer_a_read(void)
     }
 }
 
-static void any_unacknowledged_frame_makes_a_power_off_unanswered(void)
+static void an_unacknowledged_frame_of_a_power_off_suffices_when_a_read_confirms_it(void)
 {
     for (uint32_t frame = 0; frame < 2; frame++) {
         begin_frames(1, true, 1U << frame);
@@ -280,7 +280,7 @@ static void no_position_is_sent_to_probe_a_drive(void)
 
 int main(void)
 {
-    any_unacknowledged_frame_makes_a_power_off_unanswered();
+    an_unacknowledged_frame_of_a_power_off_suffices_when_a_read_confirms_it();
     while_it_reports_power_it_gets_each_unanswered_frame_again();
     while_the_line_runs_an_unanswered_power_off_is_sent_once();
     reports_from_before_another_power_off_do_not_count();

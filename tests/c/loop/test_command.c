@@ -318,7 +318,7 @@ static void wheels_of_a_side_agree_within_a_hundredth_of_the_fastest_wheel(void)
 }
 
 /* A car whose steering is one joint in front, and a base of two sides, which turns on the spot. */
-static void a_turn_on_the_spot_counts_as_motion_even_where_the_steering_prevents_it(void)
+static void turns_on_the_spot_that_the_steering_cannot_do_are_counted(void)
 {
     static arbiter a;
     static core_config base = {.joint_count = 2,
@@ -386,7 +386,7 @@ static void a_command_of_either_version_is_followed(void)
 
 int main(void)
 {
-    a_turn_on_the_spot_counts_as_motion_even_where_the_steering_prevents_it();
+    turns_on_the_spot_that_the_steering_cannot_do_are_counted();
     a_command_of_either_version_is_followed();
     the_highest_priority_commands_and_the_first_among_equals();
     a_source_that_requests_motion_through_a_stop_is_held_until_it_requests_zero();

@@ -36,7 +36,7 @@ static void a_contact_that_was_open_between_two_ticks_stops(void)
           ESTOP_ACTIVE);
 }
 
-static void an_unknown_level_stops_whatever_the_configuration(void)
+static void an_unknown_level_counts_as_a_lost_input(void)
 {
     guard_config config = open_is_high();
     CHECK(estop_judge(&config, &(estop_reading){.known = false, .high = false}) == ESTOP_LOST);
@@ -239,7 +239,7 @@ int main(void)
 {
     an_open_contact_stops_and_a_closed_one_does_not();
     a_contact_that_was_open_between_two_ticks_stops();
-    an_unknown_level_stops_whatever_the_configuration();
+    an_unknown_level_counts_as_a_lost_input();
     a_lost_input_stays_lost();
     without_pins_nothing_stops_and_nothing_is_written();
     a_pin_that_cannot_be_written_is_reported_with_the_reason();

@@ -51,8 +51,7 @@ static void each_wheel_is_reported_separately(void)
 {
     begin();
     drive();
-    r->input.feedback[1].drive_faults = 0; /* a fault would stop the base; its word is checked
-                                            * below */
+    r->input.feedback[1].drive_faults = 0; /* a fault would stop it; its word is checked below */
     const robot_state *shown = tick_with(0.875);
     for (uint32_t j = 0; j < 4; j++) {
         const joint_state *joint = &shown->joint[j];

@@ -423,7 +423,7 @@ static void the_variance_of_a_turn_is_of_its_noise_its_scale_and_the_age_of_its_
     CHECK(fabs(turn_rad - 0.05) < 1e-4 && fabs(variance_rad2 / wanted_rad2 - 1.0) < 1e-9);
 }
 
-static void a_turn_against_the_wheels_beyond_a_quarter_and_one_radian_is_not_noise(void)
+static void a_turn_against_the_wheels_beyond_a_quarter_and_one_radian_means_reversed(void)
 {
     gyro_state state;
     gyro_init(&state);
@@ -468,7 +468,7 @@ int main(void)
     a_moment_without_a_known_angle_begins_a_new_turn();
     a_base_that_stands_has_turned_by_zero_with_certainty();
     the_variance_of_a_turn_is_of_its_noise_its_scale_and_the_age_of_its_zero();
-    a_turn_against_the_wheels_beyond_a_quarter_and_one_radian_is_not_noise();
+    a_turn_against_the_wheels_beyond_a_quarter_and_one_radian_means_reversed();
     the_newest_sample_crosses_the_exchange();
     return checks_report("test_gyro");
 }

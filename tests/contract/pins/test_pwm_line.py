@@ -388,7 +388,7 @@ async def test_channels_are_brought_to_rest_independently(chip):
     assert halt.result() == []
 
 
-async def test_lines_are_brought_to_rest_even_when_no_channel_is_left_to_wait_for(
+async def test_lines_are_brought_to_rest_even_when_the_wait_for_a_channel_is_cancelled(
     chip, monkeypatch
 ):
     (chip.folder / "pwm0/period").unlink()
