@@ -167,7 +167,7 @@ def test_a_chip_that_lost_its_power_is_noticed(kind, model, identity, per_dps, p
             chip.read()
 
 
-def test_a_sensor_that_repeats_one_sample_is_stale():
+def test_a_sensor_that_repeats_one_sample_is_an_error():
     device = Mpu(0x68)
     chip = opened("mpu6050", device)
     device.noisy = False

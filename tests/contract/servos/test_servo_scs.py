@@ -91,7 +91,7 @@ async def test_the_line_moves_servos_that_the_makers_sdk_emulates(tmp_path):
                 return [int.from_bytes(servos.tables[unit][42:44], "big") for unit in (1, 2)]
 
             await rig.arm()
-            assert goals() == [MIDDLE, MIDDLE], "its goal is the place where it is"
+            assert goals() == [MIDDLE, MIDDLE], "its goal is its own position"
             rig.loop.position_rad = {0: 0.5, 1: -0.5}
             far = round(0.5 * COUNTS_PER_RAD)
             await rig.drive(lambda: goals() == [MIDDLE + far, MIDDLE - far], "their goals")
