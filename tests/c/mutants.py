@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Are the C tests good? Each mutant is a file with one small mistake in it; tests that still pass
-do not see it.
+"""Checks the C tests. Each mutant is a file with one small error in it; tests that still pass do
+not find it.
 
 python tests/c/mutants.py [FILE ...] [--sample N] [--seed S] [--jobs N] [--again]
 
@@ -9,7 +9,7 @@ Without FILE: all pure files. With --again: of a file only what survived its las
 The tests are linked once against a library of csrc/. A mutant is a small shared object that is
 loaded before that library and takes the place of its functions. The first round runs without
 sanitizers; what survives it runs once more with them. A mutant whose optimized machine code equals
-that of the file is no mutant, nor is one that does not compile.
+that of the file is no mutant; neither is one that does not compile.
 
 Ends with 1 where a mutant survives that mutants.toml does not list as the same program in other
 words, or where mutants.toml lists one that the tests kill.
@@ -262,7 +262,7 @@ class Bench:
         return sorted(path for path in reached if path.endswith(".c"))
 
     def build(self, copy: Path, parts: list[str], flags: list[str], into: Path) -> bool:
-        """Shared, where the flags say so."""
+        """A shared library, where the flags demand it."""
         arguments = [*FLAGS, *flags, *(str(copy / part) for part in parts)]
         done = subprocess.run(
             ["gcc", *arguments, "-o", into], stderr=subprocess.DEVNULL, timeout=300
@@ -270,7 +270,7 @@ class Bench:
         return done.returncode == 0
 
     def run(self, command: list[str], preload: str, limit_s: float) -> int:
-        # by way of the environment: a program that is forked from a thread must not run Python
+        # through the environment: a program that is forked from a thread must not run Python
         environment = {
             "LD_PRELOAD": preload,
             "ASAN_OPTIONS": "detect_leaks=0",

@@ -21,12 +21,12 @@ GENEROUS_S = 60.0
 LOOK_EVERY_S = 0.01
 SETPOINTS_EVERY_S = 0.01
 PATIENT_S = 1.0
-"""After which lines here find set-points old. In the product a thread puts them that waits for
-nothing; here one event loop does, and a busy machine may leave it without a CPU for longer than
-the product allows."""
+"""The age from which set-points are old to lines here. In the product a thread that waits for
+nothing puts them; here one event loop does, and a busy machine may leave it without a CPU for
+longer than the product allows."""
 REPLY_S, UNRESPONSIVE_S = 0.2, 0.6
-"""Of drives here, which share this process: a later reply does not count, and a drive that was
-without feedback for so long is unresponsive."""
+"""Of drives here, which share this process: a later reply does not count, and a drive
+without feedback for this time is unresponsive."""
 BOARDS = ("mcu", "ascii", "hoverboard", "sabertooth")
 
 
@@ -82,7 +82,7 @@ class LoopSide:
     velocity_rad_s: dict[int, float] = field(default_factory=dict)
     duty: dict[int, float] = field(default_factory=dict)
     position_rad: dict[int, float] = field(default_factory=dict)
-    """Of joints that take positions; the others have no place to go to."""
+    """Of joints that take positions; the others have no target."""
     speed_loops: dict[int, SpeedLoop] = field(default_factory=dict)
     """Of joints whose drives take a torque."""
     running: bool = True
@@ -103,7 +103,7 @@ class LoopSide:
         self.exchange.put_setpoints(self.line, Setpoints(self.put_ns, 1, self.enabled, wheels))
 
     def put_for_a_moment(self) -> None:
-        """Enabled, and not any more before a line looks: an emergency stop right after arming."""
+        """Enabled, and no longer so before a line looks: an emergency stop right after arming."""
         self.enabled = True
         self.put()
         self.enabled = False

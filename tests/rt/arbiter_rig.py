@@ -101,7 +101,7 @@ class Arbiter:
         return out
 
     def commander(self, now_ns):
-        """By the word of C, with the twist that the core gets."""
+        """As C reports it, with the twist that the core gets."""
         out = self.command(now_ns)
         number = self.c.report.commander
         found = next((lease for lease in self.all() if lease.number == number), None)

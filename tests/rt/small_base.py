@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A base with two wheels on one line, for tests of what is around the core; and a way to wait."""
+"""A base with two wheels on one line, for tests of what is around the core; a function to wait."""
 
 import math
 import time
@@ -83,7 +83,7 @@ def until(condition: Callable[[], object]) -> None:
 
 
 def report_wheels(count: int = 0, velocity_rad_s: float = 0.0) -> None:
-    """Both drives say that they are there and enabled."""
+    """Both drives report that they are present and enabled."""
     exchange = Exchange.of_loop()
     for index in (0, 1):
         exchange.put_feedback(

@@ -100,7 +100,7 @@ def equations(kind: str, angles_rad: Sequence[float]) -> tuple[np.ndarray, list[
 
 
 def twist_of(kind: str, angles_rad: Sequence[float], rims_m_s: Sequence[float]) -> np.ndarray:
-    """Least squares; a car does not move sideways, and its fixed wheels do not say so again."""
+    """Least squares; a car does not move sideways, and its fixed wheels add no equation for it."""
     rows, of = equations(kind, angles_rad)
     values = np.array([0.0 if j is None else rims_m_s[j] for j in of])
     if kind in CARS:

@@ -33,11 +33,11 @@ typedef struct {
     motord_measured measured[MOTORS];
     motord_health health;
     int64_t now_ns, wake_ns;
-    double velocity_rad_s; /* what the core wants of all joints */
+    double velocity_rad_s; /* set-points of the core for all joints */
     uint32_t enabled;      /* the core's; 2: no set-points come any more */
     /* the board does not send or receive; the port takes nothing */
     bool mute, receives_nothing, full;
-    bool stuck;                   /* its wheels turn as they did, whatever they are sent */
+    bool stuck;                   /* its wheels keep turning and ignore what they are sent */
     uint8_t sent[BOARD_WIRE_MAX]; /* the newest */
     uint32_t sent_bytes, sent_count;
     uint32_t moving_count; /* frames with a set-point that is not zero */
@@ -204,7 +204,7 @@ static inline void step(void)
         }
     }
     w.wake_ns = board_machine_step(&w.machine, w.now_ns);
-    CHECK(w.wake_ns > w.now_ns); /* it never asks to be woken at once for nothing */
+    CHECK(w.wake_ns > w.now_ns); /* it never requests an immediate wake-up for nothing */
 }
 
 static inline void receive(const char *text)
@@ -226,7 +226,7 @@ static inline void speak(void)
     }
 }
 
-/* For so long, a millisecond a look at the board. */
+/* For this time, with one look at the board each millisecond. */
 static inline void go_on(int64_t for_ns)
 {
     for (int64_t end_ns = w.now_ns + for_ns; w.now_ns < end_ns;) {

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_board.c: a board's machine among bytes, requests and set-points that do what they like.
- * Whatever comes: motion is sent only to a board that is armed and only while the core wants it,
- * frames leave no faster than cycles and stops, and the end comes. In each dialect. */
+ * fuzz_board.c: a board's machine with random bytes, requests and set-points. For any input,
+ * motion is sent only to an armed board and only while the core requests it, frames leave no
+ * faster than cycles and stops, and the end comes. In each dialect. */
 #include "board_wire.h"
 #include "tape.h"
 
@@ -47,7 +47,7 @@ static bool judge(void *sink, const uint8_t *bytes, uint32_t count)
     return true;
 }
 
-/* A frame that is whole, with a payload that may say anything. */
+/* A complete frame with a random payload. */
 static void report_something(void)
 {
     uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0};
@@ -158,7 +158,7 @@ static void look(void)
     CHECK(w.machine.feedback_bytes <= BOARD_PAYLOAD_MAX && w.machine.tail.count <= BOARD_LINE_MAX);
 }
 
-/* The mode that was there before the step, too, after whatever was sent. */
+/* Also for the mode before the step. */
 static void say(uint8_t choice)
 {
     if (w.table.dialect == BOARD_FRAMES && choice % 4 != 0) {
@@ -299,7 +299,7 @@ static void once(const uint8_t *data, size_t size)
     w.machine.control.shut_down = 1;
     for (int64_t asked_ns = w.now_ns; w.machine.end.stage != END_SILENT; w.now_ns = w.wake_ns) {
         look();
-        /* of these, 500 while it speaks and does not report that it has no power */
+        /* of these, 500 while it sends and does not report that it has no power */
         CHECK(w.now_ns <= asked_ns + 1100 * MS);
     }
     look();

@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board's machine in virtual time: what goes out, what is believed, and when the board is
+ * A board's machine in virtual time: what is sent, which feedback counts, and when the board is
  * stopped. */
 #include "board_wire.h"
 
 /* --------------------------------------------------------------------------- frames out */
-static void nothing_but_zero_goes_out_before_arming(void)
+static void only_zero_is_sent_before_arming(void)
 {
     begin();
     go_on(200 * MS);
@@ -29,7 +29,7 @@ static void the_newest_set_points_are_in_the_frame_that_leaves(void)
     }
 }
 
-static void a_set_point_that_is_no_number_or_too_great_is_harmless(void)
+static void a_set_point_that_is_not_finite_or_too_large_is_harmless(void)
 {
     begin();
     arm();
@@ -58,7 +58,7 @@ static void a_set_point_of_zero_does_not_wait_for_its_cycle(void)
     CHECK(w.sent_count == before + 1 && last_sent(TARGET, 4, 1) == 0 && w.peer.enabled == 1);
 }
 
-static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
+static void a_stop_that_a_newer_request_overtook_is_still_carried_out(void)
 {
     begin();
     arm_and_turn();
@@ -69,7 +69,7 @@ static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
     CHECK(last_sent(TARGET, 4, 1) == 0);
 }
 
-static void each_write_of_a_job_goes_out_with_a_frame_of_its_own(void)
+static void each_write_of_a_job_is_sent_in_a_frame_of_its_own(void)
 {
     begin();
     set_up();
@@ -101,7 +101,7 @@ static void a_guarded_write_is_dropped_when_the_board_was_stopped_meanwhile(void
     CHECK(w.machine.orders_dropped == 1 && w.peer.enabled == 0);
 }
 
-static void a_new_start_goes_on_with_the_sequence(void)
+static void a_new_start_continues_the_sequence(void)
 {
     begin();
     arm_and_turn();
@@ -111,8 +111,8 @@ static void a_new_start_goes_on_with_the_sequence(void)
     CHECK(w.peer.frames_good >= good + 2 && w.peer.enabled == 0);
 }
 
-/* The machine knows nothing of the program before it, whose numbers go round at 65536. */
-static void a_new_program_goes_on_from_what_the_board_has_received(void)
+/* The machine has no state of the program before it, whose sequence wraps at 65536. */
+static void a_new_program_continues_the_sequence_that_the_board_has_received(void)
 {
     const uint16_t received[] = {1, 300, 20000, 32767, 32768, 32769, 65535};
     for (uint32_t i = 0; i < sizeof received / sizeof received[0]; i++) {
@@ -130,7 +130,7 @@ static void a_new_program_goes_on_from_what_the_board_has_received(void)
     }
 }
 
-static void a_frame_that_comes_late_is_refused_by_the_board(void)
+static void the_board_refuses_a_late_frame(void)
 {
     begin();
     arm_and_turn();
@@ -196,12 +196,12 @@ static void a_wheel_that_does_not_come_to_rest_loses_its_power_after_a_second(vo
     CHECK(w.peer.braking == 0 && w.peer.enabled == 0);
 }
 
-static void rest_is_only_what_was_reported_after_the_stop_was_received(void)
+static void only_feedback_from_after_the_stop_proves_rest(void)
 {
     begin();
     arm();
     go_on(20 * MS);
-    w.stuck = true; /* it says 0, and turns */
+    w.stuck = true; /* it reports 0, and turns */
     w.measured[0].velocity_mrad_s = 0;
     w.measured[1].velocity_mrad_s = 0;
     go_on(20 * MS);
@@ -214,7 +214,7 @@ static void rest_is_only_what_was_reported_after_the_stop_was_received(void)
     CHECK(w.peer.braking == 0);
 }
 
-static void a_core_that_takes_enabled_back_takes_the_power_at_once(void)
+static void a_core_that_clears_enabled_takes_the_power_at_once(void)
 {
     begin();
     arm_and_turn();
@@ -227,7 +227,7 @@ static void a_core_that_takes_enabled_back_takes_the_power_at_once(void)
     CHECK(last_sent(CONTROL, 1, 0) == CONTROL_OFF && last_sent(TARGET, 4, 1) == 0);
 }
 
-static void a_stop_may_be_many_writes(void)
+static void a_stop_may_have_several_writes(void)
 {
     board_table table = frames_table();
     table.quick_stop_count = table.disarm_count = 2;
@@ -246,7 +246,7 @@ static void a_stop_may_be_many_writes(void)
     CHECK(w.machine.state.mode == DRIVE_READY); /* not while it comes to rest */
 }
 
-static void one_that_is_requested_off_is_off_at_once(void)
+static void a_board_that_is_requested_off_is_off_at_once(void)
 {
     begin();
     arm_and_turn();
@@ -255,7 +255,7 @@ static void one_that_is_requested_off_is_off_at_once(void)
     CHECK(w.machine.state.mode == DRIVE_OFF && w.peer.enabled == 0 && received_changes());
 }
 
-static void armed_again_it_waits_again_for_the_core(void)
+static void after_the_next_arming_it_waits_again_for_the_core(void)
 {
     begin();
     arm_and_turn();
@@ -293,7 +293,7 @@ static void standing_down_takes_the_power_with_the_next_frame(void)
     CHECK(w.peer.enabled == 0);
 }
 
-static void a_port_that_takes_nothing_is_a_board_left_alone(void)
+static void a_port_that_takes_no_bytes_leaves_the_board_alone(void)
 {
     begin();
     arm_and_turn();
@@ -308,7 +308,7 @@ static void a_port_that_takes_nothing_is_a_board_left_alone(void)
     CHECK(w.moving_count == 0 && w.machine.state.mode != DRIVE_ARMED);
 }
 
-static void a_stop_that_the_port_did_not_take_is_sent_as_soon_as_it_does(void)
+static void a_stop_that_the_port_did_not_take_is_sent_as_soon_as_the_port_takes_bytes(void)
 {
     begin();
     arm_and_turn();
@@ -350,14 +350,14 @@ static void a_restarted_board_has_lost_its_set_up(void)
     CHECK(w.machine.state.epoch == 2);
 }
 
-static void a_board_that_is_enabled_though_it_was_not_armed_is_sent_off(void)
+static void a_board_that_is_enabled_without_arming_is_switched_off(void)
 {
     begin();
     set_up();
     order(CONTROL, 1, CONTROL_ENABLE, 0);
     go_on(50 * MS);
     CHECK(w.peer.enabled == 0 && (w.machine.state.fault_reasons & DRIVE_FAULT_STILL_ENABLED) == 0);
-    for (uint32_t i = 0; i < 3; i++) { /* one that does not obey */
+    for (uint32_t i = 0; i < 3; i++) { /* one that ignores its power-off */
         uint8_t frame[BOARD_WIRE_MAX],
             payload[BOARD_PAYLOAD_MAX] = {STATUS_ENABLED, MOTORS, WATCHDOG_MS};
         w.mute = true;
@@ -372,7 +372,7 @@ static void a_board_that_is_enabled_though_it_was_not_armed_is_sent_off(void)
 }
 
 /* ----------------------------------------------------------------------------- presence */
-static void a_mute_board_is_unresponsive_braked_and_comes_back_disarmed(void)
+static void a_mute_board_is_unresponsive_and_braked_and_comes_back_disarmed(void)
 {
     begin();
     arm_and_turn();
@@ -398,7 +398,7 @@ static void a_mute_board_is_unresponsive_braked_and_comes_back_disarmed(void)
     set_up();
 }
 
-static void arming_needs_fresh_set_points_and_no_stop_that_goes_on(void)
+static void arming_needs_fresh_set_points_and_no_unfinished_stop(void)
 {
     begin();
     set_up();
@@ -414,7 +414,7 @@ static void arming_needs_fresh_set_points_and_no_stop_that_goes_on(void)
 }
 
 /* ------------------------------------------------------------------------------ the end */
-static void frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two(void)
+static void frames_are_sent_at_their_rate_and_old_set_points_are_noticed_in_between(void)
 {
     board_table table = frames_table();
     begin_with(table);
@@ -438,32 +438,32 @@ static void frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two(
 
 int main(void)
 {
-    nothing_but_zero_goes_out_before_arming();
+    only_zero_is_sent_before_arming();
     the_newest_set_points_are_in_the_frame_that_leaves();
-    a_set_point_that_is_no_number_or_too_great_is_harmless();
+    a_set_point_that_is_not_finite_or_too_large_is_harmless();
     a_set_point_of_zero_does_not_wait_for_its_cycle();
-    a_stop_that_was_overtaken_unseen_is_still_carried_out();
-    each_write_of_a_job_goes_out_with_a_frame_of_its_own();
+    a_stop_that_a_newer_request_overtook_is_still_carried_out();
+    each_write_of_a_job_is_sent_in_a_frame_of_its_own();
     a_guarded_write_is_dropped_when_the_board_was_stopped_meanwhile();
-    a_new_start_goes_on_with_the_sequence();
-    a_new_program_goes_on_from_what_the_board_has_received();
-    a_frame_that_comes_late_is_refused_by_the_board();
+    a_new_start_continues_the_sequence();
+    a_new_program_continues_the_sequence_that_the_board_has_received();
+    the_board_refuses_a_late_frame();
     old_set_points_brake_and_take_the_power_at_rest();
     a_wheel_rests_below_the_speed_of_the_table();
     a_wheel_that_does_not_come_to_rest_loses_its_power_after_a_second();
-    rest_is_only_what_was_reported_after_the_stop_was_received();
-    a_core_that_takes_enabled_back_takes_the_power_at_once();
-    a_stop_may_be_many_writes();
-    one_that_is_requested_off_is_off_at_once();
-    armed_again_it_waits_again_for_the_core();
+    only_feedback_from_after_the_stop_proves_rest();
+    a_core_that_clears_enabled_takes_the_power_at_once();
+    a_stop_may_have_several_writes();
+    a_board_that_is_requested_off_is_off_at_once();
+    after_the_next_arming_it_waits_again_for_the_core();
     standing_down_takes_the_power_with_the_next_frame();
-    a_port_that_takes_nothing_is_a_board_left_alone();
-    a_stop_that_the_port_did_not_take_is_sent_as_soon_as_it_does();
+    a_port_that_takes_no_bytes_leaves_the_board_alone();
+    a_stop_that_the_port_did_not_take_is_sent_as_soon_as_the_port_takes_bytes();
     a_board_that_receives_nothing_stops_by_itself_and_is_set_up_again();
     a_restarted_board_has_lost_its_set_up();
-    a_board_that_is_enabled_though_it_was_not_armed_is_sent_off();
-    a_mute_board_is_unresponsive_braked_and_comes_back_disarmed();
-    arming_needs_fresh_set_points_and_no_stop_that_goes_on();
-    frames_go_out_at_their_rate_and_old_set_points_are_seen_between_two();
+    a_board_that_is_enabled_without_arming_is_switched_off();
+    a_mute_board_is_unresponsive_and_braked_and_comes_back_disarmed();
+    arming_needs_fresh_set_points_and_no_unfinished_stop();
+    frames_are_sent_at_their_rate_and_old_set_points_are_noticed_in_between();
     return checks_report("board");
 }

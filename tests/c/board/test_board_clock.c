@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_clock: what a board's own time says of when its feedback was true. */
+ * test_board_clock: the time of feedback, from the board's own clock. */
 #include <string.h>
 
 #include "board_machine.h"
@@ -29,13 +29,13 @@ static int64_t stamped_late_ns(board *b, int64_t delay_ns)
     return board_clock_stamp(&b->clock, b->time_us, b->true_ns + delay_ns) - b->true_ns;
 }
 
-static void the_first_feedback_is_of_when_it_came(void)
+static void the_first_feedback_has_its_time_of_arrival(void)
 {
     board b = board_at(12345);
     CHECK(stamped_late_ns(&b, 7 * MS) == 7 * MS);
 }
 
-static void what_waited_longer_than_another_is_as_old_as_it_is(void)
+static void feedback_that_was_delayed_longer_is_stamped_older(void)
 {
     board b = board_at(0);
     CHECK(stamped_late_ns(&b, 2 * MS) == 2 * MS);
@@ -46,8 +46,7 @@ static void what_waited_longer_than_another_is_as_old_as_it_is(void)
     CHECK(stamped_late_ns(&b, 9 * MS) == 1 * MS);
 }
 
-/* Of all that are remembered the one with the least delay counts, wherever it stands, until it
- * is forgotten. */
+/* The smallest of the remembered delays counts, in any place of the list, until it is dropped. */
 static void the_least_of_the_delays_counts_until_it_is_forgotten(void)
 {
     for (uint32_t begin = 0; begin < BOARD_CLOCK_SAMPLES; begin++) {
@@ -71,8 +70,8 @@ static void a_board_s_time_passes_the_end_of_its_32_bits(void)
     }
 }
 
-/* Two feedbacks, the second quicker by so much: stamps step back, and it is no news before its
- * stamp is on again. */
+/* Two frames of feedback, the second quicker by this much: stamps step back, and it is not new
+ * until its stamp is later again. */
 static int64_t second_ns(int64_t passed_ns, int64_t quicker_ns, int64_t *first_ns, int64_t *true_ns)
 {
     board_clock clock = {0};
@@ -81,7 +80,7 @@ static int64_t second_ns(int64_t passed_ns, int64_t quicker_ns, int64_t *first_n
     return board_clock_stamp(&clock, (uint32_t)(passed_ns / US), *true_ns + 400 * MS - quicker_ns);
 }
 
-static void a_stamp_that_steps_back_is_held_until_it_is_on_by_three_quarters(void)
+static void a_stamp_that_steps_back_is_held_until_three_quarters_have_passed(void)
 {
     int64_t first_ns, true_ns;
     CHECK(second_ns(40 * MS, 10 * MS, &first_ns, &true_ns) == first_ns + 30 * MS);
@@ -90,7 +89,7 @@ static void a_stamp_that_steps_back_is_held_until_it_is_on_by_three_quarters(voi
     CHECK(second_ns(40 * MS, 39 * MS, &first_ns, &true_ns) == first_ns);
 }
 
-static void a_stamp_is_held_for_so_long_at_most(void)
+static void a_stamp_is_held_for_a_bounded_time(void)
 {
     int64_t first_ns, true_ns;
     CHECK(second_ns(240 * MS - US, 100 * MS, &first_ns, &true_ns) == first_ns);
@@ -98,7 +97,7 @@ static void a_stamp_is_held_for_so_long_at_most(void)
     CHECK(second_ns(241 * MS, 100 * MS, &first_ns, &true_ns) == first_ns + 141 * MS);
 }
 
-static void a_stamp_that_is_held_is_never_of_a_time_to_come(void)
+static void a_stamp_that_is_held_is_never_from_the_future(void)
 {
     int64_t first_ns, true_ns;
     /* that is when it came */
@@ -107,8 +106,8 @@ static void a_stamp_that_is_held_is_never_of_a_time_to_come(void)
     CHECK(second_ns(40 * MS, 40 * MS + 1, &first_ns, &true_ns) == first_ns - 1);
 }
 
-/* What was held does not count as given: the three quarters are of all that passed since the
- * last that was. */
+/* A held stamp does not count as given: three quarters of the time since the last given one have
+ * to pass. */
 static void the_time_since_the_last_stamp_that_was_given_counts(void)
 {
     board_clock clock = {0};
@@ -124,13 +123,13 @@ static void the_time_since_the_last_stamp_that_was_given_counts(void)
 
 int main(void)
 {
-    the_first_feedback_is_of_when_it_came();
-    what_waited_longer_than_another_is_as_old_as_it_is();
+    the_first_feedback_has_its_time_of_arrival();
+    feedback_that_was_delayed_longer_is_stamped_older();
     the_least_of_the_delays_counts_until_it_is_forgotten();
     a_board_s_time_passes_the_end_of_its_32_bits();
-    a_stamp_that_steps_back_is_held_until_it_is_on_by_three_quarters();
-    a_stamp_is_held_for_so_long_at_most();
-    a_stamp_that_is_held_is_never_of_a_time_to_come();
+    a_stamp_that_steps_back_is_held_until_three_quarters_have_passed();
+    a_stamp_is_held_for_a_bounded_time();
+    a_stamp_that_is_held_is_never_from_the_future();
     the_time_since_the_last_stamp_that_was_given_counts();
     return checks_report("test_board_clock");
 }

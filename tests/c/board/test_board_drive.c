@@ -55,7 +55,7 @@ static void a_board_is_left_alone_after_its_watchdog_and_not_before(void)
     }
 }
 
-static void it_is_at_rest_by_a_word_of_after_its_stop(void)
+static void feedback_from_after_the_stop_puts_it_at_rest(void)
 {
     for (int before = 0; before < 2; before++) {
         begin_ready();
@@ -74,7 +74,7 @@ static void it_is_at_rest_by_a_word_of_after_its_stop(void)
 
 /* `reported` is what the board reports of itself; it has received what is in its payload by
  * then. */
-static void says(uint32_t status, int64_t watchdog_ms)
+static void reports(uint32_t status, int64_t watchdog_ms)
 {
     memset(m->feedback_payload, 0, sizeof m->feedback_payload);
     m->feedback_bytes = w.table.feedback_bytes;
@@ -85,30 +85,30 @@ static void says(uint32_t status, int64_t watchdog_ms)
     board_received(m, w.now_ns);
 }
 
-static void its_word_counts_when_it_had_received_what_stays_in_its_payload(void)
+static void feedback_counts_when_the_board_has_received_the_last_write(void)
 {
     for (int before = 0; before < 2; before++) {
         begin_armed();
         m->knows_ns = m->written_ns - before;
-        says(STATUS_RESTARTED, WATCHDOG_MS);
+        reports(STATUS_RESTARTED, WATCHDOG_MS);
         CHECK(m->state.mode == (before ? DRIVE_ARMED : DRIVE_OFF) &&
               m->state.fault_reasons == (before ? 0U : DRIVE_FAULT_LOST_SETUP));
         CHECK(m->state.stop == (before ? STOP_NOTHING : STOP_POWER_OFF));
     }
 }
 
-static void power_that_was_not_requested_is_taken_as_soon_as_no_arming_goes_on(void)
+static void unrequested_power_is_taken_as_soon_as_no_arming_is_running(void)
 {
     for (int early = 0; early < 2; early++) {
         begin_ready();
         m->control.request.arming_until_ns = w.now_ns + early;
-        says(STATUS_ENABLED, WATCHDOG_MS);
+        reports(STATUS_ENABLED, WATCHDOG_MS);
         CHECK(m->state.stop == (early ? STOP_NOTHING : STOP_POWER_OFF) &&
               m->state.still_enabled == (early ? 0U : 1U));
     }
 }
 
-static void arming_begins_its_watchdog_anew(void)
+static void arming_restarts_its_watchdog(void)
 {
     begin_ready();
     m->last_sent_ns = 1;
@@ -119,7 +119,7 @@ static void arming_begins_its_watchdog_anew(void)
     CHECK(m->state.mode == DRIVE_ARMED);
 }
 
-static void an_order_counts_when_it_has_gone_out(void)
+static void an_order_counts_when_it_has_been_sent(void)
 {
     begin_ready();
     m->has_order = m->order_written = true;
@@ -158,10 +158,10 @@ int main(void)
     a_board_that_another_program_left_running_is_braked_before_it_loses_its_power();
     a_board_is_unresponsive_after_its_silence_and_not_before();
     a_board_is_left_alone_after_its_watchdog_and_not_before();
-    it_is_at_rest_by_a_word_of_after_its_stop();
-    its_word_counts_when_it_had_received_what_stays_in_its_payload();
-    power_that_was_not_requested_is_taken_as_soon_as_no_arming_goes_on();
-    arming_begins_its_watchdog_anew();
-    an_order_counts_when_it_has_gone_out();
+    feedback_from_after_the_stop_puts_it_at_rest();
+    feedback_counts_when_the_board_has_received_the_last_write();
+    unrequested_power_is_taken_as_soon_as_no_arming_is_running();
+    arming_restarts_its_watchdog();
+    an_order_counts_when_it_has_been_sent();
     return checks_report("board drive");
 }

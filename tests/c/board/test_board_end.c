@@ -2,7 +2,7 @@
  * How the line of a board ends, in virtual time: braked, switched off, silent. */
 #include "board_wire.h"
 
-static void the_end_is_braked_switched_off_and_silent(void)
+static void the_end_brakes_switches_off_and_is_silent(void)
 {
     begin();
     arm_and_turn();
@@ -41,7 +41,7 @@ static void the_end_waits_for_the_wheels_and_for_its_last_frame(void)
     CHECK(report.shut_down == 1 && report.mode == DRIVE_READY && report.sent == w.machine.sent);
 }
 
-static void the_end_comes_also_where_wheels_turn_and_nothing_goes_out(void)
+static void the_end_comes_even_when_wheels_turn_and_nothing_can_be_sent(void)
 {
     begin();
     arm_and_turn();
@@ -107,7 +107,7 @@ static void a_board_that_was_seen_without_power_is_not_waited_for(void)
     CHECK(ends(INT64_MAX).stop_waits == 0 && w.now_ns < asked_ns + 2 * w.table.period_ns + 10 * MS);
 }
 
-/* A board that turns, and whose wire is cut. Returns the time. */
+/* A board that turns and whose wire is cut. Returns the time. */
 static int64_t cut_off(bool unresponsive)
 {
     begin();
@@ -119,7 +119,7 @@ static int64_t cut_off(bool unresponsive)
     return w.now_ns;
 }
 
-static void a_board_that_is_cut_off_for_a_while_is_sent_its_power_off_until_it_knows_it(void)
+static void a_board_that_is_cut_off_for_a_while_is_sent_its_power_off_until_it_receives_it(void)
 {
     for (int unresponsive = 0; unresponsive < 2; unresponsive++) {
         int64_t asked_ns = cut_off(unresponsive != 0);
@@ -128,7 +128,7 @@ static void a_board_that_is_cut_off_for_a_while_is_sent_its_power_off_until_it_k
     }
 }
 
-static void a_board_that_does_not_confirm_it_is_reported(void)
+static void a_board_that_does_not_confirm_its_power_off_is_reported(void)
 {
     for (int unresponsive = 0; unresponsive < 2; unresponsive++) {
         int64_t asked_ns = cut_off(unresponsive != 0);
@@ -137,7 +137,7 @@ static void a_board_that_does_not_confirm_it_is_reported(void)
     }
 }
 
-static void one_that_speaks_and_receives_nothing_is_waited_for_a_little_longer_and_reported(void)
+static void the_end_waits_a_little_longer_for_a_board_that_sends_and_does_not_receive(void)
 {
     begin();
     arm_and_turn();
@@ -152,7 +152,8 @@ static void one_that_speaks_and_receives_nothing_is_waited_for_a_little_longer_a
           w.now_ns < asked_ns + END_OFF_NS + 530 * MS);
 }
 
-/* Its power-off has gone out, and nothing has come for so long when the end's time is over. */
+/* Its power-off has been sent, and the board has been silent for this time when the end's time
+ * is over. */
 static void ends_after_a_silence_of(int64_t silent_ns)
 {
     begin();
@@ -167,7 +168,7 @@ static void ends_after_a_silence_of(int64_t silent_ns)
     step();
 }
 
-static void a_board_speaks_as_long_as_it_is_not_unresponsive(void)
+static void the_end_waits_for_a_board_until_it_is_unresponsive(void)
 {
     ends_after_a_silence_of(150 * MS);
     CHECK(w.machine.end.stage == END_POWER_OFF && w.machine.state.mode == DRIVE_READY);
@@ -175,7 +176,7 @@ static void a_board_speaks_as_long_as_it_is_not_unresponsive(void)
     CHECK(w.machine.end.stage == END_SILENT && w.machine.state.mode == DRIVE_UNRESPONSIVE);
 }
 
-static void one_that_speaks_is_waited_for_half_a_second_longer_and_no_more(void)
+static void the_end_waits_half_a_second_longer_for_a_board_that_sends(void)
 {
     ends_after_a_silence_of(0);
     w.now_ns = w.machine.received_ns = w.machine.end.off_by_ns + 500 * MS - 1;
@@ -189,14 +190,14 @@ static void one_that_speaks_is_waited_for_half_a_second_longer_and_no_more(void)
 int main(void)
 {
     a_board_that_was_seen_without_power_is_not_waited_for();
-    a_board_that_is_cut_off_for_a_while_is_sent_its_power_off_until_it_knows_it();
-    a_board_that_does_not_confirm_it_is_reported();
-    one_that_speaks_and_receives_nothing_is_waited_for_a_little_longer_and_reported();
-    a_board_speaks_as_long_as_it_is_not_unresponsive();
-    one_that_speaks_is_waited_for_half_a_second_longer_and_no_more();
-    the_end_is_braked_switched_off_and_silent();
+    a_board_that_is_cut_off_for_a_while_is_sent_its_power_off_until_it_receives_it();
+    a_board_that_does_not_confirm_its_power_off_is_reported();
+    the_end_waits_a_little_longer_for_a_board_that_sends_and_does_not_receive();
+    the_end_waits_for_a_board_until_it_is_unresponsive();
+    the_end_waits_half_a_second_longer_for_a_board_that_sends();
+    the_end_brakes_switches_off_and_is_silent();
     the_end_waits_for_the_wheels_and_for_its_last_frame();
-    the_end_comes_also_where_wheels_turn_and_nothing_goes_out();
+    the_end_comes_even_when_wheels_turn_and_nothing_can_be_sent();
     a_board_that_was_enabled_and_is_not_armed_is_switched_off();
     the_end_waits_no_longer_than_it_may();
     return checks_report("board end");

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board whose line the loop has woken: what is new does not wait for its cycle. */
+ * A board whose line the loop has woken: new set-points do not wait for their cycle. */
 #include "board_wire.h"
 
 /* The loop has woken the line. */
@@ -18,7 +18,7 @@ static void kick(double velocity_rad_s)
     CHECK(w.sent_count == before && (!due || w.now_ns >= w.machine.cycle.due_ns));
 }
 
-static void a_new_set_point_goes_out_at_once_but_not_before_the_gap(void)
+static void a_new_set_point_is_sent_at_once_but_not_before_the_gap(void)
 {
     board_table table = frames_table();
     table.period_ns = 20 * MS;
@@ -36,7 +36,7 @@ static void a_new_set_point_goes_out_at_once_but_not_before_the_gap(void)
     kick(2.0);
     step();
     CHECK(w.sent_count == before + 1 && last_sent(TARGET, 4, 1) == 2000);
-    CHECK(w.machine.cycle.due_ns == w.now_ns + 20 * MS); /* the cycle goes on from there */
+    CHECK(w.machine.cycle.due_ns == w.now_ns + 20 * MS); /* the cycle continues from there */
     w.now_ns += MS;
     kick(3.0);
     step();
@@ -61,7 +61,7 @@ static void set_points_that_change_all_the_time_double_the_frames_at_most(void)
     CHECK(w.sent_count - before >= 140 && w.sent_count - before <= 2 * 100 + EARLY_AT_ONCE + 1);
 }
 
-static void a_stop_goes_out_at_once_however_much_was_received_before(void)
+static void a_stop_is_sent_at_once_however_many_frames_came_before(void)
 {
     begin();
     arm_and_turn();
@@ -89,7 +89,7 @@ static void a_stop_goes_out_at_once_however_much_was_received_before(void)
     CHECK(w.sent_count == before + 1);
 }
 
-static void a_kick_sends_a_board_that_is_not_armed_nothing(void)
+static void a_kick_sends_nothing_to_a_board_that_is_not_armed(void)
 {
     begin();
     set_up();
@@ -100,9 +100,9 @@ static void a_kick_sends_a_board_that_is_not_armed_nothing(void)
 
 int main(void)
 {
-    a_new_set_point_goes_out_at_once_but_not_before_the_gap();
+    a_new_set_point_is_sent_at_once_but_not_before_the_gap();
     set_points_that_change_all_the_time_double_the_frames_at_most();
-    a_stop_goes_out_at_once_however_much_was_received_before();
-    a_kick_sends_a_board_that_is_not_armed_nothing();
+    a_stop_is_sent_at_once_however_many_frames_came_before();
+    a_kick_sends_nothing_to_a_board_that_is_not_armed();
     return checks_report("board_kick");
 }

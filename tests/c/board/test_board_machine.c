@@ -48,7 +48,7 @@ static void begin_again(void)
     w.machine.round_trips = &trips;
 }
 
-static void a_machine_begins_with_nothing_but_what_it_is_sent(void)
+static void a_machine_begins_with_its_arguments_and_nothing_else(void)
 {
     board_machine *m = malloc(sizeof *m), *untouched = malloc(sizeof *m);
     memset(m, 0xA5, sizeof *m);
@@ -74,7 +74,7 @@ static void a_machine_begins_with_nothing_but_what_it_is_sent(void)
     free(m);
 }
 
-static void a_frame_that_was_received_is_known_by_when_it_went_out(void)
+static void a_received_frame_is_identified_by_its_time_of_sending(void)
 {
     begin_again();
     int64_t first_ns = send_one(), second_ns = send_one();
@@ -90,7 +90,7 @@ static void a_frame_that_was_received_is_known_by_when_it_went_out(void)
 }
 
 /* Clocks differ a little; a frame received long before we sent it is one of an earlier program. */
-static void what_was_received_before_it_was_sent_is_another_frame(void)
+static void a_frame_received_before_it_was_sent_is_another_frame(void)
 {
     begin_again();
     int64_t sent_ns = send_one();
@@ -106,7 +106,7 @@ static void what_was_received_before_it_was_sent_is_another_frame(void)
     CHECK(knows_after(newest, 65535) == 0);
 }
 
-static void a_frame_is_remembered_until_so_many_more_have_gone_out(void)
+static void a_frame_is_remembered_until_enough_newer_ones_are_sent(void)
 {
     begin_again();
     (void)send_one();
@@ -120,9 +120,8 @@ static void a_frame_is_remembered_until_so_many_more_have_gone_out(void)
     CHECK(knows_after(first, 0) == 0); /* another stands in its place */
 }
 
-/* A board refuses frames that are older than the newest it received, whichever program sent
- * that. */
-static void a_line_goes_on_ahead_of_what_the_board_has_received(void)
+/* A board refuses frames that are older than the newest it received, from any program. */
+static void a_line_continues_after_the_sequence_that_the_board_has_received(void)
 {
     begin_again();
     int64_t sent_ns = send_one();
@@ -138,7 +137,7 @@ static void a_line_goes_on_ahead_of_what_the_board_has_received(void)
           w.machine.next == (uint16_t)(newest + 3));
 }
 
-static void a_word_is_of_the_board_s_time(void)
+static void feedback_has_the_board_s_time(void)
 {
     static const uint32_t TIMES_US[] = {0, 0x00FFFF00, 0x01020304, 0xFFFFFF00};
     for (uint32_t i = 0; i < 4; i++) {
@@ -152,7 +151,7 @@ static void a_word_is_of_the_board_s_time(void)
     }
 }
 
-static void a_frame_carries_our_time_and_what_the_port_refuses_is_counted(void)
+static void a_frame_carries_the_host_s_time_and_refused_frames_are_counted(void)
 {
     uint8_t raw[BOARD_FRAME_MAX];
     begin_again();
@@ -169,7 +168,7 @@ static void a_frame_carries_our_time_and_what_the_port_refuses_is_counted(void)
     }
 }
 
-static void an_order_to_a_board_that_was_stopped_is_dropped_and_sent(void)
+static void an_order_to_a_board_that_was_stopped_is_dropped_and_asyncio_notified(void)
 {
     begin_again();
     board_order one = {.write = {.place = at(CONTROL, 1, 0), .raw = 1},
@@ -181,9 +180,9 @@ static void an_order_to_a_board_that_was_stopped_is_dropped_and_sent(void)
     CHECK(!w.machine.has_order && w.machine.orders_dropped == 1 && w.machine.notify);
 }
 
-/* What may move is looked at often: its set-points may become old, or its wheels come to rest,
- * between two cycles. */
-static void what_may_move_is_looked_at_more_often_than_what_rests(void)
+/* A board that may move is checked often: between two cycles its set-points may become old, or
+ * its wheels come to rest. */
+static void a_board_that_may_move_is_checked_more_often_than_one_at_rest(void)
 {
     board_table table = frames_table();
     table.period_ns = 100 * MS;
@@ -211,14 +210,14 @@ static void what_may_move_is_looked_at_more_often_than_what_rests(void)
 
 int main(void)
 {
-    a_machine_begins_with_nothing_but_what_it_is_sent();
-    a_frame_that_was_received_is_known_by_when_it_went_out();
-    what_was_received_before_it_was_sent_is_another_frame();
-    a_frame_is_remembered_until_so_many_more_have_gone_out();
-    a_line_goes_on_ahead_of_what_the_board_has_received();
-    a_word_is_of_the_board_s_time();
-    a_frame_carries_our_time_and_what_the_port_refuses_is_counted();
-    an_order_to_a_board_that_was_stopped_is_dropped_and_sent();
-    what_may_move_is_looked_at_more_often_than_what_rests();
+    a_machine_begins_with_its_arguments_and_nothing_else();
+    a_received_frame_is_identified_by_its_time_of_sending();
+    a_frame_received_before_it_was_sent_is_another_frame();
+    a_frame_is_remembered_until_enough_newer_ones_are_sent();
+    a_line_continues_after_the_sequence_that_the_board_has_received();
+    feedback_has_the_board_s_time();
+    a_frame_carries_the_host_s_time_and_refused_frames_are_counted();
+    an_order_to_a_board_that_was_stopped_is_dropped_and_asyncio_notified();
+    a_board_that_may_move_is_checked_more_often_than_one_at_rest();
     return checks_report("test_board_machine");
 }

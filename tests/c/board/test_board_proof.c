@@ -24,17 +24,17 @@ static bool suffices(int against, bool reports_it)
     return m->off_suffices;
 }
 
-static void a_board_is_known_to_have_no_power_while_nothing_is_against_that(void)
+static void a_board_is_known_to_have_no_power_unless_a_condition_contradicts(void)
 {
     for (int against = 0; against < 10; against++) {
         CHECK(suffices(against, true) == (against == 0));
-        /* there is no word of its power */
+        /* its feedback does not have its power */
         CHECK(suffices(against, false) == (against == 0 || against >= 8));
     }
     (void)suffices(2, true);
     w.machine.table.answers = 0;
     board_note_power(&w.machine, w.now_ns);
-    CHECK(w.machine.off_suffices); /* there is no word at all */
+    CHECK(w.machine.off_suffices); /* there is no feedback at all */
 }
 
 /* ------------------------------------------------------------------------------- frames */
@@ -43,7 +43,7 @@ static bool line_is_silent(void)
     return w.machine.end.stage == END_SILENT;
 }
 
-/* It is silent, after so long. */
+/* Time until the line is silent. */
 static int64_t ends_after(void)
 {
     int64_t from_ns = w.now_ns;
@@ -72,7 +72,7 @@ static void goes_out_first(void)
     CHECK(w.machine.end.stage == END_POWER_OFF && w.machine.off_waits);
 }
 
-static void a_board_needs_to_have_received_no_more_than_the_first_of_its_power_offs(void)
+static void the_first_of_its_power_offs_suffices(void)
 {
     goes_out_first();
     w.receives_nothing = true;
@@ -81,7 +81,7 @@ static void a_board_needs_to_have_received_no_more_than_the_first_of_its_power_o
           w.machine.last_sent_ns > w.machine.off_first_ns);
 }
 
-static void a_board_that_has_received_it_and_still_has_power_is_reported(void)
+static void a_board_that_still_has_power_after_its_power_off_is_reported(void)
 {
     goes_out_first();
     while (!line_is_silent()) {
@@ -96,7 +96,7 @@ static void a_board_that_has_received_it_and_still_has_power_is_reported(void)
 static const char *const NO_POWER = "v 0\n", *const HAS_POWER = "v 0.001\n";
 
 /* Of both joints: the same number. */
-static board_table one_that_says_only_its_velocity(void)
+static board_table table_with_velocity_only(void)
 {
     board_table table = text_table(true);
     table.field[table.field_count++] = field_of(1, FIELD_VELOCITY, at(0, 6, 1), 0.001);
@@ -105,9 +105,9 @@ static board_table one_that_says_only_its_velocity(void)
     return table;
 }
 
-static board_table one_that_says_its_power_first(void)
+static board_table table_with_power_first(void)
 {
-    board_table table = one_that_says_only_its_velocity();
+    board_table table = table_with_velocity_only();
     table.field[table.field_count++] = table.field[0];
     table.field[0] = level_of(FIELD_ENABLED, at(0, 6, 1), 1, 1);
     return table;
@@ -120,7 +120,7 @@ static void receives(const char *word)
     go_on(20 * MS);
 }
 
-/* The first power-off of a text board that turned has just gone out; no word has come since. */
+/* The first power-off of a text board that turned has just been sent; no line has come since. */
 static void goes_out_first_to(board_table table)
 {
     begin_with(table);
@@ -143,10 +143,10 @@ static void goes_out_first_to(board_table table)
     w.now_ns += MS;
 }
 
-static void one_that_does_not_speak_of_its_power_has_to_speak_twice_with_a_power_off_between(void)
+static void without_power_in_its_feedback_two_reports_with_a_power_off_between_are_needed(void)
 {
     for (int words = 0; words < 3; words++) {
-        goes_out_first_to(one_that_says_only_its_velocity());
+        goes_out_first_to(table_with_velocity_only());
         for (int i = 0; i < words; i++) {
             receives(HAS_POWER); /* or so it would be, if that were a field of it */
         }
@@ -157,23 +157,23 @@ static void one_that_does_not_speak_of_its_power_has_to_speak_twice_with_a_power
 
 static void two_reports_in_a_row_may_both_have_been_in_transit(void)
 {
-    goes_out_first_to(one_that_says_only_its_velocity());
+    goes_out_first_to(table_with_velocity_only());
     receive(NO_POWER);
     receives(NO_POWER);
     (void)ends_after();
     CHECK(is_reported());
 }
 
-static void one_that_speaks_of_its_power_is_believed_at_its_first_word(void)
+static void one_report_of_no_power_suffices(void)
 {
-    goes_out_first_to(one_that_says_its_power_first());
+    goes_out_first_to(table_with_power_first());
     receives(NO_POWER);
     CHECK(ends_after() < 40 * MS && !is_reported());
 }
 
-static void one_that_says_that_it_has_power_is_reported_however_often_it_speaks(void)
+static void a_board_that_keeps_reporting_power_is_reported(void)
 {
-    goes_out_first_to(one_that_says_its_power_first());
+    goes_out_first_to(table_with_power_first());
     while (!line_is_silent()) {
         receives(HAS_POWER);
     }
@@ -181,8 +181,8 @@ static void one_that_says_that_it_has_power_is_reported_however_often_it_speaks(
 }
 
 /* ----------------------------------------------------------------------------- the rule */
-/* A word that says neither what the board has received nor whether it has power. */
-static void two_words_with_a_power_off_between_prove_it_where_words_say_nothing_of_it(void)
+/* Feedback has neither the received sequence nor the power. */
+static void two_reports_with_a_power_off_between_prove_it_where_feedback_has_no_power(void)
 {
     begin();
     board_machine *m = &w.machine;
@@ -208,9 +208,9 @@ static void two_words_with_a_power_off_between_prove_it_where_words_say_nothing_
     CHECK(!m->off_waits);
 }
 
-static void what_a_board_reported_before_it_proves_nothing(void)
+static void feedback_from_before_the_power_off_proves_nothing(void)
 {
-    begin_with(one_that_says_its_power_first());
+    begin_with(table_with_power_first());
     board_machine *m = &w.machine;
     m->state.enabled = 0;
     m->off_waits = true;
@@ -222,7 +222,7 @@ static void what_a_board_reported_before_it_proves_nothing(void)
     CHECK(!m->off_waits);
 }
 
-/* A line whose clock begins with it: its first power-off goes out at 1 ns, and a word comes at
+/* A line whose clock starts with it: its first power-off is sent at 1 ns, and feedback comes at
  * once. */
 static void begins_and_ends_at_the_first_nanosecond(board_table table, const char *word)
 {
@@ -237,17 +237,17 @@ static void begins_and_ends_at_the_first_nanosecond(board_table table, const cha
     go_on(20 * MS);
 }
 
-static void the_first_nanosecond_is_a_time_like_all_others(void)
+static void the_first_nanosecond_is_a_valid_time(void)
 {
-    begins_and_ends_at_the_first_nanosecond(one_that_says_its_power_first(), NO_POWER);
+    begins_and_ends_at_the_first_nanosecond(table_with_power_first(), NO_POWER);
     (void)ends_after();
     CHECK(!is_reported());
-    begins_and_ends_at_the_first_nanosecond(one_that_says_only_its_velocity(), NO_POWER);
+    begins_and_ends_at_the_first_nanosecond(table_with_velocity_only(), NO_POWER);
     go_on(20 * MS);
     receives(NO_POWER);
     (void)ends_after();
     CHECK(!is_reported());
-    begins_and_ends_at_the_first_nanosecond(one_that_says_its_power_first(), HAS_POWER);
+    begins_and_ends_at_the_first_nanosecond(table_with_power_first(), HAS_POWER);
     while (!line_is_silent()) {
         receives(HAS_POWER);
     }
@@ -256,15 +256,15 @@ static void the_first_nanosecond_is_a_time_like_all_others(void)
 
 int main(void)
 {
-    a_board_is_known_to_have_no_power_while_nothing_is_against_that();
-    a_board_needs_to_have_received_no_more_than_the_first_of_its_power_offs();
-    a_board_that_has_received_it_and_still_has_power_is_reported();
-    one_that_does_not_speak_of_its_power_has_to_speak_twice_with_a_power_off_between();
+    a_board_is_known_to_have_no_power_unless_a_condition_contradicts();
+    the_first_of_its_power_offs_suffices();
+    a_board_that_still_has_power_after_its_power_off_is_reported();
+    without_power_in_its_feedback_two_reports_with_a_power_off_between_are_needed();
     two_reports_in_a_row_may_both_have_been_in_transit();
-    one_that_speaks_of_its_power_is_believed_at_its_first_word();
-    one_that_says_that_it_has_power_is_reported_however_often_it_speaks();
-    two_words_with_a_power_off_between_prove_it_where_words_say_nothing_of_it();
-    what_a_board_reported_before_it_proves_nothing();
-    the_first_nanosecond_is_a_time_like_all_others();
+    one_report_of_no_power_suffices();
+    a_board_that_keeps_reporting_power_is_reported();
+    two_reports_with_a_power_off_between_prove_it_where_feedback_has_no_power();
+    feedback_from_before_the_power_off_proves_nothing();
+    the_first_nanosecond_is_a_valid_time();
     return checks_report("board proof");
 }

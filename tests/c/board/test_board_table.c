@@ -86,7 +86,7 @@ static void its_times(void)
     BAD(t.gap_ns, LONGEST_NS + 1, "gap_ns");
 }
 
-static void full_lists_are_looked_at_to_their_last_entry(void)
+static void full_lists_are_checked_to_their_last_entry(void)
 {
     t = frames_table();
     for (uint32_t i = t.setpoint_count; i < BOARD_SETPOINTS_MAX; i++) {
@@ -112,14 +112,14 @@ static void full_lists_are_looked_at_to_their_last_entry(void)
         last[i]->bytes = 0;
         CHECK(refused("place.bytes"));
     }
-    t = frames_table(); /* what is not counted is not looked at */
+    t = frames_table(); /* entries beyond the count are not checked */
     t.setpoint[t.setpoint_count] = t.setpoint[0];
     t.setpoint[t.setpoint_count].scale.kind = 99;
     t.quick_stop[1].place.bytes = t.disarm[1].place.bytes = t.field[t.field_count].place.bytes = 7;
     CHECK(is_good());
 }
 
-static void where_a_number_stands(void)
+static void places_of_numbers_have_their_range(void)
 {
     board_place *place = &t.field[1].place;
     t = frames_table();
@@ -142,7 +142,7 @@ static void where_a_number_stands(void)
     BAD(t.disarm[0].place, at(t.payload_bytes, 1, 0), "place.byte");
 }
 
-static void set_points_and_writes_end_where_their_place_does(void)
+static void set_points_and_writes_fit_their_place(void)
 {
     t = frames_table();
     setpoint_scale *scale = &t.setpoint[0].scale;
@@ -181,7 +181,7 @@ static void set_points_and_writes_end_where_their_place_does(void)
     BAD(t.field[0].meaning.si_per_raw, (double)NAN, "field.si_per_raw");
 }
 
-static void frames_say_which_set_points_were_received_and_when(void)
+static void feedback_has_room_for_the_received_sequence_and_its_time(void)
 {
     t = frames_table();
     t.field_count = 0;
@@ -201,7 +201,7 @@ static void the_axes_of_a_sensor(void)
         BAD(t.imu.axis[axis], 3, "imu.axis");
     }
     t = frames_table();
-    t.imu.used = 1; /* in frames its rate stands where the protocol says */
+    t.imu.used = 1; /* in frames the protocol fixes the place of its rate */
     CHECK(is_good());
 }
 
@@ -238,7 +238,7 @@ static void begin_text(void)
         CHECK(refused(name));                                                                      \
     } while (0)
 
-static void templates_have_parts_of_known_forms(void)
+static void template_parts_have_known_forms(void)
 {
     begin_text();
     CHECK(is_good());
@@ -275,7 +275,7 @@ static void templates_have_parts_of_known_forms(void)
     CHECK(is_good());
 }
 
-static void what_is_written_is_exact_and_of_a_width_that_fits(void)
+static void numbers_are_written_exactly_and_in_a_width_that_fits(void)
 {
     TEXT_GOOD(t.written.part[1].sign, ' ');
     TEXT_GOOD(t.written.part[1].sign, 0);
@@ -311,13 +311,13 @@ static void what_is_written_is_exact_and_of_a_width_that_fits(void)
     CHECK(is_good());
 }
 
-static void a_number_that_is_read_ends_where_no_number_goes_on(void)
+static void the_text_after_a_number_cannot_continue_the_number(void)
 {
     const char goes_on[] = "0159.eE", ends[] = "/:,x+- ";
     for (uint32_t i = 0; goes_on[i] != '\0'; i++) {
         TEXT_BAD(t.read.literal[2], (uint8_t)goes_on[i], "read.part.literal_bytes");
         TEXT_GOOD(t.read.literal[2], (uint8_t)ends[i]);
-        /* before the first number stands what likes to */
+        /* any text may stand before the first number */
         TEXT_GOOD(t.read.literal[0], (uint8_t)goes_on[i]);
         TEXT_GOOD(t.written.literal[2], (uint8_t)goes_on[i]);
     }
@@ -335,7 +335,7 @@ static void a_number_that_is_read_ends_where_no_number_goes_on(void)
     CHECK(is_good());
 }
 
-static void a_text_with_a_sensor_says_where_its_rate_stands(void)
+static void a_text_with_a_sensor_has_a_place_for_its_rate(void)
 {
     begin_text();
     t.imu.used = 1;
@@ -351,14 +351,14 @@ int main(void)
 {
     the_numbers_of_a_board();
     its_times();
-    full_lists_are_looked_at_to_their_last_entry();
-    where_a_number_stands();
-    set_points_and_writes_end_where_their_place_does();
-    frames_say_which_set_points_were_received_and_when();
+    full_lists_are_checked_to_their_last_entry();
+    places_of_numbers_have_their_range();
+    set_points_and_writes_fit_their_place();
+    feedback_has_room_for_the_received_sequence_and_its_time();
     the_axes_of_a_sensor();
-    templates_have_parts_of_known_forms();
-    what_is_written_is_exact_and_of_a_width_that_fits();
-    a_number_that_is_read_ends_where_no_number_goes_on();
-    a_text_with_a_sensor_says_where_its_rate_stands();
+    template_parts_have_known_forms();
+    numbers_are_written_exactly_and_in_a_width_that_fits();
+    the_text_after_a_number_cannot_continue_the_number();
+    a_text_with_a_sensor_has_a_place_for_its_rate();
     return checks_report("board table");
 }

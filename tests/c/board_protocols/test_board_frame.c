@@ -72,7 +72,7 @@ static uint32_t without_zeros(uint8_t *raw, uint32_t count)
     return count;
 }
 
-static void what_is_built_is_head_payload_and_check_sum_between_zeros(void)
+static void a_built_frame_is_head_payload_and_check_sum_between_zeros(void)
 {
     const uint8_t payload[] = {7, 0, 9};
     uint8_t wire[BOARD_WIRE_MAX], raw[BOARD_FRAME_MAX];
@@ -86,7 +86,7 @@ static void what_is_built_is_head_payload_and_check_sum_between_zeros(void)
     CHECK(crc_of((const uint8_t *)"123456789", 9) == 0x29B1);
 }
 
-static void a_payload_is_as_long_as_a_frame_leaves_room_for(void)
+static void a_payload_is_at_most_as_long_as_a_frame_has_room_for(void)
 {
     uint8_t payload[BOARD_PAYLOAD_MAX + 1], wire[BOARD_WIRE_MAX], raw[BOARD_FRAME_MAX];
     for (uint32_t i = 0; i < sizeof payload; i++) {
@@ -100,7 +100,7 @@ static void a_payload_is_as_long_as_a_frame_leaves_room_for(void)
     CHECK(parsed(wire + 1, count - 2, NULL) == BOARD_HEAD_BYTES);
 }
 
-static void what_is_cut_short_or_damaged_is_no_frame(void)
+static void a_truncated_or_damaged_frame_is_refused(void)
 {
     uint8_t raw[BOARD_FRAME_MAX], stuffed[2 * 256];
     uint32_t count = without_zeros(raw, 40);
@@ -122,7 +122,7 @@ static void what_is_cut_short_or_damaged_is_no_frame(void)
 }
 
 /* Not even with a correct check sum: a zero ends a frame. */
-static void a_zero_within_a_block_is_no_part_of_a_frame(void)
+static void a_zero_within_a_block_ends_the_frame(void)
 {
     uint8_t raw[BOARD_FRAME_MAX], stuffed[256];
     uint32_t count = without_zeros(raw, 40);
@@ -133,7 +133,7 @@ static void a_zero_within_a_block_is_no_part_of_a_frame(void)
     CHECK(parsed(stuffed, count + 1, NULL) == 0);
 }
 
-static void what_is_longer_than_a_frame_is_none(void)
+static void a_frame_that_is_too_long_is_refused(void)
 {
     uint8_t raw[256];
     CHECK(read_back(raw, without_zeros(raw, BOARD_FRAME_MAX)) == BOARD_FRAME_MAX - CRC_BYTES);
@@ -148,7 +148,7 @@ static void what_is_longer_than_a_frame_is_none(void)
     }
 }
 
-static void what_has_no_room_for_a_head_or_another_version_is_none(void)
+static void a_frame_without_a_whole_head_or_of_another_version_is_refused(void)
 {
     uint8_t raw[BOARD_FRAME_MAX];
     for (uint32_t count = 5; count < BOARD_HEAD_BYTES + CRC_BYTES; count++) {
@@ -163,11 +163,11 @@ static void what_has_no_room_for_a_head_or_another_version_is_none(void)
 
 int main(void)
 {
-    what_is_built_is_head_payload_and_check_sum_between_zeros();
-    a_payload_is_as_long_as_a_frame_leaves_room_for();
-    what_is_cut_short_or_damaged_is_no_frame();
-    a_zero_within_a_block_is_no_part_of_a_frame();
-    what_is_longer_than_a_frame_is_none();
-    what_has_no_room_for_a_head_or_another_version_is_none();
+    a_built_frame_is_head_payload_and_check_sum_between_zeros();
+    a_payload_is_at_most_as_long_as_a_frame_has_room_for();
+    a_truncated_or_damaged_frame_is_refused();
+    a_zero_within_a_block_ends_the_frame();
+    a_frame_that_is_too_long_is_refused();
+    a_frame_without_a_whole_head_or_of_another_version_is_refused();
     return checks_report("test_board_frame");
 }

@@ -65,7 +65,7 @@ static void members_are_found_by_name_in_any_order_among_others(void)
     }
 }
 
-static void what_is_no_such_object_is_another_text(void)
+static void text_that_is_no_such_object_is_refused(void)
 {
     static const char *const BAD[] = {
         "",
@@ -110,7 +110,7 @@ static void what_is_no_such_object_is_another_text(void)
     }
 }
 
-static void a_zero_byte_is_a_byte_as_any_other(void)
+static void a_zero_byte_does_not_end_the_text(void)
 {
     char line[] = "{\"T\":1001,\"o\":@,\"L\":0.25,\"R\":-0.5}";
     uint8_t payload[12] = {0};
@@ -209,9 +209,9 @@ static void tables_of_names_are_refused_where_they_cannot_be_read(void)
 int main(void)
 {
     members_are_found_by_name_in_any_order_among_others();
-    what_is_no_such_object_is_another_text();
+    text_that_is_no_such_object_is_refused();
     every_beginning_of_a_good_line_is_refused();
-    a_zero_byte_is_a_byte_as_any_other();
+    a_zero_byte_does_not_end_the_text();
     an_object_of_constants_alone_reports_nothing();
     tables_of_names_are_refused_where_they_cannot_be_read();
     return checks_report("test_board_json");

@@ -112,7 +112,7 @@ static void a_feedback_is_taken_at_its_last_byte(void)
     CHECK(good == 2 && bad == 0 && values[0] == 50);
 }
 
-static void a_frame_torn_anywhere_costs_itself_alone(void)
+static void a_torn_frame_does_not_cost_the_next_one(void)
 {
     for (uint32_t kept = 0; kept < FRAME; kept++) {
         uint8_t frame[FRAME];
@@ -179,7 +179,7 @@ static void a_start_word_among_the_values_is_no_feedback_and_does_not_hide_the_f
     CHECK(good == 1 && values[0] == 3);
 }
 
-/* The last value's second byte, and the check sum's first, come to whatever they come. */
+/* The last value's second byte and the check sum's first may have any value. */
 static void single_bytes_of_the_start_word_may_stand_anywhere(void)
 {
     static const uint8_t parts[] = {0xCD, 0xAB};
@@ -206,7 +206,7 @@ static void single_bytes_of_the_start_word_may_stand_anywhere(void)
     CHECK(good == 1 && values[13] == 0xCD);
 }
 
-static void another_start_word_is_no_frame_whatever_its_sum_and_is_dropped_at_once(void)
+static void a_wrong_start_word_is_dropped_at_once_whatever_the_check_sum(void)
 {
     uint8_t frame[FRAME];
     make_feedback(1, frame);
@@ -228,7 +228,7 @@ static void another_start_word_is_no_frame_whatever_its_sum_and_is_dropped_at_on
 
 /* All sums of a turned frame are good: the words are the same. With a check sum of 0xABCD it
  * even begins well. */
-static void the_halves_of_two_equal_frames_are_no_feedback(void)
+static void halves_of_two_equal_frames_are_no_feedback(void)
 {
     uint8_t frame[FRAME];
     make_feedback(0, frame);
@@ -246,7 +246,7 @@ static void the_halves_of_two_equal_frames_are_no_feedback(void)
     CHECK(bad == 0);
 }
 
-static void bytes_of_no_frame_are_counted_once_as_long_as_the_stream_is_lost(void)
+static void bytes_outside_of_frames_are_counted_once_until_the_stream_is_found_again(void)
 {
     static const uint8_t noise[] = {1, 2, 0xCD, 3, 0xAB, 4, 0xCD, 0xAB};
     uint8_t frame[FRAME];
@@ -332,7 +332,7 @@ static void arm_hoverboard(uint32_t mixed)
     CHECK(w.machine.state.mode == DRIVE_ARMED);
 }
 
-static void a_hoverboard_follows_when_armed_and_its_speeds_are_read(void)
+static void an_armed_hoverboard_follows_its_set_points_and_its_speeds_are_read(void)
 {
     w.velocity_rad_s = 1.0;
     arm_hoverboard(0);
@@ -346,7 +346,7 @@ static void a_hoverboard_follows_when_armed_and_its_speeds_are_read(void)
     CHECK(sends(0, 10));
 }
 
-static void a_hoverboard_that_falls_silent_is_sent_zero_and_taken_back(void)
+static void a_hoverboard_that_falls_silent_is_sent_zero_and_disarmed(void)
 {
     arm_hoverboard(0);
     uint64_t received = w.machine.received;
@@ -370,7 +370,7 @@ static void frames_with_a_wrong_sum_are_silence(void)
     CHECK(w.machine.bad_frames == 1 && w.machine.state.mode == DRIVE_UNRESPONSIVE && sends(0, 0));
 }
 
-static void tables_of_packets_are_refused_where_they_do_not_fit(void)
+static void tables_of_packets_that_do_not_fit_are_refused(void)
 {
     char name[FIELD_NAME_BYTES];
     board_table table = hoverboard_table(1);
@@ -395,16 +395,16 @@ int main(void)
 {
     a_command_has_start_word_two_set_points_and_their_exclusive_or();
     a_feedback_is_taken_at_its_last_byte();
-    a_frame_torn_anywhere_costs_itself_alone();
+    a_torn_frame_does_not_cost_the_next_one();
     every_flipped_bit_is_seen_and_the_next_frame_is_good();
     a_start_word_among_the_values_is_no_feedback_and_does_not_hide_the_frame_after();
-    the_halves_of_two_equal_frames_are_no_feedback();
+    halves_of_two_equal_frames_are_no_feedback();
     single_bytes_of_the_start_word_may_stand_anywhere();
-    another_start_word_is_no_frame_whatever_its_sum_and_is_dropped_at_once();
-    bytes_of_no_frame_are_counted_once_as_long_as_the_stream_is_lost();
-    a_hoverboard_follows_when_armed_and_its_speeds_are_read();
-    a_hoverboard_that_falls_silent_is_sent_zero_and_taken_back();
+    a_wrong_start_word_is_dropped_at_once_whatever_the_check_sum();
+    bytes_outside_of_frames_are_counted_once_until_the_stream_is_found_again();
+    an_armed_hoverboard_follows_its_set_points_and_its_speeds_are_read();
+    a_hoverboard_that_falls_silent_is_sent_zero_and_disarmed();
     frames_with_a_wrong_sum_are_silence();
-    tables_of_packets_are_refused_where_they_do_not_fit();
+    tables_of_packets_that_do_not_fit_are_refused();
     return checks_report("test_board_packets");
 }

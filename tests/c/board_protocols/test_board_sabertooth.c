@@ -33,7 +33,7 @@ static void each_motor_has_a_packet_with_its_direction_and_the_sum_of_seven_bits
           memcmp(out, backward, sizeof backward) == 0);
 }
 
-static void the_time_out_goes_out_with_every_set_point(void)
+static void the_time_out_is_sent_with_every_set_point(void)
 {
     static const uint8_t still[] = {128, 14, 3, 17, 128, 0, 0, 0, 128, 4, 0, 4};
     uint8_t out[3 * SABERTOOTH_PACKET_BYTES];
@@ -45,7 +45,7 @@ static void the_time_out_goes_out_with_every_set_point(void)
     CHECK(build_sabertooth(128, 255, 5, 5, out) == sizeof still && out[2] == 127);
 }
 
-static void nothing_but_an_address_is_above_127(void)
+static void only_an_address_byte_is_above_127(void)
 {
     for (uint32_t value = 0; value < 256; value++) {
         uint8_t out[3 * SABERTOOTH_PACKET_BYTES];
@@ -77,7 +77,7 @@ static board_table sabertooth_table(void)
     return table;
 }
 
-static void a_sabertooth_is_there_while_its_port_takes_bytes(void)
+static void a_sabertooth_counts_as_present_while_its_port_takes_bytes(void)
 {
     static const uint8_t still[] = {128, 14, 3, 17, 128, 0, 0, 0, 128, 4, 0, 4};
     static const uint8_t turning[] = {128, 14, 3, 17, 128, 0, 10, 10, 128, 4, 10, 14};
@@ -142,7 +142,7 @@ static void sabertooths_on_one_wire_are_driven_and_stopped_in_one_cycle(void)
     CHECK(w.sent_bytes == 96 && w.sent[0] == 128 && w.sent[95] == (135 + 4) % 128);
 }
 
-static void tables_of_packets_are_refused_where_they_do_not_fit(void)
+static void tables_of_packets_that_do_not_fit_are_refused(void)
 {
     char name[FIELD_NAME_BYTES];
     board_table table = sabertooth_table();
@@ -178,10 +178,10 @@ static void tables_of_packets_are_refused_where_they_do_not_fit(void)
 int main(void)
 {
     each_motor_has_a_packet_with_its_direction_and_the_sum_of_seven_bits();
-    the_time_out_goes_out_with_every_set_point();
-    nothing_but_an_address_is_above_127();
-    a_sabertooth_is_there_while_its_port_takes_bytes();
+    the_time_out_is_sent_with_every_set_point();
+    only_an_address_byte_is_above_127();
+    a_sabertooth_counts_as_present_while_its_port_takes_bytes();
     sabertooths_on_one_wire_are_driven_and_stopped_in_one_cycle();
-    tables_of_packets_are_refused_where_they_do_not_fit();
+    tables_of_packets_that_do_not_fit_are_refused();
     return checks_report("test_board_sabertooth");
 }

@@ -69,7 +69,7 @@ static const struct {
     {{.form = NUMBER_NONE}, 1, 1, "v"},
 };
 
-static void a_number_is_written_as_its_part_says(void)
+static void a_number_is_written_in_the_form_of_its_part(void)
 {
     for (size_t i = 0; i < sizeof WRITTEN / sizeof WRITTEN[0]; i++) {
         uint8_t out[BOARD_TEXT_MAX];
@@ -92,7 +92,7 @@ static void parts_follow_one_another_each_after_its_own_text(void)
     free(out);
 }
 
-static void a_line_is_as_long_as_there_is_room_for(void)
+static void a_line_is_refused_where_it_does_not_fit(void)
 {
     char literal[BOARD_TEXT_MAX];
     uint8_t *out = malloc(BOARD_TEXT_MAX);
@@ -179,7 +179,7 @@ static void numbers_are_read_in_every_usual_form_and_held_within_their_place(voi
     }
 }
 
-static void what_is_no_number_is_another_text(void)
+static void text_that_is_no_number_is_refused(void)
 {
     static const char *const BAD[] = {"",    "-",   "+",   ".",    "-.",    "e5",     "x",
                                       "--1", "+-1", "1e",  "1e+",  "1e-",   "1ex",    "1.2.3",
@@ -192,7 +192,7 @@ static void what_is_no_number_is_another_text(void)
 }
 
 /* So far from all numbers that a double has, and back again by its digits. */
-static void an_exponent_is_read_as_far_as_numbers_go(void)
+static void an_exponent_is_read_up_to_the_range_of_numbers(void)
 {
     char line[BOARD_TEXT_MAX + 1] = "0.";
     int64_t raw;
@@ -251,7 +251,7 @@ static const struct {
     {"", "e+x", "5e+x", true},
 };
 
-static void white_space_fits_any_other_and_need_not_be_at_the_ends(void)
+static void any_white_space_matches_and_is_optional_at_the_ends(void)
 {
     int64_t raw;
     for (size_t i = 0; i < sizeof LINES / sizeof LINES[0]; i++) {
@@ -290,13 +290,13 @@ static void each_number_goes_to_its_place_and_the_length_ends_with_the_last_plac
 
 int main(void)
 {
-    a_number_is_written_as_its_part_says();
+    a_number_is_written_in_the_form_of_its_part();
     parts_follow_one_another_each_after_its_own_text();
-    a_line_is_as_long_as_there_is_room_for();
+    a_line_is_refused_where_it_does_not_fit();
     numbers_are_read_in_every_usual_form_and_held_within_their_place();
-    what_is_no_number_is_another_text();
-    an_exponent_is_read_as_far_as_numbers_go();
-    white_space_fits_any_other_and_need_not_be_at_the_ends();
+    text_that_is_no_number_is_refused();
+    an_exponent_is_read_up_to_the_range_of_numbers();
+    any_white_space_matches_and_is_optional_at_the_ends();
     each_number_goes_to_its_place_and_the_length_ends_with_the_last_place();
     return checks_report("test_board_text");
 }

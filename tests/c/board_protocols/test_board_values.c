@@ -65,7 +65,7 @@ static bool payload_of(double one_rad_s, double other_rad_s, int64_t *one, int64
     return motion;
 }
 
-static void a_payload_moves_where_any_set_point_of_it_does(void)
+static void a_payload_moves_when_any_of_its_set_points_does(void)
 {
     int64_t one, other;
     begin();
@@ -79,7 +79,7 @@ static void a_payload_moves_where_any_set_point_of_it_does(void)
     CHECK(!payload_of((double)NAN, (double)INFINITY, &one, &other) && one == 0 && other == 0);
 }
 
-static void what_is_not_armed_and_enabled_is_sent_zero(void)
+static void only_an_armed_and_enabled_drive_gets_set_points_other_than_zero(void)
 {
     int64_t one, other;
     for (uint32_t mode = DRIVE_OFF; mode <= DRIVE_UNRESPONSIVE; mode++) {
@@ -106,7 +106,7 @@ static void say(uint32_t byte, int64_t raw)
     board_put(m->feedback_payload, &(board_place){.byte = byte, .bytes = 2}, raw);
 }
 
-static void each_field_goes_where_its_meaning_says(void)
+static void each_field_goes_to_the_value_that_it_means(void)
 {
     begin();
     field(0, 0, FIELD_COUNT, 0);
@@ -115,7 +115,7 @@ static void each_field_goes_where_its_meaning_says(void)
     field(3, 0, FIELD_VOLTAGE, 6);
     field(4, 0, FIELD_TEMPERATURE, 8);
     field(5, 1, FIELD_COUNT, 10);
-    m->table.field[6] = m->table.field[0]; /* not counted: joint 0 would read what is behind */
+    m->table.field[6] = m->table.field[0]; /* not counted: joint 0 would read what follows */
     m->table.field[6].place.byte = 12;
     const int64_t raw[] = {0x7123, -8, 6, 48, 50, -1, 77};
     for (uint32_t i = 0; i < 7; i++) {
@@ -132,7 +132,7 @@ static void each_field_goes_where_its_meaning_says(void)
     CHECK(board_read(m) && m->joint[1].feedback.count == UINT64_MAX);
 }
 
-static void a_fault_word_stops_by_what_is_not_harmless_and_is_sent_when_it_changes(void)
+static void a_fault_word_stops_by_its_harmful_bits_and_is_reported_when_it_changes(void)
 {
     begin();
     field(0, 1, FIELD_FAULT, 0);
@@ -148,7 +148,7 @@ static void a_fault_word_stops_by_what_is_not_harmless_and_is_sent_when_it_chang
     CHECK(m->joint[0].fault_word == 0 && m->joint[0].feedback.drive_faults == 0);
 }
 
-static void what_is_enabled_and_what_was_kept_is_sent_by_a_mask(void)
+static void a_mask_shows_whether_it_is_enabled_and_kept_its_set_up(void)
 {
     begin();
     field(0, 0, FIELD_ENABLED, 0);
@@ -192,7 +192,7 @@ static void feedback_is_published_for_the_joints_of_the_board(void)
           m->joint[1].feedback.stamp_ns == 0);
 }
 
-static void it_is_at_rest_when_each_of_its_joints_is_known_to_be(void)
+static void it_is_at_rest_when_each_of_its_joints_is_known_to_rest(void)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         begin();
@@ -215,13 +215,13 @@ int main(void)
 {
     m = malloc(sizeof *m);
     a_number_of_each_length_is_read_as_it_was_written();
-    a_payload_moves_where_any_set_point_of_it_does();
-    what_is_not_armed_and_enabled_is_sent_zero();
-    each_field_goes_where_its_meaning_says();
-    a_fault_word_stops_by_what_is_not_harmless_and_is_sent_when_it_changes();
-    what_is_enabled_and_what_was_kept_is_sent_by_a_mask();
+    a_payload_moves_when_any_of_its_set_points_does();
+    only_an_armed_and_enabled_drive_gets_set_points_other_than_zero();
+    each_field_goes_to_the_value_that_it_means();
+    a_fault_word_stops_by_its_harmful_bits_and_is_reported_when_it_changes();
+    a_mask_shows_whether_it_is_enabled_and_kept_its_set_up();
     feedback_is_published_for_the_joints_of_the_board();
-    it_is_at_rest_when_each_of_its_joints_is_known_to_be();
+    it_is_at_rest_when_each_of_its_joints_is_known_to_rest();
     free(m);
     return checks_report("test_board_values");
 }

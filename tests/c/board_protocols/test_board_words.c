@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a board says, in frames and in text, in any pieces, with a sensor and with noise. */
+ * Feedback of a board, in frames and in text, in any pieces, with a sensor and with noise. */
 #include "board_wire.h"
 
 /* ---------------------------------------------------------------------------- frames in */
@@ -93,7 +93,7 @@ static void the_longest_frame_is_read_and_one_with_a_byte_more_is_not(void)
     CHECK(received_of(BOARD_PAYLOAD_MAX, "") == 1);
 }
 
-static void what_was_reported_before_a_write_was_received_is_not_believed(void)
+static void feedback_from_before_a_write_was_received_is_ignored(void)
 {
     begin();
     arm();
@@ -125,7 +125,7 @@ static bool newest_line_is(const char *line)
     return w.sent_bytes == strlen(line) && memcmp(w.sent, line, w.sent_bytes) == 0;
 }
 
-static void text_without_feedback_lives_on_its_port(void)
+static void a_text_board_without_feedback_is_present_while_its_port_takes_bytes(void)
 {
     begin_with(text_table(false));
     go_on(50 * MS);
@@ -145,7 +145,7 @@ static void text_without_feedback_lives_on_its_port(void)
     CHECK(w.machine.state.mode == DRIVE_BACK && newest_line_is("0,0\n"));
 }
 
-static void half_a_line_is_not_read_and_one_without_end_is_thrown_away(void)
+static void half_a_line_is_not_read_and_an_endless_one_is_dropped(void)
 {
     begin_with(text_table(true));
     request(DRIVE_READY);
@@ -183,7 +183,7 @@ static void the_longest_line_is_read_and_one_with_a_byte_more_is_not(void)
     CHECK(w.machine.received == 2);
 }
 
-static void a_line_is_of_its_own_time_and_of_nothing_but_itself(void)
+static void a_line_has_its_own_time_and_no_values_of_older_lines(void)
 {
     board_table table = text_table(true);
     table.feedback_bytes = 8;
@@ -240,7 +240,7 @@ static bool report_with_sensor(uint32_t size)
     return w.machine.received > before;
 }
 
-static void a_sensor_speaks_in_the_base_s_axes(void)
+static void samples_of_a_sensor_are_in_the_base_s_axes(void)
 {
     board_table table = frames_table();
     table.imu = mounted();
@@ -255,7 +255,7 @@ static void a_sensor_speaks_in_the_base_s_axes(void)
     sensor_flags = 0;
     CHECK(report_with_sensor(56) && imu->saturated == 0);
     sensor_flags = 1;
-    /* it says that it has one, and ends before */
+    /* it announces a sensor, and ends before it */
     CHECK(!report_with_sensor(55) && w.machine.bad_frames == 1);
     table.imu.used = 0;
     begin_with(table);
@@ -265,7 +265,7 @@ static void a_sensor_speaks_in_the_base_s_axes(void)
     CHECK(board_table_check(&table, name) != NULL);
 }
 
-static void a_text_has_its_rate_about_z(void)
+static void the_rate_of_a_text_is_about_z(void)
 {
     board_table table = text_table(true);
     table.imu = mounted();
@@ -288,13 +288,13 @@ int main(void)
     the_stream_may_come_in_any_pieces();
     noise_is_counted_and_changes_nothing();
     the_longest_frame_is_read_and_one_with_a_byte_more_is_not();
-    what_was_reported_before_a_write_was_received_is_not_believed();
-    text_without_feedback_lives_on_its_port();
-    half_a_line_is_not_read_and_one_without_end_is_thrown_away();
+    feedback_from_before_a_write_was_received_is_ignored();
+    a_text_board_without_feedback_is_present_while_its_port_takes_bytes();
+    half_a_line_is_not_read_and_an_endless_one_is_dropped();
     the_longest_line_is_read_and_one_with_a_byte_more_is_not();
-    a_line_is_of_its_own_time_and_of_nothing_but_itself();
+    a_line_has_its_own_time_and_no_values_of_older_lines();
     a_line_that_cannot_be_written_is_not_sent();
-    a_sensor_speaks_in_the_base_s_axes();
-    a_text_has_its_rate_about_z();
+    samples_of_a_sensor_are_in_the_base_s_axes();
+    the_rate_of_a_text_is_about_z();
     return checks_report("board words");
 }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_twist.c: whatever a stranger on DDS sends as TwistStamped, nothing beyond its bytes is
- * looked at, and its age is one. */
+ * fuzz_twist.c: for any bytes received on DDS as a TwistStamped, nothing beyond them is read, and
+ * the age is valid. */
 #include <math.h>
 #include <string.h>
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * An input of ROS 2 ends while commands arrive, in every order in which lease and listener may go:
- * then nothing of it is sent or notified any more. This program stands for Cyclone's library:
+ * An input of ROS 2 ends while commands arrive, in every order in which lease and listener may
+ * end: after it nothing is sent or notified. This program replaces Cyclone's library:
  * receiver_library finds its functions here. */
 #include <errno.h>
 #include <poll.h>
@@ -67,7 +67,7 @@ void dds_lset_data_available(dds_listener *listener, void (*call)(int32_t reader
     listener->call = call;
 }
 
-/* As dds_entity.c: a call that goes on is waited for. */
+/* As dds_entity.c: it waits for a running call. */
 int32_t dds_set_listener(int32_t reader, const dds_listener *listener)
 {
     CHECK(reader == READER && pthread_mutex_lock(&lock) == 0);
@@ -113,7 +113,7 @@ void ddsi_serdata_unref(ddsi_serdata *data)
     held--;
 }
 
-/* As dds_reader.c: what waits for its turn calls the listener that there is then. */
+/* As dds_reader.c: a waiting call uses the listener that is set when it runs. */
 static void *receives(void *unused)
 {
     (void)unused;

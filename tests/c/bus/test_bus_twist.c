@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Commands of the second process: what a TwistStamped says, how old it is, and under which
- * number it goes out. */
+ * Commands of the second process: the content of a TwistStamped, its age, and the sequence
+ * under which it is sent. */
 #include <errno.h>
 #include <math.h>
 #include <string.h>
@@ -27,7 +27,7 @@ static void put_double(uint8_t *at, double value, int order)
     put(at, bits, sizeof bits, order);
 }
 
-/* With a frame_id of so many bytes, its end among them. How long it is. */
+/* With a frame_id of this many bytes, including its end; returns the length. */
 static size_t encoded(uint8_t *raw, uint32_t frame_bytes, int order, const double *twist)
 {
     size_t at = 4 + ((12 + (size_t)frame_bytes + 7) & ~(size_t)7);
@@ -59,7 +59,7 @@ static void a_twist_is_read_in_both_byte_orders(void)
     }
 }
 
-static void what_is_no_number_passes_and_is_the_loops_to_refuse(void)
+static void a_twist_that_is_not_finite_is_parsed_and_left_to_the_loop_to_refuse(void)
 {
     static uint8_t raw[ROOM];
     const double twist[6] = {(double)NAN, (double)NAN, 0.0, 0.0, 0.0, (double)INFINITY};
@@ -68,7 +68,7 @@ static void what_is_no_number_passes_and_is_the_loops_to_refuse(void)
     CHECK(isnan(found.linear_m_s) && isnan(found.lateral_m_s) && isinf(found.angular_rad_s));
 }
 
-static void another_encoding_or_length_is_no_twist(void)
+static void a_twist_of_another_encoding_or_length_is_refused(void)
 {
     static uint8_t raw[ROOM];
     const double twist[6] = {0};
@@ -120,7 +120,7 @@ static command_datagram received(int fd)
     return one;
 }
 
-static void a_lease_numbers_all_that_goes_out_under_it(void)
+static void a_lease_numbers_all_commands_sent_under_it(void)
 {
     outlet o;
     int first[2], second[2];
@@ -159,7 +159,7 @@ static void a_lease_numbers_all_that_goes_out_under_it(void)
     }
 }
 
-static void who_has_not_seen_the_newest_command_does_not_override_it(void)
+static void a_sender_that_has_not_seen_the_newest_command_does_not_override_it(void)
 {
     outlet o;
     int pair[2];
@@ -179,7 +179,7 @@ static void who_has_not_seen_the_newest_command_does_not_override_it(void)
     (void)close(pair[1]);
 }
 
-static void while_python_stands_still_nothing_is_handed_on(void)
+static void nothing_is_handed_on_while_python_stands_still(void)
 {
     outlet o;
     int pair[2];
@@ -223,12 +223,12 @@ static void a_full_socket_is_reported(void)
 int main(void)
 {
     a_twist_is_read_in_both_byte_orders();
-    what_is_no_number_passes_and_is_the_loops_to_refuse();
-    another_encoding_or_length_is_no_twist();
+    a_twist_that_is_not_finite_is_parsed_and_left_to_the_loop_to_refuse();
+    a_twist_of_another_encoding_or_length_is_refused();
     an_age_is_that_of_the_stamp();
-    a_lease_numbers_all_that_goes_out_under_it();
-    who_has_not_seen_the_newest_command_does_not_override_it();
-    while_python_stands_still_nothing_is_handed_on();
+    a_lease_numbers_all_commands_sent_under_it();
+    a_sender_that_has_not_seen_the_newest_command_does_not_override_it();
+    nothing_is_handed_on_while_python_stands_still();
     a_full_socket_is_reported();
     return checks_report("bus_twist");
 }

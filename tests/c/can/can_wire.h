@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_wire.h: a bus's machine in virtual time, with a drive that speaks, or does not. */
+ * can_wire.h: a bus's machine in virtual time, with drives that may be silent. */
 #ifndef MOTORD_TESTS_CAN_WIRE_H
 #define MOTORD_TESTS_CAN_WIRE_H
 
@@ -25,8 +25,8 @@ typedef struct {
     can_table table;
     can_machine machine;
     int64_t now_ns, wake_ns;
-    double velocity_rad_s; /* what the core wants of all joints */
-    double reported_rad_s; /* what the drives say */
+    double velocity_rad_s; /* set-points of the core for all joints */
+    double reported_rad_s; /* what the drives report */
     uint32_t enabled;      /* the core's; 2: no set-points come any more */
     bool powered, silent, full;
     uint32_t not_taken; /* an identifier that the bus does not take; 0: none */
@@ -151,10 +151,10 @@ static inline void step(void)
         }
     }
     w.wake_ns = can_machine_step(&w.machine, w.now_ns);
-    CHECK(w.wake_ns > w.now_ns); /* it never asks to be woken at once for nothing */
+    CHECK(w.wake_ns > w.now_ns); /* it never requests an immediate wake-up for nothing */
 }
 
-/* For so long; the drives say each 10 ms what they do. */
+/* For this time; the drives send their state each 10 ms. */
 static inline void go_on(int64_t for_ns)
 {
     int64_t end_ns = w.now_ns + for_ns, speak_ns = w.now_ns;
@@ -235,7 +235,7 @@ static inline const can_packet *newest_of(uint32_t drive)
     return NULL;
 }
 
-/* First time that a frame with this control word went out; 0: never. */
+/* When a frame with this control word was first sent; 0: never. */
 static inline int64_t last_sent_ns(uint32_t drive, uint8_t word)
 {
     for (uint32_t i = 0; i < w.sent_count; i++) {

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_can.c: a bus's machine among drives, jobs, requests and set-points that do what they like,
- * on a bus that takes what it likes. Whatever comes: motion is sent only to what is armed and only
- * while the core wants it, a stop goes out at once or with the first look at which the bus takes
- * it, a job that was overtaken by a stop is not sent, and the end comes. */
+ * fuzz_can.c: a bus's machine with random drives, jobs, requests and set-points, on a bus that
+ * takes frames at random. For any input, motion is sent only to an armed drive and only while the
+ * core requests it, a stop is sent at once or with the first look at which the bus takes it, a job
+ * that was overtaken by a stop is not sent, and the end comes. */
 #include "can_wire.h"
 #include "tape.h"
 
@@ -172,7 +172,7 @@ static void receive_state(uint32_t drive, uint8_t choice)
     receive(&packet, w.now_ns);
 }
 
-/* What no drive of the table says, or not so. */
+/* A frame that no drive of the table sends, or not in this form. */
 static void receive_noise(uint8_t choice)
 {
     static const uint32_t ids[] = {STRANGER,
@@ -294,7 +294,7 @@ static void once(const uint8_t *data, size_t size)
     while (w.machine.end.stage != END_SILENT) {
         look();
         w.now_ns = w.wake_ns;
-        /* of these, 500 while it speaks and does not report that it has no power */
+        /* of these, 500 while it sends and does not report that it has no power */
         CHECK(w.now_ns <= asked_ns + 1100 * MS);
     }
     look();

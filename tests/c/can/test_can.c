@@ -1,9 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A CAN bus's machine in virtual time: what goes out, what is believed, and who is stopped when. */
+ * A CAN bus's machine in virtual time: what is sent, which feedback counts, and when drives are
+ * stopped. */
 #include "can_wire.h"
 
 /* ------------------------------------------------------------------------------- values */
-static void numbers_stand_where_their_place_says(void)
+static void numbers_are_read_and_written_at_their_place(void)
 {
     uint8_t data[8] = {0};
     can_put(data, &(can_place){.start_bit = 4, .length = 12}, 0xABC);
@@ -26,7 +27,7 @@ static void numbers_stand_where_their_place_says(void)
     }
 }
 
-static void a_set_point_that_is_no_number_or_too_great_is_harmless(void)
+static void a_set_point_that_is_not_finite_or_too_large_is_harmless(void)
 {
     begin_with(1);
     arm(0);
@@ -44,7 +45,7 @@ static void a_set_point_that_is_no_number_or_too_great_is_harmless(void)
     CHECK(speed_in(newest_of(0)) == -200);
 }
 
-static void a_float_of_minus_zero_is_sent_as_zero(void)
+static void minus_zero_is_sent_as_zero(void)
 {
     begin_with(1);
     can_setpoint *setpoint = &w.table.drive[0].output[0].setpoint[0];
@@ -82,7 +83,7 @@ static void feedback_is_counts_and_si_with_the_kernel_s_stamp(void)
 }
 
 /* --------------------------------------------------------------------------- frames out */
-static void nothing_but_zero_goes_out_before_arming_and_nothing_before_set_up(void)
+static void only_zero_is_sent_before_arming_and_nothing_before_the_set_up(void)
 {
     begin_with(2);
     go_on(100 * MS);
@@ -95,7 +96,7 @@ static void nothing_but_zero_goes_out_before_arming_and_nothing_before_set_up(vo
     }
 }
 
-static void frames_that_come_make_none_go_out(void)
+static void received_frames_cause_no_frames_to_be_sent(void)
 {
     begin_with(1);
     arm(0);
@@ -110,7 +111,7 @@ static void frames_that_come_make_none_go_out(void)
     CHECK(w.sent_count <= 2); /* 10 ms are one cycle, or two */
 }
 
-static void what_is_held_goes_out_with_the_set_points(void)
+static void held_bytes_are_sent_with_the_set_points(void)
 {
     begin_with(1);
     arm(0);
@@ -157,7 +158,7 @@ static void one_sync_ends_each_cycle_after_the_set_points_of_all(void)
     }
 }
 
-static void a_full_bus_loses_set_points_and_the_next_are_newer(void)
+static void a_full_bus_loses_set_points_and_then_gets_newer_ones(void)
 {
     begin_with(1);
     arm(0);
@@ -218,7 +219,7 @@ static void old_set_points_are_a_quick_stop_and_then_power_off_at_rest(void)
     CHECK(w.machine.drive[0].state.mode == DRIVE_READY && speed_in(newest_of(0)) == 0);
 }
 
-static void a_wheel_that_turns_on_loses_its_power_after_a_second(void)
+static void a_wheel_that_keeps_turning_loses_its_power_after_a_second(void)
 {
     begin_with(1);
     arm(0);
@@ -231,7 +232,7 @@ static void a_wheel_that_turns_on_loses_its_power_after_a_second(void)
           last_sent_ns(0, DISABLE) < last_ns + 1150 * MS);
 }
 
-static void enabled_that_is_taken_back_is_power_off_at_once(void)
+static void clearing_enabled_takes_the_power_at_once(void)
 {
     begin_with(1);
     arm(0);
@@ -285,7 +286,7 @@ static void a_pause_longer_than_the_watchdog_stops_the_drive(void)
           w.machine.drive[0].state.mode == DRIVE_READY);
 }
 
-static void a_drive_that_is_armed_and_says_it_is_not_enabled_is_off(void)
+static void an_armed_drive_that_reports_it_is_not_enabled_is_off(void)
 {
     begin_with(1);
     arm(0);
@@ -297,7 +298,7 @@ static void a_drive_that_is_armed_and_says_it_is_not_enabled_is_off(void)
     CHECK(newest_of(0)->data[0] == DISABLE && speed_in(newest_of(0)) == 0);
 }
 
-static void a_drive_that_stays_enabled_is_sent_off_once_a_cycle(void)
+static void a_drive_that_stays_enabled_is_sent_its_power_off_once_a_cycle(void)
 {
     begin_with(1);
     go_on(20 * MS);
@@ -314,7 +315,7 @@ static void a_drive_that_stays_enabled_is_sent_off_once_a_cycle(void)
     CHECK(w.sent_count <= 4);
 }
 
-static void a_drive_that_is_being_armed_may_say_that_it_is_enabled(void)
+static void a_drive_that_is_being_armed_may_report_that_it_is_enabled(void)
 {
     begin_with(1);
     go_on(20 * MS);
@@ -348,7 +349,7 @@ static void shutting_down_stops_and_then_takes_the_power_within_half_a_second(vo
 }
 
 /* ----------------------------------------------------------------------------- presence */
-static void silence_is_unresponsive_and_it_comes_back_disarmed_with_a_new_epoch(void)
+static void a_silent_drive_is_unresponsive_and_comes_back_disarmed_in_a_new_epoch(void)
 {
     begin_with(1);
     arm(0);
@@ -376,7 +377,7 @@ static void silence_is_unresponsive_and_it_comes_back_disarmed_with_a_new_epoch(
     CHECK(speed_in(newest_of(0)) == 0);
 }
 
-static void one_frame_that_is_missing_makes_a_drive_unresponsive(void)
+static void one_missing_frame_makes_a_drive_unresponsive(void)
 {
     begin_with(1);
     arm(0);
@@ -388,7 +389,7 @@ static void one_frame_that_is_missing_makes_a_drive_unresponsive(void)
     CHECK(w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE && w.machine.drive[0].missing == 1);
 }
 
-static void the_epochs_of_a_line_that_is_reopened_go_on(void)
+static void epochs_continue_when_a_line_is_reopened(void)
 {
     begin_with(1);
     arm(0);
@@ -397,7 +398,7 @@ static void the_epochs_of_a_line_that_is_reopened_go_on(void)
     CHECK(w.machine.drive[0].state.epoch == 2);
 }
 
-static void only_who_is_listened_to_is_handed_on(void)
+static void only_frames_that_asyncio_listens_to_are_handed_on(void)
 {
     begin_with(2);
     const uint8_t answer[8] = {0x43}, other[8] = {0x80};
@@ -413,7 +414,7 @@ static void only_who_is_listened_to_is_handed_on(void)
     CHECK(w.machine.bad_frames == 2);
 }
 
-static void bytes_that_may_be_anything_do_not_distinguish_frames(void)
+static void bytes_outside_of_the_mask_do_not_distinguish_frames(void)
 {
     begin_with(1);
     can_match *match = &w.table.drive[0].match[2];
@@ -433,7 +434,7 @@ static bool is_bad(void)
     return can_table_check(&w.table, name) != NULL;
 }
 
-static void a_table_that_points_outside_its_frames_is_refused(void)
+static void a_table_that_points_outside_of_its_frames_is_refused(void)
 {
     begin_with(2);
     CHECK(!is_bad());
@@ -464,32 +465,32 @@ static void a_table_that_points_outside_its_frames_is_refused(void)
 
 int main(void)
 {
-    numbers_stand_where_their_place_says();
-    a_set_point_that_is_no_number_or_too_great_is_harmless();
-    a_float_of_minus_zero_is_sent_as_zero();
+    numbers_are_read_and_written_at_their_place();
+    a_set_point_that_is_not_finite_or_too_large_is_harmless();
+    minus_zero_is_sent_as_zero();
     feedback_is_counts_and_si_with_the_kernel_s_stamp();
-    nothing_but_zero_goes_out_before_arming_and_nothing_before_set_up();
-    frames_that_come_make_none_go_out();
-    what_is_held_goes_out_with_the_set_points();
+    only_zero_is_sent_before_arming_and_nothing_before_the_set_up();
+    received_frames_cause_no_frames_to_be_sent();
+    held_bytes_are_sent_with_the_set_points();
     an_order_of_a_job_that_was_stopped_is_not_sent();
     one_sync_ends_each_cycle_after_the_set_points_of_all();
-    bytes_that_may_be_anything_do_not_distinguish_frames();
-    a_full_bus_loses_set_points_and_the_next_are_newer();
+    bytes_outside_of_the_mask_do_not_distinguish_frames();
+    a_full_bus_loses_set_points_and_then_gets_newer_ones();
     an_order_waits_while_the_bus_is_full_and_not_for_ever();
     old_set_points_are_a_quick_stop_and_then_power_off_at_rest();
-    a_wheel_that_turns_on_loses_its_power_after_a_second();
-    enabled_that_is_taken_back_is_power_off_at_once();
+    a_wheel_that_keeps_turning_loses_its_power_after_a_second();
+    clearing_enabled_takes_the_power_at_once();
     a_stop_that_the_bus_did_not_take_is_sent_again();
     a_set_point_of_zero_does_not_wait_for_its_cycle();
     a_pause_longer_than_the_watchdog_stops_the_drive();
-    a_drive_that_is_armed_and_says_it_is_not_enabled_is_off();
-    a_drive_that_stays_enabled_is_sent_off_once_a_cycle();
-    a_drive_that_is_being_armed_may_say_that_it_is_enabled();
+    an_armed_drive_that_reports_it_is_not_enabled_is_off();
+    a_drive_that_stays_enabled_is_sent_its_power_off_once_a_cycle();
+    a_drive_that_is_being_armed_may_report_that_it_is_enabled();
     shutting_down_stops_and_then_takes_the_power_within_half_a_second();
-    silence_is_unresponsive_and_it_comes_back_disarmed_with_a_new_epoch();
-    one_frame_that_is_missing_makes_a_drive_unresponsive();
-    the_epochs_of_a_line_that_is_reopened_go_on();
-    only_who_is_listened_to_is_handed_on();
-    a_table_that_points_outside_its_frames_is_refused();
+    a_silent_drive_is_unresponsive_and_comes_back_disarmed_in_a_new_epoch();
+    one_missing_frame_makes_a_drive_unresponsive();
+    epochs_continue_when_a_line_is_reopened();
+    only_frames_that_asyncio_listens_to_are_handed_on();
+    a_table_that_points_outside_of_its_frames_is_refused();
     return checks_report("can");
 }

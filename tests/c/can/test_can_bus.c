@@ -1,14 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A CAN bus as a whole: whose frames count, a bus that is full of drives and tables, its cycle,
- * and its end. */
+ * A CAN bus as a whole: which frames count, a bus with full tables, its cycle, and its end. */
 #include <errno.h>
 
 #include "can_wire.h"
 
 enum { SYNC = 0x80, OFF_WORD = 0x700 };
 
-/* -------------------------------------------------------------------- whose frame is it */
-static void a_frame_of_a_foreign_identifier_is_of_no_drive_though_its_bytes_would_fit(void)
+/* ------------------------------------------------------------------- the drive of a frame */
+static void a_frame_with_a_foreign_identifier_belongs_to_no_drive_even_when_its_bytes_match(void)
 {
     begin_with(2);
     w.machine.control.listen = 3;
@@ -28,7 +27,7 @@ static void a_frame_of_a_foreign_identifier_is_of_no_drive_though_its_bytes_woul
     CHECK(say(STATE, all, 8) == 0 && say(STATE + 1, all, 8) == 1 && w.machine.received == 2);
 }
 
-static void identifiers_may_stand_in_any_order_and_frames_of_one_are_sent_apart_by_their_bytes(void)
+static void identifiers_may_be_in_any_order_and_frames_of_one_are_distinguished_by_their_bytes(void)
 {
     begin_with(1);
     can_drive *drive = table_of(0);
@@ -60,7 +59,7 @@ static void identifiers_may_stand_in_any_order_and_frames_of_one_are_sent_apart_
           w.machine.bad_frames == 0);
 }
 
-static void the_first_frames_count_however_young_the_clock_is(void)
+static void the_first_frames_count_even_one_nanosecond_after_boot(void)
 {
     begin_with(1);
     w.now_ns = 1;
@@ -79,7 +78,7 @@ static void the_core_gets_feedback_of_a_drive_that_is_set_up_and_by_its_fast_fra
 {
     begin_with(2);
     go_on(50 * MS);
-    CHECK(w.machine.feedback_mask == 0 && state_of(0)->cycles == 0); /* both speak, and are off */
+    CHECK(w.machine.feedback_mask == 0 && state_of(0)->cycles == 0); /* both send, and are off */
     table_of(0)->match_count = 4;
     table_of(0)->match[3] = (can_match){.id = ANSWER + 0x20, .bytes = 1, .input = 3};
     table_of(0)->input_count = 3;
@@ -100,7 +99,7 @@ static void the_core_gets_feedback_of_a_drive_that_is_set_up_and_by_its_fast_fra
     CHECK(state_of(0)->cycles == cycles && w.machine.feedback_mask == 0);
 }
 
-static void only_a_frame_that_says_it_has_power_is_counted_against_a_drive(void)
+static void only_a_frame_that_reports_power_contradicts_the_mode_of_a_drive(void)
 {
     begin_with(1);
     /* the power is reported in the second input now, not the first */
@@ -139,7 +138,7 @@ static void a_bad_table_is_refused_and_every_drive_begins_unknown(void)
     CHECK(can_machine_init(&w.machine, &w.table, &(can_before){0}, take, &w, w.now_ns) == -EINVAL);
 }
 
-static void one_that_may_turn_after_a_reopening_is_sent_so_less_and_less_often(void)
+static void a_drive_that_may_turn_after_a_reopening_is_stopped_less_and_less_often(void)
 {
     begin_with(3);
     w.silent = true;
@@ -218,7 +217,7 @@ static void fill_drive(uint32_t n)
 }
 
 /* The last entry of each list counts, and nothing beyond it is touched: the sanitizers watch. */
-static void a_bus_with_as_much_as_a_table_holds_is_driven_to_its_last_entry(void)
+static void a_full_table_is_driven_to_its_last_entry(void)
 {
     begin_with(CAN_DRIVES_MAX);
     for (uint32_t n = 0; n < CAN_DRIVES_MAX; n++) {
@@ -242,7 +241,7 @@ static void a_bus_with_as_much_as_a_table_holds_is_driven_to_its_last_entry(void
         w.powered = n == last;
     }
     for (uint32_t n = 0; n < CAN_DRIVES_MAX; n++) {
-        /* the others say that they are off */
+        /* the others report that they are off */
         CHECK(state_of(n)->state.mode == (n == last ? DRIVE_ARMED : DRIVE_OFF));
     }
     w.powered = true;
@@ -270,9 +269,9 @@ static void a_bus_with_as_much_as_a_table_holds_is_driven_to_its_last_entry(void
     }
 }
 
-/* What lies behind the last drive, shaped like one that moves and stops, is no drive: it is not
- * looked at, nor changed. */
-static void eight_drives_are_all_there_are(void)
+/* The entry after the last drive looks like one that moves and stops: it is neither read nor
+ * changed. */
+static void a_line_has_eight_drives_at_most(void)
 {
     begin_with(CAN_DRIVES_MAX);
     w.velocity_rad_s = 0.0;
@@ -321,7 +320,7 @@ static void two_syncs_end_each_cycle(void)
     CHECK(count_sent(SYNC) == 10 && count_sent(SYNC + 1) == 10);
 }
 
-static void begin_with_one_that_turns(void)
+static void begin_with_turning_drive(void)
 {
     begin_with(1);
     table_of(0)->idle_setpoints = 0;
@@ -330,9 +329,9 @@ static void begin_with_one_that_turns(void)
     w.machine.receives_own = true;
 }
 
-static void a_bus_that_had_nothing_to_take_is_given_motion_at_once(void)
+static void an_idle_bus_is_given_motion_at_once(void)
 {
-    begin_with_one_that_turns();
+    begin_with_turning_drive();
     arm(0);
     go_on(11 * MS);
     CHECK(w.sent_count >= 1 && w.sent[0].id == SPEED && speed_in(&w.sent[0]) == 100);
@@ -340,7 +339,7 @@ static void a_bus_that_had_nothing_to_take_is_given_motion_at_once(void)
 
 static void a_bus_that_took_nothing_since_motion_left_it_is_given_zero_first(void)
 {
-    begin_with_one_that_turns();
+    begin_with_turning_drive();
     arm(0);
     go_on(11 * MS);
     CHECK(speed_in(newest_of(0)) == 100);
@@ -356,9 +355,9 @@ static void a_bus_that_took_nothing_since_motion_left_it_is_given_zero_first(voi
     CHECK(speed_in(newest_of(0)) == 100);
 }
 
-static void each_cycle_whose_motion_stays_is_counted_as_not_taken(void)
+static void each_cycle_whose_motion_does_not_leave_is_counted_as_not_taken(void)
 {
-    begin_with_one_that_turns();
+    begin_with_turning_drive();
     arm(0);
     go_on(11 * MS);
     uint64_t before = w.machine.tx_full;
@@ -368,7 +367,7 @@ static void each_cycle_whose_motion_stays_is_counted_as_not_taken(void)
 
 static void motion_may_wait_for_five_milliseconds_where_a_cycle_is_shorter(void)
 {
-    begin_with_one_that_turns();
+    begin_with_turning_drive();
     w.machine.table.period_ns = MS;
     arm(0);
     step();
@@ -385,7 +384,7 @@ static void motion_may_wait_for_five_milliseconds_where_a_cycle_is_shorter(void)
 }
 
 /* ---------------------------------------------------------------------------------- end */
-static void the_cycles_go_on_while_the_end_waits_for_rest_and_end_with_the_power(void)
+static void cycles_continue_until_the_end_takes_the_power(void)
 {
     begin_with(1);
     w.table.period_ns = 2 * MS;
@@ -439,7 +438,7 @@ static void the_end_sends_each_drive_its_power_off_once_and_is_over_with_the_las
     CHECK(!state_of(0)->state.stopping && !state_of(1)->state.stopping);
 }
 
-static void the_report_has_fault_words_and_stops_that_wait(void)
+static void the_report_has_fault_words_and_pending_stops(void)
 {
     begin_with(2);
     table_of(1)->input[0].field_count = 2;
@@ -461,23 +460,23 @@ static void the_report_has_fault_words_and_stops_that_wait(void)
 
 int main(void)
 {
-    a_frame_of_a_foreign_identifier_is_of_no_drive_though_its_bytes_would_fit();
-    identifiers_may_stand_in_any_order_and_frames_of_one_are_sent_apart_by_their_bytes();
-    the_first_frames_count_however_young_the_clock_is();
+    a_frame_with_a_foreign_identifier_belongs_to_no_drive_even_when_its_bytes_match();
+    identifiers_may_be_in_any_order_and_frames_of_one_are_distinguished_by_their_bytes();
+    the_first_frames_count_even_one_nanosecond_after_boot();
     the_core_gets_feedback_of_a_drive_that_is_set_up_and_by_its_fast_frames_alone();
-    only_a_frame_that_says_it_has_power_is_counted_against_a_drive();
+    only_a_frame_that_reports_power_contradicts_the_mode_of_a_drive();
     a_bad_table_is_refused_and_every_drive_begins_unknown();
-    one_that_may_turn_after_a_reopening_is_sent_so_less_and_less_often();
+    a_drive_that_may_turn_after_a_reopening_is_stopped_less_and_less_often();
     the_cycles_keep_the_grid_that_began_with_the_bus();
-    a_bus_with_as_much_as_a_table_holds_is_driven_to_its_last_entry();
-    eight_drives_are_all_there_are();
+    a_full_table_is_driven_to_its_last_entry();
+    a_line_has_eight_drives_at_most();
     two_syncs_end_each_cycle();
-    a_bus_that_had_nothing_to_take_is_given_motion_at_once();
+    an_idle_bus_is_given_motion_at_once();
     a_bus_that_took_nothing_since_motion_left_it_is_given_zero_first();
-    each_cycle_whose_motion_stays_is_counted_as_not_taken();
+    each_cycle_whose_motion_does_not_leave_is_counted_as_not_taken();
     motion_may_wait_for_five_milliseconds_where_a_cycle_is_shorter();
-    the_cycles_go_on_while_the_end_waits_for_rest_and_end_with_the_power();
+    cycles_continue_until_the_end_takes_the_power();
     the_end_sends_each_drive_its_power_off_once_and_is_over_with_the_last();
-    the_report_has_fault_words_and_stops_that_wait();
+    the_report_has_fault_words_and_pending_stops();
     return checks_report("can bus");
 }

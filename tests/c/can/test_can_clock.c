@@ -41,7 +41,7 @@ static int64_t stamp_of_a_frame(void)
 
 /* Each frame is read with the one before already taken in: it is younger than the look that took
  * that one. */
-static void frames_are_as_old_as_they_are_while_the_wall_clock_is(int64_t ahead_ns)
+static void frames_have_their_true_age_while_the_wall_clock_is(int64_t ahead_ns)
 {
     int64_t sent_ns[FRAMES];
     wall_ahead_ns = ahead_ns;
@@ -62,7 +62,7 @@ static void wait_for(uint32_t mode, can_report *report)
 }
 
 /* The loop has not ticked since: the set-points in the exchange are young by CLOCK_MONOTONIC,
- * and want motion. */
+ * and request motion. */
 static void set_points_from_before_a_suspend_stop_the_drive(void)
 {
     can_report report;
@@ -92,7 +92,7 @@ int main(void)
     begin_with(1);
     w.table.setpoint_timeout_ns = 60000 * MS;
     for (uint32_t i = 0; i < w.table.drive[0].input_count; i++) {
-        w.table.drive[0].input[i].silence_ns = 0; /* it need not speak */
+        w.table.drive[0].input[i].silence_ns = 0; /* it need not send */
     }
     exchange_init(&shared);
     CHECK(socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_NONBLOCK, 0, ends) == 0);
@@ -105,11 +105,11 @@ int main(void)
     can_config config = {.at = place_of_the_thread()};
     CHECK(can_start(0, &config, &w.table) == 0);
     can_put_control(0, &control);
-    frames_are_as_old_as_they_are_while_the_wall_clock_is(0);
-    frames_are_as_old_as_they_are_while_the_wall_clock_is(700 * MS);
-    frames_are_as_old_as_they_are_while_the_wall_clock_is(999 * MS);
-    frames_are_as_old_as_they_are_while_the_wall_clock_is(3600000 * MS);
-    frames_are_as_old_as_they_are_while_the_wall_clock_is(-700 * MS);
+    frames_have_their_true_age_while_the_wall_clock_is(0);
+    frames_have_their_true_age_while_the_wall_clock_is(700 * MS);
+    frames_have_their_true_age_while_the_wall_clock_is(999 * MS);
+    frames_have_their_true_age_while_the_wall_clock_is(3600000 * MS);
+    frames_have_their_true_age_while_the_wall_clock_is(-700 * MS);
     wall_ahead_ns = 0;
     set_points_from_before_a_suspend_stop_the_drive();
     CHECK(can_stop(0) == 0);

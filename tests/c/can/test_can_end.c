@@ -5,8 +5,8 @@
 static const int64_t END_NS = 480 * 1000000, REPORT_END_NS = 980 * 1000000;
 static int64_t begun_ns;
 
-/* Until the line is silent: the drives say each 10 ms what they do, but while they are cut off.
- * `obeys_ns`: so long a drive takes to lose its power. */
+/* Until the line is silent: the drives send their state each 10 ms, except while they are cut off.
+ * `obeys_ns`: how long a drive takes to lose its power. */
 static can_report ends(int64_t cut_until_ns, int64_t obeys_ns)
 {
     can_report report;
@@ -46,7 +46,7 @@ static uint32_t power_offs(void)
     return count;
 }
 
-/* Set up and at rest; the drives say that they have no power. */
+/* Set up and at rest; the drives report that they have no power. */
 static void rest_without_power(void)
 {
     arm(0);
@@ -75,8 +75,8 @@ static void order_something(void)
     CHECK(state_of(0)->orders_sent == 1);
 }
 
-/* Whichever of its frames says it. */
-static void a_drive_that_was_seen_without_power_gets_one_power_off_and_is_not_waited_for(void)
+/* In any of its frames. */
+static void a_drive_seen_without_power_gets_one_power_off_and_the_end_does_not_wait_for_it(void)
 {
     for (int second = 0; second < 2; second++) {
         begin_with(1);
@@ -93,7 +93,7 @@ static void a_drive_that_was_seen_without_power_gets_one_power_off_and_is_not_wa
     }
 }
 
-static void nor_is_one_whose_arming_is_over_just_now_but_one_that_is_being_armed_is(void)
+static void the_end_waits_for_a_drive_that_is_being_armed_but_not_when_its_arming_is_over(void)
 {
     for (int64_t left_ns = 0; left_ns < 2; left_ns++) {
         begin_with(1);
@@ -103,7 +103,7 @@ static void nor_is_one_whose_arming_is_over_just_now_but_one_that_is_being_armed
     }
 }
 
-static void one_that_nobody_has_set_up_has_to_say_it_behind_its_power_off(void)
+static void a_drive_that_was_not_set_up_has_to_report_no_power_after_its_power_off(void)
 {
     begin_with(1);
     go_on(50 * MS);
@@ -117,7 +117,7 @@ static void one_that_nobody_has_set_up_has_to_say_it_behind_its_power_off(void)
 }
 
 /* It has just been ordered to take its power: what it reported before proves nothing. */
-static void one_that_was_given_an_order_since_has_to_say_it_again(void)
+static void a_drive_that_got_an_order_since_has_to_report_no_power_again(void)
 {
     for (int speaks = 0; speaks < 2; speaks++) {
         begin_with(1);
@@ -128,7 +128,7 @@ static void one_that_was_given_an_order_since_has_to_say_it_again(void)
     }
 }
 
-static void what_it_says_at_the_time_of_the_order_or_of_its_motion_behind_it_is_not_that(void)
+static void a_report_that_is_not_newer_than_the_order_does_not_suffice(void)
 {
     for (int moves = 0; moves < 2; moves++) {
         begin_with(1);
@@ -149,7 +149,7 @@ static void what_it_says_at_the_time_of_the_order_or_of_its_motion_behind_it_is_
     CHECK(ends_at_once());
 }
 
-static void what_was_known_of_its_power_is_not_known_behind_its_power_off(void)
+static void a_power_off_makes_older_reports_of_power_void(void)
 {
     for (uint8_t had = 0; had < 2; had++) {
         begin_with(1);
@@ -162,7 +162,7 @@ static void what_was_known_of_its_power_is_not_known_behind_its_power_off(void)
     }
 }
 
-static void one_that_turns_gets_it_until_it_says_that_it_has_no_power(void)
+static void a_turning_drive_gets_its_power_off_until_it_reports_no_power(void)
 {
     begin_with(1);
     turn();
@@ -175,7 +175,7 @@ static void one_that_turns_gets_it_until_it_says_that_it_has_no_power(void)
           w.now_ns > begun_ns + END_NS);
 }
 
-static void one_that_is_cut_off_for_a_while_gets_it_when_it_is_back(void)
+static void a_drive_that_is_cut_off_for_a_while_gets_its_power_off_when_it_is_back(void)
 {
     for (int before = 0; before < 2; before++) {
         begin_with(1);
@@ -189,7 +189,7 @@ static void one_that_is_cut_off_for_a_while_gets_it_when_it_is_back(void)
     }
 }
 
-static void one_that_is_cut_off_is_reported_and_so_is_one_that_keeps_its_power(void)
+static void a_drive_that_is_cut_off_or_keeps_its_power_is_reported(void)
 {
     for (int before = 0; before < 2; before++) {
         begin_with(1);
@@ -209,8 +209,8 @@ static void one_that_is_cut_off_is_reported_and_so_is_one_that_keeps_its_power(v
     CHECK(report.drive[0].stop_waits == 1 && w.now_ns == begun_ns + REPORT_END_NS + MS);
 }
 
-/* The second cannot say that it has lost its power: it is done with its power-off. */
-static void one_that_keeps_its_power_is_waited_for_whatever_the_others_do(void)
+/* The second cannot report that it has lost its power: it is done with its power-off. */
+static void the_end_waits_for_a_drive_that_keeps_its_power_whatever_the_others_do(void)
 {
     begin_with(2);
     table_of(1)->reports_enabled = 0;
@@ -222,7 +222,7 @@ static void one_that_keeps_its_power_is_waited_for_whatever_the_others_do(void)
     CHECK(w.now_ns == begun_ns + REPORT_END_NS + MS);
 }
 
-static void asyncio_is_notified_of_the_end_though_one_drive_is_off_at_once(void)
+static void asyncio_is_notified_of_the_end_even_when_one_drive_is_off_at_once(void)
 {
     begin_with(2);
     rest_without_power();
@@ -233,7 +233,7 @@ static void asyncio_is_notified_of_the_end_though_one_drive_is_off_at_once(void)
 }
 
 /* Two frames, of which the bus does not take the second at first. */
-static void a_power_off_is_repeated_10_ms_after_its_last_frame_has_gone_out(void)
+static void a_power_off_is_repeated_10_ms_after_its_last_frame_was_sent(void)
 {
     begin_with(1);
     table_of(0)->disarm_count = 2;
@@ -254,7 +254,7 @@ static void a_power_off_is_repeated_10_ms_after_its_last_frame_has_gone_out(void
     }
 }
 
-static void mute_about_power(void)
+static void begin_without_power_in_feedback(void)
 {
     begin_with(1);
     w.table.drive[0].reports_enabled = 0;
@@ -263,7 +263,7 @@ static void mute_about_power(void)
     turn();
 }
 
-static void one_that_cannot_say_it_has_to_be_there(void)
+static void a_drive_that_cannot_report_its_power_has_to_be_present(void)
 {
     begin_with(1);
     w.table.drive[0].reports_enabled = 0;
@@ -271,22 +271,21 @@ static void one_that_cannot_say_it_has_to_be_there(void)
     restart();
     rest_without_power();
     CHECK(ends_at_once());
-    mute_about_power();
+    begin_without_power_in_feedback();
     can_report report = ends(0, 0);
     CHECK(report.drive[0].stop_waits == 0);
-    mute_about_power();
+    begin_without_power_in_feedback();
     become_unresponsive();
     report = ends(w.now_ns + 100 * MS, 0);
     CHECK(report.drive[0].stop_waits == 0 && !w.powered);
-    mute_about_power();
+    begin_without_power_in_feedback();
     become_unresponsive();
     report = ends(INT64_MAX, 0);
     CHECK(report.drive[0].stop_waits == 1 && w.now_ns >= begun_ns + END_NS);
 }
 
-/* Behind each power-off: what is asked for, and the synchronisation that makes drives obey and
- * speak. */
-static void what_does_not_come_by_itself_is_asked_for(void)
+/* After each power-off: the poll, and the SYNC that makes drives follow their frames and send. */
+static void frames_that_a_drive_does_not_send_by_itself_are_requested(void)
 {
     for (uint32_t hello = 0; hello < 2; hello++) {
         begin_with(1);
@@ -307,19 +306,19 @@ static void what_does_not_come_by_itself_is_asked_for(void)
 
 int main(void)
 {
-    a_drive_that_was_seen_without_power_gets_one_power_off_and_is_not_waited_for();
-    nor_is_one_whose_arming_is_over_just_now_but_one_that_is_being_armed_is();
-    one_that_nobody_has_set_up_has_to_say_it_behind_its_power_off();
-    one_that_was_given_an_order_since_has_to_say_it_again();
-    what_it_says_at_the_time_of_the_order_or_of_its_motion_behind_it_is_not_that();
-    what_was_known_of_its_power_is_not_known_behind_its_power_off();
-    one_that_turns_gets_it_until_it_says_that_it_has_no_power();
-    one_that_is_cut_off_for_a_while_gets_it_when_it_is_back();
-    one_that_is_cut_off_is_reported_and_so_is_one_that_keeps_its_power();
-    one_that_keeps_its_power_is_waited_for_whatever_the_others_do();
-    asyncio_is_notified_of_the_end_though_one_drive_is_off_at_once();
-    a_power_off_is_repeated_10_ms_after_its_last_frame_has_gone_out();
-    one_that_cannot_say_it_has_to_be_there();
-    what_does_not_come_by_itself_is_asked_for();
+    a_drive_seen_without_power_gets_one_power_off_and_the_end_does_not_wait_for_it();
+    the_end_waits_for_a_drive_that_is_being_armed_but_not_when_its_arming_is_over();
+    a_drive_that_was_not_set_up_has_to_report_no_power_after_its_power_off();
+    a_drive_that_got_an_order_since_has_to_report_no_power_again();
+    a_report_that_is_not_newer_than_the_order_does_not_suffice();
+    a_power_off_makes_older_reports_of_power_void();
+    a_turning_drive_gets_its_power_off_until_it_reports_no_power();
+    a_drive_that_is_cut_off_for_a_while_gets_its_power_off_when_it_is_back();
+    a_drive_that_is_cut_off_or_keeps_its_power_is_reported();
+    the_end_waits_for_a_drive_that_keeps_its_power_whatever_the_others_do();
+    asyncio_is_notified_of_the_end_even_when_one_drive_is_off_at_once();
+    a_power_off_is_repeated_10_ms_after_its_last_frame_was_sent();
+    a_drive_that_cannot_report_its_power_has_to_be_present();
+    frames_that_a_drive_does_not_send_by_itself_are_requested();
     return checks_report("CAN end");
 }

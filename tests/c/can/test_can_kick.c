@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Drives on a bus whose line the loop has woken: what is new does not wait for its cycle. */
+ * Drives on a bus whose line the loop has woken: new set-points do not wait for their cycle. */
 #include "can_wire.h"
 
 /* The loop has woken the line; the first joint is to do something else than the others. */
@@ -21,7 +21,7 @@ static void kick(double velocity_rad_s)
     kick_apart(velocity_rad_s, velocity_rad_s);
 }
 
-static void a_new_set_point_goes_out_at_once_to_all_that_are_armed(void)
+static void a_new_set_point_is_sent_at_once_to_all_armed_drives(void)
 {
     begin_with(2);
     arm(0);
@@ -44,7 +44,7 @@ static void a_new_set_point_goes_out_at_once_to_all_that_are_armed(void)
     CHECK(w.sent_count == 2);
 }
 
-static void one_new_set_point_is_enough_for_all_and_all_do_it_at_once(void)
+static void one_new_set_point_sends_those_of_all_drives_at_once(void)
 {
     begin_with(2);
     arm(0);
@@ -67,7 +67,7 @@ static void one_new_set_point_is_enough_for_all_and_all_do_it_at_once(void)
     CHECK(w.sent_count == 3 && speed_in(newest_of(0)) == 200 && speed_in(newest_of(1)) == 300);
 }
 
-static void a_kick_when_the_cycle_is_due_is_the_cycle_s(void)
+static void a_kick_when_the_cycle_is_due_counts_as_the_cycle(void)
 {
     begin_with(1);
     arm(0);
@@ -99,7 +99,7 @@ static void set_points_that_change_all_the_time_double_the_frames_at_most(void)
     CHECK(count_sent(SPEED) >= 80 && count_sent(SPEED) <= 2 * 50 + EARLY_AT_ONCE + 1);
 }
 
-static void a_stop_goes_out_at_once_however_much_was_received_before(void)
+static void a_stop_is_sent_at_once_however_many_frames_came_before(void)
 {
     begin_with(1);
     arm(0);
@@ -140,7 +140,7 @@ static void motion_that_has_not_left_the_queue_is_not_followed_by_early_motion(v
     CHECK(w.sent_count == 1 && speed_in(newest_of(0)) == 300);
 }
 
-static void a_kick_sends_a_drive_that_is_not_armed_nothing(void)
+static void a_kick_sends_nothing_to_a_drive_that_is_not_armed(void)
 {
     begin_with(1);
     request(0, DRIVE_READY);
@@ -153,7 +153,7 @@ static void a_kick_sends_a_drive_that_is_not_armed_nothing(void)
     CHECK(w.sent_count == 0);
 }
 
-static void a_kick_is_for_the_drives_of_the_table(void)
+static void a_kick_ignores_drives_outside_of_the_table(void)
 {
     begin_with(1);
     arm(0);
@@ -172,7 +172,7 @@ static void a_kick_is_for_the_drives_of_the_table(void)
     CHECK(w.sent_count == 1 && speed_in(newest_of(0)) == 300);
 }
 
-static void four_frames_may_go_out_at_once_and_then_one_a_cycle(void)
+static void four_frames_may_be_sent_at_once_and_then_one_a_cycle(void)
 {
     begin_with(1);
     arm(0);
@@ -198,14 +198,14 @@ static void four_frames_may_go_out_at_once_and_then_one_a_cycle(void)
 
 int main(void)
 {
-    a_new_set_point_goes_out_at_once_to_all_that_are_armed();
-    one_new_set_point_is_enough_for_all_and_all_do_it_at_once();
-    a_kick_when_the_cycle_is_due_is_the_cycle_s();
+    a_new_set_point_is_sent_at_once_to_all_armed_drives();
+    one_new_set_point_sends_those_of_all_drives_at_once();
+    a_kick_when_the_cycle_is_due_counts_as_the_cycle();
     set_points_that_change_all_the_time_double_the_frames_at_most();
-    a_stop_goes_out_at_once_however_much_was_received_before();
+    a_stop_is_sent_at_once_however_many_frames_came_before();
     motion_that_has_not_left_the_queue_is_not_followed_by_early_motion();
-    a_kick_sends_a_drive_that_is_not_armed_nothing();
-    a_kick_is_for_the_drives_of_the_table();
-    four_frames_may_go_out_at_once_and_then_one_a_cycle();
+    a_kick_sends_nothing_to_a_drive_that_is_not_armed();
+    a_kick_ignores_drives_outside_of_the_table();
+    four_frames_may_be_sent_at_once_and_then_one_a_cycle();
     return checks_report("can_kick");
 }

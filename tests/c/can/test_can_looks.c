@@ -19,7 +19,7 @@ static int64_t next_look_ns(void)
     return w.wake_ns - w.now_ns;
 }
 
-static void one_that_moves_is_looked_at_often_and_a_stop_that_waits_more_often(void)
+static void a_moving_drive_is_checked_often_and_a_pending_stop_more_often(void)
 {
     begin_with_a_slow_cycle();
     go_on(20 * MS);
@@ -37,7 +37,7 @@ static void one_that_moves_is_looked_at_often_and_a_stop_that_waits_more_often(v
     CHECK(next_look_ns() == 20 * MS && !state_of(2)->state.sent_motion);
 }
 
-static void jobs_wait_in_their_order_and_are_looked_at_often(void)
+static void jobs_wait_in_order_and_are_checked_often(void)
 {
     begin_with_a_slow_cycle();
     const uint32_t ids[3] = {CONTROL, CONTROL + 1, CONTROL + 2};
@@ -59,7 +59,7 @@ static void jobs_wait_in_their_order_and_are_looked_at_often(void)
     CHECK(w.machine.notify && state_of(1)->orders_sent == 1 && w.machine.order_count == 0);
 }
 
-static void the_end_waits_until_the_last_of_them_is_at_rest(void)
+static void the_end_waits_until_the_last_drive_is_at_rest(void)
 {
     begin_with(3);
     arm(2);
@@ -89,7 +89,7 @@ static void the_end_waits_until_the_last_of_them_is_at_rest(void)
     }
 }
 
-static void asyncio_is_sent_of_errors_and_of_drives_that_it_listens_to(void)
+static void asyncio_is_notified_of_errors_and_of_frames_that_it_listens_to(void)
 {
     begin_with(2);
     const uint8_t error[8] = {0};
@@ -105,7 +105,7 @@ static void asyncio_is_sent_of_errors_and_of_drives_that_it_listens_to(void)
     CHECK(w.machine.notify);
 }
 
-static void the_report_says_what_the_bus_has_done(void)
+static void the_report_has_the_counters_of_the_bus(void)
 {
     begin_with(2);
     arm(1);
@@ -146,7 +146,7 @@ static void the_time_between_two_cycles_is_smoothed_over_eight(void)
     }
 }
 
-static void one_order_that_waits_is_looked_at_often_and_the_ninth_is_refused(void)
+static void a_waiting_order_is_checked_often_and_the_ninth_is_refused(void)
 {
     begin_with(1);
     w.table.period_ns = 1000 * MS;
@@ -168,7 +168,7 @@ static void one_order_that_waits_is_looked_at_often_and_the_ninth_is_refused(voi
     CHECK(count_sent(CONTROL) == 0 && state_of(0)->orders_dropped == CAN_WAITING_MAX);
 }
 
-static void the_first_drive_of_a_slow_bus_is_looked_at_often_while_it_moves_or_stops(void)
+static void the_first_drive_of_a_slow_bus_is_checked_often_while_it_moves_or_stops(void)
 {
     begin_with(2);
     w.table.period_ns = 1000 * MS;
@@ -190,13 +190,13 @@ static void the_first_drive_of_a_slow_bus_is_looked_at_often_while_it_moves_or_s
 
 int main(void)
 {
-    one_that_moves_is_looked_at_often_and_a_stop_that_waits_more_often();
-    jobs_wait_in_their_order_and_are_looked_at_often();
-    the_end_waits_until_the_last_of_them_is_at_rest();
-    asyncio_is_sent_of_errors_and_of_drives_that_it_listens_to();
-    the_report_says_what_the_bus_has_done();
+    a_moving_drive_is_checked_often_and_a_pending_stop_more_often();
+    jobs_wait_in_order_and_are_checked_often();
+    the_end_waits_until_the_last_drive_is_at_rest();
+    asyncio_is_notified_of_errors_and_of_frames_that_it_listens_to();
+    the_report_has_the_counters_of_the_bus();
     the_time_between_two_cycles_is_smoothed_over_eight();
-    one_order_that_waits_is_looked_at_often_and_the_ninth_is_refused();
-    the_first_drive_of_a_slow_bus_is_looked_at_often_while_it_moves_or_stops();
+    a_waiting_order_is_checked_often_and_the_ninth_is_refused();
+    the_first_drive_of_a_slow_bus_is_checked_often_while_it_moves_or_stops();
     return checks_report("can looks");
 }

@@ -60,12 +60,12 @@ static void the_bus_s_own_numbers(void)
         w.table.sync_count = CAN_SYNCS_MAX;
         w.table.sync[i].id = 0x800;
         CHECK(refused("packet.id"));
-        w.table.sync_count = i; /* what is not counted is not looked at */
+        w.table.sync_count = i; /* entries beyond the count are not checked */
         CHECK(is_good());
     }
 }
 
-static void the_full_number_of_drives_and_the_first_and_last_of_them(void)
+static void a_full_table_is_checked_from_its_first_to_its_last_drive(void)
 {
     begin_with(CAN_DRIVES_MAX);
     CHECK(is_good());
@@ -110,7 +110,7 @@ static void the_numbers_of_a_drive(void)
     BAD(DRIVE.watchdog_ns, -1, "drive[1].watchdog_ns");
 }
 
-static void each_frame_that_is_sent_has_an_identifier_and_a_length_that_a_frame_can_have(void)
+static void each_frame_to_send_has_a_valid_identifier_and_length(void)
 {
     can_packet *const packets[] = {&DRIVE.output[0].packet,
                                    &DRIVE.poll[0],
@@ -163,7 +163,7 @@ static void each_frame_that_is_sent_has_an_identifier_and_a_length_that_a_frame_
     CHECK(is_good());
 }
 
-static void where_a_number_stands_and_what_it_is(void)
+static void places_and_forms_of_numbers_have_their_range(void)
 {
     can_place *const places[] = {&DRIVE.output[0].setpoint[0].place,
                                  &DRIVE.input[1].field[0].place};
@@ -257,7 +257,7 @@ static void set_points(void)
     CHECK(refused("drive[1].setpoint.raw_max"));
 }
 
-static void set_points_end_where_their_place_does(void)
+static void set_points_fit_their_place(void)
 {
     const struct {
         uint32_t form;
@@ -278,7 +278,7 @@ static void set_points_end_where_their_place_does(void)
     }
 }
 
-static void a_float_s_set_points_end_where_its_numbers_do(void)
+static void set_points_of_a_float_fit_its_range(void)
 {
     begin_with(2);
     can_setpoint *setpoint = &DRIVE.output[0].setpoint[0];
@@ -294,7 +294,7 @@ static void a_float_s_set_points_end_where_its_numbers_do(void)
     CHECK(refused("drive[1].setpoint.raw_min"));
 }
 
-static void writes_belong_to_a_frame_that_there_is(void)
+static void writes_belong_to_an_existing_frame(void)
 {
     GOOD(DRIVE.disarm[0].output, 1);
     GOOD(DRIVE.disarm[0].output, 0);
@@ -306,7 +306,7 @@ static void writes_belong_to_a_frame_that_there_is(void)
     CHECK(!can_write_is_good(&write, 2));
 }
 
-static void what_is_read(void)
+static void numbers_of_inputs_have_their_range(void)
 {
     GOOD(DRIVE.input[0].silence_ns, 0);
     GOOD(DRIVE.input[0].silence_ns, LONGEST_NS);
@@ -341,7 +341,7 @@ static void what_is_read(void)
     CHECK(refused("drive[1].place.start_bit"));
 }
 
-static void how_a_frame_is_known(void)
+static void matches_of_frames_have_their_range(void)
 {
     BAD(DRIVE.match[2].bytes, CAN_BYTES_MAX + 1, "drive[1].match.bytes");
     GOOD(DRIVE.match[2].bytes, CAN_BYTES_MAX);
@@ -367,15 +367,15 @@ static void how_a_frame_is_known(void)
 int main(void)
 {
     the_bus_s_own_numbers();
-    the_full_number_of_drives_and_the_first_and_last_of_them();
+    a_full_table_is_checked_from_its_first_to_its_last_drive();
     the_numbers_of_a_drive();
-    each_frame_that_is_sent_has_an_identifier_and_a_length_that_a_frame_can_have();
-    where_a_number_stands_and_what_it_is();
+    each_frame_to_send_has_a_valid_identifier_and_length();
+    places_and_forms_of_numbers_have_their_range();
     set_points();
-    set_points_end_where_their_place_does();
-    a_float_s_set_points_end_where_its_numbers_do();
-    writes_belong_to_a_frame_that_there_is();
-    what_is_read();
-    how_a_frame_is_known();
+    set_points_fit_their_place();
+    set_points_of_a_float_fit_its_range();
+    writes_belong_to_an_existing_frame();
+    numbers_of_inputs_have_their_range();
+    matches_of_frames_have_their_range();
     return checks_report("can table");
 }

@@ -84,7 +84,7 @@ int main(void)
     CHECK(pthread_join(loop, NULL) == 0 && pthread_join(peer, NULL) == 0);
     CHECK(received > 200);
     CHECK(close(ends[1]) == 0);
-    /* the other end has gone: the thread says so, and ends */
+    /* the other end has gone: the thread reports it, and ends */
     CHECK(wait_for(DRIVE_ARMED).life.error == ENODEV);
     CHECK(can_stop(0) == 0);
     return checks_report("can thread");

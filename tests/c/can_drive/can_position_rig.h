@@ -9,7 +9,7 @@ static const can_machine *const m = &w.machine;
 static double wanted_rad;
 static uint32_t positioned;
 
-/* Its target stands in turns of a float, as what it measures; two turns where the angle is 0. */
+/* Its target is a float in turns, like its measurement; an angle of 0 is two turns. */
 static inline void begin(void)
 {
     begin_with(1);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a CAN bus at the very edge of each of its times: still good, and a nanosecond
- * later no more. */
+ * One drive of a CAN bus at the very edge of each of its times: still good, and too late a
+ * nanosecond later. */
 #include "can_wire.h"
 
 enum { SLOW = 0x610, PROBE = 0x620, OFF_WORD = 0x700 };
@@ -39,7 +39,7 @@ static void set_points_are_good_until_their_timeout_and_ten_milliseconds_ahead(v
           state_of(0)->state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
 }
 
-static void set_points_without_a_stamp_are_none_however_young_the_clock_is(void)
+static void set_points_without_a_stamp_do_not_count_even_one_nanosecond_after_boot(void)
 {
     begin_with(1);
     w.now_ns = 1;
@@ -52,7 +52,7 @@ static void set_points_without_a_stamp_are_none_however_young_the_clock_is(void)
           state_of(0)->state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
 }
 
-static void a_wheel_that_turns_on_has_exactly_a_second_to_come_to_rest(void)
+static void a_wheel_that_keeps_turning_has_exactly_a_second_to_come_to_rest(void)
 {
     begin_with(1);
     arm_by_hand();
@@ -73,7 +73,7 @@ static void a_wheel_that_turns_on_has_exactly_a_second_to_come_to_rest(void)
     CHECK(!state_of(0)->state.stopping && last_sent_ns(0, DISABLE) == stopped_ns + 1000 * MS);
 }
 
-static void a_quick_stop_that_is_sent_sends_zero_in_the_same_moment(void)
+static void a_quick_stop_also_sends_zero_at_once(void)
 {
     begin_with(1);
     w.table.period_ns = 1000 * MS;
@@ -92,7 +92,7 @@ static void a_quick_stop_that_is_sent_sends_zero_in_the_same_moment(void)
     CHECK(count_sent(CONTROL) == 1 && count_sent(SPEED) == 1 && speed_in(newest_of(0)) == 0);
 }
 
-static void reasons_add_up_until_it_is_set_up_again(void)
+static void fault_reasons_add_up_until_the_next_set_up(void)
 {
     begin_with(1);
     arm(0);
@@ -100,7 +100,7 @@ static void reasons_add_up_until_it_is_set_up_again(void)
     w.enabled = 0;
     step();
     CHECK(state_of(0)->state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
-    go_on(60 * MS); /* and it goes on saying that it has power */
+    go_on(60 * MS); /* and it keeps reporting that it has power */
     CHECK(state_of(0)->state.fault_reasons ==
           (DRIVE_FAULT_NOT_ENABLED | DRIVE_FAULT_STILL_ENABLED));
     become_unresponsive();
@@ -108,7 +108,7 @@ static void reasons_add_up_until_it_is_set_up_again(void)
           (DRIVE_FAULT_NOT_ENABLED | DRIVE_FAULT_STILL_ENABLED | DRIVE_FAULT_UNRESPONSIVE));
 }
 
-static void what_it_says_of_its_power_counts_from_the_end_of_its_arming_on(void)
+static void reports_of_power_count_from_the_end_of_its_arming(void)
 {
     begin_with(1);
     go_on(20 * MS);
@@ -138,11 +138,11 @@ static void what_it_says_of_its_power_counts_from_the_end_of_its_arming_on(void)
 }
 
 /* ------------------------------------------------------------------------------ silence */
-static void silence_may_last_as_long_as_it_may_and_no_longer(void)
+static void silence_is_allowed_up_to_its_bound(void)
 {
     begin_with(1);
     arm_by_hand();
-    w.machine.newest.stamp_ns = w.now_ns + 200 * MS; /* only the silence is looked at */
+    w.machine.newest.stamp_ns = w.now_ns + 200 * MS; /* only the silence is checked */
     w.machine.table.setpoint_timeout_ns = 1000 * MS;
     report_state(0, 8);
     report_motion(0, 1.0F, 0.0F);
@@ -157,7 +157,7 @@ static void silence_may_last_as_long_as_it_may_and_no_longer(void)
           state_of(0)->stops == stops + 1);
 }
 
-static void a_drive_is_missing_before_its_first_word_and_when_any_time_is_over(void)
+static void a_drive_is_missing_before_its_first_frame_and_when_any_of_its_frames_is_overdue(void)
 {
     begin_with(1);
     table_of(0)->input[0].silence_ns = 1;
@@ -192,7 +192,7 @@ static void an_answer_to_a_hello_is_good_for_five_seconds(void)
     CHECK(state_of(0)->missing == 1);
 }
 
-static void an_old_answer_to_a_hello_counts_no_more_when_the_drive_is_unresponsive(void)
+static void an_old_answer_to_a_hello_does_not_count_for_an_unresponsive_drive(void)
 {
     begin_with(1);
     table_of(0)->hello = 1;
@@ -210,7 +210,7 @@ static void an_old_answer_to_a_hello_counts_no_more_when_the_drive_is_unresponsi
     CHECK(state_of(0)->state.mode == DRIVE_BACK);
 }
 
-static void a_drive_that_falls_silent_while_it_stops_begins_anew_with_quick_stops(void)
+static void a_drive_that_falls_silent_while_it_stops_gets_quick_stops_again(void)
 {
     begin_with(1);
     arm(0);
@@ -229,7 +229,7 @@ static void a_drive_that_falls_silent_while_it_stops_begins_anew_with_quick_stop
     CHECK(last_sent_ns(0, DISABLE) > unresponsive_ns + 1000 * MS);
 }
 
-static void quick_stops_end_after_a_second_of_silence_and_not_with_it(void)
+static void quick_stops_continue_for_a_second_of_silence(void)
 {
     begin_with(1);
     table_of(0)->quick_stop[0] = (can_write){.packet = packet_of(CONTROL, 1)};
@@ -237,7 +237,7 @@ static void quick_stops_end_after_a_second_of_silence_and_not_with_it(void)
     restart();
     arm(0);
     go_on(30 * MS);
-    w.not_taken = SPEED; /* so it is sent anew in each cycle */
+    w.not_taken = SPEED; /* so it is sent again in each cycle */
     become_unresponsive();
     int64_t unresponsive_ns = state_of(0)->unresponsive_since_ns;
     w.machine.cycle.due_ns = unresponsive_ns + 1000 * MS;
@@ -250,7 +250,7 @@ static void quick_stops_end_after_a_second_of_silence_and_not_with_it(void)
     CHECK(count_sent(CONTROL) == 1 && count_sent(OFF_WORD) == 1);
 }
 
-static void an_unresponsive_drive_is_asked_at_last_every_two_seconds(void)
+static void an_unresponsive_drive_is_finally_probed_every_two_seconds(void)
 {
     begin_with(1);
     w.table.period_ns = MS;
@@ -274,7 +274,7 @@ static void an_unresponsive_drive_is_asked_at_last_every_two_seconds(void)
 }
 
 /* ----------------------------------------------------------------------------- watchdog */
-static void a_drive_is_left_alone_when_its_watchdog_s_time_is_over(void)
+static void a_drive_counts_as_left_alone_after_the_time_of_its_watchdog(void)
 {
     begin_with(1);
     w.table.period_ns = 100000 * MS;
@@ -311,7 +311,7 @@ static void frames_that_the_bus_does_not_take_are_counted(void)
     CHECK(w.machine.tx_full - before == w.machine.cycle.count - cycles); /* each has one frame */
 }
 
-static void standing_down_is_a_stop_that_ends_jobs(void)
+static void standing_down_is_a_stop_and_ends_jobs(void)
 {
     begin_with(1);
     arm(0);
@@ -320,7 +320,7 @@ static void standing_down_is_a_stop_that_ends_jobs(void)
     CHECK(state_of(0)->stops == stops + 1 && state_of(0)->state.mode == DRIVE_READY);
 }
 
-static void a_request_that_was_never_seen_may_have_been_a_stop(void)
+static void a_request_that_was_overtaken_counts_as_a_stop(void)
 {
     begin_with(1);
     arm(0);
@@ -334,7 +334,7 @@ static void a_request_that_was_never_seen_may_have_been_a_stop(void)
     CHECK(newest_of(0)->data[0] == DISABLE);
 }
 
-static void a_power_off_that_was_due_is_forgotten_with_a_new_set_up(void)
+static void a_new_set_up_cancels_a_power_off_that_was_due(void)
 {
     begin_with(1);
     go_on(20 * MS);
@@ -347,7 +347,7 @@ static void a_power_off_that_was_due_is_forgotten_with_a_new_set_up(void)
     CHECK(state_of(0)->state.mode == DRIVE_ARMED);
 }
 
-static void one_that_is_armed_waits_for_the_core_however_often_it_was_enabled_before(void)
+static void a_newly_armed_drive_waits_for_the_core_to_enable_it_again(void)
 {
     begin_with(1);
     w.enabled = 0;
@@ -365,7 +365,7 @@ static void one_that_is_armed_waits_for_the_core_however_often_it_was_enabled_be
           state_of(0)->state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
 }
 
-static void what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns(void)
+static void slow_requests_are_sent_in_the_first_cycle_and_then_by_turns(void)
 {
     begin_with(1);
     can_drive *drive = table_of(0);
@@ -405,7 +405,7 @@ static void what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns(void)
 }
 
 /* ------------------------------------------------------------------------------- values */
-static void what_it_says_of_its_power_is_no_sample_of_a_joint(void)
+static void a_report_of_power_is_not_a_sample_of_a_joint(void)
 {
     begin_with(1);
     can_drive *drive = table_of(0);
@@ -422,7 +422,7 @@ static void what_it_says_of_its_power_is_no_sample_of_a_joint(void)
     CHECK(w.machine.joint[0].feedback.enabled == 1);
 }
 
-static void all_joints_of_a_drive_are_forgotten_with_it(void)
+static void values_of_all_joints_of_a_drive_are_cleared_with_it(void)
 {
     begin_with(3);
     go_on(20 * MS);
@@ -433,7 +433,7 @@ static void all_joints_of_a_drive_are_forgotten_with_it(void)
           w.machine.joint[2].feedback.count == 0);
 }
 
-static void motion_that_only_the_second_frame_wants_waits_for_its_cycle(void)
+static void motion_in_the_second_frame_alone_waits_for_its_cycle(void)
 {
     begin_with(1);
     can_drive *drive = table_of(0);
@@ -461,27 +461,27 @@ static void motion_that_only_the_second_frame_wants_waits_for_its_cycle(void)
 int main(void)
 {
     set_points_are_good_until_their_timeout_and_ten_milliseconds_ahead();
-    set_points_without_a_stamp_are_none_however_young_the_clock_is();
-    a_wheel_that_turns_on_has_exactly_a_second_to_come_to_rest();
-    a_quick_stop_that_is_sent_sends_zero_in_the_same_moment();
-    reasons_add_up_until_it_is_set_up_again();
-    what_it_says_of_its_power_counts_from_the_end_of_its_arming_on();
-    silence_may_last_as_long_as_it_may_and_no_longer();
-    a_drive_is_missing_before_its_first_word_and_when_any_time_is_over();
+    set_points_without_a_stamp_do_not_count_even_one_nanosecond_after_boot();
+    a_wheel_that_keeps_turning_has_exactly_a_second_to_come_to_rest();
+    a_quick_stop_also_sends_zero_at_once();
+    fault_reasons_add_up_until_the_next_set_up();
+    reports_of_power_count_from_the_end_of_its_arming();
+    silence_is_allowed_up_to_its_bound();
+    a_drive_is_missing_before_its_first_frame_and_when_any_of_its_frames_is_overdue();
     an_answer_to_a_hello_is_good_for_five_seconds();
-    an_old_answer_to_a_hello_counts_no_more_when_the_drive_is_unresponsive();
-    a_drive_that_falls_silent_while_it_stops_begins_anew_with_quick_stops();
-    quick_stops_end_after_a_second_of_silence_and_not_with_it();
-    an_unresponsive_drive_is_asked_at_last_every_two_seconds();
-    a_drive_is_left_alone_when_its_watchdog_s_time_is_over();
+    an_old_answer_to_a_hello_does_not_count_for_an_unresponsive_drive();
+    a_drive_that_falls_silent_while_it_stops_gets_quick_stops_again();
+    quick_stops_continue_for_a_second_of_silence();
+    an_unresponsive_drive_is_finally_probed_every_two_seconds();
+    a_drive_counts_as_left_alone_after_the_time_of_its_watchdog();
     frames_that_the_bus_does_not_take_are_counted();
-    standing_down_is_a_stop_that_ends_jobs();
-    a_request_that_was_never_seen_may_have_been_a_stop();
-    a_power_off_that_was_due_is_forgotten_with_a_new_set_up();
-    one_that_is_armed_waits_for_the_core_however_often_it_was_enabled_before();
-    what_may_wait_is_asked_in_the_first_cycle_and_then_by_turns();
-    what_it_says_of_its_power_is_no_sample_of_a_joint();
-    all_joints_of_a_drive_are_forgotten_with_it();
-    motion_that_only_the_second_frame_wants_waits_for_its_cycle();
+    standing_down_is_a_stop_and_ends_jobs();
+    a_request_that_was_overtaken_counts_as_a_stop();
+    a_new_set_up_cancels_a_power_off_that_was_due();
+    a_newly_armed_drive_waits_for_the_core_to_enable_it_again();
+    slow_requests_are_sent_in_the_first_cycle_and_then_by_turns();
+    a_report_of_power_is_not_a_sample_of_a_joint();
+    values_of_all_joints_of_a_drive_are_cleared_with_it();
+    motion_in_the_second_frame_alone_waits_for_its_cycle();
     return checks_report("can bounds");
 }

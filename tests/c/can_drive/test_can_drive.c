@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a bus, moment by moment: what it is sent and asked, what is forgotten when, and
- * what asyncio gets. */
+ * One drive of a bus, step by step: which frames it is sent, when state is cleared, and what
+ * asyncio gets. */
 #include "can_wire.h"
 
 enum { SECOND = 0x700 };
@@ -23,7 +23,7 @@ static void hold(uint32_t byte, uint8_t value)
 }
 
 /* ---------------------------------------------------------------------- what it is sent */
-static void one_that_is_sent_all_the_time_is_never_left_alone(void)
+static void a_drive_that_gets_all_its_frames_is_never_left_alone(void)
 {
     begin_with(1);
     arm(0);
@@ -33,7 +33,7 @@ static void one_that_is_sent_all_the_time_is_never_left_alone(void)
     CHECK(w.machine.sent == w.sent_count && w.sent_count >= 290);
 }
 
-static void what_the_bus_does_not_take_is_no_word_to_the_drive(void)
+static void a_frame_that_the_bus_does_not_take_does_not_feed_the_watchdog(void)
 {
     begin_with(1);
     arm_and_go();
@@ -47,7 +47,7 @@ static void what_the_bus_does_not_take_is_no_word_to_the_drive(void)
           state_of(0)->state.fault_reasons == DRIVE_FAULT_LEFT_ALONE);
 }
 
-static void a_write_to_a_frame_of_the_cycle_carries_what_is_held_of_others(void)
+static void a_write_to_a_frame_of_the_cycle_keeps_the_other_held_bytes(void)
 {
     begin_with(1);
     arm(0);
@@ -59,7 +59,7 @@ static void a_write_to_a_frame_of_the_cycle_carries_what_is_held_of_others(void)
           speed_in(newest_of(0)) == 100);
 }
 
-static void what_was_held_is_forgotten_with_the_drive(void)
+static void held_bytes_are_cleared_with_the_drive(void)
 {
     begin_with(1);
     table_of(0)->disarm[0].mask[1] = 0; /* byte 1 is not the stop's to write */
@@ -94,7 +94,7 @@ static void begin_with_two_frames(void)
     restart();
 }
 
-static void a_drive_moves_while_one_of_its_frames_says_so(void)
+static void a_drive_counts_as_moving_while_one_of_its_frames_carries_motion(void)
 {
     begin_with_two_frames();
     arm(0);
@@ -126,7 +126,7 @@ static void zero_is_sent_again_until_the_bus_has_taken_it_for_all_wheels(void)
     CHECK(!state_of(0)->state.sent_motion && count_sent(SECOND) >= 1);
 }
 
-static void motion_that_half_of_the_frames_carried_has_to_be_taken_back(void)
+static void motion_that_only_some_frames_carried_is_followed_by_zero(void)
 {
     begin_with_two_frames();
     w.not_taken = SECOND;
@@ -141,7 +141,7 @@ static void motion_that_half_of_the_frames_carried_has_to_be_taken_back(void)
 }
 
 /* ---------------------------------------------------------------------------- its power */
-static void one_that_has_power_without_being_armed_is_sent_off_and_that_is_reported_once(void)
+static void a_drive_with_power_that_was_not_armed_is_switched_off_and_reported_once(void)
 {
     begin_with(1);
     go_on(20 * MS);
@@ -150,7 +150,7 @@ static void one_that_has_power_without_being_armed_is_sent_off_and_that_is_repor
     (void)took_changes();
     report_state(0, 8);
     report_state(0, 8);
-    report_state(0, 1); /* the count begins anew */
+    report_state(0, 1); /* the count restarts */
     report_state(0, 8);
     report_state(0, 8);
     CHECK(state_of(0)->state.fault_reasons == 0 && !took_changes());
@@ -167,7 +167,7 @@ static void one_that_has_power_without_being_armed_is_sent_off_and_that_is_repor
 }
 
 /* One that may be sent nothing at rest, not even zero, and cannot report whether it has power. */
-static void begin_with_one_that_cannot_report(void)
+static void begin_without_reported_power(void)
 {
     begin_with(1);
     can_drive *drive = table_of(0);
@@ -179,9 +179,9 @@ static void begin_with_one_that_cannot_report(void)
     request(0, DRIVE_READY);
 }
 
-static void one_that_cannot_report_it_is_sent_off_now_and_then_but_not_while_it_is_armed(void)
+static void a_drive_without_reported_power_gets_power_offs_periodically_unless_it_is_armed(void)
 {
-    begin_with_one_that_cannot_report();
+    begin_without_reported_power();
     forget_sent();
     go_on(320 * MS);
     CHECK(count_sent(CONTROL) >= 3 && count_sent(CONTROL) <= 4 && count_sent(SPEED) == 0);
@@ -207,16 +207,16 @@ static void one_that_cannot_report_it_is_sent_off_now_and_then_but_not_while_it_
     CHECK(!state_of(0)->state.stopping && count_sent(CONTROL) == 1); /* sent once */
 }
 
-static void time_without_set_points_before_arming_is_not_being_left_alone(void)
+static void time_without_set_points_before_arming_does_not_count_as_left_alone(void)
 {
-    begin_with_one_that_cannot_report();
+    begin_without_reported_power();
     go_on(2000 * MS);
     request(0, DRIVE_ARMED);
     go_on(50 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.fault_reasons == 0);
 }
 
-static void a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken(void)
+static void a_stop_of_two_frames_resumes_at_the_one_that_was_not_taken(void)
 {
     begin_with(1);
     can_drive *drive = table_of(0);
@@ -237,9 +237,9 @@ static void a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken(void)
           state_of(0)->state.stop == STOP_NOTHING);
 }
 
-static void after_its_power_off_one_that_is_sent_nothing_at_rest_is_sent_nothing(void)
+static void a_drive_without_frames_at_rest_gets_nothing_after_its_power_off(void)
 {
-    begin_with_one_that_cannot_report();
+    begin_without_reported_power();
     request(0, DRIVE_ARMED);
     go_on(30 * MS);
     CHECK(state_of(0)->state.sent_motion);
@@ -251,9 +251,9 @@ static void after_its_power_off_one_that_is_sent_nothing_at_rest_is_sent_nothing
     CHECK(count_sent(SPEED) == speeds);
 }
 
-static void switching_off_takes_the_power_of_one_that_has_it_and_sends_others_nothing(void)
+static void switching_off_takes_the_power_of_a_powered_drive_and_sends_others_nothing(void)
 {
-    begin_with_one_that_cannot_report();
+    begin_without_reported_power();
     forget_sent();
     request(0, DRIVE_OFF);
     CHECK(w.sent_count == 0);
@@ -277,7 +277,7 @@ static void switching_off_takes_the_power_of_one_that_has_it_and_sends_others_no
 }
 
 /* ------------------------------------------------------------------ what is known of it */
-static void what_it_reported_before_a_change_is_not_what_it_reports_now(void)
+static void reports_from_before_a_change_do_not_count_after_it(void)
 {
     begin_with(1);
     go_on(20 * MS);
@@ -307,7 +307,7 @@ static void what_it_reported_before_a_change_is_not_what_it_reports_now(void)
     CHECK(state_of(0)->state.enabled == 2 && newest_of(0)->data[0] == DISABLE);
 }
 
-static void after_its_set_up_all_has_to_be_received_anew_before_the_core_is_sent(void)
+static void after_its_set_up_the_core_gets_feedback_only_when_all_of_it_is_new(void)
 {
     begin_with(1);
     arm_and_go();
@@ -321,7 +321,7 @@ static void after_its_set_up_all_has_to_be_received_anew_before_the_core_is_sent
     CHECK(w.machine.feedback_mask == 1 && w.machine.joint[0].feedback.epoch == 2);
 }
 
-static void armed_again_it_may_wait_for_the_core_to_enable_it(void)
+static void after_the_next_arming_it_may_wait_again_for_the_core(void)
 {
     begin_with(1);
     arm_and_go();
@@ -344,7 +344,7 @@ static void armed_again_it_may_wait_for_the_core_to_enable_it(void)
 }
 
 /* -------------------------------------------------------------------- what asyncio gets */
-static void asyncio_gets_each_change(void)
+static void asyncio_is_notified_of_each_change(void)
 {
     begin_with(1);
     go_on(20 * MS);
@@ -375,7 +375,7 @@ static void asyncio_gets_each_change(void)
     w.full = true;
     w.silent = false;
     go_on(20 * MS);
-    CHECK(state_of(0)->state.back && took_changes()); /* it has to be sent off first */
+    CHECK(state_of(0)->state.back && took_changes()); /* it has to be switched off first */
     go_on(20 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && !took_changes());
     w.full = false;
@@ -383,7 +383,7 @@ static void asyncio_gets_each_change(void)
     CHECK(state_of(0)->state.mode == DRIVE_BACK && !state_of(0)->state.back && took_changes());
 }
 
-static void each_of_its_frames_may_differ_from_what_it_was_sent_and_no_other(void)
+static void a_change_in_any_of_its_frames_is_noticed_and_in_no_other(void)
 {
     for (uint32_t other = 0; other < 3; other++) {
         begin_with_two_frames();
@@ -392,7 +392,7 @@ static void each_of_its_frames_may_differ_from_what_it_was_sent_and_no_other(voi
             (void)can_build(&w.machine, 0, o, &packet);
             memcpy(w.machine.drive[0].last_sent[o], packet.data, packet.bytes);
         }
-        /* behind the last one */
+        /* after the last one */
         w.machine.table.drive[0].output[2] = w.machine.table.drive[0].output[1];
         CHECK(!can_differs(&w.machine, 0));
         w.machine.drive[0].last_sent[other][0] ^= 1;
@@ -400,7 +400,7 @@ static void each_of_its_frames_may_differ_from_what_it_was_sent_and_no_other(voi
     }
 }
 
-static void a_change_of_one_is_not_lost_where_another_has_none(void)
+static void an_unchanged_drive_does_not_clear_a_notification(void)
 {
     begin_with(1);
     w.machine.notify = true;
@@ -410,24 +410,24 @@ static void a_change_of_one_is_not_lost_where_another_has_none(void)
 
 int main(void)
 {
-    one_that_is_sent_all_the_time_is_never_left_alone();
-    what_the_bus_does_not_take_is_no_word_to_the_drive();
-    a_write_to_a_frame_of_the_cycle_carries_what_is_held_of_others();
-    what_was_held_is_forgotten_with_the_drive();
-    a_drive_moves_while_one_of_its_frames_says_so();
+    a_drive_that_gets_all_its_frames_is_never_left_alone();
+    a_frame_that_the_bus_does_not_take_does_not_feed_the_watchdog();
+    a_write_to_a_frame_of_the_cycle_keeps_the_other_held_bytes();
+    held_bytes_are_cleared_with_the_drive();
+    a_drive_counts_as_moving_while_one_of_its_frames_carries_motion();
     zero_is_sent_again_until_the_bus_has_taken_it_for_all_wheels();
-    motion_that_half_of_the_frames_carried_has_to_be_taken_back();
-    one_that_has_power_without_being_armed_is_sent_off_and_that_is_reported_once();
-    one_that_cannot_report_it_is_sent_off_now_and_then_but_not_while_it_is_armed();
-    time_without_set_points_before_arming_is_not_being_left_alone();
-    a_stop_of_two_frames_goes_on_with_the_one_that_was_not_taken();
-    after_its_power_off_one_that_is_sent_nothing_at_rest_is_sent_nothing();
-    switching_off_takes_the_power_of_one_that_has_it_and_sends_others_nothing();
-    what_it_reported_before_a_change_is_not_what_it_reports_now();
-    after_its_set_up_all_has_to_be_received_anew_before_the_core_is_sent();
-    armed_again_it_may_wait_for_the_core_to_enable_it();
-    asyncio_gets_each_change();
-    each_of_its_frames_may_differ_from_what_it_was_sent_and_no_other();
-    a_change_of_one_is_not_lost_where_another_has_none();
+    motion_that_only_some_frames_carried_is_followed_by_zero();
+    a_drive_with_power_that_was_not_armed_is_switched_off_and_reported_once();
+    a_drive_without_reported_power_gets_power_offs_periodically_unless_it_is_armed();
+    time_without_set_points_before_arming_does_not_count_as_left_alone();
+    a_stop_of_two_frames_resumes_at_the_one_that_was_not_taken();
+    a_drive_without_frames_at_rest_gets_nothing_after_its_power_off();
+    switching_off_takes_the_power_of_a_powered_drive_and_sends_others_nothing();
+    reports_from_before_a_change_do_not_count_after_it();
+    after_its_set_up_the_core_gets_feedback_only_when_all_of_it_is_new();
+    after_the_next_arming_it_may_wait_again_for_the_core();
+    asyncio_is_notified_of_each_change();
+    a_change_in_any_of_its_frames_is_noticed_and_in_no_other();
+    an_unchanged_drive_does_not_clear_a_notification();
     return checks_report("can drive");
 }

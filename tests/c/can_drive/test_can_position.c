@@ -1,12 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Positions on a CAN bus: a drive without power gets the place where it is, one that must not
- * move gets nothing. */
+ * Positions on a CAN bus: a drive without power gets its own position, one that must not move
+ * gets nothing. */
 #include <math.h>
 
 #include "can_position_rig.h"
 #include "joint_values.h"
 
-static void a_drive_without_power_gets_the_place_where_it_is(void)
+static void a_drive_without_power_gets_its_own_position(void)
 {
     begin();
     wanted_rad = 1.0, positioned = 1;
@@ -19,7 +19,7 @@ static void a_drive_without_power_gets_the_place_where_it_is(void)
     run(-3.5F, 50 * MS); /* turned by hand */
     CHECK(target_in(newest_of(0)) == -3.5F && !state_of(0)->state.sent_motion &&
           !can_wants_motion(m, 0));
-    run(11.0F, 10 * MS); /* a place that it could not be sent to */
+    run(11.0F, 10 * MS); /* a position that is no valid target */
     forget_sent();
     run(11.0F, 50 * MS);
     CHECK(count_sent(SPEED) == 0);
@@ -34,7 +34,7 @@ static void a_drive_without_power_gets_the_place_where_it_is(void)
     CHECK(count_sent(SPEED) <= 1); /* its power-off, and no place */
 }
 
-static void an_armed_drive_gets_its_places_and_nothing_where_there_is_none(void)
+static void an_armed_drive_gets_its_targets_and_nothing_without_one(void)
 {
     static const double NO_PLACES[] = {NAN, INFINITY, 0.5};
     for (uint32_t i = 0; i < 3; i++) {
@@ -56,9 +56,9 @@ static void an_armed_drive_gets_its_places_and_nothing_where_there_is_none(void)
     }
 }
 
-/* Where nothing is sent for as long as its watchdog waits, it may have stopped by itself: it is
- * stopped here, too. */
-static void what_is_held_back_for_too_long_is_a_drive_left_alone(void)
+/* A drive that got nothing for the time of its watchdog may have stopped by itself: the line
+ * stops it, too. */
+static void a_drive_whose_targets_are_withheld_too_long_is_left_alone(void)
 {
     begin();
     make_armed();
@@ -70,7 +70,7 @@ static void what_is_held_back_for_too_long_is_a_drive_left_alone(void)
           state_of(0)->state.mode == DRIVE_READY);
 }
 
-static void one_that_does_not_answer_gets_its_stops_and_no_place(void)
+static void a_drive_that_does_not_answer_gets_stops_and_no_target(void)
 {
     begin();
     make_armed();
@@ -90,7 +90,7 @@ static void one_that_does_not_answer_gets_its_stops_and_no_place(void)
     }
 }
 
-/* 2 rad/s are a turn a second: 0.1 in the time that a place counts. */
+/* 2 rad/s are a turn a second: 0.1 in the time for which a position is fresh. */
 static void begin_at_limited_speed(void)
 {
     begin();
@@ -98,7 +98,7 @@ static void begin_at_limited_speed(void)
     restart();
 }
 
-static void the_first_target_is_the_place_where_it_is_and_later_ones_move_from_there(void)
+static void the_first_target_is_its_own_position_and_later_ones_move_from_there(void)
 {
     begin_at_limited_speed();
     make_armed();
@@ -121,7 +121,7 @@ static void the_first_target_is_the_place_where_it_is_and_later_ones_move_from_t
     CHECK(last == 3.0F && w.now_ns >= began_ns + 690 * MS);
 }
 
-static void a_first_target_far_from_its_place_takes_the_power(void)
+static void a_first_target_far_from_its_position_takes_the_power(void)
 {
     static const double WANTED_RAD[] = {0.69, 0.31, 0.71, 0.29, 16.0, -24.0};
     for (uint32_t i = 0; i < 6; i++) {
@@ -139,8 +139,8 @@ static void a_first_target_far_from_its_place_takes_the_power(void)
     }
 }
 
-/* Beyond its range, old, no number: neither ARMED nor the frames that would give it its power. */
-static void one_whose_place_is_missing_gets_no_power(void)
+/* Beyond its range, old, or NaN: neither ARMED nor the frames that would give it its power. */
+static void a_drive_whose_position_is_missing_gets_no_power(void)
 {
     for (uint32_t why = 0; why < 4; why++) {
         begin_at_limited_speed();
@@ -164,7 +164,7 @@ static void one_whose_place_is_missing_gets_no_power(void)
     }
 }
 
-static void whether_it_has_a_reference_is_reported_beside_its_power(void)
+static void its_reference_is_reported_beside_its_power(void)
 {
     begin();
     table_of(0)->input[0].field_count = 2;
@@ -181,9 +181,8 @@ static void whether_it_has_a_reference_is_reported_beside_its_power(void)
     CHECK(m->joint[0].feedback.referenced == 1 && state_of(0)->state.enabled == 1);
 }
 
-/* A frame that stops it has a target, too: where it is; and where it was sent last while that is
- * not known. */
-static void a_stop_keeps_the_place_in_its_frame(void)
+/* A stop has a target, too: the position of the drive, or its last target while that is unknown. */
+static void a_stop_keeps_the_target_in_its_frame(void)
 {
     static const float AT[] = {3.0F, 11.0F}, KEPT[] = {3.0F, 2.25F};
     for (uint32_t i = 0; i < 2; i++) {
@@ -196,8 +195,8 @@ static void a_stop_keeps_the_place_in_its_frame(void)
     }
 }
 
-/* The second target of a frame stands in turns of 16 bits. */
-static void each_target_of_a_frame_is_kept_and_no_other(void)
+/* The second target of a frame is in turns of 16 bits. */
+static void a_stop_keeps_each_target_of_its_frame_and_no_other_byte(void)
 {
     static const can_setpoint SECOND = {
         .place = {.start_bit = 48, .length = 16, .form = CAN_SIGNED},
@@ -248,8 +247,8 @@ static void a_frame_is_sent_only_when_each_of_its_targets_is_known(void)
     CHECK(!can_sends(m, 0, 0));
 }
 
-/* The place where it is goes to a drive that rests without power, and to no other. */
-static void only_one_that_is_ready_and_not_enabled_keeps_its_place(void)
+/* Only a drive at rest without power gets its own position. */
+static void only_a_ready_drive_without_power_keeps_its_own_position_as_target(void)
 {
     static const uint32_t MODES[] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_UNRESPONSIVE,
                                      DRIVE_BACK};
@@ -266,7 +265,7 @@ static void only_one_that_is_ready_and_not_enabled_keeps_its_place(void)
     }
 }
 
-static void a_place_beyond_the_joints_of_the_set_points_is_not_sent(void)
+static void a_target_of_a_joint_without_set_points_is_not_sent(void)
 {
     begin();
     make_armed();
@@ -277,7 +276,7 @@ static void a_place_beyond_the_joints_of_the_set_points_is_not_sent(void)
     CHECK(!can_sends(m, 0, 0));
 }
 
-static void a_place_of_minus_zero_goes_out_as_zero(void)
+static void a_target_of_minus_zero_is_sent_as_zero(void)
 {
     static const uint8_t ZEROS[4];
     begin();
@@ -288,7 +287,7 @@ static void a_place_of_minus_zero_goes_out_as_zero(void)
     CHECK(memcmp(newest_of(0)->data + 2, ZEROS, sizeof ZEROS) == 0);
 }
 
-static void a_joint_that_the_set_points_do_not_have_gets_no_place(void)
+static void a_joint_without_set_points_gets_no_target(void)
 {
     setpoints from = {
         .enabled = 1, .joint_count = 2, .positioned = UINT32_MAX, .position_rad = {1.0, 2.0, 3.0}};
@@ -305,7 +304,7 @@ static void a_joint_that_the_set_points_do_not_have_gets_no_place(void)
     CHECK(!setpoint_position(&from, 0, &position_rad));
 }
 
-/* A second target of the frame, or a second frame, for a joint of its own, whose place is not
+/* A second target of the frame, or a second frame, for a joint of its own, whose position is not
  * known. */
 static void begin_with_two(uint32_t targets, uint32_t frames)
 {
@@ -328,7 +327,7 @@ static void begin_with_two(uint32_t targets, uint32_t frames)
     run(2.25F, 20 * MS);
 }
 
-static void each_target_of_each_frame_needs_its_place_and_no_other(void)
+static void each_target_of_each_frame_needs_its_own_position_and_no_other(void)
 {
     for (uint32_t i = 0; i < 4; i++) {
         begin_with_two(1 + i % 2, 1 + i / 2);
@@ -342,7 +341,7 @@ static void each_target_of_each_frame_needs_its_place_and_no_other(void)
     }
 }
 
-static void each_target_of_each_frame_begins_anew_while_it_is_not_armed_and_no_other(void)
+static void each_target_of_each_frame_restarts_while_the_drive_is_not_armed_and_no_other(void)
 {
     for (uint32_t i = 0; i < 4; i++) {
         begin_with_two(1 + i % 2, 1 + i / 2);
@@ -359,7 +358,7 @@ static void each_target_of_each_frame_begins_anew_while_it_is_not_armed_and_no_o
     CHECK(isnan(m->joint[0].place.sent));
 }
 
-static void each_target_that_left_is_where_the_next_ones_begin_and_no_other(void)
+static void each_target_that_left_is_the_start_of_the_next_one_and_no_other(void)
 {
     for (uint32_t count = 1; count <= 2; count++) {
         begin_with_two(count, 1);
@@ -380,8 +379,8 @@ static void each_target_that_left_is_where_the_next_ones_begin_and_no_other(void
     }
 }
 
-/* Three of its cycles are longer than the time-out: its place is looked at no more often. */
-static void on_a_slow_bus_a_place_counts_for_three_cycles(void)
+/* Three of its cycles are longer than the time-out: its position is read no more often. */
+static void on_a_slow_bus_a_position_is_fresh_for_three_cycles(void)
 {
     static const int64_t AGES_NS[] = {201 * 1000000, 299 * 1000000, 301 * 1000000, 399 * 1000000};
     for (uint32_t i = 0; i < 4; i++) {
@@ -399,7 +398,7 @@ static void on_a_slow_bus_a_place_counts_for_three_cycles(void)
 }
 
 /* The time since its newest target counts up to the kick: without it no target would be new. */
-static void a_new_target_goes_out_at_once_as_far_as_the_joint_may_have_come_by_then(void)
+static void a_new_target_is_sent_at_once_as_far_as_the_joint_s_speed_allows(void)
 {
     begin();
     w.machine.table.drive[0].output[0].setpoint[0].scale.raw_per_s = 10.0;
@@ -423,25 +422,25 @@ static void a_new_target_goes_out_at_once_as_far_as_the_joint_may_have_come_by_t
 
 int main(void)
 {
-    on_a_slow_bus_a_place_counts_for_three_cycles();
-    a_new_target_goes_out_at_once_as_far_as_the_joint_may_have_come_by_then();
-    each_target_of_each_frame_needs_its_place_and_no_other();
-    each_target_of_each_frame_begins_anew_while_it_is_not_armed_and_no_other();
-    each_target_that_left_is_where_the_next_ones_begin_and_no_other();
-    a_stop_keeps_the_place_in_its_frame();
-    each_target_of_a_frame_is_kept_and_no_other();
+    on_a_slow_bus_a_position_is_fresh_for_three_cycles();
+    a_new_target_is_sent_at_once_as_far_as_the_joint_s_speed_allows();
+    each_target_of_each_frame_needs_its_own_position_and_no_other();
+    each_target_of_each_frame_restarts_while_the_drive_is_not_armed_and_no_other();
+    each_target_that_left_is_the_start_of_the_next_one_and_no_other();
+    a_stop_keeps_the_target_in_its_frame();
+    a_stop_keeps_each_target_of_its_frame_and_no_other_byte();
     a_frame_is_sent_only_when_each_of_its_targets_is_known();
-    only_one_that_is_ready_and_not_enabled_keeps_its_place();
-    a_place_beyond_the_joints_of_the_set_points_is_not_sent();
-    a_place_of_minus_zero_goes_out_as_zero();
-    a_joint_that_the_set_points_do_not_have_gets_no_place();
-    a_drive_without_power_gets_the_place_where_it_is();
-    an_armed_drive_gets_its_places_and_nothing_where_there_is_none();
-    what_is_held_back_for_too_long_is_a_drive_left_alone();
-    one_that_does_not_answer_gets_its_stops_and_no_place();
-    whether_it_has_a_reference_is_reported_beside_its_power();
-    the_first_target_is_the_place_where_it_is_and_later_ones_move_from_there();
-    a_first_target_far_from_its_place_takes_the_power();
-    one_whose_place_is_missing_gets_no_power();
+    only_a_ready_drive_without_power_keeps_its_own_position_as_target();
+    a_target_of_a_joint_without_set_points_is_not_sent();
+    a_target_of_minus_zero_is_sent_as_zero();
+    a_joint_without_set_points_gets_no_target();
+    a_drive_without_power_gets_its_own_position();
+    an_armed_drive_gets_its_targets_and_nothing_without_one();
+    a_drive_whose_targets_are_withheld_too_long_is_left_alone();
+    a_drive_that_does_not_answer_gets_stops_and_no_target();
+    its_reference_is_reported_beside_its_power();
+    the_first_target_is_its_own_position_and_later_ones_move_from_there();
+    a_first_target_far_from_its_position_takes_the_power();
+    a_drive_whose_position_is_missing_gets_no_power();
     return checks_report("can position");
 }

@@ -31,7 +31,7 @@ static void obey(uint32_t mode, uint32_t unseen)
     CHECK(!w.machine.notify);
 }
 
-static void a_set_up_begins_anew_but_for_power_that_is_still_there(void)
+static void a_set_up_resets_all_state_but_power_that_is_still_on(void)
 {
     for (uint32_t powered = 0; powered < 3; powered++) {
         for (uint32_t from = 0; from < 2; from++) {
@@ -58,7 +58,7 @@ static void a_set_up_begins_anew_but_for_power_that_is_still_there(void)
     }
 }
 
-static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(void)
+static void it_is_armed_when_nothing_prevents_it_and_its_state_is_reset(void)
 {
     for (uint32_t against = 0; against < 8; against++) {
         begin_drive();
@@ -72,7 +72,7 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
         drive->state.off_due = against == 7;
         w.machine.control.shut_down = against == 4;
         obey(DRIVE_ARMED, against == 5 ? 1 : 0);
-        /* what was not seen may have been a stop: there is nothing to stop */
+        /* an overtaken request may have been a stop: there is nothing to stop */
         bool armed = against == 0 || against == 5;
         CHECK((drive->state.mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
         if (armed) {
@@ -85,7 +85,7 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
 
 /* It has power where it is armed, stopping, sent motion, or reported to be enabled. Unseen
  * requests may have been a stop. */
-static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it(void)
+static void switching_off_and_overtaken_requests_take_the_power_of_a_powered_drive(void)
 {
     static const uint32_t MODES[] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_STAND_DOWN};
     for (uint32_t has = 0; has < 5; has++) {
@@ -128,7 +128,7 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
     CHECK(drive->state.mode == DRIVE_UNRESPONSIVE && drive->stops == stops + 1);
 }
 
-/* An armed drive after a look: does it stop, and why? */
+/* Whether and why an armed drive stops after a look. */
 static void guarded(uint32_t why, uint32_t stop)
 {
     for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
@@ -158,7 +158,7 @@ static void an_armed_drive_is_stopped_when_set_points_grow_old(void)
     guarded(DRIVE_FAULT_SETPOINTS_OLD, STOP_QUICK);
 }
 
-static void an_armed_drive_that_is_sent_nothing_for_longer_than_its_watchdog_is_stopped(void)
+static void an_armed_drive_left_alone_longer_than_its_watchdog_is_stopped(void)
 {
     for (uint32_t how = 0; how < 3; how++) {
         begin_armed();
@@ -172,7 +172,7 @@ static void an_armed_drive_that_is_sent_nothing_for_longer_than_its_watchdog_is_
     }
 }
 
-static void an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power(void)
+static void an_armed_drive_whose_set_points_are_no_longer_enabled_loses_its_power(void)
 {
     begin_armed();
     w.machine.newest.enabled = 0;
@@ -191,11 +191,11 @@ static void an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power(
 
 int main(void)
 {
-    a_set_up_begins_anew_but_for_power_that_is_still_there();
-    it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew();
-    switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it();
+    a_set_up_resets_all_state_but_power_that_is_still_on();
+    it_is_armed_when_nothing_prevents_it_and_its_state_is_reset();
+    switching_off_and_overtaken_requests_take_the_power_of_a_powered_drive();
     an_armed_drive_is_stopped_when_set_points_grow_old();
-    an_armed_drive_that_is_sent_nothing_for_longer_than_its_watchdog_is_stopped();
-    an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power();
+    an_armed_drive_left_alone_longer_than_its_watchdog_is_stopped();
+    an_armed_drive_whose_set_points_are_no_longer_enabled_loses_its_power();
     return checks_report("can steps");
 }

@@ -28,7 +28,7 @@ static void standing_down_sends_zero_at_once_to_a_drive_that_is_sent_nothing_at_
     CHECK(count_sent(SPEED) == 1);
 }
 
-static void switching_off_one_that_has_not_received_its_zero_takes_its_power(void)
+static void switching_off_a_drive_that_has_not_received_zero_takes_its_power(void)
 {
     drive_off_on_a_full_bus();
     request(0, DRIVE_STAND_DOWN);
@@ -38,7 +38,7 @@ static void switching_off_one_that_has_not_received_its_zero_takes_its_power(voi
     CHECK(last_sent_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
 }
 
-static void a_stop_that_waits_outlives_a_new_set_up(void)
+static void a_pending_stop_outlives_a_new_set_up(void)
 {
     drive_off_on_a_full_bus();
     request(0, DRIVE_OFF);
@@ -50,7 +50,7 @@ static void a_stop_that_waits_outlives_a_new_set_up(void)
     CHECK(last_sent_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
 }
 
-static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
+static void a_stop_that_a_newer_request_overtook_is_still_carried_out(void)
 {
     drive_off_on_a_full_bus();
     w.full = false;
@@ -61,7 +61,7 @@ static void a_stop_that_was_overtaken_unseen_is_still_carried_out(void)
     CHECK(last_sent_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
 }
 
-static void an_unresponsive_drive_is_sent_to_stop_in_each_cycle_until_the_bus_takes_it(void)
+static void an_unresponsive_drive_is_sent_its_stop_in_each_cycle_until_the_bus_takes_it(void)
 {
     drive_off_on_a_full_bus();
     w.silent = true;
@@ -73,7 +73,7 @@ static void an_unresponsive_drive_is_sent_to_stop_in_each_cycle_until_the_bus_ta
     CHECK(last_sent_ns(0, QUICK_STOP) >= taken_ns && speed_in(newest_of(0)) == 0);
 }
 
-static void one_that_falls_silent_after_a_set_up_it_did_not_receive_is_sent_to_stop(void)
+static void a_drive_that_falls_silent_after_a_lost_set_up_is_stopped(void)
 {
     drive_off_on_a_full_bus();
     request(0, DRIVE_OFF);
@@ -86,7 +86,7 @@ static void one_that_falls_silent_after_a_set_up_it_did_not_receive_is_sent_to_s
     CHECK(last_sent_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
 }
 
-static void one_that_was_armed_is_sent_to_stop_over_a_reopening_though_it_does_not_answer(void)
+static void a_drive_that_was_armed_is_stopped_after_a_reopening_even_when_it_is_silent(void)
 {
     begin_with(2);
     arm(0);
@@ -167,7 +167,7 @@ static void a_bus_that_takes_some_frames_of_a_cycle_is_given_motion(void)
     CHECK(moving(1) == count_sent(SPEED + 1) && moving(1) >= 9);
 }
 
-static void no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_behind_them(void)
+static void at_most_two_cycles_of_motion_wait_in_the_kernel_followed_by_zero(void)
 {
     turning(2);
     can_machine_left(&w.machine);
@@ -184,7 +184,7 @@ static void no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_beh
     CHECK(speed_in(newest_of(0)) == 100 && speed_in(newest_of(1)) == 100);
 }
 
-static void what_leaves_in_its_cycle_goes_on(void)
+static void motion_that_leaves_in_its_cycle_continues(void)
 {
     turning(1);
     w.machine.receives_own = true;
@@ -197,8 +197,8 @@ static void what_leaves_in_its_cycle_goes_on(void)
     CHECK(moving(0) == count_sent(SPEED) && moving(0) >= 49);
 }
 
-/* A USB adapter takes longer than a cycle of 1 ms to say so. */
-static void what_is_reported_to_have_left_some_milliseconds_late_goes_on(void)
+/* A USB adapter takes longer than a cycle of 1 ms to report it. */
+static void motion_reported_some_milliseconds_late_continues(void)
 {
     turning(1);
     w.machine.table.period_ns = MS;
@@ -238,7 +238,7 @@ static void drives_that_another_program_left_running_stop_before_they_lose_their
     CHECK(!state_of(0)->state.stopping && !state_of(1)->state.stopping);
 }
 
-static void of_those_one_that_sends_nothing_has_its_time_and_then_gets_stops_again_and_again(void)
+static void a_silent_drive_left_running_is_stopped_repeatedly_after_its_time_of_silence(void)
 {
     begin_with(1);
     w.silent = true;
@@ -256,18 +256,18 @@ static void of_those_one_that_sends_nothing_has_its_time_and_then_gets_stops_aga
 int main(void)
 {
     drives_that_another_program_left_running_stop_before_they_lose_their_power();
-    of_those_one_that_sends_nothing_has_its_time_and_then_gets_stops_again_and_again();
+    a_silent_drive_left_running_is_stopped_repeatedly_after_its_time_of_silence();
     a_bus_that_took_nothing_for_a_cycle_is_given_zero_first_and_then_the_newest();
     a_bus_that_takes_some_frames_of_a_cycle_is_given_motion();
-    no_more_than_two_cycles_of_motion_wait_in_the_kernel_and_zero_is_behind_them();
-    what_leaves_in_its_cycle_goes_on();
-    what_is_reported_to_have_left_some_milliseconds_late_goes_on();
-    one_that_was_armed_is_sent_to_stop_over_a_reopening_though_it_does_not_answer();
+    at_most_two_cycles_of_motion_wait_in_the_kernel_followed_by_zero();
+    motion_that_leaves_in_its_cycle_continues();
+    motion_reported_some_milliseconds_late_continues();
+    a_drive_that_was_armed_is_stopped_after_a_reopening_even_when_it_is_silent();
     standing_down_sends_zero_at_once_to_a_drive_that_is_sent_nothing_at_rest();
-    switching_off_one_that_has_not_received_its_zero_takes_its_power();
-    a_stop_that_waits_outlives_a_new_set_up();
-    a_stop_that_was_overtaken_unseen_is_still_carried_out();
-    an_unresponsive_drive_is_sent_to_stop_in_each_cycle_until_the_bus_takes_it();
-    one_that_falls_silent_after_a_set_up_it_did_not_receive_is_sent_to_stop();
+    switching_off_a_drive_that_has_not_received_zero_takes_its_power();
+    a_pending_stop_outlives_a_new_set_up();
+    a_stop_that_a_newer_request_overtook_is_still_carried_out();
+    an_unresponsive_drive_is_sent_its_stop_in_each_cycle_until_the_bus_takes_it();
+    a_drive_that_falls_silent_after_a_lost_set_up_is_stopped();
     return checks_report("can stops");
 }

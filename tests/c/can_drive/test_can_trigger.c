@@ -2,7 +2,7 @@
  * Drives that take a target with a bit, and acknowledge it. */
 #include "can_position_rig.h"
 
-/* The trigger is a bit of its last byte; bit 4 of what the drive sends says that it has taken
+/* The trigger is a bit of its last byte; bit 4 of what the drive sends is set when it has taken
  * the target. */
 static void begin_with_trigger(void)
 {
@@ -37,7 +37,7 @@ static void take_target(bool taken)
     CHECK(count_sent(SPEED) > 0);
 }
 
-static void a_target_is_triggered_until_the_drive_has_taken_it_and_again_when_it_waits_for_one(void)
+static void a_target_is_triggered_until_the_drive_takes_it_and_again_when_it_waits_for_one(void)
 {
     begin_with_trigger();
     run(2.25F, 20 * MS);
@@ -65,7 +65,7 @@ static void a_target_is_triggered_until_the_drive_has_taken_it_and_again_when_it
     CHECK(count_sent(SPEED) == 0);
 }
 
-static void a_frame_that_stops_it_or_says_where_it_is_triggers_nothing(void)
+static void a_stop_or_its_own_position_triggers_nothing(void)
 {
     begin_with_trigger();
     make_armed();
@@ -82,7 +82,7 @@ static void a_frame_that_stops_it_or_says_where_it_is_triggers_nothing(void)
     }
 }
 
-static void a_drive_that_is_set_up_anew_has_taken_nothing(void)
+static void a_drive_that_is_set_up_again_has_taken_no_target(void)
 {
     begin_with_trigger();
     make_armed();
@@ -93,7 +93,7 @@ static void a_drive_that_is_set_up_anew_has_taken_nothing(void)
     CHECK(m->joint[0].taken == 0);
 }
 
-static void a_trigger_is_one_bit_of_the_frame_of_a_place(void)
+static void a_trigger_is_a_single_bit_of_the_frame_of_a_target(void)
 {
     static const struct {
         can_place trigger;
@@ -122,9 +122,9 @@ static void a_trigger_is_one_bit_of_the_frame_of_a_place(void)
 
 int main(void)
 {
-    a_target_is_triggered_until_the_drive_has_taken_it_and_again_when_it_waits_for_one();
-    a_frame_that_stops_it_or_says_where_it_is_triggers_nothing();
-    a_drive_that_is_set_up_anew_has_taken_nothing();
-    a_trigger_is_one_bit_of_the_frame_of_a_place();
+    a_target_is_triggered_until_the_drive_takes_it_and_again_when_it_waits_for_one();
+    a_stop_or_its_own_position_triggers_nothing();
+    a_drive_that_is_set_up_again_has_taken_no_target();
+    a_trigger_is_a_single_bit_of_the_frame_of_a_target();
     return checks_report("can trigger");
 }

@@ -1,11 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a bus: what it is asked, when it counts as gone, and what is sent to one that may
- * be there all the same. */
+ * One drive of a bus: how it is polled, when it counts as unresponsive, and what is sent to one
+ * that may still receive. */
 #include "can_wire.h"
 
 enum { ASK = 0x600, SLOW = 0x610, PROBE = 0x620 };
 
-static void begin_with_questions(void)
+static void begin_with_polls(void)
 {
     begin_with(1);
     can_drive *drive = table_of(0);
@@ -22,9 +22,9 @@ static void begin_with_questions(void)
     request(0, DRIVE_READY);
 }
 
-static void one_is_asked_in_each_cycle_and_what_may_wait_takes_turns(void)
+static void a_drive_is_polled_in_each_cycle_and_slow_requests_take_turns(void)
 {
-    begin_with_questions();
+    begin_with_polls();
     go_on(320 * MS - (w.now_ns - w.sent_ns[0]));
     CHECK(count_sent(ASK) == 32 && count_sent(ASK + 1) == 32 && count_sent(SPEED) == 32 &&
           count_sent(PROBE) == 0);
@@ -35,9 +35,9 @@ static void one_is_asked_in_each_cycle_and_what_may_wait_takes_turns(void)
     }
 }
 
-static void an_unresponsive_drive_is_asked_less_and_less_often(void)
+static void an_unresponsive_drive_is_probed_less_and_less_often(void)
 {
-    begin_with_questions();
+    begin_with_polls();
     for (uint32_t again = 0; again < 2; again++) {
         w.silent = true;
         while (state_of(0)->state.mode != DRIVE_UNRESPONSIVE) {
@@ -58,7 +58,8 @@ static void an_unresponsive_drive_is_asked_less_and_less_often(void)
     }
 }
 
-static void one_that_may_turn_is_sent_zero_and_a_quick_stop_and_is_off_after_a_second(void)
+static void
+an_unresponsive_drive_that_may_turn_gets_zero_and_quick_stops_and_is_off_after_a_second(void)
 {
     begin_with(1);
     arm_and_go();
@@ -78,7 +79,7 @@ static void one_that_may_turn_is_sent_zero_and_a_quick_stop_and_is_off_after_a_s
     CHECK(last_sent_ns(0, DISABLE) > unresponsive_ns + 1000 * MS);
 }
 
-static void a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle(void)
+static void a_probe_that_the_bus_took_in_part_is_sent_again_in_the_next_cycle(void)
 {
     begin_with(1);
     can_drive *drive = table_of(0);
@@ -117,7 +118,7 @@ an_unresponsive_drive_is_sent_to_stop_in_each_cycle_until_the_bus_has_taken_its_
     CHECK(speed_in(newest_of(0)) == 0 && !state_of(0)->state.sent_motion);
 }
 
-static void one_that_was_switched_off_while_it_came_back_stays_off(void)
+static void a_drive_switched_off_while_it_came_back_stays_off(void)
 {
     begin_with(1);
     arm_and_go();
@@ -132,7 +133,7 @@ static void one_that_was_switched_off_while_it_came_back_stays_off(void)
     CHECK(state_of(0)->state.mode == DRIVE_OFF && last_sent_ns(0, DISABLE) > 0);
 }
 
-static void one_that_was_set_up_has_the_time_of_its_silence_for_its_first_word(void)
+static void a_newly_set_up_drive_has_the_time_of_its_silence_for_its_first_frame(void)
 {
     begin_with(1);
     w.silent = true;
@@ -143,8 +144,8 @@ static void one_that_was_set_up_has_the_time_of_its_silence_for_its_first_word(v
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->missing == 2);
 }
 
-/* Received all the time, but set up anew only where it answers what it was asked. */
-static void one_with_a_hello_is_back_when_it_has_answered(void)
+/* Its frames arrive all the time, but it is set up again only when it answers its hello. */
+static void a_drive_with_a_hello_is_back_when_it_has_answered(void)
 {
     begin_with(1);
     can_drive *drive = table_of(0);
@@ -173,7 +174,7 @@ static void one_with_a_hello_is_back_when_it_has_answered(void)
     CHECK(state_of(0)->missing == 3);
 }
 
-static void a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_unresponsive(void)
+static void the_stop_at_the_end_waits_for_the_bus_even_when_the_drive_is_unresponsive(void)
 {
     begin_with(1);
     arm_and_go();
@@ -192,14 +193,14 @@ static void a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_unresponsive
 
 int main(void)
 {
-    one_is_asked_in_each_cycle_and_what_may_wait_takes_turns();
-    an_unresponsive_drive_is_asked_less_and_less_often();
-    one_that_may_turn_is_sent_zero_and_a_quick_stop_and_is_off_after_a_second();
-    a_probe_that_the_bus_took_half_of_is_sent_again_in_the_next_cycle();
+    a_drive_is_polled_in_each_cycle_and_slow_requests_take_turns();
+    an_unresponsive_drive_is_probed_less_and_less_often();
+    an_unresponsive_drive_that_may_turn_gets_zero_and_quick_stops_and_is_off_after_a_second();
+    a_probe_that_the_bus_took_in_part_is_sent_again_in_the_next_cycle();
     an_unresponsive_drive_is_sent_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero();
-    one_that_was_switched_off_while_it_came_back_stays_off();
-    one_that_was_set_up_has_the_time_of_its_silence_for_its_first_word();
-    one_with_a_hello_is_back_when_it_has_answered();
-    a_stop_of_the_end_waits_for_the_bus_though_the_drive_is_unresponsive();
+    a_drive_switched_off_while_it_came_back_stays_off();
+    a_newly_set_up_drive_has_the_time_of_its_silence_for_its_first_frame();
+    a_drive_with_a_hello_is_back_when_it_has_answered();
+    the_stop_at_the_end_waits_for_the_bus_even_when_the_drive_is_unresponsive();
     return checks_report("can unresponsive");
 }

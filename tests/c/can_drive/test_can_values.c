@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a drive of two wheels on a CAN bus is sent in one frame, and what is made of what it
- * reports. */
+ * What a drive of two wheels on a CAN bus is sent in one frame, and how its reports are read. */
 #include "can_wire.h"
 
 enum { SECOND = 0x410, HEALTH = 0x510, POWERS = 0x520, HARMLESS = 4 };
@@ -22,8 +21,8 @@ static void add_input(uint32_t id, uint32_t fast, const can_field *field, uint32
         (can_match){.id = id, .bytes = 8, .input = drive->input_count};
 }
 
-/* Wheel 0 says its motion as before; wheel 1 a count and a speed that are not 0 at raw 0; both,
- * health and power now and then. */
+/* Wheel 0 reports its motion as before; wheel 1 a count and a speed that are not 0 at raw 0; both
+ * report health and power periodically. */
 static void begin_with_two_wheels(void)
 {
     begin_with(1);
@@ -98,7 +97,7 @@ static void both_wheels_are_sent_in_one_frame(void)
     CHECK(second_speed() == 0 && !state_of(0)->state.sent_motion);
 }
 
-static void a_drive_is_at_rest_when_both_of_its_wheels_are(void)
+static void a_drive_is_at_rest_when_both_of_its_wheels_rest(void)
 {
     begin_with_two_wheels();
     arm(0);
@@ -115,7 +114,7 @@ static void a_drive_is_at_rest_when_both_of_its_wheels_are(void)
     CHECK(newest_of(0)->data[0] == DISABLE);
 }
 
-static void each_kind_of_set_point_is_sent_by_its_own_number(void)
+static void each_kind_of_set_point_is_sent_with_its_own_scale(void)
 {
     const uint32_t kinds[] = {SETPOINT_VELOCITY, SETPOINT_DUTY, SETPOINT_TORQUE};
     for (uint32_t i = 0; i < 3; i++) {
@@ -139,7 +138,7 @@ static void numbers_without_their_top_bit_are_positive(void)
     CHECK(can_get(data, &(can_place){.length = 15, .form = CAN_SIGNED}) == -0x4000);
 }
 
-static void what_raw_zero_says_is_added(void)
+static void the_value_at_raw_zero_is_added(void)
 {
     begin_with_two_wheels();
     report_second(10, 3);
@@ -152,7 +151,7 @@ static void what_raw_zero_says_is_added(void)
           feedback_of(1)->temperature_c == 40.0);
 }
 
-static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_newest_word(void)
+static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_newest_frame(void)
 {
     begin_with_two_wheels();
     table_of(0)->input[1].field_count = 1; /* wheel 0: a count alone, and its speed in HEALTH */
@@ -183,11 +182,11 @@ static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_new
     int64_t powers_ns = w.now_ns;
     w.now_ns += MS;
     report_state(0, 8);
-    /* whether it has power says nothing of the wheel */
+    /* its power is no value of the wheel */
     CHECK(feedback_of(1)->stamp_ns == powers_ns);
 }
 
-static void what_comes_right_after_the_set_up_is_taken_and_power_is_not_known_before(void)
+static void frames_right_after_the_set_up_count_and_power_is_unknown_before(void)
 {
     begin_with_two_wheels();
     report_state(0, 8);
@@ -252,7 +251,7 @@ static void a_fault_that_is_a_number_stops_unless_it_is_listed(void)
     }
 }
 
-static void a_joint_that_the_core_says_nothing_of_stands_still(void)
+static void a_joint_without_set_points_stands_still(void)
 {
     begin_with_two_wheels();
     arm(0);
@@ -262,7 +261,7 @@ static void a_joint_that_the_core_says_nothing_of_stands_still(void)
     CHECK(speed_in(newest_of(0)) == 100 && second_speed() == 0);
 }
 
-static void each_kind_of_set_point_is_sent_to_whom_it_is_for(void)
+static void each_kind_of_set_point_is_sent_to_its_own_wheel(void)
 {
     begin_with_two_wheels();
     table_of(0)->output[0].setpoint[0].scale.kind = SETPOINT_TORQUE;
@@ -276,7 +275,7 @@ static void each_kind_of_set_point_is_sent_to_whom_it_is_for(void)
     CHECK(speed_in(newest_of(0)) == -300 && second_speed() == 50);
 }
 
-static void a_range_that_the_place_cannot_hold_is_refused(void)
+static void a_range_that_does_not_fit_the_place_is_refused(void)
 {
     char name[FIELD_NAME_BYTES];
     begin_with(1);
@@ -297,7 +296,7 @@ static void a_range_that_the_place_cannot_hold_is_refused(void)
     }
 }
 
-static void only_a_counted_set_point_moves(void)
+static void a_set_point_beyond_the_count_does_not_move(void)
 {
     begin_with(1);
     w.machine.drive[0].state.mode = DRIVE_ARMED;
@@ -311,7 +310,7 @@ static void only_a_counted_set_point_moves(void)
     CHECK(can_wants_motion(&w.machine, 0));
 }
 
-static void only_a_counted_field_says_that_a_drive_has_power(void)
+static void a_field_beyond_the_count_does_not_report_power(void)
 {
     begin_with(1);
     w.table.drive[0].input[1].field[2] = w.table.drive[0].input[0].field[0]; /* the third of two */
@@ -322,7 +321,7 @@ static void only_a_counted_field_says_that_a_drive_has_power(void)
     CHECK(w.machine.drive[0].powers == 3);
 }
 
-static void a_count_of_two_to_the_power_of_62_is_no_position(void)
+static void a_count_of_two_to_the_power_of_62_is_refused_as_a_position(void)
 {
     begin_with(1);
     table_of(0)->input[1].spacing_ns = 0;
@@ -338,20 +337,20 @@ static void a_count_of_two_to_the_power_of_62_is_no_position(void)
 
 int main(void)
 {
-    a_range_that_the_place_cannot_hold_is_refused();
+    a_range_that_does_not_fit_the_place_is_refused();
     both_wheels_are_sent_in_one_frame();
-    a_drive_is_at_rest_when_both_of_its_wheels_are();
-    each_kind_of_set_point_is_sent_by_its_own_number();
+    a_drive_is_at_rest_when_both_of_its_wheels_rest();
+    each_kind_of_set_point_is_sent_with_its_own_scale();
     numbers_without_their_top_bit_are_positive();
-    what_raw_zero_says_is_added();
-    feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_newest_word();
-    what_comes_right_after_the_set_up_is_taken_and_power_is_not_known_before();
+    the_value_at_raw_zero_is_added();
+    feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_newest_frame();
+    frames_right_after_the_set_up_count_and_power_is_unknown_before();
     a_fault_word_is_a_change_once_and_stops_unless_it_is_a_warning();
     a_fault_that_is_a_number_stops_unless_it_is_listed();
-    a_joint_that_the_core_says_nothing_of_stands_still();
-    each_kind_of_set_point_is_sent_to_whom_it_is_for();
-    only_a_counted_set_point_moves();
-    only_a_counted_field_says_that_a_drive_has_power();
-    a_count_of_two_to_the_power_of_62_is_no_position();
+    a_joint_without_set_points_stands_still();
+    each_kind_of_set_point_is_sent_to_its_own_wheel();
+    a_set_point_beyond_the_count_does_not_move();
+    a_field_beyond_the_count_does_not_report_power();
+    a_count_of_two_to_the_power_of_62_is_refused_as_a_position();
     return checks_report("can values");
 }

@@ -133,7 +133,7 @@ static void every_number_has_its_range(void)
     GOOD(good_config(), gyro.timeout_s, NAN); /* of none */
 }
 
-static void limits_alone_are_named_without_their_base(void)
+static void limits_checked_alone_are_named_by_axis_and_field(void)
 {
     base_limits limits = good_config().limits;
     char name[FIELD_NAME_BYTES] = "";
@@ -142,7 +142,7 @@ static void limits_alone_are_named_without_their_base(void)
     CHECK(base_limits_check(&limits, name) == name && strcmp(name, "angular.jerk_u_s3") == 0);
 }
 
-static void an_action_or_a_line_that_there_is_not_is_refused(void)
+static void an_action_or_a_line_out_of_range_is_refused(void)
 {
     REFUSED(good_config(), on_timeout, (stop_action)4, "on_timeout");
     REFUSED(good_config(), on_fault, (stop_action)4, "on_fault");
@@ -151,7 +151,7 @@ static void an_action_or_a_line_that_there_is_not_is_refused(void)
     GOOD(good_config(), joint[0].line, LINES_MAX - 1);
 }
 
-static void counters_are_as_wide_as_drives_have_them(void)
+static void counters_have_the_widths_of_real_drives(void)
 {
     const uint64_t widths =
         1ULL << 0 | 1ULL << 8 | 1ULL << 12 | 1ULL << 15 | 1ULL << 16 | 1ULL << 24 | 1ULL << 32;
@@ -231,7 +231,7 @@ static void an_angle_that_is_measured_needs_a_counter(void)
     CHECK(is_good(&base));
 }
 
-static void places_of_modules_have_their_range(void)
+static void positions_of_modules_have_their_range(void)
 {
     REFUSED(bicycle(), module[1].x_m, nextafter(1e9, INFINITY), "module[1].x_m");
     REFUSED(bicycle(), module[0].x_m, nextafter(-1e9, -INFINITY), "module[0].x_m");
@@ -244,7 +244,7 @@ static void places_of_modules_have_their_range(void)
     GOOD(bicycle(), module[0].angle_rad, -7.0);
 }
 
-static void a_joint_has_one_module_and_does_one_thing_there(void)
+static void a_joint_has_one_module_and_one_role_in_it(void)
 {
     REFUSED(bicycle(), module[0].steering, 3, "module[0].steering");
     REFUSED(bicycle(), module[1].traction, 3, "module[1].traction");
@@ -260,7 +260,7 @@ static void a_joint_has_one_module_and_does_one_thing_there(void)
     CHECK(refused(&base, "joint[2]: no module"));
 }
 
-static void a_range_of_derating_ends_behind_its_beginning(void)
+static void a_range_of_derating_ends_after_its_beginning(void)
 {
     for (int by = DERATED_BY_TEMPERATURE; by <= DERATED_BY_VOLTAGE; by++) {
         core_config base = good_config();
@@ -275,7 +275,7 @@ static void a_range_of_derating_ends_behind_its_beginning(void)
     }
 }
 
-static void a_speed_loop_has_a_kind_that_there_is(void)
+static void a_speed_loop_has_a_known_kind(void)
 {
     GOOD(good_config(), joint[2].speed_loop.kind, SPEED_LOOP_DUTY);
     REFUSED(good_config(), joint[2].speed_loop.kind, SPEED_LOOP_DUTY + 1,
@@ -332,7 +332,7 @@ static void modules_that_do_not_determine_the_motion_are_refused(void)
     CHECK(is_good(&base));
 }
 
-static void joints_without_a_base_need_no_other_and_no_place(void)
+static void joints_without_a_base_need_no_second_joint_and_no_position(void)
 {
     REFUSED(head_and_belt(), independent, 2, "independent");
     REFUSED(bicycle(), independent, 1, "independent");
@@ -357,20 +357,20 @@ static void joints_without_a_base_need_no_other_and_no_place(void)
 int main(void)
 {
     every_number_has_its_range();
-    limits_alone_are_named_without_their_base();
-    an_action_or_a_line_that_there_is_not_is_refused();
-    counters_are_as_wide_as_drives_have_them();
+    limits_checked_alone_are_named_by_axis_and_field();
+    an_action_or_a_line_out_of_range_is_refused();
+    counters_have_the_widths_of_real_drives();
     a_base_has_two_to_eight_wheels_and_they_are_not_all_on_one_side();
     every_kind_of_base_is_good();
     numbers_of_joints_that_take_positions_have_their_range();
     an_angle_that_is_measured_needs_a_counter();
-    places_of_modules_have_their_range();
-    a_joint_has_one_module_and_does_one_thing_there();
-    a_range_of_derating_ends_behind_its_beginning();
-    a_speed_loop_has_a_kind_that_there_is();
+    positions_of_modules_have_their_range();
+    a_joint_has_one_module_and_one_role_in_it();
+    a_range_of_derating_ends_after_its_beginning();
+    a_speed_loop_has_a_known_kind();
     a_swerve_base_needs_half_a_turn_of_each_wheel();
     fixed_wheels_stand_on_the_axle_and_steered_ones_do_not();
     modules_that_do_not_determine_the_motion_are_refused();
-    joints_without_a_base_need_no_other_and_no_place();
+    joints_without_a_base_need_no_second_joint_and_no_position();
     return checks_report("test_config");
 }

@@ -45,7 +45,7 @@ static void a_ramp_arrives_and_comes_back_through_zero(void)
     CHECK(axis[AXIS_LINEAR].velocity_u_s >= 0.008365300070369949);
 }
 
-static void no_number_leaves_the_small_functions(void)
+static void no_nan_or_infinity_leaves_the_small_functions(void)
 {
     for (int a = 0; a < HOSTILE_COUNT; a++) {
         for (int b = 0; b < HOSTILE_COUNT; b++) {
@@ -211,7 +211,7 @@ static void odometry_copes_with_silence_jumps_and_missing_counters(void)
     CHECK(ticks(&r, 3)->joint[0].jumps == 1);
 }
 
-static void a_wheel_that_is_doubted_ends_the_run(void)
+static void a_doubted_wheel_ends_the_run(void)
 {
     for (int faster = 0; faster < 2; faster++) {
         rig r;
@@ -287,7 +287,7 @@ static void hostile_input_never_moves_an_unarmed_base(void)
     }
 }
 
-/* The gyro says that the base turns though its wheels do not: a person carries it. */
+/* The gyro reports a turn though the wheels do not: a person carries the base. */
 static void a_gyro_turns_the_pose(void)
 {
     core_config config = good_config();
@@ -308,13 +308,13 @@ int main(void)
 {
     a_gyro_turns_the_pose();
     a_ramp_arrives_and_comes_back_through_zero();
-    no_number_leaves_the_small_functions();
+    no_nan_or_infinity_leaves_the_small_functions();
     counters_wrap_in_both_directions();
     a_drive_with_turns_and_saturation_keeps_its_covariance();
     every_fault_ends_at_rest_under_every_action();
     a_stop_and_a_lost_command_rest_under_every_action();
     odometry_copes_with_silence_jumps_and_missing_counters();
-    a_wheel_that_is_doubted_ends_the_run();
+    a_doubted_wheel_ends_the_run();
     hostile_input_never_moves_an_unarmed_base();
     return checks_report("test_core");
 }

@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_core_behind: what stands behind the last joint does not count, whatever numbers are
- * there. */
+ * test_core_behind: entries after the last joint do not count, whatever their numbers. */
 #include "steered_bases.h"
 
 static rig r;
@@ -79,7 +78,7 @@ static void write_behind(uint32_t j)
     state->snapshot.speed_loop[j].output_u = 4.0;
 }
 
-/* One tick after that was written there: of the place behind the last joint nothing has changed. */
+/* One tick after that was written there: the entry after the last joint has not changed. */
 static const robot_state *tick_beside(void)
 {
     uint32_t j = r.config.joint_count;
@@ -99,7 +98,7 @@ static const robot_state *tick_beside(void)
     return &r.shown;
 }
 
-static void no_tick_takes_or_changes_what_stands_behind_the_last_joint(void)
+static void no_tick_reads_or_changes_entries_after_the_last_joint(void)
 {
     const core_config bases[] = {good_config(), bicycle(), ackermann(WHEELBASE_M), head_and_belt()};
     for (uint32_t i = 0; i < 2 * COUNT_OF(bases); i++) {
@@ -127,6 +126,6 @@ static void no_tick_takes_or_changes_what_stands_behind_the_last_joint(void)
 
 int main(void)
 {
-    no_tick_takes_or_changes_what_stands_behind_the_last_joint();
+    no_tick_reads_or_changes_entries_after_the_last_joint();
     return checks_report("test_core_behind");
 }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Speed loops of wheels whose drives take a duty, in the core: in place of the open-loop map, by
- * gains that change while the robot moves, and back to the map where the feedback is not to be
+ * gains that change while the robot moves, and back to the map where the feedback cannot be
  * trusted. */
 #include "core_rig.h"
 
@@ -75,7 +75,7 @@ static void without_gains_a_duty_is_that_of_the_map_bit_for_bit(void)
     CHECK(a.state.loops == 0 && a.out.joint[0].duty != 0.0);
 }
 
-static void a_wheel_that_is_too_slow_gets_more_duty_and_the_page_shows_it(void)
+static void a_slow_wheel_gets_more_duty_and_the_page_shows_it(void)
 {
     rig r;
     core_config config = with_loops(PI);
@@ -120,7 +120,7 @@ static void at_rest_and_without_power_a_duty_is_zero(void)
           r.shown.speed_loop[0].output_u == 0.0);
 }
 
-static void a_wheel_without_feedback_or_with_no_number_gets_the_duty_of_the_map(void)
+static void a_wheel_without_feedback_or_with_nan_gets_the_duty_of_the_map(void)
 {
     rig r;
     core_config config = with_loops(PI);
@@ -139,7 +139,7 @@ static void a_wheel_without_feedback_or_with_no_number_gets_the_duty_of_the_map(
     CHECK(r.out.joint[2].duty == open_loop(&r, 2) && r.state.speed_loop[2].integral_u == 0.0);
 }
 
-static void a_wheel_beyond_all_speed_gets_no_duty_and_one_without_gains_is_not_looked_at(void)
+static void an_impossibly_fast_wheel_gets_no_duty_and_one_without_gains_is_not_checked(void)
 {
     rig r;
     core_config config = with_loops(PI);
@@ -171,7 +171,7 @@ static void a_duty_rises_by_its_slew_and_falls_at_once(void)
     start(&r, &config);
     go(&r, 0.4, 0.0);
     double before = r.out.joint[0].duty;
-    turned(&r, 0.5); /* wants 0.2 more */
+    turned(&r, 0.5); /* needs 0.2 more */
     CHECK(fabs(r.out.joint[0].duty - before - 0.002) < 1e-12);
     turned(&r, 1.5);
     CHECK(r.out.joint[0].duty < before - 0.1);
@@ -235,7 +235,7 @@ static void each_gain_alone_makes_a_loop(void)
     }
 }
 
-static void only_what_changes_goes_on_from_before_and_joints_that_are_not_there_do_not_count(void)
+static void only_changed_gains_keep_the_output_and_missing_joints_do_not_count(void)
 {
     rig r;
     core_config config = with_loops(PI);
@@ -303,7 +303,7 @@ static void gains_alone_move_nothing(void)
 }
 
 /* Whatever their number is. */
-static void gains_that_are_there_at_the_first_tick_count(void)
+static void gains_set_before_the_first_tick_count(void)
 {
     static const uint32_t COUNTS[] = {1, 2, 7};
     for (int i = 0; i < COUNT_OF(COUNTS); i++) {
@@ -318,7 +318,7 @@ static void gains_that_are_there_at_the_first_tick_count(void)
 }
 
 /* Also as what the core began with, and as the largest number. */
-static void a_loop_runs_on_whatever_its_gains_are_counted_as(void)
+static void a_loop_keeps_running_whatever_the_count_of_its_gains(void)
 {
     static const uint32_t COUNTS[] = {UINT32_MAX, 5,         UINT32_MAX,     7,          0,
                                       1,          INT32_MAX, INT32_MAX + 1U, UINT32_MAX, 0};
@@ -343,7 +343,7 @@ static void a_loop_runs_on_whatever_its_gains_are_counted_as(void)
     }
 }
 
-static void a_state_that_is_no_number_is_no_duty_of_any_loop(void)
+static void a_state_that_is_not_finite_gives_no_duty_in_any_loop(void)
 {
     rig r;
     core_config config = with_loops(PI);
@@ -361,18 +361,18 @@ static void a_state_that_is_no_number_is_no_duty_of_any_loop(void)
 int main(void)
 {
     without_gains_a_duty_is_that_of_the_map_bit_for_bit();
-    a_wheel_that_is_too_slow_gets_more_duty_and_the_page_shows_it();
+    a_slow_wheel_gets_more_duty_and_the_page_shows_it();
     at_rest_and_without_power_a_duty_is_zero();
-    a_wheel_without_feedback_or_with_no_number_gets_the_duty_of_the_map();
-    a_wheel_beyond_all_speed_gets_no_duty_and_one_without_gains_is_not_looked_at();
+    a_wheel_without_feedback_or_with_nan_gets_the_duty_of_the_map();
+    an_impossibly_fast_wheel_gets_no_duty_and_one_without_gains_is_not_checked();
     a_duty_rises_by_its_slew_and_falls_at_once();
     gains_change_while_the_robot_moves_without_a_step_and_wrong_ones_change_nothing();
     each_gain_alone_makes_a_loop();
-    only_what_changes_goes_on_from_before_and_joints_that_are_not_there_do_not_count();
+    only_changed_gains_keep_the_output_and_missing_joints_do_not_count();
     a_loop_without_gains_ends_when_its_integral_is_gone();
     gains_alone_move_nothing();
-    gains_that_are_there_at_the_first_tick_count();
-    a_loop_runs_on_whatever_its_gains_are_counted_as();
-    a_state_that_is_no_number_is_no_duty_of_any_loop();
+    gains_set_before_the_first_tick_count();
+    a_loop_keeps_running_whatever_the_count_of_its_gains();
+    a_state_that_is_not_finite_gives_no_duty_in_any_loop();
     return checks_report("test_core_duty");
 }

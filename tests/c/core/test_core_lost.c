@@ -5,8 +5,8 @@
 
 static const double LOST[] = {NAN, INFINITY, -INFINITY};
 
-/* Whichever number of whichever joint it is, moving, at rest and without power. */
-static void a_set_point_that_is_no_number_is_seen_at_once(void)
+/* Any number of any joint, moving, at rest and without power. */
+static void a_set_point_that_is_not_finite_is_noticed_at_once(void)
 {
     core_config config = good_config();
     for (int j = 0; j < 4; j++) {
@@ -36,8 +36,8 @@ static void a_set_point_that_is_no_number_is_seen_at_once(void)
     }
 }
 
-/* Whichever axis of it, while it ramps, brakes, and without power. */
-static void a_twist_that_is_no_number_is_seen_at_once(void)
+/* Any axis of it, while it ramps, brakes, and without power. */
+static void a_twist_that_is_not_finite_is_noticed_at_once(void)
 {
     core_config bases[] = {good_config(), swerve()};
     for (int j = 0; j < 4; j++) {
@@ -60,8 +60,8 @@ static void a_twist_that_is_no_number_is_seen_at_once(void)
     }
 }
 
-/* Whichever part it is: the others do not count either, and what is steered holds. */
-static void a_command_with_a_part_that_is_no_number_moves_and_arms_nothing(void)
+/* Any part: the others do not count either, and steered joints hold. */
+static void a_command_with_a_part_that_is_not_finite_moves_and_arms_nothing(void)
 {
     const core_config bases[] = {good_config(), swerve()};
     for (int i = 0; i < AXES * COUNT_OF(LOST) * COUNT_OF(bases); i++) {
@@ -128,8 +128,8 @@ static void a_tick_begins_with_numbers_of_its_own(void)
     }
 }
 
-/* The twist that it was commanded is worked out anew, too. */
-static void after_lost_numbers_nothing_that_was_worked_out_before_is_used(void)
+/* The commanded twist is computed again, too. */
+static void after_lost_numbers_no_earlier_results_are_used(void)
 {
     core_config config = good_config();
     rig r;
@@ -185,7 +185,7 @@ static const size_t ODOMETRY_NUMBERS[] = {
 
 /* In a tick in which one wheel sends something, and the others do not yet: nothing is measured
  * that would take its place. */
-static void any_number_of_the_odometry_that_is_lost_is_seen(void)
+static void any_lost_number_of_the_odometry_is_noticed(void)
 {
     core_config config = good_config();
     for (int i = 0; i < COUNT_OF(ODOMETRY_NUMBERS) * COUNT_OF(LOST); i++) {
@@ -220,7 +220,7 @@ static core_config watched(void)
     return config;
 }
 
-/* Wheel j stands, whatever it is sent, for so long or until that is a fault; milliseconds. */
+/* Wheel j stands and ignores its set-points for this time, or until that is a fault; ms. */
 static int stuck_ms(rig *r, int j, int most_ms)
 {
     int ms = 0;
@@ -231,7 +231,7 @@ static int stuck_ms(rig *r, int j, int most_ms)
     return ms;
 }
 
-static void the_time_of_a_doubt_begins_anew_with_the_power(void)
+static void the_time_of_a_doubt_restarts_with_the_power(void)
 {
     core_config config = watched();
     for (int j = 0; j < 4; j++) {
@@ -297,8 +297,8 @@ static void a_runaway_ends_all_set_points_in_its_tick(void)
     }
 }
 
-/* Samples that come each millisecond are looked at each five. */
-static void samples_that_come_fast_are_looked_at_together(void)
+/* Samples that come each millisecond are checked each five. */
+static void samples_in_quick_succession_are_checked_together(void)
 {
     core_config config = watched();
     rig r;
@@ -353,7 +353,7 @@ static void a_turn_during_a_suspend_is_that_of_the_wheels(void)
     CHECK(tick(&r)->imu.state == GYRO_NONE);
 }
 
-/* Its zero is what a gyro says of a base that stands: all wheels report, and none turns. */
+/* The zero of a gyro is its rate while the base stands: all wheels report, and none turns. */
 static void a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on(void)
 {
     core_config config = good_config();
@@ -383,9 +383,9 @@ static void a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on(void)
     }
 }
 
-/* Three wheels are silent; the fourth alone does not say how the base moves, and its set-points
- * may have carried it on. */
-static void a_base_whose_motion_is_not_measured_any_more_grows_uncertain_until_it_rests(void)
+/* Three wheels are silent; the fourth alone does not determine the motion, and the base may have
+ * followed its set-points. */
+static void a_base_whose_motion_is_no_longer_measured_grows_uncertain_until_it_rests(void)
 {
     core_config config = good_config();
     rig r;
@@ -407,18 +407,18 @@ static void a_base_whose_motion_is_not_measured_any_more_grows_uncertain_until_i
 
 int main(void)
 {
-    a_base_whose_motion_is_not_measured_any_more_grows_uncertain_until_it_rests();
-    a_set_point_that_is_no_number_is_seen_at_once();
-    a_twist_that_is_no_number_is_seen_at_once();
-    a_command_with_a_part_that_is_no_number_moves_and_arms_nothing();
+    a_base_whose_motion_is_no_longer_measured_grows_uncertain_until_it_rests();
+    a_set_point_that_is_not_finite_is_noticed_at_once();
+    a_twist_that_is_not_finite_is_noticed_at_once();
+    a_command_with_a_part_that_is_not_finite_moves_and_arms_nothing();
     one_joint_s_feedback_is_enough_to_measure();
     a_tick_begins_with_numbers_of_its_own();
-    after_lost_numbers_nothing_that_was_worked_out_before_is_used();
-    any_number_of_the_odometry_that_is_lost_is_seen();
-    the_time_of_a_doubt_begins_anew_with_the_power();
+    after_lost_numbers_no_earlier_results_are_used();
+    any_lost_number_of_the_odometry_is_noticed();
+    the_time_of_a_doubt_restarts_with_the_power();
     a_base_without_power_may_be_pushed();
     a_runaway_ends_all_set_points_in_its_tick();
-    samples_that_come_fast_are_looked_at_together();
+    samples_in_quick_succession_are_checked_together();
     a_turn_during_a_suspend_is_that_of_the_wheels();
     a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on();
     return checks_report("test_core_lost");

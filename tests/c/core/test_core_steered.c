@@ -43,7 +43,7 @@ static void a_bicycle_points_its_wheel_drives_and_measures_its_curve(void)
           close_to(r.out.position_rad[1], ANGLE_RAD));
 }
 
-static void each_wheel_of_a_swerve_base_rolls_as_the_floor_under_it(void)
+static void each_wheel_of_a_swerve_base_rolls_at_the_speed_of_the_floor_under_it(void)
 {
     core_config config = swerve_of_four();
     rig r;
@@ -84,7 +84,7 @@ static void a_base_that_begins_to_roll_is_not_at_rest(void)
 }
 
 /* A late tick while it brakes, and the ticks that commands bring between. */
-static void a_steering_joint_stays_within_its_range_whenever_ticks_come(void)
+static void a_steering_joint_stays_within_its_range_with_late_and_extra_ticks(void)
 {
     static const int64_t LATE_NS[] = {2000000, 10000000, 30000000, 90000000};
     const core_config config = bicycle();
@@ -110,7 +110,7 @@ static void a_steering_joint_stays_within_its_range_whenever_ticks_come(void)
     }
 }
 
-/* Of whichever joint; and it ends with it. */
+/* Of any joint; the reason ends with it. */
 static void a_duty_at_its_limit_is_reported(void)
 {
     for (int j = 0; j < 4; j++) {
@@ -132,7 +132,7 @@ static void a_duty_at_its_limit_is_reported(void)
     }
 }
 
-static void a_steered_base_waits_for_a_duty_that_grows_slowly_and_names_its_joint(void)
+static void a_steered_base_waits_for_a_slow_duty_and_names_its_joint(void)
 {
     core_config config = bicycle();
     config.limits.linear = (axis_limits){1.0, 100.0, 100.0, INFINITY};
@@ -149,8 +149,8 @@ static void a_steered_base_waits_for_a_duty_that_grows_slowly_and_names_its_join
     CHECK(fabs(r.shown.joint[0].setpoint_rad_s - 1.0) < 0.01);
 }
 
-/* Whichever wheel it is of, before it takes its next one. */
-static void a_duty_that_is_no_number_is_seen_at_once(void)
+/* Of any wheel, before it takes its next one. */
+static void a_duty_that_is_not_finite_is_noticed_at_once(void)
 {
     core_config config = swerve_of_four();
     for (int k = 0; k < 4; k++) {
@@ -238,7 +238,7 @@ static void every_stop_of_a_steered_base_ends_at_rest(void)
     }
 }
 
-static void limits_of_the_lateral_axis_count_where_there_is_one(void)
+static void limits_of_the_lateral_axis_apply_where_the_base_strafes(void)
 {
     core_config config = swerve_of_four();
     rig r;
@@ -328,7 +328,7 @@ static void a_steered_base_whose_wheel_is_stuck_comes_to_rest_and_reports_it(voi
     CHECK(tick(&r)->faults == 0 && r.shown.doubt.since_ns == 0 && r.shown.doubt.fault == 0);
 }
 
-static void a_steering_whose_place_gets_lost_ends_at_rest_and_is_not_armed_again(void)
+static void a_steering_joint_that_loses_its_position_ends_at_rest_and_is_not_armed_again(void)
 {
     core_config config = bicycle();
     config.joint[1].position.reference = REFERENCE_HOMED;
@@ -364,7 +364,7 @@ static void a_steering_whose_place_gets_lost_ends_at_rest_and_is_not_armed_again
 
 /* Its set-point is where it is, so long as its longest move takes it; the odometry has nothing
  * else. */
-static void a_steering_that_measures_nothing_counts_as_where_its_set_point_is(void)
+static void a_steering_joint_without_measurement_counts_as_at_its_set_point(void)
 {
     core_config config = bicycle();
     config.joint[1].position.reference = REFERENCE_ESTIMATED;
@@ -386,20 +386,20 @@ static void a_steering_that_measures_nothing_counts_as_where_its_set_point_is(vo
 int main(void)
 {
     a_bicycle_points_its_wheel_drives_and_measures_its_curve();
-    each_wheel_of_a_swerve_base_rolls_as_the_floor_under_it();
+    each_wheel_of_a_swerve_base_rolls_at_the_speed_of_the_floor_under_it();
     a_base_that_begins_to_roll_is_not_at_rest();
-    a_steering_joint_stays_within_its_range_whenever_ticks_come();
+    a_steering_joint_stays_within_its_range_with_late_and_extra_ticks();
     a_duty_at_its_limit_is_reported();
-    a_steered_base_waits_for_a_duty_that_grows_slowly_and_names_its_joint();
-    a_duty_that_is_no_number_is_seen_at_once();
+    a_steered_base_waits_for_a_slow_duty_and_names_its_joint();
+    a_duty_that_is_not_finite_is_noticed_at_once();
     at_rest_the_wheel_points_first();
     a_curve_waits_for_its_wheel_and_the_base_does_not_slow_down();
     every_stop_of_a_steered_base_ends_at_rest();
-    limits_of_the_lateral_axis_count_where_there_is_one();
+    limits_of_the_lateral_axis_apply_where_the_base_strafes();
     a_brake_holds_the_wheels_where_they_point();
     a_late_tick_turns_a_wheel_by_no_more_than_its_speed();
     a_steered_base_whose_wheel_is_stuck_comes_to_rest_and_reports_it();
-    a_steering_whose_place_gets_lost_ends_at_rest_and_is_not_armed_again();
-    a_steering_that_measures_nothing_counts_as_where_its_set_point_is();
+    a_steering_joint_that_loses_its_position_ends_at_rest_and_is_not_armed_again();
+    a_steering_joint_without_measurement_counts_as_at_its_set_point();
     return checks_report("test_core_steered");
 }

@@ -89,7 +89,7 @@ static void a_fault_of_direction_or_runaway_outranks_the_configured_action(void)
     }
 }
 
-static void a_requested_release_ends_a_hold_as_any_other_stop_ends(void)
+static void a_requested_disarm_ends_a_hold_by_removing_power(void)
 {
     static const uint32_t FAULTS[] = {FAULT_EXTERNAL, FAULT_ESTOP, FAULT_STALL};
     for (int i = 0; i < COUNT_OF(FAULTS) * 2; i++) {
@@ -117,7 +117,7 @@ static void a_requested_release_ends_a_hold_as_any_other_stop_ends(void)
     }
 }
 
-static void a_stop_or_a_lost_command_coasts_only_where_it_is_to_coast_and_once_commanded(void)
+static void a_stop_or_a_lost_command_coasts_only_where_configured_and_after_a_command(void)
 {
     for (int action = STOP_RAMP; action <= STOP_COAST; action++) {
         rig r;
@@ -226,8 +226,8 @@ static void a_torque_ends_with_its_power_its_feedback_or_its_runaway(void)
     CHECK(r.state.speed_loop[2].integral_u == 0.0 && r.out.joint[0].velocity_rad_s > 1.0);
 }
 
-/* A step of time that is long, but one, is no reason to stand still at once. */
-static void a_late_tick_in_a_stop_ramps_by_the_time_that_has_gone(void)
+/* A single long time step is no reason to stand still at once. */
+static void a_late_tick_in_a_stop_ramps_by_the_elapsed_time(void)
 {
     static const double STEPS_S[] = {0.1, 1.0, 0.0, -0.1};
     core_config config = good_config();
@@ -254,10 +254,10 @@ int main(void)
 {
     the_power_goes_off_at_rest_or_when_the_set_points_have_been_zero_for_two_seconds();
     a_fault_of_direction_or_runaway_outranks_the_configured_action();
-    a_requested_release_ends_a_hold_as_any_other_stop_ends();
-    a_stop_or_a_lost_command_coasts_only_where_it_is_to_coast_and_once_commanded();
+    a_requested_disarm_ends_a_hold_by_removing_power();
+    a_stop_or_a_lost_command_coasts_only_where_configured_and_after_a_command();
     at_rest_is_slower_than_the_configured_speed_with_set_points_of_zero();
     a_torque_ends_with_its_power_its_feedback_or_its_runaway();
-    a_late_tick_in_a_stop_ramps_by_the_time_that_has_gone();
+    a_late_tick_in_a_stop_ramps_by_the_elapsed_time();
     return checks_report("test_core_stops");
 }

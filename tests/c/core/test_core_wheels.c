@@ -19,8 +19,8 @@ static void a_base_that_turned_on_the_spot_stands_still_afterwards(void)
     CHECK(ticks(&r, 1500)->armed == 1 && zero(&r) && r.shown.at_rest == 1);
 }
 
-/* Where an arrived ramp kept its acceleration, the next one would begin with it, whatever the
- * jerk. */
+/* If an arrived ramp kept its acceleration, the next one would begin with it despite the jerk
+ * limit. */
 static void a_ramp_that_has_arrived_leaves_no_acceleration(void)
 {
     static const double ACCELERATIONS_M_S2[] = {1.0, 0.1, 1.5}; /* and rad/s2 */
@@ -49,7 +49,7 @@ static void a_ramp_that_has_arrived_leaves_no_acceleration(void)
     }
 }
 
-/* A ramp goes on in a tick that comes late, by no more than a tenth of a second of it. */
+/* A late tick continues a ramp by a tenth of a second at most. */
 static void a_late_tick_of_a_stop_is_a_step_of_the_ramp(void)
 {
     static const double LATE_S[] = {0.1, 0.2, 1.0};
@@ -67,7 +67,7 @@ static void a_late_tick_of_a_stop_is_a_step_of_the_ramp(void)
 }
 
 /* One wheel's duty may only grow slowly: the whole base waits for it. */
-static void the_slew_of_any_one_duty_holds_the_base_back(void)
+static void the_slew_of_any_single_duty_slows_the_base(void)
 {
     for (int slow = 0; slow < 4; slow++) {
         core_config config = good_config();
@@ -107,8 +107,8 @@ static void in_a_reversal_the_wheel_that_has_to_be_eased_is_named(void)
     CHECK(r.shown.setpoint_linear_m_s <= 0.0 && r.shown.reason.duty_slew == 1U << 1);
 }
 
-/* The twist has arrived, or goes on, and one duty is behind: it grows by its slew, and is named. */
-static void a_duty_that_is_behind_grows_by_its_slew_and_is_named(void)
+/* The twist has arrived, or still ramps, and one duty lags: it grows by its slew, and is named. */
+static void a_duty_behind_its_goal_grows_by_its_slew_and_is_named(void)
 {
     core_config bases[] = {good_config(), swerve_of_four()};
     for (int i = 0; i < 2 * COUNT_OF(bases); i++) {
@@ -136,7 +136,7 @@ static void a_duty_that_is_behind_grows_by_its_slew_and_is_named(void)
 }
 
 /* In the ticks in which nothing changes. */
-static void what_a_twist_makes_of_the_wheels_is_worked_out_once(void)
+static void the_wheel_set_points_of_a_twist_are_computed_once(void)
 {
     core_config config = good_config();
     rig r;
@@ -181,7 +181,7 @@ static void a_wheel_is_named_only_while_its_own_duty_is_clamped(void)
     CHECK(r.shown.reasons == REASON_DUTY_CLAMPED && r.shown.reason.duty_clamped == 1U << 1);
 }
 
-static void set_points_say_when_and_for_how_many_they_were_made(void)
+static void set_points_carry_their_time_and_their_number_of_joints(void)
 {
     core_config config = good_config();
     rig r;
@@ -207,7 +207,7 @@ static void set_points_say_when_and_for_how_many_they_were_made(void)
 }
 
 /* What was in its memory before, and limits that may not be used, do not matter. */
-static void a_core_begins_with_its_own_limits_in_whatever_memory(void)
+static void a_core_begins_with_its_own_limits_in_uninitialised_memory(void)
 {
     core_config config = good_config();
     rig r, dirty;
@@ -222,7 +222,7 @@ static void a_core_begins_with_its_own_limits_in_whatever_memory(void)
           dirty.shown.joint[5].stale == 0);
 }
 
-/* The last place of each table is a joint like any other, and nothing is behind it. */
+/* The last place of each table is a joint like any other, and nothing follows it. */
 static void a_base_of_as_many_wheels_as_there_can_be(void)
 {
     core_config config = good_config();
@@ -254,8 +254,7 @@ static void a_base_of_as_many_wheels_as_there_can_be(void)
     CHECK(tick(&r)->joint[JOINTS_MAX - 1].stale == 1);
 }
 
-/* However weak, and in whichever place, a speed loop gives its torque; a base without one gives
- * none. */
+/* A speed loop gives its torque with any gain and in any place; a base without one gives none. */
 static void each_wheel_with_a_speed_loop_gets_its_torque(void)
 {
     for (int own = -1; own < 4; own++) {
@@ -301,8 +300,8 @@ static void a_wheel_runs_away_beyond_its_larger_limit_of_either_direction(void)
     }
 }
 
-/* In a curve each side has its own speed, and the slowest joint sets the pace, whichever it is. */
-static void a_twist_is_a_speed_of_each_wheel_and_any_of_them_may_be_at_its_limit(void)
+/* In a curve each side has its own speed, and the slowest joint sets the pace. */
+static void a_twist_gives_each_wheel_its_speed_and_any_wheel_may_be_at_its_limit(void)
 {
     core_config config = good_config();
     double wheel_rad_s[JOINTS_MAX] = {[4] = 7.0};
@@ -320,18 +319,18 @@ static void a_twist_is_a_speed_of_each_wheel_and_any_of_them_may_be_at_its_limit
 
 int main(void)
 {
-    a_twist_is_a_speed_of_each_wheel_and_any_of_them_may_be_at_its_limit();
+    a_twist_gives_each_wheel_its_speed_and_any_wheel_may_be_at_its_limit();
     a_base_that_turned_on_the_spot_stands_still_afterwards();
     a_ramp_that_has_arrived_leaves_no_acceleration();
     a_late_tick_of_a_stop_is_a_step_of_the_ramp();
-    the_slew_of_any_one_duty_holds_the_base_back();
+    the_slew_of_any_single_duty_slows_the_base();
     in_a_reversal_the_wheel_that_has_to_be_eased_is_named();
-    a_duty_that_is_behind_grows_by_its_slew_and_is_named();
-    what_a_twist_makes_of_the_wheels_is_worked_out_once();
+    a_duty_behind_its_goal_grows_by_its_slew_and_is_named();
+    the_wheel_set_points_of_a_twist_are_computed_once();
     each_wheel_whose_duty_is_clamped_is_named();
     a_wheel_is_named_only_while_its_own_duty_is_clamped();
-    set_points_say_when_and_for_how_many_they_were_made();
-    a_core_begins_with_its_own_limits_in_whatever_memory();
+    set_points_carry_their_time_and_their_number_of_joints();
+    a_core_begins_with_its_own_limits_in_uninitialised_memory();
     a_base_of_as_many_wheels_as_there_can_be();
     each_wheel_with_a_speed_loop_gets_its_torque();
     a_wheel_runs_away_beyond_its_larger_limit_of_either_direction();

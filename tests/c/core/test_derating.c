@@ -19,7 +19,7 @@ static bool near(double found, double wanted)
     return fabs(found - wanted) < 1e-9;
 }
 
-static void the_factor_falls_from_all_to_nothing_and_names_what_it_is_by(void)
+static void the_factor_falls_from_one_to_zero_and_names_its_cause(void)
 {
     const derating_config all = {.range = {{60.0, 80.0}, {10.0, 20.0}, {22.0, 20.0}}};
     const struct {
@@ -52,7 +52,7 @@ static void the_factor_falls_from_all_to_nothing_and_names_what_it_is_by(void)
           by == DERATED_BY_TEMPERATURE);
 }
 
-static void a_measure_is_smoothed_and_one_that_is_no_number_changes_nothing(void)
+static void a_measure_is_smoothed_and_nan_changes_nothing(void)
 {
     derating_state state = {0};
     uint32_t by = 0;
@@ -116,7 +116,7 @@ static void the_whole_twist_is_scaled_by_the_worst_joint_and_slows_down_by_its_d
           fabs(r.shown.setpoint_linear_m_s - factor * 1.0) < 1e-3);
     CHECK(r.shown.reason.since_ns[25] > before_ns &&
           r.shown.reason.since_ns[25] < r.shown.stamp_ns);
-    r.input.command.linear_m_s = 0.2; /* below the derated limit: as it was asked for */
+    r.input.command.linear_m_s = 0.2; /* below the derated limit: as it was commanded */
     r.input.command.angular_rad_s = 0.0;
     ticks(&r, 1000);
     CHECK(near(r.shown.setpoint_linear_m_s, 0.2) && !(r.shown.reasons & REASON_DERATED) &&
@@ -158,7 +158,7 @@ static void begin_warm(rig *r, const core_config *config, double first_c, double
     ticks(r, 3);
 }
 
-static void the_joint_that_derates_most_is_named_among_equals_the_first_and_since_when(void)
+static void the_joint_that_derates_most_is_named_with_its_time_and_the_first_among_equals(void)
 {
     static const struct {
         double first_c, second_c, factor;
@@ -183,7 +183,7 @@ static void the_joint_that_derates_most_is_named_among_equals_the_first_and_sinc
     CHECK(near(r.shown.derating.factor, 0.4) && r.shown.derating.joint == 0);
 }
 
-static void another_joint_or_another_measure_derates_since_then(void)
+static void derating_by_another_joint_or_measure_has_a_new_start_time(void)
 {
     core_config config = good_config();
     config.joint[0].derating = config.joint[1].derating = HOT;
@@ -203,7 +203,7 @@ static void another_joint_or_another_measure_derates_since_then(void)
 }
 
 /* Its fault is that it sends nothing. */
-static void what_a_joint_has_sent_too_long_ago_derates_nothing(void)
+static void old_feedback_of_a_joint_derates_nothing(void)
 {
     core_config config = good_config();
     config.joint[0].derating = config.joint[1].derating = HOT;
@@ -222,7 +222,7 @@ static void what_a_joint_has_sent_too_long_ago_derates_nothing(void)
     CHECK(r.shown.derating.since_ns == 0 && r.shown.derating.factor == 1.0);
 }
 
-static void each_reason_says_since_when_it_holds_and_a_saturated_wheel_is_named(void)
+static void each_reason_has_its_start_time_and_a_saturated_wheel_is_named(void)
 {
     rig r;
     core_config config = good_config();
@@ -263,14 +263,14 @@ static void a_range_is_finite_and_falls_in_its_direction(void)
 
 int main(void)
 {
-    the_factor_falls_from_all_to_nothing_and_names_what_it_is_by();
-    a_measure_is_smoothed_and_one_that_is_no_number_changes_nothing();
+    the_factor_falls_from_one_to_zero_and_names_its_cause();
+    a_measure_is_smoothed_and_nan_changes_nothing();
     the_whole_twist_is_scaled_by_the_worst_joint_and_slows_down_by_its_deceleration();
     a_joint_without_a_range_derates_nothing_and_one_that_sends_nothing_keeps_its_factor();
-    the_joint_that_derates_most_is_named_among_equals_the_first_and_since_when();
-    another_joint_or_another_measure_derates_since_then();
-    what_a_joint_has_sent_too_long_ago_derates_nothing();
-    each_reason_says_since_when_it_holds_and_a_saturated_wheel_is_named();
+    the_joint_that_derates_most_is_named_with_its_time_and_the_first_among_equals();
+    derating_by_another_joint_or_measure_has_a_new_start_time();
+    old_feedback_of_a_joint_derates_nothing();
+    each_reason_has_its_start_time_and_a_saturated_wheel_is_named();
     a_range_is_finite_and_falls_in_its_direction();
     return checks_report("test_derating");
 }

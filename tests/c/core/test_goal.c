@@ -128,7 +128,7 @@ static void arm_warm(core_config *config)
     CHECK(tick(&r)->armed == 1 && close_to(r.shown.derating.factor, 0.5));
 }
 
-static void a_derated_base_goes_along_the_same_line_as_far_as_each_axis_may(void)
+static void a_derated_base_keeps_its_direction_as_far_as_each_axis_allows(void)
 {
     const expectation of[] = {
         {{0.2, 0.3, 0.1}, {0.2, 0.3, 0.1}, 0},
@@ -155,7 +155,7 @@ static void a_derated_base_goes_along_the_same_line_as_far_as_each_axis_may(void
 }
 
 /* One wheel has half of the speed that it would need, and the twist as a whole gets as much. */
-static void the_wheel_that_is_slowest_for_its_share_is_named_and_among_equals_the_first(void)
+static void the_wheel_slowest_for_its_share_is_named_and_the_first_among_equals(void)
 {
     for (uint32_t slow = 0; slow < 4; slow++) {
         for (uint32_t other = slow; other < 4; other++) {
@@ -191,7 +191,7 @@ static void wheels_that_are_steered_are_saturated_alike(void)
     }
 }
 
-static void every_reason_that_a_goal_has_is_reported_of_it(void)
+static void every_reason_of_a_goal_is_reported(void)
 {
     core_config config = good_config();
     limit(&config);
@@ -209,7 +209,7 @@ static void every_reason_that_a_goal_has_is_reported_of_it(void)
 }
 
 /* Commands are rarer than ticks. */
-static void a_goal_is_worked_out_once_for_a_command(void)
+static void a_goal_is_computed_once_for_a_command(void)
 {
     core_config config = strafing();
     (void)goal_of(&config, 0.4, 0.0, 0.0);
@@ -223,10 +223,10 @@ int main(void)
 {
     the_direction_stays_where_a_base_that_strafes_is_limited_and_its_turn_is_limited_alone();
     a_base_that_does_not_strafe_drives_on_without_the_lateral_speed();
-    a_derated_base_goes_along_the_same_line_as_far_as_each_axis_may();
-    the_wheel_that_is_slowest_for_its_share_is_named_and_among_equals_the_first();
+    a_derated_base_keeps_its_direction_as_far_as_each_axis_allows();
+    the_wheel_slowest_for_its_share_is_named_and_the_first_among_equals();
     wheels_that_are_steered_are_saturated_alike();
-    every_reason_that_a_goal_has_is_reported_of_it();
-    a_goal_is_worked_out_once_for_a_command();
+    every_reason_of_a_goal_is_reported();
+    a_goal_is_computed_once_for_a_command();
     return checks_report("test_goal");
 }

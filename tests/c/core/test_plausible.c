@@ -93,7 +93,7 @@ static void each_check_has_its_fault_and_its_time(void)
     }
 }
 
-static void what_is_within_its_tolerance_is_no_fault(void)
+static void a_deviation_within_its_tolerance_is_no_fault(void)
 {
     wheel w = begun(0.0);
     CHECK(isinf(until_fault(&w, 3.0, 0.0, 0.0, 1.49)));
@@ -126,7 +126,7 @@ static void a_time_of_zero_switches_a_check_off(void)
     CHECK(isinf(until_fault(&w, 0.1, 25.0, 25.0, 25.0)));
 }
 
-/* Whichever way it turns: what is too fast for a set-point of zero is a runaway, or nothing. */
+/* In either direction: a speed too high for a set-point of zero is a runaway, or no fault. */
 static void no_wheel_is_too_slow_for_a_set_point_of_zero(void)
 {
     for (int sign = -1; sign <= 1; sign += 2) {
@@ -144,7 +144,8 @@ static void a_check_may_be_short(void)
     CHECK(near(until_fault(&w, 3.0, 12.0, 12.0, 0.0), 0.06) && w.why.fault == FAULT_RUNAWAY);
 }
 
-static void a_wheel_that_comes_nearer_is_only_slow_and_one_that_stops_coming_is_not(void)
+static void
+a_wheel_that_approaches_its_set_point_is_slow_and_one_that_stops_approaching_is_a_fault(void)
 {
     wheel w = begun(0.0);
     double speed_rad_s = 0.0;
@@ -163,7 +164,7 @@ static void a_wheel_that_comes_nearer_is_only_slow_and_one_that_stops_coming_is_
     }
 }
 
-static void a_check_that_holds_again_begins_anew(void)
+static void a_check_that_passes_again_restarts_its_time(void)
 {
     wheel w = begun(0.0);
     for (int times = 0; times < 5; times++) {
@@ -187,7 +188,7 @@ static void jumps_count_within_a_second(void)
           w.why.fault == FAULT_IMPLAUSIBLE_FEEDBACK);
 }
 
-static void a_reported_velocity_that_is_wild_is_no_velocity_whatever_its_mean(void)
+static void an_impossible_reported_velocity_is_a_fault_whatever_its_mean(void)
 {
     wheel w = begun(5.0);
     double found_s = INFINITY;
@@ -200,7 +201,7 @@ static void a_reported_velocity_that_is_wild_is_no_velocity_whatever_its_mean(vo
           fabs(w.why.reported_rad_s) == 343.0);
 }
 
-static void the_same_sample_again_is_none_and_a_velocity_that_comes_late_is_none_either(void)
+static void a_repeated_sample_and_a_late_velocity_are_ignored(void)
 {
     wheel w = begun(NAN);
     plausible_state before = w.state;
@@ -226,7 +227,7 @@ static wheel steady(double measured_rad_s, double reported_rad_s)
 
 enum { DIRECTION = 1, STALL = 2, FOLLOWING = 4, RUNAWAY = 8, IMPLAUSIBLE = 16 };
 
-static void each_tolerance_ends_where_it_says(void)
+static void each_tolerance_ends_at_its_bound(void)
 {
     static const struct {
         double measured_rad_s, reported_rad_s, rough_rad_s, setpoint_rad_s;
@@ -276,7 +277,7 @@ static void each_tolerance_ends_where_it_says(void)
           second.state.suspicious == 0);
 }
 
-static void what_comes_nearer_begins_its_time_anew(void)
+static void approaching_the_set_point_restarts_the_time_of_a_check(void)
 {
     static const struct {
         double measured_rad_s, nearest_rad_s, setpoint_rad_s;
@@ -371,17 +372,17 @@ static void jumps_of_a_second_ago_still_count_and_older_ones_do_not(void)
 int main(void)
 {
     each_check_has_its_fault_and_its_time();
-    what_is_within_its_tolerance_is_no_fault();
+    a_deviation_within_its_tolerance_is_no_fault();
     a_time_of_zero_switches_a_check_off();
     no_wheel_is_too_slow_for_a_set_point_of_zero();
     a_check_may_be_short();
-    a_wheel_that_comes_nearer_is_only_slow_and_one_that_stops_coming_is_not();
-    a_check_that_holds_again_begins_anew();
+    a_wheel_that_approaches_its_set_point_is_slow_and_one_that_stops_approaching_is_a_fault();
+    a_check_that_passes_again_restarts_its_time();
     jumps_count_within_a_second();
-    a_reported_velocity_that_is_wild_is_no_velocity_whatever_its_mean();
-    the_same_sample_again_is_none_and_a_velocity_that_comes_late_is_none_either();
-    each_tolerance_ends_where_it_says();
-    what_comes_nearer_begins_its_time_anew();
+    an_impossible_reported_velocity_is_a_fault_whatever_its_mean();
+    a_repeated_sample_and_a_late_velocity_are_ignored();
+    each_tolerance_ends_at_its_bound();
+    approaching_the_set_point_restarts_the_time_of_a_check();
     a_check_is_due_at_its_time_and_the_first_of_several_is_named();
     speeds_are_smoothed_over_a_fifth_of_a_second_and_samples_that_come_faster_are_taken_together();
     jumps_of_a_second_ago_still_count_and_older_ones_do_not();

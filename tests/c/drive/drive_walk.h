@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * drive_walk.h: one table of what becomes of a drive in every mode after every event, for the
+ * drive_walk.h: one table of the mode of a drive after every event in every mode, for the
  * machines of all media. */
 #ifndef MOTORD_TESTS_DRIVE_WALK_H
 #define MOTORD_TESTS_DRIVE_WALK_H
@@ -28,8 +28,8 @@ typedef enum {
     EVENT_COUNT
 } walk_event;
 
-/* One drive whose wheel turns whatever it is sent. The core's set-points are fresh, enabled, and
- * not zero. What cannot occur on a medium is NULL. */
+/* One drive whose wheel keeps turning. The core's set-points are fresh, enabled, and not zero.
+ * What cannot occur on a medium is NULL. */
 typedef struct {
     walk_kind kind;
     void (*begin)(void); /* OFF, or where there is no set-up READY */
@@ -42,7 +42,7 @@ typedef struct {
     void (*answers)(void);
     void (*disabled)(void); /* it has no power, and reports it */
     void (*lost_setup)(void);
-    void (*still_enabled)(void); /* it has power whatever it is sent, and reports it */
+    void (*still_enabled)(void); /* it keeps its power, and reports it */
     void (*end)(void);
     void (*go_on)(int64_t for_ns);
     const drive_state *(*state)(void);
@@ -135,7 +135,7 @@ static inline bool walk_cannot_occur(walk_kind kind, int event, int from)
     return false;
 }
 
-/* Only a drive that is ARMED is sent motion. `cells`: so many can occur. */
+/* Only a drive that is ARMED is sent motion. `cells`: how many can occur. */
 static inline int walk_all(const walk_medium *medium, uint32_t cells, const char *name)
 {
     uint32_t walked = 0;

@@ -1,10 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
- * drive_walk_table.h: what becomes of a drive in every mode after every event, on all media. Read
+ * drive_walk_table.h: the mode of a drive after every event in every mode, on all media. Read
  * by C (drive_walk.h) and by Python (tests/contract/lines/drive_walk.py); it has no include guard.
  *
  * LEADS_TO(event, the mode that it leads to from OFF, READY, ARMED, STOPPING, UNRESPONSIVE and
- * BACK). A quick stop goes on for a second: the wheel turns. What happens to a drive that is
- * silent is not reported. */
+ * BACK). A quick stop lasts a second: the wheel turns. A silent drive reports no events. */
 LEADS_TO(SETPOINTS_OLD, OFF, READY, READY, READY, UNRESPONSIVE, BACK)
 LEADS_TO(SETPOINTS_NOT_ENABLED, OFF, READY, READY, READY, UNRESPONSIVE, BACK)
 LEADS_TO(REQUESTED_OFF, OFF, OFF, OFF, OFF, OFF, OFF)

@@ -41,7 +41,7 @@ int ioctl(int fd, unsigned long request, ...)
     return 0;
 }
 
-/* One pin with the duty, one that is active low and says backward. */
+/* One pin with the duty, one that is active low and selects backward. */
 static bridge_config config_of(int fd)
 {
     bridge_config config = {
@@ -93,7 +93,7 @@ static void only_armed_enabled_and_fresh_set_points_move(void)
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 6 * MS) == 0.0);
 }
 
-static void what_is_old_or_late_brakes_and_then_lets_go(void)
+static void old_set_points_or_a_late_thread_brake_and_then_coast(void)
 {
     bridge_state state = {0};
     bridge_control arm = {.mode = PWM_ARMED, .number = 1};
@@ -116,8 +116,8 @@ static void what_is_old_or_late_brakes_and_then_lets_go(void)
     CHECK(level_at(&state, &stop, 0.5, 1, 0, START_NS + 503 * MS) == 0.0 && state.drive.stopping);
 }
 
-/* The mailbox keeps the newest request only: one that was never seen may have been a stop. */
-static void a_stop_that_an_arming_overtakes_unseen_takes_the_power(void)
+/* The mailbox keeps the newest request only: an overtaken one may have been a stop. */
+static void a_stop_that_an_arming_overtakes_still_takes_the_power(void)
 {
     bridge_state state = {0};
     bridge_control arm = {.mode = PWM_ARMED, .number = 1};
@@ -138,7 +138,7 @@ static void a_stop_that_an_arming_overtakes_unseen_takes_the_power(void)
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 6 * MS) == 0.5);
 }
 
-static void a_pump_changes_with_every_cycle_that_may_move_and_with_no_other(void)
+static void a_pump_toggles_only_in_cycles_that_may_move(void)
 {
     bridge_config config = config_of(3);
     config.output[1].pumps = 1;
@@ -170,7 +170,7 @@ static void a_level_is_a_part_of_the_period(void)
     CHECK(bridge_duty_ns(&pin, 0.2) == 40000);
 }
 
-static void a_config_that_cannot_be_is_refused(void)
+static void an_invalid_config_is_refused(void)
 {
     bridge_config config = config_of(3);
     CHECK(bridge_config_check(&config) == 0);
@@ -276,7 +276,7 @@ static bool ends(uint32_t line, double duty, bridge_report *report)
     return report->running == 0;
 }
 
-static void pins_that_rest_after_a_failure_are_sent_to_rest(void)
+static void pins_are_brought_to_rest_after_a_failure(void)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC);
     bridge_config config = config_of(fd);
@@ -288,7 +288,7 @@ static void pins_that_rest_after_a_failure_are_sent_to_rest(void)
     CHECK(report.error == ENOTTY && report.rest_error == 0 && close(fd) == 0);
 }
 
-/* Driven at `duty`, the files fail from then on, and `then` is wanted: which lines changed. */
+/* The motor runs at `duty`; then writes fail, and the set-point is `then`: which lines changed. */
 static uint64_t changed_at_a_failure(const bridge_config *wanted, double duty, double then)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC), pipe_ends[2];
@@ -311,15 +311,15 @@ static uint64_t changed_at_a_failure(const bridge_config *wanted, double duty, d
     return bits_that_changed;
 }
 
-static void a_motor_whose_duty_cannot_be_taken_back_is_not_turned(void)
+static void a_motor_whose_duty_cannot_be_cleared_gets_no_direction_change(void)
 {
     bridge_config config = config_of(-1);
     CHECK(changed_at_a_failure(&config, 0.5, -0.5) == 0);
-    CHECK(changed_at_a_failure(&config, -0.5, 0.5) == 0); /* at rest the line would say forward */
+    CHECK(changed_at_a_failure(&config, -0.5, 0.5) == 0); /* at rest it would select forward */
     CHECK(changed_at_a_failure(&config, -0.5, -0.25) == 0);
 }
 
-static void lines_that_take_the_power_do_so_though_the_duty_cannot_be_taken_back(void)
+static void lines_that_remove_power_do_so_even_when_the_duty_cannot_be_cleared(void)
 {
     bridge_config config = config_of(-1);
     config.output[2] = (bridge_pin){.fd = -1, .bit = 5, .base = {0.0, 1.0, 1.0, 1.0}};
@@ -332,15 +332,15 @@ static void lines_that_take_the_power_do_so_though_the_duty_cannot_be_taken_back
 int main(void)
 {
     only_armed_enabled_and_fresh_set_points_move();
-    what_is_old_or_late_brakes_and_then_lets_go();
-    a_stop_that_an_arming_overtakes_unseen_takes_the_power();
-    a_pump_changes_with_every_cycle_that_may_move_and_with_no_other();
+    old_set_points_or_a_late_thread_brake_and_then_coast();
+    a_stop_that_an_arming_overtakes_still_takes_the_power();
+    a_pump_toggles_only_in_cycles_that_may_move();
     a_level_is_a_part_of_the_period();
-    a_config_that_cannot_be_is_refused();
+    an_invalid_config_is_refused();
     the_thread_writes_the_files_and_ends_at_rest();
     the_thread_ends_with_the_errno_and_the_pin();
-    pins_that_rest_after_a_failure_are_sent_to_rest();
-    a_motor_whose_duty_cannot_be_taken_back_is_not_turned();
-    lines_that_take_the_power_do_so_though_the_duty_cannot_be_taken_back();
+    pins_are_brought_to_rest_after_a_failure();
+    a_motor_whose_duty_cannot_be_cleared_gets_no_direction_change();
+    lines_that_remove_power_do_so_even_when_the_duty_cannot_be_cleared();
     return checks_report("bridge");
 }

@@ -40,7 +40,7 @@ static unsigned long duty_in(int fd)
     return strtoul(text, NULL, 10);
 }
 
-/* The loop has not ticked since: the set-points are young by CLOCK_MONOTONIC, and want motion. */
+/* The loop has not ticked since: the set-points are young by CLOCK_MONOTONIC, and not zero. */
 static void set_points_from_before_a_suspend_take_the_power(void)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC);

@@ -93,7 +93,7 @@ static void each_mode_has_its_level(void)
     CHECK(is(b.level[0], 0.3 + 0.25 * 0.05) && is(b.level[1], 0.3 + 0.25 * 0.05));
     b.newest.joint[0].duty = b.newest.joint[1].duty = 0.0;
     steps_on(&b, MS);
-    CHECK(b.level[0] == 0.2 && b.level[1] == 0.1); /* each rests in its way */
+    CHECK(b.level[0] == 0.2 && b.level[1] == 0.1); /* each has its own level of rest */
     for (int direction = -1; direction <= 1; direction += 2) {
         for (int i = 0; i < 4; i++) {
             b.newest.joint[0].duty = direction * (const double[]){1.0, 1.05, 1.5, 40.0}[i];
@@ -110,7 +110,7 @@ static void each_mode_has_its_level(void)
     CHECK(b.level[0] == 0.1 && b.level[1] == 0.1 && !b.state.drive.stopping);
 }
 
-static void a_joint_that_the_set_points_do_not_have_rests(void)
+static void a_joint_without_set_points_rests(void)
 {
     bench b = begun();
     b.config.joint[1].index = 2;
@@ -148,7 +148,7 @@ static void a_servo_gets_the_pulses_of_its_newest_position(void)
     CHECK(is(steps_on(&b, MS)[0], 0.25));
 }
 
-static void a_servo_may_turn_as_far_as_it_likes_and_stands_in_its_middle_at_zero(void)
+static void a_servo_may_have_any_range_and_zero_is_its_middle(void)
 {
     const double full_rad[] = {0.1, 0.8, 1.0, 2.0, 1000.0};
     for (int i = 0; i < 5; i++) {
@@ -165,7 +165,7 @@ static void a_servo_may_turn_as_far_as_it_likes_and_stands_in_its_middle_at_zero
     }
 }
 
-/* In either place of the table, whichever joint of the robot it is. */
+/* In either place of the table, for any joint of the robot. */
 static void each_servo_has_a_position_of_its_own(void)
 {
     bench b = servo();
@@ -197,12 +197,12 @@ static void each_servo_has_a_position_of_its_own(void)
     }
 }
 
-static void as_many_servos_as_there_may_be_have_one_each(void)
+static void the_full_number_of_servos_have_a_position_each(void)
 {
     bench b = servo();
     b.config.joint_count = b.newest.joint_count = JOINTS_MAX;
     b.newest.positioned = (1U << JOINTS_MAX) - 1U;
-    b.config.output[0].pumps = 1; /* what lies behind the joints in memory is not zero */
+    b.config.output[0].pumps = 1; /* the memory after the joints is not zero */
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         b.config.joint[j] =
             (bridge_joint){.index = j, .sign = 1.0, .full_rad = 0.8, .rest_mode = BRIDGE_COAST};
@@ -234,7 +234,7 @@ static void a_servo_without_a_position_holds_the_one_before(void)
     CHECK(is(steps_on(&b, MS)[0], 0.375));
 }
 
-static void a_servo_that_stops_keeps_its_place_and_then_gets_no_pulses(void)
+static void a_servo_that_stops_holds_its_position_and_then_gets_no_pulses(void)
 {
     /* a request, set-points that are old or not enabled any more */
     for (int how = 0; how < 3; how++) {
@@ -256,7 +256,7 @@ static void a_servo_that_stops_keeps_its_place_and_then_gets_no_pulses(void)
     CHECK(requests(&b, PWM_OFF)[0] == 0.0);
 }
 
-static void each_reason_stays_until_it_is_armed_again(void)
+static void each_fault_reason_stays_until_the_next_arming(void)
 {
     bench b = begun();
     requests(&b, PWM_ARMED);
@@ -284,7 +284,7 @@ static void each_reason_stays_until_it_is_armed_again(void)
     CHECK(b.state.drive.mode == DRIVE_READY && !b.state.drive.stopping && b.level[0] == 0.1);
 }
 
-static void one_that_brakes_goes_on_whatever_is_requested_but_no_power(void)
+static void a_braking_bridge_ignores_requests_except_power_off(void)
 {
     bench b = begun();
     requests(&b, PWM_ARMED);
@@ -307,7 +307,7 @@ static void one_that_brakes_goes_on_whatever_is_requested_but_no_power(void)
 
 /* The core may enable it later; once it has, even between two looks, the end of that takes the
  * power. */
-static void one_that_was_enabled_and_is_no_more_has_no_power(void)
+static void a_bridge_that_is_no_longer_enabled_has_no_power(void)
 {
     bench b = begun();
     b.state.enabled_count = 5;
@@ -354,7 +354,7 @@ static void expects(int verdict, const bridge_config *config, int changed)
     CHECK(changed == 0 && bridge_config_check(config) == verdict);
 }
 
-static void each_number_of_a_config_ends_where_it_says(void)
+static void each_number_of_a_config_has_its_range(void)
 {
     bridge_config config = two_motors();
     CHECK(bridge_config_check(&config) == 0);
@@ -436,17 +436,17 @@ static void each_number_of_a_config_ends_where_it_says(void)
 int main(void)
 {
     each_mode_has_its_level();
-    a_joint_that_the_set_points_do_not_have_rests();
+    a_joint_without_set_points_rests();
     a_servo_gets_the_pulses_of_its_newest_position();
-    a_servo_may_turn_as_far_as_it_likes_and_stands_in_its_middle_at_zero();
+    a_servo_may_have_any_range_and_zero_is_its_middle();
     each_servo_has_a_position_of_its_own();
-    as_many_servos_as_there_may_be_have_one_each();
+    the_full_number_of_servos_have_a_position_each();
     a_servo_without_a_position_holds_the_one_before();
-    a_servo_that_stops_keeps_its_place_and_then_gets_no_pulses();
-    each_reason_stays_until_it_is_armed_again();
-    one_that_brakes_goes_on_whatever_is_requested_but_no_power();
-    one_that_was_enabled_and_is_no_more_has_no_power();
+    a_servo_that_stops_holds_its_position_and_then_gets_no_pulses();
+    each_fault_reason_stays_until_the_next_arming();
+    a_braking_bridge_ignores_requests_except_power_off();
+    a_bridge_that_is_no_longer_enabled_has_no_power();
     a_level_is_rounded_to_whole_nanoseconds_of_the_period();
-    each_number_of_a_config_ends_where_it_says();
+    each_number_of_a_config_has_its_range();
     return checks_report("test_bridge_steps");
 }

@@ -109,7 +109,7 @@ static void a_command_and_a_stop_do_not_wait_for_the_cycle(void)
     CHECK(close(fd) == 0);
 }
 
-static void its_end_does_not_wait_for_the_cycle_and_leaves_no_level(void)
+static void ending_the_line_does_not_wait_for_the_cycle_and_leaves_no_level(void)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC);
     const bridge_config config = with_a_cycle_of_an_hour(fd);
@@ -122,7 +122,7 @@ static void its_end_does_not_wait_for_the_cycle_and_leaves_no_level(void)
     CHECK(close(fd) == 0);
 }
 
-static void woken_without_end_it_still_pauses(void)
+static void a_thread_that_is_woken_continuously_still_pauses(void)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC);
     const bridge_config config = with_a_cycle_of_an_hour(fd);
@@ -164,8 +164,8 @@ int main(void)
 {
     exchange_init(&shared);
     a_command_and_a_stop_do_not_wait_for_the_cycle();
-    its_end_does_not_wait_for_the_cycle_and_leaves_no_level();
-    woken_without_end_it_still_pauses();
+    ending_the_line_does_not_wait_for_the_cycle_and_leaves_no_level();
+    a_thread_that_is_woken_continuously_still_pauses();
     a_pump_does_not_change_where_no_cycle_is_due();
     return 0;
 }

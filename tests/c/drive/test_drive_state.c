@@ -16,7 +16,7 @@ static drive_view good_view(void)
 }
 
 /* ----------------------------------------------------------------------------- requests */
-/* By mode and request: the mode that follows where nothing is against it. */
+/* By mode and request: the mode that follows where nothing prevents it. */
 static const uint32_t FOLLOWS[MODES][REQUESTS] = {
     {DRIVE_OFF, DRIVE_READY, DRIVE_OFF, DRIVE_OFF, DRIVE_OFF, DRIVE_OFF},
     {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_READY, DRIVE_READY, DRIVE_READY},
@@ -36,7 +36,7 @@ static drive_request event_of(uint32_t from, uint32_t request)
                                                                 : REQUEST_SEEN;
 }
 
-static void each_request_leads_where_the_table_says(void)
+static void each_request_leads_to_the_mode_of_the_table(void)
 {
     for (int m = 0; m < MODES; m++) {
         for (int r = 0; r < REQUESTS; r++) {
@@ -68,7 +68,7 @@ static void each_request_leads_where_the_table_says(void)
     }
 }
 
-static void nothing_is_armed_while_anything_is_against_it(void)
+static void a_drive_is_not_armed_while_any_condition_prevents_it(void)
 {
     for (int against = 0; against < 7; against++) {
         drive_state drive = {.mode = DRIVE_READY, .was_enabled = true};
@@ -86,8 +86,8 @@ static void nothing_is_armed_while_anything_is_against_it(void)
     }
 }
 
-/* One that was never seen may have been a stop: what may have power loses it, and is not armed
- * by the one after it. */
+/* An overtaken request may have been a stop: a drive that may have power loses it, and the newer
+ * request does not arm it. */
 static void a_request_that_was_overtaken_counts_as_a_stop(void)
 {
     for (int m = 0; m < MODES; m++) {
@@ -114,7 +114,7 @@ static void a_request_that_was_overtaken_counts_as_a_stop(void)
 }
 
 /* ----------------------------------------------------------------------------- guarding */
-static void one_without_a_place_to_begin_from_gets_no_power(void)
+static void a_drive_without_a_known_position_gets_no_power(void)
 {
     drive_state drive = {.mode = DRIVE_READY};
     drive_view view = good_view();
@@ -138,7 +138,7 @@ static void one_without_a_place_to_begin_from_gets_no_power(void)
 }
 
 /* The first of them that is true decides. */
-static void an_armed_drive_is_taken_back_for_each_reason_in_its_order(void)
+static void an_armed_drive_is_stopped_for_each_reason_in_order(void)
 {
     for (uint32_t bits = 0; bits < 64; bits++) {
         bool fresh = bits & 1, alone = bits & 2, enabled = bits & 4, was = bits & 8,
@@ -169,7 +169,7 @@ static void an_armed_drive_is_taken_back_for_each_reason_in_its_order(void)
     }
 }
 
-static void a_last_power_off_counts_by_what_the_drive_reports(void)
+static void a_last_power_off_is_confirmed_by_the_drive_s_report(void)
 {
     drive_last_off off = {0};
     /* it has not gone out */
@@ -183,7 +183,7 @@ static void a_last_power_off_counts_by_what_the_drive_reports(void)
           !drive_is_off(&off, true, 2, NOW_NS));
 }
 
-static void without_a_report_a_drive_has_to_speak_between_two_power_offs(void)
+static void without_reported_power_a_drive_has_to_send_between_two_power_offs(void)
 {
     drive_last_off off = {.first_ns = NOW_NS, .newest_ns = NOW_NS + 10};
     CHECK(!drive_is_off(&off, false, 2, NOW_NS) && drive_is_off(&off, false, 2, NOW_NS + 1));
@@ -216,7 +216,7 @@ static void only_an_armed_drive_moves_by_fresh_set_points_that_are_enabled(void)
     }
 }
 
-static void the_power_goes_off_at_rest_or_in_time_but_not_before_the_stop_has_arrived(void)
+static void the_power_goes_off_at_rest_or_in_time_but_not_before_the_stop_is_confirmed(void)
 {
     for (uint32_t bits = 0; bits < 16; bits++) {
         bool stopping = bits & 1, rests = bits & 2, late = bits & 4, pending = bits & 8;
@@ -229,7 +229,7 @@ static void the_power_goes_off_at_rest_or_in_time_but_not_before_the_stop_has_ar
     }
 }
 
-static void its_own_report_takes_its_power_where_it_was_not_armed(void)
+static void a_drive_that_reports_power_without_arming_is_switched_off(void)
 {
     for (int m = 0; m < MODES; m++) {
         for (uint32_t bits = 0; bits < 24; bits++) {
@@ -257,7 +257,7 @@ static void its_own_report_takes_its_power_where_it_was_not_armed(void)
           drive.still_enabled == 3);
 }
 
-static void a_stop_that_has_arrived_brings_back_what_was_unresponsive(void)
+static void a_confirmed_stop_ends_the_unresponsive_mode(void)
 {
     for (int m = 0; m < MODES; m++) {
         for (int back = 0; back < 2; back++) {
@@ -270,7 +270,7 @@ static void a_stop_that_has_arrived_brings_back_what_was_unresponsive(void)
     }
 }
 
-static void in_every_mode_a_drive_that_does_not_answer_keeps_nothing_but_its_reasons(void)
+static void a_drive_that_stops_answering_keeps_only_its_fault_reasons_in_every_mode(void)
 {
     for (int m = 0; m < MODES; m++) {
         for (uint32_t bits = 0; bits < 8; bits++) {
@@ -290,7 +290,7 @@ static void in_every_mode_a_drive_that_does_not_answer_keeps_nothing_but_its_rea
     }
 }
 
-static void one_that_has_lost_its_set_up_gets_a_power_off(void)
+static void a_drive_that_has_lost_its_set_up_gets_a_power_off(void)
 {
     for (int m = 0; m < MODES; m++) {
         drive_state drive = {.mode = MODE[m], .enabled = 1, .stopping = true};
@@ -314,20 +314,20 @@ static void reasons_gather(void)
 
 int main(void)
 {
-    each_request_leads_where_the_table_says();
-    nothing_is_armed_while_anything_is_against_it();
+    each_request_leads_to_the_mode_of_the_table();
+    a_drive_is_not_armed_while_any_condition_prevents_it();
     a_request_that_was_overtaken_counts_as_a_stop();
-    an_armed_drive_is_taken_back_for_each_reason_in_its_order();
+    an_armed_drive_is_stopped_for_each_reason_in_order();
     a_drive_is_left_alone_when_it_got_nothing_for_longer_than_its_watchdog_waits();
-    a_last_power_off_counts_by_what_the_drive_reports();
-    without_a_report_a_drive_has_to_speak_between_two_power_offs();
+    a_last_power_off_is_confirmed_by_the_drive_s_report();
+    without_reported_power_a_drive_has_to_send_between_two_power_offs();
     only_an_armed_drive_moves_by_fresh_set_points_that_are_enabled();
-    one_without_a_place_to_begin_from_gets_no_power();
-    the_power_goes_off_at_rest_or_in_time_but_not_before_the_stop_has_arrived();
-    its_own_report_takes_its_power_where_it_was_not_armed();
-    a_stop_that_has_arrived_brings_back_what_was_unresponsive();
-    in_every_mode_a_drive_that_does_not_answer_keeps_nothing_but_its_reasons();
-    one_that_has_lost_its_set_up_gets_a_power_off();
+    a_drive_without_a_known_position_gets_no_power();
+    the_power_goes_off_at_rest_or_in_time_but_not_before_the_stop_is_confirmed();
+    a_drive_that_reports_power_without_arming_is_switched_off();
+    a_confirmed_stop_ends_the_unresponsive_mode();
+    a_drive_that_stops_answering_keeps_only_its_fault_reasons_in_every_mode();
+    a_drive_that_has_lost_its_set_up_gets_a_power_off();
     reasons_gather();
     return checks_report("drive state");
 }

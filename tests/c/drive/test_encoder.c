@@ -185,14 +185,14 @@ static void a_wheel_is_no_faster_than_one_count_in_the_time_of_its_silence(void)
                1000.0 / 290.0) < 1e-6);
 }
 
-static int file_that_says(const char *text)
+static int file_with(const char *text)
 {
     int fd = memfd_create("count", 0);
     CHECK(fd >= 0 && write(fd, text, strlen(text)) == (ssize_t)strlen(text));
     return fd;
 }
 
-/* In one piece, as the kernel's files are; the tail of a longer number stays behind the line's
+/* In one piece, as the kernel's files are; the tail of a longer number stays after the line's
  * end. */
 static void say(int fd, const char *text)
 {
@@ -203,7 +203,7 @@ static void a_counter_is_read_from_its_file(void)
 {
     encoder_config config = {.kind = ENCODER_COUNTER, .ceiling = 65535, .rad_per_count = PER_COUNT};
     encoder_state state;
-    config.fd = file_that_says("65530\n");
+    config.fd = file_with("65530\n");
     encoder_init(&state, &config);
     CHECK(encoder_read(&state, &config, START_NS) == 0 && state.count == 0);
     CHECK(encoder_read(&state, &config, START_NS + MS) == 0 && state.edge_ns == 0);
@@ -225,15 +225,14 @@ static void a_counter_is_read_from_its_file(void)
     CHECK(encoder_config_check(&config) == -EINVAL);
 }
 
-/* The kernel's files are whole numbers and a line's end; whatever else they hold is not taken
- * for more. */
-static void a_file_that_holds_nothing_or_more_than_a_number_is_read_with_care(void)
+/* The kernel's files hold a whole number and a line's end; nothing else counts. */
+static void an_empty_file_is_an_error_and_text_after_the_number_is_ignored(void)
 {
     encoder_config config = {
         .kind = ENCODER_COUNTER, .ceiling = UINT64_MAX, .rad_per_count = PER_COUNT};
     encoder_state state;
     encoder_init(&state, &config);
-    config.fd = file_that_says("");
+    config.fd = file_with("");
     errno = 0;
     CHECK(encoder_read(&state, &config, START_NS) == -EIO && state.seeded == 0);
     say(config.fd, "12 and a line that goes on for more than any number is long");
@@ -249,7 +248,7 @@ static void a_file_that_holds_nothing_or_more_than_a_number_is_read_with_care(vo
     CHECK(close(config.fd) == 0);
 }
 
-static void a_writer_that_has_gone_is_sent_with_the_next_look(void)
+static void a_writer_that_has_gone_is_reported_with_the_next_look(void)
 {
     wheel w = new_wheel();
     encoder_config config = edges_on(w.in);
@@ -355,7 +354,7 @@ static bool comes_true(uint32_t joint, uint64_t count, joint_feedback *out)
 static void the_thread_of_bridges_feeds_back_what_its_encoders_count(void)
 {
     wheel w = new_wheel();
-    int duty = file_that_says("0\n"), counter = file_that_says("100\n");
+    int duty = file_with("0\n"), counter = file_with("100\n");
     bridge_config config = bridge_of(3, duty);
     config.joint[0].encoder = edges_on(w.in);
     config.joint[1].encoder = (encoder_config){
@@ -388,9 +387,9 @@ static void the_thread_of_bridges_feeds_back_what_its_encoders_count(void)
     CHECK(pwm_line_stop(0) == 0);
 }
 
-static void what_a_board_says_is_fed_back_with_its_own_time(void)
+static void counts_of_a_board_are_fed_back_with_its_own_time(void)
 {
-    int duty = file_that_says("0\n");
+    int duty = file_with("0\n");
     bridge_config config = bridge_of(2, duty);
     config.joint[0].encoder = (encoder_config){
         .kind = ENCODER_REPORTED, .fd = -1, .ceiling = UINT64_MAX, .rad_per_count = -0.5};
@@ -414,7 +413,7 @@ static void what_a_board_says_is_fed_back_with_its_own_time(void)
     CHECK(comes_true(0, (uint64_t)-20, &found));
     CHECK(fabs(found.velocity_rad_s - 0.5 * 10 / 0.01) < 1e-6);
     sample = (encoder_sample){.count = 4000, .stamp_ns = START_NS + 30 * MS, .origin = 2};
-    pwm_line_put_sample(0, 0, &sample); /* the board has begun anew: no way was made */
+    pwm_line_put_sample(0, 0, &sample); /* the board has restarted: no motion */
     for (int tries = 0; tries < 4000 && found.epoch == 3u << 16; tries++) {
         (void)nanosleep(&(struct timespec){.tv_nsec = 5 * MS}, NULL);
         (void)exchange_take_feedback(&mailboxes, 0, &found);
@@ -435,11 +434,11 @@ int main(void)
     a_counter_goes_by_the_shorter_arc();
     a_wheel_is_no_faster_than_one_count_in_the_time_of_its_silence();
     a_counter_is_read_from_its_file();
-    a_file_that_holds_nothing_or_more_than_a_number_is_read_with_care();
-    a_writer_that_has_gone_is_sent_with_the_next_look();
+    an_empty_file_is_an_error_and_text_after_the_number_is_ignored();
+    a_writer_that_has_gone_is_reported_with_the_next_look();
     silence_slows_a_wheel_down_and_a_quarter_of_a_second_stops_it();
     a_config_at_the_edge_of_its_range_is_good();
     the_thread_of_bridges_feeds_back_what_its_encoders_count();
-    what_a_board_says_is_fed_back_with_its_own_time();
+    counts_of_a_board_are_fed_back_with_its_own_time();
     return checks_report("test_encoder");
 }

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_joint_values: what a line of any medium makes of a set-point. */
+ * test_joint_values: how a line of any medium converts a set-point. */
 #include <string.h>
 
 #include "check.h"

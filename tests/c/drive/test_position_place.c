@@ -21,7 +21,7 @@ static void a_window_is_the_time_out_or_three_slow_cycles(void)
           place_window_ns(299, 100) == 300);
 }
 
-static void a_place_is_known_fresh_and_within_its_range(void)
+static void a_position_is_valid_when_known_fresh_and_within_its_range(void)
 {
     static const struct {
         double measured;
@@ -51,7 +51,7 @@ static void a_step_is_the_speed_for_the_time_but_no_longer_than_the_window(void)
 }
 
 /* The first target is where it is, and only one that is near. */
-static void a_drive_begins_where_it_measures_itself(void)
+static void the_first_target_of_a_drive_is_its_measured_position(void)
 {
     static const struct {
         double measured, wanted;
@@ -90,9 +90,9 @@ static void later_targets_move_at_the_speed_of_the_joint_and_within_its_range(vo
 int main(void)
 {
     a_window_is_the_time_out_or_three_slow_cycles();
-    a_place_is_known_fresh_and_within_its_range();
+    a_position_is_valid_when_known_fresh_and_within_its_range();
     a_step_is_the_speed_for_the_time_but_no_longer_than_the_window();
-    a_drive_begins_where_it_measures_itself();
+    the_first_target_of_a_drive_is_its_measured_position();
     later_targets_move_at_the_speed_of_the_joint_and_within_its_range();
     return checks_report("test_position_place");
 }

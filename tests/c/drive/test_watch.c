@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_watch: who may move, and how a move ends. Tables: one field of the input changed, and
- * what comes of it. */
+ * test_watch: when the base may move, and how a move ends. Tables: one field of the input that
+ * changes, and its effect. */
 #include "core_rig.h"
 
 static const change ARMING[] = {
@@ -114,7 +114,7 @@ static const change FAULTS_WHILE_ARMED[] = {
     LEVEL_OF(feedback[3].enabled, 2, 0),
 };
 
-static void each_cause_has_its_fault_at_once_moving_or_held_by_a_stop(void)
+static void each_cause_latches_its_fault_at_once_in_motion_or_during_a_stop(void)
 {
     for (int action = STOP_RAMP; action <= STOP_COAST; action++) {
         for (int stopped = 0; stopped < 2; stopped++) {
@@ -150,7 +150,7 @@ static void each_cause_has_its_fault_at_once_moving_or_held_by_a_stop(void)
     }
 }
 
-static void suspension_and_a_bad_time_step_are_sent_of_without_their_consequences(void)
+static void a_suspend_and_a_bad_time_step_are_reported_without_their_consequences(void)
 {
     static const double BAD_S[] = {0.0, -1e-3, NAN, INFINITY, -INFINITY};
     core_config config = good_config();
@@ -169,7 +169,7 @@ static void suspension_and_a_bad_time_step_are_sent_of_without_their_consequence
         CHECK(r.shown.faults == FAULT_TIME_STEP && r.shown.dt_s == 0.0 && zero(&r) &&
               r.shown.armed == 0);
     }
-    /* after a pause the ramp goes on as if it had been a tenth of a second */
+    /* after a pause the ramp continues by a tenth of a second */
     config.limits.linear = (axis_limits){10.0, 1.0, 1.5, INFINITY};
     start(&r, &config);
     tick(&r);
@@ -186,7 +186,7 @@ static void suspension_and_a_bad_time_step_are_sent_of_without_their_consequence
 }
 
 /* A drive that was off when it last reported has not been switched off since. */
-static void a_drive_says_that_it_is_off_only_since_the_base_is_armed(void)
+static void a_drive_that_is_off_counts_only_after_the_base_is_armed(void)
 {
     core_config config = good_config();
     rig r;
@@ -204,7 +204,7 @@ static void a_drive_says_that_it_is_off_only_since_the_base_is_armed(void)
     CHECK(step(&r)->faults == FAULT_DRIVE_DISABLED);
 }
 
-static void who_is_received_and_since_when(void)
+static void feedback_is_counted_as_received_with_its_time(void)
 {
     core_config config = good_config();
     rig r;
@@ -282,7 +282,7 @@ static void a_reset_clears_faults_when_every_cause_is_gone_and_never_arms(void)
     /* it is still on its ramp */
     CHECK(tick(&r)->faults == FAULT_EXTERNAL && r.shown.setpoint_linear_m_s > 0.3);
     ticks(&r, 1000);
-    CHECK(r.shown.faults == FAULT_EXTERNAL && r.shown.at_rest == 1); /* one count asks once */
+    CHECK(r.shown.faults == FAULT_EXTERNAL && r.shown.at_rest == 1); /* each count is one request */
     prepare(&r);
     r.input.feedback[1].velocity_rad_s = 0.05;
     CHECK(step(&r)->at_rest == 0);
@@ -349,10 +349,10 @@ int main(void)
     in_a_curve_each_wheel_has_its_own_speed_and_duty();
     arming_needs_everything_in_the_tick_of_the_edge();
     a_stale_command_arms_and_moves_nothing();
-    each_cause_has_its_fault_at_once_moving_or_held_by_a_stop();
-    suspension_and_a_bad_time_step_are_sent_of_without_their_consequences();
-    a_drive_says_that_it_is_off_only_since_the_base_is_armed();
-    who_is_received_and_since_when();
+    each_cause_latches_its_fault_at_once_in_motion_or_during_a_stop();
+    a_suspend_and_a_bad_time_step_are_reported_without_their_consequences();
+    a_drive_that_is_off_counts_only_after_the_base_is_armed();
+    feedback_is_counted_as_received_with_its_time();
     a_reset_clears_faults_when_every_cause_is_gone_and_never_arms();
     limits_replace_each_other_as_a_group_or_not_at_all();
     return checks_report("test_watch");

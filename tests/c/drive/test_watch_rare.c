@@ -3,7 +3,7 @@
  * middle of a move. */
 #include "core_rig.h"
 
-static void all_causes_of_one_tick_are_sent(void)
+static void all_causes_of_one_tick_are_reported(void)
 {
     core_config config = good_config();
     rig r;
@@ -45,7 +45,7 @@ static void a_reset_during_an_emergency_stop_clears_nothing(void)
     CHECK(tick(&r)->faults == 0);
 }
 
-/* The wheels turn on: what brakes them needs its power for the whole time, to the nanosecond, at
+/* The wheels keep turning: the brake needs its power for the whole time, to the nanosecond, at
  * the second fault as well. */
 static void each_brake_holds_its_power_for_two_seconds(void)
 {
@@ -82,7 +82,7 @@ static void each_brake_holds_its_power_for_two_seconds(void)
     }
 }
 
-/* Nothing new was received: the tick in which that has lasted too long says so itself. */
+/* Nothing new was received: the tick in which that has lasted too long reports it. */
 static void feedback_that_grows_old_is_stale_in_the_tick_in_which_it_is(void)
 {
     core_config config = good_config();
@@ -95,7 +95,7 @@ static void feedback_that_grows_old_is_stale_in_the_tick_in_which_it_is(void)
     CHECK(step(&r)->joint[2].stale == 1 && r.shown.odometry_degraded == 1);
 }
 
-static void the_pose_is_at_its_origin_in_the_tick_of_the_reset_and_the_base_goes_on(void)
+static void the_pose_is_zero_in_the_tick_of_the_reset_and_the_base_keeps_moving(void)
 {
     core_config config = good_config();
     rig r;
@@ -109,7 +109,7 @@ static void the_pose_is_at_its_origin_in_the_tick_of_the_reset_and_the_base_goes
     CHECK(r.shown.setpoint_linear_m_s == 0.4 && r.shown.reasons == 0 && r.shown.faults == 0);
 }
 
-static void limits_that_differ_in_one_bit_are_others(void)
+static void limits_that_differ_in_one_bit_are_different_limits(void)
 {
     core_config config = good_config();
     rig r;
@@ -123,8 +123,8 @@ static void limits_that_differ_in_one_bit_are_others(void)
     CHECK(ticks(&r, 100)->setpoint_linear_m_s == 0.5);
 }
 
-/* Nor does one that has been off since before the base was armed. */
-static void a_drive_that_is_none_of_the_base_says_nothing(void)
+/* Also not one that has been off since before the base was armed. */
+static void a_drive_outside_of_the_base_causes_no_fault(void)
 {
     core_config config = good_config();
     rig r;
@@ -142,12 +142,12 @@ static void a_drive_that_is_none_of_the_base_says_nothing(void)
 
 int main(void)
 {
-    all_causes_of_one_tick_are_sent();
+    all_causes_of_one_tick_are_reported();
     a_reset_during_an_emergency_stop_clears_nothing();
     each_brake_holds_its_power_for_two_seconds();
     feedback_that_grows_old_is_stale_in_the_tick_in_which_it_is();
-    the_pose_is_at_its_origin_in_the_tick_of_the_reset_and_the_base_goes_on();
-    limits_that_differ_in_one_bit_are_others();
-    a_drive_that_is_none_of_the_base_says_nothing();
+    the_pose_is_zero_in_the_tick_of_the_reset_and_the_base_keeps_moving();
+    limits_that_differ_in_one_bit_are_different_limits();
+    a_drive_outside_of_the_base_causes_no_fault();
     return checks_report("test_watch_rare");
 }

@@ -15,7 +15,7 @@ static core_config watched(core_config config)
     return config;
 }
 
-/* Joint j stays where it was at first, for so long or until that is a fault. */
+/* Joint j stays where it was at first, for this time or until that is a fault. */
 static void stuck(uint32_t j, double at_rad, int most_ms)
 {
     for (int ms = 0; ms < most_ms && r.shown.faults == 0; ms++) {
@@ -25,7 +25,7 @@ static void stuck(uint32_t j, double at_rad, int most_ms)
 }
 
 /* Its set-point moves on, slowly, when that is seen. */
-static void a_joint_that_is_stuck_is_a_fault_of_its_tick_with_what_was_wanted_and_measured(void)
+static void a_stuck_joint_is_a_fault_with_its_wanted_and_measured_angle(void)
 {
     core_config config = watched(head_and_belt());
     config.joint[2].position.velocity_rad_s = 0.5;
@@ -41,7 +41,7 @@ static void a_joint_that_is_stuck_is_a_fault_of_its_tick_with_what_was_wanted_an
     CHECK(r.shown.doubt.measured_rad_s == r.state.odometry.joint[2].velocity_rad_s);
 }
 
-static void of_joints_that_are_stuck_together_the_first_is_named(void)
+static void the_first_of_several_stuck_joints_is_named(void)
 {
     core_config config = watched(head_and_belt());
     ready(&r, &config);
@@ -145,8 +145,8 @@ static void a_joint_that_follows_may_be_anywhere(void)
 int main(void)
 {
     a_joint_that_follows_may_be_anywhere();
-    a_joint_that_is_stuck_is_a_fault_of_its_tick_with_what_was_wanted_and_measured();
-    of_joints_that_are_stuck_together_the_first_is_named();
+    a_stuck_joint_is_a_fault_with_its_wanted_and_measured_angle();
+    the_first_of_several_stuck_joints_is_named();
     a_joint_without_power_may_be_turned_by_hand();
     a_joint_that_is_only_slow_follows();
     a_joint_whose_feedback_is_lost_is_not_stuck();

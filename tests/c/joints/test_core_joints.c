@@ -8,15 +8,14 @@ static void ask(rig *r, uint32_t named, double pan_rad, double belt_rad_s)
     r->input.joints.value_u[0] = pan_rad, r->input.joints.value_u[1] = belt_rad_s;
 }
 
-static void joints_move_each_for_itself_and_no_base_is_measured(void)
+static void joints_move_independently_and_no_base_is_measured(void)
 {
     core_config config = head_and_belt();
     rig r;
     ready(&r, &config);
     r.input.control.armed = 1;
     CHECK(tick(&r)->armed == 1 && r.out.positioned == 5);
-    r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.5; /* a twist moves none of them
-                                                                       */
+    r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.5; /* a twist moves none */
     CHECK(ticks(&r, 100)->at_rest == 1 && zero(&r) && r.out.position_rad[0] == 0.0 &&
           r.out.position_rad[2] == 0.0);
     ask(&r, 3, 1.0, -4.0);
@@ -85,7 +84,7 @@ static void a_late_tick_of_joints_is_a_step_of_a_tenth_of_a_second(void)
     }
 }
 
-/* Its end is not where the set-point is cut off: it moves there as its speed says. */
+/* Its set-point is not clamped to the end of the range: it moves there at its speed. */
 static void a_late_tick_takes_no_set_point_past_its_goal(void)
 {
     const core_config config = head_and_belt();
@@ -109,7 +108,7 @@ static void a_late_tick_takes_no_set_point_past_its_goal(void)
     }
 }
 
-static void a_target_needs_power_a_finite_command_and_the_lease_that_gave_it(void)
+static void a_target_requires_power_a_finite_command_and_its_lease(void)
 {
     core_config config = head_and_belt();
     rig r;
@@ -124,7 +123,7 @@ static void a_target_needs_power_a_finite_command_and_the_lease_that_gave_it(voi
     tick(&r);
     ask(&r, 3, 1.0, 2.0);
     ticks(&r, 100);
-    r.input.control.owner = 5; /* another lease: it does not go on */
+    r.input.control.owner = 5; /* another lease: it stops */
     ask(&r, 0, 0.0, 0.0);
     ticks(&r, 600);
     double held_rad = r.out.position_rad[0];
@@ -253,7 +252,7 @@ static void limits_of_joints_that_change_while_they_move_are_kept_from_then_on(v
     CHECK(r.shown.reason.joint_velocity == 2);
 }
 
-static void as_many_joints_as_there_may_be_move(void)
+static void the_full_number_of_joints_move(void)
 {
     core_config config = heads_and_belts();
     rig r;
@@ -305,7 +304,7 @@ static void a_belt_whose_duty_grows_slowly_is_named(void)
 }
 
 /* Of one joint: nothing arms, and where it moves, all come to rest. */
-static void without_a_place_that_is_known_no_joint_moves(void)
+static void a_joint_without_a_known_position_does_not_move(void)
 {
     core_config config = head_and_belt();
     config.joint[0].position.reference = REFERENCE_HOMED;
@@ -345,8 +344,8 @@ static void a_warm_belt_is_derated_and_a_cold_one_is_not(void)
     }
 }
 
-/* What one tick has computed with is looked at, also where the next set-point hides it. */
-static void a_duty_that_is_no_number_is_a_fault_of_a_belt_too(void)
+/* The numbers of one tick are checked, also where the next set-point hides them. */
+static void a_duty_that_is_not_finite_is_a_fault_of_a_belt_too(void)
 {
     core_config config = head_and_belt();
     rig r;
@@ -376,23 +375,23 @@ static void a_lost_command_of_joints_is_a_reason_beside_their_own(void)
 
 int main(void)
 {
-    joints_move_each_for_itself_and_no_base_is_measured();
+    joints_move_independently_and_no_base_is_measured();
     every_stop_of_joints_ends_at_rest_and_leaves_no_target();
     a_late_tick_of_joints_is_a_step_of_a_tenth_of_a_second();
     a_late_tick_takes_no_set_point_past_its_goal();
-    a_target_needs_power_a_finite_command_and_the_lease_that_gave_it();
+    a_target_requires_power_a_finite_command_and_its_lease();
     joints_of_which_one_begins_to_move_are_not_at_rest();
     joints_are_armed_without_a_command_that_moves_one();
     without_power_a_joint_is_where_it_was_moved_to();
     without_power_a_belt_has_no_set_point_left();
     joints_begin_without_a_target();
     limits_of_joints_that_change_while_they_move_are_kept_from_then_on();
-    as_many_joints_as_there_may_be_move();
+    the_full_number_of_joints_move();
     a_belt_whose_duty_is_clamped_is_named();
     a_belt_whose_duty_grows_slowly_is_named();
-    without_a_place_that_is_known_no_joint_moves();
+    a_joint_without_a_known_position_does_not_move();
     a_warm_belt_is_derated_and_a_cold_one_is_not();
-    a_duty_that_is_no_number_is_a_fault_of_a_belt_too();
+    a_duty_that_is_not_finite_is_a_fault_of_a_belt_too();
     a_lost_command_of_joints_is_a_reason_beside_their_own();
     return checks_report("test_core_joints");
 }

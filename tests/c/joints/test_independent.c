@@ -112,7 +112,7 @@ static void a_head_goes_to_its_target_within_its_range(void)
         position_step(&expected, &r.config.joint[PAN].position, CASES[i].expected_rad, DT_S);
         CHECK(angle(&r, PAN) == expected.position_rad &&
               r.steer.profile[PAN].velocity_rad_s == expected.velocity_rad_s);
-        r.command.named = 0; /* left out, it goes on */
+        r.command.named = 0; /* left out, it continues */
         CHECK(step_joints(&r, 200) == CASES[i].reasons && angle(&r, PAN) == CASES[i].expected_rad);
         CHECK(angle(&r, TILT) == 0.0 && isnan(r.joints.target_rad[TILT]));
     }
@@ -138,7 +138,7 @@ static void a_target_ends_with_its_lease_and_with_every_command(void)
     }
 }
 
-static void a_head_that_derates_moves_slower_and_says_so_while_it_moves(void)
+static void a_derated_head_moves_slower_and_reports_it_while_it_moves(void)
 {
     static const double FACTORS[] = {1.0, 0.5, 0.0};
     for (int i = 0; i < COUNT_OF(FACTORS); i++) {
@@ -157,7 +157,7 @@ static void a_head_that_derates_moves_slower_and_says_so_while_it_moves(void)
     }
 }
 
-static void a_head_waits_until_it_is_sure_where_it_is(void)
+static void a_head_waits_until_its_position_is_certain(void)
 {
     joints_rig r;
     begin(&r);
@@ -193,7 +193,7 @@ static void a_head_ends_within_its_range(void)
     }
 }
 
-static void after_a_halt_all_stand_and_have_no_target(void)
+static void after_a_halt_all_joints_stand_and_have_no_target(void)
 {
     joints_rig r;
     begin(&r);
@@ -219,9 +219,9 @@ int main(void)
     a_belt_goes_no_faster_than_its_file_and_its_derating_allow();
     a_head_goes_to_its_target_within_its_range();
     a_target_ends_with_its_lease_and_with_every_command();
-    a_head_that_derates_moves_slower_and_says_so_while_it_moves();
-    a_head_waits_until_it_is_sure_where_it_is();
+    a_derated_head_moves_slower_and_reports_it_while_it_moves();
+    a_head_waits_until_its_position_is_certain();
     a_head_ends_within_its_range();
-    after_a_halt_all_stand_and_have_no_target();
+    after_a_halt_all_joints_stand_and_have_no_target();
     return checks_report("test_independent");
 }

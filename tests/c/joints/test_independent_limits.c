@@ -51,7 +51,7 @@ static bool in_force(const rig *r, double velocity_rad_s)
     return true;
 }
 
-static void limits_are_taken_once_for_each_count(void)
+static void limits_are_applied_once_for_each_count(void)
 {
     core_config config = head_and_belt();
     rig r;
@@ -122,7 +122,7 @@ static void a_head_at_rest_moves_by_its_new_limits(void)
           r.config.joint[PAN].position.acceleration_rad_s2 == 40.0);
 }
 
-static void a_head_goes_no_faster_than_its_file_whatever_its_limit(void)
+static void a_head_moves_no_faster_than_its_file_allows_with_any_limit(void)
 {
     joints_rig r;
     begin(&r);
@@ -174,7 +174,7 @@ static void a_lowered_acceleration_is_taken_as_soon_as_it_is_enough(void)
         {0.5, 2.0, 1.9, false},
         {0.5, 0.2, 0.5, false}, /* it passes it now */
         {0.5, -0.2, 0.5, false},
-        /* its goal lies behind: before the end of its range */
+        /* its goal is passed: before the end of its range */
         {0.5, 0.2, 0.4, true},
         {0.5, -0.2, 0.6, true},
         {1.9729, 0.2, 1.0, true},
@@ -215,7 +215,7 @@ static void a_lowered_acceleration_is_taken_as_soon_as_it_is_enough(void)
     }
 }
 
-static void what_is_just_enough_is_enough(void)
+static void a_lowered_acceleration_that_just_suffices_is_applied(void)
 {
     joints_rig r;
     begin(&r);
@@ -294,7 +294,7 @@ static void a_head_at_rest_takes_a_lowered_acceleration_wherever_it_is(void)
 }
 
 /* Lowered at any time of a move, it passes neither goal nor range, and ends there. */
-static void a_head_whose_limits_are_lowered_in_a_move_passes_nothing(void)
+static void a_head_whose_limits_are_lowered_in_a_move_does_not_overshoot(void)
 {
     static const double TARGETS_RAD[] = {0.2, 1.0, 2.0, -0.3, -2.0};
     for (int i = 0; i < COUNT_OF(TARGETS_RAD); i++) {
@@ -422,18 +422,18 @@ static void names_of_the_tick_before_are_not_kept(void)
 int main(void)
 {
     the_limits_at_the_start_are_those_of_the_file();
-    limits_are_taken_once_for_each_count();
+    limits_are_applied_once_for_each_count();
     where_one_limit_is_out_of_range_all_stay_as_they_are();
     a_head_at_rest_moves_by_its_new_limits();
-    a_head_goes_no_faster_than_its_file_whatever_its_limit();
+    a_head_moves_no_faster_than_its_file_allows_with_any_limit();
     a_head_gets_down_to_a_lowered_speed_by_deceleration();
     a_lowered_acceleration_is_taken_as_soon_as_it_is_enough();
-    what_is_just_enough_is_enough();
+    a_lowered_acceleration_that_just_suffices_is_applied();
     while_a_head_keeps_its_old_braking_it_gets_no_faster();
     a_raised_acceleration_is_taken_at_once();
     an_acceleration_that_stays_bounds_no_speed();
     a_head_at_rest_takes_a_lowered_acceleration_wherever_it_is();
-    a_head_whose_limits_are_lowered_in_a_move_passes_nothing();
+    a_head_whose_limits_are_lowered_in_a_move_does_not_overshoot();
     a_belt_keeps_limits_that_change_while_it_moves_and_at_rest();
     limits_changed_without_power_hold_from_the_first_motion_on();
     each_reason_names_the_joints_that_it_comes_from();

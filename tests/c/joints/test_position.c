@@ -19,7 +19,7 @@ static position_profile stepped(position_profile profile, const position_config 
     return profile;
 }
 
-/* After a step at this speed the way to its rest is no longer than what is left then. */
+/* After a step at this speed its braking distance is no longer than the rest of the path. */
 static double largest_that_brakes(double left_rad, double acceleration_rad_s2)
 {
     double low = 0.0, high = 2.0 * left_rad / DT_S;
@@ -31,7 +31,7 @@ static double largest_that_brakes(double left_rad, double acceleration_rad_s2)
     return low;
 }
 
-static void a_joint_brakes_as_late_as_can_be(void)
+static void a_joint_brakes_as_late_as_possible(void)
 {
     for (int round = 0; round < 2000; round++) {
         position_config own = fast(1e3, any(2.0, 50.0));
@@ -52,7 +52,7 @@ static double any_time_s(void)
     return choice < 0.3 ? any(1e-6, 1e-3) : choice < 0.9 ? 1e-3 : any(1e-3, 0.1);
 }
 
-static void a_goal_is_not_passed_whatever_time_its_steps_take(void)
+static void a_goal_is_not_passed_for_any_length_of_its_steps(void)
 {
     for (int round = 0; round < 2000; round++) {
         position_config own = fast(any(0.2, 10.0), any(2.0, 50.0));
@@ -77,9 +77,9 @@ static void a_goal_is_not_passed_whatever_time_its_steps_take(void)
     }
 }
 
-/* Its goals change, and go, while it moves: each is within the range, and so is what it needs to
- * come to rest. */
-static void a_range_is_not_left_whatever_time_its_steps_take(void)
+/* Its goals change and end while it moves: each is within the range, and so is its braking
+ * distance. */
+static void a_range_is_not_left_for_any_length_of_its_steps(void)
 {
     for (int round = 0; round < 200; round++) {
         position_config own = fast(any(0.2, 10.0), any(2.0, 50.0));
@@ -117,13 +117,13 @@ static void a_motion_takes_the_shortest_time_and_ends_exactly_at_its_goal(void)
         }
         double shortest_s =
             distance_rad * a > v * v ? distance_rad / v + v / a : 2.0 * sqrt(distance_rad / a);
-        /* the last of the way, less than a dt^2, takes some steps more */
+        /* the last distance, less than a dt^2, takes some more steps */
         double last_s = (5.0 + 0.5 * log(1.0 + v / (a * DT_S))) * DT_S;
         CHECK(steps * DT_S >= shortest_s - DT_S && steps * DT_S <= shortest_s + last_s);
     }
 }
 
-static void one_step_in_numbers(void)
+static void single_steps_have_the_expected_numbers(void)
 {
     static const struct {
         double from_rad, from_rad_s, goal_rad, to_rad, to_rad_s;
@@ -150,7 +150,7 @@ static void one_step_in_numbers(void)
         {0.0, 1.0, INFINITY, 0.009, 0.9},
         {0.0, 0.0, INFINITY, 0.0, 0.0},
         {0.0, 0.0, -INFINITY, 0.0, 0.0},
-        /* what is no number stands */
+        /* a joint with NaN stands */
         {0.3, NAN, 1.0, 0.3, 0.0},
         {0.3, INFINITY, 1.0, 0.3, 0.0},
     };
@@ -164,12 +164,12 @@ static void one_step_in_numbers(void)
     CHECK(stepped((position_profile){0.0, 0.0}, &own, 1e-20, DT_S).position_rad == 1e-20);
     CHECK(isnan(stepped((position_profile){NAN, 1.0}, &own, 0.0, DT_S).position_rad));
     CHECK(stepped((position_profile){NAN, 1.0}, &own, 0.0, DT_S).velocity_rad_s == 0.0);
-    /* arrived, but too fast for one step to let go of it: it goes on, and comes back */
+    /* arrived, but too fast to stop in one step: it overshoots, and comes back */
     position_profile passes = stepped((position_profile){0.0, 1.0}, &own, 0.009, DT_S);
     CHECK(passes.velocity_rad_s > 0.89);
 }
 
-static void a_goal_is_reached_exactly_whatever_is_rounded(void)
+static void a_goal_is_reached_exactly_despite_rounding(void)
 {
     static const struct {
         double from_rad, goal_rad, dt_s;
@@ -183,7 +183,7 @@ static void a_goal_is_reached_exactly_whatever_is_rounded(void)
     }
 }
 
-static void a_time_that_is_none_is_no_step(void)
+static void a_time_step_that_is_not_positive_and_finite_moves_nothing(void)
 {
     static const double TIMES_S[] = {0.0, -0.01, NAN, INFINITY, 2e9};
     position_config own = fast(2.0, 10.0);
@@ -248,13 +248,13 @@ static void without_a_time_nothing_is_checked(void)
 
 int main(void)
 {
-    a_joint_brakes_as_late_as_can_be();
-    a_goal_is_not_passed_whatever_time_its_steps_take();
-    a_range_is_not_left_whatever_time_its_steps_take();
+    a_joint_brakes_as_late_as_possible();
+    a_goal_is_not_passed_for_any_length_of_its_steps();
+    a_range_is_not_left_for_any_length_of_its_steps();
     a_motion_takes_the_shortest_time_and_ends_exactly_at_its_goal();
-    one_step_in_numbers();
-    a_goal_is_reached_exactly_whatever_is_rounded();
-    a_time_that_is_none_is_no_step();
+    single_steps_have_the_expected_numbers();
+    a_goal_is_reached_exactly_despite_rounding();
+    a_time_step_that_is_not_positive_and_finite_moves_nothing();
     a_joint_follows_while_it_is_near_or_comes_nearer();
     without_a_time_nothing_is_checked();
     return checks_report("test_position");

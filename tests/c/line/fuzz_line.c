@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_line.c: a line's machine among drives, requests and set-points that do what they like.
- * Whatever comes: motion is sent only to what is armed and only while the core wants it, the
- * silence is kept, no value is taken from another's answer, each stop ends, and the end comes. */
+ * fuzz_line.c: a line's machine with random drives, requests and set-points. For any input,
+ * motion is sent only to an armed drive and only while the core requests it, the silence is kept,
+ * no value is taken from another's answer, each stop ends, and the end comes. */
 #include <math.h>
 
 #include "line_wire.h"
@@ -47,8 +47,8 @@ static void requests(uint8_t choice)
     }
 }
 
-/* The answer of an honest drive: its status is 100 + its unit, so that each value says whose it
- * is. */
+/* The answer of an honest drive: its status is 100 + its unit, so that each value names its
+ * drive. */
 static uint32_t honest(const uint8_t *request, uint8_t *out)
 {
     if (request[1] == WRITE) {
@@ -150,7 +150,7 @@ static void step(void)
     answer(request, next_byte());
 }
 
-/* What comes next: the answer, the time that the machine asked for, or a look in between. */
+/* What comes next: the answer, the time that the machine requested, or a look in between. */
 static void pass_time(uint8_t choice)
 {
     if (w.machine.work != WORK_NONE) {

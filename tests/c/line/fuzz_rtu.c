@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_rtu.c: whatever is received, an answer is one: it begins as it must, is whole, and its check
- * sum is right by another arithmetic than the one that is tested; and a good answer behind any
- * garbage is found. */
+ * fuzz_rtu.c: for any bytes received, an answer that is found is valid: its beginning is right, it
+ * is complete, and its check sum is right by other arithmetic than the tested one; and a good
+ * answer after any garbage is found. */
 #include "check.h"
 #include "rtu.h"
 

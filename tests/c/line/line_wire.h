@@ -32,7 +32,7 @@ typedef struct {
     int64_t now_ns;
     uint32_t dead;
     uint32_t mute;
-    uint32_t turning;                       /* bit n: its wheel says that it turns */
+    uint32_t turning;                       /* bit n: its wheel is reported to turn */
     int16_t place;                          /* what it reads as well; 0: 9 */
     int64_t quick_stop_ns[LINE_DRIVES_MAX]; /* when it first got one; 0: never */
     int64_t power_off_ns[LINE_DRIVES_MAX];
@@ -40,7 +40,7 @@ typedef struct {
     bool old, not_enabled; /* the core's set-points */
     uint32_t motion_sent;  /* frames with a speed that is not zero */
     bool echoes;
-    bool babbles;            /* a device sends a byte a millisecond, unasked */
+    bool babbles;            /* a device sends an unrequested byte each millisecond */
     uint32_t unacknowledged; /* bit n: frame n of a power-off is not answered: what turns loses its
                                 power by it */
     bool keeps_power;        /* ... but for one that does not do it */
@@ -176,7 +176,7 @@ static inline void answer_on_the_wire(const uint8_t *request)
     w.now_ns += DEVICE_NS + length * CHARACTER_NS;
 }
 
-/* One look; the core's set-points are always new and want motion. */
+/* One look; the core's set-points are always new and not zero. */
 static inline void go_on(void)
 {
     int64_t stamp_ns = w.old ? w.machine.newest.stamp_ns : w.now_ns;
@@ -195,7 +195,7 @@ static inline void go_on(void)
             w.now_ns += (w.machine.until_ns - w.now_ns) / 2;
         }
     } else if (!w.babbles) {
-        /* it never asks to be woken at once for nothing */
+        /* it never requests an immediate wake-up for nothing */
         CHECK(w.out.wake_ns > w.now_ns || w.machine.answered);
         w.now_ns = w.out.wake_ns;
     }

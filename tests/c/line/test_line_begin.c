@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A line before its first step: nothing is left of before, each drive knows its joints, and what
- * may turn is sent a stop. */
+ * A line before its first step: no old state is left, each drive has its joints, and drives that
+ * may turn are stopped. */
 #include <errno.h>
 
 #include "line_wire.h"
@@ -28,7 +28,7 @@ static void init(const line_table *table, uint32_t may_turn)
     CHECK(line_machine_init(&w.machine, table, may_turn, 7000 * MS) == 0);
 }
 
-static void a_line_begins_with_nothing_of_before(void)
+static void a_line_begins_without_any_old_state(void)
 {
     line_table table = table_of(2);
     table.drive[0].period_ns = 30 * MS, table.drive[1].period_ns = 10 * MS;
@@ -53,14 +53,14 @@ static void a_line_begins_with_nothing_of_before(void)
     CHECK(w.machine.slot_period_ns == 30 * MS);
 }
 
-static void a_table_that_is_wrong_begins_nothing(void)
+static void a_wrong_table_begins_nothing(void)
 {
     line_table table = table_of(1);
     table.gap_ns = -1;
     CHECK(line_machine_init(&w.machine, &table, 0, 7000 * MS) == -EINVAL);
 }
 
-static void each_drive_that_may_turn_is_sent_to_stop_and_no_other(void)
+static void each_drive_that_may_turn_is_stopped_and_no_other(void)
 {
     for (uint32_t may_turn = 0; may_turn < 8; may_turn++) {
         line_table table = table_of(2);
@@ -81,7 +81,7 @@ static line_field field(uint32_t joint, uint32_t kind)
 
 /* Joints are those of set-points and of what is measured, in each exchange; a level of the drive
  * has none. */
-static void each_drive_knows_its_joints(void)
+static void each_drive_has_the_joints_of_its_exchanges(void)
 {
     line_table table = table_of(1);
     line_drive *drive = &table.drive[0];
@@ -110,8 +110,8 @@ static void each_drive_knows_its_joints(void)
     }
 }
 
-/* What lies behind the last one of each list is not of the drive. */
-static void nothing_behind_a_list_is_looked_at(void)
+/* Entries after the last one of each list do not belong to the drive. */
+static void entries_after_the_end_of_a_list_are_ignored(void)
 {
     line_table table = table_of(1);
     line_drive *drive = &table.drive[0];
@@ -128,9 +128,9 @@ static void nothing_behind_a_list_is_looked_at(void)
     CHECK(w.machine.drive[1].due_ns == 0);
 }
 
-/* Its targets say whether a place has a sign: without one, the upper half of its range is not
+/* Its targets decide whether a position is signed: unsigned, the upper half of its range is not
  * below zero. */
-static void a_place_has_a_sign_where_its_targets_have_one(void)
+static void a_position_is_signed_where_its_targets_are(void)
 {
     for (uint32_t has_sign = 0; has_sign < 2; has_sign++) {
         begin_with(1, 0);
@@ -155,11 +155,11 @@ static void a_place_has_a_sign_where_its_targets_have_one(void)
 
 int main(void)
 {
-    a_place_has_a_sign_where_its_targets_have_one();
-    a_line_begins_with_nothing_of_before();
-    a_table_that_is_wrong_begins_nothing();
-    each_drive_that_may_turn_is_sent_to_stop_and_no_other();
-    each_drive_knows_its_joints();
-    nothing_behind_a_list_is_looked_at();
+    a_position_is_signed_where_its_targets_are();
+    a_line_begins_without_any_old_state();
+    a_wrong_table_begins_nothing();
+    each_drive_that_may_turn_is_stopped_and_no_other();
+    each_drive_has_the_joints_of_its_exchanges();
+    entries_after_the_end_of_a_list_are_ignored();
     return checks_report("line begin");
 }

@@ -57,7 +57,7 @@ static void reasons_gather(void)
           drive->state.mode == DRIVE_UNRESPONSIVE);
 }
 
-static void one_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_off(void)
+static void a_drive_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_off(void)
 {
     line_drive_state *drive = begin_drive();
     w.machine.table.broadcast_stop_count = 2;
@@ -76,7 +76,7 @@ static void a_reply_takes_the_time_of_its_bytes(void)
     CHECK(line_reply_ns(&w.machine, &frame) == 7 * CHARACTER_NS);
 }
 
-/* An armed drive after a look at `now`: does it stop, and why? */
+/* Whether and why an armed drive stops after a look at `now`. */
 static void guarded(line_drive_state *drive, uint32_t why, uint32_t stop)
 {
     line_guard(&w.machine, 0, w.now_ns);
@@ -98,7 +98,7 @@ static void an_armed_drive_is_stopped_when_set_points_grow_old(void)
 }
 
 /* What is in transit to it may be its answer; what is in transit to another is not. */
-static void an_armed_drive_that_is_left_alone_longer_than_its_watchdog_is_stopped(void)
+static void an_armed_drive_left_alone_longer_than_its_watchdog_is_stopped(void)
 {
     for (uint32_t how = 0; how < 5; how++) {
         line_drive_state *drive = begin_armed();
@@ -114,7 +114,7 @@ static void an_armed_drive_that_is_left_alone_longer_than_its_watchdog_is_stoppe
     }
 }
 
-static void an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power(void)
+static void an_armed_drive_whose_set_points_are_no_longer_enabled_loses_its_power(void)
 {
     line_drive_state *drive = begin_armed();
     w.machine.newest.enabled = 0;
@@ -145,7 +145,7 @@ static void a_stop_does_not_wait_for_its_turn(void)
     }
 }
 
-static void one_that_does_not_come_to_rest_loses_its_power_when_its_time_is_over(void)
+static void a_drive_that_does_not_come_to_rest_loses_its_power_in_time(void)
 {
     for (uint32_t how = 0; how < 4; how++) {
         line_drive_state *drive = begin_drive();
@@ -173,7 +173,7 @@ static void obey(uint32_t mode, uint32_t unseen)
     CHECK(!w.machine.notify);
 }
 
-static void a_set_up_begins_anew_but_for_a_stop_that_is_pending(void)
+static void a_set_up_resets_all_state_but_a_pending_stop(void)
 {
     for (uint32_t pending = 0; pending < 3; pending++) {
         for (uint32_t from = 0; from < 2; from++) {
@@ -208,7 +208,7 @@ static void a_set_up_begins_anew_but_for_a_stop_that_is_pending(void)
     }
 }
 
-static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(void)
+static void it_is_armed_when_nothing_prevents_it_and_its_state_is_reset(void)
 {
     for (uint32_t against = 0; against < 7; against++) {
         line_drive_state *drive = begin_drive();
@@ -222,7 +222,7 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
         drive->state.stop = against == 3 ? STOP_POWER_OFF : STOP_NOTHING;
         w.machine.control.shut_down = against == 4;
         obey(DRIVE_ARMED, against == 5 ? 1 : 0);
-        /* what was not seen may have been a stop: there is nothing to stop */
+        /* an overtaken request may have been a stop: there is nothing to stop */
         bool armed = against == 0 || against == 5;
         CHECK((drive->state.mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
         if (armed) {
@@ -236,7 +236,7 @@ static void it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew(vo
 
 /* It has power where it is armed, stopping, or sent motion. Unseen requests may have been a
  * stop. */
-static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it(void)
+static void switching_off_and_overtaken_requests_take_the_power_of_a_powered_drive(void)
 {
     for (uint32_t has = 0; has < 4; has++) {
         for (uint32_t unseen = 0; unseen < 2; unseen++) {
@@ -288,7 +288,7 @@ static void switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_i
     CHECK(drive->state.mode == DRIVE_UNRESPONSIVE);
 }
 
-static void frames_of_a_stop_are_sent_until_each_is_done(void)
+static void each_frame_of_a_stop_is_sent_until_it_is_done(void)
 {
     line_drive_state *drive = begin_drive();
     line_frame frame;
@@ -314,7 +314,7 @@ static void frames_of_a_stop_are_sent_until_each_is_done(void)
           !drive->state.back && w.machine.notify);
 }
 
-static void after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_first(void)
+static void the_next_unfinished_frame_of_a_stop_is_sent_in_rotation(void)
 {
     line_drive_state *drive = begin_drive();
     line_frame frame;
@@ -328,7 +328,7 @@ static void after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_fir
           frame.request[3] == CONTROL);
 }
 
-static void a_change_of_one_is_not_lost_where_another_has_none(void)
+static void an_unchanged_drive_does_not_clear_a_notification(void)
 {
     line_frame frame;
     line_drive_state *drive = begin_drive();
@@ -343,20 +343,20 @@ static void a_change_of_one_is_not_lost_where_another_has_none(void)
 
 int main(void)
 {
-    after_a_frame_that_is_done_comes_the_next_and_after_the_last_the_first();
+    the_next_unfinished_frame_of_a_stop_is_sent_in_rotation();
     a_stop_begins_with_its_first_frame_whatever_was_in_transit();
     reasons_gather();
-    one_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_off();
+    a_drive_that_was_armed_before_the_port_was_opened_is_stopped_and_stays_off();
     a_reply_takes_the_time_of_its_bytes();
     an_armed_drive_is_stopped_when_set_points_grow_old();
-    an_armed_drive_that_is_left_alone_longer_than_its_watchdog_is_stopped();
-    an_armed_drive_whose_set_points_are_no_more_enabled_loses_its_power();
+    an_armed_drive_left_alone_longer_than_its_watchdog_is_stopped();
+    an_armed_drive_whose_set_points_are_no_longer_enabled_loses_its_power();
     a_stop_does_not_wait_for_its_turn();
-    one_that_does_not_come_to_rest_loses_its_power_when_its_time_is_over();
-    a_set_up_begins_anew_but_for_a_stop_that_is_pending();
-    it_is_armed_where_nothing_is_against_it_and_its_state_begins_anew();
-    switching_off_and_what_was_not_seen_take_the_power_of_one_that_has_it();
-    frames_of_a_stop_are_sent_until_each_is_done();
-    a_change_of_one_is_not_lost_where_another_has_none();
+    a_drive_that_does_not_come_to_rest_loses_its_power_in_time();
+    a_set_up_resets_all_state_but_a_pending_stop();
+    it_is_armed_when_nothing_prevents_it_and_its_state_is_reset();
+    switching_off_and_overtaken_requests_take_the_power_of_a_powered_drive();
+    each_frame_of_a_stop_is_sent_until_it_is_done();
+    an_unchanged_drive_does_not_clear_a_notification();
     return checks_report("line drive");
 }

@@ -45,7 +45,7 @@ static void fill(line_drive_state *drive, uint32_t n)
     drive->smoothed_ns = n + 8, drive->deadline_ns = n + 9, drive->cycle_ns = n + 10;
 }
 
-static void each_drive_is_sent_by_itself(void)
+static void each_drive_is_reported_separately(void)
 {
     begin_with(LINE_DRIVES_MAX, 0);
     for (uint32_t n = 0; n < LINE_DRIVES_MAX; n++) {
@@ -67,7 +67,7 @@ static void each_drive_is_sent_by_itself(void)
     CHECK(report.drive[0].deadline_ns == 9 && report.drive[1].deadline_ns == 200 * MS);
 }
 
-static void a_stop_waits_until_it_has_arrived_and_also_where_it_is_refused(void)
+static void a_stop_is_pending_until_it_is_confirmed_also_after_a_refusal(void)
 {
     for (int what = 0; what < 3; what++) {
         begin_with(1, 0);
@@ -81,7 +81,7 @@ static void a_stop_waits_until_it_has_arrived_and_also_where_it_is_refused(void)
 int main(void)
 {
     a_line_reports_what_it_counts();
-    each_drive_is_sent_by_itself();
-    a_stop_waits_until_it_has_arrived_and_also_where_it_is_refused();
+    each_drive_is_reported_separately();
+    a_stop_is_pending_until_it_is_confirmed_also_after_a_refusal();
     return checks_report("line report");
 }

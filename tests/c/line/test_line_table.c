@@ -130,7 +130,7 @@ static void a_request_and_its_reply(void)
 }
 
 /* Else any reply, or noise, would be taken for the answer. */
-static void a_reply_says_what_it_answers_and_has_a_check_sum(void)
+static void a_reply_names_its_request_and_has_a_check_sum(void)
 {
     const char *const match = "drive[0].match";
     BAD(read_frame->match_bytes, 0, match);
@@ -154,7 +154,7 @@ static void a_reply_says_what_it_answers_and_has_a_check_sum(void)
     CHECK(!line_frame_is_good(read_frame));
 }
 
-static void a_reply_that_names_no_request_is_known_by_its_check_sum_or_whole(void)
+static void a_reply_that_names_no_request_is_matched_by_check_sum_or_as_a_whole(void)
 {
     const char *const match = "drive[0].match";
     t = good;
@@ -208,7 +208,7 @@ static void a_set_point_lies_in_its_request(void)
     t = good;
     setpoint->form = FORM_M16_BIT10, setpoint->raw_min = -1023.0, setpoint->raw_max = 1023.0;
     CHECK(is_good());
-    setpoint->raw_max = 1023.5; /* 1024 is the sign: the motor would stand where it is to turn */
+    setpoint->raw_max = 1023.5; /* 1024 is the sign: the motor would stand instead of turning */
     CHECK(refused("drive[0].setpoint.raw_max"));
     setpoint->raw_max = 1023.0, setpoint->raw_min = -1023.5;
     CHECK(refused("drive[0].setpoint.raw_min"));
@@ -295,7 +295,7 @@ static void fill_lists(void)
     d->idle_count = 1;
 }
 
-static void full_lists_are_looked_at_to_their_last_entry(void)
+static void full_lists_are_checked_to_their_last_entry(void)
 {
     line_direction *const last_direction = &d->direction[DRIVE_DIRECTIONS_MAX - 1];
     const struct {
@@ -336,7 +336,7 @@ static void full_lists_are_looked_at_to_their_last_entry(void)
     CHECK(refused("drive[0].direction.joint"));
 }
 
-static void what_is_not_counted_is_not_looked_at(void)
+static void entries_beyond_the_count_are_not_checked(void)
 {
     fill_lists();
     const line_table full = t;
@@ -351,7 +351,7 @@ static void what_is_not_counted_is_not_looked_at(void)
     CHECK(is_good());
 }
 
-static void what_a_stop_and_an_idle_packet_must_be(void)
+static void stop_and_idle_packets_have_their_form(void)
 {
     fill_lists();
     t.broadcast_stop[0] = frame_of(0, WRITE, CONTROL, DISABLE); /* all would answer at once */
@@ -365,7 +365,7 @@ static void what_a_stop_and_an_idle_packet_must_be(void)
     CHECK(refused("drive[0].idle.reply_bytes"));
 }
 
-static void the_first_thing_that_is_wrong_is_named(void)
+static void the_first_error_is_named(void)
 {
     t = good;
     d->tries = 0, d->probe = 99, setpoint->joint = 99;
@@ -420,13 +420,13 @@ int main(void)
     the_numbers_of_a_line();
     the_numbers_of_a_drive();
     a_request_and_its_reply();
-    a_reply_says_what_it_answers_and_has_a_check_sum();
-    a_reply_that_names_no_request_is_known_by_its_check_sum_or_whole();
+    a_reply_names_its_request_and_has_a_check_sum();
+    a_reply_that_names_no_request_is_matched_by_check_sum_or_as_a_whole();
     a_set_point_lies_in_its_request();
     a_field_lies_in_its_reply();
-    full_lists_are_looked_at_to_their_last_entry();
-    what_is_not_counted_is_not_looked_at();
-    what_a_stop_and_an_idle_packet_must_be();
-    the_first_thing_that_is_wrong_is_named();
+    full_lists_are_checked_to_their_last_entry();
+    entries_beyond_the_count_are_not_checked();
+    stop_and_idle_packets_have_their_form();
+    the_first_error_is_named();
     return checks_report("test_line_table");
 }

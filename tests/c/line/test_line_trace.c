@@ -44,7 +44,7 @@ static void the_oldest_entries_are_overwritten(void)
           found.stamp_ns == TRACE_ENTRIES + 1);
 }
 
-static void of_too_many_bytes_the_first_are_kept(void)
+static void the_first_bytes_of_an_entry_that_is_too_long_are_kept(void)
 {
     static const uint8_t many[TRACE_BYTES_MAX + 1] = {7, [TRACE_BYTES_MAX - 1] = 8,
                                                       [TRACE_BYTES_MAX] = 9};
@@ -70,7 +70,7 @@ int main(void)
     while_it_is_off_nothing_is_kept();
     an_entry_is_read_as_it_was_put();
     the_oldest_entries_are_overwritten();
-    of_too_many_bytes_the_first_are_kept();
+    the_first_bytes_of_an_entry_that_is_too_long_are_kept();
     a_line_that_does_not_exist_has_no_trace();
     return checks_report("test_line_trace");
 }

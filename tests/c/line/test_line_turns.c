@@ -1,12 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_turns: whose turn it is on a serial line, and when it is looked at next. */
+ * test_line_turns: which drive has its turn on a serial line, and when the next look is. */
 #include "line_wire.h"
 
 static const int64_t RESTING_NS = 50 * MS, MOVING_NS = 10 * MS;
 
 static line_machine *const m = &w.machine;
 
-/* Silence, and no drive's turn: each drive is ready, and due in so long. */
+/* Silence, and no drive's turn: each drive is ready, and due after this time. */
 static void begin_ready(uint32_t drives, int64_t due_in_ns)
 {
     begin_with(drives, 0);
@@ -50,7 +50,7 @@ static void forget_request(void)
 }
 
 /* -------------------------------------------------------------------------------- stops */
-static void who_answers_is_stopped_before_who_does_not_and_among_these_the_least_tried(void)
+static void drives_that_answer_are_stopped_first_and_then_the_least_tried(void)
 {
     static const struct {
         uint32_t failures[3], stop_failures[3], first;
@@ -115,7 +115,7 @@ static void a_request_goes_between_two_cycles_where_it_fits(void)
     CHECK(is_sent(WORK_REQUEST, LINE_DRIVES_MAX));
 }
 
-static void the_slot_has_a_turn_of_its_own_like_a_drive(void)
+static void the_slot_has_its_own_turn_like_a_drive(void)
 {
     begin_ready(1, 1);
     put(7, LINE_DRIVES_MAX, 0);
@@ -125,7 +125,7 @@ static void the_slot_has_a_turn_of_its_own_like_a_drive(void)
           m->slot_due_ns == w.now_ns + 20 * MS);
     begin_ready(1, 0);
     put(7, LINE_DRIVES_MAX, 0);
-    m->slot_due_ns = w.now_ns; /* both are: the slot goes first, for it is asked once in a period */
+    m->slot_due_ns = w.now_ns; /* both are due: the slot goes first, once in a period */
     look();
     CHECK(is_sent(WORK_REQUEST, LINE_DRIVES_MAX));
     begin_ready(1, -1);
@@ -169,13 +169,13 @@ static void requests_and_probes_take_turns_but_for_urgent_ones(void)
         m->drive[1].probe_at_ns = 0;
         m->slot_due_ns = w.now_ns;
         look();
-        CHECK(is_sent(WORK_PROBE, 1)); /* nothing else wants the slot */
+        CHECK(is_sent(WORK_PROBE, 1)); /* nothing else needs the slot */
         forget_request();
     }
 }
 
 /* ------------------------------------------------------------ a line that is not silent */
-static void a_turn_that_does_not_come_for_a_quarter_of_a_second_is_a_failure(void)
+static void a_turn_that_noise_delays_for_a_quarter_of_a_second_is_a_failure(void)
 {
     for (int64_t early_ns = 1; early_ns >= 0; early_ns--) {
         begin_ready(2, 0);
@@ -192,7 +192,7 @@ static void a_turn_that_does_not_come_for_a_quarter_of_a_second_is_a_failure(voi
     }
 }
 
-static void when_it_was_silent_last_is_known(void)
+static void the_time_of_the_last_silence_is_kept(void)
 {
     begin_ready(1, RESTING_NS);
     look();
@@ -205,7 +205,7 @@ static void when_it_was_silent_last_is_known(void)
 }
 
 /* One that may turn is sent its stop also on a noisy line; the others wait for silence. */
-static void only_a_drive_that_may_turn_is_asked_on_a_noisy_line(void)
+static void only_a_drive_that_may_turn_is_probed_on_a_noisy_line(void)
 {
     for (uint32_t may_turn = 0; may_turn < 2; may_turn++) {
         begin_ready(2, RESTING_NS);
@@ -237,7 +237,7 @@ static int64_t next_look_in(void)
     return w.out.wake_ns - w.now_ns;
 }
 
-static void what_rests_is_looked_at_seldom_and_what_may_move_often(void)
+static void drives_at_rest_are_checked_seldom_and_those_that_may_move_often(void)
 {
     begin_resting();
     m->drive[2].state.sent_motion = true; /* there is no third drive */
@@ -285,7 +285,7 @@ static void a_probe_waits_for_its_time_for_late_replies_and_for_the_slot(void)
     CHECK(next_look_in() == MOVING_NS && m->end.stage == END_POWER_OFF);
 }
 
-static void a_request_that_waits_is_looked_at_with_the_slot(void)
+static void a_waiting_request_is_checked_with_the_slot(void)
 {
     for (int64_t slot_in_us = 100; slot_in_us <= 700; slot_in_us += 600) {
         begin_ready(1, MS);
@@ -307,7 +307,7 @@ static void a_stop_waits_for_the_gap_alone(void)
 }
 
 /* ---------------------------------------------------------------------------- each step */
-static void what_a_step_reports_is_of_that_step(void)
+static void a_step_reports_only_its_own_results(void)
 {
     begin_ready(2, RESTING_NS);
     m->feedback_mask = 6, m->notify = m->answered = true, m->round_trip_ns = 5;
@@ -333,7 +333,7 @@ static void what_a_step_reports_is_of_that_step(void)
 }
 
 /* ------------------------------------------------------------------------------- a kick */
-static void a_new_set_point_makes_the_drives_due_that_it_is_for(void)
+static void a_new_set_point_makes_its_own_drives_due(void)
 {
     for (uint32_t against = 0; against < 5; against++) {
         begin_ready(2, 30 * MS);
@@ -364,19 +364,19 @@ static void a_new_set_point_makes_the_drives_due_that_it_is_for(void)
 
 int main(void)
 {
-    who_answers_is_stopped_before_who_does_not_and_among_these_the_least_tried();
+    drives_that_answer_are_stopped_first_and_then_the_least_tried();
     the_drive_that_is_due_first_has_its_turn();
     a_request_goes_between_two_cycles_where_it_fits();
-    the_slot_has_a_turn_of_its_own_like_a_drive();
+    the_slot_has_its_own_turn_like_a_drive();
     requests_and_probes_take_turns_but_for_urgent_ones();
-    a_turn_that_does_not_come_for_a_quarter_of_a_second_is_a_failure();
-    when_it_was_silent_last_is_known();
-    only_a_drive_that_may_turn_is_asked_on_a_noisy_line();
-    what_rests_is_looked_at_seldom_and_what_may_move_often();
+    a_turn_that_noise_delays_for_a_quarter_of_a_second_is_a_failure();
+    the_time_of_the_last_silence_is_kept();
+    only_a_drive_that_may_turn_is_probed_on_a_noisy_line();
+    drives_at_rest_are_checked_seldom_and_those_that_may_move_often();
     a_probe_waits_for_its_time_for_late_replies_and_for_the_slot();
-    a_request_that_waits_is_looked_at_with_the_slot();
+    a_waiting_request_is_checked_with_the_slot();
     a_stop_waits_for_the_gap_alone();
-    what_a_step_reports_is_of_that_step();
-    a_new_set_point_makes_the_drives_due_that_it_is_for();
+    a_step_reports_only_its_own_results();
+    a_new_set_point_makes_its_own_drives_due();
     return checks_report("line turns");
 }

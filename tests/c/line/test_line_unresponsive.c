@@ -73,7 +73,7 @@ static bool is_zero(const sent_frame *frame)
            frame->low == 0;
 }
 
-static void one_that_may_turn_is_sent_a_quick_stop_and_zero_between_the_questions(void)
+static void a_drive_that_may_turn_gets_a_quick_stop_and_zero_between_the_probes(void)
 {
     begin_with(1, 0);
     become_unresponsive_while_it_may_turn();
@@ -102,7 +102,7 @@ static void the_first_round_comes_at_once_and_the_pauses_double_up_to_two_second
     }
 }
 
-static void one_that_does_not_turn_is_only_asked(void)
+static void a_drive_that_does_not_turn_is_only_probed(void)
 {
     begin_with(1, 0);
     be_ready_and_become_unresponsive();
@@ -113,7 +113,7 @@ static void one_that_does_not_turn_is_only_asked(void)
     }
 }
 
-static void without_a_probe_it_is_asked_for_its_first_extra_range_and_without_that_sent_zero(void)
+static void without_a_probe_its_first_extra_range_is_read_or_else_zero_is_sent(void)
 {
     for (uint32_t extras = 0; extras <= 1; extras++) {
         begin_with(1, 0);
@@ -142,8 +142,8 @@ static void the_probe_may_be_the_first_of_the_cycle(void)
 }
 
 /* It answers again: power off first, and only then may it be set up; the next silence begins
- * with a quick stop anew. */
-static void one_that_answers_is_sent_off_and_is_back(void)
+ * with a quick stop again. */
+static void a_drive_that_answers_gets_its_power_off_and_is_back(void)
 {
     begin_with(1, 0);
     for (uint64_t times = 1; times <= 2; times++) {
@@ -165,7 +165,7 @@ static void one_that_answers_is_sent_off_and_is_back(void)
     }
 }
 
-static void a_stop_that_had_begun_is_over_when_a_drive_falls_silent(void)
+static void a_drive_that_falls_silent_ends_its_running_stop(void)
 {
     begin_with(1, 0);
     arm(0);
@@ -181,9 +181,8 @@ static void a_stop_that_had_begun_is_over_when_a_drive_falls_silent(void)
     CHECK(!w.machine.drive[0].state.stopping && w.machine.drive[0].state.stop == STOP_NOTHING);
 }
 
-/* Whatever it was in the middle of: its next cycle and its next round of probes begin at their
- * beginning. */
-static void one_that_falls_silent_in_its_cycle_begins_anew_and_holds_no_other_up(void)
+/* Its next cycle and its next round of probes start at the beginning. */
+static void a_drive_that_falls_silent_in_its_cycle_restarts_and_delays_no_other(void)
 {
     begin_with(2, 0);
     line_drive_state *drive = &w.machine.drive[0];
@@ -203,7 +202,7 @@ static void one_that_falls_silent_in_its_cycle_begins_anew_and_holds_no_other_up
     }
 }
 
-/* One quick stop, the exchanges with set-points that begin the cycle, and the question. */
+/* One quick stop, the exchanges with set-points that begin the cycle, and the probe. */
 static void the_first_round_is_as_long_as_what_stops_the_drive(void)
 {
     for (uint32_t writes = 0; writes <= 2; writes++) {
@@ -211,7 +210,7 @@ static void the_first_round_is_as_long_as_what_stops_the_drive(void)
         line_drive *table = &w.machine.table.drive[0];
         table->cyclic[0].setpoint_count = writes > 0;
         table->cyclic[1].setpoint_count = 1;
-        /* what lies behind the last is no exchange of it */
+        /* the entry after the last is no exchange of it */
         table->cyclic_count = writes == 2 ? 2 : 1;
         w.machine.drive[0].may_turn = true;
         line_becomes_unresponsive(&w.machine, 0, w.now_ns);
@@ -221,14 +220,14 @@ static void the_first_round_is_as_long_as_what_stops_the_drive(void)
 
 int main(void)
 {
-    one_that_may_turn_is_sent_a_quick_stop_and_zero_between_the_questions();
+    a_drive_that_may_turn_gets_a_quick_stop_and_zero_between_the_probes();
     the_first_round_comes_at_once_and_the_pauses_double_up_to_two_seconds();
-    one_that_does_not_turn_is_only_asked();
-    without_a_probe_it_is_asked_for_its_first_extra_range_and_without_that_sent_zero();
+    a_drive_that_does_not_turn_is_only_probed();
+    without_a_probe_its_first_extra_range_is_read_or_else_zero_is_sent();
     the_probe_may_be_the_first_of_the_cycle();
-    one_that_answers_is_sent_off_and_is_back();
-    a_stop_that_had_begun_is_over_when_a_drive_falls_silent();
-    one_that_falls_silent_in_its_cycle_begins_anew_and_holds_no_other_up();
+    a_drive_that_answers_gets_its_power_off_and_is_back();
+    a_drive_that_falls_silent_ends_its_running_stop();
+    a_drive_that_falls_silent_in_its_cycle_restarts_and_delays_no_other();
     the_first_round_is_as_long_as_what_stops_the_drive();
     return checks_report("line unresponsive");
 }

@@ -15,7 +15,7 @@ static line_exchange *const turn = &w.machine.table.drive[JOINT].cyclic[1];
 static line_frame built;
 static uint8_t reply[FRAME_BYTES_MAX];
 
-/* The second of two drives is armed, and the core wants it to turn. */
+/* The second of two drives is armed, and its set-point is not zero. */
 static void begin(double velocity_rad_s)
 {
     begin_with(2, 0);
@@ -55,7 +55,7 @@ static void a_set_point_is_scaled_rounded_and_clamped(void)
     CHECK(line_build(m, JOINT, 0, &built) && sent_raw() == 50);
 }
 
-static void a_request_moves_where_any_of_its_set_points_does(void)
+static void a_request_moves_when_any_of_its_set_points_does(void)
 {
     for (uint32_t moving = 0; moving < 4; moving++) {
         begin(0.0);
@@ -76,7 +76,7 @@ static void a_request_moves_where_any_of_its_set_points_does(void)
     }
 }
 
-static void what_is_not_armed_and_enabled_is_sent_zero(void)
+static void only_an_armed_and_enabled_drive_gets_set_points_other_than_zero(void)
 {
     static const double NO_NUMBERS[] = {NAN, INFINITY, -INFINITY};
     for (uint32_t mode = DRIVE_OFF; mode <= DRIVE_BACK; mode++) {
@@ -98,11 +98,11 @@ static void what_is_not_armed_and_enabled_is_sent_zero(void)
     const double behind = 1.0;
     memcpy(&m->newest.joint[0] + JOINTS_MAX, &behind, sizeof behind);
     CHECK(line_wanted(m, JOINT, JOINTS_MAX, SETPOINT_VELOCITY) == 0.0);
-    m->newest.joint_count = JOINT; /* the core says nothing of it */
+    m->newest.joint_count = JOINT; /* the core has no set-point for it */
     CHECK(!line_build(m, JOINT, 0, &built) && sent_raw() == 0);
 }
 
-static void what_differs_from_what_was_sent_last_is_found_in_each_exchange(void)
+static void a_set_point_that_differs_from_the_last_is_found_in_each_exchange(void)
 {
     for (uint32_t where = 0; where < 4; where++) {
         begin(1.0);
@@ -125,7 +125,7 @@ static void what_differs_from_what_was_sent_last_is_found_in_each_exchange(void)
     }
 }
 
-static void the_last_exchange_of_a_drive_is_the_last_that_counts(void)
+static void exchanges_beyond_the_count_are_ignored(void)
 {
     begin(0.0);
     table->cyclic[2] = table->cyclic[0]; /* not counted */
@@ -138,7 +138,7 @@ static void the_last_exchange_of_a_drive_is_the_last_that_counts(void)
 
 /* Magnitude and direction go out one by one: both are of the cycle's set-point, but a stop waits
  * for no cycle. */
-static void where_directions_are_sent_a_cycle_keeps_its_set_point(void)
+static void a_cycle_with_directions_keeps_its_set_point(void)
 {
     begin(2.0);
     drive->frozen = m->newest;
@@ -194,7 +194,7 @@ static void read_at(int64_t stamp_ns)
     line_read(m, JOINT, turn, reply, stamp_ns);
 }
 
-static void each_field_goes_where_its_meaning_says(void)
+static void each_field_goes_to_the_value_that_it_means(void)
 {
     begin(0.0);
     static const uint32_t KINDS[] = {FIELD_COUNT, FIELD_VELOCITY, FIELD_CURRENT, FIELD_VOLTAGE,
@@ -223,7 +223,7 @@ static void each_field_goes_where_its_meaning_says(void)
     CHECK(joint->count_ns == 78 && joint->velocity_ns == 77 && joint->newest_ns == 79);
 }
 
-static void a_velocity_without_sign_has_that_of_the_direction_sent_last(void)
+static void a_velocity_without_sign_gets_the_sign_of_the_last_direction_sent(void)
 {
     begin(0.0);
     add_field(0, FIELD_VELOCITY, 0, FORM_U16);
@@ -243,7 +243,7 @@ static void a_velocity_without_sign_has_that_of_the_direction_sent_last(void)
     CHECK(joint->feedback.velocity_rad_s == 4.0);
 }
 
-static void a_fault_word_stops_by_what_is_not_harmless_and_is_reported_when_it_changes(void)
+static void a_fault_word_stops_by_its_harmful_bits_and_is_reported_when_it_changes(void)
 {
     begin(0.0);
     add_field(0, FIELD_FAULT, 0, FORM_U16);
@@ -267,7 +267,7 @@ static void a_fault_word_stops_by_what_is_not_harmless_and_is_reported_when_it_c
     CHECK(joint->feedback.drive_faults == 6);
 }
 
-static void whether_it_is_enabled_and_kept_its_set_up_is_shown_by_a_mask(void)
+static void a_mask_shows_whether_it_is_enabled_and_kept_its_set_up(void)
 {
     begin(0.0);
     add_field(0, FIELD_ENABLED, 0, FORM_U16);
@@ -318,7 +318,7 @@ static void feedback_has_the_stamp_of_what_the_core_integrates(void)
     CHECK(m->feedback_mask == (1U << (JOINTS_MAX - 1) | 1));
 }
 
-static void what_is_forgotten_is_not_known_of_any_of_its_joints(void)
+static void a_reset_clears_the_feedback_of_all_joints_of_a_drive(void)
 {
     begin(0.0);
     drive->joints = 1U << JOINT | 1U << (JOINTS_MAX - 1);
@@ -341,7 +341,7 @@ static void what_is_forgotten_is_not_known_of_any_of_its_joints(void)
     CHECK(drive->state.enabled == 2 && !drive->lost_setup);
 }
 
-static void it_is_at_rest_when_each_of_its_joints_is_known_to_be(void)
+static void it_is_at_rest_when_each_of_its_joints_is_known_to_rest(void)
 {
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         begin(0.0);
@@ -363,18 +363,18 @@ static void it_is_at_rest_when_each_of_its_joints_is_known_to_be(void)
 int main(void)
 {
     a_set_point_is_scaled_rounded_and_clamped();
-    a_request_moves_where_any_of_its_set_points_does();
-    what_is_not_armed_and_enabled_is_sent_zero();
-    what_differs_from_what_was_sent_last_is_found_in_each_exchange();
-    the_last_exchange_of_a_drive_is_the_last_that_counts();
-    where_directions_are_sent_a_cycle_keeps_its_set_point();
+    a_request_moves_when_any_of_its_set_points_does();
+    only_an_armed_and_enabled_drive_gets_set_points_other_than_zero();
+    a_set_point_that_differs_from_the_last_is_found_in_each_exchange();
+    exchanges_beyond_the_count_are_ignored();
+    a_cycle_with_directions_keeps_its_set_point();
     a_drive_at_rest_is_sent_its_idle_request();
-    each_field_goes_where_its_meaning_says();
-    a_velocity_without_sign_has_that_of_the_direction_sent_last();
-    a_fault_word_stops_by_what_is_not_harmless_and_is_reported_when_it_changes();
-    whether_it_is_enabled_and_kept_its_set_up_is_shown_by_a_mask();
+    each_field_goes_to_the_value_that_it_means();
+    a_velocity_without_sign_gets_the_sign_of_the_last_direction_sent();
+    a_fault_word_stops_by_its_harmful_bits_and_is_reported_when_it_changes();
+    a_mask_shows_whether_it_is_enabled_and_kept_its_set_up();
     feedback_has_the_stamp_of_what_the_core_integrates();
-    what_is_forgotten_is_not_known_of_any_of_its_joints();
-    it_is_at_rest_when_each_of_its_joints_is_known_to_be();
+    a_reset_clears_the_feedback_of_all_joints_of_a_drive();
+    it_is_at_rest_when_each_of_its_joints_is_known_to_rest();
     return checks_report("test_line_values");
 }

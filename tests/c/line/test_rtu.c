@@ -9,7 +9,7 @@
 enum { ROOM = 300 };
 
 /* V1.02 of the serial line guide, 6.2.2: the CRC of 02 07 is 0x1241 as a number, sent 41 12. */
-static void check_sums_are_those_of_the_standards(void)
+static void check_sums_match_the_standards(void)
 {
     const uint8_t read_holding[] = {0x01, 0x03, 0x00, 0x00, 0x00, 0x0A}, digits[] = "123456789",
                   two[] = {0x02, 0x07};
@@ -32,7 +32,7 @@ static void check_sums_are_those_of_the_standards(void)
     }
 }
 
-static void a_seal_is_good_and_any_other_bit_is_not(void)
+static void a_check_sum_is_valid_and_any_flipped_bit_makes_it_wrong(void)
 {
     static const uint32_t bytes_of[] = {0, 2, 1};
     for (uint32_t seal = SEAL_NONE; seal <= SEAL_CRC8; seal++) {
@@ -56,7 +56,7 @@ static void a_seal_is_good_and_any_other_bit_is_not(void)
     CHECK(known[6] == 0xC5 && known[7] == 0xCD);
 }
 
-static void numbers_stand_on_the_wire_as_their_form_says(void)
+static void numbers_are_encoded_in_their_form(void)
 {
     static const uint8_t wire[4] = {0x81, 0x02, 0xF3, 0x04};
     static const int64_t read[] = {0x81,       -0x7F,       0x8102,     -0x7EFE,
@@ -148,7 +148,7 @@ static void an_answer_is_found_when_its_last_byte_has_come(void)
     CHECK(is(find(&frame, 0, good_reply(), 9), RECEIVED_ANSWER, 0, 0));
 }
 
-static void garbage_before_and_after_it_is_passed_over(void)
+static void garbage_before_and_after_an_answer_is_skipped(void)
 {
     line_frame frame = reading();
     for (uint32_t before = 0; before < 20; before++) {
@@ -161,7 +161,7 @@ static void garbage_before_and_after_it_is_passed_over(void)
     }
 }
 
-static void what_is_not_the_answer_is_none(void)
+static void bytes_that_are_not_the_answer_are_refused(void)
 {
     line_frame frame = reading();
     uint8_t reply[9];
@@ -201,7 +201,7 @@ static void a_write_is_answered_by_its_own_first_bytes(void)
     CHECK(!rtu_answer_is_request(&read, read.request));
 }
 
-static void a_refusal_is_sent_with_its_code(void)
+static void a_refusal_is_reported_with_its_code(void)
 {
     line_frame frame = reading();
     uint8_t refusal[8] = {0x55, 1, 0x83, 2, 0, 0};
@@ -255,7 +255,7 @@ static void an_adapter_that_receives_itself_brings_the_request_first(void)
     CHECK(is(find(&frame, 2, good_reply(), 9), RECEIVED_ANSWER, 0, 0));
 }
 
-static void an_echo_of_a_write_is_no_answer(void)
+static void an_echo_of_a_write_does_not_count_as_its_answer(void)
 {
     line_frame frame = writing();
     uint8_t bytes[ROOM];
@@ -275,7 +275,7 @@ static void an_echo_of_a_write_is_no_answer(void)
     CHECK(is(find(&frame, 2, refusal, 5), RECEIVED_REFUSED, 0, 0));
 }
 
-static void one_byte_may_be_all_that_an_answer_repeats(void)
+static void an_answer_may_repeat_only_one_byte(void)
 {
     line_frame frame = writing();
     frame.echo_bytes = 1;
@@ -312,7 +312,7 @@ static void no_answer_begins_within_the_echo(void)
     CHECK(false);
 }
 
-static void nothing_received_is_nothing_reported(void)
+static void without_received_bytes_nothing_is_reported(void)
 {
     line_frame frame = reading();
     for (uint32_t echo = 0; echo <= 2; echo++) {
@@ -320,7 +320,7 @@ static void nothing_received_is_nothing_reported(void)
     }
 }
 
-static void the_short_frames_of_others_have_a_seal_of_one_byte(void)
+static void short_frames_of_other_protocols_have_a_check_sum_of_one_byte(void)
 {
     line_frame frame = {.request_bytes = 10,
                         .reply_bytes = 10,
@@ -338,9 +338,9 @@ static void the_short_frames_of_others_have_a_seal_of_one_byte(void)
     CHECK(is(find(&frame, 0, reply, 10), RECEIVED_MORE, 0, 0));
 }
 
-/* RoboClaw packet serial: the answer to a read has the sum of what was asked in it, that to a
- * write is 0xFF. */
-static void an_answer_that_does_not_say_what_it_answers_is_all_that_comes(void)
+/* RoboClaw packet serial: the check sum of an answer to a read covers the request too; the answer
+ * to a write is 0xFF. */
+static void an_answer_that_names_no_request_is_all_bytes_received(void)
 {
     line_frame asked = {.request_bytes = 2,
                         .reply_bytes = 4,
@@ -372,21 +372,21 @@ static void an_answer_that_does_not_say_what_it_answers_is_all_that_comes(void)
 
 int main(void)
 {
-    check_sums_are_those_of_the_standards();
-    a_seal_is_good_and_any_other_bit_is_not();
-    numbers_stand_on_the_wire_as_their_form_says();
+    check_sums_match_the_standards();
+    a_check_sum_is_valid_and_any_flipped_bit_makes_it_wrong();
+    numbers_are_encoded_in_their_form();
     a_mask_takes_its_bits_with_their_sign();
     an_answer_is_found_when_its_last_byte_has_come();
-    garbage_before_and_after_it_is_passed_over();
-    what_is_not_the_answer_is_none();
+    garbage_before_and_after_an_answer_is_skipped();
+    bytes_that_are_not_the_answer_are_refused();
     a_write_is_answered_by_its_own_first_bytes();
-    a_refusal_is_sent_with_its_code();
+    a_refusal_is_reported_with_its_code();
     an_adapter_that_receives_itself_brings_the_request_first();
-    an_echo_of_a_write_is_no_answer();
-    one_byte_may_be_all_that_an_answer_repeats();
+    an_echo_of_a_write_does_not_count_as_its_answer();
+    an_answer_may_repeat_only_one_byte();
     no_answer_begins_within_the_echo();
-    nothing_received_is_nothing_reported();
-    the_short_frames_of_others_have_a_seal_of_one_byte();
-    an_answer_that_does_not_say_what_it_answers_is_all_that_comes();
+    without_received_bytes_nothing_is_reported();
+    short_frames_of_other_protocols_have_a_check_sum_of_one_byte();
+    an_answer_that_names_no_request_is_all_bytes_received();
     return checks_report("rtu");
 }

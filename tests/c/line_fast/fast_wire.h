@@ -30,7 +30,7 @@ static struct {
     uint32_t silent;         /* bit n: it does not answer, and ends the packet of all */
     uint32_t errors;         /* bit n: it refuses */
     uint32_t swapped;        /* 1: the second and the third one answer in the wrong order */
-    bool alert, echoes, old; /* old: they do not know the instruction */
+    bool alert, echoes, old; /* old: without this instruction */
     uint32_t cut, flip; /* of the packet of all: 0, or so many bytes come only; 1 + the byte that
                            has a wrong bit */
     int32_t goal[SERVOS];

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_servo.c: bus servos that do what they like, and a wire that does. Whatever comes: a status
- * is one by another arithmetic than the tested one, what was stuffed is what is unstuffed, motion
- * is sent only to who is armed and only while the core wants it, no value is another servo's,
- * each stop ends, and the end comes. */
+ * fuzz_servo.c: bus servos and a wire that behave at random. For any input, a status is valid by
+ * other arithmetic than the tested one, unstuffing reverses stuffing, motion is sent only to armed
+ * servos and only while the core requests it, no value is another servo's, each stop ends, and the
+ * end comes. */
 #include <math.h>
 
 #include "servo_wire.h"
@@ -158,7 +158,7 @@ static bool stop_waits(void)
     return waits && s.machine.end.stage == END_NOT;
 }
 
-/* Every servo answers, and nothing is lost any more: each stop ends, whatever was late before. */
+/* Now every servo answers and nothing is lost: each stop ends, even after late replies. */
 static void stops_end(void)
 {
     s.silent = 0;

@@ -3,7 +3,7 @@
  * one of them fails. */
 #include "fast_wire.h"
 
-static void one_packet_answers_for_all(void)
+static void one_packet_has_the_answers_of_all_servos(void)
 {
     for (uint32_t echo = ECHO_NONE; echo <= ECHO_UNKNOWN; echo++) {
         begin_armed(echo);
@@ -20,7 +20,7 @@ static void one_packet_answers_for_all(void)
     }
 }
 
-/* Its block is the end of the packet: those behind it lose one answer, and those before it none. */
+/* Its block ends the packet: servos after it lose one answer, and servos before it none. */
 static void plain_reads_follow_while_a_servo_is_missing(void)
 {
     for (uint32_t missing = 0; missing < SERVOS; missing++) {
@@ -38,12 +38,12 @@ static void plain_reads_follow_while_a_servo_is_missing(void)
             CHECK(i == missing || (measures(i, 2.0 + 0.1 * i) && lost == (i > missing ? 1U : 0U)));
         }
         CHECK(before == 0);
-        go_on(2.0, 400 * MS); /* it is not asked any more */
+        go_on(2.0, 400 * MS); /* it is no longer read */
         CHECK(s.fast - fast > 10 && m->drive[(missing + 1) % SERVOS].state.mode == DRIVE_ARMED);
     }
 }
 
-static void a_packet_that_is_cut_or_damaged_anywhere_says_nothing_wrong(void)
+static void a_truncated_or_damaged_packet_gives_no_wrong_values(void)
 {
     const uint32_t whole = HEAD + SERVOS * BLOCK;
     for (uint32_t at = 1; at < 2 * whole; at++) {
@@ -92,7 +92,7 @@ static void a_block_of_another_servo_is_not_taken(void)
     CHECK(measures(1, 1.1) && measures(2, 1.2));
 }
 
-static void a_refusal_is_that_of_its_servo_and_an_alert_is_none(void)
+static void a_refusal_counts_for_its_servo_and_an_alert_is_no_refusal(void)
 {
     begin_armed(ECHO_NONE);
     s.errors = 1U << 1;
@@ -136,7 +136,7 @@ static void a_late_packet_of_all_answers_no_plain_read(void)
 }
 
 /* Of an older firmware. */
-static void servos_that_do_not_know_it_are_asked_so_less_and_less_often(void)
+static void servos_without_fast_reads_get_them_less_and_less_often(void)
 {
     begin_armed(ECHO_NONE);
     s.old = true;
@@ -150,7 +150,7 @@ static void servos_that_do_not_know_it_are_asked_so_less_and_less_often(void)
     }
 }
 
-static void each_failed_fast_read_doubles_the_pause_up_to_its_most_and_a_complete_one_ends_it(void)
+static void each_failed_fast_read_doubles_the_pause_up_to_its_bound_and_a_complete_one_ends_it(void)
 {
     line_machine machine = {.table.group.fast = 1, .group = {.fast = true, .asked_count = 1}};
     for (uint32_t round = 0; round < 2; round++) {
@@ -163,7 +163,7 @@ static void each_failed_fast_read_doubles_the_pause_up_to_its_most_and_a_complet
     }
 }
 
-static void only_complete_plain_reads_bring_the_next_fast_one_nearer(void)
+static void only_complete_plain_reads_count_towards_the_next_fast_one(void)
 {
     line_machine machine = {.table.group.fast = 1, .group = {.fast = true, .asked_count = 1}};
     line_fast_end(&machine, false);
@@ -172,7 +172,7 @@ static void only_complete_plain_reads_bring_the_next_fast_one_nearer(void)
         line_fast_end(&machine, true);
         CHECK(machine.plain_cycles == left);
     }
-    machine.group.asked_count = 0; /* none was asked */
+    machine.group.asked_count = 0; /* none was read */
     line_fast_end(&machine, true);
     line_fast_end(&machine, false);
     CHECK(machine.plain_cycles == 5);
@@ -181,7 +181,7 @@ static void only_complete_plain_reads_bring_the_next_fast_one_nearer(void)
     CHECK(machine.plain_cycles == 16 && !line_fast_begins(&machine));
 }
 
-static void a_line_without_fast_reads_counts_none(void)
+static void a_line_without_fast_reads_counts_no_plain_reads(void)
 {
     line_machine machine = {.group.asked_count = 1};
     line_fast_end(&machine, true);
@@ -198,7 +198,7 @@ static void one_servo_alone_answers_with_one_block(void)
     CHECK(line_fast_request(&machine, &packet) == HEAD + BLOCK && packet.request[7] == 0x8A);
 }
 
-static void a_table_is_refused_where_its_servos_cannot_answer_in_one_packet(void)
+static void a_table_whose_servos_cannot_answer_in_one_packet_is_refused(void)
 {
     char name[FIELD_NAME_BYTES];
     line_table table = table_of(ECHO_NONE);
@@ -227,17 +227,17 @@ static void a_table_is_refused_where_its_servos_cannot_answer_in_one_packet(void
 
 int main(void)
 {
-    one_packet_answers_for_all();
+    one_packet_has_the_answers_of_all_servos();
     plain_reads_follow_while_a_servo_is_missing();
-    a_packet_that_is_cut_or_damaged_anywhere_says_nothing_wrong();
+    a_truncated_or_damaged_packet_gives_no_wrong_values();
     a_block_of_another_servo_is_not_taken();
-    a_refusal_is_that_of_its_servo_and_an_alert_is_none();
+    a_refusal_counts_for_its_servo_and_an_alert_is_no_refusal();
     a_late_packet_of_all_answers_no_plain_read();
-    each_failed_fast_read_doubles_the_pause_up_to_its_most_and_a_complete_one_ends_it();
-    only_complete_plain_reads_bring_the_next_fast_one_nearer();
-    a_line_without_fast_reads_counts_none();
+    each_failed_fast_read_doubles_the_pause_up_to_its_bound_and_a_complete_one_ends_it();
+    only_complete_plain_reads_count_towards_the_next_fast_one();
+    a_line_without_fast_reads_counts_no_plain_reads();
     one_servo_alone_answers_with_one_block();
-    servos_that_do_not_know_it_are_asked_so_less_and_less_often();
-    a_table_is_refused_where_its_servos_cannot_answer_in_one_packet();
+    servos_without_fast_reads_get_them_less_and_less_often();
+    a_table_whose_servos_cannot_answer_in_one_packet_is_refused();
     return checks_report("line fast");
 }

@@ -2,7 +2,7 @@
  * The bytes of a fast sync read: in pieces, beside noise, and which check sums count. */
 #include "fast_wire.h"
 
-static void a_packet_whose_length_takes_two_bytes_answers_for_all(void)
+static void a_packet_with_a_two_byte_length_has_the_answers_of_all_servos(void)
 {
     enum { MANY = 100, WHOLE = HEAD + SERVOS * (MANY + 4) };
     begin_armed(ECHO_NONE);
@@ -32,7 +32,7 @@ static void a_packet_whose_length_takes_two_bytes_answers_for_all(void)
     }
 }
 
-static void a_packet_of_all_is_read_as_the_status_of_each_and_what_is_beside_it_is_noise(void)
+static void a_packet_of_all_is_read_as_the_status_of_each_and_other_bytes_are_noise(void)
 {
     enum { BEFORE = 3, BEHIND = 2, WHOLE = HEAD + SERVOS * BLOCK };
     begin_armed(ECHO_NONE);
@@ -52,7 +52,7 @@ static void a_packet_of_all_is_read_as_the_status_of_each_and_what_is_beside_it_
     CHECK(memcmp(plain, last, sizeof last) == 0 && plain[7] == 0x55 && plain[HEAD] == 0x80);
 }
 
-static void until_all_answer_in_one_packet(void)
+static void look_until_all_answer_in_one_packet(void)
 {
     for (uint32_t fast = s.fast; s.fast == fast;) {
         look(1.0);
@@ -60,8 +60,8 @@ static void until_all_answer_in_one_packet(void)
     CHECK(s.count == HEAD + SERVOS * BLOCK);
 }
 
-/* Behind so many bytes of noise. */
-static void receive_behind_noise(uint32_t noise, const uint8_t *packet_of_all, uint32_t count)
+/* After this many bytes of noise. */
+static void receive_after_noise(uint32_t noise, const uint8_t *packet_of_all, uint32_t count)
 {
     uint8_t bytes[FRAME_BYTES_MAX];
     memset(bytes, 0x55, noise);
@@ -70,17 +70,17 @@ static void receive_behind_noise(uint32_t noise, const uint8_t *packet_of_all, u
     line_machine_step(&s.machine, s.now_ns, bytes, noise + count, &s.out);
 }
 
-static void the_last_check_sum_speaks_for_all_blocks(void)
+static void the_last_check_sum_covers_all_blocks(void)
 {
     for (uint32_t noise = 0; noise < 3; noise++) {
         begin_armed(ECHO_NONE);
-        until_all_answer_in_one_packet();
+        look_until_all_answer_in_one_packet();
         for (uint32_t i = 0; i < SERVOS; i++) {
             rtu_write(s.bytes + HEAD + i * BLOCK + 2, FORM_I32_LE, 700 + i);
         }
         rtu_seal(s.bytes, HEAD + SERVOS * BLOCK, SEAL_STUFFED);
         CHECK(!rtu_is_sealed(s.bytes, HEAD + BLOCK, SEAL_STUFFED));
-        receive_behind_noise(noise, s.bytes, HEAD + SERVOS * BLOCK);
+        receive_after_noise(noise, s.bytes, HEAD + SERVOS * BLOCK);
         CHECK(m->group.waiting == 0 && m->noise_bytes == noise);
         for (uint32_t i = 0; i < SERVOS; i++) {
             CHECK(measures(i, 7.0 + 0.01 * i) && m->drive[i].count.bad_reply == 0);
@@ -88,10 +88,10 @@ static void the_last_check_sum_speaks_for_all_blocks(void)
     }
 }
 
-static void each_block_is_one_answer_though_the_packet_comes_byte_by_byte(void)
+static void each_block_is_an_answer_even_when_the_packet_comes_byte_by_byte(void)
 {
     begin_armed(ECHO_NONE);
-    until_all_answer_in_one_packet();
+    look_until_all_answer_in_one_packet();
     uint64_t answers = m->answers;
     for (uint32_t n = 0; n < HEAD + SERVOS * BLOCK; n++) {
         line_machine_step(&s.machine, s.now_ns, s.bytes + n, 1, &s.out);
@@ -101,10 +101,10 @@ static void each_block_is_one_answer_though_the_packet_comes_byte_by_byte(void)
           m->group.taken_count == SERVOS);
 }
 
-static void a_block_behind_the_last_one_is_no_answer(void)
+static void a_block_after_the_last_one_is_no_answer(void)
 {
     begin_armed(ECHO_NONE);
-    until_all_answer_in_one_packet();
+    look_until_all_answer_in_one_packet();
     uint8_t bytes[HEAD + (SERVOS + 1) * BLOCK] = {0};
     memcpy(bytes, s.bytes, s.count);
     bytes[HEAD + 1] = 9; /* another servo's */
@@ -112,7 +112,7 @@ static void a_block_behind_the_last_one_is_no_answer(void)
     for (uint32_t i = 0; i <= SERVOS; i++) {
         rtu_seal(bytes, HEAD + (i + 1) * BLOCK, SEAL_STUFFED);
     }
-    receive_behind_noise(0, bytes, sizeof bytes);
+    receive_after_noise(0, bytes, sizeof bytes);
     CHECK(m->group.waiting == 1);
 }
 
@@ -120,21 +120,21 @@ static void the_rest_of_an_older_packet_is_no_answer(void)
 {
     enum { NOISE = 2 * BLOCK };
     begin_armed(ECHO_NONE);
-    until_all_answer_in_one_packet();
-    receive_behind_noise(NOISE, s.bytes, HEAD + SERVOS * BLOCK);
+    look_until_all_answer_in_one_packet();
+    receive_after_noise(NOISE, s.bytes, HEAD + SERVOS * BLOCK);
     CHECK(m->group.waiting == 0);
-    until_all_answer_in_one_packet();
-    receive_behind_noise(NOISE, s.bytes, HEAD + 2 * BLOCK);
+    look_until_all_answer_in_one_packet();
+    receive_after_noise(NOISE, s.bytes, HEAD + 2 * BLOCK);
     CHECK(m->group.waiting == 1U << 2);
 }
 
 int main(void)
 {
-    a_packet_whose_length_takes_two_bytes_answers_for_all();
-    a_packet_of_all_is_read_as_the_status_of_each_and_what_is_beside_it_is_noise();
-    the_last_check_sum_speaks_for_all_blocks();
-    each_block_is_one_answer_though_the_packet_comes_byte_by_byte();
-    a_block_behind_the_last_one_is_no_answer();
+    a_packet_with_a_two_byte_length_has_the_answers_of_all_servos();
+    a_packet_of_all_is_read_as_the_status_of_each_and_other_bytes_are_noise();
+    the_last_check_sum_covers_all_blocks();
+    each_block_is_an_answer_even_when_the_packet_comes_byte_by_byte();
+    a_block_after_the_last_one_is_no_answer();
     the_rest_of_an_older_packet_is_no_answer();
     return checks_report("line fast bytes");
 }

@@ -29,7 +29,7 @@ static void one_request_carries_all_set_points_and_reads_all(void)
     }
 }
 
-static void each_reply_is_stamped_after_the_one_before(void)
+static void stamps_of_replies_are_in_their_order(void)
 {
     servos_begin(3, ECHO_NONE);
     servos_arm();
@@ -43,7 +43,7 @@ static void each_reply_is_stamped_after_the_one_before(void)
     CHECK(m->joint[2].feedback.stamp_ns >= m->joint[1].feedback.stamp_ns);
 }
 
-static void who_is_not_armed_gets_no_set_point(void)
+static void a_servo_that_is_not_armed_gets_no_set_point(void)
 {
     servos_begin(2, ECHO_NONE);
     servo_request(0, DRIVE_READY);
@@ -57,7 +57,7 @@ static void who_is_not_armed_gets_no_set_point(void)
 }
 
 /* Its power-off may be lost. */
-static void who_is_stood_down_gets_its_zero_at_once(void)
+static void a_servo_that_is_stood_down_gets_zero_at_once(void)
 {
     servos_begin(2, ECHO_NONE);
     servos_arm();
@@ -69,7 +69,7 @@ static void who_is_stood_down_gets_its_zero_at_once(void)
     CHECK(m->drive[0].state.mode == DRIVE_READY && !m->drive[0].state.sent_motion);
 }
 
-static void who_does_not_answer_takes_no_other_answer_away(void)
+static void a_silent_servo_does_not_cost_the_answers_of_others(void)
 {
     servos_begin(3, ECHO_NONE);
     servos_arm();
@@ -85,18 +85,17 @@ static void who_does_not_answer_takes_no_other_answer_away(void)
             oldest_ns = age_ns > oldest_ns ? age_ns : oldest_ns;
         }
     }
-    CHECK(oldest_ns < 50 * SERVO_MS); /* so long was waited once for who did not answer, and a
-                                         period */
+    CHECK(oldest_ns < 50 * SERVO_MS); /* one wait for the silent servo, and a period */
     CHECK(m->drive[2].count.cycles - before > 100);
     CHECK(m->drive[1].state.mode == DRIVE_UNRESPONSIVE && m->drive[1].count.no_reply >= 3);
     CHECK(s.goal[0] == 200 && s.goal[2] == 220);
-    CHECK(s.goal[1] == 0); /* it receives though it does not answer: it gets its zero */
+    CHECK(s.goal[1] == 0); /* its replies are lost, but it receives: it gets its zero */
     s.silent = 0;
     servos_go_on(2.0, 3000 * SERVO_MS);
     CHECK(m->drive[1].state.mode == DRIVE_BACK && !s.torque[1] && s.goal[1] == 0);
 }
 
-static void a_damaged_reply_is_counted_as_such_and_its_servo_keeps_its_set_points(void)
+static void a_damaged_reply_is_counted_and_its_servo_keeps_its_set_points(void)
 {
     servos_begin(2, ECHO_NONE);
     servos_arm();
@@ -139,7 +138,7 @@ static void a_late_reply_is_not_taken_for_the_next_request_s(void)
         servos_step(2.0, 1);
         CHECK(s.goal[0] == 200 || s.goal[0] == 100);
     }
-    /* held: not asked, and its set-points go on */
+    /* held: it is not read, and still gets set-points */
     CHECK(s.goal[0] == 200 && (s.asked_last & 1) == 0);
     servos_go_on(2.0, 400 * SERVO_MS);
     CHECK((s.asked_last & 1) != 0 && m->joint[0].feedback.stamp_ns > failed_ns + 100 * SERVO_MS);
@@ -164,7 +163,7 @@ static void a_foreign_servo_s_reply_is_noise(void)
     CHECK(m->noise_bytes == sizeof foreign && m->drive[0].count.bad_reply == 1);
 }
 
-static void old_set_points_stop_all_and_zero_goes_on_until_they_rest(void)
+static void old_set_points_stop_all_and_zero_is_sent_until_they_rest(void)
 {
     servos_begin(2, ECHO_NONE);
     servos_arm();
@@ -204,7 +203,7 @@ static void at_the_end_all_come_to_rest_and_lose_their_torque(void)
     }
 }
 
-/* In a group, one exchange asks all of them: the last one waits for those before it. */
+/* In a group, one exchange reads all servos: the last one waits for those before it. */
 static void a_servo_whose_reply_is_awaited_is_not_left_alone(void)
 {
     static const uint32_t WORK[] = {WORK_NONE, WORK_GROUP};
@@ -227,7 +226,7 @@ static void a_servo_whose_reply_is_awaited_is_not_left_alone(void)
     }
 }
 
-static void a_group_waits_as_long_as_the_slowest_that_is_awaited(void)
+static void a_group_waits_for_its_slowest_awaited_servo(void)
 {
     static const int64_t DEADLINES_NS[] = {300, 100, 200};
     servos_begin(3, ECHO_NONE);
@@ -286,7 +285,7 @@ static void servos_take_turns_in_reporting_whether_they_have_power(void)
           !m->drive[0].cycle_motion);
 }
 
-static void only_a_servo_whose_time_has_come_is_asked(void)
+static void only_a_servo_that_is_due_is_read(void)
 {
     line_frame out;
     for (int late = 0; late < 4; late++) {
@@ -300,7 +299,7 @@ static void only_a_servo_whose_time_has_come_is_asked(void)
     }
 }
 
-static void what_was_sent_motion_counts_as_moving_until_it_was_sent_zero(void)
+static void a_servo_that_got_motion_counts_as_moving_until_it_gets_zero(void)
 {
     line_frame out;
     begin_ready(2);
@@ -315,7 +314,7 @@ static void what_was_sent_motion_counts_as_moving_until_it_was_sent_zero(void)
     CHECK(out.request[4] == 0x83 && out.request[7] == 7 && out.request[10] == 8);
 }
 
-static void a_servo_whose_place_is_not_known_gets_none_and_one_that_does_not_answer_its_zero(void)
+static void a_servo_without_known_position_gets_no_target_and_a_silent_one_gets_zero(void)
 {
     line_frame out;
     begin_ready(2);
@@ -350,7 +349,7 @@ static void the_first_replies_of_a_group_show_whether_the_adapter_receives_itsel
     }
 }
 
-/* Dynamixel protocol 2.0: unit and length stand behind a longer head. */
+/* Dynamixel protocol 2.0: unit and length follow a longer head. */
 static void a_group_of_stuffed_packets_has_its_units_and_its_length(void)
 {
     static const uint8_t WRITE[] = {0xFF, 0xFF, 0xFD, 0, 0xFE, 7, 0, 0x83, GOAL, 0, 2, 0};
@@ -413,7 +412,7 @@ static void replies_that_come_byte_by_byte_are_the_same_replies(void)
     }
 }
 
-/* An adapter that receives itself brings its own request first: anything else says that both
+/* An adapter that receives itself returns its own request first: anything else means that both
  * have sent at once. */
 static void a_collision_ends_the_exchange_and_silence_does_not(void)
 {
@@ -426,7 +425,7 @@ static void a_collision_ends_the_exchange_and_silence_does_not(void)
     CHECK(m->group.waiting == 0 && m->drive[0].failures == 1 && m->drive[1].failures == 1);
 }
 
-static void those_that_have_answered_go_on_one_after_the_other(void)
+static void servos_that_answered_continue_in_turn(void)
 {
     group_goes_out(3, ECHO_NONE);
     s.machine.group.answered = 7;
@@ -438,25 +437,25 @@ static void those_that_have_answered_go_on_one_after_the_other(void)
 
 int main(void)
 {
-    those_that_have_answered_go_on_one_after_the_other();
+    servos_that_answered_continue_in_turn();
     replies_that_come_byte_by_byte_are_the_same_replies();
     a_collision_ends_the_exchange_and_silence_does_not();
     a_group_of_stuffed_packets_has_its_units_and_its_length();
-    a_group_waits_as_long_as_the_slowest_that_is_awaited();
+    a_group_waits_for_its_slowest_awaited_servo();
     servos_take_turns_in_reporting_whether_they_have_power();
-    only_a_servo_whose_time_has_come_is_asked();
-    what_was_sent_motion_counts_as_moving_until_it_was_sent_zero();
-    a_servo_whose_place_is_not_known_gets_none_and_one_that_does_not_answer_its_zero();
+    only_a_servo_that_is_due_is_read();
+    a_servo_that_got_motion_counts_as_moving_until_it_gets_zero();
+    a_servo_without_known_position_gets_no_target_and_a_silent_one_gets_zero();
     the_first_replies_of_a_group_show_whether_the_adapter_receives_itself();
-    each_reply_is_stamped_after_the_one_before();
+    stamps_of_replies_are_in_their_order();
     one_request_carries_all_set_points_and_reads_all();
-    who_is_not_armed_gets_no_set_point();
-    who_is_stood_down_gets_its_zero_at_once();
-    who_does_not_answer_takes_no_other_answer_away();
-    a_damaged_reply_is_counted_as_such_and_its_servo_keeps_its_set_points();
+    a_servo_that_is_not_armed_gets_no_set_point();
+    a_servo_that_is_stood_down_gets_zero_at_once();
+    a_silent_servo_does_not_cost_the_answers_of_others();
+    a_damaged_reply_is_counted_and_its_servo_keeps_its_set_points();
     a_late_reply_is_not_taken_for_the_next_request_s();
     a_foreign_servo_s_reply_is_noise();
-    old_set_points_stop_all_and_zero_goes_on_until_they_rest();
+    old_set_points_stop_all_and_zero_is_sent_until_they_rest();
     at_the_end_all_come_to_rest_and_lose_their_torque();
     a_servo_whose_reply_is_awaited_is_not_left_alone();
     return checks_report("line group");

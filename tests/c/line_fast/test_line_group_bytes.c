@@ -6,7 +6,7 @@
 static const int64_t SERVO_MS = 1000000;
 static const line_machine *const m = &s.machine;
 
-/* A servo's reply with this number, put behind what is there. */
+/* Appends a servo's reply with this number. */
 static uint32_t put_reply(uint8_t *bytes, uint32_t count, uint32_t number)
 {
     const uint8_t reply[] = {0xFF, 0xFF, (uint8_t)(number + 7), 4, 0, (uint8_t)(10 + number), 0, 0};
@@ -26,7 +26,7 @@ static void come(const uint8_t *bytes, uint32_t count, int64_t now_ns)
     line_machine_step(&s.machine, now_ns, bytes, count, &s.out);
 }
 
-static void noise_before_between_and_behind_replies_is_counted_and_takes_none_away(void)
+static void noise_before_between_and_after_replies_is_counted_and_costs_no_reply(void)
 {
     for (uint32_t order = 0; order < 2; order++) {
         group_goes_out(3, ECHO_NONE);
@@ -47,8 +47,8 @@ static void noise_before_between_and_behind_replies_is_counted_and_takes_none_aw
     }
 }
 
-/* To a request of an exchange before this one, in which its servo is not asked. */
-static void a_late_reply_behind_one_that_is_due_is_no_noise(void)
+/* It answers an earlier exchange; this one does not read its servo. */
+static void a_late_reply_after_a_due_one_is_not_noise(void)
 {
     uint8_t bytes[32];
     group_goes_out(2, ECHO_NONE);
@@ -102,7 +102,7 @@ static void replies_that_come_at_once_are_stamped_one_reply_apart(void)
     CHECK(m->round_trip_ns == now_ns - m->start_ns && !s.out.notify);
 }
 
-static void more_than_there_is_room_for_ends_the_exchange(void)
+static void bytes_beyond_the_buffer_end_the_exchange(void)
 {
     static uint8_t bytes[2 * RECEIVED_BYTES_MAX];
     memset(bytes, 0x55, sizeof bytes);
@@ -139,7 +139,7 @@ static void set_points_without_a_reply_take_their_time(void)
 
 /* The first replies decide whether the adapter receives itself; silence decides nothing, and no
  * reply is no time. */
-static void silence_neither_decides_an_echo_nor_measures_a_round_trip(void)
+static void silence_decides_no_echo_and_measures_no_round_trip(void)
 {
     for (uint32_t silent = 1; silent < 4; silent++) {
         group_goes_out(2, ECHO_NONE);
@@ -160,7 +160,7 @@ static void silence_neither_decides_an_echo_nor_measures_a_round_trip(void)
 }
 
 /* Where no drive is understood any more, the adapter may be another one. */
-static void a_line_on_which_all_fail_decides_its_echo_anew(void)
+static void a_line_on_which_all_reads_fail_decides_its_echo_again(void)
 {
     for (uint32_t silent = 1; silent < 3; silent++) {
         group_goes_out(2, ECHO_UNKNOWN);
@@ -195,14 +195,14 @@ static void after_an_exchange_the_line_is_silent_for_a_gap(void)
 
 int main(void)
 {
-    noise_before_between_and_behind_replies_is_counted_and_takes_none_away();
-    a_late_reply_behind_one_that_is_due_is_no_noise();
+    noise_before_between_and_after_replies_is_counted_and_costs_no_reply();
+    a_late_reply_after_a_due_one_is_not_noise();
     a_reply_that_takes_longer_than_usual_is_not_read();
     replies_that_come_at_once_are_stamped_one_reply_apart();
-    more_than_there_is_room_for_ends_the_exchange();
+    bytes_beyond_the_buffer_end_the_exchange();
     set_points_without_a_reply_take_their_time();
-    silence_neither_decides_an_echo_nor_measures_a_round_trip();
-    a_line_on_which_all_fail_decides_its_echo_anew();
+    silence_decides_no_echo_and_measures_no_round_trip();
+    a_line_on_which_all_reads_fail_decides_its_echo_again();
     after_an_exchange_the_line_is_silent_for_a_gap();
     return checks_report("test_line_group_bytes");
 }

@@ -3,7 +3,7 @@
  * what its answers cannot be. */
 #include "servo_wire.h"
 
-static void a_group_that_cannot_be_is_refused(void)
+static void an_invalid_group_is_refused(void)
 {
     char name[FIELD_NAME_BYTES];
     servos_begin(2, ECHO_NONE);
@@ -116,7 +116,7 @@ static void all_that_a_group_answers_can_be_received(void)
 
 int main(void)
 {
-    a_group_that_cannot_be_is_refused();
+    an_invalid_group_is_refused();
     only_packets_of_servos_make_a_group();
     a_group_has_room_for_its_set_points();
     all_that_is_sent_to_a_group_fits_into_one_request();

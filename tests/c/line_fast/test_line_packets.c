@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a line does for controllers whose answers name no unit, and whose zero regulates: packets
- * of a RoboClaw. */
+ * Lines of controllers whose answers name no unit and whose zero is regulated: packets of a
+ * RoboClaw. */
 #include "line_wire.h"
 
 enum { UNIT = 0x80, SPEEDS = 37, DUTIES = 34, STATE_OF = 90 };
@@ -86,7 +86,7 @@ static void look_until_sent(uint8_t command)
     CHECK(sent_bytes == 6 && sent[1] == command);
 }
 
-static void zero_regulates_only_who_is_armed_or_coming_to_rest(void)
+static void zero_goes_only_to_motors_that_are_armed_or_coming_to_rest(void)
 {
     begin_packets(1);
     w.machine.newest.enabled = 1;
@@ -123,7 +123,7 @@ static void a_late_answer_belongs_to_no_request(void)
         asked = sent[0];
     }
     int64_t failed_ns = w.now_ns, bound_ns = w.machine.bound_ns;
-    w.bytes[0] = 0xFF; /* when the time is over, and no other drive has been asked */
+    w.bytes[0] = 0xFF; /* when the time is over, and no other drive has been read */
     line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out);
     CHECK(w.out.send == NULL && w.machine.work == WORK_NONE);
     line_machine_step(&w.machine, failed_ns + bound_ns / 2, w.bytes, 1, &w.out);
@@ -136,7 +136,7 @@ static void a_late_answer_belongs_to_no_request(void)
     CHECK(sent_ns >= failed_ns + bound_ns);
 }
 
-static void a_packet_that_nothing_distinguishes_from_another_is_refused(void)
+static void indistinguishable_packets_are_refused(void)
 {
     char name[FIELD_NAME_BYTES];
     begin_packets(1);
@@ -158,7 +158,7 @@ static void a_packet_that_nothing_distinguishes_from_another_is_refused(void)
     CHECK(line_table_check(&w.table, name) != NULL);
 }
 
-static void a_range_that_the_register_cannot_hold_is_refused(void)
+static void a_range_that_does_not_fit_the_register_is_refused(void)
 {
     static const struct {
         uint32_t form;
@@ -185,9 +185,9 @@ static void a_range_that_the_register_cannot_hold_is_refused(void)
 
 int main(void)
 {
-    a_range_that_the_register_cannot_hold_is_refused();
-    zero_regulates_only_who_is_armed_or_coming_to_rest();
+    a_range_that_does_not_fit_the_register_is_refused();
+    zero_goes_only_to_motors_that_are_armed_or_coming_to_rest();
     a_late_answer_belongs_to_no_request();
-    a_packet_that_nothing_distinguishes_from_another_is_refused();
+    indistinguishable_packets_are_refused();
     return checks_report("line packets");
 }

@@ -3,7 +3,7 @@
  * table. */
 #include "position_wire.h"
 
-static void a_request_is_sent_only_when_each_of_its_places_is_known(void)
+static void a_request_is_sent_only_when_each_of_its_positions_is_known(void)
 {
     begin();
     line_exchange *turn = &m->table.drive[0].cyclic[0];
@@ -25,7 +25,7 @@ static void add_target(uint32_t turn, uint32_t n, uint32_t joint)
 }
 
 /* Only joint 0 is where its first target may begin. */
-static void begin_with_one_place(void)
+static void begin_with_one_known_position(void)
 {
     begin();
     m->now_ns = w.now_ns;
@@ -35,9 +35,9 @@ static void begin_with_one_place(void)
     }
 }
 
-static void a_place_that_is_missing_is_looked_for_in_every_target_of_every_exchange(void)
+static void a_missing_position_is_found_in_every_target_of_every_exchange(void)
 {
-    begin_with_one_place();
+    begin_with_one_known_position();
     line_drive *drive = &m->table.drive[0];
     add_target(0, 1, 1), add_target(2, 0, 1); /* which the table does not have */
     drive->cyclic[2].setpoint_count = 1;
@@ -46,15 +46,15 @@ static void a_place_that_is_missing_is_looked_for_in_every_target_of_every_excha
     CHECK(line_place_is_missing(m, 0));
     add_target(0, 0, 1), add_target(0, 1, 0);
     CHECK(line_place_is_missing(m, 0));
-    begin_with_one_place();
+    begin_with_one_known_position();
     add_target(1, 0, 1);
     drive->cyclic[1].setpoint_count = 1;
     CHECK(line_place_is_missing(m, 0));
 }
 
-static void all_targets_begin_anew_and_no_others(void)
+static void all_targets_are_reset_and_nothing_else(void)
 {
-    begin_with_one_place();
+    begin_with_one_known_position();
     line_drive *drive = &m->table.drive[0];
     add_target(0, 1, 1), add_target(1, 0, 2), add_target(1, 1, 3), add_target(2, 0, 3);
     drive->cyclic[0].setpoint_count = 2;
@@ -75,7 +75,7 @@ static bool refused(const char *name)
     return found != NULL && strcmp(found, name) == 0;
 }
 
-static void tables_by_which_a_position_could_go_astray_are_refused(void)
+static void tables_with_unsafe_positions_are_refused(void)
 {
     begin();
     setpoint->raw_offset = NAN;
@@ -136,7 +136,7 @@ static bool is_good(void)
     return line_table_check(&w.table, name) == NULL;
 }
 
-static void a_position_is_looked_for_in_every_place_of_every_exchange(void)
+static void a_position_is_looked_for_in_every_field_of_every_exchange(void)
 {
     begin();
     line_drive *drive = &w.table.drive[0];
@@ -164,10 +164,10 @@ static void a_position_is_looked_for_in_every_place_of_every_exchange(void)
 
 int main(void)
 {
-    a_request_is_sent_only_when_each_of_its_places_is_known();
-    a_place_that_is_missing_is_looked_for_in_every_target_of_every_exchange();
-    all_targets_begin_anew_and_no_others();
-    tables_by_which_a_position_could_go_astray_are_refused();
-    a_position_is_looked_for_in_every_place_of_every_exchange();
+    a_request_is_sent_only_when_each_of_its_positions_is_known();
+    a_missing_position_is_found_in_every_target_of_every_exchange();
+    all_targets_are_reset_and_nothing_else();
+    tables_with_unsafe_positions_are_refused();
+    a_position_is_looked_for_in_every_field_of_every_exchange();
     return checks_report("line place");
 }

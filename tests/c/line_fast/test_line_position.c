@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Positions on a serial line: 0 is a place like any other, so what must not move is sent
- * nothing. */
+ * Positions on a serial line: 0 is a position like any other, so a drive that must not move is
+ * sent nothing. */
 #include "position_wire.h"
 
 static void a_position_is_scaled_from_its_zero_and_held_within_its_range(void)
@@ -19,7 +19,7 @@ static void a_position_is_scaled_from_its_zero_and_held_within_its_range(void)
     }
 }
 
-static void what_is_not_armed_is_sent_no_position(void)
+static void a_drive_that_is_not_armed_gets_no_position(void)
 {
     begin();
     go_to(0.5, 1, 100 * MS);
@@ -28,7 +28,7 @@ static void what_is_not_armed_is_sent_no_position(void)
     CHECK(targets == 0 && reads > 8 && !m->drive[0].state.sent_motion && !line_wants_motion(m, 0));
 }
 
-static void a_position_that_is_not_known_is_not_sent_and_the_drive_goes_on_being_read(void)
+static void an_unknown_position_is_not_sent_and_the_drive_is_still_read(void)
 {
     static const double NO_PLACES[] = {NAN, INFINITY, -INFINITY};
     for (uint32_t i = 0; i < 4; i++) {
@@ -56,7 +56,7 @@ static void a_new_position_does_not_wait_for_its_cycle(void)
     CHECK(!line_differs(m, 0));
 }
 
-static void the_core_takes_enabled_back_and_the_power_goes_off_without_a_position(void)
+static void clearing_enabled_takes_the_power_without_sending_a_position(void)
 {
     begin();
     arm_it();
@@ -70,7 +70,7 @@ static void the_core_takes_enabled_back_and_the_power_goes_off_without_a_positio
     CHECK(targets == sent && w.power_offs[0] > 0 && m->drive[0].state.mode == DRIVE_READY);
 }
 
-static void old_set_points_stop_it_without_a_position(void)
+static void old_set_points_stop_it_without_sending_a_position(void)
 {
     begin();
     arm_it();
@@ -85,9 +85,9 @@ static void old_set_points_stop_it_without_a_position(void)
     CHECK(targets == sent);
 }
 
-/* Its probes are its stop and a question: the first set-point exchange "with zeros" would be a
- * place to go to. */
-static void one_that_does_not_answer_is_sent_its_stop_and_no_position(void)
+/* Its probes are its stop and a read: the first set-point exchange "with zeros" would be a
+ * target. */
+static void a_drive_that_does_not_answer_gets_its_stop_and_no_position(void)
 {
     begin();
     arm_it();
@@ -121,8 +121,8 @@ static void whether_its_counter_has_a_reference_is_reported(void)
 }
 
 /* ---------------------------------------------------------------------- where it begins */
-/* It is at 1500: a target of 0.5 rad. 2 rad/s are 2000 counts/s, 200 in the time that a place
- * counts. */
+/* It is at 1500: a target of 0.5 rad. 2 rad/s are 2000 counts/s, 200 in the time for which a
+ * position is fresh. */
 static void begin_at_limited_speed(void)
 {
     begin();
@@ -130,7 +130,7 @@ static void begin_at_limited_speed(void)
     CHECK(line_machine_init(m, &w.table, 0, w.now_ns) == 0);
 }
 
-static void the_first_target_is_the_place_where_it_is_and_later_ones_move_from_there(void)
+static void the_first_target_is_its_own_position_and_later_ones_move_from_there(void)
 {
     begin_at_limited_speed();
     arm_it();
@@ -173,7 +173,7 @@ static void a_target_that_has_moved_on_since_it_was_sent_does_not_wait_for_its_c
     CHECK(m->drive[0].due_ns == later_ns);
 }
 
-static void a_first_target_far_from_its_place_takes_the_power(void)
+static void a_first_target_far_from_its_position_takes_the_power(void)
 {
     static const struct {
         int16_t place;
@@ -192,7 +192,7 @@ static void a_first_target_far_from_its_place_takes_the_power(void)
     }
 }
 
-static void what_is_beyond_its_range_old_or_unknown_is_not_armed(void)
+static void a_drive_with_a_position_out_of_range_old_or_unknown_is_not_armed(void)
 {
     for (uint32_t why = 0; why < 4; why++) {
         begin_at_limited_speed();
@@ -214,9 +214,9 @@ static void what_is_beyond_its_range_old_or_unknown_is_not_armed(void)
     }
 }
 
-/* Armed, and before its first target its place is lost: no power. Its targets are signed, and so
- * is its place. */
-static void a_place_that_is_lost_before_the_first_target_takes_the_power(void)
+/* Armed, and its position is lost before its first target: no power. Its targets and its
+ * position are signed. */
+static void a_position_lost_before_the_first_target_takes_the_power(void)
 {
     begin_at_limited_speed();
     setpoint->raw_min = -4000.0;
@@ -231,8 +231,8 @@ static void a_place_that_is_lost_before_the_first_target_takes_the_power(void)
     CHECK(m->drive[0].state.mode == DRIVE_READY && w.power_offs[0] > 0 && targets == 0);
 }
 
-/* Armed anew it begins where it is now, wherever it was sent before. */
-static void each_arming_begins_where_it_is_then(void)
+/* Armed again it begins at its own position, not at its old target. */
+static void each_arming_begins_at_the_position_of_that_moment(void)
 {
     begin_at_limited_speed();
     arm_it();
@@ -254,18 +254,18 @@ static void each_arming_begins_where_it_is_then(void)
 int main(void)
 {
     a_position_is_scaled_from_its_zero_and_held_within_its_range();
-    what_is_not_armed_is_sent_no_position();
-    a_position_that_is_not_known_is_not_sent_and_the_drive_goes_on_being_read();
+    a_drive_that_is_not_armed_gets_no_position();
+    an_unknown_position_is_not_sent_and_the_drive_is_still_read();
     a_new_position_does_not_wait_for_its_cycle();
-    the_core_takes_enabled_back_and_the_power_goes_off_without_a_position();
-    old_set_points_stop_it_without_a_position();
-    one_that_does_not_answer_is_sent_its_stop_and_no_position();
+    clearing_enabled_takes_the_power_without_sending_a_position();
+    old_set_points_stop_it_without_sending_a_position();
+    a_drive_that_does_not_answer_gets_its_stop_and_no_position();
     whether_its_counter_has_a_reference_is_reported();
-    the_first_target_is_the_place_where_it_is_and_later_ones_move_from_there();
-    a_first_target_far_from_its_place_takes_the_power();
-    what_is_beyond_its_range_old_or_unknown_is_not_armed();
-    a_place_that_is_lost_before_the_first_target_takes_the_power();
-    each_arming_begins_where_it_is_then();
+    the_first_target_is_its_own_position_and_later_ones_move_from_there();
+    a_first_target_far_from_its_position_takes_the_power();
+    a_drive_with_a_position_out_of_range_old_or_unknown_is_not_armed();
+    a_position_lost_before_the_first_target_takes_the_power();
+    each_arming_begins_at_the_position_of_that_moment();
     a_target_that_has_moved_on_since_it_was_sent_does_not_wait_for_its_cycle();
     return checks_report("line position");
 }

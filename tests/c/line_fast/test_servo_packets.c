@@ -27,7 +27,7 @@ static line_frame read_of(uint32_t reply_bytes)
     return frame;
 }
 
-static void the_manual_s_check_sums_are_ours(void)
+static void check_sums_match_the_manual(void)
 {
     CHECK(rtu_is_sealed(PING, sizeof PING, SEAL_STUFFED));
     CHECK(rtu_is_sealed(PONG, sizeof PONG, SEAL_STUFFED));
@@ -44,7 +44,7 @@ static void the_manual_s_check_sums_are_ours(void)
     CHECK(!rtu_is_sealed(ping, sizeof ping, SEAL_SUM));
 }
 
-static void three_bytes_are_no_packet_with_a_sum_and_four_are_the_shortest(void)
+static void the_shortest_packet_with_a_check_sum_has_four_bytes(void)
 {
     const uint8_t short_one[] = {0xFF, 0xFF, 0xFF}; /* its last byte is the sum of nothing */
     CHECK(!rtu_is_sealed(short_one, sizeof short_one, SEAL_SUM));
@@ -79,7 +79,7 @@ static void a_status_is_found_whole_good_and_of_the_right_servo_only(void)
     CHECK(found_in(&frame, POSITION, sizeof POSITION).kind == RECEIVED_MORE);
 }
 
-static void an_error_number_is_a_refusal_and_an_alert_is_none(void)
+static void an_error_number_is_a_refusal_and_an_alert_is_not(void)
 {
     line_frame status = {.request_bytes = 11,
                          .request_seal = SEAL_STUFFED,
@@ -88,7 +88,7 @@ static void an_error_number_is_a_refusal_and_an_alert_is_none(void)
     rtu_finish(&status);
     received found = found_in(&frame, status.request, status.request_bytes);
     CHECK(found.kind == RECEIVED_REFUSED && found.exception == 7 && found.bytes == 11);
-    status.request[8] = 0x80; /* hardware error: what was asked for is done */
+    status.request[8] = 0x80; /* hardware error: the request is carried out */
     rtu_finish(&status);
     CHECK(found_in(&frame, status.request, status.request_bytes).kind == RECEIVED_ANSWER);
     status.request[8] = 0x87;
@@ -97,7 +97,7 @@ static void an_error_number_is_a_refusal_and_an_alert_is_none(void)
 }
 
 /* A status of four bytes that hold a head: sync'ed readers would begin there. */
-static void stuffing_is_taken_out_and_put_in(void)
+static void stuffing_is_added_and_removed(void)
 {
     static const uint8_t data[][4] = {{0xFF, 0xFF, 0xFD, 0x00},
                                       {0xFF, 0xFF, 0xFD, 0xFD},
@@ -156,7 +156,7 @@ static void a_head_is_stuffed_between_length_and_check_sum_only(void)
     }
 }
 
-static void a_first_byte_is_never_taken_out(void)
+static void a_first_byte_is_never_removed_as_stuffing(void)
 {
     static const uint8_t WIRE[] = {0xFD, 0xFD, 0x00, 0x00, 0x00};
     uint8_t plain[FRAME_BYTES_MAX];
@@ -190,7 +190,7 @@ static void the_longest_packet_has_room_for_its_stuffing(void)
 }
 
 /* Eleven bytes are the shortest one: shorter ones have no error number. */
-static void a_packet_without_an_error_number_is_no_status(void)
+static void a_packet_without_an_error_number_is_not_a_status(void)
 {
     line_frame frame = read_of(11);
     for (uint32_t bytes = 8; bytes <= 10; bytes++) {
@@ -201,7 +201,7 @@ static void a_packet_without_an_error_number_is_no_status(void)
     }
 }
 
-static void values_stand_low_byte_first_but_those_of_one_series(void)
+static void values_are_low_byte_first_except_in_one_series(void)
 {
     static const struct {
         uint32_t form, bytes;
@@ -231,11 +231,11 @@ static void values_stand_low_byte_first_but_those_of_one_series(void)
     CHECK(rtu_read(minus_zero, FORM_M16_LE) == 0);
     const uint8_t minus_zero_high_first[2] = {0x04, 0x00};
     CHECK(rtu_read(minus_zero_high_first, FORM_M16_BIT10) == 0);
-    /* bits that no number of this form has are no zero: who looks for one does not find it */
+    /* bits that no number of this form has are not zero: a search for zero does not find them */
     const uint8_t beyond[2] = {0x08, 0x00}, beyond_below[2] = {0x0C, 0x01};
     CHECK(rtu_read(beyond, FORM_M16_BIT10) == 0x800 &&
           rtu_read(beyond_below, FORM_M16_BIT10) == -0x801);
-    /* a counter of twelve bits goes on below zero as it does above: -1 is one before 0 */
+    /* a counter of twelve bits continues below zero: -1 is one before 0 */
     const uint8_t below[2] = {0x01, 0x80};
     CHECK(((uint64_t)rtu_masked(rtu_read(below, FORM_M16_LE), 0xFFF, FORM_M16_LE) & 0xFFF) ==
           0xFFF);
@@ -265,16 +265,16 @@ static void a_status_is_never_taken_for_an_instruction(void)
 
 int main(void)
 {
-    the_manual_s_check_sums_are_ours();
-    three_bytes_are_no_packet_with_a_sum_and_four_are_the_shortest();
+    check_sums_match_the_manual();
+    the_shortest_packet_with_a_check_sum_has_four_bytes();
     a_status_is_found_whole_good_and_of_the_right_servo_only();
-    an_error_number_is_a_refusal_and_an_alert_is_none();
-    stuffing_is_taken_out_and_put_in();
+    an_error_number_is_a_refusal_and_an_alert_is_not();
+    stuffing_is_added_and_removed();
     a_head_is_stuffed_between_length_and_check_sum_only();
-    a_first_byte_is_never_taken_out();
+    a_first_byte_is_never_removed_as_stuffing();
     the_longest_packet_has_room_for_its_stuffing();
-    a_packet_without_an_error_number_is_no_status();
-    values_stand_low_byte_first_but_those_of_one_series();
+    a_packet_without_an_error_number_is_not_a_status();
+    values_are_low_byte_first_except_in_one_series();
     a_status_is_never_taken_for_an_instruction();
     return checks_report("servo packets");
 }

@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_cycle.h: one drive of a line whose cycle is stepped by hand, frame by frame and answer by
- * answer. */
+ * line_cycle.h: one drive of a line; tests step its cycle frame by frame and answer by answer. */
 #ifndef MOTORD_TESTS_LINE_CYCLE_H
 #define MOTORD_TESTS_LINE_CYCLE_H
 

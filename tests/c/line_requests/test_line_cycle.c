@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_cycle: the cycle of one drive, frame by frame: ways, set-points, what is read, and
- * how it ends. */
+ * test_line_cycle: the cycle of one drive, frame by frame: directions, set-points, reads, and its
+ * end. */
 #include "line_cycle.h"
 
 /* A whole cycle: what is sent, and all of it is answered. */
@@ -19,7 +19,7 @@ static void goes(const uint32_t *frames, uint32_t count)
     goes((const uint32_t[]){__VA_ARGS__},                                                          \
          sizeof((const uint32_t[]){__VA_ARGS__}) / sizeof(uint32_t))
 
-static void rest_is_sent_before_another_direction_and_that_after_its_first_magnitude(void)
+static void a_new_direction_is_sent_after_rest_and_its_first_magnitude(void)
 {
     begin_directions(1.0);
     uint32_t rest = frame_to(DIRECTION, DIRECTION_REST),
@@ -47,7 +47,7 @@ static void rest_is_sent_before_another_direction_and_that_after_its_first_magni
           drive->direction_last[0] == DIRECTION_FORWARD);
 }
 
-static void a_direction_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known(void)
+static void an_unacknowledged_or_outdated_direction_is_unknown(void)
 {
     begin_directions(1.0);
     GOES(frame_to(DIRECTION, DIRECTION_REST), frame_to(SPEED, 100),
@@ -68,7 +68,7 @@ static void a_direction_that_is_not_acknowledged_or_not_wanted_any_more_is_not_k
 }
 
 /* Two exchanges of set-points: one of them that is not zero is a motion. */
-static void a_motion_in_any_exchange_is_a_motion(void)
+static void motion_in_any_exchange_counts_as_motion(void)
 {
     for (uint32_t which = 0; which < 2; which++) {
         begin_directions(0.0);
@@ -108,7 +108,7 @@ static void each_of_several_directions_is_sent(void)
 }
 
 /* Rest would take its brake off: it comes with the power-off. */
-static void one_that_is_stopping_is_sent_no_direction(void)
+static void a_drive_that_is_stopping_gets_no_direction(void)
 {
     begin_directions(1.0);
     drive->state.mode = DRIVE_READY;
@@ -120,7 +120,7 @@ static void one_that_is_stopping_is_sent_no_direction(void)
     CHECK(sends() == frame_to(STATUS, 1));
 }
 
-static void a_range_is_read_in_its_turn_and_the_one_with_the_power_first(void)
+static void ranges_are_read_in_turn_and_the_one_with_the_power_first(void)
 {
     begin_directions(0.0);
     drive->direction_sent[0] = DIRECTION_REST;
@@ -186,7 +186,7 @@ static void ends(void)
     CHECK(drive->stage == STAGE_IDLE && w.machine.current == LINE_DRIVES_MAX);
 }
 
-static void the_end_of_a_cycle_judges_what_the_drive_reported(void)
+static void the_end_of_a_cycle_evaluates_the_reports_of_the_drive(void)
 {
     begin_directions(0.0);
     drive->lost_setup = true;
@@ -241,8 +241,8 @@ static void why_a_drive_disabled_itself_is_read_before_it_is_switched_off(void)
           drive->state.stop == STOP_POWER_OFF);
 }
 
-/* Without power it may have lost its set-up: it is switched off, whatever it reports by then. */
-static void an_armed_drive_that_has_its_power_back_after_a_cycle_is_taken_back_all_the_same(void)
+/* Without power it may have lost its set-up: it is switched off, even if it has power again. */
+static void an_armed_drive_that_lost_its_power_for_a_cycle_is_disarmed(void)
 {
     for (uint32_t how = 0; how < 2; how++) {
         begin_directions(0.0);
@@ -266,7 +266,7 @@ static void an_armed_drive_that_has_its_power_back_after_a_cycle_is_taken_back_a
 }
 
 /* Power that was not requested is taken in each cycle, and reported once. */
-static void one_that_is_enabled_without_being_armed_is_switched_off(void)
+static void a_drive_that_is_enabled_without_being_armed_is_switched_off(void)
 {
     for (uint32_t how = 0; how < 7; how++) {
         begin_directions(0.0);
@@ -297,12 +297,12 @@ static void one_that_is_enabled_without_being_armed_is_switched_off(void)
     CHECK(drive->state.still_enabled == 0);
 }
 
-static void the_core_gets_feedback_of_a_cycle_with_the_last_of_what_it_reads(void)
+static void the_core_gets_the_feedback_of_a_cycle_with_its_last_read(void)
 {
     begin_directions(0.0);
     drive->direction_sent[0] = DIRECTION_REST;
     drive->cycle_count = 4;
-    /* behind the last one */
+    /* after the last one */
     w.machine.table.drive[0].cyclic[2] = w.machine.table.drive[0].cyclic[1];
     line_cycle_begin(&w.machine, 0, w.now_ns);
     w.machine.feedback_mask = 0;
@@ -318,9 +318,9 @@ static void the_core_gets_feedback_of_a_cycle_with_the_last_of_what_it_reads(voi
     CHECK(sends() == NO_FRAME);
 }
 
-/* Of two that are written and nothing that is read the first answer says all; else it is the
- * last one that is read. */
-static void what_is_sent_says_nothing_to_the_core_while_something_is_still_to_be_read(void)
+/* Of two writes without a read the first answer completes the feedback; otherwise the last read
+ * does. */
+static void writes_give_the_core_no_feedback_while_a_read_is_outstanding(void)
 {
     for (uint32_t reads = 0; reads < 2; reads++) {
         begin_directions(0.0);
@@ -339,18 +339,18 @@ static void what_is_sent_says_nothing_to_the_core_while_something_is_still_to_be
 
 int main(void)
 {
-    rest_is_sent_before_another_direction_and_that_after_its_first_magnitude();
-    a_direction_that_is_not_acknowledged_or_not_wanted_any_more_is_not_known();
-    a_motion_in_any_exchange_is_a_motion();
+    a_new_direction_is_sent_after_rest_and_its_first_magnitude();
+    an_unacknowledged_or_outdated_direction_is_unknown();
+    motion_in_any_exchange_counts_as_motion();
     each_of_several_directions_is_sent();
-    one_that_is_stopping_is_sent_no_direction();
-    a_range_is_read_in_its_turn_and_the_one_with_the_power_first();
+    a_drive_that_is_stopping_gets_no_direction();
+    ranges_are_read_in_turn_and_the_one_with_the_power_first();
     cycles_follow_each_other_by_their_period_and_late_ones_are_not_caught_up();
-    the_end_of_a_cycle_judges_what_the_drive_reported();
+    the_end_of_a_cycle_evaluates_the_reports_of_the_drive();
     why_a_drive_disabled_itself_is_read_before_it_is_switched_off();
-    an_armed_drive_that_has_its_power_back_after_a_cycle_is_taken_back_all_the_same();
-    one_that_is_enabled_without_being_armed_is_switched_off();
-    the_core_gets_feedback_of_a_cycle_with_the_last_of_what_it_reads();
-    what_is_sent_says_nothing_to_the_core_while_something_is_still_to_be_read();
+    an_armed_drive_that_lost_its_power_for_a_cycle_is_disarmed();
+    a_drive_that_is_enabled_without_being_armed_is_switched_off();
+    the_core_gets_the_feedback_of_a_cycle_with_its_last_read();
+    writes_give_the_core_no_feedback_while_a_read_is_outstanding();
     return checks_report("line cycle");
 }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_exchange: one request on a serial line, to the nanosecond: how long it is waited
- * for, and what came of it. */
+ * test_line_exchange: one request on a serial line, to the nanosecond: how long the line waits,
+ * and the result. */
 #include "line_wire.h"
 
 static const int64_t SENT_NS = 8 * CHARACTER_NS, HOST_NS = 20 * MS;
@@ -73,7 +73,7 @@ static void fail(void)
 }
 
 /* -------------------------------------------------------------------- how long it takes */
-static void a_request_takes_the_time_of_its_bytes_and_is_waited_for(void)
+static void the_wait_for_a_reply_includes_the_time_of_the_request_s_bytes(void)
 {
     begin_with(2, 0);
     m->urgent_by_ns = 5;
@@ -94,7 +94,7 @@ static void a_request_takes_the_time_of_its_bytes_and_is_waited_for(void)
     CHECK(line_machine_request(m, &next));
     w.now_ns = m->free_ns;
     look(NULL, 0);
-    CHECK(w.out.send != NULL && !m->sent); /* until the thread says so */
+    CHECK(w.out.send != NULL && !m->sent); /* until the thread reports it */
 }
 
 static int64_t bound_of(uint32_t work, uint32_t worker)
@@ -106,7 +106,7 @@ static int64_t bound_of(uint32_t work, uint32_t worker)
     return m->bound_ns;
 }
 
-static void each_kind_of_request_is_waited_for_as_long_as_its_drive_may_take(void)
+static void each_kind_of_request_has_the_wait_of_its_drive(void)
 {
     begin_with(2, 0);
     m->table.drive[0].turnaround_ns = 9 * MS + HOST_NS;
@@ -128,8 +128,8 @@ static void each_kind_of_request_is_waited_for_as_long_as_its_drive_may_take(voi
     CHECK(bound_of(WORK_BROADCAST, LINE_DRIVES_MAX) == 5 * MS);
 }
 
-/* Who has to be stopped does not wait until another drive is late. */
-static void a_wait_is_as_short_as_is_usual_while_another_drive_has_to_be_stopped(void)
+/* A drive that has to be stopped does not wait until another one is late. */
+static void a_wait_is_short_while_another_drive_has_to_be_stopped(void)
 {
     for (uint32_t waiting = 0; waiting < 5; waiting++) {
         begin_with(3, 0);
@@ -163,8 +163,8 @@ static void a_wait_is_as_short_as_is_usual_while_another_drive_has_to_be_stopped
     CHECK(m->until_ns == 77); /* it has not left yet */
 }
 
-/* What comes behind the drives is not looked at, and not changed. */
-static void an_answer_to_a_broadcast_is_an_answer(void)
+/* Entries after the drives are neither read nor changed. */
+static void an_answer_to_a_broadcast_counts(void)
 {
     static line_joint_state before[JOINTS_MAX];
     begin_with(LINE_DRIVES_MAX, 0);
@@ -176,7 +176,7 @@ static void an_answer_to_a_broadcast_is_an_answer(void)
           memcmp(before, m->joint, sizeof before) == 0);
 }
 
-static void a_broadcast_is_waited_for_as_long_as_it_says(void)
+static void a_broadcast_has_its_own_wait(void)
 {
     begin_with(LINE_DRIVES_MAX, 0);
     send_request(LINE_DRIVES_MAX, read_frame(9));
@@ -190,7 +190,7 @@ static void a_broadcast_is_waited_for_as_long_as_it_says(void)
 }
 
 /* ---------------------------------------------------------------------- what came of it */
-static void an_answer_is_handed_on_with_its_time_and_nothing_beside_it(void)
+static void only_the_answer_is_handed_on_with_its_time(void)
 {
     uint8_t bytes[10] = {0x55, 0x66};
     begin_with(1, 0);
@@ -224,7 +224,7 @@ static void a_refusal_is_handed_on_with_its_number(void)
     CHECK(m->answers == 1 && m->noise_bytes == 0 && m->round_trip_ns == 0);
 }
 
-static void what_is_no_answer_is_counted_once(void)
+static void bytes_that_are_no_answer_are_counted_once(void)
 {
     begin_with(1, 0);
     send_request(0, read_frame(1));
@@ -238,8 +238,8 @@ static void what_is_no_answer_is_counted_once(void)
 }
 
 /* One byte is the whole answer of a controller that names no unit; after a failure no drive is
- * asked until it has passed. */
-static void an_answer_of_one_byte_is_an_answer(void)
+ * read until it has passed. */
+static void an_answer_may_be_one_byte_long(void)
 {
     line_frame frame = read_frame(1);
     frame.exact = 1, frame.reply_bytes = frame.match_bytes = 1, frame.reply_seal = SEAL_NONE,
@@ -258,7 +258,7 @@ static void an_answer_of_one_byte_is_an_answer(void)
     CHECK(m->ours_ns == w.now_ns + GAP_NS && m->free_ns < w.now_ns);
 }
 
-static void a_broadcast_is_over_in_silence(void)
+static void a_broadcast_ends_in_silence(void)
 {
     begin_with(LINE_DRIVES_MAX, 0);
     line_frame frame = {.request_bytes = 8,
@@ -307,7 +307,7 @@ static void the_first_read_finds_out_whether_the_adapter_receives_itself(void)
 }
 
 /* It may have lost its echo: a frame that comes back is no answer then. */
-static void when_no_reply_is_understood_the_echo_is_not_known_any_more(void)
+static void when_no_reply_is_understood_the_echo_is_unknown_again(void)
 {
     for (uint32_t first = 2; first <= 3; first++) {
         for (uint32_t second = 2; second <= 3; second++) {
@@ -325,8 +325,8 @@ static void when_no_reply_is_understood_the_echo_is_not_known_any_more(void)
     }
 }
 
-/* A drive that is asked whether it is back: its echo is no answer. */
-static void an_unresponsive_drive_is_not_back_because_the_adapter_receives_itself(void)
+/* A probe of an unresponsive drive: its echo is no answer. */
+static void an_echo_does_not_bring_back_an_unresponsive_drive(void)
 {
     /* by what it can be read: an exchange, one extra, two, nothing */
     for (uint32_t reads = 0; reads < 4; reads++) {
@@ -346,7 +346,7 @@ static void an_unresponsive_drive_is_not_back_because_the_adapter_receives_itsel
     }
 }
 
-static void noise_without_end_ends_the_wait(void)
+static void continuous_noise_ends_the_wait(void)
 {
     /* a write may be answered by a byte more than a read */
     static uint8_t noise[RECEIVED_BYTES_MAX + 1];
@@ -367,7 +367,7 @@ static void noise_without_end_ends_the_wait(void)
     CHECK(m->answered && m->answer.kind == ANSWER_OK && m->noise_bytes == RECEIVED_BYTES_MAX - 7);
 }
 
-static void what_comes_while_no_drive_shall_answer_is_noise_but_for_an_echo(void)
+static void bytes_during_a_broadcast_are_noise_except_an_echo(void)
 {
     for (uint32_t echo = ECHO_NONE; echo <= ECHO_UNKNOWN; echo++) {
         line_frame frame = frame_of(0, WRITE, CONTROL, QUICK_STOP);
@@ -386,7 +386,7 @@ static void what_comes_while_no_drive_shall_answer_is_noise_but_for_an_echo(void
     }
 }
 
-static void what_comes_unasked_keeps_the_line_busy(void)
+static void unrequested_bytes_keep_the_line_busy(void)
 {
     begin_with(1, 0);
     w.now_ns += 100 * MS;
@@ -400,21 +400,21 @@ static void what_comes_unasked_keeps_the_line_busy(void)
 
 int main(void)
 {
-    a_request_takes_the_time_of_its_bytes_and_is_waited_for();
-    each_kind_of_request_is_waited_for_as_long_as_its_drive_may_take();
-    a_wait_is_as_short_as_is_usual_while_another_drive_has_to_be_stopped();
-    a_broadcast_is_waited_for_as_long_as_it_says();
-    an_answer_to_a_broadcast_is_an_answer();
-    an_answer_is_handed_on_with_its_time_and_nothing_beside_it();
+    the_wait_for_a_reply_includes_the_time_of_the_request_s_bytes();
+    each_kind_of_request_has_the_wait_of_its_drive();
+    a_wait_is_short_while_another_drive_has_to_be_stopped();
+    a_broadcast_has_its_own_wait();
+    an_answer_to_a_broadcast_counts();
+    only_the_answer_is_handed_on_with_its_time();
     a_refusal_is_handed_on_with_its_number();
-    what_is_no_answer_is_counted_once();
-    an_answer_of_one_byte_is_an_answer();
-    a_broadcast_is_over_in_silence();
+    bytes_that_are_no_answer_are_counted_once();
+    an_answer_may_be_one_byte_long();
+    a_broadcast_ends_in_silence();
     the_first_read_finds_out_whether_the_adapter_receives_itself();
-    when_no_reply_is_understood_the_echo_is_not_known_any_more();
-    an_unresponsive_drive_is_not_back_because_the_adapter_receives_itself();
-    noise_without_end_ends_the_wait();
-    what_comes_while_no_drive_shall_answer_is_noise_but_for_an_echo();
-    what_comes_unasked_keeps_the_line_busy();
+    when_no_reply_is_understood_the_echo_is_unknown_again();
+    an_echo_does_not_bring_back_an_unresponsive_drive();
+    continuous_noise_ends_the_wait();
+    bytes_during_a_broadcast_are_noise_except_an_echo();
+    unrequested_bytes_keep_the_line_busy();
     return checks_report("line exchange");
 }

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Drives that answer late, on a wire of virtual time: whose request a reply belongs to, and how old
+ * Drives that answer late, on a wire of virtual time: which request a reply belongs to, and how old
  * its values are. A drive answers in the order of its requests. Its counter is the time itself,
  * in tenths of a millisecond. */
 #include <math.h>
@@ -187,7 +187,7 @@ static void run(uint32_t drives, int64_t length_ns)
     }
 }
 
-static void no_value_is_older_than_it_says(bool one_look)
+static void no_value_is_older_than_its_stamp(bool one_look)
 {
     for (uint32_t every = 1; every <= 40; every += every < 4 ? 1 : 12) {
         for (int64_t ms = 5; ms <= 100; ms += 5) {
@@ -200,14 +200,14 @@ static void no_value_is_older_than_it_says(bool one_look)
                 run(2, 3000 * MS);
                 late_every = 0;
                 published = 0;
-                run(2, 4000 * MS);     /* an unresponsive one is asked every two seconds */
+                run(2, 4000 * MS);     /* an unresponsive one is probed every two seconds */
                 CHECK(published > 90); /* and it is well again after that */
             }
         }
     }
 }
 
-static void a_late_reply_is_sent_from_noise(void)
+static void a_late_reply_is_distinguished_from_noise(void)
 {
     begin_late(1, false, 1);
     run(1, 500 * MS);
@@ -217,7 +217,7 @@ static void a_late_reply_is_sent_from_noise(void)
     CHECK(w.machine.drive[0].count.late > 0 && w.machine.noise_bytes == 0);
 }
 
-/* Other drives go on while one waits for what may still come of it. */
+/* Other drives continue while a late reply of one may still come. */
 static void a_late_drive_does_not_keep_its_neighbour_waiting(bool one_look)
 {
     begin_late(2, one_look, 3);
@@ -238,7 +238,7 @@ static void a_late_drive_does_not_keep_its_neighbour_waiting(bool one_look)
 }
 
 /* One that is written in one frame and read in another loses nothing but the reply. */
-static void a_lost_reply_costs_a_drive_of_two_looks_no_pause(void)
+static void a_lost_reply_costs_a_drive_with_two_frames_no_pause(void)
 {
     begin_late(1, false, 5);
     run(1, 500 * MS);
@@ -248,7 +248,7 @@ static void a_lost_reply_costs_a_drive_of_two_looks_no_pause(void)
     CHECK(published > 400 && longest_pause_ns <= 90 * MS);
 }
 
-static void a_lost_reply_of_a_drive_of_one_look_costs_a_short_pause(void)
+static void a_lost_reply_costs_a_drive_with_one_frame_a_short_pause(void)
 {
     begin_late(1, true, 5);
     run(1, 500 * MS);
@@ -288,7 +288,7 @@ static void a_reply_that_comes_sooner_than_the_drive_can_answer_is_not_its_answe
     }
 }
 
-static void one_that_is_always_too_late_is_unresponsive(void)
+static void a_drive_that_is_always_too_late_is_unresponsive(void)
 {
     for (int64_t ms = 30; ms <= 100; ms += 10) {
         begin_late(1, false, 1);
@@ -301,7 +301,7 @@ static void one_that_is_always_too_late_is_unresponsive(void)
 }
 
 /* As on a pseudo-terminal, where bytes take no time. */
-static void replies_quicker_than_the_wire_are_answers_also_after_a_lost_one(void)
+static void replies_quicker_than_the_wire_count_also_after_a_lost_one(void)
 {
     begin_late(1, false, 1);
     w.table.character_ns = (double)MS;
@@ -366,8 +366,8 @@ static void a_late_reply_to_one_read_is_not_the_answer_to_another(void)
     }
 }
 
-/* What a stop acknowledges late was sent before something else: that it has been received now is
- * not known. */
+/* A late acknowledgement belongs to an older stop: it does not prove that the newer one was
+ * received. */
 static void the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer_one(void)
 {
     begin_late(1, false, 1);
@@ -434,16 +434,16 @@ static void a_stuffed_reply_is_read_without_what_stuffing_has_added(void)
 int main(void)
 {
     a_stuffed_reply_is_read_without_what_stuffing_has_added();
-    no_value_is_older_than_it_says(false);
-    no_value_is_older_than_it_says(true);
-    a_late_reply_is_sent_from_noise();
+    no_value_is_older_than_its_stamp(false);
+    no_value_is_older_than_its_stamp(true);
+    a_late_reply_is_distinguished_from_noise();
     a_late_drive_does_not_keep_its_neighbour_waiting(false);
     a_late_drive_does_not_keep_its_neighbour_waiting(true);
-    a_lost_reply_costs_a_drive_of_two_looks_no_pause();
-    a_lost_reply_of_a_drive_of_one_look_costs_a_short_pause();
+    a_lost_reply_costs_a_drive_with_two_frames_no_pause();
+    a_lost_reply_costs_a_drive_with_one_frame_a_short_pause();
     a_reply_that_comes_sooner_than_the_drive_can_answer_is_not_its_answer();
-    one_that_is_always_too_late_is_unresponsive();
-    replies_quicker_than_the_wire_are_answers_also_after_a_lost_one();
+    a_drive_that_is_always_too_late_is_unresponsive();
+    replies_quicker_than_the_wire_count_also_after_a_lost_one();
     a_late_reply_to_one_read_is_not_the_answer_to_another();
     the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer_one();
     a_value_that_was_never_read_has_no_stamp();

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Function 16 is acknowledged without its values: an acknowledgement that comes late says
- * nothing of another value. */
+ * Function 16 is acknowledged without its values: a late acknowledgement proves
+ * nothing about another value. */
 #include "line_wire.h"
 
 enum { MULTIPLE = 16, ARM = 8 };
@@ -32,7 +32,7 @@ static void send_next(void)
 }
 
 /* Nothing comes in time. */
-static void request_in_vain(const line_frame *frame)
+static void request_without_reply(const line_frame *frame)
 {
     line_request one = {
         .id = 1, .expires_ns = w.now_ns + 1000 * MS, .turnaround_ns = 5 * MS, .frame = *frame};
@@ -63,7 +63,7 @@ static void a_late_acknowledgement_of_one_value_is_not_taken_for_that_of_another
 {
     begin_multiple();
     line_frame armed = multiple(CONTROL, ARM);
-    request_in_vain(&armed);
+    request_without_reply(&armed);
     line_begin_stop(&w.machine, 0, drive_power_off(&w.machine.drive[0].state), w.now_ns);
     send_next(); /* and is lost */
     acknowledge(CONTROL);
@@ -75,11 +75,11 @@ static void a_late_acknowledgement_of_one_value_is_not_taken_for_that_of_another
 }
 
 /* Another register is acknowledged by other bytes. */
-static void one_of_another_register_is_certain(void)
+static void an_acknowledgement_of_another_register_is_certain(void)
 {
     begin_multiple();
     line_frame other = multiple(RELEASE, ARM);
-    request_in_vain(&other);
+    request_without_reply(&other);
     line_begin_stop(&w.machine, 0, drive_power_off(&w.machine.drive[0].state), w.now_ns);
     send_next();
     acknowledge(CONTROL);
@@ -89,14 +89,14 @@ static void one_of_another_register_is_certain(void)
 
 /* The echo of function 6 has the value in it. Between two that are equal a third write may have
  * changed it back. */
-static void equal_echoes_are_the_same_but_for_a_write_between_them(void)
+static void equal_echoes_are_interchangeable_without_a_write_between_them(void)
 {
     for (int between = 0; between < 2; between++) {
         begin_multiple();
         line_frame single = frame_of(1, WRITE, CONTROL, DISABLE), several = multiple(CONTROL, ARM);
-        request_in_vain(&single);
+        request_without_reply(&single);
         if (between) {
-            request_in_vain(&several);
+            request_without_reply(&several);
         }
         CHECK(line_may_be_late(&w.machine, 0, &single, w.now_ns) == (between != 0));
     }
@@ -105,7 +105,7 @@ static void equal_echoes_are_the_same_but_for_a_write_between_them(void)
 int main(void)
 {
     a_late_acknowledgement_of_one_value_is_not_taken_for_that_of_another();
-    one_of_another_register_is_certain();
-    equal_echoes_are_the_same_but_for_a_write_between_them();
+    an_acknowledgement_of_another_register_is_certain();
+    equal_echoes_are_interchangeable_without_a_write_between_them();
     return checks_report("line multiple");
 }

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_outcomes: what comes of each answer of a drive, of each failure, and of the frames
+ * test_line_outcomes: the effect of each answer of a drive, of each failure, and of the frames
  * of a stop. */
 #include "line_cycle.h"
 
@@ -43,7 +43,7 @@ static void an_answer_after_its_watchdog_stops_an_armed_drive(void)
     }
 }
 
-static void what_is_not_answered_shows_no_turn_around(void)
+static void an_unanswered_request_gives_no_turn_around(void)
 {
     for (uint32_t bytes = 0; bytes < 2; bytes++) {
         begin_directions(0.0);
@@ -57,7 +57,7 @@ static void what_is_not_answered_shows_no_turn_around(void)
     }
 }
 
-static void an_unresponsive_drive_that_answers_is_sent_to_switch_off_first(void)
+static void an_unresponsive_drive_that_answers_is_switched_off_first(void)
 {
     begin_directions(0.0);
     drive->state.mode = DRIVE_UNRESPONSIVE;
@@ -104,7 +104,7 @@ static void each_failure_is_counted_by_its_kind(void)
     }
 }
 
-static void so_many_failures_as_it_has_tries_make_it_unresponsive(void)
+static void as_many_failures_as_tries_make_a_drive_unresponsive(void)
 {
     for (uint32_t how = 0; how < 5; how++) {
         begin_directions(0.0);
@@ -148,7 +148,7 @@ static void at_the_end_a_frame_that_fails_makes_room_for_the_next(void)
     }
 }
 
-static void a_frame_that_is_none_of_the_stop_any_more_is_not_done(void)
+static void a_frame_that_no_longer_belongs_to_the_stop_is_not_marked_done(void)
 {
     for (uint32_t behind = 0; behind < 2; behind++) {
         begin_directions(0.0);
@@ -162,7 +162,7 @@ static void a_frame_that_is_none_of_the_stop_any_more_is_not_done(void)
     }
 }
 
-static void a_frame_of_a_stop_that_is_refused_so_often_counts_as_done(void)
+static void a_frame_of_a_stop_that_is_refused_repeatedly_counts_as_done(void)
 {
     for (uint32_t older = 0; older < 2; older++) {
         begin_directions(0.0);
@@ -181,7 +181,7 @@ static void a_frame_of_a_stop_that_is_refused_so_often_counts_as_done(void)
         }
         CHECK(drive->stop_done == (older != 0 ? 1 : 3) && drive->stop_refused == (older == 0) &&
               drive->stop_failures == 0);
-        /* what becomes of an older one changes nothing */
+        /* the result of an older one changes nothing */
         w.machine.transaction.frame.request[5] ^= 0x40;
         drive->failures = 0, drive->stop_failures = 2;
         line_drive_failed(&w.machine, 0, ANSWER_REFUSED, 1, w.now_ns);
@@ -193,12 +193,12 @@ int main(void)
 {
     a_reply_that_took_longer_than_usual_gives_no_value();
     an_answer_after_its_watchdog_stops_an_armed_drive();
-    what_is_not_answered_shows_no_turn_around();
-    an_unresponsive_drive_that_answers_is_sent_to_switch_off_first();
+    an_unanswered_request_gives_no_turn_around();
+    an_unresponsive_drive_that_answers_is_switched_off_first();
     each_failure_is_counted_by_its_kind();
-    so_many_failures_as_it_has_tries_make_it_unresponsive();
+    as_many_failures_as_tries_make_a_drive_unresponsive();
     at_the_end_a_frame_that_fails_makes_room_for_the_next();
-    a_frame_that_is_none_of_the_stop_any_more_is_not_done();
-    a_frame_of_a_stop_that_is_refused_so_often_counts_as_done();
+    a_frame_that_no_longer_belongs_to_the_stop_is_not_marked_done();
+    a_frame_of_a_stop_that_is_refused_repeatedly_counts_as_done();
     return checks_report("line outcomes");
 }

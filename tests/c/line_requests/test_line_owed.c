@@ -68,7 +68,7 @@ static void a_reply_that_comes_too_soon_after_a_failure_is_doubtful_once(void)
 }
 
 /* Soon after the machine has started, its clock is near 0, and 0 is: it never failed. */
-static void a_drive_that_never_failed_may_answer_as_soon_as_it_likes(void)
+static void a_drive_that_never_failed_may_answer_at_any_time(void)
 {
     for (int64_t failed_ns = 0; failed_ns <= 1; failed_ns++) {
         begin_asking();
@@ -91,9 +91,9 @@ static void only_the_reply_to_a_known_request_is_doubted(void)
     }
 }
 
-/* What repeats its request says the same whichever it answers, while no other write may have
- * come between. */
-static void a_reply_that_repeats_its_request_may_be_an_older_one_s_after_another_write(void)
+/* Replies that repeat their request are equal, so either may be taken unless another write may
+ * have come between. */
+static void a_reply_that_repeats_its_request_is_doubtful_after_another_write(void)
 {
     line_frame write = frame_of(1, WRITE, CONTROL, 1), other = frame_of(1, WRITE, SPEED, 1),
                read = frame_of(1, READ, STATUS, 1);
@@ -165,8 +165,8 @@ static void a_value_was_taken_in_the_middle_or_soon_after_the_request(void)
     CHECK(line_stamp(&w.machine, 0, w.machine.start_ns + 90 * MS) == w.machine.start_ns + 7 * MS);
 }
 
-/* It is there, and that is all that is known: what it sent may be another's, and one of those
- * that are owed has come. */
+/* The drive is present, and no more is known: the reply may belong to another request, and one
+ * owed reply has come. */
 static void a_doubtful_reply_ends_the_cycle_and_holds_the_drive(void)
 {
     for (uint32_t current = 0; current < 2; current++) {
@@ -188,7 +188,7 @@ static void a_doubtful_reply_ends_the_cycle_and_holds_the_drive(void)
 }
 
 /* More than can be distinguished: a silence sorts them out. */
-static void one_owed_reply_too_many_holds_the_drive_until_all_have_had_their_time(void)
+static void too_many_owed_replies_hold_the_drive_until_all_have_expired(void)
 {
     begin_asking();
     for (uint8_t i = 0; i <= OWED_MAX; i++) {
@@ -209,7 +209,7 @@ static void one_owed_reply_too_many_holds_the_drive_until_all_have_had_their_tim
     CHECK(drive->owed_count == 1 && drive->owed[0].count == 1);
 }
 
-/* What is certain shows how short a turn-around may be; 0 is: not known. */
+/* A certain reply shows how short a turn-around may be; 0: not known. */
 static void the_shortest_turn_around_is_that_of_a_certain_reply(void)
 {
     begin_asking();
@@ -298,11 +298,11 @@ int main(void)
 {
     a_reply_that_is_owed_again_leaves_the_others_in_their_order();
     a_certain_reply_ends_the_wait_for_all_older_ones();
-    a_drive_that_never_failed_may_answer_as_soon_as_it_likes();
+    a_drive_that_never_failed_may_answer_at_any_time();
     only_the_reply_to_a_known_request_is_doubted();
-    a_reply_that_repeats_its_request_may_be_an_older_one_s_after_another_write();
+    a_reply_that_repeats_its_request_is_doubtful_after_another_write();
     a_doubtful_reply_ends_the_cycle_and_holds_the_drive();
-    one_owed_reply_too_many_holds_the_drive_until_all_have_had_their_time();
+    too_many_owed_replies_hold_the_drive_until_all_have_expired();
     the_shortest_turn_around_is_that_of_a_certain_reply();
     a_reply_may_be_late_for_twice_its_bound_and_at_least_120_ms();
     a_reply_that_comes_too_soon_after_a_failure_is_doubtful_once();

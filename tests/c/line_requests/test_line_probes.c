@@ -1,9 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_probes: what a drive of a line loses when it becomes unresponsive, and how long what
- * is urgent waits for silence. */
+ * test_line_probes: which state a drive of a line loses when it becomes unresponsive, and how
+ * long urgent requests wait for silence. */
 #include "line_wire.h"
 
-static void one_that_becomes_unresponsive_forgets_what_it_was_sent(void)
+static void a_drive_that_becomes_unresponsive_has_no_last_set_points(void)
 {
     for (uint32_t how = 0; how < 4; how++) {
         begin_with(2, 0);
@@ -27,7 +27,7 @@ static void one_that_becomes_unresponsive_forgets_what_it_was_sent(void)
               !drive->state.stopping && !drive->state.back);
         CHECK(drive->stage == STAGE_IDLE && drive->probe_place == 0 &&
               drive->probe_pause_ns == 100 * MS);
-        /* one quick stop, one set-point of zero, and a question; or the question alone */
+        /* one quick stop, one set-point of zero, and a probe; or the probe alone */
         CHECK(drive->probe_at_ns == w.now_ns && drive->probes_at_once == (how == 1 ? 1 : 3));
         for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
             CHECK(drive->direction_sent[direction] == DIRECTION_UNKNOWN);
@@ -36,7 +36,7 @@ static void one_that_becomes_unresponsive_forgets_what_it_was_sent(void)
     }
 }
 
-static void probes_of_one_that_may_turn_stop_it_in_each_round(void)
+static void probes_of_a_drive_that_may_turn_stop_it_in_each_round(void)
 {
     begin_with(2, 0);
     line_drive_state *drive = &w.machine.drive[0];
@@ -73,7 +73,7 @@ static void the_exchange_that_reads_goes_before_the_extra_ranges(void)
     CHECK(frame.request[1] == WRITE && frame.request[3] == SPEED);
 }
 
-static void the_first_unresponsive_drive_whose_time_has_come_is_asked(void)
+static void the_first_unresponsive_drive_that_is_due_is_probed(void)
 {
     begin_with(3, 0);
     line_machine *m = &w.machine;
@@ -96,8 +96,8 @@ static void the_first_unresponsive_drive_whose_time_has_come_is_asked(void)
     CHECK(line_due_probe(m, true, w.now_ns) == 1);
 }
 
-/* Whatever of it is urgent. */
-static void what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_for_ever(void)
+/* For each kind of urgent work. */
+static void urgent_requests_wait_twenty_milliseconds_for_silence_and_others_without_limit(void)
 {
     for (uint32_t what = 0; what < 6; what++) {
         begin_with(2, 0);
@@ -133,10 +133,10 @@ static void what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_fo
 
 int main(void)
 {
-    one_that_becomes_unresponsive_forgets_what_it_was_sent();
-    probes_of_one_that_may_turn_stop_it_in_each_round();
+    a_drive_that_becomes_unresponsive_has_no_last_set_points();
+    probes_of_a_drive_that_may_turn_stop_it_in_each_round();
     the_exchange_that_reads_goes_before_the_extra_ranges();
-    the_first_unresponsive_drive_whose_time_has_come_is_asked();
-    what_is_urgent_waits_twenty_milliseconds_for_silence_and_the_rest_for_ever();
+    the_first_unresponsive_drive_that_is_due_is_probed();
+    urgent_requests_wait_twenty_milliseconds_for_silence_and_others_without_limit();
     return checks_report("line probes");
 }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The queue of requests from outside the cycle by itself: its order, its end, what expires,
- * whose turn it is. */
+ * The queue of requests from outside the cycle by itself: its order, its end, what expires, and
+ * which request is next. */
 #include "line_wire.h"
 
 static void put(uint64_t id, uint32_t drive, uint32_t urgent, int64_t expires_ns)
@@ -18,7 +18,7 @@ static void holds(const uint64_t *ids, uint32_t count)
     }
 }
 
-static void urgent_requests_stand_before_the_others_and_each_kind_in_its_order(void)
+static void urgent_requests_come_before_others_and_each_kind_keeps_its_order(void)
 {
     begin_with(2, 0);
     const uint64_t urgent_after_ordinary[] = {10, 11, 1, 2, 3};
@@ -36,7 +36,7 @@ static void urgent_requests_stand_before_the_others_and_each_kind_in_its_order(v
     holds((const uint64_t[]){12, 13}, 2);
 }
 
-static void a_full_queue_refuses_the_next_one_and_nothing_beside_it_is_changed(void)
+static void a_full_queue_refuses_the_next_request_and_changes_nothing_else(void)
 {
     begin_with(2, 0);
     for (uint32_t i = 0; i + 1 < LINE_REQUESTS_MAX; i++) {
@@ -60,7 +60,7 @@ static void a_full_queue_refuses_the_next_one_and_nothing_beside_it_is_changed(v
     CHECK(memcmp(&w.machine, &wanted, sizeof wanted) == 0);
 }
 
-static void what_has_expired_is_answered_one_at_a_time_wherever_it_waits(void)
+static void expired_requests_are_answered_one_at_a_time_from_any_place(void)
 {
     begin_with(2, 0);
     put(1, 0, 0, w.now_ns + 1);
@@ -77,7 +77,7 @@ static void what_has_expired_is_answered_one_at_a_time_wherever_it_waits(void)
     holds((const uint64_t[]){1}, 1);
 }
 
-static void a_request_to_a_drive_that_is_left_alone_lets_the_next_one_go_first(void)
+static void a_request_to_a_pausing_drive_yields_to_the_next_one(void)
 {
     begin_with(2, 0);
     put(1, 0, 0, INT64_MAX);
@@ -103,9 +103,9 @@ static void a_request_to_a_drive_that_is_left_alone_lets_the_next_one_go_first(v
 
 int main(void)
 {
-    urgent_requests_stand_before_the_others_and_each_kind_in_its_order();
-    a_full_queue_refuses_the_next_one_and_nothing_beside_it_is_changed();
-    what_has_expired_is_answered_one_at_a_time_wherever_it_waits();
-    a_request_to_a_drive_that_is_left_alone_lets_the_next_one_go_first();
+    urgent_requests_come_before_others_and_each_kind_keeps_its_order();
+    a_full_queue_refuses_the_next_request_and_changes_nothing_else();
+    expired_requests_are_answered_one_at_a_time_from_any_place();
+    a_request_to_a_pausing_drive_yields_to_the_next_one();
     return checks_report("line queue");
 }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Requests from outside the cycle, on a wire of virtual time: which one is sent, in which order,
- * and whose reply it gets. */
+ * and which reply it gets. */
 #include "line_wire.h"
 
 enum { READ_ID = 100, STOP_ID = 200 };
@@ -39,7 +39,7 @@ static bool is_sent(uint8_t unit, uint8_t function, uint8_t address)
            request[3] == address;
 }
 
-static void an_urgent_request_leaves_the_one_on_the_wire_alone(void)
+static void an_urgent_request_does_not_interrupt_the_one_on_the_wire(void)
 {
     begin_with(2, 0);
     put(request_of(READ_ID, 0, false));
@@ -57,7 +57,7 @@ static void an_urgent_request_leaves_the_one_on_the_wire_alone(void)
     CHECK(w.power_offs[1] == 1);
 }
 
-static void the_one_on_the_wire_does_not_expire_behind_an_urgent_one(void)
+static void the_request_on_the_wire_does_not_expire_behind_an_urgent_one(void)
 {
     begin_with(2, 0);
     line_request read = request_of(READ_ID, 0, false);
@@ -77,7 +77,7 @@ static void the_one_on_the_wire_does_not_expire_behind_an_urgent_one(void)
     CHECK(w.machine.answer.id == STOP_ID && w.power_offs[1] == 1);
 }
 
-static void one_that_waits_too_long_is_not_sent(void)
+static void a_request_that_waits_too_long_is_not_sent(void)
 {
     begin_with(1, 0);
     line_request stop = request_of(STOP_ID, 0, true);
@@ -88,7 +88,7 @@ static void one_that_waits_too_long_is_not_sent(void)
           w.power_offs[0] == 0);
 }
 
-static void urgent_requests_overtake_what_waits_and_keep_their_own_order(void)
+static void urgent_requests_overtake_waiting_ones_and_keep_their_own_order(void)
 {
     begin_with(3, 0);
     put(request_of(READ_ID, 0, false));
@@ -104,7 +104,7 @@ static void urgent_requests_overtake_what_waits_and_keep_their_own_order(void)
 
 /* A read for each drive that always follows the last one, beside full cycles: the wire is never
  * free. */
-static void reads_without_end_do_not_keep_an_urgent_request_from_being_sent(void)
+static void continuous_reads_do_not_keep_an_urgent_request_from_being_sent(void)
 {
     begin_with(3, 0);
     for (uint32_t i = 0; i < 3; i++) {
@@ -128,7 +128,7 @@ static void reads_without_end_do_not_keep_an_urgent_request_from_being_sent(void
     CHECK(false);
 }
 
-static void the_one_on_the_wire_is_still_answered_when_the_line_is_shut_down(void)
+static void the_request_on_the_wire_is_still_answered_when_the_line_is_shut_down(void)
 {
     begin_with(1, 0);
     put(request_of(READ_ID, 0, false));
@@ -150,11 +150,11 @@ static void the_one_on_the_wire_is_still_answered_when_the_line_is_shut_down(voi
 
 int main(void)
 {
-    an_urgent_request_leaves_the_one_on_the_wire_alone();
-    the_one_on_the_wire_does_not_expire_behind_an_urgent_one();
-    one_that_waits_too_long_is_not_sent();
-    urgent_requests_overtake_what_waits_and_keep_their_own_order();
-    reads_without_end_do_not_keep_an_urgent_request_from_being_sent();
-    the_one_on_the_wire_is_still_answered_when_the_line_is_shut_down();
+    an_urgent_request_does_not_interrupt_the_one_on_the_wire();
+    the_request_on_the_wire_does_not_expire_behind_an_urgent_one();
+    a_request_that_waits_too_long_is_not_sent();
+    urgent_requests_overtake_waiting_ones_and_keep_their_own_order();
+    continuous_reads_do_not_keep_an_urgent_request_from_being_sent();
+    the_request_on_the_wire_is_still_answered_when_the_line_is_shut_down();
     return checks_report("line requests");
 }

@@ -1,12 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_stray: bytes that belong to no answer: whose late reply they are, or noise, or our
- * own request. */
+ * test_line_stray: bytes that belong to no answer: a late reply, noise, or the echo of our own
+ * request. */
 #include "line_wire.h"
 
 static line_machine *const m = &w.machine;
 static line_drive_state *const drive = &w.machine.drive[0];
 
-/* A read of that many bytes, so that its reply looks like no other's. */
+/* A read of that many bytes, so that its reply differs from all others. */
 static line_frame read_of(uint8_t unit, uint8_t data_bytes)
 {
     line_frame frame = frame_of(unit, READ, STATUS, data_bytes);
@@ -68,7 +68,7 @@ static void a_late_reply_ends_the_wait_for_it_and_for_all_before_it(void)
     }
 }
 
-static void one_of_several_alike_ends_the_wait_for_one(void)
+static void a_late_reply_among_equal_ones_ends_a_single_wait(void)
 {
     begin_owing(2);
     line_frame second = read_of(1, 3);
@@ -100,7 +100,7 @@ static void the_last_late_reply_frees_a_drive_that_is_held(void)
     CHECK(drive->held_until_ns == held_until_ns); /* that was over long ago */
 }
 
-static void a_reply_is_found_in_any_pieces_and_behind_noise(void)
+static void a_reply_is_found_in_any_pieces_and_after_noise(void)
 {
     uint8_t reply[16];
     begin_owing(1);
@@ -163,7 +163,7 @@ static uint64_t noise_of(uint32_t echo, const uint8_t *bytes, uint32_t count, re
     return m->noise_bytes;
 }
 
-static void what_stands_before_and_behind_an_answer_is_noise(void)
+static void bytes_before_and_after_an_answer_are_noise(void)
 {
     const line_frame frame = read_of(1, 2);
     uint8_t bytes[40] = {1, 2, 3};
@@ -186,11 +186,11 @@ static void what_stands_before_and_behind_an_answer_is_noise(void)
     memmove(bytes + 10, bytes + 8, 7);
     bytes[8] = 0xEE, bytes[9] = 0xFF, answer.offset = 10;
     CHECK(noise_of(ECHO_FIRST, bytes, 17, answer) == 2 && m->stray[0] == 0xEE);
-    answer.echoed = 0; /* whatever stands there is no copy of ours then */
+    answer.echoed = 0; /* then these bytes are no echo */
     CHECK(noise_of(ECHO_UNKNOWN, bytes, 17, answer) == 10);
 }
 
-static void without_an_answer_all_is_noise_but_the_copy_of_the_request(void)
+static void without_an_answer_all_bytes_but_an_echo_are_noise(void)
 {
     const line_frame frame = read_of(1, 2);
     const received none = {.kind = RECEIVED_MORE};
@@ -208,12 +208,12 @@ static void without_an_answer_all_is_noise_but_the_copy_of_the_request(void)
 int main(void)
 {
     a_late_reply_ends_the_wait_for_it_and_for_all_before_it();
-    one_of_several_alike_ends_the_wait_for_one();
+    a_late_reply_among_equal_ones_ends_a_single_wait();
     the_last_late_reply_frees_a_drive_that_is_held();
-    a_reply_is_found_in_any_pieces_and_behind_noise();
+    a_reply_is_found_in_any_pieces_and_after_noise();
     each_drive_has_its_own_late_replies();
     noise_is_kept_as_long_as_the_longest_reply();
-    what_stands_before_and_behind_an_answer_is_noise();
-    without_an_answer_all_is_noise_but_the_copy_of_the_request();
+    bytes_before_and_after_an_answer_are_noise();
+    without_an_answer_all_bytes_but_an_echo_are_noise();
     return checks_report("line stray");
 }

@@ -8,7 +8,7 @@ enum { EXTRA = 0x40, EXTRAS = 3, SENT_MAX = 64 };
 static uint8_t sent_address[SENT_MAX];
 static uint32_t sent_count;
 
-/* So many looks; the registers that were read. */
+/* This many looks; returns the registers that were read. */
 static void look(uint32_t times)
 {
     for (uint32_t i = 0; i < times; i++) {
@@ -20,7 +20,7 @@ static void look(uint32_t times)
     }
 }
 
-/* Three ranges are read besides the cycle; the first says whether the drive is enabled. */
+/* Three ranges are read besides the cycle; the first has whether the drive is enabled. */
 static void begin_with_extras(uint32_t reports_enabled)
 {
     begin_with(1, 0);
@@ -41,7 +41,7 @@ static void begin_with_extras(uint32_t reports_enabled)
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
 }
 
-static void what_may_wait_is_read_by_turns(void)
+static void slow_values_are_read_by_turns(void)
 {
     begin_with_extras(1);
     request(0, DRIVE_READY);
@@ -54,7 +54,7 @@ static void what_may_wait_is_read_by_turns(void)
     request(0, DRIVE_OFF);
     look(4);
     sent_count = 0;
-    request(0, DRIVE_READY); /* set up anew it begins anew */
+    request(0, DRIVE_READY); /* a new set-up restarts it */
     while (sent_count < 2) {
         look(1);
     }
@@ -82,7 +82,7 @@ static void fail_once(void)
     }
 }
 
-static void a_deadline_doubles_with_each_reply_that_is_missing_up_to_the_drive_s_bound(void)
+static void a_deadline_doubles_with_each_missing_reply_up_to_the_drive_s_bound(void)
 {
     begin_with(1, 0);
     w.table.drive[0].turnaround_ns = 100 * MS;
@@ -109,7 +109,7 @@ static void a_deadline_doubles_with_each_reply_that_is_missing_up_to_the_drive_s
 
 /* The reply may come as late as the drive's bound allows: it must not be taken for the next
  * one's. */
-static void after_a_missing_reply_the_drive_is_left_alone_for_its_whole_bound(void)
+static void after_a_missing_reply_the_line_pauses_for_the_drive_s_whole_bound(void)
 {
     begin_with(1, 0);
     w.table.drive[0].turnaround_ns = 60 * MS;
@@ -154,12 +154,12 @@ a_frame_of_a_stop_that_is_refused_is_sent_as_often_as_the_drive_s_tries_and_the_
     shut_down_until(3);
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.refusals == 6);
     begin_with(1, 0);
-    w.refused = CONTROL; /* the second one is received: what follows is counted anew */
+    w.refused = CONTROL; /* the second one is received: later failures are counted from zero */
     shut_down_until(3);
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.released[0] == 1 && w.refusals == 4);
 }
 
-static void a_new_stop_has_all_of_its_tries(void)
+static void a_new_stop_starts_with_all_of_its_tries(void)
 {
     begin_with(1, 0);
     arm(0);
@@ -192,7 +192,7 @@ static void run_refusing(uint32_t failures, uint32_t unanswered)
     go_on();
     for (uint32_t lost = 0; w.machine.drive[0].state.stop != STOP_NOTHING;
          lost += w.mute && w.out.send != NULL) {
-        /* the frame behind the refused one, the first times */
+        /* the frame after the refused one, the first times */
         w.mute = w.refusals == 3 && lost < unanswered;
         go_on();
     }
@@ -205,18 +205,18 @@ a_drive_that_refuses_one_frame_of_its_power_off_gets_the_others_while_the_line_r
         run_refusing(failures, 0);
         CHECK(w.refusals == 3 && w.released[0] == 1 && w.machine.drive[0].count.unresponsive == 0);
     }
-    run_refusing(0, 2); /* a refusal is an answer: the frame behind it has all of its tries */
+    run_refusing(0, 2); /* a refusal is an answer: the frame after it has all of its tries */
     CHECK(w.refusals == 3 && w.released[0] == 3 && w.machine.drive[0].count.unresponsive == 0);
 }
 
 int main(void)
 {
     a_drive_that_refuses_one_frame_of_its_power_off_gets_the_others_while_the_line_runs();
-    what_may_wait_is_read_by_turns();
+    slow_values_are_read_by_turns();
     until_a_drive_has_reported_whether_it_is_enabled_only_that_is_read();
-    a_deadline_doubles_with_each_reply_that_is_missing_up_to_the_drive_s_bound();
-    after_a_missing_reply_the_drive_is_left_alone_for_its_whole_bound();
+    a_deadline_doubles_with_each_missing_reply_up_to_the_drive_s_bound();
+    after_a_missing_reply_the_line_pauses_for_the_drive_s_whole_bound();
     a_frame_of_a_stop_that_is_refused_is_sent_as_often_as_the_drive_s_tries_and_the_next_one_then();
-    a_new_stop_has_all_of_its_tries();
+    a_new_stop_starts_with_all_of_its_tries();
     return checks_report("line tries");
 }

@@ -3,7 +3,7 @@
  * its neighbours. */
 #include "line_wire.h"
 
-/* As of bus servos: an answer to a write does not say which one. */
+/* As of bus servos: an answer does not name the write that it answers. */
 static void answer_alike(line_frame *frame)
 {
     frame->echo_bytes = 0;
@@ -11,14 +11,14 @@ static void answer_alike(line_frame *frame)
     memcpy(frame->match, (const uint8_t[]){1, WRITE}, 2);
 }
 
-/* After a request that it did not answer each answer may be the one to that, for as long as its
- * stop is sent again: so many of them prove the stop as are more than it owes. Its neighbour
- * goes on meanwhile. */
-static void a_stop_whose_acknowledgements_may_be_late_ends_and_keeps_no_neighbour_waiting(void)
+/* After an unanswered request each later answer may belong to that request, as long as the stop is
+ * sent again: only answers beyond the number that is owed prove the stop. The neighbour continues
+ * meanwhile. */
+static void a_stop_with_late_acknowledgements_ends_and_delays_no_neighbour(void)
 {
     for (uint32_t i = 0; i < 8; i++) {
         uint32_t owed = i / 2;
-        bool after_another = i % 2 != 0; /* whose answers prove nothing of it */
+        bool after_another = i % 2 != 0; /* whose answers prove nothing about it */
         begin_with(2, 0);
         line_drive *table = &w.machine.table.drive[0];
         answer_alike(&table->cyclic[0].frame), answer_alike(&table->quick_stop[0]);
@@ -49,7 +49,7 @@ static void a_stop_whose_acknowledgements_may_be_late_ends_and_keeps_no_neighbou
     }
 }
 
-static void a_stop_is_not_kept_back_by_that_of_a_neighbour_whose_answers_are_in_doubt(void)
+static void a_neighbour_with_doubtful_answers_does_not_delay_a_stop(void)
 {
     begin_with(2, 0);
     line_drive *table = &w.machine.table.drive[0];
@@ -80,7 +80,7 @@ static void a_stop_is_not_kept_back_by_that_of_a_neighbour_whose_answers_are_in_
 
 int main(void)
 {
-    a_stop_whose_acknowledgements_may_be_late_ends_and_keeps_no_neighbour_waiting();
-    a_stop_is_not_kept_back_by_that_of_a_neighbour_whose_answers_are_in_doubt();
+    a_stop_with_late_acknowledgements_ends_and_delays_no_neighbour();
+    a_neighbour_with_doubtful_answers_does_not_delay_a_stop();
     return checks_report("line doubted stop");
 }

@@ -11,7 +11,7 @@ static void look_at(int64_t now_ns)
     line_shut_down(&w.machine, now_ns);
 }
 
-static void an_armed_drive_is_stopped_at_once_and_one_that_is_not_is_left_as_it_is(void)
+static void an_armed_drive_is_stopped_at_once_and_one_that_is_not_armed_is_not(void)
 {
     begin_with(2, 0);
     w.machine.table.broadcast_stop_count = 2;
@@ -58,7 +58,7 @@ static void the_power_goes_off_when_every_stop_and_every_broadcast_is_done(void)
     }
 }
 
-static void what_does_not_come_to_rest_loses_its_power_all_the_same_and_the_end_comes(void)
+static void a_drive_that_does_not_come_to_rest_still_loses_its_power_at_the_end(void)
 {
     begin_with(2, 0);
     w.machine.drive[0].state.mode = DRIVE_ARMED;
@@ -78,7 +78,7 @@ static void what_does_not_come_to_rest_loses_its_power_all_the_same_and_the_end_
     CHECK(w.machine.end.stage == END_SILENT && w.machine.notify);
 }
 
-/* One that is not received may receive: a silent neighbour does not take its time away. */
+/* A drive whose replies are lost may still receive: a silent neighbour does not take its time. */
 static void
 the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_but_not_for_ever(void)
 {
@@ -104,7 +104,7 @@ the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_but_not_for_
     }
 }
 
-static void a_change_is_not_lost_while_the_end_has_none(void)
+static void the_end_does_not_clear_a_notification(void)
 {
     begin_with(2, 0);
     w.machine.notify = true;
@@ -112,9 +112,9 @@ static void a_change_is_not_lost_while_the_end_has_none(void)
     CHECK(w.machine.notify && w.machine.end.stage == END_NOT);
 }
 
-/* What lies behind the last drive, shaped like one that moves and stops, is no drive: it is not
- * looked at, nor changed. */
-static void eight_drives_are_all_there_are(void)
+/* The entry after the last drive looks like one that moves and stops: it is neither read nor
+ * changed. */
+static void a_line_has_eight_drives_at_most(void)
 {
     line_drive_state mover = {.state.mode = DRIVE_ARMED,
                               .state.stop = STOP_QUICK,
@@ -138,11 +138,11 @@ static void eight_drives_are_all_there_are(void)
 
 int main(void)
 {
-    an_armed_drive_is_stopped_at_once_and_one_that_is_not_is_left_as_it_is();
+    an_armed_drive_is_stopped_at_once_and_one_that_is_not_armed_is_not();
     the_power_goes_off_when_every_stop_and_every_broadcast_is_done();
-    what_does_not_come_to_rest_loses_its_power_all_the_same_and_the_end_comes();
+    a_drive_that_does_not_come_to_rest_still_loses_its_power_at_the_end();
     the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_but_not_for_ever();
-    a_change_is_not_lost_while_the_end_has_none();
-    eight_drives_are_all_there_are();
+    the_end_does_not_clear_a_notification();
+    a_line_has_eight_drives_at_most();
     return checks_report("line end");
 }

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A line that is never silent: stops go out all the same, and its drives become unresponsive. */
+ * A line that is never silent: stops are sent all the same, and its drives become unresponsive. */
 #include "line_wire.h"
 
 static const int64_t LONG_GAP_NS = 20 * MS;
@@ -27,7 +27,7 @@ static void babble_for(int64_t for_ns)
     }
 }
 
-static void a_power_off_goes_out(void)
+static void a_power_off_is_sent(void)
 {
     begin_turning(2);
     babble_for(10 * MS);
@@ -38,7 +38,7 @@ static void a_power_off_goes_out(void)
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING);
 }
 
-static void a_quick_stop_goes_out(void)
+static void a_quick_stop_is_sent(void)
 {
     begin_turning(1);
     babble_for(10 * MS);
@@ -61,7 +61,7 @@ static void all_drives_are_switched_off_at_the_end(void)
     }
 }
 
-static void a_stop_waits_for_silence_as_long_as_that_may_still_come(void)
+static void a_stop_waits_for_the_full_silence_after_noise_has_ended(void)
 {
     begin_turning(1);
     babble_for(10 * MS);
@@ -74,7 +74,7 @@ static void a_stop_waits_for_silence_as_long_as_that_may_still_come(void)
     CHECK(w.machine.start_ns - received_ns >= LONG_GAP_NS);
 }
 
-static void an_urgent_request_goes_out_and_no_other(void)
+static void only_an_urgent_request_is_sent(void)
 {
     begin_turning(1);
     babble_for(10 * MS);
@@ -94,9 +94,9 @@ static void an_urgent_request_goes_out_and_no_other(void)
           w.machine.request[0].id == 1);
 }
 
-/* Nothing can be asked: no drive is known to be there. One that may turn is sent its stop again
- * and again. */
-static void its_drives_become_unresponsive_and_are_sent_to_stop(void)
+/* Nothing can be read: no drive is known to be present. One that may turn gets its stop
+ * repeatedly. */
+static void its_drives_become_unresponsive_and_are_stopped(void)
 {
     begin_turning(2);
     w.machine.table.drive[0].watchdog_ns = w.machine.table.drive[1].watchdog_ns = 0;
@@ -123,7 +123,7 @@ static void its_drives_become_unresponsive_and_are_sent_to_stop(void)
           w.machine.drive[1].state.mode == DRIVE_BACK);
 }
 
-static void noise_before_a_turn_that_has_just_come_is_no_failure(void)
+static void noise_before_a_turn_that_has_just_come_is_not_a_failure(void)
 {
     begin_turning(1);
     w.machine.table.drive[0].period_ns = 1000 * MS;
@@ -140,12 +140,12 @@ static void noise_before_a_turn_that_has_just_come_is_no_failure(void)
 
 int main(void)
 {
-    a_power_off_goes_out();
-    a_quick_stop_goes_out();
+    a_power_off_is_sent();
+    a_quick_stop_is_sent();
     all_drives_are_switched_off_at_the_end();
-    a_stop_waits_for_silence_as_long_as_that_may_still_come();
-    an_urgent_request_goes_out_and_no_other();
-    its_drives_become_unresponsive_and_are_sent_to_stop();
-    noise_before_a_turn_that_has_just_come_is_no_failure();
+    a_stop_waits_for_the_full_silence_after_noise_has_ended();
+    only_an_urgent_request_is_sent();
+    its_drives_become_unresponsive_and_are_stopped();
+    noise_before_a_turn_that_has_just_come_is_not_a_failure();
     return checks_report("line noise");
 }

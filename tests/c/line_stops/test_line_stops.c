@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Stops on a line where a drive is missing, on a wire of virtual time: which is sent a stop,
- * when, and which is believed. */
+ * Stops on a line where a drive is missing, on a wire of virtual time: which drive is sent a stop,
+ * when, and which answers count. */
 #include "line_wire.h"
 
 static int64_t shut_down(void)
@@ -16,7 +16,7 @@ static int64_t shut_down(void)
     return last_ns - asked_ns;
 }
 
-static void drives_that_are_off_are_sent_one_gap_apart(void)
+static void power_offs_of_several_drives_are_one_gap_apart(void)
 {
     begin_with(4, 0);
     CHECK(shut_down() < 100 * MS);
@@ -25,8 +25,8 @@ static void drives_that_are_off_are_sent_one_gap_apart(void)
     }
 }
 
-/* Drives that are ready have their cycles until then; behind its power-off each one is left as
- * it is. */
+/* Drives that are ready have their cycles until then; after its power-off each one gets no more
+ * frames. */
 static void once_the_power_goes_off_nothing_else_is_sent(void)
 {
     begin_with(2, 0);
@@ -59,9 +59,9 @@ static void missing_drives_do_not_keep_the_power_of_the_others_on(void)
     CHECK(w.power_offs[2] >= 2 && w.power_offs[3] >= 2);
 }
 
-/* Whatever is in transit when the end comes: a cycle's exchange that is its third failure, a
- * probe, nothing. */
-static void a_missing_drive_is_sent_to_switch_off_at_the_end_whatever_was_in_transit(void)
+/* In transit when the end comes: a cycle's exchange that is its third failure, a probe, or
+ * nothing. */
+static void a_missing_drive_gets_its_power_off_at_the_end_whatever_was_in_transit(void)
 {
     for (uint32_t steps = 0; steps < 60; steps++) {
         begin_with(1, 0);
@@ -77,7 +77,7 @@ static void a_missing_drive_is_sent_to_switch_off_at_the_end_whatever_was_in_tra
 }
 
 /* The quick stop and the first power-off are lost, as with a cut of 150 ms. */
-static void one_that_is_missing_for_a_moment_is_sent_until_it_has_received_it(void)
+static void a_drive_missing_for_a_moment_gets_its_power_off_until_it_answers(void)
 {
     for (int64_t cut_ms = 0; cut_ms < 400; cut_ms += 10) {
         begin_with(1, 0);
@@ -96,7 +96,7 @@ static void one_that_is_missing_for_a_moment_is_sent_until_it_has_received_it(vo
     }
 }
 
-static void one_that_is_missing_until_the_end_is_reported_to_wait(void)
+static void a_drive_missing_until_the_end_is_reported(void)
 {
     begin_with(1, 0);
     arm(0);
@@ -108,7 +108,7 @@ static void one_that_is_missing_until_the_end_is_reported_to_wait(void)
     CHECK(w.sent_off[0] > 4);
 }
 
-static void of_two_missing_drives_the_one_that_comes_back_is_sent(void)
+static void a_missing_drive_that_comes_back_is_switched_off_beside_one_that_does_not(void)
 {
     begin_with(2, 0);
     arm(0);
@@ -143,7 +143,7 @@ static void a_missing_drive_does_not_keep_the_others_from_being_seen_at_rest(voi
     CHECK(w.power_off_ns[1] > asked_ns + 200 * MS && w.power_off_ns[1] < asked_ns + 300 * MS);
 }
 
-static void one_that_receives_but_is_not_received_is_sent_every_frame_at_the_end(void)
+static void a_drive_whose_replies_are_lost_gets_every_frame_at_the_end(void)
 {
     begin_with(2, 0);
     arm(0);
@@ -178,7 +178,7 @@ static void open_again(uint32_t may_turn)
     memset(w.sent_off, 0, sizeof w.sent_off);
 }
 
-static void one_that_was_armed_is_sent_to_stop_when_the_port_is_opened_again(void)
+static void a_drive_that_was_armed_is_stopped_when_the_port_is_opened_again(void)
 {
     begin_with(2, 0);
     arm(0);
@@ -193,7 +193,7 @@ static void one_that_was_armed_is_sent_to_stop_when_the_port_is_opened_again(voi
     CHECK(w.machine.drive[0].state.mode == DRIVE_OFF); /* its set-up is Python's */
 }
 
-static void one_that_does_not_answer_then_is_sent_again_and_again(void)
+static void a_drive_silent_after_a_reopening_gets_its_stop_repeatedly(void)
 {
     begin_with(1, 0);
     arm(0);
@@ -236,7 +236,7 @@ static void drives_that_another_program_left_running_stop_before_they_lose_their
     CHECK(w.power_off_ns[0] > began_ns + 500 * MS && w.power_offs[0] == 2);
 }
 
-static void of_those_one_that_does_not_answer_is_sent_its_stop_again_and_again(void)
+static void a_drive_left_running_that_does_not_answer_is_stopped_repeatedly(void)
 {
     begin_with(1, 0);
     w.dead = 1;
@@ -305,7 +305,7 @@ static void the_echo_of_a_stop_does_not_bring_a_dead_drive_back(void)
     CHECK(w.machine.drive[0].state.mode == DRIVE_BACK && w.power_offs[0] >= 2);
 }
 
-static void one_that_is_switched_off_before_it_has_received_its_zero_loses_its_power(void)
+static void a_drive_switched_off_before_it_has_received_zero_loses_its_power(void)
 {
     begin_with(1, 0);
     arm(0);
@@ -338,7 +338,7 @@ static void look_without_bytes(void)
     line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out);
 }
 
-static void a_pending_power_off_is_not_forgotten_when_it_is_set_up_again(void)
+static void a_pending_power_off_outlives_a_new_set_up(void)
 {
     for (uint32_t seen = 0; seen < 2; seen++) {
         begin_turning();
@@ -357,7 +357,7 @@ static void a_pending_power_off_is_not_forgotten_when_it_is_set_up_again(void)
     }
 }
 
-static void one_that_waits_for_its_power_off_is_not_armed(void)
+static void a_drive_with_a_pending_power_off_is_not_armed(void)
 {
     begin_turning();
     request(0, DRIVE_STAND_DOWN);
@@ -371,7 +371,7 @@ static void one_that_waits_for_its_power_off_is_not_armed(void)
     CHECK(w.power_offs[0] == 2 && w.machine.drive[0].state.mode == DRIVE_READY);
 }
 
-static void one_that_comes_to_rest_still_loses_its_power_when_it_is_set_up_meanwhile(void)
+static void a_drive_that_comes_to_rest_loses_its_power_despite_a_new_set_up(void)
 {
     begin_with(1, 0);
     arm(0);
@@ -391,8 +391,8 @@ static void one_that_comes_to_rest_still_loses_its_power_when_it_is_set_up_meanw
     CHECK(w.power_offs[0] == 2);
 }
 
-/* Whatever is in transit when the stop comes, an exchange with the missing drive among it. */
-static void a_reply_that_may_take_long_does_not_keep_the_stops_of_the_others_back(void)
+/* For anything in transit when the stop comes, also an exchange with the missing drive. */
+static void a_slow_reply_does_not_delay_the_stops_of_others(void)
 {
     for (uint32_t steps = 0; steps < 40; steps++) {
         begin_with(3, 0);
@@ -424,24 +424,24 @@ static void a_reply_that_may_take_long_does_not_keep_the_stops_of_the_others_bac
 int main(void)
 {
     once_the_power_goes_off_nothing_else_is_sent();
-    a_reply_that_may_take_long_does_not_keep_the_stops_of_the_others_back();
-    a_pending_power_off_is_not_forgotten_when_it_is_set_up_again();
-    one_that_waits_for_its_power_off_is_not_armed();
-    one_that_comes_to_rest_still_loses_its_power_when_it_is_set_up_meanwhile();
-    one_that_was_armed_is_sent_to_stop_when_the_port_is_opened_again();
-    one_that_does_not_answer_then_is_sent_again_and_again();
-    one_that_is_switched_off_before_it_has_received_its_zero_loses_its_power();
-    drives_that_are_off_are_sent_one_gap_apart();
+    a_slow_reply_does_not_delay_the_stops_of_others();
+    a_pending_power_off_outlives_a_new_set_up();
+    a_drive_with_a_pending_power_off_is_not_armed();
+    a_drive_that_comes_to_rest_loses_its_power_despite_a_new_set_up();
+    a_drive_that_was_armed_is_stopped_when_the_port_is_opened_again();
+    a_drive_silent_after_a_reopening_gets_its_stop_repeatedly();
+    a_drive_switched_off_before_it_has_received_zero_loses_its_power();
+    power_offs_of_several_drives_are_one_gap_apart();
     missing_drives_do_not_keep_the_power_of_the_others_on();
-    a_missing_drive_is_sent_to_switch_off_at_the_end_whatever_was_in_transit();
-    one_that_is_missing_for_a_moment_is_sent_until_it_has_received_it();
-    one_that_is_missing_until_the_end_is_reported_to_wait();
-    of_two_missing_drives_the_one_that_comes_back_is_sent();
+    a_missing_drive_gets_its_power_off_at_the_end_whatever_was_in_transit();
+    a_drive_missing_for_a_moment_gets_its_power_off_until_it_answers();
+    a_drive_missing_until_the_end_is_reported();
+    a_missing_drive_that_comes_back_is_switched_off_beside_one_that_does_not();
     a_missing_drive_does_not_keep_the_others_from_being_seen_at_rest();
-    one_that_receives_but_is_not_received_is_sent_every_frame_at_the_end();
+    a_drive_whose_replies_are_lost_gets_every_frame_at_the_end();
     the_answer_to_an_older_stop_does_not_stand_for_a_newer_one();
     drives_that_another_program_left_running_stop_before_they_lose_their_power();
-    of_those_one_that_does_not_answer_is_sent_its_stop_again_and_again();
+    a_drive_left_running_that_does_not_answer_is_stopped_repeatedly();
     a_wheel_that_turns_is_stopped_before_it_loses_its_power();
     a_wheel_that_does_not_stop_loses_its_power_in_time();
     the_echo_of_a_stop_does_not_bring_a_dead_drive_back();

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * How a line ends whose drives do not acknowledge their power-off: it counts when a read behind
- * it says so. */
+ * The end of a line whose drives do not acknowledge their power-off: a later read has to confirm
+ * it. */
 #include "line_wire.h"
 
 static const int64_t END_NS = 480 * 1000000;
@@ -24,8 +24,8 @@ static line_field power_field(uint32_t joint)
                         .si_per_raw = 1.0};
 }
 
-/* Drives whose status says whether they have power; `reports` false: it says nothing of it.
- * `frames`: of their power-off those that they do not acknowledge. */
+/* Drives whose status has their power; with `reports` false it does not. `frames`: the frames of
+ * their power-off that they do not acknowledge. */
 static void begin_frames(uint32_t drives, bool reports, uint32_t frames)
 {
     begin_with(drives, 0);
@@ -73,7 +73,7 @@ static line_report ends(int64_t cut_until_ns)
     return report;
 }
 
-static void a_drive_that_says_it_has_no_power_ends_the_line_after_one_power_off(void)
+static void a_drive_that_reports_no_power_ends_the_line_after_one_power_off(void)
 {
     begin_unanswered(2, true);
     turn();
@@ -86,7 +86,8 @@ static void a_drive_that_says_it_has_no_power_ends_the_line_after_one_power_off(
     CHECK(w.turning == 0);
 }
 
-static void one_that_receives_nothing_for_a_while_gets_it_again_until_it_says_so(void)
+static void
+a_drive_that_receives_nothing_for_a_while_gets_its_power_off_until_it_reports_no_power(void)
 {
     begin_unanswered(1, true);
     turn();
@@ -96,7 +97,7 @@ static void one_that_receives_nothing_for_a_while_gets_it_again_until_it_says_so
     CHECK(w.now_ns >= begun_ns + 150 * MS && w.now_ns < begun_ns + END_NS);
 }
 
-static void one_that_never_says_so_is_reported_at_the_end_of_the_time(void)
+static void a_drive_that_never_reports_no_power_is_named_in_the_end(void)
 {
     begin_unanswered(2, true);
     turn();
@@ -107,8 +108,8 @@ static void one_that_never_says_so_is_reported_at_the_end_of_the_time(void)
     CHECK(w.sent_off[0] > 3 * w.table.drive[0].disarm_count);
 }
 
-/* It takes what it is sent, and does not do it. */
-static void one_that_says_it_still_has_power_is_reported(void)
+/* It receives requests, and does not carry them out. */
+static void a_drive_that_reports_power_at_the_end_is_named(void)
 {
     begin_unanswered(1, true);
     turn();
@@ -117,8 +118,8 @@ static void one_that_says_it_still_has_power_is_reported(void)
     CHECK(report.drive[0].stop_waits == 1 && w.turning == 1);
 }
 
-/* Its answer to any read is all that there is to know. */
-static void one_that_cannot_say_it_has_to_answer_a_read(void)
+/* An answer to any read is the only evidence. */
+static void a_drive_that_cannot_report_its_power_has_to_answer_a_read(void)
 {
     for (int cut = 0; cut < 2; cut++) {
         begin_unanswered(1, false);
@@ -128,7 +129,7 @@ static void one_that_cannot_say_it_has_to_answer_a_read(void)
     }
 }
 
-static void one_frame_that_it_does_not_acknowledge_suffices_whichever_it_is(void)
+static void an_unacknowledged_frame_of_a_power_off_suffices_when_a_read_confirms_it(void)
 {
     for (uint32_t frame = 0; frame < 2; frame++) {
         begin_frames(1, true, 1U << frame);
@@ -154,7 +155,7 @@ static const uint8_t *next_read(void)
 }
 
 /* Also a frame that comes before one that it has acknowledged. */
-static void as_long_as_it_says_that_it_has_power_it_gets_each_unanswered_frame_again(void)
+static void while_it_reports_power_it_gets_each_unanswered_frame_again(void)
 {
     for (uint32_t frame = 0; frame < 2; frame++) {
         begin_frames(1, true, 1U << frame);
@@ -170,7 +171,7 @@ static void as_long_as_it_says_that_it_has_power_it_gets_each_unanswered_frame_a
     }
 }
 
-static void while_the_line_goes_on_an_unanswered_power_off_is_sent_once(void)
+static void while_the_line_runs_an_unanswered_power_off_is_sent_once(void)
 {
     begin_unanswered(1, true);
     turn();
@@ -183,7 +184,7 @@ static void while_the_line_goes_on_an_unanswered_power_off_is_sent_once(void)
           w.sent_off[0] == before + w.table.drive[0].disarm_count);
 }
 
-static void what_it_reported_before_it_got_another_power_off_is_not_reported_any_more(void)
+static void reports_from_before_another_power_off_do_not_count(void)
 {
     line_report report;
     begin_unanswered(1, true);
@@ -199,9 +200,8 @@ static void what_it_reported_before_it_got_another_power_off_is_not_reported_any
     CHECK(report.drive[0].enabled == 2);
 }
 
-/* It refuses the read twice, says that it has power, and so on: only refusals in a row are
- * counted. */
-static void a_read_that_is_refused_now_and_then_is_made_again(void)
+/* It refuses the read twice, reports power, and so on: only refusals in a row are counted. */
+static void a_read_that_is_refused_at_times_is_repeated(void)
 {
     begin_unanswered(1, true);
     w.turning = 1;
@@ -241,7 +241,7 @@ static void begin_reads(uint32_t place, uint32_t probe, uint32_t extra_count)
     w.machine.control.shut_down = 1;
 }
 
-static void the_first_that_reports_its_power_is_read_else_the_one_that_probes_it(void)
+static void the_first_read_with_power_is_used_or_else_the_probe(void)
 {
     const struct {
         uint32_t place, probe, extra_count, reads;
@@ -263,8 +263,8 @@ static void the_first_that_reports_its_power_is_read_else_the_one_that_probes_it
     }
 }
 
-/* A target is nothing that could be sent for its answer: it is not known where the joint stands. */
-static void no_position_is_sent_to_find_out_whether_a_drive_receives(void)
+/* A target cannot serve as a probe: the position of the joint is unknown. */
+static void no_position_is_sent_to_probe_a_drive(void)
 {
     begin_reads(5, 0, 1);
     line_drive *table = &w.table.drive[0];
@@ -280,17 +280,17 @@ static void no_position_is_sent_to_find_out_whether_a_drive_receives(void)
 
 int main(void)
 {
-    one_frame_that_it_does_not_acknowledge_suffices_whichever_it_is();
-    as_long_as_it_says_that_it_has_power_it_gets_each_unanswered_frame_again();
-    while_the_line_goes_on_an_unanswered_power_off_is_sent_once();
-    what_it_reported_before_it_got_another_power_off_is_not_reported_any_more();
-    a_read_that_is_refused_now_and_then_is_made_again();
-    the_first_that_reports_its_power_is_read_else_the_one_that_probes_it();
-    no_position_is_sent_to_find_out_whether_a_drive_receives();
-    a_drive_that_says_it_has_no_power_ends_the_line_after_one_power_off();
-    one_that_receives_nothing_for_a_while_gets_it_again_until_it_says_so();
-    one_that_never_says_so_is_reported_at_the_end_of_the_time();
-    one_that_says_it_still_has_power_is_reported();
-    one_that_cannot_say_it_has_to_answer_a_read();
+    an_unacknowledged_frame_of_a_power_off_suffices_when_a_read_confirms_it();
+    while_it_reports_power_it_gets_each_unanswered_frame_again();
+    while_the_line_runs_an_unanswered_power_off_is_sent_once();
+    reports_from_before_another_power_off_do_not_count();
+    a_read_that_is_refused_at_times_is_repeated();
+    the_first_read_with_power_is_used_or_else_the_probe();
+    no_position_is_sent_to_probe_a_drive();
+    a_drive_that_reports_no_power_ends_the_line_after_one_power_off();
+    a_drive_that_receives_nothing_for_a_while_gets_its_power_off_until_it_reports_no_power();
+    a_drive_that_never_reports_no_power_is_named_in_the_end();
+    a_drive_that_reports_power_at_the_end_is_named();
+    a_drive_that_cannot_report_its_power_has_to_answer_a_read();
     return checks_report("line unanswered");
 }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_command.c: whatever comes as a datagram, the core gets numbers, of a lease that lives; and
- * without the token no source commands. */
+ * fuzz_command.c: for any datagram the core gets finite numbers, of a living lease; and without
+ * the token no source commands. */
 #include "check.h"
 #include "rt.h"
 
@@ -104,7 +104,7 @@ static void once(const uint8_t *data, size_t size)
     CHECK(code == 0 || (out.linear_m_s == 0.0 && out.angular_rad_s == 0.0));
     CHECK(out.expires_ns <= NOW_NS + 300000000 + 10000000);
     check_joints(&a, robot, code);
-    /* a second time it is a duplicate, and the robot goes on */
+    /* a second time it is a duplicate, and the robot continues */
     (void)arbiter_submit(&a, last, length, NOW_NS, true);
     arbiter_command(&a, NOW_NS, true, &out);
     CHECK(isfinite(out.linear_m_s) && isfinite(out.angular_rad_s));

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Leases in detail: whose token it is, how old and how new a command may be, who is held over the
+ * Leases in detail: tokens, how old and how new a command may be, which source is held beyond the
  * end of a lease, and what is reported. */
 #include <math.h>
 #include <string.h>
@@ -93,7 +93,7 @@ static void a_datagram_of_another_program_or_version_is_refused(void)
     CHECK(submit(command) == 0);
 }
 
-static void a_stamp_may_be_ten_milliseconds_ahead_and_there_has_to_be_one(void)
+static void a_stamp_is_required_and_may_be_ten_milliseconds_ahead(void)
 {
     begin();
     b.now_ns = 2;
@@ -109,7 +109,7 @@ static void a_stamp_may_be_ten_milliseconds_ahead_and_there_has_to_be_one(void)
     CHECK(submit(command) == 0);
 }
 
-static void a_command_is_refused_when_its_life_is_over(void)
+static void an_expired_command_is_refused(void)
 {
     begin();
     command_datagram command = command_of(0, 1, 0.1);
@@ -120,7 +120,7 @@ static void a_command_is_refused_when_its_life_is_over(void)
     CHECK(obeyed().expires_ns == b.now_ns + 1); /* it lives no longer for having come late */
 }
 
-static void a_command_may_live_as_long_as_its_lease_allows(void)
+static void a_command_may_last_as_long_as_its_lease_allows(void)
 {
     begin();
     command_datagram command = command_of(0, 1, 0.1);
@@ -144,7 +144,7 @@ static void the_first_sequence_may_be_any_and_none_comes_twice(void)
 }
 
 /* Zero is never one of them. */
-static void a_sequence_goes_on_past_the_end_of_its_64_bits(void)
+static void a_sequence_continues_past_the_end_of_its_64_bits(void)
 {
     begin();
     CHECK(say(0, 100, 0.1) == 0 && say(0, (UINT64_C(1) << 63) + 101, 0.1) == 1 + REFUSED_SEQUENCE);
@@ -156,7 +156,7 @@ static void a_sequence_goes_on_past_the_end_of_its_64_bits(void)
           obeyed().linear_m_s == 0.2);
 }
 
-static void a_lease_goes_on_when_others_come_and_go(void)
+static void a_lease_continues_when_others_come_and_go(void)
 {
     begin();
     CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.1);
@@ -166,7 +166,7 @@ static void a_lease_goes_on_when_others_come_and_go(void)
           lease_of(5)->sequence == 1);
 }
 
-static void who_came_first_commands_among_equals_and_the_higher_one_in_any_place(void)
+static void among_equals_the_first_lease_commands_and_a_higher_priority_in_any_place(void)
 {
     begin();
     CHECK(say(0, 1, 0.1) == 0 && say(1, 1, 0.2) == 0);
@@ -184,11 +184,11 @@ static void who_came_first_commands_among_equals_and_the_higher_one_in_any_place
     CHECK(say(0, 1, 0.1) == 0);
     b.now_ns += LIFE_NS / 2;
     CHECK(say(1, 1, 0.2) == 0 && obeyed().linear_m_s == 0.1);
-    b.now_ns += LIFE_NS / 2; /* the first one has lapsed, and comes again behind the other */
+    b.now_ns += LIFE_NS / 2; /* the first one has lapsed, and comes again after the other */
     CHECK(obeyed().linear_m_s == 0.2 && say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.2);
 }
 
-static void what_is_obeyed_carries_its_stamp_and_sequence_and_the_stamp_stays(void)
+static void a_followed_command_carries_its_sequence_and_keeps_its_stamp(void)
 {
     begin();
     CHECK(say(0, 7, 0.1) == 0);
@@ -213,7 +213,7 @@ static void a_release_ends_a_lease_s_command_at_once_and_is_accepted(void)
     CHECK(b.arbiter.report.commander == 0);
 }
 
-static void the_report_says_whether_one_may_move(void)
+static void the_report_has_whether_motion_is_allowed(void)
 {
     begin();
     (void)obeyed();
@@ -258,13 +258,13 @@ static void begin_barred(int64_t until_ns)
     arbiter_grant(&b.arbiter, &b.permissions);
 }
 
-static void who_was_held_is_held_under_his_next_lease_until_the_bar_is_over(void)
+static void a_held_source_is_held_under_its_next_lease_until_the_bar_ends(void)
 {
     int64_t until_ns = 5000 * MS + 100 * MS;
     begin_barred(until_ns);
     b.now_ns = until_ns - 1;
     CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.0 && lease_of(0)->held == 1);
-    b.now_ns += 200 * MS; /* it goes on, and so does the hold */
+    b.now_ns += 200 * MS; /* it keeps sending, and the hold stays */
     CHECK(say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.0);
     CHECK(say(0, 3, 0.0) == 0 && say(0, 4, 0.1) == 0 && obeyed().linear_m_s == 0.1);
     begin_barred(until_ns);
@@ -272,7 +272,7 @@ static void who_was_held_is_held_under_his_next_lease_until_the_bar_is_over(void
     CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.1);
 }
 
-static void a_bar_counts_once_and_only_a_later_one_is_a_new_one(void)
+static void a_bar_counts_once_and_only_a_later_one_is_new(void)
 {
     int64_t until_ns = 5000 * MS + 2000 * MS;
     begin_barred(until_ns);
@@ -286,7 +286,7 @@ static void a_bar_counts_once_and_only_a_later_one_is_a_new_one(void)
 }
 
 /* After the computer was suspended: what was stamped before it counts as never sent. */
-static void after_a_pause_of_the_computer_no_command_is_alive(void)
+static void after_a_suspend_no_command_is_alive(void)
 {
     begin();
     for (uint32_t lease = 0; lease < 3; lease++) {
@@ -302,7 +302,7 @@ static void after_a_pause_of_the_computer_no_command_is_alive(void)
         CHECK(b.arbiter.report.lease[lease].expires_ns == 0);
     }
     CHECK(submit(before) != 0);
-    CHECK(say(0, 3, 0.1) == 0); /* of the moment in which it went on */
+    CHECK(say(0, 3, 0.1) == 0); /* of the moment in which it continued */
 }
 
 static void motion_along_any_axis_holds_a_source_that_requests_it_before_arming(void)
@@ -343,20 +343,20 @@ int main(void)
     motion_along_any_axis_holds_a_source_that_requests_it_before_arming();
     each_byte_of_a_token_counts();
     a_datagram_of_another_program_or_version_is_refused();
-    a_stamp_may_be_ten_milliseconds_ahead_and_there_has_to_be_one();
-    a_command_is_refused_when_its_life_is_over();
-    a_command_may_live_as_long_as_its_lease_allows();
+    a_stamp_is_required_and_may_be_ten_milliseconds_ahead();
+    an_expired_command_is_refused();
+    a_command_may_last_as_long_as_its_lease_allows();
     the_first_sequence_may_be_any_and_none_comes_twice();
-    a_sequence_goes_on_past_the_end_of_its_64_bits();
-    a_lease_goes_on_when_others_come_and_go();
-    who_came_first_commands_among_equals_and_the_higher_one_in_any_place();
-    what_is_obeyed_carries_its_stamp_and_sequence_and_the_stamp_stays();
+    a_sequence_continues_past_the_end_of_its_64_bits();
+    a_lease_continues_when_others_come_and_go();
+    among_equals_the_first_lease_commands_and_a_higher_priority_in_any_place();
+    a_followed_command_carries_its_sequence_and_keeps_its_stamp();
     a_release_ends_a_lease_s_command_at_once_and_is_accepted();
-    the_report_says_whether_one_may_move();
+    the_report_has_whether_motion_is_allowed();
     the_interval_between_commands_is_smoothed_over_eight();
     any_rate_but_zero_is_a_limit();
-    who_was_held_is_held_under_his_next_lease_until_the_bar_is_over();
-    a_bar_counts_once_and_only_a_later_one_is_a_new_one();
-    after_a_pause_of_the_computer_no_command_is_alive();
+    a_held_source_is_held_under_its_next_lease_until_the_bar_ends();
+    a_bar_counts_once_and_only_a_later_one_is_new();
+    after_a_suspend_no_command_is_alive();
     return checks_report("arbiter");
 }

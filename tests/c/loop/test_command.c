@@ -51,7 +51,7 @@ static void two_sources(arbiter *a)
     arbiter_grant(a, &permissions);
 }
 
-static void the_highest_commands_and_among_equals_the_first(void)
+static void the_highest_priority_commands_and_the_first_among_equals(void)
 {
     static arbiter a;
     two_sources(&a);
@@ -92,13 +92,13 @@ static void a_source_that_requests_motion_through_a_stop_is_held_until_it_reques
           speed_m_s(&a, later_ns, true) == 0.1);
 }
 
-static void a_lease_that_is_not_granted_any_more_is_over(void)
+static void a_lease_that_is_no_longer_granted_has_ended(void)
 {
     static arbiter a;
     two_sources(&a);
     CHECK(say(&a, command_of('b', 1, START_NS, 0.1), START_NS, true) == 0);
     lease_permissions permissions = {.lease = {grant_of('d', 1), grant_of('b', 30)}};
-    arbiter_grant(&a, &permissions); /* b has moved to another place, and goes on */
+    arbiter_grant(&a, &permissions); /* b has moved to another place, and continues */
     CHECK(speed_m_s(&a, START_NS, true) == 0.1 && a.report.lease[1].priority == 30);
     permissions.lease[1] = (lease_permission){.number = 0};
     arbiter_grant(&a, &permissions);
@@ -107,7 +107,7 @@ static void a_lease_that_is_not_granted_any_more_is_over(void)
     CHECK(say(&a, command_of(0, 2, START_NS, 0.1), START_NS, true) == 1 + REFUSED_TOKEN);
 }
 
-static void motion_that_is_commanded_too_often_is_refused_and_a_stop_never(void)
+static void too_frequent_motion_is_refused_and_a_stop_never(void)
 {
     static arbiter a;
     lease_permissions permissions = {.lease = {grant_of('a', 10)}};
@@ -176,7 +176,7 @@ static void a_wake_up_takes_a_bounded_number_of_datagrams(void)
     CHECK(ingress_wait(&in, clock_now_ns() + 10000 * MS));
     uint64_t taken = 0, now = 0;
     while ((now = ingress_take(&in, &a, true)) > 0) {
-        /* eight of who floods, and the other one's beside them */
+        /* eight of the flooding source, and the other's beside them */
         CHECK(now <= 9 && (taken > 0 || now == 9));
         taken += now;
     }
@@ -237,7 +237,7 @@ static void more_than_ten_times_the_limit_is_refused_and_commands_zero(void)
     CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.refused[REFUSED_OUT_OF_RANGE] == 3);
 }
 
-static void wheels_are_a_twist_or_they_are_refused(void)
+static void wheel_speeds_that_form_no_twist_are_refused(void)
 {
     static arbiter a;
     static const core_config base = {.joint_count = 3,
@@ -291,7 +291,7 @@ static bool goes(double first, double second, double third, double fourth)
     return twist_of(first, second, third, fourth, twist_u_s);
 }
 
-static void wheels_of_a_side_go_together_within_a_hundredth_of_the_fastest_wheel(void)
+static void wheels_of_a_side_agree_within_a_hundredth_of_the_fastest_wheel(void)
 {
     double twist_u_s[AXES];
     CHECK(twist_of(2.0, 6.0, 2.0, 3.0, twist_u_s) && twist_u_s[AXIS_LATERAL] == 0.0);
@@ -318,7 +318,7 @@ static void wheels_of_a_side_go_together_within_a_hundredth_of_the_fastest_wheel
 }
 
 /* A car whose steering is one joint in front, and a base of two sides, which turns on the spot. */
-static void a_turn_on_the_spot_counts_where_the_steering_cannot(void)
+static void turns_on_the_spot_that_the_steering_cannot_do_are_counted(void)
 {
     static arbiter a;
     static core_config base = {.joint_count = 2,
@@ -349,9 +349,9 @@ static void a_turn_on_the_spot_counts_where_the_steering_cannot(void)
     CHECK(a.report.on_spot == 1 && a.report.sideways == 1);
 }
 
-/* Version 1 ends before the lateral speed, which is zero; a base that cannot strafe obeys the
+/* Version 1 ends before the lateral speed, which is zero; a base that cannot strafe follows the
  * rest, and the command counts. */
-static void a_command_of_either_version_is_obeyed(void)
+static void a_command_of_either_version_is_followed(void)
 {
     static arbiter a;
     static const core_config two_sides = {
@@ -386,16 +386,16 @@ static void a_command_of_either_version_is_obeyed(void)
 
 int main(void)
 {
-    a_turn_on_the_spot_counts_where_the_steering_cannot();
-    a_command_of_either_version_is_obeyed();
-    the_highest_commands_and_among_equals_the_first();
+    turns_on_the_spot_that_the_steering_cannot_do_are_counted();
+    a_command_of_either_version_is_followed();
+    the_highest_priority_commands_and_the_first_among_equals();
     a_source_that_requests_motion_through_a_stop_is_held_until_it_requests_zero();
-    a_lease_that_is_not_granted_any_more_is_over();
-    motion_that_is_commanded_too_often_is_refused_and_a_stop_never();
+    a_lease_that_is_no_longer_granted_has_ended();
+    too_frequent_motion_is_refused_and_a_stop_never();
     each_refusal_is_counted_by_its_kind();
     a_wake_up_takes_a_bounded_number_of_datagrams();
     more_than_ten_times_the_limit_is_refused_and_commands_zero();
-    wheels_are_a_twist_or_they_are_refused();
-    wheels_of_a_side_go_together_within_a_hundredth_of_the_fastest_wheel();
+    wheel_speeds_that_form_no_twist_are_refused();
+    wheels_of_a_side_agree_within_a_hundredth_of_the_fastest_wheel();
     return checks_report("command");
 }

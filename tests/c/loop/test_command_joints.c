@@ -58,7 +58,7 @@ static joint_command commanded(arbiter *a)
     return joints;
 }
 
-static void each_joint_takes_what_it_is_sent_for_it(void)
+static void each_joint_takes_its_own_part_of_a_command(void)
 {
     core_config config = head_and_belt();
     arbiter *a = begun(&config);
@@ -75,7 +75,7 @@ static void each_joint_takes_what_it_is_sent_for_it(void)
           command.value_u[2] == -0.3);
 }
 
-static void joints_are_commanded_under_whichever_lease_it_is(void)
+static void joints_are_commanded_under_any_lease(void)
 {
     core_config config = head_and_belt();
     for (uint32_t place = 0; place < LEASES_MAX; place++) {
@@ -85,7 +85,7 @@ static void joints_are_commanded_under_whichever_lease_it_is(void)
     }
 }
 
-static void what_a_joint_does_not_take_is_refused(void)
+static void a_kind_of_command_that_a_joint_does_not_take_is_refused(void)
 {
     static const struct {
         uint32_t velocities, positions;
@@ -112,7 +112,7 @@ static void what_a_joint_does_not_take_is_refused(void)
     CHECK(submit(a, &joints) == 1 + REFUSED_JOINTS);
 }
 
-static void a_twist_but_zero_is_refused_where_there_is_no_base(void)
+static void a_twist_other_than_zero_is_refused_without_a_base(void)
 {
     core_config config = head_and_belt();
     for (uint32_t axes = 0; axes < 8; axes++) {
@@ -130,7 +130,7 @@ static void a_twist_but_zero_is_refused_where_there_is_no_base(void)
     }
 }
 
-static void as_many_joints_as_there_may_be_are_commanded(void)
+static void the_full_number_of_joints_is_commanded(void)
 {
     core_config config = heads_and_belts();
     arbiter *a = begun(&config);
@@ -159,7 +159,7 @@ static void as_many_joints_as_there_may_be_are_commanded(void)
 }
 
 /* A base of four wheels, left and right in turn. */
-static void what_is_not_named_of_a_base_s_wheels_comes_to_rest(void)
+static void unnamed_wheels_of_a_base_come_to_rest(void)
 {
     static const struct {
         uint32_t velocities, positions;
@@ -190,7 +190,7 @@ static void what_is_not_named_of_a_base_s_wheels_comes_to_rest(void)
 }
 
 /* Each of them is a number; their twist is no number, or far out of range. */
-static void speeds_that_are_no_twist_of_numbers_are_refused_and_the_base_comes_to_rest(void)
+static void speeds_that_are_not_finite_are_refused_and_the_base_comes_to_rest(void)
 {
     static const double MOST = DBL_MAX;
     static const double SPEEDS_RAD_S[][4] = {{-MOST, MOST, -MOST, MOST}, {MOST, MOST, MOST, MOST},
@@ -230,7 +230,7 @@ static void speeds_that_are_no_twist_of_numbers_are_refused_and_the_base_comes_t
 }
 
 /* Rollers under 45 degrees: the wheels of a diagonal turn against those of the other. */
-static void wheels_that_strafe_are_a_lateral_speed(void)
+static void wheel_speeds_that_strafe_are_a_lateral_speed(void)
 {
     core_config base = good_config();
     joint_position_datagram joints = datagram_of(1);
@@ -262,7 +262,7 @@ static void without_a_lease_in_command_no_joint_is_named(void)
 }
 
 /* An older datagram gives each joint a velocity: one that takes positions has none but zero. */
-static void older_datagrams_move_belts_only(void)
+static void datagrams_of_the_older_version_move_only_joints_with_velocity(void)
 {
     static const double PANS_RAD_S[] = {0.0, 1.0, 0.1};
     core_config config = head_and_belt();
@@ -300,7 +300,7 @@ static void an_angle_or_a_speed_far_out_of_range_is_refused(void)
 }
 
 /* The end that is farther from zero counts for both. */
-static void an_angle_or_a_speed_is_measured_by_the_farther_end_of_its_range(void)
+static void an_angle_or_a_speed_is_compared_with_the_farther_end_of_its_range(void)
 {
     static const double ENDS[][2] = {{-0.5, 2.0}, {-2.0, 0.5}};
     core_config config = head_and_belt();
@@ -322,7 +322,7 @@ static void an_angle_or_a_speed_is_measured_by_the_farther_end_of_its_range(void
 }
 
 /* Commanded while nothing may move, a motion does not begin when it may. */
-static void a_motion_that_was_requested_too_early_is_held(void)
+static void motion_that_was_requested_too_early_is_held(void)
 {
     static const struct {
         uint32_t velocities, positions;
@@ -339,7 +339,7 @@ static void a_motion_that_was_requested_too_early_is_held(void)
         joints.position_rad[0] = 0.0; /* an angle is a motion, also that of 0 */
         CHECK(arbiter_submit(a, &joints, sizeof joints, NOW_NS, false) == 0);
         CHECK((commanded(a).named == 0) == CASES[i].held);
-        joints.head.sequence = 2; /* also when it goes on */
+        joints.head.sequence = 2; /* also when it continues */
         CHECK(submit(a, &joints) == 0 && (commanded(a).named == 0) == CASES[i].held);
         joints.head.sequence = 3, joints.velocities = joints.positions = 0; /* until nothing was
                                                                                requested */
@@ -375,19 +375,19 @@ static void a_datagram_has_the_length_of_its_version(void)
 
 int main(void)
 {
-    each_joint_takes_what_it_is_sent_for_it();
-    joints_are_commanded_under_whichever_lease_it_is();
-    what_a_joint_does_not_take_is_refused();
-    a_twist_but_zero_is_refused_where_there_is_no_base();
-    as_many_joints_as_there_may_be_are_commanded();
-    what_is_not_named_of_a_base_s_wheels_comes_to_rest();
-    speeds_that_are_no_twist_of_numbers_are_refused_and_the_base_comes_to_rest();
-    wheels_that_strafe_are_a_lateral_speed();
+    each_joint_takes_its_own_part_of_a_command();
+    joints_are_commanded_under_any_lease();
+    a_kind_of_command_that_a_joint_does_not_take_is_refused();
+    a_twist_other_than_zero_is_refused_without_a_base();
+    the_full_number_of_joints_is_commanded();
+    unnamed_wheels_of_a_base_come_to_rest();
+    speeds_that_are_not_finite_are_refused_and_the_base_comes_to_rest();
+    wheel_speeds_that_strafe_are_a_lateral_speed();
     without_a_lease_in_command_no_joint_is_named();
-    older_datagrams_move_belts_only();
+    datagrams_of_the_older_version_move_only_joints_with_velocity();
     an_angle_or_a_speed_far_out_of_range_is_refused();
-    an_angle_or_a_speed_is_measured_by_the_farther_end_of_its_range();
-    a_motion_that_was_requested_too_early_is_held();
+    an_angle_or_a_speed_is_compared_with_the_farther_end_of_its_range();
+    motion_that_was_requested_too_early_is_held();
     a_datagram_has_the_length_of_its_version();
     return checks_report("test_command_joints");
 }

@@ -36,13 +36,13 @@ static void a_contact_that_was_open_between_two_ticks_stops(void)
           ESTOP_ACTIVE);
 }
 
-static void a_level_that_is_not_known_stops_whatever_else_is_given(void)
+static void an_unknown_level_counts_as_a_lost_input(void)
 {
     guard_config config = open_is_high();
     CHECK(estop_judge(&config, &(estop_reading){.known = false, .high = false}) == ESTOP_LOST);
 }
 
-static void an_input_that_was_lost_stays_lost(void)
+static void a_lost_input_stays_lost(void)
 {
     int ends[2];
     guard g;
@@ -71,7 +71,7 @@ static void without_pins_nothing_stops_and_nothing_is_written(void)
     CHECK(g.watchdog_edges == 0 && g.watchdog_errno == 0 && g.watchdog_well == 0);
 }
 
-static void a_pin_that_cannot_be_written_is_sent_with_its_reason(void)
+static void a_pin_that_cannot_be_written_is_reported_with_the_reason(void)
 {
     guard g;
     guard_init(&g, &(guard_config){.watchdog = 1,
@@ -79,7 +79,7 @@ static void a_pin_that_cannot_be_written_is_sent_with_its_reason(void)
                                    .watchdog_every_ticks = 1,
                                    .heartbeat_timeout_ns = MS});
     CHECK(ioctl(-1, GPIO_V2_LINE_SET_VALUES_IOCTL, &(struct gpio_v2_line_values){0}) != 0);
-    /* EBADF; an emulator that does not know the request has another one */
+    /* EBADF; an emulator without this request has another one */
     const int reason = errno;
     guard_drive_watchdog(&g, &(watchdog_input){.now_ns = START_NS, .heartbeat_ns = START_NS});
     CHECK(g.watchdog_edges == 1 && g.watchdog_errno == reason && g.watchdog_well == 1);
@@ -118,7 +118,7 @@ static uint32_t edges_in(rig *r, uint32_t ticks, bool asyncio, bool line)
     return edges;
 }
 
-static void while_all_live_the_pin_changes_as_often_as_it_is_sent(void)
+static void while_all_parts_run_the_pin_changes_at_its_configured_rate(void)
 {
     rig r = living();
     r.input.enabled = true;
@@ -134,7 +134,7 @@ static void without_a_first_heartbeat_it_does_not_move(void)
     CHECK(edges_in(&r, 100, false, true) == 0 && !r.state.high);
 }
 
-static void when_asyncio_hangs_it_stops_low_and_goes_on_with_it(void)
+static void when_asyncio_hangs_the_pin_stops_low_and_it_resumes_with_asyncio(void)
 {
     rig r = living();
     (void)edges_in(&r, 100, true, true);
@@ -150,7 +150,7 @@ static void a_line_without_enabled_drives_may_stand_still(void)
     CHECK(edges_in(&r, 1000, true, false) == 1000);
 }
 
-static void drives_that_are_just_enabled_give_their_line_its_time(void)
+static void newly_enabled_drives_give_their_line_its_full_time(void)
 {
     rig r = living();
     (void)edges_in(&r, 1000, true, false);
@@ -160,7 +160,7 @@ static void drives_that_are_just_enabled_give_their_line_its_time(void)
     CHECK(edges_in(&r, 100, true, false) == 0 && !r.state.high);
 }
 
-static void a_line_that_hangs_counts_until_it_goes_on_though_nothing_is_enabled_any_more(void)
+static void a_line_that_hangs_counts_until_it_resumes_even_with_no_drive_enabled(void)
 {
     rig r = living();
     r.input.enabled = true;
@@ -187,7 +187,7 @@ static void the_first_line_is_watched_as_the_others_are(void)
     CHECK(guard_config_check(&r.config) == -EINVAL);
 }
 
-static void a_heartbeat_that_never_came_is_none_however_young_the_clock_is(void)
+static void a_heartbeat_that_never_came_does_not_count_right_after_boot(void)
 {
     guard_config config = {.watchdog = 1, .watchdog_every_ticks = 1, .heartbeat_timeout_ns = 1};
     watchdog_state state = {0};
@@ -197,7 +197,7 @@ static void a_heartbeat_that_never_came_is_none_however_young_the_clock_is(void)
     CHECK(!watchdog_step(&state, &config, &(watchdog_input){.now_ns = 3, .heartbeat_ns = 1}));
 }
 
-static void a_heartbeat_of_the_future_is_no_sign_of_life(void)
+static void a_heartbeat_from_the_future_does_not_count(void)
 {
     guard_config config = {
         .watchdog = 1, .watchdog_every_ticks = 1, .heartbeat_timeout_ns = 500 * MS};
@@ -220,7 +220,7 @@ static void after_a_hang_the_first_edge_comes_when_its_time_has_passed(void)
           r.state.high);
 }
 
-static void a_config_that_makes_no_sense_is_refused(void)
+static void an_invalid_config_is_refused(void)
 {
     guard_config config = living().config;
     CHECK(guard_config_check(&config) == 0);
@@ -239,20 +239,20 @@ int main(void)
 {
     an_open_contact_stops_and_a_closed_one_does_not();
     a_contact_that_was_open_between_two_ticks_stops();
-    a_level_that_is_not_known_stops_whatever_else_is_given();
-    an_input_that_was_lost_stays_lost();
+    an_unknown_level_counts_as_a_lost_input();
+    a_lost_input_stays_lost();
     without_pins_nothing_stops_and_nothing_is_written();
-    a_pin_that_cannot_be_written_is_sent_with_its_reason();
-    while_all_live_the_pin_changes_as_often_as_it_is_sent();
+    a_pin_that_cannot_be_written_is_reported_with_the_reason();
+    while_all_parts_run_the_pin_changes_at_its_configured_rate();
     without_a_first_heartbeat_it_does_not_move();
-    when_asyncio_hangs_it_stops_low_and_goes_on_with_it();
+    when_asyncio_hangs_the_pin_stops_low_and_it_resumes_with_asyncio();
     a_line_without_enabled_drives_may_stand_still();
-    drives_that_are_just_enabled_give_their_line_its_time();
-    a_line_that_hangs_counts_until_it_goes_on_though_nothing_is_enabled_any_more();
+    newly_enabled_drives_give_their_line_its_full_time();
+    a_line_that_hangs_counts_until_it_resumes_even_with_no_drive_enabled();
     the_first_line_is_watched_as_the_others_are();
-    a_heartbeat_that_never_came_is_none_however_young_the_clock_is();
-    a_heartbeat_of_the_future_is_no_sign_of_life();
+    a_heartbeat_that_never_came_does_not_count_right_after_boot();
+    a_heartbeat_from_the_future_does_not_count();
     after_a_hang_the_first_edge_comes_when_its_time_has_passed();
-    a_config_that_makes_no_sense_is_refused();
+    an_invalid_config_is_refused();
     return checks_report("guard");
 }

@@ -26,7 +26,7 @@ static void buckets_are_narrow_and_in_order(void)
     }
 }
 
-static void percentiles_are_never_sent_too_low(void)
+static void percentiles_are_never_too_low(void)
 {
     static histogram h, copy;
     histogram_clear(&h);
@@ -83,7 +83,7 @@ static void few_samples_have_exact_percentiles_from_the_lowest_to_the_highest_bu
 int main(void)
 {
     buckets_are_narrow_and_in_order();
-    percentiles_are_never_sent_too_low();
+    percentiles_are_never_too_low();
     a_histogram_that_is_cleared_holds_nothing();
     few_samples_have_exact_percentiles_from_the_lowest_to_the_highest_bucket();
     return checks_report("histogram");

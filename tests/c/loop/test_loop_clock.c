@@ -77,7 +77,7 @@ static void tick(int64_t after_ns)
     loop_tick(&work, now_ns, now_ns);
 }
 
-/* Armed, and as fast as was asked for. */
+/* Armed, and at the commanded speed. */
 static void drive(void)
 {
     const loop_config loop = {.rate_hz = 1000, .event_fd = -1, .command_fd = -1};
@@ -100,7 +100,7 @@ static void drive(void)
           work.core.snapshot.setpoint_linear_m_s == 0.5);
 }
 
-static void a_clock_that_has_not_moved_between_two_ticks_is_no_fault(void)
+static void a_clock_that_has_not_moved_between_two_ticks_causes_no_fault(void)
 {
     drive();
     uint64_t tick_before = work.core.snapshot.tick;
@@ -125,7 +125,7 @@ static void a_clock_that_stands_still_for_long_stops_the_base(void)
     CHECK(work.core.snapshot.faults == FAULT_TIME_STEP && work.out.joint[0].velocity_rad_s == 0.0);
 }
 
-static void each_tick_in_which_the_clock_moves_makes_good_for_those_before(void)
+static void a_tick_in_which_the_clock_moves_excuses_those_before(void)
 {
     drive();
     for (uint32_t i = 0; i < 1000; i++) {
@@ -143,7 +143,7 @@ static void a_clock_that_runs_backwards_stops_the_base_at_once(void)
     CHECK(work.core.snapshot.faults == FAULT_TIME_STEP && work.out.joint[0].velocity_rad_s == 0.0);
 }
 
-/* Time goes on by the real clock, which shows when the computer woke up. */
+/* Time follows the real clock, which shows when the computer woke up. */
 static void wake_up(int64_t after_ns)
 {
     while (clock_now_ns() <= now_ns) { /* the ticks so far were of the test's own making */
@@ -160,7 +160,7 @@ static void after_a_suspend_the_base_stands_at_once_disarmed_by_a_fault(void)
     loop_tick(&work, now_ns, now_ns);
     CHECK(work.core.snapshot.faults == FAULT_SUSPENDED && work.core.snapshot.armed == 0);
     CHECK(work.out.joint[0].velocity_rad_s == 0.0 && work.out.joint[1].velocity_rad_s == 0.0);
-    for (uint32_t i = 0; i < 100; i++) { /* the drives answer again, and the source goes on */
+    for (uint32_t i = 0; i < 100; i++) { /* the drives answer again, and the source continues */
         (void)command(0.5);
         tick(MS);
         CHECK(work.out.joint[0].velocity_rad_s == 0.0 &&
@@ -168,7 +168,7 @@ static void after_a_suspend_the_base_stands_at_once_disarmed_by_a_fault(void)
     }
 }
 
-static void what_was_stamped_before_a_suspend_is_not_fresh_after_it(void)
+static void stamps_from_before_a_suspend_are_not_fresh_after_it(void)
 {
     drive();
     const command_datagram on_its_direction = {.magic = COMMAND_MAGIC,
@@ -195,7 +195,7 @@ static void what_was_stamped_before_a_suspend_is_not_fresh_after_it(void)
     CHECK(work.core.snapshot.joint[0].stale == 0 && work.core.snapshot.joint[1].stale == 0);
 }
 
-static void a_base_that_is_not_armed_is_not_moved_by_what_waits_either(void)
+static void a_disarmed_base_is_not_moved_by_waiting_commands_either(void)
 {
     drive();
     beat(0);
@@ -207,7 +207,7 @@ static void a_base_that_is_not_armed_is_not_moved_by_what_waits_either(void)
     CHECK(work.core.snapshot.faults == FAULT_SUSPENDED && work.core.snapshot.armed == 0);
 }
 
-static void clocks_that_are_read_apart_are_no_suspend(void)
+static void clocks_read_at_different_times_are_not_a_suspend(void)
 {
     drive();
     slept_ns += 2 * MS;
@@ -219,12 +219,12 @@ static void clocks_that_are_read_apart_are_no_suspend(void)
 int main(void)
 {
     after_a_suspend_the_base_stands_at_once_disarmed_by_a_fault();
-    what_was_stamped_before_a_suspend_is_not_fresh_after_it();
-    a_base_that_is_not_armed_is_not_moved_by_what_waits_either();
-    clocks_that_are_read_apart_are_no_suspend();
-    a_clock_that_has_not_moved_between_two_ticks_is_no_fault();
+    stamps_from_before_a_suspend_are_not_fresh_after_it();
+    a_disarmed_base_is_not_moved_by_waiting_commands_either();
+    clocks_read_at_different_times_are_not_a_suspend();
+    a_clock_that_has_not_moved_between_two_ticks_causes_no_fault();
     a_clock_that_stands_still_for_long_stops_the_base();
-    each_tick_in_which_the_clock_moves_makes_good_for_those_before();
+    a_tick_in_which_the_clock_moves_excuses_those_before();
     a_clock_that_runs_backwards_stops_the_base_at_once();
     return checks_report("loop clock");
 }

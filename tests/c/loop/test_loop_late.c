@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The log of late ticks. The clock runs, so each check is of what it must be at least. */
+ * The log of late ticks. The clock runs, so checks are lower bounds. */
 #include <string.h>
 #include <sys/mman.h>
 #include <unistd.h>
@@ -21,7 +21,7 @@ static late_tick one_tick(int64_t after_ns)
     return log_now.now;
 }
 
-static void off_it_keeps_nothing_and_reads_no_clock(void)
+static void a_disabled_log_keeps_nothing_and_reads_no_clock(void)
 {
     late_init(&log_now, 0);
     late_open(&log_now);
@@ -93,7 +93,7 @@ static void page_faults_are_those_of_the_tick(void)
     late_close(&log_now);
 }
 
-static void a_tick_without_a_place_is_counted(void)
+static void a_tick_that_does_not_fit_is_counted(void)
 {
     late_init(&log_now, 1);
     late_open(&log_now);
@@ -104,7 +104,7 @@ static void a_tick_without_a_place_is_counted(void)
     late_close(&log_now);
 }
 
-static void a_kernel_that_does_not_count_the_wait_is_not_known(void)
+static void the_wait_is_unknown_where_the_kernel_does_not_count_it(void)
 {
     late_init(&log_now, 1);
     late_open(&log_now);
@@ -115,11 +115,11 @@ static void a_kernel_that_does_not_count_the_wait_is_not_known(void)
 
 int main(void)
 {
-    off_it_keeps_nothing_and_reads_no_clock();
+    a_disabled_log_keeps_nothing_and_reads_no_clock();
     only_ticks_that_are_late_are_kept_in_order();
     a_stage_holds_the_time_since_the_one_before();
     page_faults_are_those_of_the_tick();
-    a_tick_without_a_place_is_counted();
-    a_kernel_that_does_not_count_the_wait_is_not_known();
+    a_tick_that_does_not_fit_is_counted();
+    the_wait_is_unknown_where_the_kernel_does_not_count_it();
     return checks_report("late log");
 }

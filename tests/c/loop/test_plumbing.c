@@ -115,7 +115,7 @@ static void each_value_has_a_box_of_its_own(void)
           exchange_line_wake(&x, LINES_MAX) == -1);
 }
 
-/* Whatever was in the memory before: nothing of it is a value, a wake-up or a count. */
+/* Old content of the memory is no value, no wake-up and no count. */
 static void an_exchange_begins_empty_in_memory_that_was_used_before(void)
 {
     static exchange x;
@@ -161,7 +161,7 @@ static void an_exchange_begins_empty_in_memory_that_was_used_before(void)
     CHECK(exchange_take_imu(&x, &sample) == 1 && sample.stamp_ns == 9);
 }
 
-static void a_line_is_sent_how_often_its_set_points_became_enabled(void)
+static void set_points_carry_how_often_they_became_enabled(void)
 {
     static exchange x;
     exchange_init(&x);
@@ -275,7 +275,7 @@ static void a_page_begins_empty_in_memory_that_was_used_before(uint8_t *page)
     for (uint32_t slot = 0; slot < 4; slot++) {
         all_zero(page + SLOTS_AT + slot * stride, 8 + sizeof(robot_state));
     }
-    CHECK(page[SLOTS_AT + 4 * stride] == 0xAA); /* and nothing behind the last */
+    CHECK(page[SLOTS_AT + 4 * stride] == 0xAA); /* and nothing after the last */
 }
 
 static void a_page_that_cannot_be_trusted_is_refused(uint8_t *page)
@@ -325,7 +325,7 @@ static bool holds(const uint8_t *slot, uint64_t number, void *out, size_t bytes)
     return sequence == 2 * number;
 }
 
-static void a_journal_holds_what_went_in_and_what_came_out(void)
+static void a_journal_holds_input_and_output(void)
 {
     static core_state state, kept;
     core_input input;
@@ -367,7 +367,7 @@ static void a_journal_holds_what_went_in_and_what_came_out(void)
     free(journal);
 }
 
-static void a_journal_begins_empty_and_says_how_it_is_laid_out(void)
+static void a_journal_begins_empty_with_its_layout(void)
 {
     uint8_t *journal = aligned_alloc(64, (journal_bytes() + 63) / 64 * 64);
     CHECK(journal != NULL);
@@ -394,7 +394,7 @@ static void a_journal_begins_empty_and_says_how_it_is_laid_out(void)
 }
 
 /* FNV-1a of 64 bits over words: docs/replay.md. */
-static void a_digest_is_the_same_whichever_program_computes_it(void)
+static void a_digest_is_the_same_in_any_program(void)
 {
     robot_state snapshot;
     uint64_t words[sizeof snapshot / 8], digest = UINT64_C(14695981039346656037);
@@ -427,15 +427,15 @@ int main(void)
     a_ring_gives_all_in_order_and_takes_no_more_than_it_holds();
     each_value_has_a_box_of_its_own();
     an_exchange_begins_empty_in_memory_that_was_used_before();
-    a_line_is_sent_how_often_its_set_points_became_enabled();
+    set_points_carry_how_often_they_became_enabled();
     no_count_is_ahead_of_its_set_points();
     a_page_is_read_as_it_was_written(page);
     a_page_that_cannot_be_trusted_is_refused(page);
     a_slot_is_marked_while_it_is_written(page);
     a_page_begins_empty_in_memory_that_was_used_before(page);
-    a_journal_holds_what_went_in_and_what_came_out();
-    a_journal_begins_empty_and_says_how_it_is_laid_out();
-    a_digest_is_the_same_whichever_program_computes_it();
+    a_journal_holds_input_and_output();
+    a_journal_begins_empty_with_its_layout();
+    a_digest_is_the_same_in_any_program();
     a_late_tick_skips_and_never_bursts();
     return checks_report("plumbing");
 }

@@ -47,12 +47,11 @@ static void drive(void)
     }
 }
 
-static void each_wheel_is_reported_by_itself(void)
+static void each_wheel_is_reported_separately(void)
 {
     begin();
     drive();
-    r->input.feedback[1].drive_faults = 0; /* a fault would stop the base; its word is looked at
-                                              below */
+    r->input.feedback[1].drive_faults = 0; /* a fault would stop it; its word is checked below */
     const robot_state *shown = tick_with(0.875);
     for (uint32_t j = 0; j < 4; j++) {
         const joint_state *joint = &shown->joint[j];
@@ -75,7 +74,7 @@ static void each_wheel_is_reported_by_itself(void)
           shown->joint[3].current_a == 4.0);
 }
 
-static void of_a_wheel_without_feedback_nothing_is_reported(void)
+static void a_wheel_without_feedback_has_no_values(void)
 {
     core_config config = good_config();
     start(r, &config);
@@ -88,7 +87,7 @@ static void of_a_wheel_without_feedback_nothing_is_reported(void)
     CHECK(shown->joint[1].enabled == 2 && shown->joint[1].stale == 1);
 }
 
-static void the_odometry_is_reported_whole(void)
+static void all_of_the_odometry_is_reported(void)
 {
     begin();
     drive();
@@ -113,7 +112,7 @@ static void the_odometry_is_reported_whole(void)
     CHECK(tick_with(0.875)->odometry_epoch == epoch + 1 && r->state.odometry.epoch == epoch + 1);
 }
 
-static void the_sensor_is_reported_less_its_bias(void)
+static void the_bias_of_the_sensor_is_subtracted(void)
 {
     core_config config = config_with_gyro();
     start(r, &config);
@@ -148,7 +147,7 @@ static void the_sensor_is_reported_less_its_bias(void)
     CHECK(tick_with(0.5)->imu.stamp_ns == 0);
 }
 
-static void what_the_base_does_and_why_is_reported(void)
+static void the_motion_of_the_base_and_its_reasons_are_reported(void)
 {
     begin();
     r->input.control.machine_state = 5, r->input.control.owner = 7;
@@ -230,8 +229,8 @@ static void lateral_motion_is_reported_like_the_other_two(void)
     CHECK(tick(r)->lateral.covariance[0] == 0.0 && r->shown.lateral.covariance[2] == 0.0);
 }
 
-/* A steering joint is shown where it is; where it is to be, while it has power and its place is
- * known. */
+/* A steering joint is shown with its angle, and with its target while it has power and a known
+ * position. */
 static void joints_that_take_positions_are_reported_with_their_set_points(void)
 {
     core_config config = bicycle();
@@ -265,7 +264,7 @@ static void joints_that_take_positions_are_reported_with_their_set_points(void)
     CHECK(isnan(steering->setpoint_rad[1]) && shown->joint[1].setpoint_rad_s == 0.0);
 }
 
-static void every_reason_is_reported_beside_the_others_and_since_when(void)
+static void every_reason_is_reported_independently_with_its_start_time(void)
 {
     core_config config = bicycle();
     config.joint[1].position.reference = REFERENCE_HOMED;
@@ -308,15 +307,15 @@ static void every_reason_is_reported_beside_the_others_and_since_when(void)
 int main(void)
 {
     r = malloc(sizeof *r);
-    each_wheel_is_reported_by_itself();
-    of_a_wheel_without_feedback_nothing_is_reported();
-    the_odometry_is_reported_whole();
-    the_sensor_is_reported_less_its_bias();
-    what_the_base_does_and_why_is_reported();
+    each_wheel_is_reported_separately();
+    a_wheel_without_feedback_has_no_values();
+    all_of_the_odometry_is_reported();
+    the_bias_of_the_sensor_is_subtracted();
+    the_motion_of_the_base_and_its_reasons_are_reported();
     a_heading_stays_within_half_a_turn();
     lateral_motion_is_reported_like_the_other_two();
     joints_that_take_positions_are_reported_with_their_set_points();
-    every_reason_is_reported_beside_the_others_and_since_when();
+    every_reason_is_reported_independently_with_its_start_time();
     free(r);
     return checks_report("snapshot");
 }

@@ -18,7 +18,7 @@ static exchange shared;
 static _Atomic bool over;
 static int ends[2]; /* the thread's and the peer's */
 
-/* Set-points that want motion, always fresh. */
+/* Set-points that are not zero, always fresh. */
 static inline void *core(void *arg)
 {
     (void)arg;

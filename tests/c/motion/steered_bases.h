@@ -34,7 +34,7 @@ static inline joint_config turning_within(double range_rad)
     return joint;
 }
 
-/* Without modules and joints yet, but for a module behind the last one, which does not count. */
+/* Without modules and joints yet, except for a module after the last one, which does not count. */
 static inline core_config empty_base(uint32_t joints, uint32_t modules, uint32_t steering,
                                      uint32_t traction)
 {

@@ -56,7 +56,7 @@ static const struct {
     {true, false, {0.0}, {0.0, 0.0, -1.0}, {0.0, 0.0, -0.0006}, REASON_LATERAL_JERK},
 };
 
-static void one_step_keeps_each_limit_and_says_which_one(void)
+static void one_step_keeps_each_limit_and_names_it(void)
 {
     for (size_t i = 0; i < sizeof STEPS / sizeof STEPS[0]; i++) {
         limit_state axis[AXES] = {
@@ -72,7 +72,7 @@ static void one_step_keeps_each_limit_and_says_which_one(void)
     }
 }
 
-static void an_acceleration_goes_on_in_its_direction_and_counts_for_nothing_against_it(void)
+static void an_acceleration_is_kept_in_its_direction_and_dropped_against_it(void)
 {
     static const struct {
         double acceleration, goal, expected;
@@ -184,7 +184,7 @@ static core_config with_slew(double slew_per_s)
     return base;
 }
 
-static void a_duty_slew_bounds_how_fast_a_wheel_grows_faster(void)
+static void a_duty_slew_bounds_the_acceleration_of_a_wheel(void)
 {
     /* 0.1 a second of 16 rad/s over 0.8 of the duty: 2 rad/s2 at the wheel, 0.2 m/s2, 0.8 rad/s2
      * in a turn */
@@ -217,7 +217,7 @@ static void a_duty_slew_bounds_how_fast_a_wheel_grows_faster(void)
     }
 }
 
-static void what_is_within_a_step_is_reached_exactly(void)
+static void a_goal_within_a_step_is_reached_exactly(void)
 {
     for (int round = 0; round < 1000; round++) {
         double goal[AXES] = {any(-1.0, 1.0), any(-1.0, 1.0)};
@@ -234,7 +234,7 @@ static void what_is_within_a_step_is_reached_exactly(void)
     }
 }
 
-static void the_largest_numbers_that_there_are_are_numbers(void)
+static void the_largest_finite_numbers_stay_finite(void)
 {
     limit_state axis[AXES] = {{DBL_MAX, 0.0}};
     CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){0.0, 0.0}, DT_S, false) ==
@@ -264,7 +264,7 @@ static void the_largest_numbers_that_there_are_are_numbers(void)
     }
 }
 
-static void what_is_no_number_rests_and_what_is_no_goal_is_zero(void)
+static void a_state_that_is_not_finite_rests_and_such_a_goal_is_zero(void)
 {
     static const double BAD[] = {NAN, INFINITY, -INFINITY};
     for (int i = 0; i < 3; i++) {
@@ -312,13 +312,13 @@ static void what_is_no_number_rests_and_what_is_no_goal_is_zero(void)
 
 int main(void)
 {
-    one_step_keeps_each_limit_and_says_which_one();
-    an_acceleration_goes_on_in_its_direction_and_counts_for_nothing_against_it();
+    one_step_keeps_each_limit_and_names_it();
+    an_acceleration_is_kept_in_its_direction_and_dropped_against_it();
     a_ramp_takes_the_shortest_time_and_is_soft_at_both_ends();
     a_change_of_sign_is_eased_and_loses_no_time();
-    a_duty_slew_bounds_how_fast_a_wheel_grows_faster();
-    what_is_within_a_step_is_reached_exactly();
-    the_largest_numbers_that_there_are_are_numbers();
-    what_is_no_number_rests_and_what_is_no_goal_is_zero();
+    a_duty_slew_bounds_the_acceleration_of_a_wheel();
+    a_goal_within_a_step_is_reached_exactly();
+    the_largest_finite_numbers_stay_finite();
+    a_state_that_is_not_finite_rests_and_such_a_goal_is_zero();
     return checks_report("test_limit");
 }

@@ -57,7 +57,7 @@ static double step_of(double from, double goal, double gains, double jerk, uint3
     base_limits limits = {.linear = {1e6, gains, FAST_U_S2, jerk},
                           .angular = {1.0, 1.0, 1.0, INFINITY}};
     double sense = goal > from ? 1.0 : -1.0;
-    /* as fast as it likes already: the growth bounds nothing */
+    /* fast enough already: the growth bounds nothing */
     limit_state axis[AXES] = {{from, sense * FAST_U_S2}};
     uint32_t reason =
         ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){goal, 0.0}, DT_S, false);
@@ -71,7 +71,7 @@ static bool same(double value, double expected)
     return fabs(value - expected) <= 1e-9 * expected;
 }
 
-static void a_speed_is_eased_before_its_goal_as_late_as_can_be(void)
+static void a_speed_is_eased_before_its_goal_as_late_as_possible(void)
 {
     for (int round = 0; round < 2000; round++) {
         double from = any(0.1, 1.0), change = any(0.01, 2.0), jerk = any(2.0, 50.0);
@@ -82,7 +82,7 @@ static void a_speed_is_eased_before_its_goal_as_late_as_can_be(void)
     }
 }
 
-static void a_speed_is_eased_before_it_changes_its_sign_as_late_as_can_be(void)
+static void a_speed_is_eased_before_it_changes_its_sign_as_late_as_possible(void)
 {
     int eased = 0;
     for (int round = 0; round < 4000; round++) {
@@ -99,7 +99,7 @@ static void a_speed_is_eased_before_it_changes_its_sign_as_late_as_can_be(void)
 
 int main(void)
 {
-    a_speed_is_eased_before_its_goal_as_late_as_can_be();
-    a_speed_is_eased_before_it_changes_its_sign_as_late_as_can_be();
+    a_speed_is_eased_before_its_goal_as_late_as_possible();
+    a_speed_is_eased_before_it_changes_its_sign_as_late_as_possible();
     return checks_report("test_limit_ease");
 }

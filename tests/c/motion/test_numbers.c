@@ -71,7 +71,7 @@ static void on_the_axes_the_angle_is_exact_and_nearly_so_on_the_diagonals(void)
 }
 
 /* ---------------------------------------------------------------------------------- PWM */
-static void no_speed_that_is_a_number_or_no_time_is_no_duty(void)
+static void a_speed_or_time_that_is_not_finite_gives_no_duty(void)
 {
     const pwm_config config = {.dead_band = 0.1,
                                .duty_min = -1.0,
@@ -121,7 +121,7 @@ static void the_integral_is_held_where_it_would_drive_the_torque_beyond_its_limi
     CHECK(loop_step(&state, &eager, 0.1, 0.0, 0.01) == 0.001 && state.integral_u == 0.0005);
 }
 
-static void what_cannot_be_reckoned_empties_the_integral(void)
+static void input_that_is_not_finite_clears_the_integral(void)
 {
     const speed_loop_config loop = torque_loop(0.5, 4.0, 3.0);
     const double bad[] = {(double)NAN, (double)INFINITY, -(double)INFINITY};
@@ -145,7 +145,7 @@ static const core_config FOUR_WHEELS = {
               {.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
               {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.2}}};
 
-/* Where the wheels go meanwhile is not known: as far as their set-points say, either way. */
+/* The motion of the wheels is unknown meanwhile: up to their set-points, in either direction. */
 static void a_blind_base_is_as_uncertain_as_its_set_points_may_have_carried_it(void)
 {
     static odometry_state state;
@@ -180,10 +180,10 @@ int main(void)
     sine_and_cosine_have_the_same_bits_everywhere();
     the_angle_of_a_vector_is_right_to_the_last_bits_whatever_its_length();
     on_the_axes_the_angle_is_exact_and_nearly_so_on_the_diagonals();
-    no_speed_that_is_a_number_or_no_time_is_no_duty();
+    a_speed_or_time_that_is_not_finite_gives_no_duty();
     the_torque_is_the_error_s_share_and_its_integral();
     the_integral_is_held_where_it_would_drive_the_torque_beyond_its_limit();
-    what_cannot_be_reckoned_empties_the_integral();
+    input_that_is_not_finite_clears_the_integral();
     a_blind_base_is_as_uncertain_as_its_set_points_may_have_carried_it();
     return checks_report("numbers");
 }

@@ -60,7 +60,7 @@ static void armed(base *b, const core_config *config)
     b->input.command.linear_m_s = 0.5;
 }
 
-static void the_torque_is_a_number_within_its_limit(void)
+static void the_torque_is_finite_and_within_its_limit(void)
 {
     const speed_loop_config config = torque_loop(1.0, 4.0, TORQUE_MAX_N_M);
     for (int i = 0; i < HOSTILE_COUNT * HOSTILE_COUNT * HOSTILE_COUNT; i++) {
@@ -89,7 +89,7 @@ static void a_wheel_that_is_too_slow_is_pushed_until_it_is_disarmed(void)
           b.state.speed_loop[0].integral_u == 0.0);
 }
 
-static void a_wheel_beyond_all_speed_is_let_go(void)
+static void an_impossibly_fast_wheel_loses_its_power(void)
 {
     base b;
     core_config config = two_wheels();
@@ -105,8 +105,8 @@ static void a_wheel_beyond_all_speed_is_let_go(void)
     CHECK(b.out.joint[0].torque_n_m == 0.0);
 }
 
-/* What the integral held was for a wheel that was seen: it must not push one that is seen again. */
-static void a_wheel_that_is_not_received_any_more_loses_its_integral_while_it_is_held(void)
+/* The integral is from before the loss: it must not push the wheel when its feedback is back. */
+static void a_wheel_without_feedback_loses_its_integral_while_it_holds(void)
 {
     base b;
     core_config config = two_wheels();
@@ -145,7 +145,7 @@ static void a_wheel_that_ran_away_loses_its_integral_at_once(void)
     }
 }
 
-static void a_speed_that_is_no_number_is_no_torque(void)
+static void a_speed_that_is_not_finite_gives_no_torque(void)
 {
     for (int i = 0; i < 3; i++) {
         base b;
@@ -159,11 +159,11 @@ static void a_speed_that_is_no_number_is_no_torque(void)
 
 int main(void)
 {
-    the_torque_is_a_number_within_its_limit();
+    the_torque_is_finite_and_within_its_limit();
     a_wheel_that_is_too_slow_is_pushed_until_it_is_disarmed();
-    a_wheel_beyond_all_speed_is_let_go();
-    a_wheel_that_is_not_received_any_more_loses_its_integral_while_it_is_held();
+    an_impossibly_fast_wheel_loses_its_power();
+    a_wheel_without_feedback_loses_its_integral_while_it_holds();
     a_wheel_that_ran_away_loses_its_integral_at_once();
-    a_speed_that_is_no_number_is_no_torque();
+    a_speed_that_is_not_finite_gives_no_torque();
     return checks_report("test_speed_loop");
 }

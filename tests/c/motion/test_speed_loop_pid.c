@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The speed loop by its exact numbers: feed-forward, derivative, limits, and what goes on
- * without a step. */
+ * The speed loop by its exact numbers: feed-forward, derivative, limits, and changes without a
+ * step of the output. */
 #include "check.h"
 #include "torque_loop.h"
 
@@ -59,7 +59,7 @@ static void the_derivative_is_of_the_filtered_measure_alone(void)
     CHECK(loop_step(&first, &config, 5.0, 3.0, DT_S) == 0.0 && near(first.slow_rad_s, 3.0));
 }
 
-static void the_loop_differs_from_its_feed_forward_by_so_much_at_most(void)
+static void the_loop_differs_from_its_feed_forward_by_a_bounded_amount(void)
 {
     speed_loop_config config = duty_loop();
     for (double sign = -1.0; sign <= 1.0; sign += 2.0) {
@@ -75,7 +75,7 @@ static void the_loop_differs_from_its_feed_forward_by_so_much_at_most(void)
     }
 }
 
-static void what_a_limit_of_the_output_cuts_off_is_not_summed_up(void)
+static void the_part_that_an_output_limit_cuts_off_is_not_integrated(void)
 {
     speed_loop_config config = duty_loop();
     config.output_min_u = 0.0; /* one that cannot reverse */
@@ -94,7 +94,7 @@ static void what_a_limit_of_the_output_cuts_off_is_not_summed_up(void)
     CHECK(loop_step(&state, &config, 5.0, 4.9, DT_S) > 0.0 && state.integral_u > held);
 }
 
-static void the_integral_is_held_by_what_is_cut_off_and_not_by_the_output(void)
+static void the_cut_off_part_holds_the_integral_and_not_the_output(void)
 {
     speed_loop_config config = duty_loop();
     /* forward, far too fast: the correction is at its limit */
@@ -116,7 +116,7 @@ static void the_integral_is_held_by_what_is_cut_off_and_not_by_the_output(void)
     CHECK(!signbit(loop_step(&state, &none, -1.0, 0.0, DT_S)));
 }
 
-static void a_change_of_gains_goes_on_from_the_output_of_before(void)
+static void a_change_of_gains_continues_from_the_last_output(void)
 {
     speed_loop_config config = duty_loop();
     speed_loop_state state = {.begun = 1};
@@ -139,7 +139,7 @@ static void a_change_of_gains_goes_on_from_the_output_of_before(void)
           state.integral_u == 0.0);
 }
 
-static void a_loop_that_begins_at_a_wheel_that_turns_begins_without_output(void)
+static void a_loop_that_starts_at_a_turning_wheel_starts_without_output(void)
 {
     speed_loop_config config = torque_loop(1.0, 4.0, 8.0);
     speed_loop_state state = {0};
@@ -185,7 +185,7 @@ static void gains_are_finite_and_not_negative(void)
     CHECK(speed_loop_gains_good(&(speed_loop_gains){0.0, 1e9, 1.0, 0.0, 1.0, 1.0}));
 }
 
-static void numbers_beyond_all_range_are_no_output(void)
+static void overflowing_numbers_give_no_output(void)
 {
     speed_loop_config config = torque_loop(1e9, 1e9, 1e9);
     config.gains.derivative_u_s2_per_rad = 1e9;
@@ -206,13 +206,13 @@ int main(void)
 {
     feed_forward_is_friction_in_the_direction_of_the_set_point_and_inertia();
     the_derivative_is_of_the_filtered_measure_alone();
-    the_loop_differs_from_its_feed_forward_by_so_much_at_most();
-    what_a_limit_of_the_output_cuts_off_is_not_summed_up();
-    the_integral_is_held_by_what_is_cut_off_and_not_by_the_output();
-    a_change_of_gains_goes_on_from_the_output_of_before();
-    a_loop_that_begins_at_a_wheel_that_turns_begins_without_output();
+    the_loop_differs_from_its_feed_forward_by_a_bounded_amount();
+    the_part_that_an_output_limit_cuts_off_is_not_integrated();
+    the_cut_off_part_holds_the_integral_and_not_the_output();
+    a_change_of_gains_continues_from_the_last_output();
+    a_loop_that_starts_at_a_turning_wheel_starts_without_output();
     at_rest_a_duty_is_zero_and_a_torque_where_friction_holds_the_wheel();
     gains_are_finite_and_not_negative();
-    numbers_beyond_all_range_are_no_output();
+    overflowing_numbers_give_no_output();
     return checks_report("test_speed_loop_pid");
 }

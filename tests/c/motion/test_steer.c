@@ -20,7 +20,7 @@ static steer_state begun(const core_config *base)
 }
 
 /* --- reach */
-static void the_reach_of_a_wheel_in_front_or_behind_is_that_of_its_circle(void)
+static void a_wheel_in_front_or_behind_reaches_the_curves_of_its_circle(void)
 {
     static const double WHEELBASES_M[] = {0.05, 0.1, 0.3, 1.0, -0.05, -0.1, -0.3, -1.0};
     for (int i = 0; i < COUNT_OF(WHEELBASES_M); i++) {
@@ -339,7 +339,7 @@ static void pointing_as_they_should_wheels_roll_as_fast_as_the_floor(void)
 
 int main(void)
 {
-    the_reach_of_a_wheel_in_front_or_behind_is_that_of_its_circle();
+    a_wheel_in_front_or_behind_reaches_the_curves_of_its_circle();
     a_wheel_beside_the_middle_reaches_other_curves_to_each_side();
     a_wheel_far_beside_the_middle_reaches_the_spot_to_one_side();
     straight_ahead_is_in_reach_also_where_its_wheel_cannot_point_there();

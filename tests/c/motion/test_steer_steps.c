@@ -13,7 +13,7 @@ static steer_state begun(const core_config *base)
     return steer;
 }
 
-/* What is left of a goal when the base moves like `from`, and its wheels are at these angles. */
+/* The part of a goal that is left when the base moves like `from` with these wheel angles. */
 typedef struct {
     double goal_u_s[AXES];
     double rate_max_s;
@@ -87,7 +87,7 @@ static void at_rest_without_a_goal_nothing_waits(void)
     CHECK(left.reasons == 0 && isinf(left.rate_max_s) && steer.misaligned_rad == 0.0);
 }
 
-static void a_base_slows_down_while_a_wheel_does_not_point_there(void)
+static void a_base_slows_down_while_a_wheel_points_in_another_direction(void)
 {
     static const struct {
         double off_rad, share;
@@ -138,8 +138,8 @@ static void the_worst_wheel_counts(void)
     }
 }
 
-/* Turning about a wheel, that one points anywhere: below a millionth of the fastest speed it
- * stands. */
+/* In a turn about a wheel, that wheel may point anywhere: below a millionth of the fastest speed
+ * it counts as standing. */
 static void a_wheel_that_stands_points_anywhere(void)
 {
     core_config base = swerve();
@@ -346,7 +346,7 @@ static void wheels_follow_the_motion_at_rest_the_goal_and_hold_without_either(vo
 
 /* One that measures nothing may be anywhere when it gets its power: it gets the time of its
  * longest move. */
-static void a_joint_that_measures_nothing_is_sure_after_its_longest_move(void)
+static void a_joint_without_measurement_is_certain_after_its_longest_move(void)
 {
     core_config base = bicycle();
     base.joint[1].position.reference = REFERENCE_ESTIMATED;
@@ -426,7 +426,7 @@ static void set_points_of_joints_that_take_positions_are_those_of_their_profiles
     }
 }
 
-static void positions_count_with_power_where_they_are_known(void)
+static void known_positions_count_while_there_is_power(void)
 {
     core_config base = ackermann(WHEELBASE_M);
     steer_state steer = begun(&base);
@@ -453,16 +453,16 @@ int main(void)
 {
     a_joint_whose_angle_is_not_known_is_reported_while_it_sends_feedback();
     at_rest_without_a_goal_nothing_waits();
-    a_base_slows_down_while_a_wheel_does_not_point_there();
+    a_base_slows_down_while_a_wheel_points_in_another_direction();
     the_worst_wheel_counts();
     a_wheel_that_stands_points_anywhere();
     before_a_goal_that_turns_a_wheel_around_the_base_comes_to_rest();
     the_ramp_is_paced_by_the_wheel_whose_direction_changes_fastest();
     a_step_that_is_faster_is_shortened_and_stays_straight();
     wheels_follow_the_motion_at_rest_the_goal_and_hold_without_either();
-    a_joint_that_measures_nothing_is_sure_after_its_longest_move();
+    a_joint_without_measurement_is_certain_after_its_longest_move();
     without_power_a_joint_is_where_it_is();
     set_points_of_joints_that_take_positions_are_those_of_their_profiles();
-    positions_count_with_power_where_they_are_known();
+    known_positions_count_while_there_is_power();
     return checks_report("test_steer_steps");
 }

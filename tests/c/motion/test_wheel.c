@@ -16,7 +16,7 @@ static double factor_of(double want_rad_s, double min_rad_s, double max_rad_s)
     return saturate_factor(&want_rad_s, &joint, 1);
 }
 
-static void a_wheel_within_its_limits_takes_nothing(void)
+static void a_wheel_within_its_limits_does_not_scale_the_twist(void)
 {
     CHECK(factor_of(0.0, -1.0, 2.0) == 1.0 && factor_of(2.0, -1.0, 2.0) == 1.0 &&
           factor_of(-1.0, -1.0, 2.0) == 1.0);
@@ -44,7 +44,7 @@ static void a_wheel_beyond_its_limit_is_brought_to_it(void)
     CHECK(rounded_up > 100);
 }
 
-static void what_is_no_number_moves_nothing(void)
+static void an_input_that_is_not_finite_moves_nothing(void)
 {
     CHECK(factor_of(NAN, -1.0, 2.0) == 0.0 && factor_of(INFINITY, -1.0, 2.0) == 0.0 &&
           factor_of(-INFINITY, -1.0, 2.0) == 0.0);
@@ -118,9 +118,9 @@ static void a_duty_grows_no_faster_than_its_slew(void)
 
 int main(void)
 {
-    a_wheel_within_its_limits_takes_nothing();
+    a_wheel_within_its_limits_does_not_scale_the_twist();
     a_wheel_beyond_its_limit_is_brought_to_it();
-    what_is_no_number_moves_nothing();
+    an_input_that_is_not_finite_moves_nothing();
     all_wheels_take_the_factor_of_the_worst();
     a_duty_begins_at_the_dead_band_in_either_direction();
     a_duty_grows_no_faster_than_its_slew();

@@ -66,12 +66,12 @@ static void the_turn_is_the_rate_times_the_time(void)
     CHECK(memcmp(&before, &s.state, sizeof before) == 0);
     say(&s, 0.6, 200, false);
     CHECK(turned(&s, &turn_rad) && fabs(turn_rad - 0.5) < 0.002);
-    s.now_ns += SAMPLE_NS; /* beyond the newest sample: as it went on */
+    s.now_ns += SAMPLE_NS; /* beyond the newest sample: extrapolated */
     CHECK(turned(&s, &turn_rad) && fabs(turn_rad - 0.5 * 0.005) < 1e-12);
     s.now_ns += 20 * SAMPLE_NS;
     CHECK(!turned(&s, &turn_rad));
     CHECK(gyro_status(&s.state, &CONFIG, s.now_ns) == GYRO_STALE);
-    say(&s, 0.6, 2, false); /* after a gap it begins anew */
+    say(&s, 0.6, 2, false); /* after a gap it restarts */
     CHECK(!turned(&s, &turn_rad));
     CHECK(turned(&s, &turn_rad));
     say(&s, 0.1, 1000, true); /* the zero is measured again */
@@ -79,7 +79,7 @@ static void the_turn_is_the_rate_times_the_time(void)
     CHECK(gyro_status(&s.state, &(gyro_config){0}, s.now_ns) == GYRO_NONE);
 }
 
-/* Moving at 0.5 rad/s more than its zero, its turn asked for; then what breaks the way. */
+/* It moves at 0.5 rad/s more than its zero, and its turn is read; then the integral breaks. */
 static sensor on_the_move(void)
 {
     sensor s = new_sensor();
@@ -98,7 +98,7 @@ static void is_broken_once(sensor *s)
     CHECK(turned(s, &turn_rad) && fabs(turn_rad - 0.5 * 0.05) < 1e-9);
 }
 
-static void a_part_of_the_angle_that_is_not_known_is_no_turn(void)
+static void an_incomplete_angle_is_no_turn(void)
 {
     sensor s = on_the_move();
     s.epoch++; /* another sensor, or the same after its start */
@@ -140,7 +140,7 @@ static void the_zero_is_the_mean_of_a_second_that_begins_when_the_chassis_has_co
     CHECK(s.state.still == 1);
 }
 
-static void wheels_that_turn_begin_the_rest_anew(void)
+static void turning_wheels_restart_the_time_of_rest(void)
 {
     sensor s = new_sensor();
     say(&s, 0.0, 250, true); /* 1.25 s of the 1.5 that it takes */
@@ -153,7 +153,7 @@ static void wheels_that_turn_begin_the_rest_anew(void)
     CHECK(s.state.still == 0);
 }
 
-static void no_zero_of_a_base_that_moves(void)
+static void a_base_that_moves_gives_no_zero(void)
 {
     sensor s = new_sensor();
     say(&s, 0.6, 1000, true); /* too much for a zero */
@@ -287,7 +287,7 @@ static void a_zero_may_be_as_far_off_as_is_allowed_and_the_rate_follows_it(void)
     }
 }
 
-/* It knows its zero, which is 0. */
+/* Its zero is known, and is 0. */
 static exact at_rest(double noise_rad_s)
 {
     exact e = new_exact();
@@ -316,11 +316,11 @@ static bool stands_at(exact e, double rate_rad_s)
     return e.state.still == 1;
 }
 
-static void it_stands_within_a_hundredth_or_five_deviations_of_its_noise(void)
+static void it_counts_as_still_within_a_hundredth_or_five_deviations_of_its_noise(void)
 {
-    exact unresponsive = at_rest(0.0), noisy = at_rest(0.01);
-    CHECK(stands_at(unresponsive, 0.01) && stands_at(unresponsive, -0.01) &&
-          !stands_at(unresponsive, 0.0101) && !stands_at(unresponsive, -0.011));
+    exact noiseless = at_rest(0.0), noisy = at_rest(0.01);
+    CHECK(stands_at(noiseless, 0.01) && stands_at(noiseless, -0.01) &&
+          !stands_at(noiseless, 0.0101) && !stands_at(noiseless, -0.011));
     double limit_rad_s = 5.0 * sqrt(20e-4 / 19.0);
     CHECK(stands_at(noisy, 0.999 * limit_rad_s * sqrt(0.1)) && stands_at(noisy, 0.0512) &&
           !stands_at(noisy, 0.0515));
@@ -347,7 +347,7 @@ static void rates_and_stamps_are_taken_to_the_end_of_their_range(void)
     CHECK(e.state.refused == 3);
 }
 
-static void a_gap_as_long_as_the_timeout_is_still_none(void)
+static void a_gap_as_long_as_the_timeout_is_still_allowed(void)
 {
     double turn_rad, variance_rad2;
     exact e = at_rest(0.0);
@@ -363,7 +363,7 @@ static void a_gap_as_long_as_the_timeout_is_still_none(void)
     CHECK(e.state.epoch == 1 && e.state.yaw_rad == yaw_rad);
 }
 
-static void a_broken_integral_is_stale_at_once_and_its_rest_begins_anew(void)
+static void a_broken_integral_is_stale_at_once_and_restarts_its_rest(void)
 {
     double turn_rad, variance_rad2;
     exact e = at_rest(0.0);
@@ -382,7 +382,7 @@ static void a_broken_integral_is_stale_at_once_and_its_rest_begins_anew(void)
     CHECK(e.state.bias_stamp_ns == RESTED_NS + 2 + 1500000000);
 }
 
-static void a_moment_that_it_did_not_know_begins_a_new_turn(void)
+static void a_moment_without_a_known_angle_begins_a_new_turn(void)
 {
     double turn_rad, variance_rad2;
     exact e = at_rest(0.0);
@@ -395,7 +395,7 @@ static void a_moment_that_it_did_not_know_begins_a_new_turn(void)
     CHECK(gyro_turn(&e.state, &e.config, received_ns + 2, &turn_rad, &variance_rad2));
 }
 
-static void a_base_that_stands_has_not_turned_for_certain(void)
+static void a_base_that_stands_has_turned_by_zero_with_certainty(void)
 {
     double turn_rad, variance_rad2 = -1.0;
     exact e = at_rest(0.001);
@@ -423,7 +423,7 @@ static void the_variance_of_a_turn_is_of_its_noise_its_scale_and_the_age_of_its_
     CHECK(fabs(turn_rad - 0.05) < 1e-4 && fabs(variance_rad2 / wanted_rad2 - 1.0) < 1e-9);
 }
 
-static void a_quarter_of_the_wheels_turn_is_noise_and_one_radian_against_them_is_none(void)
+static void a_turn_against_the_wheels_beyond_a_quarter_and_one_radian_means_reversed(void)
 {
     gyro_state state;
     gyro_init(&state);
@@ -451,24 +451,24 @@ static void the_newest_sample_crosses_the_exchange(void)
 int main(void)
 {
     the_turn_is_the_rate_times_the_time();
-    a_part_of_the_angle_that_is_not_known_is_no_turn();
+    an_incomplete_angle_is_no_turn();
     the_zero_is_the_mean_of_a_second_that_begins_when_the_chassis_has_come_to_rest();
-    wheels_that_turn_begin_the_rest_anew();
-    no_zero_of_a_base_that_moves();
+    turning_wheels_restart_the_time_of_rest();
+    a_base_that_moves_gives_no_zero();
     hostile_samples_leave_finite_numbers();
     turning_against_the_wheels_is_remembered();
     the_zero_takes_twenty_samples_and_a_second_after_half_a_second();
     the_noise_is_the_samples_variance_and_may_be_as_great_as_is_allowed();
     a_zero_may_be_as_far_off_as_is_allowed_and_the_rate_follows_it();
     a_mean_that_is_more_than_a_fiftieth_off_is_a_slow_turn();
-    it_stands_within_a_hundredth_or_five_deviations_of_its_noise();
+    it_counts_as_still_within_a_hundredth_or_five_deviations_of_its_noise();
     rates_and_stamps_are_taken_to_the_end_of_their_range();
-    a_gap_as_long_as_the_timeout_is_still_none();
-    a_broken_integral_is_stale_at_once_and_its_rest_begins_anew();
-    a_moment_that_it_did_not_know_begins_a_new_turn();
-    a_base_that_stands_has_not_turned_for_certain();
+    a_gap_as_long_as_the_timeout_is_still_allowed();
+    a_broken_integral_is_stale_at_once_and_restarts_its_rest();
+    a_moment_without_a_known_angle_begins_a_new_turn();
+    a_base_that_stands_has_turned_by_zero_with_certainty();
     the_variance_of_a_turn_is_of_its_noise_its_scale_and_the_age_of_its_zero();
-    a_quarter_of_the_wheels_turn_is_noise_and_one_radian_against_them_is_none();
+    a_turn_against_the_wheels_beyond_a_quarter_and_one_radian_means_reversed();
     the_newest_sample_crosses_the_exchange();
     return checks_report("test_gyro");
 }

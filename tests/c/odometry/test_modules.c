@@ -3,7 +3,7 @@
  * equations of the textbook (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3). */
 #include "steered_bases.h"
 
-/* What one wheel says of the twist. */
+/* The equation of one wheel for the twist. */
 typedef struct {
     double of[AXES];
     double rim;
@@ -87,7 +87,7 @@ static void the_motion_is_that_of_least_squares_at_any_angle(void)
     }
 }
 
-/* A wheel whose angle is not known says nothing, and one whose rim is not known that it does not
+/* A wheel with an unknown angle gives no equation; one with an unknown rim only that it does not
  * slide. */
 static void joints_without_feedback_leave_their_equations_out(void)
 {
@@ -126,7 +126,7 @@ static void too_few_joints_determine_nothing(void)
 
 /* Two wheels on nearly one line: an error of a rim would be one of the turn a thousand times as
  * large. */
-static void a_base_that_hangs_on_a_thread_is_not_determined(void)
+static void a_nearly_degenerate_base_is_not_determined(void)
 {
     static const struct {
         double part;
@@ -167,7 +167,7 @@ static void wheels_share_the_axes_that_they_determine(void)
 }
 
 /* Straight on: what the set-points and the configuration check take. */
-static void of_a_base_with_modules_the_inverse_is_that_of_wheels_straight_ahead(void)
+static void the_inverse_of_a_base_with_modules_assumes_wheels_straight_ahead(void)
 {
     const core_config base = swerve();
     twist_inverse straight, found;
@@ -182,8 +182,8 @@ static void of_a_base_with_modules_the_inverse_is_that_of_wheels_straight_ahead(
     CHECK(found.determined == 0 && found.joints == 0 && found.shared == 1.0);
 }
 
-/* Also of a base with one module only; and a joint that is not there neither counts nor hides
- * what the others do. */
+/* Also of a base with one module only; and a missing joint neither counts nor hides the
+ * others. */
 static void wheel_speeds_alone_are_a_twist_where_they_fit_together(void)
 {
     double twist_u_s[AXES + 1] = {9.0, 9.0, 9.0, 7.0},
@@ -247,9 +247,9 @@ int main(void)
     the_motion_is_that_of_least_squares_at_any_angle();
     joints_without_feedback_leave_their_equations_out();
     too_few_joints_determine_nothing();
-    a_base_that_hangs_on_a_thread_is_not_determined();
+    a_nearly_degenerate_base_is_not_determined();
     wheels_share_the_axes_that_they_determine();
-    of_a_base_with_modules_the_inverse_is_that_of_wheels_straight_ahead();
+    the_inverse_of_a_base_with_modules_assumes_wheels_straight_ahead();
     wheel_speeds_alone_are_a_twist_where_they_fit_together();
     a_wheel_turns_as_its_row_of_the_twist();
     a_base_strafes_where_all_of_its_wheels_are_steered_or_one_rolls_sideways();

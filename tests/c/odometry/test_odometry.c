@@ -1,9 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_odometry: counters that are narrow, late or wrong, and the pose against the same in other
- * words. */
+ * test_odometry: counters that are narrow, late or wrong, and the pose against a second
+ * implementation. */
 #include "odometry_base.h"
 
-static void a_turn_that_was_not_seen_is_sent_by_the_velocity_or_not_at_all(void)
+static void the_velocity_decides_about_an_unseen_turn_of_a_counter(void)
 {
     for (int sign = -1; sign <= 1; sign += 2) {
         base b = begun(15);
@@ -22,7 +22,7 @@ static void a_turn_that_was_not_seen_is_sent_by_the_velocity_or_not_at_all(void)
     }
 }
 
-static void a_counter_that_was_wrong_once_is_taken_back_and_one_that_stays_is_followed(void)
+static void a_single_wrong_count_is_undone_and_a_lasting_jump_is_followed(void)
 {
     base b = begun(32);
     received(&b, STEP_NS, 0, NAN);
@@ -37,7 +37,7 @@ static void a_counter_that_was_wrong_once_is_taken_back_and_one_that_stays_is_fo
     CHECK(near(b.state.joint[0].velocity_rad_s, 500 * COUNT_RAD / 0.01) && b.state.degraded == 0);
 }
 
-static void a_sample_that_is_no_newer_than_the_last_one_is_none(void)
+static void a_sample_that_is_no_newer_than_the_last_is_ignored(void)
 {
     base b = begun(32);
     received(&b, STEP_NS, 0, NAN);
@@ -51,7 +51,7 @@ static void a_sample_that_is_no_newer_than_the_last_one_is_none(void)
 }
 
 /* As far as it can come while feedback counts, and no farther. */
-static void what_a_counter_at_rest_may_catch_up_is_bounded(void)
+static void the_catching_up_of_a_counter_at_rest_is_bounded(void)
 {
     for (int far = 0; far < 2; far++) {
         base b = begun(32);
@@ -76,7 +76,7 @@ static void a_counter_that_comes_late_catches_up(void)
     CHECK(received(&b, STEP_NS, 18000, NAN)->jumps == 1);
 }
 
-static void a_velocity_that_no_wheel_has_is_no_travel(void)
+static void an_impossible_velocity_is_no_travel(void)
 {
     base b = begun(0);
     received(&b, STEP_NS, 0, 5.0);
@@ -86,7 +86,7 @@ static void a_velocity_that_no_wheel_has_is_no_travel(void)
     CHECK(isnan(b.state.joint[0].velocity_rad_s) && b.state.joint[0].jumps == 1);
 }
 
-/* --- the pose, against the same in other words: long double, and whole matrices */
+/* --- the pose, against a second implementation: long double, and whole matrices */
 
 typedef struct {
     double x_m, y_m, heading_rad, distance_m, turned_rad, p[3][3];
@@ -159,7 +159,7 @@ static int64_t any(int64_t least, int64_t most)
 }
 
 /* Four wheels, of other sizes and counts; those of a side go together, along one exact arc. Each
- * step is looked at. */
+ * step is checked. */
 static void pose_and_covariance_are_those_of_exact_arcs(void)
 {
     core_config config = begun(32).config;
@@ -270,7 +270,7 @@ static void without_a_side_the_deviations_grow_by_the_distance(void)
     CHECK(near(sqrt(b.state.pose_covariance[0]), 0.2 + moved_m));
 }
 
-static void every_number_of_it_is_looked_at(void)
+static void every_number_of_the_state_is_checked(void)
 {
     odometry_state s = begun(32).state;
     double *const NUMBERS[] = {
@@ -316,7 +316,7 @@ static void every_number_of_it_is_looked_at(void)
 
 /* --- one sample, in numbers: reach is 1.5 times 35 rad/s, and four counts */
 
-static void what_a_counter_can_mean_decides_what_is_believed(void)
+static void the_possible_travels_of_a_counter_decide_which_is_accepted(void)
 {
     static const struct {
         uint32_t bits;
@@ -330,7 +330,7 @@ static void what_a_counter_can_mean_decides_what_is_believed(void)
         {32, 1, 2742, NAN, NAN, 0.0, 1, 1},
         {32, 1, -2741, NAN, NAN, -2741 * COUNT_RAD, 0, 0},
         {32, 1, -2742, NAN, NAN, 0.0, 1, 1},
-        {32, 1, 9000, 20.0, 30.0, 0.25, 1, 1}, /* the mean of both ends stands in */
+        {32, 1, 9000, 20.0, 30.0, 0.25, 1, 1}, /* the mean of both ends is used */
         {32, 1, 9000, NAN, 30.0, 0.30, 1, 1},
         {32, 1, 9000, 20.0, NAN, 0.0, 1, 1},
         {32, 1, 9000, 20.0, 85.1, 0.0, 1, 1}, /* 52.55 rad/s: no wheel is so fast */
@@ -360,8 +360,8 @@ static void what_a_counter_can_mean_decides_what_is_believed(void)
     }
 }
 
-/* Another epoch: the counter's origin may have moved, so the drive's velocity stands in once. */
-static void an_origin_that_moved_is_no_travel(void)
+/* Another epoch: the counter's origin may have moved, so the drive's velocity is used once. */
+static void a_moved_origin_is_no_travel(void)
 {
     base b = begun(32);
     received(&b, STEP_NS, 0, 4.0);
@@ -407,7 +407,7 @@ static void without_a_counter_the_velocity_or_the_set_point_is_integrated(void)
 
 /* One of two wheels of a side falls silent, comes again, and brings nothing until it has a
  * reference. */
-static void a_wheel_that_was_silent_begins_anew_and_says_so(void)
+static void a_wheel_that_was_silent_restarts_and_is_reported_degraded(void)
 {
     core_config config = begun(32).config;
     config.joint_count = 4;
@@ -443,19 +443,19 @@ static void a_wheel_that_was_silent_begins_anew_and_says_so(void)
 
 int main(void)
 {
-    a_turn_that_was_not_seen_is_sent_by_the_velocity_or_not_at_all();
-    a_counter_that_was_wrong_once_is_taken_back_and_one_that_stays_is_followed();
-    a_sample_that_is_no_newer_than_the_last_one_is_none();
-    what_a_counter_at_rest_may_catch_up_is_bounded();
+    the_velocity_decides_about_an_unseen_turn_of_a_counter();
+    a_single_wrong_count_is_undone_and_a_lasting_jump_is_followed();
+    a_sample_that_is_no_newer_than_the_last_is_ignored();
+    the_catching_up_of_a_counter_at_rest_is_bounded();
     a_counter_that_comes_late_catches_up();
-    a_velocity_that_no_wheel_has_is_no_travel();
+    an_impossible_velocity_is_no_travel();
     pose_and_covariance_are_those_of_exact_arcs();
     a_reset_throws_away_what_is_pending();
     without_a_side_the_deviations_grow_by_the_distance();
-    every_number_of_it_is_looked_at();
-    what_a_counter_can_mean_decides_what_is_believed();
-    an_origin_that_moved_is_no_travel();
+    every_number_of_the_state_is_checked();
+    the_possible_travels_of_a_counter_decide_which_is_accepted();
+    a_moved_origin_is_no_travel();
     without_a_counter_the_velocity_or_the_set_point_is_integrated();
-    a_wheel_that_was_silent_begins_anew_and_says_so();
+    a_wheel_that_was_silent_restarts_and_is_reported_degraded();
     return checks_report("test_odometry");
 }

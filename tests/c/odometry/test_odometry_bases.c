@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_odometry_bases: the odometry of bases that strafe and of those that are steered, and what a
- * look at the errors takes in where wheels fall silent or a gyro begins. */
+ * test_odometry_bases: the odometry of bases that strafe and of those that are steered, and what
+ * the errors include where wheels fall silent or a gyro begins. */
 #include "steered_bases.h"
 
 static const int64_t STEP_NS = 10000000;
@@ -130,8 +130,8 @@ static void same_pose_variance(const odometry_state *a, const odometry_state *b)
     }
 }
 
-/* What they have gone together is looked at by what they determined together. */
-static void before_a_wheel_is_left_out_the_errors_of_all_are_looked_at(void)
+/* Their common travel is checked with the equations of all of them. */
+static void before_a_wheel_is_left_out_the_errors_of_all_are_checked(void)
 {
     static const int64_t COUNTS[] = {3000, 5000, 3500, 4000};
     base b;
@@ -164,8 +164,8 @@ static void all_but(base *b, uint32_t out)
     }
 }
 
-/* It brought a sample before it fell silent, or brings some before it is one of the others
- * again: not all of its way is known. */
+/* It sent a sample before it fell silent, or sends some before it counts again: not all of its
+ * travel is known. */
 static void a_wheel_that_is_left_out_has_no_travel_in_a_look(void)
 {
     enum { OUT = 3 };
@@ -204,7 +204,7 @@ static void gyro_turns(base *b, double yaw_rad)
 
 /* What was done before has the wheels' errors, and this arc is the first of the gyro's; as well
  * with the most wheels. */
-static void before_the_gyro_takes_over_what_the_wheels_have_done_is_looked_at(void)
+static void before_the_gyro_takes_over_the_motion_of_the_wheels_is_checked(void)
 {
     for (uint32_t wheels = 2; wheels <= JOINTS_MAX; wheels += 2) {
         static const int64_t COUNTS[JOINTS_MAX] = {3000, 5000, 3500, 4000, 3100, 4100, 3200, 4200};
@@ -233,7 +233,7 @@ static void before_the_gyro_takes_over_what_the_wheels_have_done_is_looked_at(vo
 }
 
 /* --- wheels that only begin */
-static void one_side_alone_beside_a_wheel_that_begins_is_sent_as_degraded(void)
+static void one_side_alone_beside_a_starting_wheel_is_reported_degraded(void)
 {
     for (uint32_t first = 0; first < 2; first++) {
         base b;
@@ -331,10 +331,10 @@ int main(void)
     only_a_joint_whose_angle_is_estimated_begins_at_an_angle();
     the_variance_sideways_begins_at_its_floor_where_a_base_strafes();
     the_covariances_of_a_speed_sideways_are_the_rates_of_the_errors();
-    before_a_wheel_is_left_out_the_errors_of_all_are_looked_at();
+    before_a_wheel_is_left_out_the_errors_of_all_are_checked();
     a_wheel_that_is_left_out_has_no_travel_in_a_look();
-    before_the_gyro_takes_over_what_the_wheels_have_done_is_looked_at();
-    one_side_alone_beside_a_wheel_that_begins_is_sent_as_degraded();
+    before_the_gyro_takes_over_the_motion_of_the_wheels_is_checked();
+    one_side_alone_beside_a_starting_wheel_is_reported_degraded();
     a_first_arc_without_a_beginning_moves_the_base_and_measures_no_speed();
     rims_of_steered_wheels_that_do_not_fit_together_are_slip();
     an_arc_without_time_is_no_slip();

@@ -1,9 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_odometry_edges: where a travel is just believed and where not any more, and what a
- * beginning and a reset leave. */
+ * test_odometry_edges: the bounds up to which a travel is accepted, and the state after a start
+ * and a reset. */
 #include "odometry_base.h"
 
-static void a_narrow_counter_goes_on_beyond_its_end(void)
+static void a_narrow_counter_continues_beyond_its_end(void)
 {
     base b = begun(16);
     for (int j = 0; j < 2; j++) {
@@ -22,7 +22,7 @@ static void a_narrow_counter_goes_on_beyond_its_end(void)
           b.state.joint[0].jumps == 0);
 }
 
-static void what_a_joint_can_reach_is_worked_out_at_the_beginning(void)
+static void the_reach_of_a_joint_is_computed_at_the_beginning(void)
 {
     base b = begun(16);
     const joint_constants *c = &b.state.joint[0].constant;
@@ -40,8 +40,8 @@ static void what_a_joint_can_reach_is_worked_out_at_the_beginning(void)
     }
 }
 
-/* What came before the reset counts for no arc after it, whichever side brought it. */
-static void a_reset_waits_for_both_sides_anew(void)
+/* Travel of either side from before the reset counts for no arc after it. */
+static void a_reset_waits_for_both_sides_again(void)
 {
     for (int first = 0; first < 2; first++) {
         base b = begun(32);
@@ -63,9 +63,9 @@ static void a_reset_waits_for_both_sides_anew(void)
     }
 }
 
-/* A counter of one turn, silent for so long that it may have turned once: the velocities say
+/* A counter of one turn, silent for so long that it may have turned once: the velocities decide
  * whether it has. */
-static void whole_turns_are_sent_by_velocities_that_are_sure_enough(void)
+static void velocities_that_are_certain_enough_decide_about_whole_turns(void)
 {
     static const struct {
         int64_t steps, counts;
@@ -95,7 +95,7 @@ static void whole_turns_are_sent_by_velocities_that_are_sure_enough(void)
 
 /* --- what can be reached in a step, and what the steps before did not use */
 
-static void what_was_refused_is_no_reach_once_a_sample_was_believed(void)
+static void a_refused_sample_adds_no_reach_after_an_accepted_one(void)
 {
     base b = begun(32);
     received(&b, STEP_NS, 0, NAN);
@@ -104,7 +104,7 @@ static void what_was_refused_is_no_reach_once_a_sample_was_believed(void)
     CHECK(received(&b, STEP_NS, 10430, NAN)->jumps == 2); /* 2 rad: there are 1.575 left */
 }
 
-static void an_estimate_is_taken_back_by_the_counts_that_follow(void)
+static void an_estimate_is_corrected_by_the_counts_that_follow(void)
 {
     base b = begun(32);
     received(&b, STEP_NS, 0, 20.0);
@@ -117,7 +117,7 @@ static void an_estimate_is_taken_back_by_the_counts_that_follow(void)
     }
 }
 
-static void a_new_origin_has_nothing_left_from_before_it(void)
+static void a_new_origin_clears_all_older_state(void)
 {
     base b = begun(32);
     for (int i = 0; i < 10; i++) {
@@ -164,7 +164,7 @@ static void a_speed_is_that_of_the_time_in_which_the_distance_was_covered(void)
     CHECK(near(received(&b, STEP_NS, 2742, NAN)->velocity_rad_s, 2742 * COUNT_RAD / 0.03));
 }
 
-static void one_that_has_used_all_its_reach_has_nothing_left(void)
+static void a_counter_that_has_used_all_its_reach_has_none_left(void)
 {
     base b = begun(32);
     received(&b, STEP_NS, 0, NAN);
@@ -172,8 +172,8 @@ static void one_that_has_used_all_its_reach_has_nothing_left(void)
     CHECK(received(&b, STEP_NS, 2742, NAN)->jumps == 1);
 }
 
-/* Two steps since the last one that was believed: 5475.8 counts, and four. */
-static void after_one_that_was_refused_all_the_time_since_the_last_good_one_counts(void)
+/* Two steps since the last accepted sample: 5475.8 counts, and four. */
+static void after_a_refused_sample_all_time_since_the_last_good_one_counts(void)
 {
     for (int far = 0; far < 2; far++) {
         base b = begun(32);
@@ -192,7 +192,7 @@ static void after_one_that_was_refused_all_the_time_since_the_last_good_one_coun
     CHECK(received(&b, STEP_NS, 6000 - 90000, NAN)->jumps == 1);
 }
 
-static void a_new_origin_that_is_near_is_no_travel_either(void)
+static void a_nearby_new_origin_is_no_travel_either(void)
 {
     base b = begun(32);
     received(&b, STEP_NS, 0, 4.0);
@@ -203,7 +203,7 @@ static void a_new_origin_that_is_near_is_no_travel_either(void)
 }
 
 /* One side brings two samples before the other brings one: all that they were is reported. */
-static void an_estimate_among_several_samples_of_a_side_is_not_forgotten(void)
+static void an_estimate_among_several_samples_of_a_side_is_kept(void)
 {
     for (int seed = 0; seed < 2; seed++) {
         base b = begun(32);
@@ -221,8 +221,8 @@ static void an_estimate_among_several_samples_of_a_side_is_not_forgotten(void)
     }
 }
 
-/* A wheel that begins anew beside it makes nothing good again. */
-static void a_wheel_that_is_not_received_is_sent_of_whatever_the_others_bring(void)
+/* A wheel beside it that restarts does not clear this. */
+static void a_wheel_without_feedback_is_reported_whatever_the_others_measure(void)
 {
     base b = begun(32);
     b.config.joint_count = 4;
@@ -262,8 +262,8 @@ static void the_chord_of_an_arc_is_right_to_the_last_bits(void)
     }
 }
 
-/* Then the heading is as uncertain as the gyro, whatever the wheels scrub, and has nothing to do
- * with the way's error. */
+/* Then the heading is as uncertain as the gyro, however the wheels scrub, and independent of the
+ * error of the distance. */
 static void a_turn_by_the_gyro_has_the_gyro_s_variance(void)
 {
     base b = begun(32);
@@ -317,16 +317,16 @@ static void no_variance_of_the_pose_is_below_its_floor(void)
     base b = begun(32);
     b.config.pose_variance_floor_m2 = 1e-4, b.config.heading_variance_floor_rad2 = 2e-4;
     received(&b, STEP_NS, 0, NAN);
-    received(&b, SPREAD_EVERY_NS - 1, 0, NAN); /* not yet looked at */
+    received(&b, SPREAD_EVERY_NS - 1, 0, NAN); /* not yet checked */
     CHECK(b.state.pose_covariance[0] < 1e-4 && b.state.pose_covariance[5] < 2e-4);
     received(&b, 1, 0, NAN);
     CHECK(b.state.pose_covariance[0] == 1e-4 && b.state.pose_covariance[3] == 1e-4 &&
           b.state.pose_covariance[5] == 2e-4);
 }
 
-/* One wheel of a side begins anew while the other is silent: what the other side goes meanwhile
- * is no arc. */
-static void a_side_that_only_begins_makes_no_turn(void)
+/* One wheel of a side restarts while the other is silent: travel of the other side meanwhile is no
+ * arc. */
+static void a_side_that_only_starts_makes_no_turn(void)
 {
     for (int side = 0; side < 2; side++) {
         base b = begun(32);
@@ -349,8 +349,8 @@ static void a_side_that_only_begins_makes_no_turn(void)
     }
 }
 
-/* All of a side: the base goes nowhere meanwhile, and then as far as the counters say. */
-static void a_side_that_was_silent_brings_what_was_missed(void)
+/* All of a side: the pose does not move meanwhile, and then moves as far as the counters did. */
+static void a_side_that_was_silent_adds_the_missed_travel(void)
 {
     base b = begun(32);
     received(&b, STEP_NS, 0, NAN);
@@ -369,8 +369,8 @@ static void a_side_that_was_silent_brings_what_was_missed(void)
     CHECK(near(b.state.heading_rad, 0.0));
 }
 
-/* It has never reported before, whichever it is. */
-static void a_side_that_is_received_later_makes_no_turn(void)
+/* Either side, which has never reported before. */
+static void a_side_that_reports_later_makes_no_turn(void)
 {
     for (uint32_t silent = 0; silent < 2; silent++) {
         base b = begun(32);
@@ -389,7 +389,7 @@ static void a_side_that_is_received_later_makes_no_turn(void)
 
 /* The newest stamp was that of a wheel that is silent now: no time has passed since then, and no
  * speed is measured. */
-static void samples_that_are_no_newer_than_the_last_arc_show_no_speed(void)
+static void samples_no_newer_than_the_last_arc_give_no_speed(void)
 {
     for (int64_t short_ns = 0; short_ns < 2; short_ns++) {
         base b = begun(32);
@@ -412,27 +412,27 @@ static void samples_that_are_no_newer_than_the_last_arc_show_no_speed(void)
 
 int main(void)
 {
-    samples_that_are_no_newer_than_the_last_arc_show_no_speed();
-    a_side_that_only_begins_makes_no_turn();
-    a_side_that_was_silent_brings_what_was_missed();
-    a_side_that_is_received_later_makes_no_turn();
+    samples_no_newer_than_the_last_arc_give_no_speed();
+    a_side_that_only_starts_makes_no_turn();
+    a_side_that_was_silent_adds_the_missed_travel();
+    a_side_that_reports_later_makes_no_turn();
     the_speed_of_a_turn_is_the_gyro_s();
     no_variance_of_the_pose_is_below_its_floor();
     a_turn_by_the_gyro_has_the_gyro_s_variance();
     the_chord_of_an_arc_is_right_to_the_last_bits();
-    a_wheel_that_is_not_received_is_sent_of_whatever_the_others_bring();
-    what_was_refused_is_no_reach_once_a_sample_was_believed();
-    an_estimate_is_taken_back_by_the_counts_that_follow();
-    a_new_origin_has_nothing_left_from_before_it();
+    a_wheel_without_feedback_is_reported_whatever_the_others_measure();
+    a_refused_sample_adds_no_reach_after_an_accepted_one();
+    an_estimate_is_corrected_by_the_counts_that_follow();
+    a_new_origin_clears_all_older_state();
     a_counter_that_stays_where_it_jumped_to_is_followed_from_there();
     a_speed_is_that_of_the_time_in_which_the_distance_was_covered();
-    one_that_has_used_all_its_reach_has_nothing_left();
-    after_one_that_was_refused_all_the_time_since_the_last_good_one_counts();
-    a_new_origin_that_is_near_is_no_travel_either();
-    an_estimate_among_several_samples_of_a_side_is_not_forgotten();
-    a_narrow_counter_goes_on_beyond_its_end();
-    what_a_joint_can_reach_is_worked_out_at_the_beginning();
-    a_reset_waits_for_both_sides_anew();
-    whole_turns_are_sent_by_velocities_that_are_sure_enough();
+    a_counter_that_has_used_all_its_reach_has_none_left();
+    after_a_refused_sample_all_time_since_the_last_good_one_counts();
+    a_nearby_new_origin_is_no_travel_either();
+    an_estimate_among_several_samples_of_a_side_is_kept();
+    a_narrow_counter_continues_beyond_its_end();
+    the_reach_of_a_joint_is_computed_at_the_beginning();
+    a_reset_waits_for_both_sides_again();
+    velocities_that_are_certain_enough_decide_about_whole_turns();
     return checks_report("test_odometry_edges");
 }

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * test_spread: pose and covariances of a base with mecanum wheels by the formulas of the textbook,
- * written out anew; what steering that measures nothing adds, and how uncertain a base becomes
- * whose wheels are not seen. */
+ * implemented a second time; what steering without measurement adds, and how uncertain a base
+ * becomes whose wheels are silent. */
 #include "steered_bases.h"
 
 enum { WHEELS = 4 };
@@ -152,7 +152,7 @@ static void the_first_look_adds_errors_without_a_time(void)
 }
 
 /* Lynch & Park, Modern Robotics, 2017, 13.4: the exponential of a constant twist. */
-static void a_curve_sideways_ends_where_the_textbook_says(void)
+static void a_curve_sideways_ends_where_the_textbook_puts_it(void)
 {
     static odometry_state s;
     static joint_feedback feedback[JOINTS_MAX];
@@ -186,8 +186,8 @@ static void a_curve_sideways_ends_where_the_textbook_says(void)
     CHECK(fabs(s.angular_rad_s - turn / 0.05) < 1e-5 && s.degraded == 0);
 }
 
-/* One that is left out has its own no longer: it begins anew when it is back. */
-static void only_wheels_that_determine_the_motion_have_a_part_in_the_slip(void)
+/* One that is left out no longer has its own error: it restarts when it is back. */
+static void only_wheels_that_determine_the_motion_count_in_the_slip(void)
 {
     static const uint32_t JOINTS[] = {0xB, 0xD, 0x7, 0xE, 0xF};
     static const double LEVER_M[WHEELS] = {-0.4, 0.3, 0.35, -0.2},
@@ -222,7 +222,7 @@ static void only_wheels_that_determine_the_motion_have_a_part_in_the_slip(void)
 
 /* --- steering that measures nothing */
 
-/* The variance of the heading after a way of the rims with these angles, of a base that has no
+/* The variance of the heading after a travel of the rims with these angles, of a base without
  * other errors. */
 static double steered_rad2(core_config config, const double *angle_rad, double rim_m)
 {
@@ -261,7 +261,7 @@ static void a_wheel_whose_angle_is_estimated_turns_the_base_by_its_error_over_it
     CHECK(near(steered_rad2(base, straight_rad, 0.5), beside_rad2(0.5, 0.3 * 0.3 + 0.15 * 0.15)));
 }
 
-static void of_more_wheels_that_are_estimated_the_worst_counts(void)
+static void the_worst_of_several_estimated_wheels_counts(void)
 {
     const double straight_rad[JOINTS_MAX] = {0.0, 0.0, -0.3};
     for (uint32_t estimated = 0; estimated < 4; estimated++) {
@@ -386,12 +386,12 @@ static void a_blind_base_with_steered_wheels_may_have_turned_as_they_point(void)
 
 int main(void)
 {
-    a_curve_sideways_ends_where_the_textbook_says();
+    a_curve_sideways_ends_where_the_textbook_puts_it();
     a_look_carries_the_wheels_errors_and_their_slip_into_pose_and_twist();
     the_first_look_adds_errors_without_a_time();
-    only_wheels_that_determine_the_motion_have_a_part_in_the_slip();
+    only_wheels_that_determine_the_motion_count_in_the_slip();
     a_wheel_whose_angle_is_estimated_turns_the_base_by_its_error_over_its_lever();
-    of_more_wheels_that_are_estimated_the_worst_counts();
+    the_worst_of_several_estimated_wheels_counts();
     the_error_of_a_wheel_that_is_estimated_grows_with_the_distance_in_any_direction();
     a_wheel_in_the_middle_that_is_estimated_turns_nothing();
     a_blind_base_that_strafes_may_have_gone_ahead_and_sideways();

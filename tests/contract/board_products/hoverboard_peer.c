@@ -100,7 +100,7 @@ static int board(int fd, int mixed)
             fflush(stdout);
             last[0] = left, last[1] = right, last[2] = late;
         }
-        /* the right motor faces the other way, and n_mot is its own */
+        /* the right motor is mounted in reverse, and n_mot is its own */
         if (loop % 2 == 0 && !mute) {
             SerialFeedback out = {.start = START,
                                   .cmd1 = (int16_t)first,

@@ -53,14 +53,14 @@ class Program:
         self.process.stdin.flush()
 
     def end(self) -> None:
-        """As a program ends that is asked to."""
+        """Ends it in the regular way."""
         assert self.process.stdin is not None
         self.process.stdin.close()
         assert self.process.wait(60) == 0
         self._close()
 
     def kill(self) -> None:
-        """It does nothing any more."""
+        """Kills it: the board gets no more frames."""
         assert self.process.stdin is not None
         self.process.kill()
         self.process.wait()
@@ -74,8 +74,8 @@ class Program:
 
 
 class Board(Program):
-    """`link` is its port. Lines: left and right speed, 1 when it timed out. `arguments` of the
-    program stand around the descriptor of its port."""
+    """`link` is its port. Lines: left and right speed, 1 when it timed out. The program gets
+    `arguments` around the descriptor of its port."""
 
     def __init__(self, link: Path, *arguments: object, options: tuple[str, ...] = ()) -> None:
         self.link = link

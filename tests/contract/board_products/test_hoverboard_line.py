@@ -85,7 +85,7 @@ async def test_old_set_points_stop_the_wheels(board):
         await turning(rig, board)
         rig.loop.running = False
         await until(lambda: board.now == (0, 0, 0), "zero")
-        await until(lambda: rig.states() == {DriveState.READY}, "taken back")
+        await until(lambda: rig.states() == {DriveState.READY}, "disarmed")
 
 
 @pytest.mark.parametrize("letter", ["m", "x"], ids=["silence", "wrong check sums"])
@@ -94,7 +94,7 @@ async def test_a_board_without_good_feedback_is_stopped_and_comes_back_disarmed(
         await turning(rig, board)
         board.do(letter)
         await until(lambda: rig.states() == {DriveState.UNRESPONSIVE}, "it is unresponsive")
-        await until(lambda: board.now == (0, 0, 0), "it is sent zero all the same")
+        await until(lambda: board.now == (0, 0, 0), "it is still sent zero")
         board.do("w")
         await until(lambda: EventKind.DRIVE_BACK in rig.kinds(), "it is back")
         assert rig.states() == {DriveState.READY}
@@ -112,7 +112,7 @@ async def test_the_firmware_times_out_when_the_line_has_ended(board):
 
 async def test_a_board_that_a_dead_program_left_is_sent_zero_until_it_rests(board, program):
     host = Program(program, "host", board.link, SPEED_RPM, SPEED_RPM)
-    await until(lambda: board.now[:2] == (SPEED_RPM, SPEED_RPM), "somebody drives")
+    await until(lambda: board.now[:2] == (SPEED_RPM, SPEED_RPM), "the program drives")
     host.kill()
     assert await halt_line(spec_of(board.link)) == []
     assert board.now[:2] == (0, 0)
@@ -127,7 +127,7 @@ async def test_a_board_that_a_dead_program_left_is_sent_zero_until_it_rests(boar
 async def test_a_foreign_program_drives_the_simulated_board(
     program, tmp_path, drive, first, second
 ):
-    """The wheels are behind a gear of 2, and the right motor faces the other way."""
+    """The wheels have a gear of 2, and the right motor is mounted in reverse."""
     left_rpm, right_rpm = 120, 60
     with simulated(find_profile(drive), tmp_path) as sim:
         host = Program(program, "host", tmp_path / "bus", first, second)

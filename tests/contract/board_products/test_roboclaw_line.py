@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RoboClaws on the wire: which packets go out, and when wheels are held or let go."""
+"""RoboClaws on the wire: which packets are sent, and when wheels are held or released."""
 
 import asyncio
 import os
@@ -22,7 +22,7 @@ SPEEDS, DUTIES, TIMEOUT, READ_TIMEOUT = 37, 34, 14, 15
 
 
 class Controller:
-    """A RoboClaw of few words: zeros for all reads but the timeout."""
+    """A RoboClaw that answers all reads but the timeout with zeros."""
 
     def __init__(self, link):
         self.link = link
@@ -83,7 +83,7 @@ def spec_of(port, drive="roboclaw"):
     )  # fmt: skip
 
 
-async def test_it_is_set_up_with_its_timeout_read_back_and_regulates_nothing(peer):
+async def test_its_timeout_is_read_back_and_it_gets_duties_alone_until_it_is_armed(peer):
     async with running(spec_of(peer.link)) as rig:
         await rig.ready()
         assert peer.timeout == 5
@@ -93,7 +93,7 @@ async def test_it_is_set_up_with_its_timeout_read_back_and_regulates_nothing(pee
         assert {packet[2:6] for packet in peer.sent(DUTIES)} == {bytes(4)}
 
 
-async def test_speeds_go_out_in_edges_a_second_and_zero_is_held_while_armed(peer):
+async def test_speeds_are_sent_in_edges_a_second_and_zero_is_held_while_armed(peer):
     async with running(spec_of(peer.link)) as rig:
         await rig.arm()
         rig.loop.enabled = True
@@ -110,7 +110,7 @@ async def test_speeds_go_out_in_edges_a_second_and_zero_is_held_while_armed(peer
         assert len(peer.sent(SPEEDS)) == held
 
 
-async def test_a_second_motor_alone_is_let_go_too_while_it_is_not_armed(peer):
+async def test_a_second_motor_alone_also_gets_no_speeds_until_it_is_armed(peer):
     spec = spec_of(peer.link)
     async with running(replace(spec, joints=spec.joints[1:])) as rig:
         await rig.ready()
@@ -130,7 +130,7 @@ async def test_a_mute_controller_is_unresponsive_and_comes_back_disarmed(peer):
         assert EventKind.DRIVE_BACK in rig.kinds()
 
 
-async def test_an_answer_that_comes_late_is_nothing_s(peer):
+async def test_a_late_answer_is_not_taken_for_another_request_s(peer):
     async with running(spec_of(peer.link)) as rig:
         await rig.ready()
         seen = rig.line.stats().exchanges
@@ -144,7 +144,7 @@ async def test_an_answer_that_comes_late_is_nothing_s(peer):
         assert feedback.drive_faults == 0
 
 
-async def test_a_controller_that_a_dead_program_left_turning_is_stopped_and_let_go(peer):
+async def test_a_controller_that_a_dead_program_left_turning_is_stopped_and_released(peer):
     problems = await halt_line(spec_of(peer.link))
     assert problems == []
     assert peer.sent(SPEEDS)[0][2:10] == bytes(8)
@@ -166,7 +166,7 @@ async def test_a_speed_is_not_held_by_a_controller_that_was_stopped(peer):
         await until(lambda: rig.states() == {DriveState.READY})
         rig.loop.running = True
         free = len(peer.sent(DUTIES))
-        await until(lambda: len(peer.sent(DUTIES)) > free + 5, "at rest it is let go")
+        await until(lambda: len(peer.sent(DUTIES)) > free + 5, "at rest it is released")
         held = len(peer.sent(SPEEDS))
         await until(lambda: len(peer.sent(DUTIES)) > free + 20)
         assert len(peer.sent(SPEEDS)) == held

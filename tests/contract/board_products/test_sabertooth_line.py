@@ -69,7 +69,7 @@ def spec_of(path, watchdog_s=0.3, places=((UNIT, 1), (UNIT, 2))):
 
 @contextlib.contextmanager
 def sabertooth(path, address):
-    """pysabertooth's; its __del__ would close the port whenever it likes."""
+    """pysabertooth's; its __del__ would close the port at any time."""
     saber = Sabertooth(path, baudrate=9600, address=address)
     try:
         yield saber
@@ -80,7 +80,7 @@ def sabertooth(path, address):
 
 
 async def all_of(master, count):
-    """So many bytes: a pty hands over what was written a moment later."""
+    """Reads this many bytes: a pty delivers them a moment later."""
     seen = b""
 
     def complete():
@@ -93,7 +93,7 @@ async def all_of(master, count):
 
 
 @pytest.mark.parametrize(("left", "right"), [(100, 100), (-100, 100), (0, -100), (100, 0), (0, 0)])
-async def test_packets_are_those_of_pysabertooth_behind_the_time_out(port, left, right):
+async def test_packets_are_those_of_pysabertooth_after_the_time_out(port, left, right):
     master, path = port
     with sabertooth(path, UNIT) as saber:
         taken(master)
@@ -114,7 +114,7 @@ async def test_packets_are_those_of_pysabertooth_behind_the_time_out(port, left,
         await rig.drive(sent, "the same packets")
 
 
-async def test_two_drivers_on_one_wire_are_sent_what_two_of_pysabertooth_send(port):
+async def test_two_drivers_on_one_wire_get_the_packets_that_pysabertooth_sends_to_two(port):
     master, path = port
     with sabertooth(path, UNIT) as one, sabertooth(path, OTHER) as other:
         taken(master)
@@ -156,7 +156,7 @@ async def test_drivers_of_two_profiles_on_one_wire_are_refused(port):
         open_line(replace(spec, joints=joints), Exchange.private(), print)
 
 
-async def test_nothing_but_zeros_and_the_time_out_goes_out_before_arming_and_at_the_end(port):
+async def test_only_zeros_and_the_time_out_are_sent_before_arming_and_at_the_end(port):
     master, path = port
     zeros = bytes((UNIT, 0, 0, UNIT & 127, UNIT, 4, 0, (UNIT + 4) & 127))
     seen = b""
@@ -181,7 +181,7 @@ async def test_nothing_but_zeros_and_the_time_out_goes_out_before_arming_and_at_
     assert seen.endswith(zeros)
 
 
-async def test_a_driver_that_a_dead_program_left_is_sent_zeros_which_proves_nothing(port):
+async def test_a_driver_that_a_dead_program_left_is_sent_zeros_and_reported_as_unconfirmed(port):
     master, path = port
     (problem,) = set(await halt_line(spec_of(path)))
     assert "the stop was sent; the drive cannot report whether it has power" in problem
@@ -201,7 +201,7 @@ async def test_pysabertooth_drives_the_simulated_driver_until_its_time_out(tmp_p
             return sim.stats()["lines"]["bus"]["units"]["128"]["watchdog_bites"]
 
         def turn():
-            saber.driveBoth(60, 60)  # the right motor faces the other way
+            saber.driveBoth(60, 60)  # the right motor is mounted in reverse
             left, right = speeds()
             return left > 2.0 and right < -2.0
 
@@ -215,7 +215,7 @@ async def test_pysabertooth_drives_the_simulated_driver_until_its_time_out(tmp_p
         assert bites() == 1
 
 
-async def test_each_of_two_simulated_drivers_on_one_wire_takes_what_is_for_it(tmp_path):
+async def test_each_of_two_simulated_drivers_on_one_wire_takes_its_own_packets(tmp_path):
     with simulated(SINGLE, tmp_path) as sim, sabertooth(str(tmp_path / "bus"), 129) as right:
 
         def speeds():
@@ -248,7 +248,7 @@ async def test_two_simulated_drivers_on_one_wire_drive_a_robot_and_stop_by_their
         await until(lambda: bites() == [1, 1], "each has the time-out")
 
 
-async def test_packets_for_another_address_or_with_a_wrong_sum_move_nothing(tmp_path):
+async def test_packets_for_another_address_or_with_a_wrong_check_sum_move_nothing(tmp_path):
     with simulated(find_profile("sabertooth"), tmp_path) as sim:
         with sabertooth(str(tmp_path / "bus"), 129) as other:
             for _ in range(20):

@@ -92,7 +92,7 @@ async def test_a_board_that_falls_silent_is_stopped_and_comes_back_disarmed(boar
         await turning(rig, board)
         board.do("m")
         await until(lambda: rig.states() == {DriveState.UNRESPONSIVE}, "it is unresponsive")
-        await until(lambda: board.now[:2] == (0, 0), "it is sent zero all the same")
+        await until(lambda: board.now[:2] == (0, 0), "it is still sent zero")
         board.do("w")
         await until(lambda: EventKind.DRIVE_BACK in rig.kinds(), "it is back")
         assert rig.states() == {DriveState.READY}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A line of boards that speak the binary frames, and a board that a test scripts."""
+"""A line of boards with binary frames, and a board that a test scripts."""
 
 from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import (

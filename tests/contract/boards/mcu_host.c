@@ -3,8 +3,8 @@
  * docs/mcu/motord_mcu.c as a board that turns two motors, on the master side of a pty: mcu_host FD.
  * One letter on stdin makes a fault ('f'), ends it ('g'), restarts the board ('r'), makes it mute
  * ('m') or take nothing ('d'), well again ('w'), gives it a sensor ('i') whose x axis points up, or
- * turns its first motor by hand ('t') and lets it go ('s'). Each change of what the motors are sent
- * is a line on stdout.
+ * turns its first motor by hand ('t') and releases it ('s'). Each change of what the motors are
+ * sent is a line on stdout.
  */
 #include "motord_mcu.h"
 

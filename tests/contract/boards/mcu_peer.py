@@ -66,14 +66,14 @@ class McuPeer:
 
     def do(self, letter: str) -> None:
         """f fault, g fault gone, r restart, m mute, d takes nothing, w well again, i a sensor, t
-        turn the first motor backward by hand, s let it go."""
+        turn the first motor backward by hand, s release it."""
         assert self.process.stdin is not None
         self.process.stdin.write(letter.encode())
         self.process.stdin.flush()
 
     @property
     def now(self) -> Sent:
-        """The newest; before its first word it has sent them nothing."""
+        """The newest; before its first line the motors have been sent nothing."""
         return self.sent[-1] if self.sent else WITHOUT_POWER
 
     def pull(self) -> None:

@@ -28,7 +28,7 @@ def peer(tmp_path):
     peer.close()
 
 
-async def test_duties_go_out_as_the_classic_line_and_zeros_until_it_is_armed(peer):
+async def test_duties_are_sent_as_the_classic_line_and_zeros_until_it_is_armed(peer):
     async with running(spec_of(peer.link, "{left:d},{right:d}\n")) as rig:
         rig.loop.enabled, rig.loop.duty = True, {0: 0.5, 1: 1.0}
         await rig.ready()
@@ -59,7 +59,7 @@ async def test_a_new_set_point_does_not_wait_for_its_cycle(peer):
         await until(lambda: peer.lines[-1:] == [b"0,0"])
 
 
-async def test_a_board_may_be_sent_the_base_s_own_speeds(peer):
+async def test_a_board_may_get_the_speeds_of_the_base(peer):
     spec = spec_of(peer.link, "{v:.2f} {w:.2f}\n", drive="ascii-velocity")
     async with running(spec) as rig:
         await rig.arm()
@@ -70,7 +70,7 @@ async def test_a_board_may_be_sent_the_base_s_own_speeds(peer):
         await until(lambda: rig.states() == {DriveState.READY})
 
 
-async def test_the_last_line_of_all_is_zero(tmp_path):
+async def test_the_last_line_that_is_sent_is_zero(tmp_path):
     peer = Reader(tmp_path / "board")
     async with running(spec_of(peer.link, "{left:d},{right:d}\n")) as rig:
         await rig.arm()
@@ -97,11 +97,11 @@ async def test_feedback_is_read_from_the_template_and_silence_is_seen(peer):
         assert left(0).voltage_v == pytest.approx(11.9)
         assert left(0).enabled is None
         assert rig.line.stats().errors["bad_reply"] >= 1
-        await until(lambda: rig.states() == {DriveState.UNRESPONSIVE}, "it says nothing any more")
+        await until(lambda: rig.states() == {DriveState.UNRESPONSIVE}, "it sends nothing any more")
         assert EventKind.DRIVE_UNRESPONSIVE in rig.kinds()
 
 
-async def test_a_rate_in_the_text_reaches_the_core_as_it_is_mounted(peer):
+async def test_a_rate_in_the_text_reaches_the_core_in_the_axes_of_the_base(peer):
     feedback = "{left_count} {gyro_z_rad_s}\n"
     spec = spec_of(peer.link, "{left:d},{right:d}\n", feedback)
     async with running(replace(spec, imu=Mounting(up="-z", forward="x"))) as rig:
@@ -116,7 +116,7 @@ async def test_a_rate_in_the_text_reaches_the_core_as_it_is_mounted(peer):
         assert sample.angular_rad_s[0] != sample.angular_rad_s[0]
 
 
-async def test_without_feedback_the_port_reports_whether_it_is_there(tmp_path):
+async def test_without_feedback_the_state_of_the_port_is_that_of_the_board(tmp_path):
     peer = Reader(tmp_path / "board")
     async with running(spec_of(peer.link, "{left:d},{right:d}\n")) as rig:
         await rig.arm()
@@ -126,7 +126,7 @@ async def test_without_feedback_the_port_reports_whether_it_is_there(tmp_path):
         assert EventKind.LINE_LOST in rig.kinds()
 
 
-async def test_a_board_that_a_dead_program_left_is_sent_zero_which_proves_nothing(peer):
+async def test_a_board_that_a_dead_program_left_is_sent_zero_and_reported_as_unconfirmed(peer):
     """It sends nothing: that the port has taken the bytes is all that is known."""
     problems = await halt_line(spec_of(peer.link, "{left:d},{right:d}\n"))
     assert problems
@@ -141,7 +141,7 @@ def test_a_template_that_leaves_a_joint_out_is_refused(tmp_path):
         open_line(spec, Exchange.private(), print)
 
 
-async def test_a_port_that_takes_no_bytes_any_more_leaves_the_event_loop_alive(tmp_path):
+async def test_a_port_that_takes_no_more_bytes_does_not_block_the_event_loop(tmp_path):
     master, slave = os.openpty()
     tty.setraw(slave)
     padding = "." * 200

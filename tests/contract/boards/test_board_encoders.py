@@ -53,7 +53,7 @@ def count_of(rig):
     return count - (1 << 64) if count >> 63 else count
 
 
-async def test_a_wheel_that_turns_is_counted_with_its_speed_and_its_time(rig, peer):
+async def test_a_wheel_that_turns_is_reported_with_count_speed_and_stamp(rig, peer):
     assert (count_of(rig), feedback_of(rig).velocity_rad_s) == (0, 0.0)
     peer.do("t")
     await until(lambda: count_of(rig) < -200, "it turns")
@@ -63,10 +63,10 @@ async def test_a_wheel_that_turns_is_counted_with_its_speed_and_its_time(rig, pe
     assert feedback_of(rig, 1).count == 0
     await until(lambda: feedback_of(rig).stamp_ns > first.stamp_ns)
     peer.do("s")
-    await until(lambda: feedback_of(rig).velocity_rad_s == 0.0, "it stands")
+    await until(lambda: feedback_of(rig).velocity_rad_s == 0.0, "the wheel stands")
 
 
-async def test_a_board_that_counts_is_never_enabled_though_the_bridges_are(rig, peer, chip):
+async def test_a_board_that_only_counts_is_never_enabled_even_when_the_bridges_are(rig, peer, chip):
     await armed(rig)
     rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
     await until(lambda: chip.duties()[0] == PERIOD_NS // 2)
@@ -75,9 +75,7 @@ async def test_a_board_that_counts_is_never_enabled_though_the_bridges_are(rig, 
     assert not any(sent.enabled for sent in peer.sent)
 
 
-async def test_a_silent_board_lets_the_feedback_of_its_wheels_get_old_and_is_reported_once(
-    rig, peer
-):
+async def test_the_feedback_of_a_silent_board_gets_old_and_the_board_is_reported_once(rig, peer):
     peer.do("m")
     await until(lambda: EventKind.DRIVE_WARNING in rig.kinds(), "it is reported")
     assert "left, right" in rig.events[-1].text
@@ -93,7 +91,7 @@ async def test_a_silent_board_lets_the_feedback_of_its_wheels_get_old_and_is_rep
     assert rig.kinds().count(EventKind.DRIVE_BACK) == 2
 
 
-async def test_a_board_that_begins_anew_is_a_new_origin_and_no_way(rig, peer):
+async def test_a_restarted_board_is_a_new_origin_and_no_motion(rig, peer):
     peer.do("t")
     await until(lambda: count_of(rig) < -100)
     peer.do("s")
@@ -104,7 +102,7 @@ async def test_a_board_that_begins_anew_is_a_new_origin_and_no_way(rig, peer):
     assert count_of(rig) == before
 
 
-async def test_a_board_that_is_pulled_is_found_again(program, peer, chip):
+async def test_a_board_that_is_unplugged_and_plugged_in_is_found_again(program, peer, chip):
     async with running(line_with(peer, chip)) as rig:
         await until(lambda: feedback_of(rig).stamp_ns > 0)
         peer.pull()

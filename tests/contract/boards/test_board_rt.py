@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What only the line of a board in C promises: nothing that asyncio does, or does not, moves a
+"""What only the line of a board in C guarantees: no action and no delay of asyncio moves a
 motor."""
 
 import time
@@ -27,7 +27,7 @@ def sleep_until(condition):
 
 
 def core_alone(loop, ticks):
-    """New set-points every 10 ms, from a core that lives; how long the longest pause was."""
+    """New set-points every 10 ms, from a living core; returns the longest pause."""
     longest_ns = 0
     for tick in range(ticks):
         before_ns, loop.put_ns = loop.put_ns, now_ns()
@@ -54,7 +54,7 @@ async def test_an_event_loop_that_hangs_does_not_keep_a_motor_turning(peer):
         await until(lambda: rig.states() == {DriveState.READY})
 
 
-async def test_a_core_that_takes_enabled_back_takes_the_power_while_the_event_loop_hangs(peer):
+async def test_a_core_that_clears_enabled_takes_the_power_while_the_event_loop_hangs(peer):
     async with running(frames_spec(peer, watchdog_s=2.0)) as rig:
         await turning(rig, peer)
         seen = len(peer.sent)
@@ -64,7 +64,7 @@ async def test_a_core_that_takes_enabled_back_takes_the_power_while_the_event_lo
         assert not any(sent.braking for sent in peer.sent[seen:])
 
 
-async def test_a_core_that_lives_drives_the_board_while_the_event_loop_hangs(peer):
+async def test_a_live_core_drives_the_board_while_the_event_loop_hangs(peer):
     async with running(frames_spec(peer, watchdog_s=1.0)) as rig:
         await turning(rig, peer)
         seen = len(peer.sent)
@@ -74,7 +74,7 @@ async def test_a_core_that_lives_drives_the_board_while_the_event_loop_hangs(pee
         assert all(one.enabled for one in sent) or longest_ns > 0.5e9 * PATIENT_S
 
 
-async def test_text_ends_at_zero_while_the_event_loop_hangs(tmp_path):
+async def test_a_text_board_is_sent_zero_while_the_event_loop_hangs(tmp_path):
     peer = Reader(tmp_path / "board")
     async with running(text_spec(peer.link, "{left:d},{right:d}\n")) as rig:
         await rig.arm()

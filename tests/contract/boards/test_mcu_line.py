@@ -58,7 +58,7 @@ async def test_a_board_is_set_up_with_its_watchdog_and_not_armed(rig, peer):
     assert not any(sent.enabled for sent in peer.sent)
 
 
-async def test_a_board_that_never_speaks_is_reported_to_be_unresponsive_once(board_of, monkeypatch):
+async def test_a_board_that_never_sends_is_reported_unresponsive_once(board_of, monkeypatch):
     monkeypatch.setattr(board_drive, "START_GRACE_S", 0.1)
     peer = board_of()
     peer.do("m")
@@ -71,7 +71,7 @@ async def test_a_board_that_never_speaks_is_reported_to_be_unresponsive_once(boa
     peer.pull()
 
 
-async def test_no_set_point_but_zero_leaves_before_arming(rig, peer):
+async def test_only_set_points_of_zero_are_sent_before_arming(rig, peer):
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 3.0, 1: 3.0}
     await rig.ready()
     received = rig.line.stats().exchanges
@@ -95,7 +95,7 @@ async def test_it_cannot_be_armed_without_fresh_set_points(rig):
         await rig.line.arm()
 
 
-async def test_a_board_that_does_not_receive_is_not_armed(rig, peer):
+async def test_a_board_that_receives_nothing_is_not_armed(rig, peer):
     await rig.ready()
     peer.do("d")
     with pytest.raises(HalError):
@@ -106,7 +106,7 @@ async def test_a_board_that_does_not_receive_is_not_armed(rig, peer):
 
 
 # ------------------------------------------------------------------------------------ set-points
-async def test_set_points_go_out_with_gear_and_sense_and_feedback_comes_back_in_si(rig, peer):
+async def test_set_points_are_sent_with_gear_and_direction_and_feedback_comes_back_in_si(rig, peer):
     await armed_and_turning(rig, peer)
     assert peer.now.right_mrad_s == -6000
     right = rig.loop.exchange.take_feedback
@@ -125,7 +125,7 @@ async def test_set_points_go_out_with_gear_and_sense_and_feedback_comes_back_in_
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-async def test_a_set_point_that_is_no_number_is_sent_as_zero(rig, peer, bad):
+async def test_a_set_point_that_is_not_finite_is_sent_as_zero(rig, peer, bad):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: bad, 1: 1.0}
     await until(lambda: peer.now.right_mrad_s == -2000)
@@ -142,13 +142,13 @@ async def test_a_duty_board_is_sent_duties(peer):
 
 
 # -------------------------------------------------------------------------------------- stopping
-async def test_set_points_that_were_enabled_for_a_moment_only_take_the_power_off(rig):
+async def test_set_points_that_were_enabled_only_for_a_moment_take_the_power_off(rig):
     await rig.arm()
     rig.loop.put_for_a_moment()
     await until(lambda: rig.states() == {DriveState.READY})
 
 
-async def test_set_points_that_are_not_enabled_any_more_take_the_power(rig, peer):
+async def test_set_points_that_are_no_longer_enabled_take_the_power(rig, peer):
     await armed_and_turning(rig, peer)
     rig.loop.enabled = False
     await until(lambda: not peer.now.enabled)
@@ -185,7 +185,7 @@ async def test_cancelling_the_line_brakes_and_takes_the_power(board_of):
     peer.pull()
 
 
-async def test_a_board_that_receives_nothing_any_more_stops_by_itself_and_stays_off(rig, peer):
+async def test_a_board_that_no_longer_receives_stops_by_itself_and_stays_off(rig, peer):
     await armed_and_turning(rig, peer)
     peer.do("d")
     await until(lambda: not peer.now.enabled and peer.now.braking, "its own watchdog")
@@ -196,11 +196,11 @@ async def test_a_board_that_receives_nothing_any_more_stops_by_itself_and_stays_
 
 
 # -------------------------------------------------------------------------------- not being there
-async def test_a_mute_board_is_unresponsive_sent_to_stop_and_comes_back_disarmed(rig, peer):
+async def test_a_mute_board_is_unresponsive_and_stopped_and_comes_back_disarmed(rig, peer):
     await armed_and_turning(rig, peer)
     peer.do("m")
     await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
-    await until(lambda: not peer.now.enabled, "it is sent a stop though it is not received")
+    await until(lambda: not peer.now.enabled, "it is stopped though its replies are lost")
     with pytest.raises(NoReply):
         await rig.line.arm()
     peer.do("w")
@@ -209,7 +209,7 @@ async def test_a_mute_board_is_unresponsive_sent_to_stop_and_comes_back_disarmed
     assert EventKind.DRIVE_BACK in rig.kinds()
 
 
-async def test_a_board_that_was_restarted_is_set_up_again_disarmed_in_a_new_epoch(rig, peer):
+async def test_a_restarted_board_is_set_up_again_disarmed_in_a_new_epoch(rig, peer):
     await armed_and_turning(rig, peer)
     epoch = rig.loop.exchange.take_feedback(0).epoch
     peer.do("r")
@@ -220,7 +220,7 @@ async def test_a_board_that_was_restarted_is_set_up_again_disarmed_in_a_new_epoc
 
 
 @pytest.mark.parametrize("name", ["mcu-velocity", "mcu-duty"])
-async def test_a_board_that_is_restarted_before_it_was_ever_armed_is_set_up_again(peer, name):
+async def test_a_board_that_restarts_before_its_first_arming_is_set_up_again(peer, name):
     async with running(spec_of(peer, joints_of(name))) as rig:
         await rig.ready()
         await until(lambda: rig.loop.exchange.take_feedback(0).epoch > 0, "it measures")
@@ -266,7 +266,7 @@ async def test_a_port_that_goes_away_while_it_is_opened_is_opened_again(peer, mo
 
 
 async def left_turning(peer, spec, spoke=0):
-    """As a program leaves it that was killed: enabled, turning, its watchdog two seconds away; it
+    """As a killed program leaves it: enabled, turning, its watchdog two seconds away; it
     had sent some frames before."""
     sender = FrameSender(spec)
     for _ in range(spoke):
@@ -290,7 +290,7 @@ async def test_a_board_that_a_dead_program_left_turning_is_braked_and_switched_o
     assert not peer.sent[-1].braking
 
 
-async def test_a_new_line_is_received_by_a_board_that_a_dead_program_left_turning(peer):
+async def test_a_board_that_a_dead_program_left_turning_follows_a_new_line(peer):
     spec = spec_of(peer)
     await left_turning(peer, spec, spoke=20_000)
     seen = len(peer.sent)
@@ -301,14 +301,14 @@ async def test_a_new_line_is_received_by_a_board_that_a_dead_program_left_turnin
         await rig.arm()
 
 
-async def test_a_board_that_reports_nothing_when_it_is_stopped_is_named(peer):
+async def test_a_board_that_does_not_report_its_status_when_it_is_stopped_is_named(peer):
     peer.do("m")
     problems = await halt_line(spec_of(peer))
     assert problems == ["the board of left, right has not reported its status"]
 
 
 # ----------------------------------------------------------------------------------------- faults
-async def test_a_fault_stops_is_reported_in_words_and_is_cleared_when_it_is_gone(rig, peer):
+async def test_a_fault_stops_the_board_is_reported_in_words_and_can_be_cleared(rig, peer):
     await armed_and_turning(rig, peer)
     peer.do("f")
     await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
@@ -337,7 +337,7 @@ async def test_round_trips_and_rates_are_counted(rig):
     assert stats.cycle_hz > 0
 
 
-async def test_registers_are_read_from_feedback_and_those_of_the_line_are_not_written(rig):
+async def test_registers_are_read_from_feedback_and_those_that_motord_writes_are_refused(rig):
     await rig.ready()
     assert await rig.line.read_register("right", "voltage") == pytest.approx(24.0)
     with pytest.raises(LookupError):
@@ -360,12 +360,12 @@ def test_a_profile_of_another_protocol_is_refused(peer):
         open_line(spec_of(peer, joints_of("zlac8015d")), Exchange.private(), print)
 
 
-def test_there_is_no_engine_but_the_thread_in_c(peer):
+def test_the_thread_in_c_is_the_only_engine(peer):
     with pytest.raises(HalError, match='no engine "asyncio" for mcu'):
         open_line(spec_of(peer, engine="asyncio"), Exchange.private(), print)
 
 
-async def test_what_is_no_frame_is_counted_and_changes_nothing(rig, peer):
+async def test_bytes_that_are_no_frame_are_counted_and_change_nothing(rig, peer):
     await rig.ready()
     os.write(peer.master, b"\0\x05hello\0\xff\xff\0")
     await until(lambda: rig.line.stats().errors.get("bad_reply", 0) >= 2)

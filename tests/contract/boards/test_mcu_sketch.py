@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The reference sketch on every chip that it is for: what frames make it do to the pins."""
+"""The reference sketch on every supported chip: what it does to the pins for each frame."""
 
 import shutil
 import struct
@@ -62,14 +62,14 @@ def reported(sketch):
     return payload[0], [struct.unpack_from("<ii", payload, 16 + 10 * motor) for motor in (0, 1)]
 
 
-def test_the_bridge_gets_power_last_and_only_behind_a_watchdog(sketch, pins):
+def test_the_bridge_gets_power_last_and_only_when_its_watchdog_runs(sketch, pins):
     assert sketch.watchdog_ms == 250
     assert sketch.writes.index("watchdog 250") < sketch.writes.index(f"level {pins.standby} 1")
     assert sketch.writes[-1] == f"level {pins.standby} 1"
     assert resting(sketch, pins)
 
 
-def test_a_chip_whose_watchdog_cannot_be_had_never_gives_power(fresh, built, pins):
+def test_a_chip_whose_watchdog_does_not_start_never_gives_power(fresh, built, pins):
     if built[0] != "ESP32":
         pytest.skip("only the ESP32's watchdog can refuse")
     fresh.do("broken")
@@ -85,7 +85,7 @@ def test_nothing_turns_before_it_is_enabled_at_zero(sketch, pins):
     assert resting(sketch, pins)
 
 
-def test_set_points_turn_the_motors_each_its_way(sketch, pins):
+def test_set_points_turn_each_motor_in_its_own_direction(sketch, pins):
     sketch.arm()
     sketch.run(0.03, 4200, -4200)
     assert [sketch.levels[pin] for pin in (*pins.in1, *pins.in2)] == [1, 0, 0, 1]
@@ -108,7 +108,7 @@ def test_the_old_duty_never_meets_the_new_direction(sketch, pins):
     assert sketch.pwm[pins.pwm[0]] > 0.1
 
 
-def test_silence_brakes_until_it_is_enabled_anew(sketch, pins):
+def test_silence_brakes_until_it_is_enabled_again(sketch, pins):
     sketch.arm()
     sketch.run(0.03, 4200, 4200)
     sketch.run(0.12)
@@ -123,7 +123,7 @@ def test_silence_brakes_until_it_is_enabled_anew(sketch, pins):
     assert resting(sketch, pins)
 
 
-def test_edges_are_counted_both_ways_and_sent(sketch, pins):
+def test_edges_are_counted_in_both_directions_and_sent(sketch, pins):
     sketch.turn(pins.a[0], pins.b[0], 9)
     sketch.turn(pins.a[1], pins.b[1], -5)
     sketch.run(0.02, 0, 0, control=8)
@@ -133,7 +133,7 @@ def test_edges_are_counted_both_ways_and_sent(sketch, pins):
     assert reported(sketch)[1] == [(9, 0), (-5, 0)]
 
 
-def test_an_encoder_that_does_not_begin_at_zero_is_not_a_step(fresh, pins):
+def test_the_level_at_which_an_encoder_starts_is_not_counted_as_an_edge(fresh, pins):
     fresh.do(f"level {pins.a[0]} 1")
     fresh.do("setup")
     fresh.do(f"level {pins.b[0]} 1")
@@ -141,7 +141,7 @@ def test_an_encoder_that_does_not_begin_at_zero_is_not_a_step(fresh, pins):
     assert reported(fresh)[1][0][0] == 1
 
 
-def test_speed_is_measured_and_held_against_the_set_point(sketch, pins):
+def test_speed_is_measured_and_regulated_to_the_set_point(sketch, pins):
     sketch.arm()
     sketch.run(0.03, 4200, 4200)
     missing = sketch.pwm[pins.pwm[0]]

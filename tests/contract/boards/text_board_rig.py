@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A line of text boards, and what reads what the line sends."""
+"""A line of text boards, and a reader of what it sends."""
 
 import os
 import threading

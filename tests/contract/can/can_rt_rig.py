@@ -21,7 +21,7 @@ HEARTBEAT, ESTIMATES = 0x01, 0x09
 
 
 class Bus:
-    """A bus that is read when the test says so, from whichever thread is awake."""
+    """A bus that is read when the test calls for it, from any thread."""
 
     engine = "auto"
 
@@ -46,7 +46,7 @@ class Bus:
             self.end.close()
 
     def say(self):
-        """What an axis says by itself, at rest."""
+        """What an axis sends by itself, at rest."""
         self.reported_ns = time.monotonic_ns()
         for command, data in (
             (HEARTBEAT, struct.pack("<IB3x", 0, self.state)),
@@ -55,7 +55,7 @@ class Bus:
             self.end.send(FRAME.pack(command, 8, data))
 
     def receive(self):
-        """Take in all that has come; the axis obeys at once."""
+        """Take in all received frames; the axis follows at once."""
         while True:
             try:
                 frame = self.end.recv(72)
@@ -77,7 +77,7 @@ class Bus:
         return [int.from_bytes(data[:4], "little") for c, data in self.received if c == STATE]
 
     def live(self, seconds):
-        """The axis lives, and nothing else in this process does."""
+        """Only the axis runs in this process."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             self.say()
@@ -86,7 +86,7 @@ class Bus:
 
 
 async def lively(rig, bus, condition):
-    """Until it is true, with an axis that lives."""
+    """Waits until it is true while the axis runs."""
 
     def both():
         bus.say()

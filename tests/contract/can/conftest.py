@@ -8,7 +8,7 @@ from can_rt_rig import Bus
 
 @pytest.fixture
 def bus(tmp_path):
-    """Read when the test says so."""
+    """Read when the test calls for it."""
     bus = Bus(tmp_path)
     yield bus
     bus.close()

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The firmware's side of an slcan adapter on a pty: the ASCII protocol of LAWICEL's CAN232 manual,
-chapters 2 and 3, and on its bus what sends and receives here."""
+chapters 2 and 3, with a bus on which tests send and receive."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ async def test_bus_off_is_reported_once_and_the_drives_come_back_disarmed(rig, p
     assert peer.axes[0].state == IDLE
 
 
-async def test_a_drive_that_was_armed_is_stopped_after_a_reopening_though_it_is_not_received(
+async def test_a_drive_that_was_armed_is_stopped_after_a_reopening_even_when_it_is_silent(
     rig, peer
 ):
     await rig.arm()
@@ -76,7 +76,7 @@ async def test_error_frames_are_counted_by_kind_and_lose_nothing(rig, peer):
     assert rig.states() == {DriveState.ARMED}
 
 
-async def test_what_error_frames_foretell_is_reported_in_words_and_not_with_each_of_them(rig, peer):
+async def test_a_warning_from_error_frames_is_reported_in_words_and_not_for_each_frame(rig, peer):
     await rig.arm()
     for count in range(1, 4):
         peer.send_raw(CONTROLLER | NO_ACK, bytes((0, 0x30, 0, 0, 0, 0, 0, 0)), is_error_frame=True)
@@ -92,7 +92,7 @@ async def test_what_error_frames_foretell_is_reported_in_words_and_not_with_each
     assert {e.joints for e in warnings} == {("wheel0", "wheel3")}
 
 
-async def test_frames_that_come_make_no_frames_go_out(rig, peer):
+async def test_received_frames_cause_no_frames_to_be_sent(rig, peer):
     await rig.arm()
     began, cycles = len(peer.axes[0].velocities()), rig.line.stats().cycles
     frames = rig.line.stats().exchanges
@@ -115,7 +115,7 @@ async def test_remote_frames_and_long_frames_of_others_are_no_feedback(rig, peer
     assert rig.line.drive_states["wheel3"] is DriveState.READY
 
 
-async def test_an_adapter_that_is_not_there_is_one_event_with_a_reason(peer):
+async def test_a_missing_adapter_is_reported_once_with_the_reason(peer):
     async with running(spec_of(peer, 0, port="slcan:/dev/nothing-here")) as rig:
         await until(lambda: rig.events != [])
         assert rig.kinds() == [EventKind.LINE_LOST]
@@ -142,7 +142,7 @@ async def test_a_full_queue_loses_the_frame_and_counts_it(error):
 
 
 @pytest.mark.parametrize("number", [errno.ENETDOWN, errno.ENODEV, errno.ENXIO])
-async def test_a_bus_that_went_away_is_a_port_error_with_its_name(number):
+async def test_a_bus_that_disappeared_is_a_port_error_with_its_name(number):
     bus = bus_that(can.CanOperationError("Failed to transmit", number))
     with pytest.raises(PortError, match=errno.errorcode[number]):
         bus.send(FRAME)
@@ -169,7 +169,7 @@ async def test_a_drive_whose_stop_the_bus_did_not_take_is_stopped_with_the_next_
 @pytest.mark.parametrize(
     "peer", ["virtual"], indirect=True
 )  # the rt engine: tests/c/can_drive/test_can_stops.c
-async def test_no_more_motion_is_handed_to_a_bus_that_lets_none_leave(rig, peer):
+async def test_no_more_motion_is_handed_to_a_bus_that_does_not_send_it(rig, peer):
     await rig.arm()
     rig.line._gate.receives_own = True  # and no frame of ours is ever seen to leave
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN, 1: TURN}
@@ -184,7 +184,7 @@ async def test_no_more_motion_is_handed_to_a_bus_that_lets_none_leave(rig, peer)
 
 
 @pytest.mark.parametrize("peer", ["virtual"], indirect=True)  # tests/c/can/test_can_kick.c
-async def test_motion_that_has_not_left_is_followed_by_no_early_motion(rig, peer):
+async def test_motion_that_has_not_left_is_not_followed_by_early_motion(rig, peer):
     """No cycle is due before this test has given up."""
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN, 1: TURN}
@@ -216,7 +216,7 @@ async def test_motion_that_has_not_left_is_followed_by_no_early_motion(rig, peer
 
 
 @pytest.mark.parametrize("step_s", [0.0, 0.7, 0.95, -0.7, 3600.0])
-async def test_a_wall_clock_that_is_set_makes_no_frame_older_than_the_one_before(
+async def test_setting_the_wall_clock_makes_no_frame_older_than_the_one_before(
     step_s, tmp_path, monkeypatch
 ):
     came_ns = []

@@ -24,7 +24,7 @@ async def opened(rig, bus):
 
 
 async def fill(rig, bus):
-    """No drive takes in what is sent, until nothing can be sent any more."""
+    """Fills the queue: no drive reads until nothing more can be sent."""
 
     def full():
         bus.say()
@@ -50,7 +50,7 @@ async def test_a_drive_that_cannot_be_switched_off_is_reported_by_name(bus, engi
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-async def test_a_power_off_that_the_full_bus_did_not_take_at_once_is_sent_again(bus, engine):
+async def test_a_power_off_that_a_full_bus_did_not_take_is_sent_again(bus, engine):
     async def receive_late():
         await asyncio.sleep(0.1)
         while True:
@@ -71,7 +71,7 @@ async def test_a_power_off_that_the_full_bus_did_not_take_at_once_is_sent_again(
 
 
 @pytest.mark.parametrize("kind", BUSES)
-async def test_a_wheel_that_is_being_stopped_goes_on_being_braked_before_it_loses_power(kind):
+async def test_a_stopping_wheel_is_braked_until_it_loses_power(kind):
     async with living(Peer(kind, nodes=(0,))) as peer:
         axis = peer.axes[0]
         async with running(spec_of(peer, 0)) as rig:
@@ -100,8 +100,8 @@ async def turning(rig, axis):
 
 @pytest.mark.parametrize("kind", BUSES)
 @pytest.mark.parametrize("unresponsive", [False, True])
-async def test_a_power_off_that_went_into_a_cut_cable_is_sent_again(kind, unresponsive):
-    """The bus has taken it: that says nothing."""
+async def test_a_power_off_that_a_cut_cable_lost_is_sent_again(kind, unresponsive):
+    """That the bus has taken it proves nothing."""
 
     async def mend(axis):
         await until(lambda: not axis.ignored or len(axis.received) > mark + 10)

@@ -27,7 +27,7 @@ async def test_every_drive_is_sent_zero_and_then_loses_its_power(peer):
         assert CLOSED_LOOP not in axis.states()
 
 
-async def test_a_drive_that_turns_on_is_switched_off_all_the_same_and_a_silent_one_is_reported(
+async def test_a_drive_that_keeps_turning_is_switched_off_and_one_that_stays_enabled_is_reported(
     peer,
 ):
     peer.axes[0].velocity_turns_s = 2.0
@@ -37,7 +37,7 @@ async def test_a_drive_that_turns_on_is_switched_off_all_the_same_and_a_silent_o
     assert problems == ["wheel3: reports that it is still enabled"]
 
 
-async def test_a_silent_drive_is_sent_all_the_same_and_reported(peer):
+async def test_a_silent_drive_is_switched_off_and_reported(peer):
     peer.axes[0].silent = True
     (problem,) = await halt_line(spec_of(peer, 0, 3))
     assert "wheel0" in problem
@@ -45,6 +45,6 @@ async def test_a_silent_drive_is_sent_all_the_same_and_reported(peer):
     assert peer.axes[0].state == peer.axes[3].state == IDLE
 
 
-async def test_a_bus_that_is_not_there_is_an_error(peer):
+async def test_a_missing_bus_is_an_error(peer):
     with pytest.raises(PortError, match="no such interface"):
         await halt_line(spec_of(peer, 0, port="socketcan:nothing0"))

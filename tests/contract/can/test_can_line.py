@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CAN lines against scripted drives that speak raw frames: who is armed, who is unresponsive, what
-is reported."""
+"""CAN lines against scripted drives that send raw frames: which drive is armed, which is
+unresponsive, and what is reported."""
 
 import asyncio
 import math
@@ -59,7 +59,7 @@ async def test_signals_of_one_frame_are_written_together(rig, peer):
     assert peer.axes[0].sent(MODE) == [struct.pack("<II", 2, 1)]
 
 
-async def test_no_set_point_but_zero_leaves_before_arming(rig, peer):
+async def test_only_set_points_of_zero_are_sent_before_arming(rig, peer):
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 3.0, 1: 3.0}
     await rig.ready()
     await until(lambda: len(peer.axes[0].velocities()) > 10)
@@ -73,7 +73,7 @@ async def test_a_drive_that_was_left_running_is_stopped_when_the_line_opens(peer
         assert peer.axes[0].states()[0] == IDLE
 
 
-async def test_a_drive_that_does_not_let_itself_be_set_up_is_reported_once_and_tried_seldom(peer):
+async def test_a_drive_whose_set_up_fails_is_reported_once_and_tried_seldom(peer):
     peer.axes[0].state, peer.axes[0].stuck = CLOSED_LOOP, True
     async with running(spec_of(peer, 0)) as rig:
         await until(lambda: len(peer.axes[0].states()) >= 3)
@@ -83,7 +83,7 @@ async def test_a_drive_that_does_not_let_itself_be_set_up_is_reported_once_and_t
 
 
 # ------------------------------------------------------------------------------------ set-points
-async def test_set_points_go_out_in_turns_with_gear_and_sense(rig, peer):
+async def test_set_points_are_sent_in_turns_with_gear_and_direction(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN, 1: TURN}
     await until(lambda: any(peer.axes[0].velocities()) and any(peer.axes[3].velocities()))
@@ -92,7 +92,7 @@ async def test_set_points_go_out_in_turns_with_gear_and_sense(rig, peer):
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-async def test_a_set_point_that_is_no_number_is_sent_as_zero(rig, peer, bad):
+async def test_a_set_point_that_is_not_finite_is_sent_as_zero(rig, peer, bad):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: bad, 1: TURN}
     await until(lambda: any(peer.axes[3].velocities()))
@@ -134,7 +134,7 @@ async def test_feedback_reports_enabled_once_armed(rig):
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-async def test_a_position_that_is_no_number_is_no_feedback(rig, peer, bad):
+async def test_a_position_that_is_not_finite_is_no_feedback(rig, peer, bad):
     await rig.ready()
     peer.axes[0].position_turns = bad
     frames = rig.line.stats().exchanges
@@ -145,7 +145,7 @@ async def test_a_position_that_is_no_number_is_no_feedback(rig, peer, bad):
     assert rig.loop.exchange.take_feedback(0).stamp_ns == stamp_ns
 
 
-async def test_a_frame_that_was_cut_short_is_counted_and_not_believed(rig, peer):
+async def test_a_frame_that_was_cut_short_is_counted_and_ignored(rig, peer):
     await rig.ready()
     peer.axes[0].no_estimates = True
     peer.send(0, ESTIMATES, struct.pack("<f", 100.0))
@@ -164,13 +164,13 @@ async def test_frames_of_nodes_that_are_not_the_robot_s_change_nothing(rig, peer
 
 
 # --------------------------------------------------------------------------------------- stopping
-async def test_set_points_that_were_enabled_for_a_moment_only_take_the_power_off(rig):
+async def test_set_points_that_were_enabled_only_for_a_moment_take_the_power_off(rig):
     await rig.arm()
     rig.loop.put_for_a_moment()
     await until(lambda: rig.states() == {DriveState.READY})
 
 
-async def test_set_points_that_are_not_enabled_any_more_take_the_power_off(rig, peer):
+async def test_set_points_that_are_no_longer_enabled_take_the_power_off(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
     await until(lambda: any(peer.axes[0].velocities()))
@@ -236,7 +236,7 @@ async def test_arming_fails_when_a_drive_does_not_report_it_is_enabled(rig, peer
     assert DriveState.ARMED not in rig.states()
 
 
-async def test_arming_that_is_given_up_leaves_nothing_armed(rig, peer):
+async def test_a_cancelled_arming_leaves_nothing_armed(rig, peer):
     await rig.ready()
     peer.axes[3].ignored.add(STATE)
     task = asyncio.ensure_future(rig.line.arm())
@@ -266,7 +266,7 @@ async def test_a_drive_is_sent_zero_before_it_is_armed(rig, peer):
     assert set(before) == {bytes(8)}
 
 
-async def test_disarming_is_zero_and_power_off(rig, peer):
+async def test_disarming_sends_zero_and_the_power_off(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN}
     await until(lambda: any(peer.axes[0].velocities()))
@@ -287,7 +287,7 @@ async def test_a_closed_line_reports_so(peer):
 
 
 # ----------------------------------------------------------------------------------- unresponsive
-async def test_a_drive_that_never_speaks_is_reported_once(peer):
+async def test_a_drive_that_never_sends_is_reported_once(peer):
     peer.axes[0].silent = True
     async with running(spec_of(peer, 0, 3)) as rig:
         await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds())
@@ -353,7 +353,7 @@ async def test_faults_are_reported_once_in_words_and_once_when_gone(rig, peer):
     await until(lambda: EventKind.DRIVE_FAULT_GONE in rig.kinds())
 
 
-async def test_faults_that_stay_are_an_error_of_clearing(rig, peer):
+async def test_clearing_faults_that_stay_is_an_error(rig, peer):
     await rig.ready()
     peer.axes[0].error = 0x40
     peer.axes[0].ignored.add(CLEAR)
@@ -363,7 +363,7 @@ async def test_faults_that_stay_are_an_error_of_clearing(rig, peer):
 
 
 # -------------------------------------------------------------------------------------- registers
-async def test_a_signal_is_read_by_asking_or_from_the_next_frame(rig, peer):
+async def test_a_signal_is_read_on_request_or_from_the_next_frame(rig, peer):
     await rig.ready()
     peer.axes[3].voltage_v = 22.25
     assert await rig.line.read_register("wheel3", "bus_voltage") == pytest.approx(22.25)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What only the CAN line in C promises: nothing that asyncio does, or does not, moves a motor."""
+"""What only the CAN line in C guarantees: no action and no delay of asyncio moves a motor."""
 
 import math
 import time
@@ -49,7 +49,7 @@ async def test_its_trace_keeps_frames_of_both_directions_while_it_is_on(rig, bus
     assert numbers == list(range(before + 1, before + 1 + len(numbers)))
 
 
-async def test_a_core_that_takes_enabled_back_while_the_event_loop_hangs_takes_the_power(rig, bus):
+async def test_a_core_that_clears_enabled_while_the_event_loop_hangs_takes_the_power(rig, bus):
     await arm(rig, bus)
     rig.loop.enabled = False
     rig.loop.put()
@@ -59,7 +59,7 @@ async def test_a_core_that_takes_enabled_back_while_the_event_loop_hangs_takes_t
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-async def test_a_set_point_that_is_no_number_is_zero_on_the_bus(rig, bus, bad):
+async def test_a_set_point_that_is_not_finite_is_zero_on_the_bus(rig, bus, bad):
     await arm(rig, bus)
     rig.loop.velocity_rad_s = {0: bad}
     rig.loop.put()
@@ -68,7 +68,7 @@ async def test_a_set_point_that_is_no_number_is_zero_on_the_bus(rig, bus, bad):
     assert set(bus.velocities()[1:]) == {0.0}
 
 
-async def test_a_bus_that_takes_nothing_loses_set_points_and_the_next_are_the_newest(rig, bus):
+async def test_a_blocked_bus_loses_set_points_and_then_gets_the_newest(rig, bus):
     await arm(rig, bus)
 
     def speak_and_not_receive():
@@ -85,7 +85,7 @@ async def test_a_bus_that_takes_nothing_loses_set_points_and_the_next_are_the_ne
     assert all(one in (0.0, pytest.approx(3.0)) for one in bus.velocities()[1:])
 
 
-async def test_a_stop_that_the_bus_did_not_take_is_sent_as_soon_as_it_does(rig, bus):
+async def test_a_stop_that_the_bus_did_not_take_is_sent_as_soon_as_the_bus_takes_frames(rig, bus):
     await arm(rig, bus)
 
     def full():
@@ -106,7 +106,7 @@ async def test_a_stop_that_the_bus_did_not_take_is_sent_as_soon_as_it_does(rig, 
     assert bus.states()[-1] == IDLE
 
 
-async def test_a_bus_that_goes_away_is_reopened_and_the_drive_is_new_and_disarmed(rig, bus):
+async def test_a_bus_that_disappears_is_reopened_and_its_drive_is_set_up_disarmed(rig, bus):
     await arm(rig, bus)
     epoch = rig.loop.exchange.take_feedback(0).epoch
     bus.end.close()
@@ -121,7 +121,7 @@ async def test_a_bus_that_goes_away_is_reopened_and_the_drive_is_new_and_disarme
     assert rig.line.stats().reopened == 1
 
 
-async def test_feedback_carries_the_time_at_which_the_kernel_saw_the_frame(rig, bus):
+async def test_feedback_carries_the_time_at_which_the_kernel_received_the_frame(rig, bus):
     await lively(rig, bus, lambda: rig.states() == {DriveState.READY})
     while time.monotonic_ns() < bus.reported_ns + 20_000_000:  # a sample of its own
         bus.receive()
@@ -134,13 +134,13 @@ async def test_feedback_carries_the_time_at_which_the_kernel_saw_the_frame(rig, 
     assert rig.loop.exchange.take_feedback(0).stamp_ns <= after_ns + 5_000_000
 
 
-async def test_an_adapter_that_only_python_can_knows_is_not_the_rt_engine_s(tmp_path):
+async def test_an_adapter_that_only_python_can_supports_is_refused_by_the_rt_engine(tmp_path):
     async with living(Peer("virtual")) as peer:
         with pytest.raises(HalError, match="SocketCAN"):
             open_line(spec_of(peer, 0, engine="rt"), Exchange.private(), lambda event: None)
 
 
-async def test_set_points_of_a_line_that_was_not_armed_stay_on_this_side(rig, bus):
+async def test_only_zero_is_sent_on_a_line_that_was_not_armed(rig, bus):
     await lively(rig, bus, lambda: rig.states() == {DriveState.READY})
     wheels = tuple(JointSetpoint(TURN, 1.0) for _ in range(8))
     rig.loop.exchange.put_setpoints(

@@ -29,7 +29,7 @@ async def turning(rig, peer):
     await until(lambda: any(peer.axes[0].velocities()), "it is commanded to turn")
 
 
-async def test_a_drive_is_armed_driven_received_and_switched_off(adapter, peer):
+async def test_a_drive_is_armed_driven_read_and_switched_off(adapter, peer):
     async with running(spec_of(peer, 0)) as rig:
         await turning(rig, peer)
         assert "S6" in adapter.commands  # 500 kbit/s, before the channel is opened
@@ -51,7 +51,7 @@ async def test_the_end_of_the_line_stops_the_drive(peer):
     assert peer.axes[0].velocities()[-1] == 0.0
 
 
-async def test_bytes_that_are_no_frames_are_counted_and_the_line_goes_on(adapter, peer):
+async def test_bytes_that_are_no_frames_are_counted_and_the_line_continues(adapter, peer):
     async with running(spec_of(peer, 0)) as rig:
         await turning(rig, peer)
         for garbage in (b"tXYZ\r", b"t0018001122\r", b"t\r", b"\a"):
@@ -65,9 +65,7 @@ async def test_bytes_that_are_no_frames_are_counted_and_the_line_goes_on(adapter
         assert rig.kinds().count(EventKind.LINE_OPEN) == 1
 
 
-async def test_noise_that_its_driver_cannot_get_over_is_a_lost_line_and_not_a_unresponsive_one(
-    adapter, peer
-):
+async def test_noise_that_its_driver_fails_on_closes_the_line_which_is_opened_again(adapter, peer):
     async with running(spec_of(peer, 0)) as rig:
         await turning(rig, peer)
         adapter.say(b"\xff\xfe\r")
@@ -76,7 +74,7 @@ async def test_noise_that_its_driver_cannot_get_over_is_a_lost_line_and_not_a_un
         await rig.ready()
 
 
-async def test_an_adapter_that_is_pulled_comes_back_with_its_drives_disarmed(adapter, peer):
+async def test_an_adapter_that_is_unplugged_comes_back_with_its_drives_disarmed(adapter, peer):
     async with running(spec_of(peer, 0)) as rig:
         await turning(rig, peer)
         adapter.pull()
@@ -89,7 +87,7 @@ async def test_an_adapter_that_is_pulled_comes_back_with_its_drives_disarmed(ada
         assert set(peer.axes[0].velocities()[mark:]) <= {0.0}
 
 
-async def test_a_drive_that_nothing_drives_is_stopped(peer):
+async def test_stop_all_stops_a_drive_that_no_program_drives(peer):
     peer.axes[0].state = CLOSED_LOOP
     assert await halt_line(spec_of(peer, 0)) == []
     assert peer.axes[0].state == IDLE

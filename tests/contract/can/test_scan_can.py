@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is on a CAN bus: simulated drives and scripted ones on a bus whose every frame is seen."""
+"""`motord scan` on a CAN bus with simulated and scripted drives; the test sees every frame."""
 
 import contextlib
 import threading
@@ -103,7 +103,7 @@ def test_each_kind_of_drive_is_found_by_its_nodes(tmp_path, drive, first):
     assert {node: profiles[0] for node, profiles in found.items()} == {3: first, 7: first}
 
 
-def test_moteus_controllers_answer_a_read_and_are_written_nothing():
+def test_moteus_controllers_are_found_by_a_read_and_get_no_write():
     with shared_bus("unix") as address:
         drives = [Moteus(address, node) for node in (2, 9)]
         try:
@@ -115,7 +115,7 @@ def test_moteus_controllers_answer_a_read_and_are_written_nothing():
     assert [drive.modes for drive in drives] == [[], []]
 
 
-def test_drives_that_speak_by_themselves_are_sent_nothing_of_another_protocol(tmp_path):
+def test_drives_that_send_by_themselves_get_no_frame_of_another_protocol(tmp_path):
     with simulated(tmp_path, "odrive-0.6") as (address, seen):
         drives_of(address)
         ours = sent_by_us("odrive-0.6", (3, 7), seen)
@@ -148,7 +148,7 @@ def test_a_bus_of_an_unknown_protocol_is_sent_nothing():
     assert "of no protocol that the scan knows" in progress[-1]
 
 
-def test_a_scan_that_is_ended_stops_asking():
+def test_a_cancelled_scan_sends_no_more_requests():
     progress, ends_s = [], time.monotonic() + LISTEN_S + 0.05
     with shared_bus("unix") as address:
         found = scan_can(address, 500_000, None, progress.append, lambda: time.monotonic() > ends_s)
@@ -156,7 +156,7 @@ def test_a_scan_that_is_ended_stops_asking():
     assert len(progress) < 1 + len(PROTOCOLS)
 
 
-def test_a_bus_that_cannot_be_opened_is_named_with_the_cure(tmp_path):
+def test_a_bus_that_cannot_be_opened_is_named_with_the_remedy(tmp_path):
     with pytest.raises(PortError, match="no-bus"):
         scan_can(f"unix:{tmp_path}/no-bus", 500_000, None, print)
     with pytest.raises(PortError, match="ip link set can77 up type can bitrate 500000"):
@@ -175,8 +175,8 @@ def standard(identifier, data):
     return can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
 
 
-def test_pdos_of_a_canopen_node_are_no_odrive():
-    pdo = standard(0x181, bytes(8))  # the heartbeat of an ODrive 12 would look like it
+def test_pdos_of_a_canopen_node_are_not_taken_for_an_odrive():
+    pdo = standard(0x181, bytes(8))  # the heartbeat of an ODrive 12 looks the same
     heartbeat = standard(0x701, b"\x05")
     assert nodes_of(pdo) == set()
     assert nodes_of(pdo, pdo) == {("ODrive", 12)}
@@ -197,12 +197,12 @@ def test_a_canopen_device_of_another_kind_fits_no_profile():
      standard(0x241, bytes(8)), can.Message(arbitration_id=0x55, is_extended_id=True),
      standard(0x581, b"\x80\x00\x10\x00" + bytes(4)), standard(0x700, b"\x00")],
 )  # fmt: skip
-def test_what_is_no_answer_is_no_drive(message):
+def test_a_frame_that_is_no_answer_is_not_taken_for_a_drive(message):
     assert nodes_of(message) == set()
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_requests_are_reads_of_one_form_and_no_broadcast(protocol):
+def test_all_requests_are_the_same_read_and_none_is_a_broadcast(protocol):
     sent = list(requests(protocol))
     assert len({message.arbitration_id for message in sent}) == len(sent) > 30
     assert len({bytes(message.data) for message in sent}) == 1
@@ -210,6 +210,6 @@ def test_requests_are_reads_of_one_form_and_no_broadcast(protocol):
     assert broadcast not in {message.arbitration_id for message in sent} or protocol == "moteus"
 
 
-def test_a_ping_of_a_vesc_is_answered_with_its_number():
+def test_a_vesc_answers_a_ping_with_its_number():
     pong = can.Message(arbitration_id=18 << 8 | 254, data=b"\x2a\x00", is_extended_id=True)
     assert nodes_of(pong) == {("VESC", 42)}

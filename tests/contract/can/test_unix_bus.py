@@ -91,7 +91,7 @@ def test_a_bus_that_closes_ends_the_threads_that_use_it(path):
             bus.shutdown()
 
 
-def test_what_is_no_frame_is_lost_and_the_next_frame_arrives(path):
+def test_a_datagram_that_is_no_frame_is_dropped_and_the_next_frame_arrives(path):
     bus = UnixBus(path)
     try:
         with UnixClient(path) as client, UnixClient(path) as other:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A CiA 402 drive made of canopen's LocalNode: its SDO server, NMT slave and heartbeat are that
-project's. PDOs go as they were mapped in its object dictionary, and in no other way: by event, or
-by SYNC where their transmission type says so."""
+project's. PDOs go only as they were mapped in its object dictionary: by event, or by SYNC where
+their transmission type demands it."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _record(index, entries):
 
 
 class Cia402Node:
-    """Node, state machine and PDO exchange; a thread of its own sends what the event timers ask."""
+    """Node, state machine and PDO exchange; a thread of its own serves the event timers."""
 
     def __init__(self, bus, node):
         self.node_id = node
@@ -106,7 +106,7 @@ class Cia402Node:
         self.network.bus.stop_all_periodic_tasks()
         for thread in threading.enumerate():
             if thread.name == f"Cyclic send task for 0x{0x700 + self.node_id:X}":
-                thread.join()  # else it may send on a bus that is closed
+                thread.join()  # otherwise it may send on a closed bus
         self.network.disconnect()
 
     def reboot(self):
@@ -138,7 +138,7 @@ class Cia402Node:
 
     @property
     def silent_s(self):
-        """So long ago it received its newest control word."""
+        """Time since it received its newest control word."""
         return time.monotonic() - self._sent_s
 
     @property

@@ -16,6 +16,6 @@ def bus(request):
 
 @pytest.fixture
 def address():
-    """Of one bus: the kernel's, where there is one. Files for which another matters have theirs."""
+    """The kernel's bus, where there is one. Files that need another have their own."""
     with shared_bus("socketcan" if INTERFACE else "unix") as address:
         yield address

@@ -51,7 +51,7 @@ class Moteus:
         """Of each command: where it was sent, and the mode that it had then."""
         self.bites = 0
         self.lost_stops = 0
-        """So many of the stops that come next are lost."""
+        """How many of the next stops are lost."""
         self.unreceptive = False
         self._fed_s = None
         self._enabled_at_s = 0.0
@@ -108,7 +108,7 @@ class Moteus:
                                    bitrate_switch=True, data=reply))  # fmt: skip
 
     def execute(self, frame):
-        """What a frame writes is done, what it reads is reported."""
+        """Carries out the writes of a frame and answers its reads."""
         data, reply = list(frame), b""
         wanted = {}
         while data:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ODrive axes on a CAN bus that speak raw frames, written from the protocol's own table: nothing of
-what is tested is used here."""
+"""ODrive axes on a CAN bus that send raw frames, written from the protocol's own table; they share
+no code with motord."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ IDLE, CLOSED_LOOP = 1, 8
 VELOCITY_CONTROL, POSITION_CONTROL = 2, 3
 HEARTBEAT_S, ESTIMATES_S = 0.05, 0.01
 INTERFACE = os.environ.get("MOTORD_CAN_INTERFACE")
-"""Of the kernel, for these tests alone: up, no others on it."""
+"""Of the kernel, for these tests alone: up, without other users."""
 BUSES = (
     {"socketcan": "rt", "socketcan-asyncio": "asyncio"}
     if INTERFACE
@@ -106,7 +106,7 @@ class Axis:
 
 
 class Peer:
-    """Axes by node number; `run` is their life."""
+    """Axes by node number; `run` runs them."""
 
     def __init__(self, kind, nodes=(0,), address="", far_end=""):
         """With an address and the other end of its cable: those, not a new bus."""
@@ -130,7 +130,7 @@ class Peer:
             self._speak(node, axis)
 
     def cut(self):
-        """Off the bus, and what it was sent last is not known."""
+        """Off the bus; frames that it has not read are lost."""
         self._bus.shutdown()
         self._bus = None
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every shipped drive on CAN that goes to positions, against simulated ones, whose joints say where
-they really are."""
+"""Every shipped drive on CAN that goes to positions, against simulated ones, whose true joint
+angles are known."""
 
 import dataclasses
 import math
@@ -78,7 +78,7 @@ async def stopped(sim):
     assert max(angles_rad(sim)) < FAR_RAD - 1.0, "not where they were going to"
 
 
-async def test_joints_go_where_they_are_sent_and_stay_there_without_a_place_to_go_to(rig, sim):
+async def test_joints_go_to_their_targets_and_stay_there_without_a_target(rig, sim):
     await rig.arm()
     await some_cycles(rig)
     assert are_at(sim, 0.0, 0.0), "arming moves nothing"
@@ -91,7 +91,7 @@ async def test_joints_go_where_they_are_sent_and_stay_there_without_a_place_to_g
     assert rig.states() == {DriveState.READY}
 
 
-async def test_the_angle_is_reported_as_it_was_sent(rig, sim, profile):
+async def test_the_reported_angle_is_the_commanded_one(rig, sim, profile):
     await rig.arm()
     rig.loop.position_rad = {0: 0.8, 1: 0.8}
     await rig.drive(lambda: are_at(sim, 0.8, 0.8) and sim.truth().at_rest, "they are there")
@@ -119,7 +119,9 @@ async def test_a_joint_whose_old_target_is_far_away_stays_where_it_is_when_it_is
     assert are_at(sim, *before)
 
 
-async def test_a_joint_that_is_sent_far_from_its_place_at_once_gets_no_power(profile, sim, folder):
+async def test_a_joint_whose_first_target_is_far_from_its_position_loses_its_power(
+    profile, sim, folder
+):
     async with running(line_of(profile, folder, LIMITED_RAD_S)) as rig:
         await rig.arm()
         rig.loop.position_rad = {0: 1.5, 1: 0.0}  # as a wrong zero of a counter would make it
@@ -130,7 +132,7 @@ async def test_a_joint_that_is_sent_far_from_its_place_at_once_gets_no_power(pro
         assert are_at(sim, 0.0, 0.0)
 
 
-async def test_old_set_points_stop_the_joints_on_their_way_and_take_their_power(rig, sim):
+async def test_old_set_points_stop_the_joints_while_they_move_and_take_their_power(rig, sim):
     await wait_for_motion(rig, sim)
     rig.loop.running = False
     await until(lambda: rig.states() == {DriveState.READY}, "the line has stopped them")
@@ -154,7 +156,7 @@ async def test_a_cut_cable_stops_the_joints_by_their_watchdogs_and_they_come_bac
 async def test_a_joint_that_lost_its_power_comes_back_disarmed_and_goes_nowhere(rig, sim, profile):
     await wait_for_motion(rig, sim)
     with without_power(sim, 1):
-        await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is missed")
+        await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is unresponsive")
         await until(lambda: sim.truth().joints["left"].velocity_rad_s == 0.0, "it rests")
         before_rad = angles_rad(sim)[0]
     await until(lambda: EventKind.DRIVE_BACK in rig.kinds(), "it is back")
@@ -165,7 +167,7 @@ async def test_a_joint_that_lost_its_power_comes_back_disarmed_and_goes_nowhere(
         await until(lambda: rig.loop.exchange.take_feedback(0).referenced == 0, "no reference")
 
 
-async def test_lost_frames_move_no_joint_to_where_it_was_not_sent(rig, sim):
+async def test_lost_frames_move_no_joint_to_another_position(rig, sim):
     await rig.ready()
     sim.inject("drop:p=0.03")
     sim.inject("unheard:p=0.05")

@@ -56,7 +56,7 @@ async def test_the_dictionary_is_written_and_read_back_and_nothing_is_armed(rig,
     assert set(node.velocities) <= {0}
 
 
-async def test_the_state_machine_is_walked_and_velocity_and_position_go_both_ways(rig, node):
+async def test_the_state_machine_is_walked_and_velocity_and_position_are_exchanged(rig, node):
     await rig.arm()
     assert node.status == OPERATION
     walked = list(dict.fromkeys(node.controls))
@@ -83,7 +83,7 @@ async def words_while_armed(rig, node):
     return words if rig.states() == {DriveState.ARMED} else []
 
 
-async def test_the_control_word_stays_while_set_points_go_out(rig, node):
+async def test_the_control_word_stays_while_set_points_are_sent(rig, node):
     for _ in range(INTERRUPTIONS_MAX):
         words = await words_while_armed(rig, node)
         if words:
@@ -92,7 +92,7 @@ async def test_the_control_word_stays_while_set_points_go_out(rig, node):
     assert set(words) == {0x0F}
 
 
-async def test_old_set_points_are_a_quick_stop_and_then_no_power(rig, node):
+async def test_old_set_points_cause_a_quick_stop_and_then_a_power_off(rig, node):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: node.velocity == 60)
@@ -134,14 +134,14 @@ async def test_a_drive_that_lost_its_power_is_set_up_again_disarmed(rig, node):
     assert node.status != OPERATION
 
 
-async def test_an_object_is_read_by_name_and_a_refusal_keeps_it_from_ready(node):
+async def test_a_refused_object_is_named_and_keeps_the_drive_from_ready(node):
     del node.node.object_dictionary[0x605A]
     async with running(spec_of(node)) as rig:
         await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds())
         assert "quick_stop_option refused with 0x06020000" in rig.events[-1].text
 
 
-async def test_a_profile_names_as_many_objects_as_it_likes(node, tmp_path):
+async def test_a_profile_may_name_any_number_of_objects(node, tmp_path):
     named = (config_dir() / "drives/cia402.toml").read_text(encoding="utf-8")
     more = "".join(
         f'[object.maker_s_{number}]\nindex = {0x2000 + number}\ntype = "u16"\n\n'
@@ -164,16 +164,16 @@ async def test_registers_are_objects(rig, node):
 
 
 async def left_turning(node):
-    """As a daemon leaves it that is killed: mapped, operational, with power, at speed."""
+    """As a killed daemon leaves it: mapped, operational, with power, at speed."""
     async with running(spec_of(node)) as rig:
         await rig.arm()
-    await until(lambda: node.silent_s > 0.3, "the end of that program is all over")
+    await until(lambda: node.silent_s > 0.3, "that program has ended")
     node.status, node.velocity = OPERATION, 60
     node.controls.clear()
     node.operational_at.clear()
 
 
-async def test_a_drive_that_turns_is_sent_to_stop_before_it_leaves_operational(node):
+async def test_a_drive_that_turns_is_stopped_before_it_leaves_operational(node):
     await left_turning(node)
     async with running(spec_of(node)) as rig:
         await until(lambda: node.velocity == 0)
@@ -182,7 +182,7 @@ async def test_a_drive_that_turns_is_sent_to_stop_before_it_leaves_operational(n
         assert node.status != OPERATION
 
 
-async def test_a_drive_that_turns_is_at_rest_also_where_its_set_up_fails(node):
+async def test_a_drive_that_turns_is_stopped_even_when_its_set_up_fails(node):
     await left_turning(node)
     del node.node.object_dictionary[0x605A]
     async with running(spec_of(node)) as rig:
@@ -202,7 +202,7 @@ async def test_a_drive_that_turns_and_is_pre_operational_is_stopped_when_its_set
 
 
 @pytest.mark.parametrize("state", ["OPERATIONAL", "PRE-OPERATIONAL"])
-async def test_a_drive_that_nothing_drives_is_stopped_in_either_state_and_reports_so(node, state):
+async def test_stop_all_stops_a_drive_that_no_program_drives_in_either_state(node, state):
     await left_turning(node)
     node.node.nmt.state = state
     assert await halt_line(spec_of(node)) == []

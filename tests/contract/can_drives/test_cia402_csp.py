@@ -77,7 +77,7 @@ async def test_mode_eight_is_set_with_targets_that_wait_for_sync_and_a_window_ar
         assert node.get(0x1401, 5) == 500
 
 
-async def test_before_it_has_power_its_target_is_the_place_where_it_is_and_arming_moves_nothing(
+async def test_before_it_has_power_its_target_is_its_own_position_and_arming_moves_nothing(
     rig, nodes
 ):
     await rig.ready()
@@ -93,7 +93,7 @@ async def test_before_it_has_power_its_target_is_the_place_where_it_is_and_armin
     assert [node.status for node in nodes] == [OPERATION, OPERATION]
 
 
-async def test_both_go_to_their_angles_from_the_place_where_they_are(rig, nodes):
+async def test_both_go_to_their_angles_from_their_own_positions(rig, nodes):
     await rig.arm()
     rig.loop.position_rad = {0: 0.5, 1: -0.25}
     wanted = [round(1000 + angle_rad * COUNTS_PER_RAD) for angle_rad in (0.5, -0.25)]
@@ -148,7 +148,7 @@ async def test_whether_it_is_homed_comes_from_its_bit(address, nodes):
         await until(lambda: referenced() == [0, 0], "and has lost it")
 
 
-async def test_stop_all_stops_drives_on_their_way(nodes, address):
+async def test_stop_all_stops_drives_while_they_move(nodes, address):
     async with running(spec_of(address)) as rig:
         await rig.arm()
     for node in nodes:

@@ -38,7 +38,7 @@ def nodes(address):
 
 @pytest.fixture
 def turning(nodes):
-    """As a daemon leaves them that is killed: with power, and no longer operational."""
+    """As a killed daemon leaves them: with power, and no longer operational."""
     for node in nodes:
         node.status, node.velocity, node.node.nmt.state = OPERATION, 60, "PRE-OPERATIONAL"
     return nodes
@@ -92,7 +92,7 @@ async def test_both_drives_turn_and_measure_with_one_sync_a_cycle(rig, nodes):
     await until(lambda: feedback(0).count == (1 << 32) - 1234)
 
     async def counted():
-        """Of a report that has just come: the engine in C says its cycles now and then."""
+        """Of a report that has just come: the engine in C reports its cycles periodically."""
         old = rig.line.stats().cycles
         await until(lambda: rig.line.stats().cycles != old)
         return rig.line.stats().cycles, nodes[0].syncs
@@ -103,8 +103,8 @@ async def test_both_drives_turn_and_measure_with_one_sync_a_cycle(rig, nodes):
     assert abs((cycles_later - cycles) - (syncs_later - syncs)) <= 2
 
 
-async def test_a_speed_without_a_sync_is_not_obeyed(nodes, spec, address):
-    """By frames of our own: what the node that others wrote does with the mapping it was given."""
+async def test_a_speed_without_a_sync_has_no_effect(nodes, spec, address):
+    """With frames of our own: how the other project's node uses its mapping."""
     async with running(spec) as rig:
         await rig.arm()
     node = nodes[0]
@@ -140,7 +140,7 @@ async def test_a_pause_of_this_program_makes_no_drive_unresponsive(rig, nodes):
     assert EventKind.DRIVE_UNRESPONSIVE not in rig.kinds()
 
 
-async def test_stop_all_stops_drives_that_nothing_synchronises_any_more(nodes, spec):
+async def test_stop_all_stops_drives_that_no_longer_get_a_sync(nodes, spec):
     async with running(spec) as rig:
         await rig.arm()
     for node in nodes:
@@ -150,7 +150,7 @@ async def test_stop_all_stops_drives_that_nothing_synchronises_any_more(nodes, s
     assert [node.velocity for node in nodes] == [0, 0]
 
 
-def test_a_cycle_that_the_drive_cannot_be_sent_is_refused(spec):
+def test_a_cycle_that_the_drive_cannot_represent_is_refused(spec):
     odd = dataclasses.replace(spec, cycle_hz=300.0)
     with pytest.raises(ProfileError, match=r"cannot hold the line's cycle, 3\.333 ms"):
         open_line(odd, Exchange.private(), lambda event: None)
@@ -166,6 +166,6 @@ async def test_drives_that_turn_and_take_no_pdo_are_stopped_before_they_are_set_
     assert all(node.status != OPERATION for node in turning)
 
 
-async def test_drives_that_turn_and_take_no_pdo_are_stopped_by_who_comes_for_that(spec, turning):
+async def test_stop_all_stops_drives_that_turn_and_take_no_pdo(spec, turning):
     assert await halt_line(spec) == []
     assert all(node.status == SWITCH_ON_DISABLED and node.velocity == 0 for node in turning)

@@ -34,7 +34,7 @@ pytestmark = pytest.mark.skipif(
 
 
 class Drive:
-    """The other project's node in a process of its own, and its way to the bus."""
+    """The other project's node in a process of its own, and its connection to the bus."""
 
     def __init__(self, bus):
         self.reported = {}
@@ -88,7 +88,7 @@ def drive(bus):
 
 @pytest.fixture
 def profile(tmp_path):
-    """Its own: of the two transmission types for events it knows 254 only (CiA 301, 7.5.2.37)."""
+    """Its own: of the two types for events it supports 254 only (CiA 301, 7.5.2.37)."""
     text = (config_dir() / "drives/cia402.toml").read_text(encoding="utf-8")
     path = tmp_path / "by-event.toml"
     own = text.replace('pdo_1_type", value = 255', 'pdo_1_type", value = 254')
@@ -126,7 +126,7 @@ async def test_it_is_set_up_by_sdo_started_by_nmt_and_not_armed(rig, drive):
     assert reported["wanted"] == 0
 
 
-async def test_it_is_armed_edge_by_edge_and_turns_both_ways(rig, drive):
+async def test_it_is_armed_edge_by_edge_and_turns_in_both_directions(rig, drive):
     await rig.arm()
     assert drive.reported["statuses"][-4:] == [0x40, 0x21, 0x23, OPERATION]
     drive.put(set=[0x6064, -1234])
@@ -136,11 +136,11 @@ async def test_it_is_armed_edge_by_edge_and_turns_both_ways(rig, drive):
         rig.loop.velocity_rad_s = {0: rpm * RPM}
         await until(lambda rpm=rpm: drive.reported["velocity"] == rpm, "it turns as commanded")
         wanted = pytest.approx(rpm * RPM)
-        await until(lambda wanted=wanted: feedback(rig).velocity_rad_s == wanted, "and says so")
+        await until(lambda wanted=wanted: feedback(rig).velocity_rad_s == wanted, "and reports it")
     assert feedback(rig).enabled is True
 
 
-async def test_old_set_points_are_a_quick_stop_and_then_no_power(rig, drive):
+async def test_old_set_points_cause_a_quick_stop_and_then_a_power_off(rig, drive):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: drive.reported["velocity"] == 60)
@@ -169,7 +169,7 @@ async def test_a_heartbeat_that_ends_stops_it_and_it_comes_back_disarmed(rig, dr
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: drive.reported["velocity"] == 60)
     drive.put(set=[HEARTBEAT_TIME, 0])
-    await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is missed")
+    await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is unresponsive")
     await until(lambda: QUICK_STOP in drive.reported["statuses"], "it receives, and is sent a stop")
     await rig.ready()
     assert EventKind.DRIVE_BACK in rig.kinds()

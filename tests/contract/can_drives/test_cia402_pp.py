@@ -44,7 +44,7 @@ async def some_cycles(rig):
     await until(lambda: rig.line.stats().cycles > cycles + 20)
 
 
-async def test_mode_one_is_set_with_the_target_before_the_word_that_has_it_taken(rig, node):
+async def test_mode_one_is_set_and_the_target_stands_before_the_control_word(rig, node):
     await rig.ready()
     assert (node.get(0x6060), node.get(0x6061)) == (1, 1)
     assert [node.get(0x1600, sub) for sub in (0, 1, 2)] == [2, 0x607A0020, 0x60400010]
@@ -53,7 +53,7 @@ async def test_mode_one_is_set_with_the_target_before_the_word_that_has_it_taken
     assert node.get(0x1400, 5) == 2000
 
 
-async def test_a_drive_without_power_is_sent_where_it_is_and_has_nothing_to_take(rig, node):
+async def test_a_drive_without_power_gets_its_own_position_and_no_new_set_point_bit(rig, node):
     await rig.ready()
     await some_cycles(rig)
     assert {target for target, _ in node.targets} <= {0, HERE}
@@ -73,19 +73,17 @@ async def test_each_target_is_taken_with_a_rising_edge_and_the_last_one_is_where
     assert node.taken[0] == HERE, "the first one is where it was"
     assert node.taken == sorted(node.taken)
     came = len(node.taken)
-    await rig.drive(lambda: len(node.taken) > came + 3, "the handshake goes on")
+    await rig.drive(lambda: len(node.taken) > came + 3, "the handshake continues")
     rig.loop.position_rad = {0: math.nan}
     await some_cycles(rig)
     assert node.position == there
 
 
-async def test_an_acknowledge_that_stays_lets_it_take_nothing_and_one_that_is_back_goes_on(
-    rig, node
-):
+async def test_a_new_target_waits_until_the_acknowledge_bit_is_clear(rig, node):
     await rig.arm()
     rig.loop.position_rad = {0: 0.0}
     await rig.drive(lambda: node.taken, "it has taken one")
-    node.stuck = True  # it does nothing with its control word any more
+    node.stuck = True  # it ignores its control word from now on
     node.more_status |= TAKEN
     rig.loop.position_rad = {0: 0.3}
     await some_cycles(rig)
@@ -96,7 +94,7 @@ async def test_an_acknowledge_that_stays_lets_it_take_nothing_and_one_that_is_ba
     await rig.drive(lambda: node.position == there, "it is there")
 
 
-async def test_old_set_points_stop_it_and_have_nothing_taken_any_more(rig, node):
+async def test_old_set_points_stop_it_and_it_takes_no_more_targets(rig, node):
     await rig.arm()
     rig.loop.position_rad = {0: 0.5}
     await rig.drive(lambda: node.position > HERE, "it moves")

@@ -77,7 +77,7 @@ async def test_the_speed_loop_turns_it_within_the_drive_s_limit(rig, node):
     await until(lambda: rig.loop.exchange.take_feedback(0).velocity_rad_s == wanted)
 
 
-async def test_old_set_points_are_no_torque_a_quick_stop_and_no_power(rig, node):
+async def test_old_set_points_give_zero_torque_a_quick_stop_and_no_power(rig, node):
     await turning(rig, node)
     rig.loop.running = False
     await until(lambda: rig.states() == {DriveState.READY})
@@ -86,7 +86,7 @@ async def test_old_set_points_are_no_torque_a_quick_stop_and_no_power(rig, node)
     await until(lambda: node.torque == 0)
 
 
-async def test_disarming_is_no_torque_and_no_power(rig, node):
+async def test_disarming_gives_zero_torque_and_no_power(rig, node):
     await turning(rig, node)
     await rig.line.disarm()
     await until(lambda: node.status != OPERATION)

@@ -18,7 +18,7 @@ from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 
 TURN = 2 * math.pi
 NODES = (3, 9)
-"""One whose replies have 11 bits of identifier, one whose have 29."""
+"""One drive replies with identifiers of 11 bits, the other with 29."""
 WATCHDOG_S = 0.25
 
 
@@ -75,7 +75,7 @@ async def turning(rig, drives):
     await until(lambda: [drive.values[0x002] for drive in drives] == [2.0, -3.0])
 
 
-def test_the_server_answers_what_the_documents_show_of_their_example(address):
+def test_the_server_answers_the_documents_example_as_they_show_it(address):
     """docs/protocol/can.md, Example."""
     drive = Moteus(address, 1)
     try:
@@ -114,7 +114,7 @@ async def test_it_is_set_up_stopped_with_its_watchdog_in_every_command(rig, driv
         assert drive.values[0x027] == pytest.approx(WATCHDOG_S)
 
 
-async def test_velocity_and_position_go_both_ways_in_si(rig, drives):
+async def test_velocity_and_position_are_sent_and_read_in_si(rig, drives):
     await turning(rig, drives)
     assert all(math.isnan(drive.values[0x020]) for drive in drives)
     drives[0].values |= {0x001: -1.5, 0x004: 4.25}
@@ -142,9 +142,7 @@ async def test_old_set_points_stop_it_with_zero_velocity_and_then_without_power(
 
 @pytest.mark.parametrize("take_power", ["at rest", "disarm", "power off"])
 @pytest.mark.parametrize("bus", [one for one in KINDS if one[1] == "asyncio"], indirect=True)
-async def test_a_quick_stop_that_had_to_wait_is_not_carried_out_after_the_power_off(
-    rig, drives, take_power
-):
+async def test_a_quick_stop_that_waited_is_not_sent_after_the_power_off(rig, drives, take_power):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN * (take_power != "at rest")}
     await until(lambda: drives[0].mode == POSITION)
@@ -166,7 +164,7 @@ async def test_a_quick_stop_that_had_to_wait_is_not_carried_out_after_the_power_
     full.shutdown()
 
 
-async def test_a_silent_master_lets_the_watchdog_bite_and_only_a_stop_ends_it(rig, drives):
+async def test_the_watchdog_trips_on_a_silent_master_and_only_a_stop_clears_it(rig, drives):
     await turning(rig, drives)
     drives[0].unreceptive = True
     await until(lambda: drives[0].mode == TIMEOUT)
@@ -208,7 +206,7 @@ async def test_a_fault_is_reported_also_where_this_program_had_a_pause_and_the_s
 ):
     await turning(rig, drives)
     drives[1].fail(33)
-    time.sleep(0.1)  # noqa: ASYNC251  # the engine in C goes on
+    time.sleep(0.1)  # noqa: ASYNC251  # the engine in C continues
     await until(lambda: EventKind.DRIVE_FAULT in rig.kinds())
     await until(lambda: drives[1].mode == STOPPED)
     await until(lambda: rig.line.drive_faults["wheel_9"] == ())
@@ -229,9 +227,7 @@ async def test_stop_all_stops_both(drives, spec):
     assert [drive.mode for drive in drives] == [STOPPED, STOPPED]
 
 
-async def test_stop_all_goes_on_until_a_drive_that_brakes_reports_that_it_has_no_power(
-    drives, spec
-):
+async def test_stop_all_continues_until_a_braking_drive_reports_no_power(drives, spec):
     for drive in drives:
         drive.values |= {0x000: POSITION, 0x002: 2.0}
         drive.lost_stops = 5
@@ -240,7 +236,7 @@ async def test_stop_all_goes_on_until_a_drive_that_brakes_reports_that_it_has_no
     assert all(ZERO_VELOCITY in drive.modes for drive in drives)
 
 
-async def test_stop_all_reports_a_drive_that_keeps_its_power_though_it_is_at_rest(drives, spec):
+async def test_stop_all_reports_a_drive_that_keeps_its_power_at_rest(drives, spec):
     for drive in drives:
         drive.values |= {0x000: POSITION, 0x002: 2.0}
     drives[0].lost_stops = 1_000_000

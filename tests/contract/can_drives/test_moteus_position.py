@@ -52,7 +52,7 @@ async def more_commands(drive):
     await until(lambda: len(drive.modes) > came + 10)
 
 
-async def test_before_it_has_power_its_position_is_the_place_where_it_is(rig, drives):
+async def test_before_it_has_power_its_target_is_its_own_position(rig, drives):
     await rig.ready()
     await more_commands(drives[0])
     drives[0].positions.clear()
@@ -80,7 +80,7 @@ async def test_it_goes_to_its_angle_within_a_limit_of_speed_for_as_long_as_its_w
 
 
 @pytest.mark.parametrize("state", [RELATIVE, ROTOR])
-async def test_only_an_output_that_is_referenced_is_a_known_place(rig, drives, state):
+async def test_only_a_referenced_output_has_a_known_position(rig, drives, state):
     await rig.ready()
 
     def referenced():
@@ -102,7 +102,7 @@ async def test_old_set_points_stop_it_with_zero_velocity_and_then_without_power(
     await until(lambda: rig.states() == {DriveState.READY})
 
 
-async def test_a_silent_master_lets_the_watchdog_bite(rig, drives):
+async def test_the_watchdog_trips_on_a_silent_master(rig, drives):
     await rig.arm()
     rig.loop.position_rad = {0: 0.5, 1: 0.5}
     await rig.drive(lambda: drives[0].values[0x001] > HERE_TURNS, "it moves")

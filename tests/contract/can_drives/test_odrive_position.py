@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ODrives in position control, against axes that speak raw frames and go to their input at once."""
+"""ODrives in position control, against axes that send raw frames and go to their input at once."""
 
 import asyncio
 import math
@@ -65,7 +65,7 @@ async def more_inputs(axis):
     await until(lambda: len(axis.inputs()) > came + 10)
 
 
-async def test_before_it_has_power_its_input_is_the_place_where_it_is(rig, axis):
+async def test_before_it_has_power_its_input_is_its_own_position(rig, axis):
     await rig.ready()
     await more_inputs(axis)
     assert set(axis.inputs()) == {(HERE_TURNS, 0, 0)}
@@ -93,7 +93,7 @@ async def test_it_goes_to_its_angle_in_turns_from_its_zero(rig, axis):
 
 
 @pytest.mark.parametrize("place", [math.nan, math.inf, -2000.0])
-async def test_a_place_that_is_no_number_or_out_of_range_gets_no_power(rig, axis, place):
+async def test_a_position_that_is_not_finite_or_out_of_range_gets_no_power(rig, axis, place):
     await rig.ready()
     axis.position_turns = place
     await until(lambda: not _known(rig), "what was known of its place is too old")
@@ -129,7 +129,7 @@ async def test_old_set_points_stop_it_in_velocity_control_and_then_take_its_powe
     await until(lambda: rig.states() == {DriveState.READY})
 
 
-async def test_an_axis_that_refuses_because_it_has_no_reference_is_not_armed(rig, axis):
+async def test_an_axis_without_a_reference_refuses_and_is_not_armed(rig, axis):
     await rig.ready()
     axis.stuck = True  # as firmware 0.6 does with absolute_setpoints
     async with asyncio.timeout(30.0):

@@ -44,7 +44,7 @@ async def some_cycles(rig):
     await rig.drive(lambda: rig.line.stats().cycles > cycles + 20, "it could have moved")
 
 
-async def test_steppers_go_where_they_are_sent_and_stay_there_without_a_place_to_go_to(tmp_path):
+async def test_steppers_go_to_their_targets_and_stay_there_without_a_target(tmp_path):
     with simulated(PROFILE, tmp_path) as control:
         async with running(line_of(tmp_path)) as rig:
             await rig.arm()
@@ -68,7 +68,7 @@ async def test_a_stepper_whose_old_target_is_far_away_stays_where_it_is_when_it_
             rig.loop.position_rad = {0: 0.0, 1: 0.0}  # the first target is where they are
             await some_cycles(rig)
             rig.loop.position_rad = {0: 30.0, 1: 30.0}
-            await rig.drive(lambda: angles_rad(control)[0] > 1.0, "they are under way")
+            await rig.drive(lambda: angles_rad(control)[0] > 1.0, "they are moving")
             await rig.line.disarm()
             rig.loop.enabled, rig.loop.position_rad = False, {}
             await until(lambda: control.truth().at_rest, "they rest")
@@ -85,7 +85,7 @@ async def test_old_set_points_stop_a_stepper_and_take_its_power(tmp_path):
             rig.loop.position_rad = {0: 0.0, 1: 0.0}  # the first target is where they are
             await some_cycles(rig)
             rig.loop.position_rad = {0: 30.0, 1: 30.0}
-            await rig.drive(lambda: angles_rad(control)[0] > 1.0, "they are under way")
+            await rig.drive(lambda: angles_rad(control)[0] > 1.0, "they are moving")
             rig.loop.running = False
             await until(lambda: rig.states() == {DriveState.READY}, "the line has stopped them")
             await until(lambda: control.truth().at_rest, "they rest")
@@ -94,20 +94,22 @@ async def test_old_set_points_stop_a_stepper_and_take_its_power(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["modbus-rtu", "modbus-tcp", "rtu-over-tcp"])
-def test_no_line_in_asyncio_takes_positions(tmp_path, kind):
+def test_a_line_in_asyncio_refuses_positions(tmp_path, kind):
     engine = "asyncio" if kind == "modbus-rtu" else "auto"
     spec = dataclasses.replace(line_of(tmp_path), engine=engine, kind=kind)
     with pytest.raises(ProfileError, match="left: positions are carried by the engine rt alone"):
         open_line(spec, Exchange.private(), print)
 
 
-async def test_a_stepper_that_lost_its_power_has_no_reference_and_is_sent_nowhere(tmp_path):
+async def test_a_stepper_that_lost_its_power_has_no_reference_and_gets_no_target(tmp_path):
     with simulated(PROFILE, tmp_path) as control:
         async with running(line_of(tmp_path)) as rig:
             await rig.arm()
             await until(lambda: rig.loop.exchange.take_feedback(0).referenced == 1, "its reference")
             with without_power(control, 1):
-                await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is missed")
+                await until(
+                    lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is unresponsive"
+                )
             rig.loop.position_rad = {0: 3.0}
             await until(lambda: EventKind.DRIVE_BACK in rig.kinds(), "it is back")
             await until(lambda: rig.loop.exchange.take_feedback(0).referenced == 0, "no reference")

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What becomes of a drive in every mode after every event, by
-tests/c/drive/drive_walk_table.h; and lines in asyncio that are brought into each mode."""
+"""The mode of a drive after every event in every mode, by tests/c/drive/drive_walk_table.h; and
+lines in asyncio that tests bring into each mode."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ MODES = {
     "UNRESPONSIVE": DriveState.UNRESPONSIVE,
 }
 CYCLES = 10
-"""More than what a line needs in order to do what an event demands."""
+"""Longer than a line needs to react to an event."""
 MEASURING = 2
 """ODrive, axis state: neither idle nor in control."""
 
@@ -56,7 +56,7 @@ def rows_of(kind):
 
 
 def cells(media):
-    """event → from → the mode that a drive of a line in asyncio is in then. `media`: the names that
+    """event → from → the mode of a drive of a line in asyncio after it. `media`: the names that
     the table has for that line."""
     leads = {event: dict(zip(FROM, modes, strict=True)) for event, *modes in rows_of("LEADS_TO")}
     for medium, event, begin, mode in rows_of("DIFFERS"):
@@ -80,7 +80,7 @@ def _sends_power_off(begin, event):
 
 
 def _patient(joint):
-    """Its set-up waits until the drive lets it go on."""
+    """Its set-up waits until the drive answers it."""
     steps = tuple(
         step if step.value is not None else dataclasses.replace(step, within_s=GENEROUS_S)
         for step in joint.profile.configure
@@ -206,7 +206,7 @@ class CanMedium:
 
 
 class Walk:
-    """One cell: a line of its own, brought into a mode, an event, and what comes of it."""
+    """One cell: a line of its own, brought into a mode, an event, and its result."""
 
     def __init__(self, medium, rig):
         self.medium = medium

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Modbus RTU slave on a pty that does as a test says: real bytes, honest by default."""
+"""A Modbus RTU slave on a pty that a test scripts: real bytes, honest by default."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from motord_hal.modbus.codec import (
 )
 
 Bytes = list[tuple[float, bytes]]
-"""What goes onto the wire: after so many seconds, these bytes."""
+"""What is sent: a delay in seconds, and the bytes."""
 Trick = Callable[[Request, bytes], Bytes]
-"""Makes of the honest reply what is sent instead."""
+"""Turns the honest reply into the one that is sent."""
 
 
 @dataclass
@@ -42,7 +42,7 @@ class Unit:
     on_write: Callable[[int, int], None] | None = None
     silent: bool = False
     loses: int = 0
-    """So many of its next requests never reach it."""
+    """How many of its next requests are lost."""
     refuses: set[int] = field(default_factory=set)
     """Addresses whose access is answered with exception 2."""
 

@@ -16,7 +16,7 @@ from motord_hal.realtime.exchange import JointSetpoint
 CELLS = {medium: cells(medium.names) for medium in (ModbusMedium, CanMedium)}
 
 
-def test_the_table_has_every_event_from_every_mode():
+def test_the_table_has_every_event_in_every_mode():
     count = {medium: sum(map(len, leads.values())) for medium, leads in CELLS.items()}
     assert count == {ModbusMedium: 56, CanMedium: 51}
     for leads in CELLS.values():
@@ -27,7 +27,7 @@ def test_the_table_has_every_event_from_every_mode():
 @pytest.mark.parametrize(
     ("make", "event"), [(medium, event) for medium, leads in CELLS.items() for event in leads]
 )
-async def test_every_event_leads_from_every_mode_to_where_the_table_leads(
+async def test_every_event_leads_from_every_mode_to_the_mode_of_the_table(
     tmp_path, monkeypatch, make, event
 ):
     ends = DriveRules.end_stopping  # by its wheels alone: the time of the stop never passes
@@ -43,7 +43,7 @@ def plan_of(name):
 
 
 @pytest.mark.parametrize("name", ["zlac8015d", "cs2rs", "blvd20km"])
-def test_only_a_set_point_of_its_own_kind_that_is_a_number_wants_motion(name):
+def test_only_a_finite_set_point_of_the_drive_s_own_kind_requests_motion(name):
     plan = plan_of(name)
     assert plan.wants_motion({0: JointSetpoint(1.0, 0.0)})
     assert plan.wants_motion({0: JointSetpoint(-1e-9, 0.0)})
@@ -53,13 +53,13 @@ def test_only_a_set_point_of_its_own_kind_that_is_a_number_wants_motion(name):
     assert not plan.wants_motion({})
 
 
-def test_an_angle_of_zero_is_a_place_to_go_to():
+def test_an_angle_of_zero_is_a_target():
     plan = plan_of("sts3215-position")
     assert plan.wants_motion({0: JointSetpoint(0.0, 0.0, position_rad=0.0)})
     assert not plan.wants_motion({0: REST})
 
 
-def test_a_drive_is_not_armed_by_set_points_that_have_become_old_meanwhile():
+def test_set_points_that_got_old_meanwhile_do_not_arm_a_drive():
     rules = DriveRules()
     rules.request(Mode.READY)
     rules.request(Mode.ARMED, fresh=False)

@@ -20,7 +20,7 @@ async def peer(tmp_path, request):
 
 
 def echo(peer, until=lambda request: False):
-    """From now on whatever is sent comes back before the reply; `until` says which is the last."""
+    """From now on each request is echoed before its reply, up to that for which `until` is true."""
 
     def both(request, honest):
         if not until(request):
@@ -30,30 +30,30 @@ def echo(peer, until=lambda request: False):
     peer.tricks.append(both)
 
 
-async def test_a_line_that_does_not_echo_any_more_is_received_again(peer):
+async def test_a_line_that_stops_echoing_is_read_again(peer):
     echo(peer)
     async with running(spec_of(peer, hub_servo())) as rig:
         await rig.ready()
         peer.tricks.clear()
         received = len(peer.received)
-        await until(lambda: len(peer.received) > received + 20, "it goes on asking")
+        await until(lambda: len(peer.received) > received + 20, "it keeps sending requests")
         await rig.arm()
 
 
-async def test_an_echo_that_ends_while_the_drives_are_set_up_is_given_up_again(peer):
+async def test_an_echo_that_ends_while_the_drives_are_set_up_does_not_prevent_arming(peer):
     echo(peer, until=lambda request: request.function is Function.READ_HOLDING)
     async with running(spec_of(peer, hub_servo())) as rig:
         await rig.arm()
 
 
-async def test_a_line_that_begins_to_echo_is_received_all_the_same(peer):
+async def test_a_line_that_begins_to_echo_is_still_read(peer):
     async with running(spec_of(peer, hub_servo())) as rig:
         await rig.ready()
         echo(peer)
         await rig.arm()
 
 
-async def test_an_echo_is_no_acknowledgement_of_a_dead_drive(peer):
+async def test_an_echo_does_not_count_as_the_acknowledgement_of_a_dead_drive(peer):
     """It answered on an adapter that receives itself; then it dies, and its echo is left."""
     echo(peer)
     async with running(spec_of(peer, hub_servo())) as rig:
@@ -72,7 +72,7 @@ async def test_an_echo_is_no_acknowledgement_of_a_dead_drive(peer):
 
 
 @pytest.mark.parametrize(("echo_setting", "acknowledged"), [(Echo.YES, False), (Echo.NO, True)])
-async def test_the_robot_files_word_on_the_echo_is_obeyed(echo_setting, acknowledged):
+async def test_the_robot_file_decides_whether_the_line_echoes(echo_setting, acknowledged):
     """Of a write of one register echo and reply are alike: asyncio's framer, by itself."""
     framer = StrictFramer(echo_setting)
     request = Request(1, Function.WRITE_SINGLE, 0x200E, values=(8,))

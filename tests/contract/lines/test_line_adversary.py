@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The line against drives that go on turning, start again or are on when they shall not be."""
+"""The line against drives that keep turning, start again or are enabled when they must not be."""
 
 import asyncio
 import errno
@@ -55,7 +55,7 @@ async def set_off(rig, peer):
     await until(lambda: 60 in peer.written(TARGET_1))
 
 
-async def test_a_drive_that_receives_but_is_not_received_is_sent_to_stop(rig, peer):
+async def test_a_drive_whose_replies_are_lost_is_stopped(rig, peer):
     await set_off(rig, peer)
     mute(peer)
     await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
@@ -66,7 +66,7 @@ async def test_a_drive_that_receives_but_is_not_received_is_sent_to_stop(rig, pe
     assert ENABLE not in peer.written(CONTROL)[peer.written(CONTROL).index(QUICK_STOP) :]
 
 
-async def test_a_drive_that_refuses_its_set_points_is_sent_to_stop(rig, peer):
+async def test_a_drive_that_refuses_its_set_points_is_stopped(rig, peer):
     await set_off(rig, peer)
     peer.units[1].refuses = {TARGET_1}
     await until(lambda: QUICK_STOP in peer.written(CONTROL))
@@ -113,7 +113,7 @@ async def test_a_drive_that_refuses_one_write_of_its_power_off_gets_the_others(p
         assert registers[3201] == 0x40
 
 
-async def test_an_unresponsive_drive_that_was_never_armed_is_only_asked(rig, peer):
+async def test_an_unresponsive_drive_that_was_never_armed_is_only_read(rig, peer):
     await rig.ready()
     mute(peer)
     await until(lambda: rig.states() == {DriveState.UNRESPONSIVE})
@@ -133,7 +133,7 @@ async def test_no_drive_is_enabled_with_an_old_set_point_in_its_register(rig, pe
 
 
 def set_up_again(peer, watchdog):
-    """Where a busy machine lets an answer come late, it is written once more."""
+    """It is written once more where a busy machine delays an answer."""
     written = peer.written(watchdog)
     return len(written) > 1 and set(written) == {500}
 
@@ -166,7 +166,7 @@ async def test_no_drive_is_enabled_without_its_watchdog(rig, peer):
     assert ENABLE not in peer.written(CONTROL)
 
 
-async def test_a_drive_that_is_enabled_unasked_is_switched_off_and_it_is_reported_once(rig, peer):
+async def test_a_drive_that_enables_itself_is_switched_off_and_reported_once(rig, peer):
     await rig.ready()
     offs = len(peer.written(CONTROL))
 
@@ -183,7 +183,7 @@ async def test_a_drive_that_is_enabled_unasked_is_switched_off_and_it_is_reporte
     await until(lambda: peer.units[1].registers[CONTROL] == OFF)
 
 
-async def test_a_new_speed_never_goes_the_old_way(peer):
+async def test_a_new_speed_is_never_sent_with_the_old_direction(peer):
     peer.units[1] = Unit(registers_of("bld-305s"))
     async with running(spec_of(peer, [single("bld-305s")])) as rig:
         await rig.arm()
@@ -267,7 +267,7 @@ async def test_a_new_command_does_not_wait_for_the_next_cycle_of_a_slow_line(pee
 
 
 @pytest.mark.parametrize("peer", ["asyncio"], indirect=True)  # the other ones: tests/c
-async def test_commands_without_end_do_not_fill_a_slow_line_and_a_stop_is_sent_at_once(peer):
+async def test_continuous_commands_do_not_fill_a_slow_line_and_a_stop_is_sent_at_once(peer):
     peer.units[1] = Unit(registers_of("duty-register"))
     async with running(spec_of(peer, [single("duty-register")])) as rig:
         await rig.arm()
@@ -298,7 +298,7 @@ async def test_a_line_that_nothing_can_wake_is_opened_and_stops_its_drives(peer,
 
 
 async def send(rig, percent):
-    """A command of the loop, which wakes the line; it has time to look at it."""
+    """A command of the loop, which wakes the line, and time for the line to handle it."""
     rig.loop.enabled, rig.loop.duty = True, {0: percent / 100} if percent else {}
     rig.loop.put()
     rig.loop.exchange.wake_line(0)
@@ -326,7 +326,7 @@ async def test_a_stop_that_was_lost_on_a_slow_line_is_sent_again_at_once(peer):
         assert second - first < 0.8
 
 
-async def test_shutting_down_reports_also_an_unresponsive_drive(peer):
+async def test_shutting_down_also_reports_an_unresponsive_drive(peer):
     async with running(spec_of(peer, hub_servo())) as rig:
         await set_off(rig, peer)
         peer.units[1].silent = True
@@ -358,7 +358,7 @@ async def test_a_drive_that_is_stopped_between_power_and_set_points_is_not_armed
 
 
 @pytest.mark.parametrize("peer", ["rt"], indirect=True)
-async def test_an_arming_in_whose_middle_a_stop_comes_fails(rig, peer, monkeypatch):
+async def test_an_arming_that_a_stop_interrupts_fails(rig, peer, monkeypatch):
     await rig.ready()
     (drive,) = rig.line._drives
     enable, stops = drive.enable, []

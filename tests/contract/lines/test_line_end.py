@@ -43,7 +43,7 @@ async def set_off(rig, unit):
 
 
 @pytest.mark.parametrize("lost", [3, 4, 6])
-async def test_a_drive_that_is_not_reached_for_a_moment_at_the_end_is_switched_off(peer, lost):
+async def test_a_drive_that_is_unreachable_for_a_moment_at_the_end_is_switched_off(peer, lost):
     unit = peer.units[1]
     async with running(spec_of(peer, [WHEEL]), in_haste=True) as rig:
         await set_off(rig, unit)
@@ -52,7 +52,7 @@ async def test_a_drive_that_is_not_reached_for_a_moment_at_the_end_is_switched_o
     assert EventKind.DRIVE_LEFT_ON not in rig.kinds()
 
 
-async def test_an_unresponsive_drive_that_is_reached_during_the_end_is_switched_off(peer):
+async def test_an_unresponsive_drive_that_answers_during_the_end_is_switched_off(peer):
     unit = peer.units[1]
     async with running(spec_of(peer, [WHEEL]), in_haste=True) as rig:
         await set_off(rig, unit)
@@ -62,7 +62,7 @@ async def test_an_unresponsive_drive_that_is_reached_during_the_end_is_switched_
     assert (unit.registers[TARGET], unit.registers[ENABLE]) == (0, OFF)
 
 
-async def test_a_drive_that_is_not_reached_until_the_end_is_named(peer):
+async def test_a_drive_that_stays_unreachable_until_the_end_is_named(peer):
     unit = peer.units[1]
     async with running(spec_of(peer, [WHEEL]), in_haste=True) as rig:
         await set_off(rig, unit)
@@ -72,8 +72,8 @@ async def test_a_drive_that_is_not_reached_until_the_end_is_named(peer):
 
 
 @pytest.mark.parametrize("later_s", [0.0, 0.02, 0.05])
-async def test_a_missing_drive_does_not_keep_the_stop_of_its_neighbour_back(peer, later_s):
-    """Where replies are waited for so long that the end would be over with the first one."""
+async def test_a_missing_drive_does_not_delay_the_stop_of_its_neighbour(peer, later_s):
+    """Where the wait for one reply is longer than the whole end."""
     other = peer.units[2] = Unit(registers_of("speed-register"))
 
     def switch(address, value):
@@ -99,7 +99,7 @@ async def test_a_missing_drive_does_not_keep_the_stop_of_its_neighbour_back(peer
     assert any(one.unit == 2 and one.address == ENABLE and OFF in one.values for one in after)
 
 
-async def test_a_drive_that_receives_but_is_not_received_is_switched_off_at_the_end(peer):
+async def test_a_drive_whose_replies_are_lost_is_switched_off_at_the_end(peer):
     unit = peer.units[1]
     async with running(spec_of(peer, [WHEEL]), in_haste=True) as rig:
         await set_off(rig, unit)
@@ -113,7 +113,7 @@ LEARNT_AFTER = 10
 
 
 def slow(peer, reply, after_s=0.018):
-    """From now on each reply comes so long after its request."""
+    """From now on each reply is late by this time."""
     peer.tricks.clear()
 
     def later(request, honest):
@@ -124,7 +124,7 @@ def slow(peer, reply, after_s=0.018):
 
 
 @pytest.mark.parametrize(("drives", "torn_after_s"), [(1, 0.018), (1, 0.07), (8, 0.018)])
-async def test_each_drive_is_sent_its_whole_power_off_though_none_is_received(
+async def test_each_drive_is_sent_its_whole_power_off_even_when_no_reply_arrives(
     tmp_path, engine, drives, torn_after_s
 ):
     """Where each write that is not answered costs a good part of the end."""

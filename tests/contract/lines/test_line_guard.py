@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pymodbus lets through, the guard must refuse: a peer on a pty misbehaves in real bytes."""
+"""The guard refuses what pymodbus accepts: a peer on a pty misbehaves in real bytes."""
 
 import asyncio
 import time
@@ -92,10 +92,10 @@ async def test_a_cancellation_passes_through(client, peer):
     ("request_", "sent"),
     [
         pytest.param(
-            read(0x10, 10), build_reply(read(0x10, 2), (1, 2)), id="fewer registers than asked"
+            read(0x10, 10), build_reply(read(0x10, 2), (1, 2)), id="fewer registers than requested"
         ),
         pytest.param(
-            read(0x10, 2), build_reply(read(0x10, 3), (1, 2, 3)), id="more registers than asked"
+            read(0x10, 2), build_reply(read(0x10, 3), (1, 2, 3)), id="more registers than requested"
         ),
         pytest.param(
             READ, build_reply(Request(1, Function.READ_INPUT, 0x10, count=1), (7,)), id="function"
@@ -110,7 +110,7 @@ async def test_a_cancellation_passes_through(client, peer):
         pytest.param(READ, seal(b"\x01\x03\x04\x00\x07"), id="wrong byte count"),
     ],
 )
-async def test_an_answer_to_another_question_is_refused(client, peer, request_, sent):
+async def test_an_answer_to_another_request_is_refused(client, peer, request_, sent):
     peer.tricks.append(instead(sent))
     with pytest.raises(BadReply):
         await client.exchange(request_, SHORT_S)
@@ -120,7 +120,7 @@ async def test_an_answer_to_another_question_is_refused(client, peer, request_, 
 @pytest.mark.parametrize(
     "garbage", [b"\x00", b"\x01\x03", b"\xff\xff\x00", b"\x01\x83\x02", bytes(200)], ids=repr
 )
-async def test_a_good_reply_is_found_behind_garbage(client, peer, garbage):
+async def test_a_good_reply_is_found_after_garbage(client, peer, garbage):
     peer.tricks.append(lambda request, honest: [(0.0, garbage + honest)])
     assert (await client.exchange(READ, LONG_S)).values == (0x1111,)
 
@@ -133,7 +133,7 @@ async def test_a_reply_may_come_byte_by_byte(client, peer):
     assert (await client.exchange(read(0x10, 2), LONG_S)).values == (0x1111, 0x2222)
 
 
-async def test_bytes_that_nothing_asked_for_are_thrown_away(client, peer):
+async def test_bytes_that_were_not_requested_are_thrown_away(client, peer):
     peer.send(build_reply(READ, (0xDEAD,)))
     assert (await client.exchange(READ, LONG_S)).values == (0x1111,)
 
@@ -160,7 +160,7 @@ async def test_a_broadcast_is_followed_by_the_turnaround_delay(client, peer):
     assert second.at_s - first.at_s >= BROADCAST_TURNAROUND_S / 2
 
 
-async def test_a_reply_in_the_buffer_counts_though_the_loop_was_late(client, peer):
+async def test_a_reply_in_the_buffer_counts_even_when_the_loop_was_late(client, peer):
     def stall(request, honest):
         peer.send(honest)
         time.sleep(0.1)  # the whole event loop: the deadline passes meanwhile
@@ -170,7 +170,7 @@ async def test_a_reply_in_the_buffer_counts_though_the_loop_was_late(client, pee
     assert (await client.exchange(READ, SHORT_S)).values == (0x1111,)
 
 
-async def test_a_line_that_is_never_silent_is_reported_to_be_so(peer):
+async def test_a_line_that_is_never_silent_is_reported(peer):
     client = GuardedClient(str(peer.path), 115200, "none", 1, gap_s=0.15)
     await client.open()
     async with asyncio.TaskGroup() as group:
@@ -187,12 +187,14 @@ async def test_a_line_that_is_never_silent_is_reported_to_be_so(peer):
     client.close()
 
 
-async def test_one_request_is_in_flight_whatever_asks(client, peer):
+async def test_only_one_request_is_in_flight(client, peer):
     answers = await asyncio.gather(*(client.exchange(read(0x10 + n % 2), LONG_S) for n in range(6)))
     assert [answer.values for answer in answers] == [(0x1111,), (0x2222,)] * 3
 
 
-async def test_a_unit_that_did_not_answer_is_left_alone_but_its_neighbours_are_not(client, peer):
+async def test_the_line_pauses_for_a_unit_that_did_not_answer_and_not_for_its_neighbours(
+    client, peer
+):
     peer.units[1].silent = True
     with pytest.raises(NoReply):
         await client.exchange(READ, 0.4)
@@ -221,7 +223,7 @@ async def test_a_port_pulled_in_mid_exchange_is_a_port_error(client, peer):
         await client.exchange(READ, SHORT_S)
 
 
-async def test_a_port_is_opened_by_one_alone(client, peer):
+async def test_a_port_can_be_opened_only_once(client, peer):
     second = GuardedClient(str(peer.path), 115200, "none", 1, None)
     with pytest.raises(PortError, match="another program"):
         await second.open()
@@ -235,7 +237,7 @@ async def test_an_absent_port_is_named_with_the_reason(tmp_path):
         await client.exchange(READ, SHORT_S)
 
 
-async def test_a_file_is_no_port(tmp_path):
+async def test_a_plain_file_is_refused_as_a_port(tmp_path):
     path = tmp_path / "file"
     path.write_text("")
     with pytest.raises(PortError):
@@ -251,7 +253,7 @@ async def test_failing_tries_write_no_log(client, peer, caplog):
     assert [r for r in caplog.records if r.name.startswith("pymodbus") and r.levelno > 10] == []
 
 
-async def test_what_is_received_in_pieces_is_traced_once(client, peer):
+async def test_a_reply_received_in_pieces_is_traced_once(client, peer):
     honest = build_reply(READ, (0x1111,))
     client.trace.switch(on=True)
     peer.tricks.append(instead(honest[:3]))
@@ -263,7 +265,7 @@ async def test_what_is_received_in_pieces_is_traced_once(client, peer):
     assert received == [honest[:3], honest[3:]]
 
 
-async def test_what_comes_after_its_time_is_traced(client, peer):
+async def test_bytes_that_arrive_late_are_traced(client, peer):
     client.trace.switch(on=True)
     peer.tricks.append(lambda request, honest: [(SHORT_S * 1.6, honest)])
     with pytest.raises(NoReply):

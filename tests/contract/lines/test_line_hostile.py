@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines whose drive answers what no drive should: each answer ends in an error that is handled, and
-the power-off goes out at the end."""
+"""Lines whose drive answers what no drive should: the line handles each answer as an error, and
+the power-off is sent at the end."""
 
 import asyncio
 
@@ -82,14 +82,14 @@ async def test_a_write_that_is_refused_with_code_zero_is_not_done(peer):
 
 
 @pytest.mark.parametrize("peer", ["asyncio", *GATEWAYS], indirect=True)
-async def test_a_mistake_of_this_program_does_not_keep_the_power_on(peer, monkeypatch):
+async def test_a_bug_in_motord_does_not_keep_the_power_on(peer, monkeypatch):
     with pytest.raises(ExceptionGroup) as raised:
         async with running(spec_of(peer, hub_servo())) as rig:
             await set_off(rig, peer)
             (drive,) = rig.line._drives
 
             def mistaken(*_):
-                raise IndexError("a mistake")
+                raise IndexError("a bug")
 
             monkeypatch.setattr(drive, "_publish", mistaken)
             await asyncio.wait([rig.task])
@@ -98,7 +98,7 @@ async def test_a_mistake_of_this_program_does_not_keep_the_power_on(peer, monkey
 
 
 @pytest.mark.parametrize("peer", [*ENGINES, "rtu-over-tcp"], indirect=True)
-async def test_a_line_that_is_never_silent_does_not_keep_a_power_off_back(peer):
+async def test_a_line_that_is_never_silent_does_not_block_a_power_off(peer):
     async def babble():
         while True:
             getattr(peer, "send_raw", peer.send)(b"\x55")
@@ -115,7 +115,7 @@ async def test_a_line_that_is_never_silent_does_not_keep_a_power_off_back(peer):
 
 
 @pytest.mark.parametrize("peer", ["modbus-tcp"], indirect=True)
-async def test_a_gateway_that_answers_what_is_no_modbus_does_not_keep_a_power_off_back(peer):
+async def test_a_gateway_that_does_not_answer_in_modbus_does_not_block_a_power_off(peer):
     async with running(spec_of(peer, hub_servo())) as rig:
         await set_off(rig, peer)
         always(peer, lambda request, honest: peer.send_raw(b"no Modbus") or [])
@@ -123,8 +123,8 @@ async def test_a_gateway_that_answers_what_is_no_modbus_does_not_keep_a_power_of
 
 
 @pytest.mark.parametrize("peer", ["modbus-tcp"], indirect=True)
-async def test_junk_that_comes_before_a_power_off_does_not_keep_it_back(peer):
-    """It comes while the power-off waits, behind a request that was not answered."""
+async def test_junk_that_comes_before_a_power_off_does_not_block_it(peer):
+    """It comes while the power-off waits for the answer of an earlier request."""
     client = GatewayClient(spec_of(peer, hub_servo()))
     await client.open()
     peer.units[1].silent = True

@@ -55,14 +55,14 @@ def answer_late(peer, late_s, part, seed=1):
 
 
 def age_ns(feedback):
-    """How much older its position is than its stamp says."""
+    """How much older its position is than its stamp."""
     behind = (feedback.stamp_ns // TICK_NS - feedback.count) & 0xFFFFFFFF
     return (behind - (1 << 32) if behind >> 31 else behind) * TICK_NS
 
 
 @pytest.mark.parametrize("peer", ["rt"], indirect=True)
 @pytest.mark.parametrize("late_ms", [5, 30, 60, 100])
-async def test_no_position_is_older_than_its_stamp_reports(peer, late_ms):
+async def test_no_position_is_older_than_its_stamp(peer, late_ms):
     async with running(spec_of(peer, hub_servo(), cycle_hz=50.0), in_haste=True) as rig:
         await rig.ready()
         answer_late(peer, 0.0, 0.0)
@@ -84,7 +84,7 @@ async def why_unresponsive(rig):
     return next(event.text for event in rig.events if event.kind is EventKind.DRIVE_UNRESPONSIVE)
 
 
-async def test_a_drive_that_refuses_is_not_reported_to_have_another_baud_rate(peer):
+async def test_a_drive_that_refuses_is_not_reported_as_another_baud_rate(peer):
     async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
         await rig.ready()
         peer.units[1].refuses = set(peer.units[1].registers)
@@ -93,7 +93,7 @@ async def test_a_drive_that_refuses_is_not_reported_to_have_another_baud_rate(pe
         assert "baud" not in text
 
 
-async def test_a_drive_whose_replies_are_lost_is_not_reported_to_have_another_baud_rate(peer):
+async def test_lost_replies_are_not_reported_as_another_baud_rate(peer):
     async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
         await rig.ready()
         peer.units[1].silent = True
@@ -102,7 +102,7 @@ async def test_a_drive_whose_replies_are_lost_is_not_reported_to_have_another_ba
         assert "baud" not in text
 
 
-async def test_replies_that_are_torn_among_good_ones_are_reported_to_be_so(peer):
+async def test_torn_replies_among_good_ones_are_reported_as_torn(peer):
     async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
         await rig.ready()
 
@@ -116,7 +116,7 @@ async def test_replies_that_are_torn_among_good_ones_are_reported_to_be_so(peer)
         assert "bytes came, but no frame" not in text
 
 
-async def test_a_drive_that_answers_late_is_reported_to_be_slow(peer):
+async def test_a_drive_that_answers_late_is_reported_as_slow(peer):
     async with running(spec_of(peer, hub_servo()), in_haste=True) as rig:
         await rig.ready()
         answer_late(peer, 0.04, 1.0)
@@ -125,7 +125,7 @@ async def test_a_drive_that_answers_late_is_reported_to_be_slow(peer):
         assert "baud" not in text
 
 
-async def test_bytes_that_never_were_a_frame_hint_at_the_baud_rate(peer):
+async def test_bytes_that_never_form_a_frame_hint_at_the_baud_rate(peer):
     def garble(_request, honest):
         peer.tricks.append(garble)
         return [(0.0, bytes(byte ^ 0x5A for byte in honest))]

@@ -35,7 +35,7 @@ async def test_a_register_is_read_by_name_in_si_while_the_line_cycles(rig, peer)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 0.0])
-async def test_what_motord_writes_itself_is_not_written_by_name(rig, peer, value):
+async def test_a_register_that_motord_writes_is_not_written_by_name(rig, peer, value):
     await rig.ready()
     with pytest.raises(ValueError, match="motord itself"):
         await rig.line.write_register("left1", "control_word", value)
@@ -77,7 +77,7 @@ async def test_a_register_that_does_not_keep_its_value_is_an_error(peer):
         assert rig.states() == {DriveState.READY}
 
 
-async def test_what_the_set_up_writes_is_read_back(peer):
+async def test_registers_that_the_set_up_writes_are_read_back(peer):
     unit = peer.units[1]
     joints = geared()
     steps = (*joints[0].profile.configure, Step(register="gain", value=9))
@@ -92,7 +92,7 @@ async def test_what_the_set_up_writes_is_read_back(peer):
 
 
 # ------------------------------------------------------------------------- one exchange for both
-async def test_a_drive_that_can_is_sent_and_asked_in_one_exchange(peer):
+async def test_a_drive_with_function_23_is_written_and_read_in_one_exchange(peer):
     profile = replace(hub_servo()[0].profile, read_write_function=23)
     joints = tuple(replace(joint, profile=profile) for joint in hub_servo())
     async with running(spec_of(peer, joints)) as rig:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests beside the cycle on serial lines of both engines: whose reply is whose, and what waits
-for what."""
+"""Requests beside the cycle on serial lines of both engines: which reply belongs to which request,
+and what waits for what."""
 
 import asyncio
 import contextlib
@@ -113,7 +113,7 @@ async def test_disarming_two_drives_while_one_is_read_switches_both_off(peer):
         assert rig.states() == {DriveState.READY}
 
 
-async def test_reads_without_end_do_not_keep_the_drives_from_being_disarmed(peer):
+async def test_continuous_reads_do_not_keep_the_drives_from_being_disarmed(peer):
     async with running(spec_of(peer, two_drives())) as rig:
         await rig.arm()
         reads = 0
@@ -137,7 +137,7 @@ async def test_reads_without_end_do_not_keep_the_drives_from_being_disarmed(peer
 
 
 @pytest.mark.parametrize("peer", ["rt"], indirect=True)
-async def test_what_an_urgent_request_overtakes_is_checked_again_before_it_is_sent(peer):
+async def test_a_request_that_an_urgent_one_overtakes_is_checked_again_before_it_is_sent(peer):
     """Power that waits for its turn is not switched on after the power-off that overtook it."""
     async with thread_on(peer) as (thread, notifier):
         queue, allowed = RequestQueue("rs485", thread, 1.0), True

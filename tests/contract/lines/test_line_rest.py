@@ -40,10 +40,10 @@ async def bus(request):
         yield peer
 
 
-async def test_a_disarming_that_nothing_waits_for_any_more_takes_the_power_all_the_same(peer):
+async def test_a_disarming_whose_caller_was_cancelled_still_takes_the_power(peer):
     mute = [
         replace(joint, profile=replace(joint.profile, enabled=None)) for joint in hub_servo()
-    ]  # a drive that says that it is enabled would be sent that again
+    ]  # a drive that reports that it is enabled would be sent the power-off again
     async with running(spec_of(peer, mute)) as rig:
         await rig.arm()
         sent = len(peer.written(CONTROL))
@@ -140,7 +140,7 @@ async def test_a_line_that_ends_while_a_can_drive_is_stopping_lets_it_come_to_re
 
 
 SLOW_RAD_S = 0.02
-"""Slower is at rest: what these wheels creep at is faster, and slower than any usual limit."""
+"""Slower is at rest. These wheels creep faster than this, and slower than any usual limit."""
 
 
 async def test_a_modbus_drive_keeps_its_power_until_it_is_as_slow_as_the_robot_file_demands(peer):

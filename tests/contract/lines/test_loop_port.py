@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The serial port of the Modbus line on asyncio: full, closed, unplugged, and for itself alone."""
+"""The serial port of the Modbus line on asyncio: full, closed, unplugged, opened exclusively."""
 
 import asyncio
 import contextlib
@@ -43,7 +43,7 @@ def client_on(tmp_path):
     return GuardedClient(str(tmp_path / "port"), 115200, "none", 1, None)
 
 
-async def test_a_parity_that_the_driver_refuses_later_is_a_port_that_cannot_be_had(tmp_path, ends):
+async def test_a_parity_that_the_driver_refuses_later_is_a_port_error(tmp_path, ends):
     """A pty has none: the port opens, and fails when it is configured once more."""
     descriptors = len(os.listdir("/proc/self/fd"))
     client = GuardedClient(str(tmp_path / "port"), 19200, "even", 1, None)
@@ -52,7 +52,7 @@ async def test_a_parity_that_the_driver_refuses_later_is_a_port_that_cannot_be_h
     assert len(os.listdir("/proc/self/fd")) == descriptors
 
 
-async def test_an_adapter_that_goes_away_while_it_is_opened_is_a_port_that_cannot_be_had(
+async def test_an_adapter_that_disappears_while_it_is_opened_is_a_port_error(
     tmp_path, ends, monkeypatch
 ):
     def gone(*_):
@@ -64,10 +64,10 @@ async def test_an_adapter_that_goes_away_while_it_is_opened_is_a_port_that_canno
 
 
 def fill(slave):
-    """Until it takes no byte more, also when the kernel has passed on what it took."""
+    """Fills it until it takes no more bytes, even after the kernel has passed some on."""
     room = True
     while room:
-        for size in (4096, 1):  # a pty may have room for a byte and not say so
+        for size in (4096, 1):  # a pty may have room for a byte and not report it
             with contextlib.suppress(BlockingIOError):
                 while os.write(slave, NOISE * size):
                     pass
@@ -85,7 +85,7 @@ def all_of(master):
 
 @pytest.mark.timeout(30)  # what fails here may be an event loop that turns for ever
 @pytest.mark.parametrize("by", ["its deadline", "a cancellation"])
-async def test_a_full_port_holds_nothing_up_and_sends_nothing_old_later(by, tmp_path, ends):
+async def test_a_full_port_blocks_nothing_and_sends_nothing_old_later(by, tmp_path, ends):
     master, slave = ends
     client = client_on(tmp_path)
     await client.open()
@@ -133,7 +133,7 @@ async def test_the_port_is_under_the_transport_of_pyserial_asyncio_fast(tmp_path
     peer.pull()
 
 
-async def test_an_unplugged_port_is_no_mistake_of_the_program(tmp_path, caplog):
+async def test_an_unplugged_port_is_not_logged_as_a_bug(tmp_path, caplog):
     peer = ScriptedSlave(tmp_path / "port")
     client = client_on(tmp_path)
     await client.open()
@@ -148,7 +148,7 @@ async def test_an_unplugged_port_is_no_mistake_of_the_program(tmp_path, caplog):
     assert [record for record in caplog.records if record.name != "motord"] == []
 
 
-def test_who_has_no_port_on_asyncio_and_draws_nothing_loads_neither_transport_nor_numpy():
+def test_a_program_without_asyncio_ports_or_plots_loads_neither_transport_nor_numpy():
     program = (
         "import sys, motord.daemon.app, motord.bus.__main__, motord.cli.latency\n"
         "import motord_hal.fieldbus.open_line, motord_hal.rt_engine.rs485.line\n"

@@ -58,7 +58,7 @@ def single_writes(peer, mark):
 
 
 def mute(peer):
-    """From now on the drive receives and obeys, and no answer arrives."""
+    """From now on the drive receives and follows requests, and no answer arrives."""
 
     def swallow(request, honest):
         peer.tricks.append(swallow)

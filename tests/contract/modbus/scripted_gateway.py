@@ -56,7 +56,7 @@ class ScriptedGateway(ScriptedSlave):
         self._buffer = b""
 
     def send(self, data: bytes) -> None:
-        """An RTU frame, in what its medium makes of it."""
+        """An RTU frame in the form of its medium."""
         self.answered_at_s.append(time.monotonic())
         if self.kind == "modbus-tcp" and data:
             body = data[:-2]

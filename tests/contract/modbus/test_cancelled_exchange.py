@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who cancels a line or an exchange is obeyed, in whatever moment."""
+"""A line or an exchange ends when it is cancelled, at any moment."""
 
 import asyncio
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a gateway's client believes: one exchange at a time against a scripted gateway."""
+"""Which replies a gateway's client accepts: one exchange at a time against a scripted gateway."""
 
 import struct
 
@@ -43,7 +43,7 @@ def adu(transaction, *words, unit=1, protocol=0):
     return struct.pack(">HHH", transaction, protocol, len(body)) + body
 
 
-async def test_a_reply_is_believed(client):
+async def test_an_honest_reply_is_accepted(client):
     assert (await client.exchange(VOLTAGE, WITHIN_S)).values == (3600,)
 
 
@@ -66,14 +66,14 @@ async def test_a_late_reply_is_not_given_to_the_next_request(client, peer, cut):
         build_reply(Request(1, Function.WRITE_SINGLE, 0x20A1, values=(7,))),
     ],
 )
-async def test_a_wrong_unit_length_or_function_is_no_answer(client, peer, wrong):
+async def test_a_reply_with_a_wrong_unit_length_or_function_is_refused(client, peer, wrong):
     peer.tricks.append(lambda request, honest: [(0.0, wrong)])
     with pytest.raises(BadReply):
         await client.exchange(VOLTAGE, WITHIN_S)
     assert (await client.exchange(VOLTAGE, WITHIN_S)).values == (3600,)
 
 
-async def test_what_is_no_modbus_tcp_ends_the_connection(client, peer):
+async def test_data_that_is_not_modbus_tcp_ends_the_connection(client, peer):
     peer.tricks.append(lambda request, honest: peer.send_raw(adu(1, 7, protocol=5)) or [])
     with pytest.raises(BadReply, match="no Modbus TCP"):
         await client.exchange(VOLTAGE, WITHIN_S)
@@ -83,14 +83,14 @@ async def test_what_is_no_modbus_tcp_ends_the_connection(client, peer):
     assert (await client.exchange(VOLTAGE, WITHIN_S)).values == (3600,)
 
 
-async def test_a_drive_that_the_gateway_does_not_reach_is_silent(client, peer):
+async def test_a_drive_that_the_gateway_cannot_reach_counts_as_silent(client, peer):
     refusal = build_exception(1, Function.READ_HOLDING, 11)
     peer.tricks.append(lambda request, honest: [(0.0, refusal)])
     with pytest.raises(NoReply, match="gateway target did not respond"):
         await client.exchange(VOLTAGE, WITHIN_S)
 
 
-async def test_a_gateway_that_has_forgotten_the_connection_is_called_anew(
+async def test_a_gateway_that_has_dropped_the_connection_is_connected_again(
     client, peer, monkeypatch
 ):
     monkeypatch.setattr(tcp_guard, "SILENT_S", 0.0)
@@ -104,7 +104,7 @@ async def test_a_gateway_that_has_forgotten_the_connection_is_called_anew(
 
 
 @pytest.mark.parametrize("kind", GATEWAYS)
-async def test_nothing_listening_is_a_port_error(kind):
+async def test_a_host_without_a_listener_is_a_port_error(kind):
     peer = peer_on(kind, None)
     peer.pull()
     client = GatewayClient(spec_of(peer, hub_servo()))

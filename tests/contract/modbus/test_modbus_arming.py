@@ -28,7 +28,7 @@ async def test_arming_fails_when_a_drive_does_not_report_it_is_enabled(peer):
         assert DriveState.ARMED not in rig.states()
 
 
-async def test_arming_that_is_given_up_leaves_nothing_armed(rig, peer):
+async def test_a_cancelled_arming_leaves_nothing_armed(rig, peer):
     await rig.ready()
     peer.units[1].on_write = lambda address, value: peer.units[1].registers.update({CONTROL: OFF})
     task = asyncio.ensure_future(rig.line.arm())
@@ -63,7 +63,7 @@ async def test_arming_without_fresh_set_points_is_refused(rig, peer):
     assert DriveState.ARMED not in rig.states()
 
 
-async def test_arming_waits_for_a_loop_that_is_held_up(rig, peer):
+async def test_arming_waits_for_a_delayed_loop(rig, peer):
     arming = await arming_while_held_up(rig)
     assert not arming.done()
     rig.loop.running = True

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modbus lines of both engines and over all media against scripted slaves: who is armed, who is
-unresponsive, what is reported."""
+"""Modbus lines of both engines and over all media against scripted slaves: which drive is armed,
+which is unresponsive, and what is reported."""
 
 import math
 from itertools import pairwise
@@ -64,7 +64,7 @@ async def test_a_watchdog_that_does_not_read_back_keeps_the_drive_from_ready(pee
         assert rig.states() == {DriveState.UNRESPONSIVE}
 
 
-async def test_no_set_point_but_zero_leaves_before_arming(rig, peer):
+async def test_only_set_points_of_zero_are_sent_before_arming(rig, peer):
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 3.0, 1: 3.0}
     await rig.ready()
     await until(lambda: len(peer.written(TARGET_1)) > 10)
@@ -72,7 +72,7 @@ async def test_no_set_point_but_zero_leaves_before_arming(rig, peer):
 
 
 # ------------------------------------------------------------------------------------ set-points
-async def test_both_wheels_go_out_in_one_request_with_gear_and_sense(rig, peer):
+async def test_both_wheels_are_sent_in_one_request_with_gear_and_direction(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM, 1: 30 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))
@@ -82,7 +82,7 @@ async def test_both_wheels_go_out_in_one_request_with_gear_and_sense(rig, peer):
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-async def test_a_set_point_that_is_no_number_is_sent_as_zero(rig, peer, bad):
+async def test_a_set_point_that_is_not_finite_is_sent_as_zero(rig, peer, bad):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: bad, 1: 30 * RPM}
     await until(lambda: 0x10000 - 60 in peer.written(TARGET_2))
@@ -120,13 +120,13 @@ async def test_feedback_reports_enabled_once_armed(rig):
 
 
 # --------------------------------------------------------------------------------------- stopping
-async def test_set_points_that_were_enabled_for_a_moment_only_take_the_power_off(rig):
+async def test_set_points_that_were_enabled_only_for_a_moment_take_the_power_off(rig):
     await rig.arm()
     rig.loop.put_for_a_moment()
     await until(lambda: rig.states() == {DriveState.READY})
 
 
-async def test_set_points_that_are_not_enabled_any_more_take_the_power_off(rig, peer):
+async def test_set_points_that_are_no_longer_enabled_take_the_power_off(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))
@@ -187,7 +187,7 @@ async def test_cancelling_the_line_stops_and_disarms_every_drive(peer):
 
 
 # -------------------------------------------------------------------------------------- disarming
-async def test_disarming_is_zero_and_power_off(rig, peer):
+async def test_disarming_sends_zero_and_the_power_off(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))
@@ -228,7 +228,7 @@ async def test_an_unresponsive_drive_is_reported_once_and_comes_back_configured_
     assert rig.kinds()[2:] == [EventKind.DRIVE_UNRESPONSIVE, EventKind.DRIVE_BACK]
 
 
-async def test_a_drive_that_answers_again_loses_its_power_before_it_is_set_up(rig, peer):
+async def test_a_drive_that_answers_again_is_switched_off_before_it_is_set_up(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))
@@ -237,7 +237,7 @@ async def test_a_drive_that_answers_again_loses_its_power_before_it_is_set_up(ri
     mark = len(peer.received)
     peer.units[1].silent = False
     await rig.ready()
-    # whatever it is probed with may stop it before that
+    # its probe may stop it before that
     written = [one for one in single_writes(peer, mark) if one != (CONTROL, QUICK_STOP)]
     assert written[0] == (CONTROL, OFF)
 
@@ -255,7 +255,7 @@ async def test_a_dead_drive_costs_its_neighbour_one_slot_at_a_time(peer):
             await rig.line.arm()
 
 
-async def test_a_drive_that_loses_single_replies_stays(rig, peer):
+async def test_a_drive_that_loses_single_replies_stays_ready(rig, peer):
     await rig.ready()
     for _ in range(2):
         peer.tricks.append(lambda request, honest: [])
@@ -342,7 +342,7 @@ async def test_faults_are_cleared_by_the_profile_s_steps(rig, peer):
 
 
 # ------------------------------------------------------------------------------------ other drives
-async def test_a_duty_goes_out_in_per_cent_and_never_backward(peer):
+async def test_a_duty_is_sent_in_per_cent_and_never_negative(peer):
     peer.units[1] = Unit(registers_of("duty-register"))
     profile = find_profile("duty-register")
     joints = (JointSpec(index=0, name="fan", profile=profile, unit=1),)
@@ -356,7 +356,7 @@ async def test_a_duty_goes_out_in_per_cent_and_never_backward(peer):
         assert rig.loop.exchange.take_feedback(0).enabled is None
 
 
-async def test_a_magnitude_goes_out_with_its_direction(peer):
+async def test_a_magnitude_is_sent_with_its_direction(peer):
     speed, run = 0x0056, 0x0066
     peer.units[1] = Unit(registers_of("bld-305s"))
     peer.units[1].registers[0x005F] = 90
@@ -378,7 +378,7 @@ async def test_a_magnitude_goes_out_with_its_direction(peer):
         await until(lambda: 3 in peer.written(run), "it brakes")
 
 
-async def test_a_fault_code_is_one_fault_and_an_unlisted_one_too(peer):
+async def test_a_fault_code_is_a_single_fault_listed_or_not(peer):
     peer.units[1] = Unit(registers_of("bld-305s"))
     joints = (JointSpec(index=0, name="mill", profile=find_profile("bld-305s"), unit=1),)
     async with running(spec_of(peer, joints)) as rig:
@@ -393,7 +393,7 @@ async def test_a_fault_code_is_one_fault_and_an_unlisted_one_too(peer):
 async def test_the_counters_are_kept(rig, peer):
     await rig.ready()
     await until(lambda: rig.line.stats().cycles > 20)
-    received = len(peer.received)  # both go on meanwhile
+    received = len(peer.received)  # both continue meanwhile
     await until(lambda: rig.line.stats().exchanges >= received)
     stats = rig.line.stats()
     assert stats.cycle_hz > 0
@@ -414,6 +414,6 @@ async def test_the_wire_limit_is_arithmetic(rig):
         ({"joints": (*hub_servo(1), *hub_servo(1))}, "both channel 1 of unit 1"),
     ],
 )
-async def test_a_line_that_cannot_be_is_refused_before_it_runs(peer, changes, problem):
+async def test_an_impossible_line_is_refused_before_it_runs(peer, changes, problem):
     with pytest.raises((HalError, ProfileError), match=problem):
         open_line(spec_of(peer, **{"joints": hub_servo(), **changes}), Exchange.private(), print)

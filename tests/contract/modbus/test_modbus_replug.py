@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modbus lines of both engines whose port goes and comes back: what is reported and sent."""
+"""Modbus lines of both engines whose port disappears and comes back: what is reported and sent."""
 
 import pytest
 from loop_side import running, until
@@ -62,7 +62,7 @@ async def test_a_drive_that_moved_when_its_port_was_lost_is_stopped_before_it_is
     assert single_writes(peer, mark)[0] in {(CONTROL, QUICK_STOP), (CONTROL, OFF)}
 
 
-async def test_an_armed_drive_is_sent_to_stop_after_a_replug_though_it_does_not_answer(rig, peer):
+async def test_an_armed_drive_is_stopped_after_a_replug_even_when_it_does_not_answer(rig, peer):
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM}
     await until(lambda: 60 in peer.written(TARGET_1))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord scan` against simulated drives on a pty: who is there, which drive it is, and who holds
-the port."""
+"""`motord scan` against simulated drives on a pty: which units answer, which drive each is, and
+which program holds the port."""
 
 import json
 import os
@@ -60,14 +60,14 @@ def test_the_drives_are_found_with_their_profile_and_nothing_is_written(line):
     assert (truth["at_rest"], truth["moved_max_m_s"]) == (True, 0.0)
 
 
-def test_a_person_gets_the_lines_for_the_robot_file(line):
+def test_the_output_for_people_has_the_lines_for_the_robot_file(line):
     run = scan(port_of(line), "--unit", "2", "--baudrate", baudrate_of(line))
     assert run.returncode == 0, run.stderr
     assert f'drive = "{profile_of()}", unit = 2' in run.stdout
     assert f"baudrate = {baudrate_of(line)}" in run.stdout
 
 
-def test_another_baud_rate_receives_nothing_until_the_right_one_is_tried(line):
+def test_no_unit_answers_until_the_right_baud_rate_is_tried(line):
     wrong = "57600" if baudrate_of(line) != "57600" else "9600"
     run = scan(port_of(line), "--unit", "1", "--baudrate", wrong)
     assert run.returncode == 1
@@ -77,13 +77,13 @@ def test_another_baud_rate_receives_nothing_until_the_right_one_is_tried(line):
     assert str(json.loads(usual.stdout)["found"][0]["baudrate"]) == baudrate_of(line)
 
 
-def test_nothing_there_is_reported_within_the_bound(line):
+def test_a_scan_without_results_is_reported_within_the_bound(line):
     run = scan(port_of(line), "--units", "100-247", "--within-s", "1")
     assert run.returncode == 1
     assert "stopped after 1 s" in run.stderr
 
 
-def test_a_port_that_another_program_has_is_refused_with_its_name(line):
+def test_a_port_that_another_program_uses_is_refused_with_the_program_s_name(line):
     from motord.tools.scan import spec_of
     from motord_hal.fieldbus.ports import DirectionSpec
     from motord_hal.serial.port import open_port
@@ -97,14 +97,14 @@ def test_a_port_that_another_program_has_is_refused_with_its_name(line):
         held.close()
 
 
-def test_a_port_that_is_not_there_is_missing_hardware(tmp_path):
+def test_a_missing_port_is_missing_hardware(tmp_path):
     run = scan(tmp_path / "ttyUSB9")
     assert run.returncode == 3
     assert "ttyUSB9" in run.stderr
 
 
 @pytest.mark.parametrize("units", ["-1", "1-253", "5-2", "all"])
-def test_units_that_are_none_are_wrong_usage(units):
+def test_units_out_of_range_are_wrong_usage(units):
     assert scan("/dev/null", "--units", units).returncode == 2
 
 

@@ -60,7 +60,7 @@ class Chip:
 
 
 class Mpu(Chip):
-    """MPU-6050 and its heirs: asleep after power came (PWR_MGMT_1 = 0x40), high byte first."""
+    """MPU-6050 and its successors: asleep after power-on (PWR_MGMT_1 = 0x40), high byte first."""
 
     ID, RESET, FIRST, SIZE = 0x75, (0x6B, 0x80), 0x3B, 14
 
@@ -116,7 +116,7 @@ def opened(kind, device, range_rad_s=8.0, rate_hz=100.0):
 
 @each_kind
 @pytest.mark.parametrize("range_dps", [250, 500, 1000, 2000])
-def test_counts_are_what_the_data_sheet_reports_at_each_scale(
+def test_counts_are_those_of_the_data_sheet_at_each_scale(
     kind, model, identity, per_dps, per_g, range_dps
 ):
     device = model(identity)
@@ -135,14 +135,14 @@ def test_counts_are_what_the_data_sheet_reports_at_each_scale(
 
 
 @each_kind
-def test_a_stranger_is_not_written_to(kind, model, identity, per_dps, per_g):
+def test_an_unknown_chip_is_not_written_to(kind, model, identity, per_dps, per_g):
     device = model(0x42)
     with pytest.raises(BadReply, match=f"no {kind}: register 0x{device.ID:02X} reads 0x42"):
         opened(kind, device)
     assert device.log == []
 
 
-def test_a_relative_is_named():
+def test_a_related_chip_is_named():
     with pytest.raises(BadReply, match=r"no mpu6050: .* it is an mpu6500"):
         opened("mpu6050", Mpu(0x70))
 
@@ -167,7 +167,7 @@ def test_a_chip_that_lost_its_power_is_noticed(kind, model, identity, per_dps, p
             chip.read()
 
 
-def test_a_sensor_that_reports_the_same_for_ever_stands_still():
+def test_a_sensor_that_repeats_one_sample_is_an_error():
     device = Mpu(0x68)
     chip = opened("mpu6050", device)
     device.noisy = False
@@ -184,13 +184,13 @@ def test_the_lsm_samples_at_least_twice_as_often_as_it_is_read(rate_hz):
     assert sampled_hz >= 2 * rate_hz
 
 
-def test_a_bus_that_is_not_there_names_the_way_to_it(tmp_path):
+def test_a_missing_bus_is_reported_with_the_remedy(tmp_path):
     with pytest.raises(PortError, match="there is no such I2C bus: switch I2C on"):
         I2cDevice.open(tmp_path / "i2c-7", 0x68)
 
 
 def test_a_row_that_the_adapter_has_cut_short_is_a_bad_reply(monkeypatch):
-    """An SMBus controller may end a transfer early and say so in the count alone."""
+    """An SMBus controller may end a transfer early and show it in the count alone."""
     adapter = SimpleNamespace(fd=-1)
     device = I2cDevice(adapter, 0x68, "i2c-1 at 0x68")
 
@@ -256,7 +256,7 @@ def test_samples_reach_the_loop_in_the_bases_axes_and_the_device_is_closed_at_th
     assert device.closed
 
 
-def test_two_answers_that_are_missing_are_no_end_and_three_are():
+def test_two_missing_answers_do_not_close_the_sensor_and_three_do():
     device = Mpu(0x68)
     running = Running(device)
     running.until(lambda: running.reader.samples > 3)
@@ -269,7 +269,7 @@ def test_two_answers_that_are_missing_are_no_end_and_three_are():
     assert device.closed
 
 
-def test_a_chip_that_is_opened_again_reports_so_by_its_epoch():
+def test_a_chip_that_is_opened_again_has_a_new_epoch():
     device = Mpu(0x68)
     running = Running(device)
     running.until(lambda: running.reader.samples > 3)
@@ -284,7 +284,7 @@ def test_a_chip_that_is_opened_again_reports_so_by_its_epoch():
     assert running.exchange.take_imu().epoch == 2
 
 
-def test_a_bus_on_which_every_transfer_is_late_reports_so_and_hands_nothing_on(monkeypatch):
+def test_a_bus_on_which_every_transfer_is_late_is_reported_and_gives_no_samples(monkeypatch):
     monkeypatch.setattr(imu_reader, "LATE_NS", -1)
     running = Running(Mpu(0x68))
     running.thread.join(30)
@@ -298,7 +298,7 @@ MOUNTINGS = [(up, forward) for up in AXES for forward in AXES if up[-1] != forwa
 
 
 @pytest.mark.parametrize(("up", "forward"), MOUNTINGS)
-def test_every_mounting_is_a_turn_and_there_is_a_way_back(up, forward):
+def test_every_mounting_is_a_rotation_and_can_be_inverted(up, forward):
     mounting = Mounting(up=up, forward=forward)
     rows = [mounting.to_base(unit) for unit in ((1, 0, 0), (0, 1, 0), (0, 0, 1))]
     (a, b, c), (d, e, f), (g, h, i) = rows

@@ -12,7 +12,7 @@ from motord_hal.i2c.ina import Ina
 
 
 class Bus:
-    """A device's registers, as they are after power came on, and who holds on to it."""
+    """A device's registers as they are after power-on."""
 
     def __init__(self, **words):
         self.words = {int(name[1:], 16): value for name, value in words.items()}
@@ -40,7 +40,7 @@ def ina226(**words):
 
 
 def ina228(**words):
-    """ADC_CONFIG after power came on; the range may be another program's."""
+    """ADC_CONFIG after power-on; the range may be another program's."""
     return Bus(x00=0x0010, x01=0xFB68, x3E=0x5449, x3F=0x2281, **words)
 
 
@@ -70,7 +70,7 @@ def test_an_ina228_measures_195_3125_uv_312_5_nv_and_7_8125_mk_a_count():
     assert power.voltage_v == pytest.approx(48.0)
     assert power.current_a == pytest.approx(40.0)
     assert power.chip_c == pytest.approx(25.0)
-    assert bus.words[0] == 0  # the wide range, whatever had set the narrow one
+    assert bus.words[0] == 0  # the wide range, though another program had set the narrow one
 
 
 def test_an_ina238_measures_3_125_mv_5_uv_and_an_eighth_of_a_kelvin_a_count():
@@ -91,7 +91,7 @@ def test_the_two_with_a_thermometer_are_not_taken_for_each_other(kind, other):
         Ina(kind, other, 0.01)
 
 
-def test_a_range_that_something_changes_later_reports_nothing():
+def test_a_chip_whose_range_changes_later_reports_nothing():
     bus = ina228(x05=245760 << 4)
     chip = Ina("ina228", bus, 0.01)
     bus.words[0] = 0x0010
@@ -119,13 +119,13 @@ def test_a_current_that_flows_back_is_negative():
     ],
     ids=["219", "219's overflow bit", "226", "226's other end", "228", "228's other end", "238"],
 )
-def test_a_current_beyond_the_scale_is_no_number_and_the_voltage_still_is(kind, bus):
+def test_a_current_beyond_the_scale_is_nan_and_the_voltage_is_still_measured(kind, bus):
     power = Ina(kind, bus, 0.01).read()
     assert math.isnan(power.current_a)
     assert power.voltage_v == pytest.approx(12.0)
 
 
-def test_an_ina226_is_known_by_its_maker_before_anything_is_written():
+def test_an_ina226_is_identified_by_its_maker_before_anything_is_written():
     stranger = Bus(x00=0x1234, xFE=0xFFFF)
     with pytest.raises(BadReply, match="no ina226: register 0xFE reads 0xFFFF"):
         Ina("ina226", stranger, 0.01)
@@ -141,7 +141,7 @@ def test_a_chip_that_lost_power_reports_nothing_until_it_is_set_up_again():
     assert Ina("ina219", bus, 0.1).read().voltage_v == pytest.approx(5.968)
 
 
-def test_a_chip_that_keeps_no_configuration_is_another_one():
+def test_a_chip_that_keeps_no_configuration_is_refused():
     class Stubborn(Bus):
         def write_word(self, register, value):
             """Acknowledges, and keeps what it had."""
@@ -150,12 +150,12 @@ def test_a_chip_that_keeps_no_configuration_is_another_one():
         Ina("ina219", Stubborn(x00=0x399F), 0.1)
 
 
-def test_a_bus_that_is_not_there_is_named_with_what_helps(tmp_path):
+def test_a_missing_bus_is_named_with_the_remedy(tmp_path):
     with pytest.raises(PortError, match=r"i2c-9 at 0x40: there is no such I2C bus: switch I2C on"):
         I2cDevice.open(tmp_path / "i2c-9", 0x40)
 
 
-def test_a_file_that_is_no_bus_is_refused_and_closed(tmp_path):
+def test_a_file_that_is_not_a_bus_is_refused_and_closed(tmp_path):
     path = tmp_path / "file"
     path.touch()
     with pytest.raises(PortError, match=r"file at 0x40: Inappropriate ioctl"):

@@ -20,7 +20,7 @@ PER_COUNT = math.tau / 1320
 
 class Counter:
     """Files like those of /sys/bus/counter/devices/counterN; a count changes in one piece, and the
-    tail of a longer one stays behind the line's end."""
+    tail of a longer one stays after the line's end."""
 
     def __init__(self, folder, name="104-quadrature", ceiling="65535", **files):
         self.folder = folder
@@ -57,7 +57,7 @@ def line_with(chip, counter):
     return spec_of(chip, joints=(left, right))
 
 
-async def test_what_the_counter_counts_reaches_the_core_across_its_wrap(chip, counter):
+async def test_the_count_reaches_the_core_across_the_counter_s_wrap(chip, counter):
     async with running(line_with(chip, counter)) as rig:
         await rig.ready()
         assert (counter.read("function"), counter.read("enable")) == ("quadrature x4", "1")
@@ -89,7 +89,7 @@ async def test_a_wheel_that_turns_is_measured_and_one_that_stands_is_at_rest(chi
         await until(lambda: rig.loop.exchange.take_feedback(0).velocity_rad_s == 0.0, "rest")
 
 
-async def test_a_counter_that_reports_no_number_ends_the_line_at_rest_with_the_joints_name(
+async def test_a_counter_without_a_number_ends_the_line_at_rest_with_the_joint_s_name(
     chip, counter
 ):
     async with running(line_with(chip, counter)) as rig:
@@ -125,7 +125,7 @@ def test_a_counter_is_found_by_number_name_or_device(tmp_path):
         find_counter("timer", tmp_path / "nowhere")
 
 
-def test_a_count_that_is_not_there_is_named(counter):
+def test_a_missing_count_is_named(counter):
     with pytest.raises(PortError, match=r"joint left, encoder .*count3: there is no such count"):
         open_counter(counter_of(counter.folder, 3), "left")
 

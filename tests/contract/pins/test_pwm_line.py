@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thread of motor bridges on descriptors of plain files: when it writes what. What the kernel
-makes of it is in tests/vm/guest/pins/test_gpio_pwm.py."""
+"""The thread of motor bridges on descriptors of plain files: what it writes, and when. On kernel
+drivers: tests/vm/guest/pins/test_gpio_pwm.py."""
 
 import asyncio
 import errno
@@ -83,14 +83,14 @@ async def test_a_loop_that_dies_stops_the_bridges_until_they_are_armed_again(chi
         await until(lambda: chip.duties()[0] == 25_000)
 
 
-async def test_set_points_that_were_enabled_for_a_moment_only_take_the_power_off(chip):
+async def test_set_points_that_were_enabled_only_for_a_moment_take_the_power_off(chip):
     async with running(spec_of(chip)) as rig:
         await armed(rig)
         rig.loop.put_for_a_moment()
         await until(lambda: rig.states() == {DriveState.READY})
 
 
-async def test_set_points_that_are_not_enabled_any_more_take_the_power(chip):
+async def test_set_points_that_are_no_longer_enabled_take_the_power(chip):
     async with running(spec_of(chip)) as rig:
         await half_forward(rig, chip)
         rig.loop.enabled = False
@@ -107,7 +107,7 @@ async def test_it_cannot_be_armed_without_fresh_set_points(chip):
             await rig.line.arm()
 
 
-async def test_arming_waits_for_a_loop_that_is_held_up(chip):
+async def test_arming_waits_for_a_delayed_loop(chip):
     async with running(spec_of(chip)) as rig:
         await rig.ready()
         rig.loop.running = False
@@ -134,7 +134,7 @@ async def test_a_line_that_could_not_be_armed_does_not_report_that_it_was_stoppe
 
 
 def test_set_points_that_a_thread_in_c_reads_have_no_second_reader():
-    """The mailbox has room for one: the other one's value could be written while it is read."""
+    """The mailbox allows one reader: what a second one reads could be overwritten meanwhile."""
     for package in (motord_hal.pwm, motord_hal.rt_engine):
         for path in Path(package.__path__[0]).glob("*.py"):
             assert "take_setpoints" not in path.read_text("utf-8"), path
@@ -162,7 +162,7 @@ def broken(chip, number):
     return kept
 
 
-async def test_a_pin_that_keeps_its_duty_is_no_success_of_disarming(chip):
+async def test_disarming_fails_when_a_pin_keeps_its_duty(chip):
     async with running(spec_of(chip)) as rig:
         await half_forward(rig, chip)
         kept = broken(chip, 0)
@@ -177,7 +177,7 @@ async def test_a_pin_that_keeps_its_duty_is_no_success_of_disarming(chip):
     assert "joint left, pin rpwm: No space left on device" in text
 
 
-async def test_a_line_that_ends_and_leaves_a_pin_its_duty_reports_so(chip):
+async def test_a_line_that_ends_with_a_duty_on_a_pin_reports_it(chip):
     async with running(spec_of(chip)) as rig:
         await half_forward(rig, chip)
         kept = broken(chip, 0)
@@ -200,14 +200,14 @@ async def test_pulses_that_cannot_be_ended_are_reported_by_the_line_that_ends(ch
     assert chip.duties() == REST
 
 
-async def test_a_channel_that_is_gone_at_the_end_is_no_reason_for_a_warning(chip):
+async def test_a_channel_that_is_gone_at_the_end_causes_no_warning(chip):
     async with running(spec_of(chip)) as rig:
         await rig.ready()
         (chip.folder / "pwm2/enable").unlink()
     assert EventKind.DRIVE_WARNING not in rig.kinds()
 
 
-async def test_feedback_is_fresh_though_a_bridge_reports_nothing(chip):
+async def test_feedback_is_fresh_even_though_a_bridge_reports_nothing(chip):
     async with running(spec_of(chip)) as rig:
         await until(lambda: rig.loop.exchange.take_feedback(0).stamp_ns > 0)
         first = rig.loop.exchange.take_feedback(0)
@@ -218,7 +218,7 @@ async def test_feedback_is_fresh_though_a_bridge_reports_nothing(chip):
             await rig.line.read_register("left", "duty")
 
 
-async def test_pins_that_are_not_there_are_reported_once_and_found_later(tmp_path):
+async def test_missing_pins_are_reported_once_and_found_later(tmp_path):
     spec = spec_of(Chip(tmp_path / "other"), pins=PinsSpec(pwm_chip=str(tmp_path / "chip")))
     async with running(spec) as rig:
         await until(lambda: EventKind.LINE_LOST in rig.kinds())
@@ -232,7 +232,7 @@ async def test_pins_that_are_not_there_are_reported_once_and_found_later(tmp_pat
 
 
 def as_software(chip):
-    """What the kernel's tree says of a chip of its driver pwm-gpio."""
+    """The entry of a chip of the driver pwm-gpio in the kernel's tree."""
     driver = chip.folder.parent / "drivers/pwm-gpio"
     driver.mkdir(parents=True)
     (chip.folder / "device").mkdir()
@@ -247,7 +247,7 @@ def as_software(chip):
         ({"software_pwm": True, "pwm_hz": 2000.0}, "pwm_hz must be at most 1000"),
     ],
 )
-async def test_pulses_that_software_makes_are_refused_unless_asked_for(chip, asked, warnings):
+async def test_pulses_made_by_software_are_refused_unless_configured(chip, asked, warnings):
     as_software(chip)
     spec = spec_of(chip, pins=PinsSpec(pwm_chip=str(chip.folder), **asked))
     async with running(spec) as rig:
@@ -257,7 +257,7 @@ async def test_pulses_that_software_makes_are_refused_unless_asked_for(chip, ask
         assert [duty > 0 for duty in chip.duties()] == [False, False, False, True]
 
 
-async def test_pulses_that_software_makes_turn_motors_where_they_are_asked_for(chip):
+async def test_pulses_made_by_software_turn_motors_where_configured(chip):
     as_software(chip)
     pins = PinsSpec(pwm_chip=str(chip.folder), software_pwm=True, pwm_hz=500.0)
     async with running(spec_of(chip, pins=pins)) as rig:
@@ -268,7 +268,7 @@ async def test_pulses_that_software_makes_turn_motors_where_they_are_asked_for(c
     assert chip.read(0, "duty_cycle") == 0
 
 
-async def test_pulses_that_software_makes_are_ended_without_being_asked_for(chip):
+async def test_pulses_made_by_software_are_ended_even_where_not_configured(chip):
     as_software(chip)
     (chip.folder / "pwm0/duty_cycle").write_text("30000\n")
     assert await halt_line(spec_of(chip)) == []
@@ -287,7 +287,7 @@ async def test_pins_that_a_dead_program_left_driven_are_brought_to_rest(chip):
     assert [chip.read(number, "enable") for number in range(4)] == ON_AT_REST
 
 
-async def test_a_channel_that_something_drives_is_left_alone_and_its_owner_named(chip):
+async def test_a_channel_that_another_program_drives_is_not_touched_and_its_owner_is_named(chip):
     async with running(spec_of(chip)) as rig:
         await half_forward(rig, chip)
         problems = await halt_line(spec_of(chip))
@@ -301,7 +301,7 @@ async def test_a_channel_that_something_drives_is_left_alone_and_its_owner_named
     assert await halt_line(spec_of(chip)) == []
 
 
-def test_a_channel_whose_owner_was_killed_can_be_had(chip):
+def test_a_channel_whose_owner_was_killed_is_available(chip):
     duty = chip.folder / "pwm0/duty_cycle"
     hold = "import fcntl, sys; f = open(sys.argv[1], 'r+'); fcntl.flock(f, fcntl.LOCK_EX); "
     hold += "f.write('30000\\n'); f.flush(); "
@@ -320,7 +320,7 @@ def test_a_channel_whose_owner_was_killed_can_be_had(chip):
     assert chip.duties() == REST
 
 
-async def test_a_line_whose_channel_is_taken_reports_so_and_waits(chip):
+async def test_a_line_whose_channel_is_taken_reports_it_and_waits(chip):
     with (chip.folder / "pwm2/duty_cycle").open("r+") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
         async with running(spec_of(chip)) as rig:
@@ -349,7 +349,7 @@ async def test_pulses_that_reach_no_pin_are_reported_when_the_line_opens(
         assert "no pin to pwm0, pwm1, pwm2, pwm3 of 1f00098000.pwm" in rig.events[-1].text
 
 
-async def test_a_pin_that_cannot_be_had_does_not_keep_the_others_from_resting(chip):
+async def test_an_unavailable_pin_does_not_keep_the_others_from_resting(chip):
     (chip.folder / "pwm0/period").unlink()
     (chip.folder / "pwm2/duty_cycle").write_text("30000\n")
     (problem,) = await halt_line(spec_of(chip))
@@ -364,7 +364,7 @@ async def test_a_pin_that_cannot_be_had_does_not_keep_the_others_from_resting(ch
         ("tb6612fng", {"pwm": "pwm0", "in1": "GPIO5", "in2": "GPIO6", "stby": "GPIO7"}, True),
     ],
 )
-async def test_of_a_motor_whose_pulses_go_on_only_lines_that_take_its_power_are_touched(
+async def test_only_the_power_lines_of_a_motor_whose_pulses_go_on_are_touched(
     chip, drive, pins, touched
 ):
     (chip.folder / "pwm0/period").unlink()
@@ -376,7 +376,7 @@ async def test_of_a_motor_whose_pulses_go_on_only_lines_that_take_its_power_are_
     assert len(problems) == 1 + touched
 
 
-async def test_no_channel_waits_for_another_one_to_rest(chip):
+async def test_channels_are_brought_to_rest_independently(chip):
     period = chip.folder / "pwm0/period"
     period.unlink()
     (chip.folder / "pwm2/duty_cycle").write_text("30000\n")
@@ -388,7 +388,9 @@ async def test_no_channel_waits_for_another_one_to_rest(chip):
     assert halt.result() == []
 
 
-async def test_lines_rest_also_where_nothing_waits_for_a_channel_any_more(chip, monkeypatch):
+async def test_lines_are_brought_to_rest_even_when_the_wait_for_a_channel_is_cancelled(
+    chip, monkeypatch
+):
     (chip.folder / "pwm0/period").unlink()
     opened = []
 
@@ -409,7 +411,7 @@ async def test_lines_rest_also_where_nothing_waits_for_a_channel_any_more(chip, 
     assert opened
 
 
-async def test_a_line_that_cannot_be_opened_brings_to_rest_what_it_can(chip):
+async def test_a_line_that_cannot_be_opened_brings_the_pins_that_it_can_to_rest(chip):
     (chip.folder / "pwm0/period").unlink()
     (chip.folder / "pwm2/duty_cycle").write_text("30000\n")
     async with running(spec_of(chip)) as rig:
@@ -418,7 +420,7 @@ async def test_a_line_that_cannot_be_opened_brings_to_rest_what_it_can(chip):
         assert chip.duties() == REST
 
 
-async def test_a_line_that_cannot_be_opened_reports_what_else_it_could_not_bring_to_rest(chip):
+async def test_a_line_that_cannot_be_opened_names_the_pins_that_it_could_not_bring_to_rest(chip):
     for number in (0, 2):
         (chip.folder / f"pwm{number}/period").unlink()
     async with running(spec_of(chip)) as rig:

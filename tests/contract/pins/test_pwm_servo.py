@@ -47,7 +47,7 @@ async def test_its_pulse_is_the_angle_that_is_commanded_and_only_while_it_is_arm
         await until(lambda: chip.read(0, "duty_cycle") == 0)
 
 
-async def test_without_a_position_it_holds_the_one_before_and_never_goes_beyond_its_range(chip):
+async def test_without_a_position_it_holds_the_last_one_and_never_leaves_its_range(chip):
     async with running(servo(chip, inverted=True, gear_ratio=2.0)) as rig:
         await rig.ready()
         rig.loop.enabled, rig.loop.position_rad = True, {0: 9.0}

@@ -2,8 +2,8 @@
 """Bus servos on a pty whose packets are made by their makers' SDKs, so that motord's line does not
 meet only what motord itself has written.
 
-Every request that comes is built once more by the SDK from what it says, and compared byte by byte;
-every status goes out through the SDK's own packet code."""
+The SDK builds every received request once more from its content, and the bytes are compared; every
+status is sent through the SDK's own packet code."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ALL = 0xFE
 
 
 class CapturedPort:
-    """What an SDK's packet code wants of a port: keeps what it sends."""
+    """The port that an SDK's packet code needs; it keeps what is sent."""
 
     def __init__(self):
         self.is_using = False
@@ -159,7 +159,7 @@ class SdkServos:
         self.silent: set[int] = set()
         """Units that receive, and do not answer."""
         self.foreign: list[bytes] = []
-        """Requests that the SDK would have sent otherwise."""
+        """Requests that differ from the SDK's."""
         self.powered_in_other_modes = 0
         self._data = b""
         self._master, self._slave = os.openpty()
@@ -220,7 +220,7 @@ class SdkServos:
         self.powered_in_other_modes += bool(table[sdk.torque] and table[sdk.mode] != 1)
 
     def _answer_together(self, units, first, count):
-        """Until one is missing: those behind it wait for ever."""
+        """Until one is missing: those after it wait for ever."""
         there = list(itertools.takewhile(lambda unit: unit not in self.silent, units))
         answers = [(unit, self.tables[unit][first : first + count]) for unit in there]
         os.write(self._master, self.sdk.status_of_all(len(units), answers))

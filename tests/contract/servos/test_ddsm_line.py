@@ -12,7 +12,7 @@ from motord_hal.fieldbus.ports import DriveState
 WANTED_RAD_S = 3.0
 
 
-async def test_hub_motors_are_armed_turn_as_sent_and_come_to_rest(tmp_path):
+async def test_hub_motors_are_armed_follow_their_set_points_and_come_to_rest(tmp_path):
     profile = hub_motor()
     with simulated(profile, tmp_path):
         spec = dataclasses.replace(spec_of(profile, tmp_path), kind="ddsm", engine="rt", priority=0)

@@ -20,7 +20,7 @@ def servo_line(name, folder):
 
 
 @pytest.mark.parametrize("name", SERVOS)
-async def test_servos_are_armed_turn_as_sent_and_come_to_rest(name, tmp_path):
+async def test_servos_are_armed_follow_their_set_points_and_come_to_rest(name, tmp_path):
     with simulated(find_profile(name), tmp_path) as control:
         async with running(servo_line(name, tmp_path)) as rig:
 

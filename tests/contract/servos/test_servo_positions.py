@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bus servos that go to positions: against simulated ones, whose wheels say where they really are,
+"""Bus servos that go to positions: against simulated ones, whose true angles are known,
 and against servos whose packets their makers' SDKs make."""
 
 import dataclasses
@@ -39,9 +39,7 @@ def angles_rad(control):
 
 
 @pytest.mark.parametrize("name", SERVOS)
-async def test_servos_go_where_they_are_sent_and_stay_there_without_a_place_to_go_to(
-    name, tmp_path
-):
+async def test_servos_go_to_their_targets_and_stay_there_without_a_target(name, tmp_path):
     with simulated(find_profile(name), tmp_path) as control:
         async with running(line_of(name, tmp_path)) as rig:
 
@@ -89,7 +87,7 @@ async def test_a_servo_whose_old_goal_is_far_away_stays_where_it_is_when_it_is_a
 
 
 @pytest.mark.parametrize("name", SERVOS)
-async def test_a_servo_that_is_sent_far_from_its_place_at_once_gets_no_power(name, tmp_path):
+async def test_a_servo_whose_first_target_is_far_from_its_position_loses_its_power(name, tmp_path):
     with simulated(find_profile(name), tmp_path) as control:
         async with running(line_of(name, tmp_path, LIMITED_RAD_S)) as rig:
             await rig.arm()
@@ -102,7 +100,7 @@ async def test_a_servo_that_is_sent_far_from_its_place_at_once_gets_no_power(nam
 
 
 @pytest.mark.parametrize("name", SERVOS)
-async def test_old_set_points_take_the_torque_on_the_way(name, tmp_path):
+async def test_old_set_points_take_the_torque_of_moving_servos(name, tmp_path):
     with simulated(find_profile(name), tmp_path) as control:
         async with running(line_of(name, tmp_path)) as rig:
             await rig.arm()
@@ -125,7 +123,9 @@ async def test_a_servo_that_reboots_comes_back_disarmed_and_goes_nowhere(name, t
             await until(lambda: control.truth().at_rest, "they rest")
             before = angles_rad(control)
             with without_power(control, 1):
-                await until(lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is missed")
+                await until(
+                    lambda: EventKind.DRIVE_UNRESPONSIVE in rig.kinds(), "it is unresponsive"
+                )
             rig.loop.position_rad = {0: -0.5, 1: 0.5}
             await until(lambda: EventKind.DRIVE_BACK in rig.kinds(), "it is back")
             assert rig.line.drive_states["left"] is DriveState.READY
@@ -142,7 +142,7 @@ async def test_a_servo_that_reboots_comes_back_disarmed_and_goes_nowhere(name, t
         ("xl430-position", DynamixelSdk, 116, 132, 4),
     ],
 )
-async def test_no_servo_is_powered_before_its_goal_is_the_place_where_it_is(
+async def test_no_servo_is_powered_before_its_goal_is_its_own_position(
     name, sdk, goal, present, size, tmp_path
 ):
     servos = PlacedServos(tmp_path / "bus", sdk(), goal, present, size)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Feetech's SCS series, whose numbers stand high byte first: the maker's SDK drives the simulated
+"""Feetech's SCS series, whose numbers are high byte first: the maker's SDK drives the simulated
 servos, and motord's line drives servos whose packets that SDK makes."""
 
 import dataclasses
@@ -80,7 +80,7 @@ def test_a_scan_names_the_first_profile_of_the_series(tmp_path):
     assert found == [(1, "scs0009"), (2, "scs0009")]
 
 
-async def test_the_line_moves_servos_that_the_makers_sdk_speaks_for(tmp_path):
+async def test_the_line_moves_servos_that_the_makers_sdk_emulates(tmp_path):
     servos = ScsServos(tmp_path / "bus", ScsSdk(), (1, 2))
     for table in servos.tables.values():
         table[56:58] = MIDDLE.to_bytes(2, "big")
@@ -91,7 +91,7 @@ async def test_the_line_moves_servos_that_the_makers_sdk_speaks_for(tmp_path):
                 return [int.from_bytes(servos.tables[unit][42:44], "big") for unit in (1, 2)]
 
             await rig.arm()
-            assert goals() == [MIDDLE, MIDDLE], "its goal is the place where it is"
+            assert goals() == [MIDDLE, MIDDLE], "its goal is its own position"
             rig.loop.position_rad = {0: 0.5, 1: -0.5}
             far = round(0.5 * COUNTS_PER_RAD)
             await rig.drive(lambda: goals() == [MIDDLE + far, MIDDLE - far], "their goals")
@@ -107,7 +107,7 @@ async def test_the_line_moves_servos_that_the_makers_sdk_speaks_for(tmp_path):
         servos.close()
 
 
-async def test_simulated_servos_go_where_they_are_sent_and_lose_their_torque_at_a_stop(tmp_path):
+async def test_simulated_servos_go_to_their_targets_and_lose_their_torque_at_a_stop(tmp_path):
     with simulated(PROFILE, tmp_path) as control:
         async with running(line_of(tmp_path)) as rig:
             angles = lambda: [j.position_rad for j in control.truth().joints.values()]  # noqa: E731

@@ -54,7 +54,7 @@ def sdk_duty(raw):
     return bytes((handler.scs_lobyte(word), handler.scs_hibyte(word)))
 
 
-def test_every_duty_stands_on_the_wire_as_the_makers_sdk_puts_it():
+def test_every_duty_is_encoded_as_the_makers_sdk_encodes_it():
     register = PROFILE.registers["goal_duty"]
     for raw in range(-1000, 1001):
         assert encode(register, raw) == sdk_duty(raw)
@@ -66,7 +66,7 @@ def test_every_duty_stands_on_the_wire_as_the_makers_sdk_puts_it():
 
 
 # ---------------------------------------------------------------- the SDK, simulated servos
-def test_the_makers_sdk_turns_simulated_servos_in_motor_mode_alone(tmp_path):
+def test_the_makers_sdk_turns_simulated_servos_only_in_motor_mode(tmp_path):
     with (
         simulated(PROFILE, tmp_path) as control,
         opened(scservo_sdk.PortHandler(""), tmp_path / "bus") as port,
@@ -116,7 +116,7 @@ def test_a_simulated_servo_keeps_its_mode_without_power_where_its_lock_was_open(
 
 
 # ------------------------------------------------------------- motord's line, the SDK's packets
-async def test_the_line_drives_servos_that_the_makers_sdk_speaks_for(tmp_path):
+async def test_the_line_drives_servos_that_the_makers_sdk_emulates(tmp_path):
     servos = MotorServos(tmp_path / "bus")
     try:
         async with running(spec_of(PROFILE, tmp_path)) as rig:
@@ -174,7 +174,7 @@ async def test_the_limits_are_written_once_without_torque_and_with_the_lock_clos
         servos.close()
 
 
-async def test_the_memory_of_servos_that_are_motors_already_is_not_worn(tmp_path):
+async def test_the_memory_of_servos_already_in_motor_mode_is_not_written(tmp_path):
     servos = MotorServos(tmp_path / "bus", limits=bytes(4))
     try:
         async with running(spec_of(PROFILE, tmp_path)) as rig:

@@ -59,8 +59,8 @@ def test_feetech_s_sdk_drives_simulated_servos(tmp_path):
 
         wait_until(lambda: [abs(speed) > 0.95 * STEPS for speed in speeds()] == [True, True])
         left, right = truth_rad_s(control)
-        assert left == pytest.approx(STEPS / 4096 * math.tau / 2, rel=0.1)  # behind a gear of 2
-        assert right == pytest.approx(left, rel=0.1)  # turned round: mounted the other way
+        assert left == pytest.approx(STEPS / 4096 * math.tau / 2, rel=0.1)  # with a gear of 2
+        assert right == pytest.approx(left, rel=0.1)  # mounted in reverse
         assert read.getData(1, 62, 1) in range(100, 130)
         assert read.getData(1, 56, 2) in range(4096)
         for unit in (1, 2):
@@ -109,7 +109,7 @@ def test_robotis_sdk_drives_simulated_servos(fast, tmp_path):
         assert control.stats()["lines"]["bus"]["bad_crc"] == 0
 
 
-def test_robotis_sdk_sees_the_watchdog_bite_and_clears_it(tmp_path):
+def test_robotis_sdk_sees_the_watchdog_trip_and_clears_it(tmp_path):
     profile = dataclasses.replace(find_profile("xl430"), baudrate=BAUDRATE)
     handler = dynamixel_sdk.PacketHandler(2.0)
     with (
@@ -130,7 +130,7 @@ def test_robotis_sdk_sees_the_watchdog_bite_and_clears_it(tmp_path):
 
 
 # ---------------------------------------------------------------- motord's line, their packets
-async def test_a_watchdog_that_has_bitten_disarms_and_its_servo_is_set_up_again(tmp_path):
+async def test_a_servo_whose_watchdog_tripped_is_disarmed_and_set_up_again(tmp_path):
     servos = SdkServos(tmp_path / "bus", DynamixelSdk(), (1, 2))
     try:
         async with running(spec_of(find_profile("xl430"), tmp_path)) as rig:
@@ -139,7 +139,7 @@ async def test_a_watchdog_that_has_bitten_disarms_and_its_servo_is_set_up_again(
             assert given * 0.02 == rig.line.spec.watchdog_s
             rig.loop.velocity_rad_s = {0: 0.5, 1: 0.5}
             await rig.drive(lambda: servos.goal(1) != 0, "they turn")
-            servos.tables[1][98] = 0xFF  # it has bitten
+            servos.tables[1][98] = 0xFF  # it has tripped
             left = rig.line.drive_states
             await until(lambda: rig.line.drive_states["left"] is not DriveState.ARMED, str(left))
             rig.loop.enabled = False
@@ -153,7 +153,7 @@ async def test_a_watchdog_that_has_bitten_disarms_and_its_servo_is_set_up_again(
 
 
 @pytest.mark.parametrize(("name", "sdk"), [("sts3215", FeetechSdk), ("xl430", DynamixelSdk)])
-async def test_the_line_drives_servos_that_the_makers_sdk_speaks_for(name, sdk, tmp_path):
+async def test_the_line_drives_servos_that_the_makers_sdk_emulates(name, sdk, tmp_path):
     profile = find_profile(name)
     servos = SdkServos(tmp_path / "bus", sdk(), (1, 2))
     try:
@@ -204,7 +204,7 @@ async def test_the_line_reads_all_servos_in_one_packet_and_each_alone_while_one_
             await until(read_by(SYNC_READ), "each alone")
             await until(lambda: rig.line.drive_states["right"] is DriveState.UNRESPONSIVE)
             assert rig.line.drive_states["left"] is not DriveState.UNRESPONSIVE
-            await until(read_by(FAST_SYNC_READ), "the missing one is not asked any more")
+            await until(read_by(FAST_SYNC_READ), "the missing one is no longer read")
             servos.silent.clear()
             rig.loop.enabled = False
             await rig.ready()

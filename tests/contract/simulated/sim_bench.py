@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated robot whose clock the test turns by hand, and a raw master on its pty."""
+"""A simulated robot whose clock the test advances, and a raw master on its pty."""
 
 import contextlib
 import functools
@@ -24,7 +24,7 @@ CYCLE_HZ = 100.0
 """Of a line to simulated drives: line, drives and test share an interpreter, and a busy machine
 leaves it a tenth of a CPU."""
 WATCHDOG_S = 2.0
-"""Of simulated drives: several replies that a busy machine delays do not make it bite."""
+"""Of simulated drives: several replies that a busy machine delays do not trip it."""
 KINDS = {
     "modbus-rtu": "modbus-rtu",
     "ddsm": "ddsm",
@@ -59,7 +59,7 @@ def reports(profile):
 
 def joints_of(profile, gear_ratio=1.0):
     """A left and a right joint: on one drive where it has two channels, else on two units. The
-    right motor faces the other way where it can."""
+    right motor is mounted in reverse where it can be."""
     paired, first = len(profile.channels) > 1, unit_of(profile)
     return tuple(
         JointSpec(
@@ -150,7 +150,7 @@ def rig_of(profile, folder, *, gear_ratio=1.0, model=None, **options):
 
 @contextlib.contextmanager
 def simulated(profile, folder, **options):
-    """The robot in real time, in a thread of its own; its control socket is the way to it."""
+    """The robot in real time, in a thread of its own; it is reached over its control socket."""
     options = {"watchdog_s": 0.0 if profile.watchdog else WATCHDOG_S, "model": LIGHT, **options}
     stopped = threading.Event()
     with rig_of(profile, folder, gear_ratio=GEAR, **options) as rig:
@@ -182,7 +182,7 @@ def spec_of(profile, folder):
 
 
 class Bench:
-    """Nothing happens between two calls: the rig's time stands still."""
+    """The rig's time advances only in calls."""
 
     def __init__(self, folder, profile="zlac8015d", **options):
         self.profile = shipped_profile(profile) if isinstance(profile, str) else profile
@@ -219,7 +219,7 @@ class Bench:
         return self.rig.plant.wheels[name]
 
     def go_on(self, seconds, step_s=0.001):
-        """Let time pass; it is never passed over that something is due."""
+        """Advance time, without skipping anything that is due."""
         end_s = self.now_s + seconds
         while self.now_s < end_s:
             due_s = max(self.rig.due_s(), self.now_s)
@@ -233,7 +233,7 @@ class Bench:
         self.rig.work(self.now_s)
 
     def receive(self, size):
-        """Exactly so many bytes, which the rig has sent."""
+        """Exactly this many of the bytes that the rig has sent."""
         data = b""
         while len(data) < size:
             assert select.select([self.fd], [], [], ARRIVAL_DEADLINE_S)[0], data.hex(" ")

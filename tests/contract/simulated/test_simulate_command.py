@@ -114,7 +114,7 @@ def test_a_pulled_port_is_gone_until_it_is_plugged(sim):
         ("fly", {}, "known: truth"),
     ],
 )
-def test_a_refusal_reports_why(sim, method, params, says):
+def test_a_refusal_gives_its_reason(sim, method, params, says):
     with pytest.raises(ControlError, match=says):
         sim.control.call(method, **params)
     assert sim.control.truth().at_rest
@@ -130,7 +130,7 @@ def test_garbage_on_the_socket_is_answered_with_an_error(sim, line):
     assert sim.control.truth().at_rest
 
 
-def test_a_client_that_sends_without_end_is_dropped(sim):
+def test_a_client_that_sends_continuously_is_dropped(sim):
     with socket.socket(socket.AF_UNIX) as raw:
         raw.settimeout(ARRIVAL_DEADLINE_S)
         raw.connect(sim.control_path)
@@ -140,7 +140,7 @@ def test_a_client_that_sends_without_end_is_dropped(sim):
     assert sim.control.truth().at_rest
 
 
-def test_it_ends_with_who_started_it_and_takes_its_ports_along(tmp_path):
+def test_it_ends_with_its_parent_and_removes_its_ports(tmp_path):
     with simulate(str(DEMO), "--json", "--stop-on-eof", "--link-dir", str(tmp_path)) as process:
         hello = json.loads(process.stdout.readline())
         assert Path(hello["ports"]["rs485"]).is_symlink()
@@ -150,7 +150,7 @@ def test_it_ends_with_who_started_it_and_takes_its_ports_along(tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_well(tmp_path, number):
+def test_a_signal_ends_it_cleanly(tmp_path, number):
     with simulate(str(DEMO), "--control", str(tmp_path / "control.sock")) as process:
         printed = [process.stdout.readline() for _ in range(3)]
         assert "control socket" in printed[0]
@@ -171,7 +171,7 @@ def test_a_signal_ends_it_well(tmp_path, number):
         ((str(DEMO), "--control", "/proc/no.sock"), 1, "/proc/no.sock"),
     ],
 )
-def test_what_cannot_be_simulated_is_reported_with_its_status(arguments, status, says):
+def test_a_robot_that_cannot_be_simulated_is_reported_with_its_status(arguments, status, says):
     with simulate(*arguments) as process:
         errors = process.stderr.read()
         assert process.wait(ARRIVAL_DEADLINE_S) == status
@@ -180,7 +180,7 @@ def test_what_cannot_be_simulated_is_reported_with_its_status(arguments, status,
 
 
 @pytest.mark.parametrize("taken", ["rs485", "control.sock"])
-def test_a_file_of_something_else_is_not_replaced(tmp_path, taken):
+def test_a_foreign_file_is_not_replaced(tmp_path, taken):
     (tmp_path / taken).write_text("mine", encoding="ascii")
     with simulate(str(DEMO), "--link-dir", str(tmp_path)) as process:
         errors = process.stderr.read()
@@ -189,7 +189,7 @@ def test_a_file_of_something_else_is_not_replaced(tmp_path, taken):
     assert (tmp_path / taken).read_text(encoding="ascii") == "mine"
 
 
-def test_what_a_killed_simulator_left_behind_is_replaced(tmp_path):
+def test_files_that_a_killed_simulator_left_are_replaced(tmp_path):
     arguments = (str(DEMO), "--json", "--link-dir", str(tmp_path))
     with simulate(*arguments) as killed:
         killed.stdout.readline()
@@ -203,7 +203,7 @@ def test_a_simulator_that_does_not_start_is_an_error():
         start_simulator(ROOT / "nowhere.toml")
 
 
-def test_no_simulator_is_an_error_that_names_the_path(tmp_path):
+def test_a_missing_simulator_is_an_error_that_names_the_path(tmp_path):
     with pytest.raises(ControlError, match=r"gone\.sock"):
         SimControl(tmp_path / "gone.sock")
 
@@ -255,14 +255,14 @@ def test_its_page_and_its_help_name_every_fault():
         ((DEMO, "--units", "248"), "--units"),
     ],
 )
-def test_wrong_usage_is_sent_and_has_its_status(arguments, says):
+def test_wrong_usage_is_reported_and_has_its_status(arguments, says):
     done = printed(*map(str, arguments))
     assert done.returncode == 2
     assert says in done.stderr
 
 
 @pytest.mark.parametrize("option", ["--tcp", "--rtu-over-tcp"])
-def test_it_reports_where_its_sockets_are_and_answers_there(tmp_path, option):
+def test_it_reports_the_addresses_of_its_sockets_and_answers_there(tmp_path, option):
     request = build_request(VELOCITIES)
     raw = option == "--rtu-over-tcp"
     question = request if raw else struct.pack(">HHH", 1, 0, len(request) - 2) + request[:-2]
@@ -273,7 +273,7 @@ def test_it_reports_where_its_sockets_are_and_answers_there(tmp_path, option):
             assert connection.recv(1) == question[:1]
 
 
-def test_a_tagged_robot_reports_what_it_has_answered(tmp_path):
+def test_a_tagged_robot_lists_its_answers_in_the_journal(tmp_path):
     with start_simulator(DEMO, link_dir=tmp_path, options=("--tagged", "--units", "3")) as sim:
         before_ns = time.monotonic_ns()
         for unit in (1, 3):
@@ -290,7 +290,7 @@ def test_a_tagged_robot_reports_what_it_has_answered(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["modbus-tcp", "rtu-over-tcp"])
-def test_a_line_behind_a_gateway_is_served_there_without_being_asked(tmp_path, kind):
+def test_a_line_behind_a_gateway_is_served_over_tcp_without_an_option(tmp_path, kind):
     robot = tmp_path / "robot.toml"
     text = DEMO.read_text().replace('"modbus-rtu"', f'"{kind}"')
     robot.write_text(text.replace('port = "/dev/ttyUSB0"', 'host = "192.0.2.1"'))
@@ -300,7 +300,7 @@ def test_a_line_behind_a_gateway_is_served_there_without_being_asked(tmp_path, k
             assert host == "127.0.0.1"
 
 
-def test_what_it_reports_to_set_is_what_the_robot_file_takes(tmp_path):
+def test_the_settings_that_it_prints_fit_the_robot_file(tmp_path):
     robot = tmp_path / "robot.toml"
     text = DEMO.read_text().replace('"modbus-rtu"', '"modbus-tcp"')
     robot.write_text(text.replace('port = "/dev/ttyUSB0"', 'host = "192.0.2.1"'))
@@ -319,7 +319,7 @@ def may_be_fifo():
     return done.returncode == 0
 
 
-def test_a_priority_is_taken_or_its_refusal_sent():
+def test_a_priority_is_applied_or_its_refusal_is_reported():
     if not may_be_fifo():
         done = printed(str(DEMO), "--priority", "1")
         assert (done.returncode, done.stdout) == (2, "")

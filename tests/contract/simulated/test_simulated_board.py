@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated board of one's own: its frames are of the time that they say."""
+"""A simulated board of one's own: its frames carry their true time."""
 
 import math
 
@@ -21,7 +21,7 @@ def frames_in(data):
             continue  # the first may have begun before
 
 
-def test_after_a_standstill_a_board_reports_of_what_time_it_speaks(tmp_path):
+def test_after_a_standstill_the_feedback_of_a_board_carries_its_time(tmp_path):
     with Bench(tmp_path, "mcu-velocity", watchdog_s=0.0) as bench:
         sender = FrameSender(line_of(bench.profile))
         steps = [{"control": 8}, {"control": 0}, {"control": 1}]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CAN lines against simulated drives that are hurt: never a wheel that turns without a command."""
+"""CAN lines against simulated drives with faults: no wheel turns without a command."""
 
 import pytest
 from loop_side import until
@@ -11,7 +11,7 @@ from motord_hal.fieldbus.ports import DriveState, EventKind
 
 SPEED_RAD_S = 3.0
 LOSSY = ["odrive-0.6", "vesc", "rmd", "dbc-example", "moteus"]
-"""Those that bear lost frames while they are set up; an SDO transfer is not tried again at once."""
+"""Those that tolerate lost frames in their set-up; an SDO transfer is not tried again at once."""
 DRIVES = [*LOSSY, "cia402-csv", "cia402-torque"]
 FEW = with_rt(["odrive-0.6", "cia402-csv"])
 
@@ -51,7 +51,7 @@ def _enabled(sim):
 async def test_a_drive_that_lost_its_power_comes_back_disarmed(rig, sim):
     await set_off(rig, sim)
     with without_power(sim, 1, 2):
-        await until(lambda: rig.states() == {DriveState.UNRESPONSIVE}, "both are missed")
+        await until(lambda: rig.states() == {DriveState.UNRESPONSIVE}, "both are unresponsive")
     await back_at_rest(rig, sim)
     assert rig.kinds().count(EventKind.DRIVE_BACK) == 2
 
@@ -62,8 +62,8 @@ async def test_a_cut_cable_stops_the_drives_by_their_watchdogs_and_they_come_bac
     await set_off(rig, sim)
     sim.pull("bus")  # of datagrams nothing comes any more; a socket of its own ends
     lost = {DriveState.UNRESPONSIVE, DriveState.UNKNOWN}
-    await until(lambda: rig.states() <= lost, "both are missed")
-    await until(lambda: not any(_enabled(sim)), "their watchdogs have bitten")
+    await until(lambda: rig.states() <= lost, "both are unresponsive")
+    await until(lambda: not any(_enabled(sim)), "their watchdogs have tripped")
     sim.plug("bus")
     await back_at_rest(rig, sim)
 
@@ -77,7 +77,7 @@ async def test_bus_off_ends_the_drive_and_it_comes_back_disarmed(rig, sim):
 
 
 @pytest.mark.parametrize("variant", long_but(FEW, with_rt(LOSSY)), indirect=True)
-async def test_lost_frames_both_ways_are_borne(rig, sim):
+async def test_lost_frames_in_both_directions_are_tolerated(rig, sim):
     sim.inject("drop:p=0.03")
     sim.inject("unheard:p=0.05")
     await set_off(rig, sim)

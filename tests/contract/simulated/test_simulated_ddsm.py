@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated hub motor that speaks ten-byte frames, with the byte places of the maker's tables."""
+"""A simulated hub motor with ten-byte frames, whose bytes stand as in the maker's tables."""
 
 import math
 
@@ -25,7 +25,7 @@ def arm(bench):
     assert bench.exchange(request(bench, MODE, mode=SPEED), 0.02) == b""
 
 
-def test_a_set_point_is_answered_by_ten_sealed_bytes_at_the_wires_pace(bench):
+def test_a_set_point_is_answered_by_ten_bytes_with_check_sum_at_the_wire_s_pace(bench):
     frame = request(bench, SET, speed_wanted=0)
     bench.send(frame)
     bench.go_on(0.001 + 19.5 * CHARACTER_S)
@@ -34,7 +34,7 @@ def test_a_set_point_is_answered_by_ten_sealed_bytes_at_the_wires_pace(bench):
     assert bench.receive(10) == build_reply(1, SET, {})
 
 
-def test_a_mode_is_taken_and_not_answered(bench):
+def test_a_mode_is_set_and_not_answered(bench):
     assert not bench.drive.enabled(1)
     arm(bench)
     assert bench.drive.enabled(1)
@@ -42,7 +42,7 @@ def test_a_mode_is_taken_and_not_answered(bench):
     assert bench.line.counters.bad_crc == 0
 
 
-def test_an_armed_motor_turns_as_sent_and_reports_how(bench):
+def test_an_armed_motor_follows_its_set_point_and_reports_its_speed(bench):
     arm(bench)
     bench.exchange(request(bench, SET, speed_wanted=60))
     bench.go_on(0.6)
@@ -68,7 +68,7 @@ def test_a_disarmed_motor_is_moved_by_no_set_point(bench):
     assert bench.rig.plant.at_rest
 
 
-def test_a_speed_out_of_range_leaves_the_one_before(bench):
+def test_a_speed_out_of_range_changes_nothing(bench):
     bench.exchange(request(bench, SET, speed_wanted=20))
     assert sealed(bench.exchange(request(bench, SET, speed_wanted=331)))
     assert bench.drive.registers.stored("speed_wanted") == 20

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contract suite: every drive profile there is, its simulator, and the line between them.
+"""The contract suite: every drive profile, its simulator, and the line between them.
 
-Real time, a real pty, the shipped line; the simulator's truth says what the wheels really did.
+Real time, a real pty, the shipped line; the simulator's truth has what the wheels really did.
 """
 
 import contextlib
@@ -46,7 +46,7 @@ def profiles_that(have_it):
 
 
 def one_of_each_protocol(names):
-    """On each engine: for what a wire does, whatever the drive on it."""
+    """On each engine: for faults of the wire, which do not depend on the drive."""
     found = {}
     for name in names:
         protocol = shipped_profile(name.removesuffix(RT)).protocol
@@ -107,7 +107,7 @@ async def turn(rig, sim, sign=1.0):
     def fast():
         return all(low_rad_s < sign * speed < high_rad_s for speed in wheels_rad_s(sim))
 
-    await rig.drive(fast, "both wheels turn as wanted")
+    await rig.drive(fast, "both wheels turn as commanded")
 
 
 def feedback(rig, joint):
@@ -123,7 +123,7 @@ async def test_a_configured_drive_is_ready_at_rest_and_not_armed(rig, sim, profi
     says = None if profile.enabled is None else False
     for joint in rig.line.spec.joints:
         await until(lambda joint=joint: feedback(rig, joint).stamp_ns > 0, "feedback has come")
-        await until(lambda joint=joint: feedback(rig, joint).enabled is says, "it says so")
+        await until(lambda joint=joint: feedback(rig, joint).enabled is says, "it reports it")
 
 
 async def test_set_points_move_nothing_before_the_line_has_armed(rig, sim):
@@ -136,7 +136,9 @@ async def test_set_points_move_nothing_before_the_line_has_armed(rig, sim):
     assert sim.truth().moved_max_m_s == 0.0
 
 
-async def test_armed_wheels_turn_as_sent_and_feedback_agrees_with_the_plant(rig, sim, profile):
+async def test_armed_wheels_follow_their_set_points_and_feedback_agrees_with_the_plant(
+    rig, sim, profile
+):
     await set_off(rig, sim)
     for joint in rig.line.spec.joints:
         values = feedback(rig, joint)
@@ -153,7 +155,7 @@ async def test_armed_wheels_turn_as_sent_and_feedback_agrees_with_the_plant(rig,
                     true_rad_s, rel=0.05
                 )
 
-            await until(agrees, f"{joint.name} says how fast it is")
+            await until(agrees, f"{joint.name} reports its speed")
 
 
 @pytest.mark.parametrize("variant", each_that(can_reverse), indirect=True)
@@ -162,7 +164,7 @@ async def test_a_drive_that_can_reverse_reverses(rig, sim, profile):
     for joint in rig.line.spec.joints:
         if profile.channels[joint.channel].velocity is None:
             continue
-        await until(lambda joint=joint: feedback(rig, joint).velocity_rad_s < 0, "it says so")
+        await until(lambda joint=joint: feedback(rig, joint).velocity_rad_s < 0, "it reports it")
     await turn(rig, sim, sign=1.0)
     assert sim.truth().joints["left"].velocity_rad_s > 0
 
@@ -192,7 +194,7 @@ async def test_counters_count_what_the_wheels_turned(rig, sim, profile):
         await until(lambda joint=joint: missed(joint) <= 2.0, "the counts of the truth")
 
 
-async def test_a_disarmed_drive_comes_to_rest_and_obeys_no_set_point(rig, sim, profile):
+async def test_a_disarmed_drive_comes_to_rest_and_follows_no_set_point(rig, sim, profile):
     await set_off(rig, sim)
     await rig.line.disarm()
     assert rig.states() == {DriveState.READY}
@@ -230,7 +232,7 @@ async def test_a_fault_is_reported_stops_its_wheel_and_is_cleared_disarmed(rig, 
     await rig.ready()
     await rig.line.clear_faults()
     await until(lambda: feedback(rig, left).drive_faults == 0, "the fault is gone")
-    await until(lambda: rig.line.drive_faults["left"] == (), "the words are gone")
+    await until(lambda: rig.line.drive_faults["left"] == (), "the fault is no longer reported")
     assert sim.truth().at_rest
     await set_off(rig, sim)
 
@@ -241,7 +243,7 @@ def watchdog_bites(sim):
 
 
 @pytest.mark.parametrize("variant", each_that(lambda profile: profile.can is None), indirect=True)
-async def test_a_pulled_plug_lets_the_watchdog_bite_and_the_line_comes_back_disarmed(rig, sim):
+async def test_a_pulled_plug_trips_the_watchdog_and_the_line_comes_back_disarmed(rig, sim):
     await set_off(rig, sim)
     left = rig.line.spec.joints[0]
     epoch = feedback(rig, left).epoch
@@ -295,7 +297,7 @@ CHECKED = one_of_each_protocol(profiles_that(has_check_sums))
 
 
 @pytest.mark.parametrize("variant", CHECKED, indirect=True)
-async def test_a_bad_wire_never_bends_what_the_drive_reports(profile, folder):
+async def test_a_bad_wire_never_falsifies_feedback(profile, folder):
     noise = ("drop:p=0.02", "corrupt:p=0.03", "glitch:p=0.1", "tear:nth=29", "wrong-unit:nth=41")
     async with contextlib.AsyncExitStack() as stack:
         sim = stack.enter_context(simulated(profile, folder, seed=11))

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong on a wire and in a drive, seen by a master on a pty whose clock is turned by
-hand."""
+"""Faults of a wire and of a drive, seen by a master on a pty whose clock the test advances."""
 
 import dataclasses
 import os
@@ -32,7 +31,7 @@ def set_up(fd, speed, parity=0):
 
 
 # ---------------------------------------------------------------------------------------- the line
-def test_an_adapter_that_echoes_gives_the_request_back_before_the_reply(tmp_path):
+def test_an_adapter_that_echoes_returns_the_request_before_the_reply(tmp_path):
     with Bench(tmp_path, faults=("echo",)) as bench:
         bench.send(FRAME)
         bench.go_on(4.5 * CHARACTER_S)
@@ -41,7 +40,7 @@ def test_an_adapter_that_echoes_gives_the_request_back_before_the_reply(tmp_path
         assert bench.receive(len(FRAME) + len(REPLY)) == FRAME + REPLY
 
 
-def test_an_echo_makes_no_request_too_early(tmp_path):
+def test_an_echo_does_not_count_as_a_request_sent_too_early(tmp_path):
     with Bench(tmp_path, faults=("echo",)) as bench:
         for _ in range(3):
             assert bench.exchange(FRAME) == FRAME + REPLY
@@ -61,7 +60,7 @@ def test_noise_breaks_requests_and_replies_and_counts_its_bits(tmp_path):
         assert bench.exchange(FRAME) == REPLY
 
 
-def test_babble_is_received_by_a_master_who_has_asked_nothing(tmp_path):
+def test_babble_reaches_a_master_that_has_sent_nothing(tmp_path):
     with Bench(tmp_path, faults=("babble:hz=20,for_s=1",), seed=5) as bench:
         bench.go_on(1.2)
         assert bench.line.wire.bytes_sent > 5
@@ -70,20 +69,20 @@ def test_babble_is_received_by_a_master_who_has_asked_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("lost", [1, 3, len(REPLY) - 1])
-def test_an_adapter_that_goes_on_driving_swallows_the_beginning_of_the_reply(tmp_path, lost):
+def test_an_adapter_that_keeps_driving_swallows_the_beginning_of_the_reply(tmp_path, lost):
     stuck_ms = 1000 * (0.001 + (lost - 0.5) * CHARACTER_S)
     with Bench(tmp_path, faults=("turnaround:ms=1", f"stuck-de:ms={stuck_ms}")) as bench:
         assert bench.exchange(FRAME) == REPLY[lost:]
 
 
-def test_an_adapter_that_drives_for_long_lets_nothing_be_received(tmp_path):
+def test_an_adapter_that_drives_for_long_swallows_the_whole_reply(tmp_path):
     with Bench(tmp_path, faults=("stuck-de:ms=50,for_s=0.2",)) as bench:
         assert bench.exchange(FRAME) == b""
         bench.go_on(0.2)
         assert bench.exchange(FRAME) == REPLY
 
 
-def test_a_turnaround_is_as_long_as_the_script_reports(tmp_path):
+def test_a_turnaround_is_as_long_as_the_script_specifies(tmp_path):
     with Bench(tmp_path, faults=("turnaround:ms=7",)) as bench:
         bench.send(FRAME)
         bench.go_on((len(FRAME) + len(REPLY) - 0.5) * CHARACTER_S + 0.007)
@@ -119,7 +118,9 @@ def test_a_turnaround_spreads_from_its_least_to_its_most(tmp_path):
         (termios.B115200, PARITY_BITS, b""),
     ],
 )
-def test_a_drive_receives_only_a_master_with_its_own_settings(tmp_path, speed, parity, received):
+def test_a_drive_receives_only_from_a_master_with_its_own_settings(
+    tmp_path, speed, parity, received
+):
     with Bench(tmp_path) as bench:
         set_up(bench.fd, speed, parity)
         assert bench.exchange(FRAME, 0.1) == received
@@ -169,7 +170,7 @@ def test_a_busy_drive_refuses_while_it_stores_a_setting(tmp_path):
         assert bench.exchange(FRAME) == REPLY
 
 
-def test_a_set_point_is_no_setting_and_takes_no_time(tmp_path):
+def test_a_set_point_is_not_stored_and_takes_no_time(tmp_path):
     with Bench(tmp_path, faults=("slow-flash:ms=100",)) as bench:
         assert bench.write("target_velocity_1", 0) is None
         assert bench.exchange(FRAME) == REPLY
@@ -210,7 +211,7 @@ def test_thirty_two_drives_share_a_line(tmp_path):
         assert bench.rig.truth()["joints"].keys() == {"left", "right"}
 
 
-def test_a_tagged_count_reports_its_unit_and_the_journal_what_was_reported(tmp_path):
+def test_a_tagged_count_contains_its_unit_and_the_journal_the_values_sent(tmp_path):
     with Bench(tmp_path, tagged=True, faults=("corrupt:nth=2",)) as bench:
         good = bench.exchange(FRAME)
         spoiled = bench.exchange(FRAME)
@@ -233,7 +234,7 @@ def test_the_journal_of_a_plain_rig_stays_empty(tmp_path):
         assert bench.rig.journal("bus", 1, 0) == []
 
 
-def test_both_at_once_writes_before_it_reads_and_refuses_as_a_whole(tmp_path):
+def test_function_23_writes_before_it_reads_and_is_refused_as_a_whole(tmp_path):
     with Bench(tmp_path) as bench:
         bench.drive.profile = dataclasses.replace(bench.profile, read_write_function=23)
         both = Request(1, Function.READ_WRITE, 0x2088, count=2, write_address=0x2088, values=(5, 7))
@@ -253,7 +254,7 @@ def test_a_drive_whose_profile_has_no_function_23_refuses_it(tmp_path):
         assert bench.exchange(build_request(both)) == build_exception(1, 23, 1)
 
 
-def test_a_hung_up_master_leaves_no_lateness_behind(tmp_path):
+def test_a_master_that_hangs_up_clears_the_lateness_of_replies(tmp_path):
     with Bench(tmp_path) as bench:
         assert bench.line.stats()["reply_lateness_us"] == {}
         assert bench.exchange(FRAME) == REPLY

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the simulated drives do with the motors, asked over the wire on a clock turned by hand."""
+"""What the simulated drives do with the motors, read over the wire; the test advances the clock."""
 
 import math
 
@@ -24,7 +24,7 @@ def arm(bench):
 
 
 def spin(bench, seconds=1.0):
-    """Both wheels forward at 60 rpm, the drive asked often enough for its watchdog."""
+    """Both wheels forward at 60 rpm; the drive is polled often enough for its watchdog."""
     velocities = (60, 0x10000 - 60)
     until_s = bench.now_s + seconds
     while bench.now_s < until_s:
@@ -62,7 +62,7 @@ def test_a_gear_lies_between_motor_and_wheel(tmp_path):
         assert bench.read("velocity_1") == pytest.approx(60 * RPM, abs=0.2)
 
 
-def test_who_enables_a_drive_with_an_old_set_point_moves_it(bench):
+def test_enabling_a_drive_with_an_old_set_point_moves_it(bench):
     spin(bench, 0.1)
     arm(bench)
     bench.go_on(0.5)
@@ -110,7 +110,7 @@ def test_requests_to_another_unit_and_broken_ones_do_not_feed_the_watchdog(bench
     assert bench.rig.plant.at_rest
 
 
-def test_a_watchdog_of_zero_never_bites(bench):
+def test_a_watchdog_of_zero_never_trips(bench):
     assert bench.write("communication_timeout", 0) is None
     arm(bench)
     spin(bench)
@@ -130,7 +130,7 @@ def test_a_drive_without_a_watchdog_may_be_given_one(tmp_path):
     assert rests == [False, True]
 
 
-def test_a_set_point_that_counts_only_with_others_is_obeyed_when_all_came_in_one_request(tmp_path):
+def test_a_set_point_that_needs_others_is_followed_when_one_request_carries_all(tmp_path):
     with Bench(tmp_path, "cs2rs") as bench:
         bench.run_steps(bench.profile.configure)
         arm(bench)
@@ -145,7 +145,7 @@ def test_a_set_point_that_counts_only_with_others_is_obeyed_when_all_came_in_one
         assert bench.wheel().velocity_rad_s == pytest.approx(60 * RPM, abs=0.1)
 
 
-def test_a_direction_register_reports_which_way(tmp_path):
+def test_a_direction_register_selects_the_direction(tmp_path):
     with Bench(tmp_path, "bld-305s") as bench:
         bench.run_steps(bench.profile.configure)
         assert bench.write("target_velocity", 100) is None
@@ -208,8 +208,8 @@ def test_a_drive_that_reboots_is_silent_and_comes_back_disabled_with_its_default
     assert counted < bench.wheel().position_rad / 2
 
 
-def test_a_fault_that_is_injected_has_happened_when_that_is_answered(bench):
-    """Else what is sent next may reach a drive that still has its power."""
+def test_an_injected_fault_takes_effect_before_the_injection_returns(bench):
+    """Otherwise the next request may reach a drive that still has its power."""
     arm(bench)
     assert bench.drive.enabled(1)
     bench.rig.inject("reboot:unit=1,for_s=1")

@@ -19,7 +19,7 @@ needs_mbpoll = pytest.mark.skipif(MBPOLL is None, reason="mbpoll is not installe
 
 
 def mbpoll(*arguments, values=()):
-    """Status and words that it says: holding registers, addresses from 0, one poll."""
+    """Its status and the words it prints: holding registers, addresses from 0, one poll."""
     command = [MBPOLL, "-a", "1", "-0", "-1", "-q", "-t", "4", *arguments, *map(str, values)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
     words = [

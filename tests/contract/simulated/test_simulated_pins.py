@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated motor bridges: what they make of the files of a PWM chip, on a clock turned by hand,
-and with the shipped line on them."""
+"""Simulated motor bridges: how they follow the files of a PWM chip, on a clock that the test
+advances, and with the shipped line on them."""
 
 import math
 import os
@@ -99,7 +99,7 @@ def counted(rad_per_count=PER_COUNT):
 # ------------------------------------------------------------------------------------ the bridges
 @pytest.mark.parametrize("drive", BRIDGES)
 @pytest.mark.parametrize(("mode", "sign"), [("forward", 1.0), ("reverse", -1.0)])
-def test_every_bridge_turns_its_motor_as_fast_as_its_duty_demands(tmp_path, drive, mode, sign):
+def test_every_bridge_turns_its_motor_in_proportion_to_its_duty(tmp_path, drive, mode, sign):
     with Bench(tmp_path, drive) as bench:
         bench.mode(mode, 0.5)
         bench.go_on(2.0)
@@ -142,7 +142,7 @@ def test_a_servo_goes_to_the_angle_of_its_pulses_and_without_pulses_has_no_power
         assert not bench.enabled()
 
 
-def test_nothing_turns_before_the_pins_report_so(tmp_path):
+def test_nothing_turns_before_the_pins_are_driven(tmp_path):
     with Bench(tmp_path) as bench:
         bench.go_on(0.5)
         assert bench.rig.plant.truth.moved_max_m_s == 0.0
@@ -174,7 +174,7 @@ def test_enable_pins_that_are_left_out_are_wired_high(tmp_path):
         assert bench.wheel.velocity_rad_s < -0.3 * FULL_RAD_S
 
 
-def test_a_pin_that_is_active_low_and_a_motor_that_is_turned_round_are_obeyed(tmp_path):
+def test_active_low_pins_and_inverted_motors_are_simulated(tmp_path):
     pins = {"rpwm": "!pwm0", "lpwm": "pwm1"}
     with Bench(tmp_path, pins=pins, inverted=True) as bench:
         bench.set_level(0.25, 0)
@@ -193,7 +193,7 @@ def test_levels_of_no_mode_give_no_power_and_are_counted(tmp_path):
         assert bench.rig.stats()["lines"]["pins"]["no_mode"] == 100
 
 
-def test_a_file_that_is_being_written_reports_what_it_reported_before(tmp_path):
+def test_a_file_that_is_being_written_keeps_its_previous_value(tmp_path):
     with Bench(tmp_path, pins={"rpwm": "pwm0", "lpwm": "pwm1"}) as bench:
         bench.set_level(0.5, 0)
         bench.set_level(0.0, 1)
@@ -209,7 +209,7 @@ def test_a_file_that_is_being_written_reports_what_it_reported_before(tmp_path):
 
 # ----------------------------------------------------------------------------------- the counters
 @pytest.mark.parametrize("rad_per_count", [PER_COUNT, -PER_COUNT, PER_COUNT / 30])
-def test_the_counter_is_where_the_wheel_is_across_its_wrap(tmp_path, rad_per_count):
+def test_the_counter_follows_the_wheel_across_its_wrap(tmp_path, rad_per_count):
     with Bench(tmp_path, encoder=counted(rad_per_count)) as bench:
         bench.mode("forward", 1.0)
         bench.go_on(3.0)
@@ -246,7 +246,7 @@ def test_without_its_plug_a_bridge_has_no_power_and_its_wheel_is_counted(tmp_pat
         assert bench.enabled()
 
 
-def test_a_brown_out_takes_a_bridges_power_for_its_time_and_not_the_count(tmp_path):
+def test_a_brown_out_takes_a_bridge_s_power_for_its_time_and_keeps_the_count(tmp_path):
     with Bench(tmp_path, encoder=counted()) as bench:
         bench.mode("forward", 1.0)
         bench.go_on(1.0)
@@ -271,7 +271,7 @@ def test_a_quarter_turn_wraps_a_counter_that_is_near_its_wrap(tmp_path, rad_per_
         assert (bench.count() < 330) == (rad_per_count > 0)
 
 
-def test_faults_of_wires_that_pins_are_not_do_nothing(tmp_path):
+def test_faults_that_pins_cannot_have_do_nothing(tmp_path):
     with Bench(tmp_path) as bench:
         for spec in ("bus-off:at_s=0,for_s=1", "tcp-stall:at_s=0,for_s=1", "half-open:at_s=0"):
             bench.rig.inject(spec)
@@ -289,7 +289,7 @@ def test_the_files_are_gone_when_it_ends(tmp_path):
 
 
 # ----------------------------------------------------------------------------------- held up
-def test_its_clock_goes_on_where_it_was_when_nothing_could_ask():
+def test_its_clock_skips_the_time_in_which_the_simulator_was_held_up():
     now_s = 100.0
     clock = PausingClock(99.0, lambda: now_s)
     assert clock() == pytest.approx(1.0)
@@ -301,7 +301,7 @@ def test_its_clock_goes_on_where_it_was_when_nothing_could_ask():
     assert clock() == pytest.approx(1.002 + HELD_UP_S)
 
 
-def test_wheels_on_pins_do_not_leap_after_a_simulator_that_was_held_up(simulator):
+def test_wheels_on_pins_do_not_jump_after_the_simulator_was_held_up(simulator):
     held_s = 0.5
     sim_s, real_s = simulator.control.truth().time_s, time.monotonic()
     os.kill(simulator.process.pid, signal.SIGSTOP)
@@ -331,7 +331,7 @@ def test_gpio_lines_that_select_the_direction_become_channels_of_their_own(tmp_p
         assert {f"pwm{channel}" for channel in range(6)} < folders
 
 
-async def test_the_line_turns_a_simulated_bridge_round_by_its_direction_pins(tmp_path):
+async def test_the_line_reverses_a_simulated_bridge_by_its_direction_pins(tmp_path):
     robot = ROOT / "config/robots/pi4-encoders.toml"
     with start_simulator(robot, link_dir=tmp_path / "sim") as simulator:
         async with running(spec_of(simulator, robot)) as rig:
@@ -373,10 +373,10 @@ def test_its_settings_make_the_robot_file_find_pins_and_counters(simulator):
         (simulator.ports["pins"], 1),
     ]
     assert encoders[0].rad_per_count == pytest.approx(PER_COUNT)
-    assert encoders[1].rad_per_count == pytest.approx(-PER_COUNT)  # that motor is turned round
+    assert encoders[1].rad_per_count == pytest.approx(-PER_COUNT)  # its motor is in reverse
 
 
-def test_an_encoder_that_counts_backward_stays_one(tmp_path):
+def test_a_reversed_encoder_stays_reversed(tmp_path):
     robot = tmp_path / "robot.toml"
     text = ROBOT.read_text(encoding="utf-8")
     robot.write_text(text.replace('b = "GPIO24"', 'b = "GPIO24"\nreversed = true'), "utf-8")

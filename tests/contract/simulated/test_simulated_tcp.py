@@ -95,7 +95,7 @@ def test_a_gateway_takes_as_long_as_its_wire(tmp_path):
         assert time.monotonic() - began_s > (len(FRAME) + len(REPLY)) * 10 / 115200
 
 
-def test_a_broadcast_through_a_gateway_is_obeyed_and_not_answered(tmp_path):
+def test_a_broadcast_through_a_gateway_is_carried_out_and_not_answered(tmp_path):
     to_all = build_request(Request(0, Function.WRITE_SINGLE, TARGET_VELOCITY, values=(5,)))
     with served(tmp_path, raw=False) as (_, address), dial(address) as connection:
         connection.sendall(mbap(to_all, 1))
@@ -103,7 +103,7 @@ def test_a_broadcast_through_a_gateway_is_obeyed_and_not_answered(tmp_path):
         assert ask(connection, build_request(back), 2) == (2, build_reply(back, (5,))[:-2])
 
 
-def test_a_simulator_that_was_held_up_does_not_report_that_a_drive_was(tmp_path):
+def test_a_simulator_that_was_held_up_does_not_blame_the_drive(tmp_path):
     ports = {"bus": PortSpec(raw=False)}
     with rig_of(find_profile("zlac8015d"), tmp_path, ports=ports) as rig:
         host, _, port = rig.ports()["bus"].rpartition(":")
@@ -119,7 +119,7 @@ def test_a_simulator_that_was_held_up_does_not_report_that_a_drive_was(tmp_path)
 
 
 @pytest.mark.parametrize("head", [b"\0\1\0\5\0\6", b"\0\1\0\0\0\1", b"\0\1\0\0\xff\xff"])
-def test_what_is_no_modbus_tcp_ends_the_connection(tmp_path, head):
+def test_data_that_is_not_modbus_tcp_ends_the_connection(tmp_path, head):
     with served(tmp_path, raw=False) as (_, address):
         with dial(address) as connection:
             connection.sendall(head + b"\1\3\0\0\0\1")
@@ -141,7 +141,7 @@ def test_a_late_reply_comes_with_its_old_transaction(tmp_path):
 
 
 @pytest.mark.parametrize("fault", ["drop", "corrupt", "tear:after_bytes=4", "wrong-unit"])
-def test_a_gateway_lets_no_broken_reply_through(tmp_path, fault):
+def test_a_gateway_does_not_forward_a_broken_reply(tmp_path, fault):
     with served(tmp_path, raw=False, faults=(fault,)) as (_, address), dial(address) as connection:
         refusal = build_exception(1, Function.READ_HOLDING, TARGET_SILENT)
         assert ask(connection, FRAME, 1) == (1, refusal[:-2])
@@ -233,7 +233,7 @@ def refuses(address):
 
 
 @pytest.mark.parametrize("raw", [False, True])
-def test_a_stalled_connection_gives_everything_afterwards(tmp_path, raw):
+def test_a_stalled_connection_delivers_everything_afterwards(tmp_path, raw):
     question, answer = request_and_reply(raw)
     with served(tmp_path, raw=raw) as (control, address), dial(address) as connection:
         connection.sendall(question)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator's side of the wire, byte by byte, on a real pty and a clock turned by hand."""
+"""The simulator's side of the wire, byte by byte, on a real pty; the test advances the clock."""
 
 import os
 
@@ -45,7 +45,7 @@ def test_a_reply_takes_the_time_that_the_wire_and_the_drive_take(bench):
     assert bench.receive(len(REPLY)) == REPLY
 
 
-def test_a_request_in_pieces_is_one_request(bench):
+def test_a_request_in_pieces_is_answered_as_a_whole(bench):
     bench.send(FRAME[:3])
     bench.go_on(3 * CHARACTER_S)
     assert bench.exchange(FRAME[3:]) == REPLY
@@ -58,7 +58,7 @@ def test_a_pause_inside_a_frame_ends_it(bench):
     assert bench.exchange(FRAME) == REPLY
 
 
-def test_two_requests_without_silence_between_them_are_none(bench):
+def test_two_requests_without_silence_between_them_are_both_lost(bench):
     assert bench.exchange(FRAME + FRAME) == b""
     assert bench.line.counters.bad_crc == 1
 
@@ -77,7 +77,7 @@ def test_a_request_for_another_unit_is_met_with_silence(bench):
     assert bench.line.counters.unanswered == 1
 
 
-def test_a_broadcast_is_obeyed_and_not_answered(bench):
+def test_a_broadcast_is_carried_out_and_not_answered(bench):
     bench.run_steps(bench.profile.configure)
     assert bench.exchange(ENABLE) == b""
     assert bench.drive.enabled(1)
@@ -99,7 +99,9 @@ def test_a_broadcast_is_obeyed_and_not_answered(bench):
         (Request(1, Function.WRITE_MULTIPLE, 0x2089, values=(10, 10)), 2),
     ],
 )
-def test_what_a_drive_does_not_have_is_refused_with_the_right_code(bench, request_, code):
+def test_a_register_that_a_drive_does_not_have_is_refused_with_the_right_code(
+    bench, request_, code
+):
     assert bench.ask(request_).exception == code
     assert bench.drive.stats.exceptions == 1
     assert bench.read("target_velocity_1") == 0.0
@@ -109,8 +111,8 @@ def test_a_function_that_no_drive_has_is_refused(bench):
     assert bench.exchange(seal(b"\x01\x2b\x0e\x01\x00")) == build_exception(1, 0x2B, 1)
 
 
-def test_too_early_a_request_is_answered_and_counted(bench):
-    unresponsive_s = silent_interval_s(115200, 10)
+def test_a_request_that_comes_too_early_is_answered_and_counted(bench):
+    silent_s = silent_interval_s(115200, 10)
     exchange_s = 0.0
     bench.exchange(FRAME)
     assert bench.drive.stats.gap_violations == 0
@@ -118,9 +120,9 @@ def test_too_early_a_request_is_answered_and_counted(bench):
     while bench.line.wire.bytes_sent < 2 * len(REPLY):
         bench.go_on(0.0001)
         exchange_s += 0.0001
-    bench.go_on(0.8 * unresponsive_s)
+    bench.go_on(0.8 * silent_s)
     bench.send(FRAME)
-    bench.go_on(exchange_s + 1.1 * unresponsive_s)
+    bench.go_on(exchange_s + 1.1 * silent_s)
     assert bench.drive.stats.gap_violations == 1
     bench.send(FRAME)
     bench.go_on(0.05)
@@ -164,7 +166,7 @@ def test_a_corrupt_reply_and_one_of_a_wrong_unit_are_seen_on_the_wire(tmp_path):
     assert foreign[0] != REPLY[0]
 
 
-def test_a_delayed_reply_comes_later_by_that(tmp_path):
+def test_a_delayed_reply_comes_later_by_its_delay(tmp_path):
     with Bench(tmp_path, faults=("delay:ms=40",)) as bench:
         assert bench.exchange(FRAME, 0.040) == b""
         bench.go_on(0.010)
@@ -229,7 +231,7 @@ def test_a_script_can_pull_and_plug(tmp_path):
         assert bench.link.is_symlink()
 
 
-def test_whatever_opens_the_port_after_another_gets_no_old_bytes(bench):
+def test_a_program_that_opens_the_port_after_another_gets_no_old_bytes(bench):
     bench.send(FRAME)
     bench.hang_up()
     bench.go_on(0.5)

@@ -47,7 +47,7 @@ class DutyRig(Rig):
         self.push_n_m = [0.0, 0.0]
         self.sign = [1.0, 1.0]
         self.frozen = set()
-        """Wheels whose encoder does not count any more."""
+        """Wheels whose encoder no longer counts."""
 
     def follow(self, dt_s):
         for j, wheel in enumerate(self.wheels):
@@ -75,7 +75,7 @@ class DutyRig(Rig):
         return [(b - a) / seconds for a, b in zip(before, after, strict=True)]
 
     def check_feedback(self):
-        """As [safety.feedback] has it by default. Begins anew."""
+        """Restarts with the defaults of [safety.feedback]."""
         for joint in self.config.joint[0:2]:
             checks = joint.plausible
             checks.setpoint_min_rad_s, checks.slow_rad_s = 0.5, 0.1
@@ -83,7 +83,7 @@ class DutyRig(Rig):
         assert lib.core_init(self.state, self.config) == 0
 
 
-def test_friction_that_the_file_does_not_know_is_made_good():
+def test_friction_missing_from_the_robot_file_is_compensated():
     plain = DutyRig(duty_loop({}))
     plain.moving(SPEED_M_S)
     assert max(plain.mean_rad_s(1.0)) < 0.9 * SPEED_RAD_S
@@ -119,7 +119,7 @@ def test_a_slope_is_held(push_n_m):
     assert rig.mean_rad_s(1.0) == pytest.approx([SPEED_RAD_S] * 2, rel=0.02)
 
 
-def test_one_wheel_alone_is_corrected_so_that_the_robot_goes_straight():
+def test_a_single_wheel_is_corrected_so_that_the_robot_goes_straight():
     rig = DutyRig()
     rig.moving(SPEED_M_S)
     rig.push_n_m = [-1.0, 0.0]
@@ -144,7 +144,7 @@ def test_saturation_winds_nothing_up():
     assert fastest < 1.2 * SPEED_RAD_S
 
 
-def test_an_encoder_that_sends_no_counts_any_more_adds_the_correction_at_most_and_stops_the_robot():
+def test_a_stopped_encoder_adds_at_most_the_correction_and_stops_the_robot():
     rig = DutyRig()
     rig.check_feedback()
     rig.moving(SPEED_M_S)
@@ -160,7 +160,7 @@ def test_an_encoder_that_sends_no_counts_any_more_adds_the_correction_at_most_an
 
 
 @pytest.mark.parametrize("wheel", [0, 1])
-def test_a_wheel_with_its_encoder_the_wrong_way_round_is_stopped(wheel):
+def test_a_wheel_with_its_encoder_reversed_is_stopped(wheel):
     rig = DutyRig()
     rig.check_feedback()
     rig.sign[wheel] = -1.0

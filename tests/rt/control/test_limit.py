@@ -67,7 +67,7 @@ def used_s(axis: Axis, before: float, after: float) -> float:
 
 
 @given(axes, st.lists(SPEED, min_size=1, max_size=30))
-def test_no_limit_is_exceeded_and_no_goal_overshot_whatever_the_goals(axis, goals):
+def test_no_limit_is_exceeded_and_no_goal_overshot_for_any_goals(axis, goals):
     before = 0.0
     for goal in goals:
         for _ in range(5):
@@ -107,7 +107,7 @@ def test_braking_through_zero_takes_no_longer_than_braking_to_zero(axis, start):
 
 @pytest.mark.parametrize("other", [0.0, 1.0, -1.0])
 @given(axes, SPEED, st.sampled_from([math.nan, math.inf, -math.inf]))
-def test_a_goal_that_is_no_number_is_a_goal_of_zero(other, axis, start, want):
+def test_a_goal_that_is_not_finite_is_a_goal_of_zero(other, axis, start, want):
     axis.state.velocity_u_s = start
     axis.both[(axis.index + 1) % lib.AXES].velocity_u_s = other
     velocity = axis.step(want)
@@ -125,7 +125,7 @@ def test_a_goal_that_is_no_number_is_a_goal_of_zero(other, axis, start, want):
 @example(numbers=(math.nan, math.nan, 1.0, 1e-3, 1), start=(0.5, 0.0), want=1.0, urgent=False)
 @example(numbers=(1.0, 1.0, math.nan, 1e-3, 0), start=(0.5, 0.0), want=1.0, urgent=False)
 @example(numbers=(0.0, 1.0, 1.0, 1e-3, 0), start=(0.5, 0.0), want=-1.0, urgent=False)
-def test_no_number_whatsoever_makes_the_result_other_than_finite(numbers, start, want, urgent):
+def test_the_result_is_finite_for_any_input(numbers, start, want, urgent):
     axis = Axis(*numbers)
     axis.state.velocity_u_s, axis.state.acceleration_u_s2 = start
     axis.step(want, urgent=urgent)

@@ -70,7 +70,7 @@ class Wheels(Rig):
         return super().arm()
 
     def without_fault(self, *speeds_m_s, seconds=3.0):
-        """Each for so long."""
+        """How long each lasts."""
         self.arm()
         for speed_m_s in speeds_m_s:
             self.drive(speed_m_s)
@@ -150,7 +150,7 @@ CASES = [
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 @pytest.mark.parametrize(("happen", "reports", "speed_m_s", "fault"), CASES)
-def test_what_cannot_be_true_or_is_not_obeyed_is_a_fault_within_two_seconds_and_ends_at_rest(
+def test_implausible_feedback_or_ignored_set_points_are_a_fault_within_two_seconds(
     happen, reports, speed_m_s, fault, direction
 ):
     rig = Wheels(reports=reports)
@@ -166,7 +166,7 @@ def test_what_cannot_be_true_or_is_not_obeyed_is_a_fault_within_two_seconds_and_
     assert_rest(rig, enabled=0)
 
 
-def test_a_wheel_that_turns_the_wrong_way_and_does_not_stop_has_no_power_sooner():
+def test_a_wheel_that_turns_in_the_wrong_direction_loses_its_power_sooner():
     rig = Wheels()
     rig.moving()
     left_turns(rig, lambda wanted: -8.0 if rig.out.enabled else wanted)
@@ -192,7 +192,7 @@ def test_a_drive_whose_own_ramp_is_much_slower_only_lags(slope_rad_s2, reports, 
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("reports", [True, False])
-def test_commands_that_change_all_the_time_are_no_fault(seed, reports):
+def test_constantly_changing_commands_cause_no_fault(seed, reports):
     rig = Wheels(slope_rad_s2=random.Random(seed).choice((3.0, 20.0, 80.0)), reports=reports)
     rig.arm()
     operator = random.Random(f"operator {seed}")
@@ -203,7 +203,7 @@ def test_commands_that_change_all_the_time_are_no_fault(seed, reports):
 
 
 @pytest.mark.parametrize("delay_s", [0.1, 0.5, 0.7])
-def test_a_drive_that_takes_its_time_before_it_starts_is_no_fault(delay_s):
+def test_a_drive_that_starts_late_causes_no_fault(delay_s):
     """A brake that opens, a converter that magnetises its motor."""
     rig = Wheels(reports=False)
     rig.arm()
@@ -214,7 +214,7 @@ def test_a_drive_that_takes_its_time_before_it_starts_is_no_fault(delay_s):
 
 
 @pytest.mark.parametrize("renewed_every_s", [0.05, 0.1, 0.2])
-def test_a_counter_that_is_renewed_slowly_is_no_fault(renewed_every_s):
+def test_a_slowly_updated_counter_causes_no_fault(renewed_every_s):
     rig = Wheels()
     seen = {}
 
@@ -229,7 +229,7 @@ def test_a_counter_that_is_renewed_slowly_is_no_fault(renewed_every_s):
 
 
 @pytest.mark.parametrize("lag_s", [0.05, 0.3])
-def test_a_reported_velocity_that_is_filtered_is_no_fault(lag_s):
+def test_a_filtered_reported_velocity_causes_no_fault(lag_s):
     rig = Wheels()
     shown = [0.0, 0.0]
 

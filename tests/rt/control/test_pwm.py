@@ -68,6 +68,6 @@ def test_the_slew_binds_away_from_zero_only(pwm, last, velocity, dt):
 
 
 @given(maps, ANY, ANY, ANY)
-def test_no_number_whatsoever_gives_a_duty_outside_of_its_limits(pwm, last, velocity, dt):
+def test_the_duty_is_within_its_limits_for_any_input(pwm, last, velocity, dt):
     duty, _ = pwm.step(velocity, last, dt)
     assert pwm.duty_min <= duty <= pwm.duty_max

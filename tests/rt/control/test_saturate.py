@@ -33,7 +33,7 @@ def test_after_scaling_every_wheel_is_within_its_limits_to_the_last_bit(rows):
 
 
 @given(wheels)
-def test_no_more_is_taken_away_than_the_worst_wheel_needs(rows):
+def test_the_twist_is_scaled_no_more_than_the_worst_wheel_needs(rows):
     share = factor([row[0] for row in rows], [row[1:] for row in rows])
     if share < 1.0:
         used = [want * share / (high if want > 0 else low) for want, low, high in rows if want]
@@ -41,7 +41,7 @@ def test_no_more_is_taken_away_than_the_worst_wheel_needs(rows):
 
 
 @given(st.lists(st.tuples(ANY, ANY, ANY), min_size=1, max_size=8))
-def test_no_number_whatsoever_gives_a_factor_outside_of_zero_to_one(rows):
+def test_the_factor_is_between_zero_and_one_for_any_input(rows):
     assert 0.0 <= factor([row[0] for row in rows], [row[1:] for row in rows]) <= 1.0
 
 
@@ -71,7 +71,7 @@ def test_a_saturated_base_settles_on_the_curvature_of_its_command(linear, angula
 @settings(max_examples=20)
 @given(st.lists(st.tuples(st.floats(-2.0, 2.0), st.floats(-4.0, 4.0)), min_size=2, max_size=4))
 @example([(0.88, 0.0), (0.3, 2.0)])
-def test_on_the_way_too_the_twist_that_is_sent_is_the_one_that_the_wheels_do(twists):
+def test_the_reported_twist_is_that_of_the_wheels_also_while_it_ramps(twists):
     joints = [
         joint_config(side, velocity_max_rad_s=9.0, velocity_min_rad_s=-9.0) for side in (-1.0, 1.0)
     ]

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The speed loop against its textbook, and of wheels whose drives take a torque: it holds the speed
-and lets go of a wheel beyond all speed."""
+"""The speed loop against its textbook, and with wheels whose drives take a torque: it holds the
+speed and releases a wheel that is impossibly fast."""
 
 import math
 
@@ -44,7 +44,7 @@ class Loop:
 
 
 class TorqueRig(Rig):
-    """Wheels with inertia and friction, turned by the torque that the core wants."""
+    """Wheels with inertia and friction, turned by the torque that the core sets."""
 
     def __init__(self, **changes):
         joints = [joint_config(side, speed_loop=torque_loop()) for side in (-1.0, 1.0)]
@@ -71,7 +71,7 @@ class TorqueRig(Rig):
 
 
 @given(want=anything, measured=anything, integral=anything, dt_s=anything)
-def test_the_torque_is_a_number_within_its_limit_whatever_comes(want, measured, integral, dt_s):
+def test_the_torque_is_finite_and_within_its_limit_for_any_input(want, measured, integral, dt_s):
     loop = Loop(integral_u=integral)
     torque = loop.step(want, measured, dt_s)
     assert abs(torque) <= TORQUE_MAX_N_M
@@ -91,8 +91,8 @@ speeds = st.lists(
     gains=st.tuples(gain, st.floats(0.001, 20.0), gain, gain, gain, st.floats(0.0, 0.1)),
     filter_s=st.floats(0.0, 0.5), dt_s=st.floats(0.0005, 0.1),
 )  # fmt: skip
-def test_a_run_is_that_of_the_textbook(run, limits, gains, filter_s, dt_s):
-    # rest is another rule: none of these is slower than it while nothing is wanted
+def test_a_run_matches_the_textbook(run, limits, gains, filter_s, dt_s):
+    # rest has a rule of its own: with a set-point of zero none of these is that slow
     want, measured = np.array([(w, m if w or abs(m) > REST_RAD_S else 1.0) for w, m in run]).T
     names = ("proportional", "integral", "derivative", "static", "viscous", "acceleration")
     correction, low, high = limits
@@ -119,7 +119,7 @@ def test_a_run_is_that_of_the_textbook(run, limits, gains, filter_s, dt_s):
 def test_without_feed_forward_and_derivative_it_is_the_plain_pi_bit_for_bit(
     run, most, proportional, integral
 ):
-    """What robot files of before the other gains get."""
+    """The loop of robot files that have none of the newer gains."""
     loop, total = Loop(torque_loop(proportional, integral, most)), 0.0
     for want, measured in run:
         error = want - measured
@@ -135,9 +135,7 @@ def test_without_feed_forward_and_derivative_it_is_the_plain_pi_bit_for_bit(
     speeds=st.tuples(*[st.floats(-15.0, 15.0)] * 2), held=st.floats(-2.0, 2.0),
     gains=st.tuples(*[st.floats(0.01, 0.5)] * 4, st.just(0.0), st.just(0.0)),
 )  # fmt: skip
-def test_a_loop_that_begins_or_whose_gains_change_goes_on_from_the_output_of_before(
-    speeds, held, gains
-):
+def test_a_loop_that_starts_or_changes_gains_continues_from_the_last_output(speeds, held, gains):
     want, measured = speeds
     if want == 0.0 and abs(measured) < REST_RAD_S:
         return
@@ -146,7 +144,7 @@ def test_a_loop_that_begins_or_whose_gains_change_goes_on_from_the_output_of_bef
     assert loop.step(want, measured) == pytest.approx(held + step_u, abs=1e-9)
 
 
-def test_wheels_come_to_the_speed_that_was_asked_for_and_to_rest():
+def test_wheels_reach_the_commanded_speed_and_rest():
     rig = TorqueRig()
     rig.moving(SPEED_M_S)
     assert rig.wheel_rad_s == pytest.approx([SPEED_M_S / RADIUS_M] * 2, abs=0.02)
@@ -167,7 +165,7 @@ def test_a_stop_is_driven_to_rest_by_the_loop(action):
 
 
 @pytest.mark.parametrize("wheel", [0, 1])
-def test_a_wheel_that_runs_the_wrong_way_is_let_go_and_that_is_a_fault(wheel):
+def test_a_wheel_that_runs_in_the_wrong_direction_loses_its_power_with_a_fault(wheel):
     rig = TorqueRig()
     rig.sign[wheel] = -1.0
     rig.arm()

@@ -206,13 +206,13 @@ def walk(judge: Judge, chance: Random) -> None:
 
 @settings(max_examples=40)
 @given(AXIS, AXIS, LOW, HIGH, SEED)
-def test_no_limit_of_body_or_wheel_is_exceeded_whatever_the_goals(linear, angular, low, high, seed):
+def test_no_limit_of_body_or_wheel_is_exceeded_for_any_goals(linear, angular, low, high, seed):
     walk(Judge(base(linear, angular, low, high)), Random(seed))
 
 
 @settings(max_examples=20)
 @given(AXIS, AXIS, LOW, HIGH, GOAL, SEED)
-def test_a_goal_is_reached_from_wherever_the_base_is(linear, angular, low, high, goal, seed):
+def test_a_goal_is_reached_from_any_state_of_the_base(linear, angular, low, high, goal, seed):
     judge = Judge(base(linear, angular, low, high))
     walk(judge, Random(seed))
     judge.rig.input.control.stop = 0
@@ -243,7 +243,7 @@ def test_a_stop_from_any_state_keeps_its_curve_and_ends_in_time(linear, angular,
 
 @settings(max_examples=20)
 @given(AXIS, AXIS, LOW, HIGH, SEED)
-def test_a_fault_leaves_the_jerk_out_and_keeps_all_the_rest(linear, angular, low, high, seed):
+def test_a_fault_ignores_the_jerk_limit_and_keeps_all_others(linear, angular, low, high, seed):
     judge = Judge(base(linear, angular, low, high))
     walk(judge, Random(seed))
     judge.rig.input.control.fault = 1
@@ -282,7 +282,7 @@ def test_a_limit_lowered_in_a_curve_is_reached_by_braking_and_the_other_axis_kee
     assert all(one[1] == 1.0 for one in seen)
 
 
-def test_a_turn_that_wavers_about_zero_does_not_hold_up_the_speed():
+def test_a_turn_that_oscillates_about_zero_does_not_delay_the_speed():
     rig = base(axis(1.0, 1.0, 1.0), axis(2.0, 3.0, 4.0))
     judge = Judge(rig)
     for n in range(22):

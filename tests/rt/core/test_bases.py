@@ -151,7 +151,7 @@ def test_no_limit_is_exceeded_in_any_tick_and_a_stop_ends_at_rest(kind, twists, 
 @pytest.mark.parametrize("kind", STRAFING)
 @settings(max_examples=15, deadline=None)
 @given(st.floats(-math.pi, math.pi), st.floats(0.05, 3.0), st.floats(2.0, 30.0))
-def test_saturation_keeps_the_direction_of_motion_also_on_the_way(
+def test_saturation_keeps_the_direction_of_motion_also_while_it_ramps(
     kind, direction_rad, speed_m_s, fastest_rad_s
 ):
     rig = rig_of(kind, velocity_min_rad_s=-fastest_rad_s, velocity_max_rad_s=fastest_rad_s)
@@ -237,7 +237,7 @@ def test_integration_does_not_depend_on_how_time_is_split(kind, wanted, parts):
 @pytest.mark.parametrize("kind", STRAFING)
 @settings(deadline=None)
 @given(st.lists(SLOW, min_size=1, max_size=20))
-def test_the_covariance_stays_one_and_grows_with_distance_and_turn(kind, twists):
+def test_the_covariance_stays_positive_semidefinite_and_grows_with_distance_and_turn(kind, twists):
     base, before = Base(kind), 0.0
     for wanted in twists:
         state = base.step(base.counts(wanted, 0.02)[0])
@@ -252,7 +252,7 @@ def test_the_covariance_stays_one_and_grows_with_distance_and_turn(kind, twists)
         assert twist_values.min() > 0.0
 
 
-def test_a_base_with_a_wheel_too_many_goes_on_without_one_of_them():
+def test_a_base_with_a_redundant_wheel_continues_without_one_wheel():
     base = Base("mecanum")
     counts, done = base.counts((0.1, 0.15, 0.2), 0.02)
     base.step(counts)

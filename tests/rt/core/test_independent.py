@@ -99,7 +99,7 @@ def test_the_limits_hold_in_every_tick(commands, jerk_u_s3):
 
 @settings(max_examples=40)
 @given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(-8.0, 8.0))
-def test_no_joint_passes_what_it_was_commanded(first_rad, then_rad, belt_rad_s):
+def test_no_joint_passes_its_commanded_goal(first_rad, then_rad, belt_rad_s):
     rig = Joints()
     rig.arm()
     for goal_rad in (first_rad, then_rad):
@@ -149,9 +149,7 @@ ENDS = [lapse, stop, disarm, estop, lose_feedback, suspend, ask_nonsense]
 @pytest.mark.parametrize("end", ENDS)
 @settings(max_examples=6)
 @given(st.integers(1, 600), st.floats(-2.0, 2.0), st.floats(-8.0, 8.0))
-def test_every_stop_ends_at_rest_and_leaves_no_target_behind(
-    end, action, ticks, pan_rad, belt_rad_s
-):
+def test_every_stop_ends_at_rest_and_leaves_no_target(end, action, ticks, pan_rad, belt_rad_s):
     rig = Joints(on_timeout=action, on_fault=action, on_estop=action)
     rig.arm()
     rig.ask(pan=pan_rad, belt=belt_rad_s, tilt=0.4)
@@ -162,7 +160,7 @@ def test_every_stop_ends_at_rest_and_leaves_no_target_behind(
     assert [rig.shown.joint[j].setpoint_rad_s for j in range(3)] == [0.0] * 3
     assert rig.belt() == 0.0
     held = rig.goals()
-    if end is not ask_nonsense:  # the lease goes on, and nothing else requests motion
+    if end is not ask_nonsense:  # the lease continues, and nothing else requests motion
         rig.ask()
     rig.hold.clear()
     rig.input.control.stop = rig.input.control.estop = rig.input.suspended = 0
@@ -174,7 +172,7 @@ def test_every_stop_ends_at_rest_and_leaves_no_target_behind(
 
 @settings(max_examples=40)
 @given(st.integers(0, 2**32))
-def test_no_joint_leaves_its_range_or_steps_whatever_changes(seed):
+def test_no_joint_leaves_its_range_or_steps_for_any_change(seed):
     rig, chance = Joints(), Random(seed)
     rig.arm()
     before, speed = 0.0, 0.0

@@ -80,7 +80,7 @@ def wheel_speeds(config, linear_m_s, angular_rad_s):
     linear_m_s=st.floats(-5.0, 5.0),
     angular_rad_s=st.floats(-10.0, 10.0),
 )
-def test_what_the_wheels_of_a_twist_do_is_that_twist(joints, radii_m, linear_m_s, angular_rad_s):
+def test_the_wheel_speeds_of_a_twist_command_that_twist(joints, radii_m, linear_m_s, angular_rad_s):
     wheels = [
         joint_config(-1.0 if j % 2 == 0 else 1.0, wheel_radius_m=radii_m[j]) for j in range(joints)
     ]
@@ -91,7 +91,7 @@ def test_what_the_wheels_of_a_twist_do_is_that_twist(joints, radii_m, linear_m_s
 
 
 @given(left_rad_s=SPEEDS, right_rad_s=SPEEDS)
-def test_two_wheels_may_do_whatever_they_like(left_rad_s, right_rad_s):
+def test_two_wheels_may_have_any_speeds(left_rad_s, right_rad_s):
     config = base()
     made = Wheels(config)
     assert made.say(left_rad_s, right_rad_s)
@@ -99,7 +99,7 @@ def test_two_wheels_may_do_whatever_they_like(left_rad_s, right_rad_s):
 
 
 @given(st.lists(ANY, min_size=8, max_size=8), st.sampled_from([2, 4, 8]))
-def test_whatever_comes_the_core_is_sent_numbers(speeds, joints):
+def test_any_wheel_command_gives_the_core_finite_numbers(speeds, joints):
     made = Wheels(base(joints))
     made.say(*speeds[:joints])
     assert all(map(math.isfinite, made.twist()))
@@ -112,7 +112,7 @@ def test_no_datagram_without_the_token_commands_wheels(data):
     assert made.twist() == (0.0, 0.0)
 
 
-def test_each_joint_is_commanded_by_what_it_takes():
+def test_each_joint_is_commanded_by_velocity_or_position():
     head = Head()
     assert head.taken(head.datagram(1, {BELT: 2.5}, {PAN: -1.0}))
     assert head.obeyed() == {PAN: -1.0, BELT: 2.5}
@@ -127,7 +127,9 @@ def test_each_joint_is_commanded_by_what_it_takes():
     st.integers(0, 2**32 - 1),
     st.integers(0, 2**32 - 1),
 )
-def test_whatever_comes_the_core_is_sent_numbers_for_its_own_joints(values, velocities, positions):
+def test_any_joint_command_gives_the_core_finite_numbers_for_its_own_joints(
+    values, velocities, positions
+):
     head = Head()
     raw = head.datagram(1, dict(enumerate(values[:8])), dict(enumerate(values[8:])))
     raw[176:184] = velocities.to_bytes(4, "little") + positions.to_bytes(4, "little")
@@ -142,7 +144,7 @@ def send(loop, lease, *velocity_rad_s):
     loop.send(joint_datagram(lease._grant.token, lease._sequence, now_ns(), velocity_rad_s))
 
 
-def test_the_loop_turns_the_wheels_as_asked_and_within_their_limits():
+def test_the_loop_turns_the_wheels_as_commanded_and_within_their_limits():
     with rt.Loop(small_config(), settings()) as loop:
         lease = arm(loop)
         send(loop, lease, 2.0, 4.0)

@@ -154,7 +154,7 @@ def test_every_field_arrives_in_its_place():
         assert getattr(made.doubt, name) == getattr(raw.doubt, name), name
 
 
-def test_a_saturated_wheel_is_named_while_it_is_and_what_derates_nothing_is_none():
+def test_a_wheel_is_named_while_it_is_saturated_and_derating_is_empty_without_one():
     raw = raw_state()
     raw.reasons = lib.REASON_WHEEL_SATURATED
     raw.reason.since_ns = [0] * lib.REASONS_MAX
@@ -188,13 +188,13 @@ def test_joints_whose_position_is_not_known_are_named():
     assert rt._snapshot(raw).reason_joints == {"position_unknown": (1, 2)}
 
 
-def test_without_a_fault_of_the_feedback_there_is_no_doubt():
+def test_without_a_fault_of_the_feedback_no_joint_is_doubted():
     raw = raw_state()
     raw.doubt.fault = 0
     assert rt._snapshot(raw).doubt is None
 
 
-def test_every_state_of_the_gyro_has_its_word_and_none_is_no_imu():
+def test_every_state_of_the_gyro_has_its_word_and_the_imu_is_empty_without_a_gyro():
     raw, words = raw_state(), []
     numbers = {name: getattr(lib, name) for name in dir(lib) if name.startswith("GYRO_")}
     for number in sorted(numbers.values()):
@@ -209,7 +209,7 @@ FLAGS = ("armed", "enabled", "at_rest", "odometry_degraded")
 
 
 @pytest.mark.parametrize("flag", FLAGS)
-def test_a_flag_is_true_alone(flag):
+def test_each_flag_is_set_independently_of_the_others(flag):
     raw = ffi.new("robot_state *")
     setattr(raw, flag, 1)
     made = rt._snapshot(raw)
@@ -224,7 +224,7 @@ def test_a_drive_that_cannot_report_whether_it_is_enabled_is_not_called_enabled(
 
 
 @given(st.lists(any_float, min_size=60, max_size=60))
-def test_json_never_holds_what_json_does_not_have(values):
+def test_json_never_holds_nan_or_infinity(values):
     raw, supply = raw_state(), iter(values)
     for name, field in ffi.typeof("robot_state").fields:
         if field.type.cname == "double":
@@ -243,7 +243,7 @@ def test_json_never_holds_what_json_does_not_have(values):
     assert read["joints"][0]["current_a"] == (current_a if math.isfinite(current_a) else None)
 
 
-def test_json_reports_words_lists_and_its_version():
+def test_json_has_words_lists_and_its_version():
     raw = raw_state()
     read = rt._snapshot(raw).to_json()
     assert read["reasons"] == ["linear_jerk", "command_stale"]
@@ -265,7 +265,7 @@ def test_every_bit_of_the_core_has_its_word(words, prefix):
     assert {f"{prefix}{word.upper()}": 1 << bit for bit, word in words.items()} == bits
 
 
-def test_the_reasons_to_stand_are_all_that_are_no_limits():
+def test_the_reasons_to_stand_are_all_reasons_but_limits():
     names = [name for name in dir(lib) if name.startswith("REASON_")]
     limits = 0xFFFF | lib.REASON_STEERING | lib.REASON_CURVATURE | lib.REASON_TURN_IMPOSSIBLE
     limits |= lib.REASON_DERATED | lib.REASON_JOINT_VELOCITY | lib.REASON_JOINT_ACCELERATION

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bases whose wheels are steered, on the core: kinematics, limits of every joint, stops, odometry,
-and what happens where a wheel is not where it has to be."""
+and what happens where a wheel is not at its angle."""
 
 import math
 
@@ -116,7 +116,7 @@ def test_no_limit_is_exceeded_in_any_tick_and_a_stop_ends_at_rest(kind, twists, 
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=10, deadline=None)
 @given(TWIST)
-def test_what_can_be_reached_is_reached_and_the_wheels_roll_as_in_the_textbook(kind, twist):
+def test_reachable_twists_are_reached_and_the_wheels_roll_as_in_the_textbook(kind, twist):
     twist = reachable(kind, [part / 2.0 for part in twist])
     assume(math.hypot(*twist) > 0.05)
     rig = SteeredRig(kind)

@@ -86,9 +86,9 @@ def test_the_oracle_has_the_times_of_the_textbook(change_u_s, most_u_s2, jerk_u_
 
 @settings(max_examples=30)
 @given(BOUNDS, BOUNDS, SPEED, SPEED, SPEED, SPEED, ALONG)
-def test_the_oracle_has_the_time_of_a_sweep_forth_and_back(one, other, a, b, c, d, along):
+def test_the_oracle_has_the_time_of_a_forward_and_backward_pass(one, other, a, b, c, d, along):
     """The usual method to time a path under limits: on a fine grid, the fastest that can be reached
-    from the start, then the fastest that can still be let go before the end."""
+    from the start, then the fastest from which the end can still be reached."""
     changes = [Change(one, a, b, along), Change(other, c, d, along)]
     moving = [x for x in changes if x.size_u_s > 0.05 and math.isfinite(x.bounds.jerk_u_s3)]
     if not moving:
@@ -108,7 +108,7 @@ def test_the_oracle_has_the_time_of_a_sweep_forth_and_back(one, other, a, b, c, 
 
 
 @given(BOUNDS, SPEED, SPEED, ALONG)
-def test_to_drop_an_acceleration_takes_no_longer_than_to_take_it_back(bounds, start, goal, along):
+def test_dropping_an_acceleration_takes_no_longer_than_ramping_it_down(bounds, start, goal, along):
     least = min(bounds.acceleration_u_s2, bounds.deceleration_u_s2)
     change = Change(bounds, start, goal, max(-least, min(along, least)))
     assert shortest_s(change) <= textbook_s(change) * (1.0 + 1e-9) + 1e-12

@@ -41,14 +41,14 @@ def c_parse(stuffed):
 @given(st.integers(0, 255), st.integers(0, 0xFFFF), st.integers(0, 0xFFFFFFFF), PAYLOADS)
 @example(1, 0, 0, bytes(190))
 @example(1, 0, 0, b"\1" * 190)
-def test_a_frame_is_built_as_python_builds_it_and_comes_back(kind, sequence, time_us, payload):
+def test_a_frame_is_built_as_python_builds_it_and_parsed_again(kind, sequence, time_us, payload):
     raw = c_build(kind, sequence, time_us, payload)
     assert raw == build(Frame(kind, sequence, time_us, payload))
     assert c_parse(raw[1:-1])[8:] == payload
 
 
 @given(st.binary(max_size=203) | PAYLOADS.map(lambda p: build(Frame(1, 2, 3, p))[1:-1]), st.data())
-def test_any_bytes_are_the_same_frame_to_both_or_to_none(stuffed, data):
+def test_any_bytes_are_the_same_frame_or_none_in_c_and_python(stuffed, data):
     if stuffed and data.draw(st.booleans()):
         at, flip = data.draw(st.integers(0, len(stuffed) - 1)), data.draw(st.integers(1, 255))
         stuffed = stuffed[:at] + bytes([stuffed[at] ^ flip]) + stuffed[at + 1 :]
@@ -214,7 +214,7 @@ def same(text, line):
 @example("E .5 2e2, +3E-1\v end")
 @example("E 1e999 2, 3 end")
 @example("E 1 2, 3e end")
-def test_any_line_reports_the_same_to_both(line):
+def test_any_line_is_read_alike_in_c_and_python(line):
     same(Text(FEEDBACK, ("left_count", "right_count", "left_rad_s")), line.encode())
 
 
@@ -222,7 +222,7 @@ def test_any_line_reports_the_same_to_both(line):
     st.lists(st.integers(-(2**40), 2**40), min_size=3, max_size=3),
     st.sampled_from(["", " ", "\t ", "\f"]),
 )
-def test_what_fits_the_template_is_read(values, white):
+def test_a_line_that_fits_the_template_is_read(values, white):
     left, right, speed = values
     text = Text(FEEDBACK, ("left_count", "right_count", "left_rad_s"))
     line = f"{white}E {left} {white}{right}, {speed}\tend{white}".encode()
@@ -230,7 +230,7 @@ def test_what_fits_the_template_is_read(values, white):
 
 
 @given(st.binary(max_size=40))
-def test_any_bytes_are_read_or_not_and_nothing_else_happens(line):
+def test_any_bytes_are_read_or_refused_without_harm(line):
     text = Text("{a},{b}\n", ("a", "b"))
     if all(chr(byte) in string.printable for byte in line):
         same(text, line)
@@ -252,12 +252,12 @@ VALUES = st.recursive(
 @example({"v": 1205, "T": 1001, "o": {"L": [1, "}"]}, "L": 0.25}, None)
 @example({"T": 1001, "L": 0.25}, None)
 @example({"T": 1001, "L": "0.25", "v": 1}, None)
-def test_an_object_is_read_alike_by_both(members, separators):
+def test_an_object_is_read_alike_in_c_and_python(members, separators):
     same(OBJECT, json.dumps(members, separators=separators).encode())
 
 
 @given(st.text('{}[]":,\\ TLv0123456789.e-', max_size=60))
-def test_what_looks_like_an_object_is_read_or_not_and_nothing_else_happens(line):
+def test_any_text_like_an_object_is_read_or_refused_without_harm(line):
     found = c_read(OBJECT, line.encode())
     assert found is None or all(abs(value) < 2**47 for value in found.values())
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second process has the robot stopped over the real loop when it cannot ask the daemon."""
+"""The second process stops the robot through the real loop when it cannot reach the daemon."""
 
 import asyncio
 import contextlib
@@ -47,7 +47,7 @@ def looped(robot, path):
 
 
 @pytest.mark.parametrize("method", ["stop", "estop", "disarm"])
-async def test_without_a_descriptor_the_robot_is_stopped_all_the_same(
+async def test_the_robot_is_stopped_even_without_a_free_descriptor(
     robot, tmp_path, method, no_descriptor_left
 ):
     path = tmp_path / "robot.sock"
@@ -75,7 +75,7 @@ async def test_a_daemon_that_was_started_again_is_stopped_by_the_same_socket(rob
         task.cancel()
 
 
-async def test_nothing_there_is_reported_as_for_every_call(robot, tmp_path):
+async def test_a_missing_daemon_is_reported_as_for_every_call(robot, tmp_path):
     runtime = Runtime(robot, tmp_path / "none.sock")
     with pytest.raises(ClientError, match="no daemon has this socket"):
         await runtime.call("estop")

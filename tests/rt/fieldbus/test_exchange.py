@@ -53,7 +53,7 @@ def test_an_empty_exchange_moves_nothing():
 
 
 @given(st.lists(st.one_of(st.just("take"), setpoint_sets), max_size=30), st.integers(0, 3))
-def test_a_take_gives_the_newest_put_whatever_came_before(steps, line):
+def test_a_take_gives_the_newest_put(steps, line):
     exchange = Exchange.private()
     newest = Setpoints(0, 0, enabled=False, joints=())
     for step in steps:
@@ -96,7 +96,7 @@ def test_feedback_arrives_as_it_was_reported(stamp_ns, count, floats, epoch, ena
     assert got.drive_faults == drive_faults
 
 
-def test_what_a_drive_does_not_report_is_nan():
+def test_values_that_a_drive_does_not_report_are_nan():
     exchange = Exchange.private()
     put(exchange, 0, 1)
     got = exchange.take_feedback(0)
@@ -122,7 +122,7 @@ def test_each_joint_and_each_line_has_a_mailbox_of_its_own():
     assert other.take_feedback(0).count == 0
 
 
-def test_a_place_that_does_not_exist_is_refused():
+def test_a_joint_or_line_number_out_of_range_is_refused():
     exchange = Exchange.private()
     with pytest.raises(IndexError, match="joint 8"):
         put(exchange, JOINTS_MAX, 1)

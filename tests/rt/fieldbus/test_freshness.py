@@ -30,7 +30,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_rule_takes_what_is_neither_old_nor_of_the_future(case):
+def test_the_rule_accepts_stamps_that_are_neither_old_nor_from_the_future(case):
     stamp_ns, wanted = CASES[case]
     assert bool(lib.stamp_is_fresh(NOW_NS, stamp_ns, TIMEOUT_NS)) is wanted
 

@@ -20,7 +20,7 @@ BRIDGES = [name for name in NAMES if shipped_profile(name).bridge]
 
 
 class Bench:
-    """One bridge; time is what the test says."""
+    """One bridge; the test sets the time."""
 
     def __init__(self, drive="bts7960", inverted=False):
         self.bridge = shipped_profile(drive).bridge
@@ -65,7 +65,7 @@ class Bench:
 
 
 @pytest.mark.parametrize("drive", BRIDGES)
-def test_every_bridge_goes_forward_backward_brakes_and_lets_go(drive):
+def test_every_bridge_drives_forward_backward_brakes_and_coasts(drive):
     bench = Bench(drive)
     assert bench.step(0.5) == bench.levels("coast")
     bench.request_mode(lib.PWM_ARMED)
@@ -98,7 +98,7 @@ def test_forward_backward_and_no_power_are_three_different_things(drive):
         max_size=30,
     ),
 )
-def test_whatever_comes_levels_are_levels_and_only_the_armed_move(drive, events):
+def test_levels_are_valid_for_any_input_and_only_armed_bridges_move(drive, events):
     bench = Bench(drive)
     for duty, enabled, age_ns, after_ns, request in events:
         if request is not None:
@@ -114,19 +114,19 @@ def test_whatever_comes_levels_are_levels_and_only_the_armed_move(drive, events)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_a_duty_that_is_no_number_is_zero(bad):
+def test_a_duty_that_is_not_finite_is_zero(bad):
     bench = Bench()
     bench.request_mode(lib.PWM_ARMED)
     assert bench.step(bad) == bench.levels("brake")
 
 
-def test_a_duty_beyond_one_is_one():
+def test_a_duty_beyond_one_counts_as_one():
     bench = Bench()
     bench.request_mode(lib.PWM_ARMED)
     assert bench.step(7.0) == bench.levels("forward", 1.0)
 
 
-def test_an_inverted_motor_turns_the_other_way():
+def test_an_inverted_motor_turns_in_reverse():
     bench = Bench(inverted=True)
     bench.request_mode(lib.PWM_ARMED)
     assert bench.step(0.5) == bench.levels("reverse", 0.5)
@@ -143,7 +143,7 @@ def test_old_set_points_brake_then_take_the_power_and_it_stays_off():
     assert bench.step(0.5) == bench.levels("coast")
 
 
-def test_set_points_that_are_not_enabled_any_more_take_the_power_at_once():
+def test_set_points_that_are_no_longer_enabled_take_the_power_at_once():
     bench = Bench()
     bench.request_mode(lib.PWM_ARMED)
     assert bench.step(0.5, enabled=False) == bench.levels("brake")  # not enabled yet
@@ -153,7 +153,7 @@ def test_set_points_that_are_not_enabled_any_more_take_the_power_at_once():
     assert bench.state.drive.fault_reasons == lib.DRIVE_FAULT_NOT_ENABLED
 
 
-def test_a_thread_that_was_held_up_does_not_go_on_where_it_was():
+def test_a_thread_that_was_held_up_does_not_resume_its_motion():
     bench = Bench()
     bench.request_mode(lib.PWM_ARMED)
     bench.step(0.5)

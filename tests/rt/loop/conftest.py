@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop of a small base. Files that need more of it than that it runs have their own."""
+"""The loop of a small base. Files that need other settings have a fixture of their own."""
 
 import pytest
 from tests.rt.small_base import core_config, settings

@@ -17,7 +17,7 @@ MADV_DONTNEED, MADV_DONTDUMP = 4, 16  # asm-generic/mman-common.h
 
 
 def refused() -> None:
-    """With no right to anything: what the loop says of itself, as JSON."""
+    """Without any privileges: the loop's report of itself, as JSON."""
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (64 * 1024, 64 * 1024))
     loop = rt.Loop(core_config(), settings(lock_memory=True))
@@ -75,7 +75,7 @@ def drive() -> None:
 
 
 def run(rate_hz: str) -> None:
-    """Say the counters, wait for a line, let some ticks go by, say them again."""
+    """Print the counters, wait for a line, let some ticks pass, print them again."""
     start_ns = now_ns()
     with rt.Loop(core_config(), settings(rate_hz=float(rate_hz))) as loop:
         for wait in (True, False):

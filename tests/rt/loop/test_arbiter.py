@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Leases, as the loop judges them, whatever sources do."""
+"""Leases in the loop, for any behaviour of sources."""
 
 import struct
 
@@ -25,8 +25,8 @@ KEYS = {"connection": st.integers(1, 3), "owner": st.sampled_from("ab")}
 
 
 class Sources(RuleBasedStateMachine):
-    """Whatever sources do: the commander is the first of the highest, and nothing outlives its
-    lease or passes a stop."""
+    """For any behaviour of sources, the commander is the first of the highest priority, and
+    nothing outlives its lease or passes a stop."""
 
     def __init__(self):
         super().__init__()

@@ -47,20 +47,20 @@ def test_commands_at_the_rate_that_is_allowed_are_all_taken():
     assert [source.send(now_ns, 0.1) for now_ns in every(10 * MS, 200)] == [0] * 200
 
 
-def test_a_few_that_come_together_are_taken_as_long_as_there_are_not_more_of_them():
+def test_a_burst_is_taken_up_to_its_limit():
     source = Source()
     assert [source.send(MS, 0.1) for _ in range(5)] == [0] * 5
     assert source.send(MS, 0.1) == 1 + Refusal.RATE
 
 
-def test_of_twice_as_many_as_are_allowed_half_are_taken():
+def test_at_twice_the_allowed_rate_half_are_taken():
     source = Source()
     taken = sum(source.send(now_ns, 0.1) == 0 for now_ns in every(5 * MS, 400))
     assert 200 <= taken <= 205
     assert source.refused == 400 - taken
 
 
-def test_what_was_refused_leaves_the_command_before_alive():
+def test_a_refused_command_leaves_the_previous_one_in_force():
     source = Source()
     for _ in range(6):
         source.send(MS, 0.1)
@@ -79,7 +79,7 @@ def test_zero_and_the_end_of_a_lease_are_never_too_early():
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_what_is_not_finite_commands_zero_also_when_it_is_too_early(value):
+def test_a_command_that_is_not_finite_commands_zero_even_too_early(value):
     source = Source()
     for _ in range(100):
         source.send(MS, 0.1)

@@ -32,7 +32,7 @@ async def stop_and_go(loop, leases):
     assert not (await drive(leases, 9, 0.1, owner="another")).held
 
 
-async def test_a_held_source_stays_so_on_its_next_connection(loop):
+async def test_a_held_source_stays_held_on_its_next_connection(loop):
     leases = Leases(loop)
     assert not (await drive(leases, 1, 0.3)).held
     await stop_and_go(loop, leases)
@@ -42,7 +42,7 @@ async def test_a_held_source_stays_so_on_its_next_connection(loop):
     assert not (await drive(leases, 2, 0.3)).held
 
 
-async def test_who_was_held_stays_so_on_the_connection_that_he_has_already(loop):
+async def test_a_held_source_stays_held_on_its_other_connection(loop):
     leases = Leases(loop)
     await drive(leases, 2, 0.0, lease_s=LEASE_MIN_S)
     until(lambda: not leases.fresh())

@@ -92,7 +92,7 @@ def test_after_a_stop_in_motion_every_line_is_sent_zero_and_off(loop):
     assert not loop.status().running
 
 
-def test_it_starts_again_disarmed_and_forgets_what_it_was_sent():
+def test_it_restarts_disarmed_and_without_its_old_commands():
     loop = rt.Loop(core_config(), settings())
     before = fds()
     for _ in range(3):
@@ -130,14 +130,14 @@ def test_a_loop_that_starts_again_does_not_arm_by_the_control_of_its_last_run():
         loop.stop()
 
 
-def test_a_second_loop_in_the_process_is_refused_and_the_first_runs_on(loop):
+def test_a_second_loop_in_the_process_is_refused_and_the_first_keeps_running(loop):
     with pytest.raises(RuntimeError, match="already"):
         rt.Loop(core_config(), settings()).start()
     seen = loop.status().ticks
     until(lambda: loop.status().ticks > seen)
 
 
-def test_stopping_what_does_not_run_reports_so():
+def test_stopping_a_loop_that_does_not_run_is_an_error():
     assert lib.loop_stop() == -3
     assert lib.loop_histogram_clear() == -3
     with pytest.raises(OSError, match="No such process"):
@@ -168,12 +168,12 @@ def test_settings_out_of_range_are_refused_and_leave_nothing_open(bad):
         pass
 
 
-def test_a_cpu_that_cannot_be_written_down_is_refused():
+def test_a_cpu_number_out_of_range_is_refused():
     with pytest.raises(ValueError, match="cpu"):
         rt.Loop(core_config(), settings(cpu=(64,)))
 
 
-def test_a_page_that_cannot_be_mapped_leaves_nothing_behind():
+def test_a_page_that_cannot_be_mapped_leaves_no_descriptor_open():
     core, config = ffi.new("core_config *", core_config()), ffi.new("loop_config *")
     config.rate_hz, config.event_fd, config.page_fd = 100, -1, 987654
     config.journal_fd = -1
@@ -186,7 +186,7 @@ def test_a_page_that_cannot_be_mapped_leaves_nothing_behind():
     assert lib.loop_stop() == 0
 
 
-def test_what_the_core_refuses_is_named():
+def test_a_value_that_the_core_refuses_is_named():
     bad = core_config()
     bad["joint"][1]["wheel_radius_m"] = math.nan
     with pytest.raises(rt.ConfigRefused, match=r"joint\[1\]\.wheel_radius_m") as refused:
@@ -204,7 +204,7 @@ def test_a_count_of_joints_that_is_not_the_number_of_joints_is_refused(count):
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 0.0, -1.0])
 @pytest.mark.parametrize("axis", ["linear", "angular"])
-def test_limits_that_limit_nothing_are_a_problem(axis, value):
+def test_limits_that_are_not_finite_and_positive_are_a_problem(axis, value):
     bad = {**LIMITS, axis: {**LIMITS[axis], "velocity_u_s": value}}
     assert rt.limits_problem(bad) == f"{axis}.velocity_u_s"
     assert rt.limits_problem(LIMITS) is None
@@ -213,7 +213,7 @@ def test_limits_that_limit_nothing_are_a_problem(axis, value):
 @pytest.mark.skipif(
     platform.machine() not in ("x86_64", "aarch64"), reason="no flush-to-zero on this machine"
 )
-def test_denormal_numbers_are_nothing_to_the_thread():
+def test_the_thread_treats_denormal_numbers_as_zero():
     config = core_config()
     for wheel in config["joint"]:
         wheel["counter_bits"] = 0
@@ -228,7 +228,7 @@ def test_denormal_numbers_are_nothing_to_the_thread():
         assert loop.read_state().joints[0].velocity_rad_s == 1e-307
 
 
-def test_a_command_that_is_no_number_moves_nothing(loop):
+def test_a_command_that_is_not_finite_moves_nothing(loop):
     lease = arm(loop)
     lease.send(math.nan, math.inf)
     until(lambda: loop.commands().refused[Refusal.NOT_FINITE] == 1)
@@ -246,14 +246,14 @@ def test_a_stamp_from_before_the_clock_is_a_stale_command(loop, stamp_ns):
     assert loop.percentiles(COMMAND).samples == 0
 
 
-def test_the_event_is_written_again_and_again():
+def test_the_event_is_written_periodically():
     with rt.Loop(core_config(), settings(notify_hz=100.0)) as loop:
         for _ in range(5):
             assert readable(loop)
             assert loop.drain() >= 1
 
 
-def test_the_event_is_written_when_something_changes_and_not_else():
+def test_the_event_is_written_only_when_something_changes():
     with rt.Loop(core_config(), settings(notify_hz=0.0)) as loop:
         assert readable(loop)
         loop.drain()

@@ -34,7 +34,7 @@ class Line:
         return False
 
     def settle(self):
-        """Nothing that was done before will wake it."""
+        """After this no earlier action wakes it."""
         ticks_pass(self.loop)
         self.was_woken()
 
@@ -51,7 +51,7 @@ def line(loop):
     made.close()
 
 
-def test_ticks_wake_no_line(loop, line):
+def test_ticks_do_not_wake_a_line(loop, line):
     line.settle()
     ticks_pass(loop, 50)
     assert not line.was_woken()
@@ -65,7 +65,7 @@ def test_a_command_wakes_the_lines(loop, line):
         until(line.was_woken)
 
 
-def test_what_is_refused_wakes_no_line(loop, line):
+def test_a_refused_command_does_not_wake_a_line(loop, line):
     line.settle()
     for sent in range(1, 6):
         loop.send(b"go!")

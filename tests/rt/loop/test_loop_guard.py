@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pins of safety in the running loop, on descriptors that are no GPIO lines: what is lost
-stops, and who is missed by the watchdog. On real lines: tests/vm/guest/pins/test_safety_pins.py."""
+"""The pins of safety in the running loop, on descriptors that are no GPIO lines: a lost input
+stops the robot, and the watchdog pin stops when a part hangs. On real lines:
+tests/vm/guest/pins/test_safety_pins.py."""
 
 import dataclasses
 import fcntl
@@ -61,7 +62,7 @@ def test_without_pins_there_is_no_emergency_stop_input_and_no_watchdog():
         assert loop.read_state().faults == ()
 
 
-def test_an_input_that_cannot_be_read_is_an_emergency_stop_from_the_first_tick_on(pipe):
+def test_an_unreadable_input_is_an_emergency_stop_from_the_first_tick_on(pipe):
     with looped(estop=1, estop_fd=pipe[0]) as loop:
         assert loop.read_state().faults == ("estop",)
         assert loop.status().estop_input == "lost"
@@ -111,6 +112,6 @@ def test_a_line_that_hangs_with_enabled_drives_stops_the_watchdog(pipe):
         until(lambda: loop.status().watchdog_edges > before)
 
 
-def test_settings_that_make_no_sense_are_refused(pipe):
+def test_invalid_settings_are_refused(pipe):
     with pytest.raises(ValueError, match="the loop refuses"):
         looped(watchdog=1, watchdog_every_ticks=0).start()

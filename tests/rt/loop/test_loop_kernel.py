@@ -35,7 +35,7 @@ def environment() -> dict[str, str]:
 
 
 def without_privileges(arguments: list[str]) -> list[str]:
-    """The command line that runs them as a user who may not lock memory or take a priority."""
+    """The command line that runs them as a user without locked memory and real-time priority."""
     status = Path("/proc/self/status").read_text()
     effective = int(status.partition("CapEff:")[2].split()[0], 16)
     if not effective >> CAP_SYS_NICE & 1 and not effective >> CAP_IPC_LOCK & 1:
@@ -68,7 +68,7 @@ def thread_status() -> dict[str, str]:
     raise AssertionError("no thread is called motord-loop")
 
 
-def test_signals_are_asyncios_and_never_the_threads():
+def test_signals_go_to_asyncio_and_never_to_the_thread():
     with rt.Loop(core_config(), settings()):
         blocked = int(thread_status()["SigBlk"], 16)
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGCHLD, signal.SIGUSR1):
@@ -85,7 +85,7 @@ def test_the_thread_stays_on_the_cpus_of_the_robot_file():
         assert "affinity" not in loop.status().refusals
 
 
-def test_a_cpu_that_is_not_there_is_reported_and_the_loop_runs():
+def test_a_missing_cpu_is_reported_and_the_loop_runs():
     if (os.cpu_count() or 0) > 63:
         pytest.skip("CPU 63 exists")
     with rt.Loop(core_config(), settings(cpu=(63,))) as loop:
@@ -94,7 +94,7 @@ def test_a_cpu_that_is_not_there_is_reported_and_the_loop_runs():
         until(lambda: loop.status().ticks > seen)
 
 
-def test_no_priority_asked_for_is_no_refusal():
+def test_without_a_priority_nothing_is_reported_as_refused():
     with rt.Loop(core_config(), settings(priority=0)) as loop:
         status = loop.status()
         assert (status.policy, status.priority) == ("SCHED_OTHER", 0)
@@ -142,7 +142,7 @@ def test_the_first_drive_of_a_process_costs_no_page_fault_even_where_memory_is_n
     assert answer["page_faults"] == 0
 
 
-def test_a_priority_refused_to_who_may_have_it_is_the_groups_budget(monkeypatch):
+def test_a_priority_refused_despite_the_rlimit_is_explained_by_the_group_s_budget(monkeypatch):
     monkeypatch.setattr(resource, "getrlimit", lambda _: (99, 99))
     answer = permissions.sentences(permissions.Refused(scheduler=errno.EPERM), priority=80, cpu=())
     assert list(answer) == ["scheduler"]
@@ -163,7 +163,7 @@ def test_every_refusal_has_a_sentence():
     assert permissions.sentences(permissions.Refused(), priority=80, cpu=()) == {}
 
 
-def test_a_stopped_process_skips_its_periods_and_does_not_make_them_good():
+def test_a_stopped_process_skips_its_periods_and_does_not_catch_up():
     with child("run", "100") as process:
         before = json.loads(process.stdout.readline())
         process.send_signal(signal.SIGSTOP)

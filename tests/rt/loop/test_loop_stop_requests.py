@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stop requests: datagrams that the loop reads by itself and goes by until asyncio has followed."""
+"""Stop requests: datagrams that the loop reads and follows until asyncio acknowledges them."""
 
 import array
 import dataclasses
@@ -68,7 +68,7 @@ def control(**levels):
     return rt.Control(limits=LIMITS, **levels)
 
 
-def test_a_stop_holds_while_asyncio_still_reports_go_on(loop, wire):
+def test_a_stop_holds_while_asyncio_still_requests_motion(loop, wire):
     lease = driving(loop)
     wire[0].send(datagram("stop"))
     until(lambda: rests(loop))
@@ -80,7 +80,7 @@ def test_a_stop_holds_while_asyncio_still_reports_go_on(loop, wire):
     assert state.armed
 
 
-def test_an_acknowledged_stop_is_asyncios_own_level(loop, wire):
+def test_after_the_acknowledgement_asyncio_s_own_level_decides_the_stop(loop, wire):
     driving(loop)
     wire[0].send(datagram("stop"))
     until(lambda: rests(loop))
@@ -91,7 +91,7 @@ def test_an_acknowledged_stop_is_asyncios_own_level(loop, wire):
     assert "stop_requested" not in later(loop).reasons
 
 
-def test_an_emergency_stop_is_latched_and_no_reset_clears_it_before_asyncio_knows(loop, wire):
+def test_an_emergency_stop_is_latched_and_no_reset_clears_it_before_the_acknowledgement(loop, wire):
     driving(loop)
     wire[0].send(datagram("estop"))
     until(lambda: loop.read_state().faults == ("estop",))
@@ -103,7 +103,7 @@ def test_an_emergency_stop_is_latched_and_no_reset_clears_it_before_asyncio_know
     assert later(loop).faults == ("estop",)
 
 
-def test_a_disarm_comes_to_rest_first_and_arms_never_again_by_itself(loop, wire):
+def test_a_disarm_comes_to_rest_first_and_never_arms_again_by_itself(loop, wire):
     driving(loop)
     wire[0].send(datagram("disarm"))
     until(lambda: not loop.read_state().armed)
@@ -114,7 +114,7 @@ def test_a_disarm_comes_to_rest_first_and_arms_never_again_by_itself(loop, wire)
         assert not later(loop).armed
 
 
-def test_a_disarm_takes_the_power_off_also_in_a_fault_that_holds(holding, wire):
+def test_a_disarm_also_takes_the_power_in_a_fault_that_holds(holding, wire):
     driving(holding)
     holding.put_control(control(armed=True, fault=True))
     until(lambda: rests(holding))
@@ -126,7 +126,7 @@ def test_a_disarm_takes_the_power_off_also_in_a_fault_that_holds(holding, wire):
     assert not later(holding).enabled
 
 
-def test_what_came_before_an_acknowledgement_of_less_stays_in_force(loop, wire):
+def test_requests_that_are_not_yet_acknowledged_stay_in_force(loop, wire):
     for method in ("stop", "stop", "disarm"):
         wire[0].send(datagram(method))
     until(lambda: loop.stop_requests().disarm == 1)
@@ -138,7 +138,7 @@ def test_what_came_before_an_acknowledgement_of_less_stays_in_force(loop, wire):
     assert "stop_requested" not in later(loop).reasons
 
 
-def test_nothing_but_a_whole_request_counts(loop, wire):
+def test_only_a_complete_request_counts(loop, wire):
     rng = random.Random(11)
     good = datagram("disarm")
     wrong = [
@@ -157,7 +157,7 @@ def test_nothing_but_a_whole_request_counts(loop, wire):
     assert loop.stop_requests() == StopRequests(estop=1, pid=os.getpid())
 
 
-def test_descriptors_that_come_along_are_not_taken(loop, wire):
+def test_descriptors_sent_with_a_request_are_not_kept(loop, wire):
     before = len(os.listdir("/proc/self/fd"))
     with open("/dev/null", "rb") as file:
         fds = array.array("i", [file.fileno()] * 4)
@@ -166,7 +166,7 @@ def test_descriptors_that_come_along_are_not_taken(loop, wire):
     assert len(os.listdir("/proc/self/fd")) == before
 
 
-def test_no_request_arms_or_moves_a_robot_that_stands(loop, wire):
+def test_no_request_arms_or_moves_a_disarmed_robot(loop, wire):
     report_wheels()
     for method in ("stop", "disarm", "stop"):
         wire[0].send(datagram(method))

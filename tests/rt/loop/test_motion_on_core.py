@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motions over a given way, on the real core: its limits, its ramps, its odometry."""
+"""Motions over a given distance, on the real core: its limits, its ramps, its odometry."""
 
 import math
 from collections import deque
@@ -17,7 +17,7 @@ TICKS_MAX = 200_000
 
 
 class Drive:
-    """A core that is armed, and a motion that sees it so many looks late."""
+    """A core that is armed, and a motion that sees its state `looks_late` looks later."""
 
     def __init__(self, limits, goal, looks_late):
         self.rig = Rig(core_config(limits={"lateral": limits["linear"], **limits}))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the daemon says of a latched fault, over the real loop."""
+"""What the daemon reports about a latched fault, over the real loop."""
 
 import asyncio
 from dataclasses import replace
@@ -38,14 +38,14 @@ def say(operation, kind, text):
     operation.on_line_event(LineEvent(kind, "rs485", ("left",), text))
 
 
-def test_a_drive_that_reports_why_only_after_it_was_seen_to_be_off_is_named_too(operation):
+def test_the_cause_that_a_drive_reports_after_it_was_seen_off_is_added(operation):
     operation.fault(OFF)
     assert operation.state is State.FAULT
     say(operation, EventKind.DRIVE_FAULT, OVER_CURRENT)
     assert operation.why == (OFF, OVER_CURRENT)
 
 
-def test_a_reason_that_is_given_already_is_not_given_again(operation):
+def test_a_reason_is_not_listed_twice(operation):
     operation.fault(OFF)
     for _ in range(2):
         say(operation, EventKind.DRIVE_FAULT, OVER_CURRENT)
@@ -53,14 +53,14 @@ def test_a_reason_that_is_given_already_is_not_given_again(operation):
     assert operation.why == (OFF, OVER_CURRENT)
 
 
-def test_a_drive_fault_without_a_latched_fault_is_no_reason_for_one(operation):
+def test_a_drive_fault_without_a_latched_fault_is_not_a_reason(operation):
     say(operation, EventKind.DRIVE_FAULT, OVER_CURRENT)
     assert operation.state is State.ARMED
     assert operation.why == ()
 
 
 def test_a_stop_is_over_only_when_the_loop_has_seen_it(operation):
-    """Its newest word may be from before the stop was asked for; the robot rests in it."""
+    """Its newest state may be from before the stop request; the robot rests in it."""
     operation.take(Event.STOP)
     assert operation.snapshot.at_rest
     operation.loop.read_state = lambda: operation.snapshot
@@ -70,8 +70,8 @@ def test_a_stop_is_over_only_when_the_loop_has_seen_it(operation):
     until(lambda: operation.look() or operation.state is State.ARMED)
 
 
-def test_the_reason_of_an_emergency_stop_takes_the_place_of_the_cores_bare_word(operation):
-    """The loop reads the request, and its next state may be looked at before the request is."""
+def test_the_reason_of_an_emergency_stop_replaces_the_core_s_plain_estop(operation):
+    """The loop reads the request; asyncio may see the loop's next state before the request."""
     seen = replace(operation.snapshot, faults=("estop",))
     operation.loop.read_state = lambda: seen
     operation.look()
@@ -88,7 +88,7 @@ def ticks(operation, count):
 
 
 async def looking(operation, procedure):
-    """What it returns, while the newest state is looked at."""
+    """What it returns, while the newest state is processed."""
     running = asyncio.ensure_future(procedure)
     while not running.done():
         operation.look()

@@ -60,7 +60,7 @@ def test_the_count_follows_every_path_of_edges(begin, path):
 
 
 @given(st.lists(st.tuples(st.sampled_from((A, B)), st.booleans()), max_size=200))
-def test_whatever_comes_no_event_counts_for_more_than_one_edge(events):
+def test_no_event_counts_for_more_than_one_edge(events):
     wheel = Edges()
     for number, (line, high) in enumerate(events, 1):
         before = wheel.state.count
@@ -73,7 +73,7 @@ CEILINGS = st.sampled_from([255, 999, 2**16 - 1, 2**32 - 1, 2**63 - 1, 2**64 - 1
 
 
 @given(CEILINGS, st.integers(0, 2**64 - 1), st.lists(st.integers(-(2**70), 2**70), max_size=30))
-def test_a_counter_is_followed_across_its_wrap_both_ways(ceiling, begin, travels):
+def test_a_counter_is_followed_across_its_wrap_in_both_directions(ceiling, begin, travels):
     config = ffi.new(
         "encoder_config *",
         {"kind": lib.ENCODER_COUNTER, "ceiling": ceiling, "rad_per_count": PER_COUNT},
@@ -93,7 +93,7 @@ def test_a_counter_is_followed_across_its_wrap_both_ways(ceiling, begin, travels
 
 @pytest.mark.parametrize("edges_per_s", [-20000.0, -300.0, -10.0, 7.0, 150.0, 3333.0, 100_000.0])
 @pytest.mark.parametrize("look_every_ms", [1, 5])
-def test_the_speed_is_that_of_the_edges_whatever_the_looks(edges_per_s, look_every_ms):
+def test_the_speed_is_that_of_the_edges_at_any_rate_of_looks(edges_per_s, look_every_ms):
     wheel, gap_ns = Edges(), round(1e9 / abs(edges_per_s))
     direction, edge_ns = (1 if edges_per_s > 0 else -1), START_NS
     seen, span_ms = [], min(1000.0, 2e7 / abs(edges_per_s))
@@ -108,7 +108,7 @@ def test_the_speed_is_that_of_the_edges_whatever_the_looks(edges_per_s, look_eve
 
 
 @given(st.lists(st.tuples(st.integers(-(2**61), 2**61), st.sampled_from((-1, 1))), max_size=30))
-def test_the_speed_is_a_number_whatever_the_stamps(edges):
+def test_the_speed_is_finite_for_any_stamps(edges):
     wheel = Edges()
     for stamp_ns, direction in edges:
         wheel.step(direction, stamp_ns)

@@ -25,7 +25,7 @@ NOISE_RAD_S = 0.003
 
 
 class GyroRig(Rig):
-    """A base with a gyro that says what is true, plus an offset and noise, 200 times a second."""
+    """A base with a gyro that reports the true rate plus offset and noise, 200 times a second."""
 
     def __init__(self, bias_rad_s: float = 0.03, noise_rad_s: float = NOISE_RAD_S):
         super().__init__(core_config(gyro=GYRO))
@@ -35,7 +35,7 @@ class GyroRig(Rig):
         self.slip_left = 0.0
         """Part of the left wheels' turn that moves nothing on the ground."""
         self.still = False
-        """The base does not turn, whatever the wheels do."""
+        """The base does not turn though the wheels do."""
         self.sign = 1.0
         self.true_heading_rad = 0.0
         self.ticked = 0
@@ -67,14 +67,14 @@ class GyroRig(Rig):
         return abs(math.remainder(self.shown.heading_rad - self.true_heading_rad, 2.0 * math.pi))
 
 
-def test_without_a_gyro_nothing_is_shown_of_one():
+def test_without_a_gyro_the_page_shows_none():
     rig = Rig()
     rig.input.imu = {"stamp_ns": 1, "angular_rad_s": [1.0, 1.0, 1.0]}
     rig.moving(0.5, 0.5)
     assert bytes(ffi.buffer(ffi.addressof(rig.shown, "imu"))) == bytes(ffi.sizeof("imu_state"))
 
 
-def test_the_zero_is_found_while_the_base_stands_and_is_sent_with_its_uncertainty():
+def test_the_zero_is_found_while_the_base_stands_and_reported_with_its_uncertainty():
     rig = GyroRig(bias_rad_s=-0.11)
     rig.ticks(1.0)
     assert rig.imu.state == lib.GYRO_UNBIASED
@@ -124,7 +124,7 @@ def test_when_one_side_slips_the_heading_stays_right_with_the_gyro_and_drifts_wi
     assert without.heading_error_rad() > 0.5
 
 
-def test_the_heading_does_not_jump_when_the_gyro_goes_and_comes_and_the_wheels_stand_in():
+def test_the_heading_does_not_jump_when_wheels_replace_the_gyro_and_back():
     rig = GyroRig(noise_rad_s=0.0)
     rig.know_zero()
     rig.moving(0.3, 0.5)
@@ -141,7 +141,7 @@ def test_the_heading_does_not_jump_when_the_gyro_goes_and_comes_and_the_wheels_s
     assert rig.heading_error_rad() < 0.01
 
 
-def test_a_gyro_that_is_mounted_upside_down_is_given_up_and_the_wheels_give_the_heading():
+def test_a_gyro_mounted_upside_down_is_dropped_and_the_wheels_give_the_heading():
     rig = GyroRig()
     rig.sign = -1.0
     rig.know_zero()
@@ -157,7 +157,7 @@ def test_a_gyro_that_is_mounted_upside_down_is_given_up_and_the_wheels_give_the_
     assert turned_rad == pytest.approx(rig.true_heading_rad - true_rad, abs=0.01)
 
 
-def test_wheels_that_spin_on_the_spot_are_no_reason_to_give_the_gyro_up():
+def test_slipping_wheels_do_not_make_the_core_drop_the_gyro():
     rig = GyroRig()
     rig.know_zero()
     rig.moving(0.2, 0.8)
@@ -172,7 +172,7 @@ NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
 @given(
     st.lists(st.tuples(NUMBERS, st.integers(-(2**63), 2**63 - 1), st.integers(0, 1)), max_size=40)
 )
-def test_whatever_the_sensor_reports_the_pose_stays_finite_and_its_covariance_positive(reports):
+def test_for_any_sensor_input_the_pose_stays_finite_and_its_covariance_positive(reports):
     rig = GyroRig()
     rig.moving(0.4, 0.4)
     rig.received = False

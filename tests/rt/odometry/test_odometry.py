@@ -40,7 +40,7 @@ class Base:
         lib.odometry_step(self.state, self.config, self.feedback, self.stale, self.setpoint)
 
     def step(self, left: int, right: int) -> None:
-        """Time goes on; each joint counts on by its number and reports."""
+        """Advance time; each joint counts on by its number and reports."""
         self.now_ns += self.step_ns
         for j, count in ((LEFT, left), (RIGHT, right)):
             bits = self.config.joint[j].counter_bits or 64
@@ -58,7 +58,7 @@ class Base:
     st.integers(0, 2**64 - 1),
     st.integers(-(2**63), 2**63 - 1),
 )
-def test_a_counter_difference_is_right_across_the_wrap_both_ways(bits, before, travel):
+def test_a_counter_difference_is_right_across_the_wrap_in_both_directions(bits, before, travel):
     half = 1 << (bits - 1)
     travel = (travel + half) % (1 << bits) - half
     before %= 1 << bits
@@ -94,7 +94,7 @@ def test_pose_and_covariance_agree_with_the_oracle(rows):
 
 
 @given(st.floats(-math.pi, math.pi))
-def test_the_cores_own_sine_is_as_good_as_the_librarys(heading):
+def test_the_core_s_own_sine_is_as_exact_as_the_library_s(heading):
     base = Base()
     base.step(0, 0)
     base.state.heading_rad = heading
@@ -139,7 +139,7 @@ def test_covariance_is_positive_never_below_its_floors_and_distance_never_falls(
 
 
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=4, max_size=4))
-def test_no_velocity_and_no_setpoint_whatsoever_makes_the_pose_other_than_finite(numbers):
+def test_the_pose_is_finite_for_any_velocity_and_set_point(numbers):
     base = Base(counter_bits=0)
     base.step(0, 0)
     for j in (LEFT, RIGHT):
@@ -158,7 +158,7 @@ def test_no_velocity_and_no_setpoint_whatsoever_makes_the_pose_other_than_finite
         max_size=20,
     )
 )
-def test_no_stamp_and_no_count_whatsoever_makes_the_pose_other_than_finite(rows):
+def test_the_pose_is_finite_for_any_stamp_and_count(rows):
     base = Base(counter_bits=64)
     for stamp_ns, count, epoch in rows:
         feedback = base.feedback[count % 2]
@@ -171,7 +171,7 @@ def test_no_stamp_and_no_count_whatsoever_makes_the_pose_other_than_finite(rows)
 @pytest.mark.parametrize("measured", [True, False])
 @pytest.mark.parametrize("renewed_every", [2, 5, 10, 20])
 @pytest.mark.parametrize("speed_rad_s", [1.0, -7.0, 15.0])
-def test_a_counter_that_is_renewed_more_slowly_than_it_is_read_loses_no_distance(
+def test_a_counter_updated_more_slowly_than_it_is_read_loses_no_distance(
     renewed_every, speed_rad_s, measured
 ):
     base = Base()

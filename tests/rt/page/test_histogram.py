@@ -38,7 +38,7 @@ def test_buckets_are_in_the_order_of_their_values(one_ns, other_ns):
 
 
 @given(st.lists(inside_ns, min_size=1, max_size=200), st.floats(0, 1))
-def test_a_percentile_is_the_nearest_rank_and_never_sent_too_low(values_ns, fraction):
+def test_a_percentile_is_the_nearest_rank_and_never_too_low(values_ns, fraction):
     exact_ns = sorted(values_ns)[max(math.ceil(fraction * len(values_ns)), 1) - 1]
     got_ns = lib.histogram_percentile_ns(filled(values_ns), fraction)
     assert exact_ns <= got_ns <= min(max(values_ns), exact_ns * (1 + WIDEST))
@@ -56,7 +56,7 @@ def test_percentiles_rise_and_end_at_the_maximum(values_ns):
 
 
 @pytest.mark.parametrize("fraction", [math.nan, -math.inf, -1.0])
-def test_a_fraction_that_is_none_is_read_as_zero(fraction):
+def test_a_fraction_that_is_nan_or_negative_is_read_as_zero(fraction):
     assert lib.histogram_percentile_ns(filled([3, 9]), fraction) == 3
 
 

@@ -85,7 +85,7 @@ def test_a_reader_that_comes_in_time_gets_every_record_from_the_first(written):
 
 
 @pytest.mark.parametrize("steps", [4097, 4600, 4848, 5000, 6144, 9999])
-def test_a_reader_that_comes_late_begins_at_a_state_that_leads_to_its_first_record(written, steps):
+def test_a_late_reader_begins_at_the_state_before_its_first_record(written, steps):
     writer, name = written
     writer.step(steps)
     with Journal.open(name) as journal:
@@ -96,7 +96,7 @@ def test_a_reader_that_comes_late_begins_at_a_state_that_leads_to_its_first_reco
         assert journal.take_lost() == 0, "what was before it came is not lost to it"
 
 
-def test_a_reader_that_fell_behind_goes_on_at_a_state_and_counts_what_it_lost(written):
+def test_a_reader_that_fell_behind_resumes_at_a_state_and_counts_the_lost_records(written):
     writer, name = written
     writer.step(10)
     with Journal.open(name) as journal:

@@ -53,15 +53,15 @@ def payload_of(tick: int) -> bytes:
     return bytes((tick * 31 + place) % 256 for place in range(STATE_BYTES))
 
 
-def test_memory_that_no_one_made_a_page_is_refused():
+def test_memory_that_is_not_initialised_as_a_page_is_refused():
     assert Page().read() == -errno.EPROTO
 
 
-def test_memory_out_of_line_is_refused():
+def test_misaligned_memory_is_refused():
     assert lib.page_init(Page().pointer + 8) == -errno.EINVAL
 
 
-def test_a_page_without_a_snapshot_reports_so(page):
+def test_a_page_without_a_snapshot_has_no_data(page):
     assert page.read() == -errno.ENODATA
 
 
@@ -104,7 +104,7 @@ def test_a_reader_that_is_overtaken_in_every_try_gives_up(page):
     assert page.read() == -errno.EAGAIN
 
 
-def test_a_page_made_anew_forgets_the_old_snapshot(page):
+def test_a_reinitialised_page_has_no_old_snapshot(page):
     page.write(payload_of(1))
     lib.page_init(page.pointer)
     assert page.read() == -errno.ENODATA
@@ -126,7 +126,7 @@ def test_a_page_made_anew_forgets_the_old_snapshot(page):
         "reasons_shown",
     ],
 )
-def test_the_documented_offsets_are_the_compilers(struct_name):
+def test_the_documented_offsets_are_those_of_the_compiler(struct_name):
     text = (ROOT / "docs/state-page.md").read_text(encoding="utf-8")
     section = text[text.index(f"`{struct_name}`, {ffi.sizeof(struct_name)} bytes") :]
     rows = re.findall(r"^\| (\d+) \| ([\w\[\]]+) \| `(\w+)` \|$", section, re.MULTILINE)
@@ -136,7 +136,7 @@ def test_the_documented_offsets_are_the_compilers(struct_name):
 
 @pytest.fixture(scope="module")
 def reader(tmp_path_factory):
-    """docs/read_state.c, built as its first line says."""
+    """docs/read_state.c, built with the command in its first line."""
     program = tmp_path_factory.mktemp("reader") / "read_state"
     source = ROOT / "docs/read_state.c"
     subprocess.run(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whose the file of the state page is."""
+"""Which process owns the file of the state page."""
 
 import contextlib
 import os
@@ -59,7 +59,7 @@ def holder(shared):
         process.kill()
 
 
-def test_the_file_is_there_for_every_reader_until_it_is_closed(shared):
+def test_every_reader_can_open_the_file_until_it_is_closed(shared):
     page = PageFile.open("robot")
     path = shared / f"motord-{os.geteuid()}" / "robot.page"
     assert page.path == path == find_page("robot")
@@ -71,7 +71,7 @@ def test_the_file_is_there_for_every_reader_until_it_is_closed(shared):
     assert not path.parent.exists()
 
 
-def test_readers_get_in_whatever_the_umask():
+def test_readers_can_open_the_file_with_any_umask():
     before = os.umask(0o077)
     try:
         page = PageFile.open("robot")
@@ -105,7 +105,7 @@ def test_the_refusal_names_the_process_that_the_header_names():
     page.close()
 
 
-def test_a_file_that_is_something_elses_by_now_is_left_alone():
+def test_a_file_that_another_program_has_replaced_is_not_removed():
     page = PageFile.open("robot")
     page.path.unlink()
     page.path.write_text("another's")
@@ -123,13 +123,13 @@ def test_a_link_is_not_followed(folder):
 
 
 @pytest.mark.parametrize("name", ["", "../passwd", "a/b", "nul\0"])
-def test_a_name_that_is_no_file_name_is_refused(name):
+def test_a_name_that_is_not_a_file_name_is_refused(name):
     with pytest.raises(ValueError, match="file name"):
         PageFile.open(name)
 
 
 def open_to_others(folder):
-    """Another user may go there: what lies above it in the folder for temporary files is ours."""
+    """Lets other users reach it: the folders above it, below the temporary one, are ours."""
     for above in folder.parents:
         if above == Path(tempfile.gettempdir()):
             return
@@ -176,8 +176,8 @@ def stranger(path, deed):
             process.kill()
 
 
-def test_a_stranger_who_makes_the_folder_first_keeps_nothing_out_and_is_not_read(shared):
-    """Without root the stranger is another process of this user that lets everybody write."""
+def test_a_folder_made_by_a_stranger_blocks_nothing_and_is_not_read(shared):
+    """Without root the stranger is a process of this user, with a folder open to all writers."""
     taken = shared / f"motord-{os.geteuid()}"
     with stranger(taken / "robot.page", "makes the folder") as process:
         if os.geteuid() != 0:
@@ -194,7 +194,7 @@ def test_a_stranger_who_makes_the_folder_first_keeps_nothing_out_and_is_not_read
                 PageFile.open("robot")
 
 
-def test_nothing_else_can_write_in_the_folder():
+def test_no_other_user_can_write_in_the_folder():
     with PageFile.open("robot") as page:
         info = page.path.parent.stat()
         assert info.st_uid == os.geteuid()
@@ -202,20 +202,20 @@ def test_nothing_else_can_write_in_the_folder():
 
 
 @pytest.mark.parametrize("deed", ["locks", "locks for reading"])
-def test_a_lock_of_a_reader_on_a_dead_daemons_page_keeps_nothing_out(folder, deed):
+def test_a_reader_s_lock_on_a_dead_daemon_s_page_blocks_nothing(folder, deed):
     path = folder / "robot.page"
     path.touch(0o644)
     with stranger(path, deed), PageFile.open("robot") as page:
         assert os.path.samestat(path.stat(), os.fstat(page.fd))
 
 
-def test_no_lock_of_a_reader_takes_the_page_of_a_living_daemon(holder):
+def test_a_reader_s_lock_does_not_take_the_page_of_a_living_daemon(holder):
     with stranger(find_page("robot"), "looks"), pytest.raises(PageInUse, match="living daemon"):
         PageFile.open("robot")
 
 
 @pytest.mark.parametrize("kind", ["fifo", "others write", "second name"])
-def test_what_is_not_a_plain_file_of_this_user_alone_is_replaced(folder, kind):
+def test_a_page_that_is_not_a_private_plain_file_of_this_user_is_replaced(folder, kind):
     path = folder / "robot.page"
     if kind == "fifo":
         os.mkfifo(path)
@@ -224,7 +224,7 @@ def test_what_is_not_a_plain_file_of_this_user_alone_is_replaced(folder, kind):
         path.chmod(0o666 if kind == "others write" else 0o644)
     if kind == "second name":
         os.link(path, path.with_name("second"))
-    before = os.open(path, os.O_PATH)  # its number is not given again
+    before = os.open(path, os.O_PATH)  # its inode number is not reused
     with PageFile.open("robot") as page:
         assert stat.S_IMODE(path.lstat().st_mode) == 0o644
         assert stat.S_ISREG(os.fstat(page.fd).st_mode)

@@ -36,7 +36,7 @@ def writing(file):
 
 
 @given(raw=st.binary(min_size=ffi.sizeof("robot_state"), max_size=ffi.sizeof("robot_state")))
-def test_whatever_the_bytes_are_there_is_a_snapshot(raw):
+def test_any_bytes_decode_to_a_snapshot(raw):
     snapshot = state_page.decode(raw)
     assert len(snapshot.joints) <= lib.JOINTS_MAX
     json.dumps(snapshot.to_json(), allow_nan=False)
@@ -81,7 +81,7 @@ def test_a_snapshot_is_whole_while_the_writer_races(page):
     assert all(found.tick == found.x_m == found.joints[7].duty for found in seen)
 
 
-def test_what_is_no_page_is_not_read(page):
+def test_a_file_that_is_not_a_page_is_not_read(page):
     name, path, _ = page
     with pytest.raises(NoPage, match="layout"):
         StatePage.open(name)

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * What the sketch uses of Arduino, for this machine: of each core no more than that core has.
- * sketch_host.cpp is behind it.
+ * The parts of Arduino that the sketch uses, for this machine: of each core only what that core
+ * has. sketch_host.cpp implements them.
  */
 #ifndef ARDUINO_H
 #define ARDUINO_H
