@@ -155,7 +155,9 @@ def rubbing(browser, folder, was):
 
 
 @pytest.mark.parametrize(("title", "speed_too"), [(DEAD_BAND, False), (FEED_FORWARD, True)])
-def test_a_dead_band_is_recovered_and_the_speed_at_full_duty(browser, tmp_path, title, speed_too):
+def test_the_dead_band_and_the_speed_at_full_duty_are_recovered(
+    browser, tmp_path, title, speed_too
+):
     file, served = rubbing(browser, tmp_path, was=0.02)
     before = load_robot(file).joint
     with served as robot, robot.page() as page:
@@ -272,7 +274,7 @@ TAKEN = {
 
 
 @pytest.mark.parametrize("taken", TAKEN.values(), ids=TAKEN)
-def test_what_would_take_the_keys_that_stop_a_procedure_stops_it(robot, page, taken):
+def test_a_menu_or_a_drag_stops_a_procedure(robot, page, taken):
     spinning(robot, page)
     taken(page)
     wait_until(lambda: page.locator(".ended").count(), "the end, not the next question")
@@ -290,7 +292,7 @@ def test_a_cut_link_ends_a_procedure_at_rest_and_without_power(robot):
         assert "silent" in page.locator(".ended").inner_text()
 
 
-def test_what_was_filled_in_is_kept_while_the_link_is_lost(robot):
+def test_a_filled_in_form_is_kept_while_the_link_is_lost(robot):
     with LinkProxy(robot.port) as link, robot.page(port=link.port) as page:
         open_page(page, SPIN)
         fill(page, Time_for_each_wheel=7)
@@ -313,7 +315,7 @@ def test_the_emergency_stop_ends_a_procedure(robot):
         assert "emergency stop" in page.locator(".ended").inner_text()
 
 
-def test_another_page_sees_that_a_procedure_runs_and_commands_nothing_but_stops(robot):
+def test_another_page_shows_a_running_procedure_and_can_only_stop_it(robot):
     with robot.page() as page, robot.page(at="drive") as other:
         spinning(robot, page)
         wait_until(
@@ -329,7 +331,7 @@ def test_another_page_sees_that_a_procedure_runs_and_commands_nothing_but_stops(
         rests_without_power(robot.stage)
 
 
-def test_a_page_without_the_token_sees_that_a_procedure_runs_and_nothing_of_it(robot):
+def test_a_page_without_the_token_shows_only_that_a_procedure_runs(robot):
     with robot.page() as page, robot.page(token=None) as other:
         spinning(robot, page)
         wait_until(lambda: "is running" in other.locator(".banner").inner_text(), "it is shown")
@@ -354,7 +356,7 @@ def test_axe_finds_nothing_in_a_question_and_a_result(robot):
     rests_without_power(robot.stage)
 
 
-def test_a_question_waits_for_a_page_that_was_closed_and_another_one_goes_on(robot):
+def test_a_question_outlives_its_page_and_another_page_answers_it(robot):
     with robot.page() as page:
         open_page(page, SPIN)
         begin(page)

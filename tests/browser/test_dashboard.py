@@ -73,7 +73,7 @@ def test_plots_move_and_pause(robot, page):
 
 
 @pytest.mark.parametrize("hold", [press_pad, press_key])
-def test_what_the_page_holds_drives_the_robot_and_its_release_stops_it(robot, page, hold):
+def test_a_held_pad_or_key_drives_the_robot_and_its_release_stops_it(robot, page, hold):
     robot.set_off(page, hold)
     assert robot.stage.sim.truth().x_m != 0.0
     page.mouse.up()
@@ -118,7 +118,7 @@ ENDINGS = {
 
 
 @pytest.mark.parametrize("ending", ENDINGS.values(), ids=ENDINGS)
-def test_each_end_of_the_dead_man_stops_the_wheels_though_the_pad_is_held(
+def test_leaving_or_losing_the_page_stops_the_wheels_while_the_pad_is_held(
     robot, page, thawed, ending
 ):
     robot.set_off(page)
@@ -129,7 +129,7 @@ def test_each_end_of_the_dead_man_stops_the_wheels_though_the_pad_is_held(
 
 
 @pytest.mark.parametrize("hold", [press_pad, press_key])
-def test_a_cut_link_stops_the_wheels_and_a_hold_does_not_go_on_when_it_is_back(robot, hold):
+def test_a_cut_link_stops_the_wheels_and_its_return_does_not_resume_a_hold(robot, hold):
     with LinkProxy(robot.port) as link, robot.page(port=link.port) as page:
         robot.set_off(page, hold)
         link.cut = True
@@ -146,7 +146,7 @@ def test_a_cut_link_stops_the_wheels_and_a_hold_does_not_go_on_when_it_is_back(r
         robot.set_off(page, hold)  # pressed again, it drives
 
 
-def test_a_link_that_delays_and_loses_still_drives_and_stops(robot):
+def test_a_slow_lossy_link_still_drives_and_stops(robot):
     link = LinkProxy(robot.port, delay_s=0.15, stalls=0.01, stall_s=0.1)
     with link, robot.page(port=link.port) as page:
         robot.set_off(page)
@@ -168,7 +168,7 @@ def test_an_emergency_stop_by_one_page_stops_what_another_drives(robot, page):
     shows(page, "idle")
 
 
-def test_the_button_of_the_emergency_stop_is_there_on_every_page(robot, page):
+def test_every_page_has_the_emergency_stop_button(robot, page):
     for tab in ("plots", "fleet"):
         page.evaluate(f"location.hash = '{tab}'")
         page.locator(ESTOP).click()
@@ -216,9 +216,7 @@ GAMEPAD_ENDINGS = {
 
 
 @pytest.mark.parametrize("ending", GAMEPAD_ENDINGS.values(), ids=GAMEPAD_ENDINGS)
-def test_a_gamepad_drives_until_it_ends_and_again_only_after_its_button_was_released(
-    robot, page, ending
-):
+def test_a_gamepad_drives_again_only_after_its_button_was_released(robot, page, ending):
     page.evaluate(GAMEPADS)
     robot.set_off(page, press_gamepad)
     page.evaluate(ending)
@@ -251,7 +249,7 @@ def test_a_second_page_does_not_drive_while_the_first_one_does(robot, page):
         robot.wait_for_rest()
 
 
-def test_a_page_without_the_token_watches_and_commands_after_it_was_entered(robot):
+def test_a_page_without_the_token_watches_and_commands_once_it_is_entered(robot):
     with robot.page(token=None) as page:
         shows(page, "idle")
         assert button(page, "Arm").first.is_disabled()
@@ -322,7 +320,7 @@ def test_a_register_is_read(robot, page):
     wait_until(lambda: cell.inner_text() == "36", "the register's value")
 
 
-def test_exchanges_are_shown_live_and_traced_no_longer_than_that(robot, page):
+def test_exchanges_are_traced_only_while_they_are_shown(robot, page):
     page.evaluate("location.hash = 'lines'")
     button(page, "Show live").click()
     rows = page.locator(".exchanges tbody tr")
@@ -402,7 +400,7 @@ TAB_CHOSEN_EARLY = """(() => {
 """Between what the page draws first and what it does after that."""
 
 
-def test_a_tab_that_is_chosen_as_soon_as_the_page_is_drawn_is_shown(robot):
+def test_a_tab_chosen_right_after_the_first_drawing_is_shown(robot):
     context = robot.browser.new_context()
     try:
         page = context.new_page()
@@ -413,7 +411,7 @@ def test_a_tab_that_is_chosen_as_soon_as_the_page_is_drawn_is_shown(robot):
         context.close()
 
 
-def test_a_tab_that_cannot_be_loaded_shows_why_and_opens_when_it_is_chosen_again(robot, page):
+def test_a_tab_that_fails_to_load_shows_why_and_opens_when_chosen_again(robot, page):
     scripts = "**/tabs/log.js"
     page.route(scripts, lambda route: route.abort("connectionrefused"))
     page.evaluate("location.hash = 'log'")
@@ -433,7 +431,7 @@ SPACE_EARLY = """new MutationObserver((_, observer) => {
 """As soon as there is a button, before the page does anything after its first drawing."""
 
 
-def test_the_space_bar_counts_as_soon_as_the_page_is_drawn(robot):
+def test_the_space_bar_works_right_after_the_first_drawing(robot):
     with robot.page() as page, page.add_init_script(SPACE_EARLY):
         page.reload()
         page.locator(".estop-place .problem", has_text="E-STOP: there is no connection").wait_for()

@@ -76,7 +76,7 @@ def test_a_long_touch_of_the_pad_opens_no_menu_and_drives_on(robot, page):
     robot.wait_for_rest()
 
 
-def test_a_key_whose_release_was_lost_before_a_hold_is_no_part_of_the_next_one(robot, page):
+def test_a_key_with_a_lost_release_does_not_count_in_the_next_hold(robot, page):
     page.evaluate("location.hash = 'drive'")
     page.wait_for_selector(".pad")
     press_pad(page)
