@@ -78,7 +78,7 @@ def refused(stage, name):
 
 
 @pytest.mark.parametrize(("name", "by"), [("ros2", by_dds), ("web", by_rosbridge)])
-def test_what_waited_while_it_stood_still_moves_nothing(stage, port, name, by):
+def test_commands_queued_while_motord_bus_stood_still_move_nothing(stage, port, name, by):
     arms(stage)
     pid, before = stage.robot.status()["bus"]["pid"], refused(stage, name)
     with by(port):
@@ -102,7 +102,7 @@ def test_what_waited_while_it_stood_still_moves_nothing(stage, port, name, by):
 
 
 @pytest.mark.parametrize("ahead_s", [0.0, 3600.0, -3600.0])
-def test_what_waited_at_the_sender_moves_nothing_whatever_its_clock_reports(stage, ahead_s):
+def test_commands_held_back_by_the_sender_move_nothing_whatever_its_clock(stage, ahead_s):
     arms(stage)
     with peer("twist", f"rt{NAMESPACE}/cmd_vel", SPEED_M_S, 0.0, ahead_s) as sender:
         stage.wait_for("moving")

@@ -214,7 +214,7 @@ async def test_linear_y_moves_a_mecanum_base_to_the_left(place, resting, network
 
 @on(DIFFERENTIAL)
 @pytest.mark.parametrize("network", NETWORKS)
-async def test_a_base_that_cannot_move_sideways_obeys_the_rest_and_counts_it(
+async def test_a_base_that_cannot_move_sideways_follows_the_rest_and_counts_it(
     place, resting, network
 ):
     before, counted = resting.sim.truth(), resting.robot.status()["commands"]["sideways"]

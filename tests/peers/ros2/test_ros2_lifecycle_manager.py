@@ -17,7 +17,7 @@ def state():
     return called("get_state", "GetState")["current_state"]
 
 
-def test_a_manager_walks_the_node_up_and_down_to_its_end(tmp_path):
+def test_a_lifecycle_manager_takes_the_node_through_all_its_states(tmp_path):
     events = ("topic", f"rt{NAMESPACE}/motord/transition_event", "TransitionEvent")
     with ros2_stage(tmp_path) as stage, peer(*events) as ear:
 

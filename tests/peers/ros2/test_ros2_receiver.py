@@ -47,11 +47,11 @@ def ours(stage):
     return inputs(stage)["ros2"]
 
 
-def test_c_takes_the_commands(stage):
+def test_c_receives_the_commands(stage):
     assert "goes through Python" not in stage.logged()
 
 
-def test_what_receives_goes_before_python(stage):
+def test_only_the_receiving_thread_has_real_time_priority(stage):
     """By the unit's LimitRTPRIO, or as here from outside."""
     set_policy(os.SCHED_FIFO, REALTIME_PRIORITY_MAX, bus(stage))
     tasks = Path(f"/proc/{bus(stage)}/task").iterdir()
@@ -74,7 +74,7 @@ def test_what_receives_goes_before_python(stage):
     ],
     ids=["no stamp", "ahead", "too long"],
 )
-def test_what_the_gate_refuses_is_counted_and_moves_nothing(stage, words, why):
+def test_a_command_refused_by_the_gate_is_counted_and_moves_nothing(stage, words, why):
     wait_until(lambda: called("arm")["success"], "armed")
     before, x_m = ours(stage)["refused"], stage.sim.truth().x_m
 
@@ -91,7 +91,9 @@ def test_what_the_gate_refuses_is_counted_and_moves_nothing(stage, words, why):
     [("nan", 0, "not_finite"), ("-inf", 0, "not_finite"), (1e308, 0, "out_of_range"),
      (0.3, 60, "age")],
 )  # fmt: skip
-def test_what_the_daemon_refuses_is_counted_there_and_moves_nothing(stage, speed, age_s, reason):
+def test_a_command_refused_by_the_daemon_is_counted_there_and_moves_nothing(
+    stage, speed, age_s, reason
+):
     def refused():
         return stage.robot.status()["commands"]["refused"][reason]
 
@@ -118,7 +120,7 @@ def test_commands_by_dds_and_by_python_go_out_under_one_lease(stage):
     assert out_of_order() == before
 
 
-def test_commands_end_with_a_python_that_stands_still_and_go_on_with_it(stage):
+def test_commands_stop_while_python_stands_still_and_resume_with_it(stage):
     """It would not receive an emergency stop by ROS 2."""
 
     def accepted():

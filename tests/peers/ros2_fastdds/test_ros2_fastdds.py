@@ -79,7 +79,7 @@ def test_a_writer_of_another_type_is_named(fast, stage):
         wait_until(lambda: row in stage.logged(), "a word on its type")
 
 
-def test_a_topic_stops_the_robot_and_who_asked_is_named(fast, stage):
+def test_the_estop_topic_stops_the_robot_and_names_the_node(fast, stage):
     """The way that is left to who gets no answer of a service."""
     reason = "input.ros2: by /watcher: 'a person is too close' (process "
     with fast("say", f"rt{NAMESPACE}/motord/estop", "a person is too close", "watcher"):
@@ -90,7 +90,7 @@ def test_a_topic_stops_the_robot_and_who_asked_is_named(fast, stage):
     settle(stage)
 
 
-def test_who_comes_late_is_sent_what_the_robot_looks_like(program, stage):
+def test_a_late_subscriber_gets_the_robot_description(program, stage):
     topic = f"rt{NAMESPACE}/robot_description"
     with peer("text", topic, program=(str(program),), decode=str.rstrip) as ear:
         assert ear.find(lambda _: True, "the description") == "<robot name="

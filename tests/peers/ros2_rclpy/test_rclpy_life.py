@@ -80,7 +80,7 @@ def test_a_daemon_with_another_robot_file_is_not_commanded(tmp_path):
         assert not stage.robot.status()["leases"]
 
 
-def test_it_waits_for_a_daemon_and_reports_so_once(tmp_path):
+def test_it_waits_for_a_daemon_and_logs_that_once(tmp_path):
     with (
         ros(tmp_path),
         bridge(tmp_path, "--socket", tmp_path / "daemon.sock") as waiting,
@@ -94,7 +94,7 @@ def test_it_waits_for_a_daemon_and_reports_so_once(tmp_path):
             assert waiting.logged().count("waiting for a daemon") == 1
 
 
-def test_what_it_is_started_with(tmp_path):
+def test_its_arguments_and_parameter_files_are_checked_and_applied(tmp_path):
     """An input of no known kind; a file of parameters; types of ours that were not built."""
     file = tmp_path / "bridge.yaml"
     file.write_text(
@@ -132,7 +132,7 @@ def test_what_it_is_started_with(tmp_path):
         ({"limits.linear_m_s": True}, "a number, not True"),
     ],
 )
-def test_a_parameter_that_is_none_is_named(parameters, why):
+def test_an_unknown_or_wrong_parameter_is_named(parameters, why):
     with pytest.raises(ValueError, match=why):
         options_of(parameters)
 
@@ -145,7 +145,7 @@ def test_parameters_of_the_node_are_requests():
     assert options.limits == {"limits.linear_m_s": 1.0}
 
 
-def test_it_needs_the_standard_library_alone():
+def test_it_needs_only_the_standard_library():
     """ROS brings its own Python, without what motord needs elsewhere."""
     path = os.pathsep.join(str(ROOT / folder) for folder in ("daemon", "hal"))
     run = subprocess.run(
@@ -156,7 +156,7 @@ def test_it_needs_the_standard_library_alone():
 
 
 @pytest.mark.skipif(REAL, reason="ROS 2 is here")
-def test_without_ros_it_reports_so():
+def test_without_ros_it_exits_with_the_reason():
     run = subprocess.run(
         [sys.executable, "-m", "motord.ros2_rclpy"], capture_output=True, timeout=DEADLINE_S
     )

@@ -79,13 +79,13 @@ def test_a_node_reads_odometry_and_drives_the_robot(node, stage):
     settle(stage)
 
 
-def test_a_node_reads_a_message_of_motord_s_own(node, stage):
+def test_a_node_reads_one_of_motords_own_messages(node, stage):
     with node("watch", NAMESPACE) as watcher:
         status = watcher.find(lambda sent: sent.get("state") == "idle", "its state")
     assert status["setpoint_rad_s"] == {"left": 0.0, "right": 0.0}
 
 
-def test_a_topic_stops_the_robot_and_names_the_node(node, stage):
+def test_the_estop_topic_stops_the_robot_and_names_the_node(node, stage):
     reason = "input.ros2: by /watcher: 'a person is too close' (process "
     with node("say", f"{NAMESPACE}/motord/estop", "a person is too close", "watcher"):
         stage.wait_for("estop")

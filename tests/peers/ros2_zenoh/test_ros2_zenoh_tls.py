@@ -48,7 +48,7 @@ def authorities(tmp_path_factory):
     return folders
 
 
-async def test_a_node_with_a_certificate_is_let_in_and_one_without_is_not(authorities, caplog):
+async def test_a_node_connects_only_with_a_certificate(authorities, caplog):
     ours, theirs = authorities
     plain, tls = free_port(), free_port()
     async with router(plain, tls, ours):
