@@ -31,7 +31,7 @@ def doctor(*words):
     return done.returncode, {row["check"]: row for row in found["findings"]}
 
 
-def test_a_daemon_that_runs_well_fails_in_nothing(stage):
+def test_a_healthy_daemon_passes_every_check(stage):
     status, found = doctor("--socket", str(stage.socket))
     assert found["joint left"]["verdict"] == found["5 devices"]["verdict"] == "ok"
     # on a busy machine a thread stands still now and then, which the daemon counts
@@ -87,7 +87,7 @@ def _drives(stage):
     return [joint["drive"] for joint in stage.robot.status()["joints"].values()]
 
 
-def test_without_a_daemon_it_starts_a_disarmed_one_and_ends_it(tmp_path):
+def test_without_a_daemon_doctor_starts_a_disarmed_one_and_ends_it(tmp_path):
     with start_simulator(ROBOT, link_dir=tmp_path, timeout_s=DEADLINE_S) as simulator:
         settings = [part for each in simulator.settings for part in ("--set", each)]
         settings += ["--set", f"robot.name=doctor{tmp_path.stat().st_ino}"]
@@ -99,7 +99,7 @@ def test_without_a_daemon_it_starts_a_disarmed_one_and_ends_it(tmp_path):
         assert simulator.control.truth().at_rest
 
 
-def test_a_mend_is_carried_out_after_the_question_alone(tmp_path):
+def test_a_repair_is_made_only_after_a_yes(tmp_path):
     governor = tmp_path / "sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"
     governor.parent.mkdir(parents=True)
     governor.write_text("powersave\n")

@@ -71,7 +71,7 @@ def test_nothing_moves_without_a_yes(stage):
 
 
 @pytest.mark.parametrize("how", ["key", "Ctrl-C", "SIGTERM", "SIGHUP", "kill -9", "e-stop"])
-def test_whatever_ends_it_leaves_the_robot_at_rest_with_the_gains_that_it_had(stage, how):
+def test_every_ending_is_at_rest_with_the_old_gains(stage, how):
     before, place = stage.file.read_bytes(), stage.sim.truth().distance_m
     with at_terminal("tune", "left", "--step-s", "4", "--socket", stage.socket) as screen:
         screen.answer("Is the path clear", "y")
@@ -101,7 +101,7 @@ def test_whatever_ends_it_leaves_the_robot_at_rest_with_the_gains_that_it_had(st
     at_rest_with_its_gains(stage, before)
 
 
-def test_it_is_stopped_by_its_bounds(stage):
+def test_exceeding_a_bound_stops_it(stage):
     before = stage.file.read_bytes()
     status, text = tuned(stage, "left", "--current-max-a", "0.5")
     assert status == 1
@@ -118,7 +118,7 @@ def test_gains_that_are_not_written_are_put_back(stage):
 
 
 @pytest.mark.long
-def test_the_wheel_is_identified_and_follows_better_with_its_gains(stage, tmp_path):
+def test_a_wheel_is_identified_and_follows_better_with_the_new_gains(stage, tmp_path):
     plot = tmp_path / "left.png"
     status, text = tuned(stage, "left", "--plot", str(plot), "--json")
     assert status == 0, text
@@ -159,7 +159,7 @@ def held_up(process):
         holding.join()
 
 
-def test_steps_that_the_computer_was_too_busy_to_see_are_driven_again_after_a_question(stage):
+def test_steps_that_a_busy_computer_missed_are_driven_again_after_a_question(stage):
     before = stage.file.read_bytes()
     with at_terminal("tune", "left", "--socket", stage.socket) as screen:
         screen.answer("Is the path clear", "y")
@@ -173,7 +173,7 @@ def test_steps_that_the_computer_was_too_busy_to_see_are_driven_again_after_a_qu
     at_rest_with_its_gains(stage, before)
 
 
-def test_a_drive_that_holds_the_speed_by_itself_is_named(tmp_path):
+def test_a_drive_with_its_own_speed_loop_is_named(tmp_path):
     file = copied(tmp_path)
     with robot_of(tmp_path, file) as stage:
         with at_terminal("tune", "left", "--socket", stage.socket) as screen:
@@ -186,7 +186,7 @@ def test_a_drive_that_holds_the_speed_by_itself_is_named(tmp_path):
 
 
 @pytest.mark.long
-def test_a_drive_that_takes_a_torque_gets_feed_forward_too(tmp_path):
+def test_a_torque_drive_gets_feed_forward_too(tmp_path):
     file = patient_on_can(tmp_path, "cia402-torque", "cia402-torque")
     slack = (("gain_n_m_s_per_rad = 1.0", "gain_n_m_s_per_rad = 0.3"),)
     copied(tmp_path, file, slack)

@@ -35,7 +35,7 @@ def stacks_kb(pid):
     return found
 
 
-def test_no_whole_stack_of_a_thread_is_pinned(stage):
+def test_no_thread_has_its_whole_stack_locked_in_memory(stage):
     if stage.robot.status()["loop"]["policy"] != "SCHED_FIFO":
         pytest.skip("memory is not locked here")
     found = stacks_kb(stage.daemon.pid)

@@ -69,7 +69,7 @@ def demo(name, *options):
 
 
 @pytest.mark.parametrize("name", long_but(("demo", "asyncio-rs485"), ROBOTS))
-def test_a_shipped_robot_drives_the_course_and_reports_what_its_odometry_is_worth(name):
+def test_a_shipped_robot_drives_the_course_and_reports_its_odometry_error(name):
     run = demo(name, "--json")
     assert run.returncode == 0, run.stdout + run.stderr
     result = json.loads(run.stdout)

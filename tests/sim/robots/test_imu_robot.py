@@ -67,7 +67,7 @@ def test_without_a_gyro_the_same_slip_turns_the_heading_away(tmp_path):
         assert turned_and_slipped(stage) > 0.5
 
 
-def test_what_is_published_is_turned_into_the_bases_axes(tmp_path):
+def test_published_samples_are_in_the_bases_axes(tmp_path):
     over = (
         "imu.up=-y",
         "imu.forward=z",
@@ -90,7 +90,7 @@ def test_what_is_published_is_turned_into_the_bases_axes(tmp_path):
         assert wait_until(published, "a snapshot with the imu")["state"] in ("unbiased", "used")
 
 
-def test_a_chip_that_is_not_there_is_reported_once_and_the_wheels_give_the_heading(tmp_path):
+def test_a_missing_chip_is_reported_once_and_the_wheels_give_the_heading(tmp_path):
     text = PLAIN.read_text(encoding="utf-8")
     robot = tmp_path / "robot.toml"
     robot.write_text(text + '[imu]\nsource = "mpu6050"\nbus = "/nowhere/i2c-1"\n', encoding="utf-8")

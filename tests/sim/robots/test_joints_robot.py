@@ -51,7 +51,7 @@ def shown(stage):
     ).stdout
 
 
-def test_motord_joints_ends_where_it_was_sent(armed):
+def test_motord_joints_ends_at_the_commanded_positions(armed):
     for goal_rad in (0.4, -0.3):
         done = command(armed, f"pan={goal_rad}", f"tilt={goal_rad / 2}")
         assert done.returncode == 0, done.stderr
@@ -60,7 +60,7 @@ def test_motord_joints_ends_where_it_was_sent(armed):
         assert true_rad(armed, "tilt") == pytest.approx(goal_rad / 2, abs=NEAR_RAD)
 
 
-def test_a_joint_whose_commands_end_rests_before_its_target(armed):
+def test_a_joint_rests_before_its_target_when_its_commands_end(armed):
     start_rad = true_rad(armed, "pan")
     goal_rad = -1.4 if start_rad > 0.0 else 1.4
     armed.robot.joints({"pan": goal_rad}, lease_s=0.1)
@@ -94,14 +94,14 @@ def test_a_stop_leaves_no_target_behind(armed):
         (lambda robot: robot.drive(0.1, 0.0), "no base that drives"),
     ],
 )
-def test_what_these_joints_cannot_do_is_refused_with_the_reason(armed, call, why):
+def test_a_command_that_these_joints_cannot_follow_is_refused_with_the_reason(armed, call, why):
     before_rad = true_rad(armed, "pan")
     with pytest.raises(Refused, match=why):
         call(armed.robot)
     assert true_rad(armed, "pan") == pytest.approx(before_rad, abs=0.005)
 
 
-def test_before_arming_a_position_is_refused_and_moves_nothing(stage):
+def test_a_position_before_arming_is_refused_and_moves_nothing(stage):
     stage.wait_for("idle")
     before_rad = true_rad(stage, "tilt")
     with pytest.raises(Refused, match="motord arm"):
@@ -122,7 +122,7 @@ def test_status_names_joints_and_their_angles(armed):
     assert (description["drives"], description["takes_position"]) == (False, ["pan", "tilt"])
 
 
-def test_status_names_the_joint_whose_range_ends(armed):
+def test_status_names_the_joint_that_its_range_limits(armed):
     def named():
         armed.robot.joints({"pan": 5.0}, lease_s=LEASE_S)
         return re.search(r"reasons +.*joint_position of pan for \d", shown(armed))
@@ -161,7 +161,7 @@ def _slowed(armed):
     armed.robot.params_set(**before)
 
 
-def test_a_limit_that_is_lowered_while_a_joint_moves_slows_it_down(slowed):
+def test_lowering_a_limit_slows_a_moving_joint(slowed):
     def at_speed(rad_s):
         def seen():
             goal_rad = math.copysign(1.4, goals[-1])

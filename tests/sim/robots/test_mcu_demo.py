@@ -12,7 +12,7 @@ PATIENT = "[safety]\nfeedback_timeout_s = 2.0\nheartbeat_timeout_s = 2.0\n"
 """A busy machine is no fault."""
 
 
-def test_a_robot_on_a_board_drives_the_course_and_knows_where_it_is(tmp_path):
+def test_a_robot_on_a_board_drives_the_course_with_accurate_odometry(tmp_path):
     path = tmp_path / "esp32.toml"
     text = ESP32.replace("[safety]\n", PATIENT).replace("watchdog_s = 0.25", "watchdog_s = 2.0")
     assert PATIENT in text

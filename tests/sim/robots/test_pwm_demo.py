@@ -18,7 +18,7 @@ PATIENT = "\n[safety]\nfeedback_timeout_s = 2.0\nheartbeat_timeout_s = 2.0\n"
 SPEED_RAD_S = 5.0
 
 
-def test_a_robot_on_pins_drives_the_course_and_knows_where_it_is(tmp_path):
+def test_a_robot_on_pins_drives_the_course_with_accurate_odometry(tmp_path):
     path = tmp_path / "pi5-bts7960.toml"
     path.write_text(ROBOT.read_text(encoding="utf-8") + PATIENT, encoding="utf-8")
     run = subprocess.run(
@@ -115,7 +115,7 @@ def test_pulses_go_on_after_a_kill_until_stop_all_ends_them(stage, tmp_path):
     assert not any(joint.enabled for joint in stage.sim.truth().joints.values())
 
 
-def test_a_daemon_that_is_ended_leaves_no_pulses(stage):
+def test_a_daemon_that_ends_leaves_no_pulses(stage):
     assert stage.end() == 0
     wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
     assert not any(joint.enabled for joint in stage.sim.truth().joints.values())

@@ -61,7 +61,7 @@ def test_gains_that_are_set_while_it_drives_bring_the_wheel_to_its_speed(stage):
     stage.robot.disarm()
 
 
-def test_what_was_set_goes_into_the_robot_file(stage):
+def test_changed_gains_are_saved_in_the_robot_file(stage):
     stage.robot.params_set(**GAINS)
     with at_terminal("params", "save", "--yes", "--socket", stage.socket) as screen:
         assert screen.end() == 0, screen.text

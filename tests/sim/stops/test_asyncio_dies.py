@@ -14,7 +14,7 @@ from tests.sim.supervised_daemon import PATIENCE_S, fed, notifications, supervis
 HOGGED = ("-m", "tests.sim.hogged_daemon")
 
 
-def test_a_source_of_datagrams_keeps_no_robot_going_whose_asyncio_is_dead(tmp_path):
+def test_datagrams_do_not_keep_a_robot_moving_while_asyncio_hangs(tmp_path):
     robot = tmp_path / "robot.toml"
     text = ROBOT.read_text(encoding="utf-8").split("[input.")[0]
     robot.write_text(text + INPUTS.format(port=free_udp_port()), encoding="utf-8")

@@ -56,7 +56,7 @@ def exchanges(stage):
 
 
 @pytest.mark.parametrize("fault", long_but(("SIGKILL",), FAULTS))
-def test_its_lease_lapses_the_robot_rests_and_all_else_goes_on(stage, planted, fault):
+def test_a_fault_in_motord_bus_ends_its_lease_and_the_robot_rests(stage, planted, fault):
     pid = leasing(stage)
     obeying(stage, lambda may: planted.order("drive") if may else planted.rest())
     loop = stage.robot.status()["loop"]

@@ -67,7 +67,7 @@ def commander(stage):
     return next(iter(leases(stage)), None)
 
 
-def test_a_flood_keeps_no_command_of_a_higher_priority_from_being_obeyed(tmp_path):
+def test_a_flood_does_not_hold_up_a_command_of_higher_priority(tmp_path):
     with running(tmp_path, *SETTINGS) as stage:
         stage.wait_for("idle")
         stage.robot.arm()
@@ -83,7 +83,7 @@ def refused(stage):
     return stage.robot.status()["commands"]["refused"]["rate"]
 
 
-def test_a_source_commands_no_more_often_than_the_robot_file_allows(tmp_path):
+def test_a_source_is_limited_to_the_rate_in_the_robot_file(tmp_path):
     with running(tmp_path, *SETTINGS, "input.flood.rate_max_hz=50") as stage:
         stage.wait_for("idle")
         with flood(stage):

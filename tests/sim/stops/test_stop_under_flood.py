@@ -94,7 +94,7 @@ def test_a_robot_is_stopped_through_a_flood_of_connections(tmp_path, count, proc
 
 
 @pytest.mark.parametrize("method", ["stop", "estop", "disarm"])
-def test_a_daemon_without_a_descriptor_left_is_stopped(tmp_path, method):
+def test_a_daemon_out_of_descriptors_is_stopped(tmp_path, method):
     with running(tmp_path) as stage:
         stage.wait_for("idle")
         set_off(stage)
@@ -108,7 +108,7 @@ def test_a_daemon_without_a_descriptor_left_is_stopped(tmp_path, method):
 @pytest.mark.parametrize(
     ("method", "state"), [("stop", "fault"), ("estop", "estop"), ("disarm", "idle")]
 )
-def test_a_daemon_whose_asyncio_stands_still_is_stopped_by_the_loop(tmp_path, method, state):
+def test_a_daemon_with_a_hung_asyncio_is_stopped_by_the_loop(tmp_path, method, state):
     pipe = tmp_path / "hog"
     os.mkfifo(pipe)
     patient = ("safety.heartbeat_timeout_s=5.0", "safety.drive_watchdog_s=10.0")
@@ -125,7 +125,7 @@ def test_a_daemon_whose_asyncio_stands_still_is_stopped_by_the_loop(tmp_path, me
             stage.daemon.kill()
 
 
-def test_who_cannot_reach_it_is_sent_what_to_do_instead(tmp_path):
+def test_an_unreachable_daemon_is_answered_with_motord_stop_all(tmp_path):
     with running(tmp_path, simulated=False) as stage:
         pass
     done = motord(stage, "estop")

@@ -141,7 +141,7 @@ def test_a_demonstration_that_is_terminated_leaves_no_process_behind(tmp_path):
 
 
 @pytest.mark.long
-def test_the_demonstration_ends_well_and_prints_what_the_contract_reports(tmp_path):
+def test_the_demonstration_succeeds_and_prints_every_key_of_the_contract(tmp_path):
     patient = tmp_path / "demo.toml"  # a busy machine is no fault
     text = ROBOT.read_text(encoding="utf-8")
     for old in ("feedback_timeout_s = 0.25", "heartbeat_timeout_s = 0.5", "drive_watchdog_s = 0.5"):
@@ -176,7 +176,7 @@ def test_the_demonstration_ends_well_and_prints_what_the_contract_reports(tmp_pa
     assert line["round_trip_us"].keys() >= {"p50", "p99", "max"}
 
 
-def test_a_stop_that_was_answered_does_not_come_again_with_its_datagram(tmp_path):
+def test_an_answered_stop_is_not_repeated_by_its_datagram(tmp_path):
     """Each is sent twice: to the loop, which looks once a tick, and to asyncio."""
     with running(tmp_path, "loop.rate_hz=20") as stage:
         stage.wait_for("idle")

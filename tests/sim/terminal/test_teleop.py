@@ -83,7 +83,7 @@ def test_two_keys_move_a_base_sideways(tmp_path):
             assert terminal.exit_status() == 0
 
 
-def test_keys_that_a_slow_link_held_back_move_nothing(armed):
+def test_keys_delayed_by_a_slow_link_move_nothing(armed):
     with teleop(armed) as terminal:
         hold(armed, terminal)
         terminal.answers = False  # the link stands still, and the key is released meanwhile
@@ -126,7 +126,7 @@ def test_a_motion_key_during_an_emergency_stop_is_refused_and_the_session_goes_o
     assert armed.sim.truth().at_rest
 
 
-def test_what_is_armed_here_is_disarmed_at_the_end(stage):
+def test_a_robot_armed_by_teleop_is_disarmed_at_its_end(stage):
     wait_until(lambda: stage.state() in ("idle", "fault", "estop"), "at rest")
     with teleop(stage) as terminal:
         terminal.type("r")
@@ -149,7 +149,7 @@ def test_a_closed_terminal_ends_at_rest(armed):
     assert armed.robot.status()["leases"] == []
 
 
-def test_a_program_that_stands_still_stops_the_robot(armed):
+def test_a_suspended_teleop_stops_the_robot(armed):
     with teleop(armed) as terminal:
         hold(armed, terminal)
         terminal.process.send_signal(signal.SIGSTOP)

@@ -86,7 +86,7 @@ def test_without_a_terminal_it_is_wrong_usage(stage):
     assert (done.returncode, "ssh -t" in done.stderr) == (2, True)
 
 
-def test_the_log_is_read_by_number(stage):
+def test_the_log_is_read_by_record_number(stage):
     def found():
         return stage.robot.call("log")
 

@@ -134,12 +134,12 @@ def rests_disarmed(stage):
         ({"procedure": "spin", "joints": [1]}, "list of names"),
     ],
 )
-async def test_what_is_no_procedure_begins_none(connect, request_, why):
+async def test_an_invalid_request_starts_no_procedure(connect, request_, why):
     page = await connect()
     assert why in (await page.answer("commission.start", **request_))["error"]
 
 
-async def test_an_option_that_is_no_finite_number_begins_none(connect):
+async def test_an_option_that_is_not_finite_starts_no_procedure(connect):
     page = await connect()
     for word in ("NaN", "Infinity", "1e999"):
         await page.connection.send_str(
@@ -153,7 +153,7 @@ async def test_an_option_that_is_no_finite_number_begins_none(connect):
     assert status["commissioning"] is None
 
 
-async def test_one_page_conducts_and_others_neither_answer_nor_command_but_stop(connect):
+async def test_only_the_conducting_page_answers_and_others_can_only_stop(connect):
     page, other = await connect(), await connect()
     assert "result" in await page.answer("commission.start", **SPIN)
     number = (await question(page))["number"]
@@ -166,7 +166,7 @@ async def test_one_page_conducts_and_others_neither_answer_nor_command_but_stop(
     await ended(page)
 
 
-async def test_an_answer_of_a_page_that_is_not_present_moves_nothing(stage, connect):
+async def test_an_answer_of_a_silent_page_moves_nothing(stage, connect):
     stage.sim.reset_truth()
     page = await connect()
     await page.answer("commission.start", **SPIN)
@@ -180,7 +180,7 @@ async def test_an_answer_of_a_page_that_is_not_present_moves_nothing(stage, conn
     await ended(page)
 
 
-async def test_an_answer_that_is_none_of_those_that_were_asked_for_is_asked_again(connect):
+async def test_a_question_with_an_invalid_answer_is_asked_again(connect):
     page = await connect()
     await page.answer("commission.start", **SPIN)
     asked = await question(page)
@@ -197,7 +197,7 @@ async def test_an_answer_that_is_none_of_those_that_were_asked_for_is_asked_agai
     await ended(page)
 
 
-async def test_a_page_that_falls_silent_lets_the_wheel_come_to_rest_without_power(stage, connect):
+async def test_a_silent_page_ends_the_procedure_at_rest_without_power(stage, connect):
     page = await connect()
     await turning(stage, page)
     end = await page.until(lambda one: record(one).get("end"))
@@ -205,9 +205,7 @@ async def test_a_page_that_falls_silent_lets_the_wheel_come_to_rest_without_powe
     rests_disarmed(stage)
 
 
-async def test_a_procedure_that_sends_what_cannot_be_read_ends_at_rest_without_power(
-    stage, connect
-):
+async def test_a_procedure_with_unreadable_output_ends_at_rest_without_power(stage, connect):
     page = await connect()
     await turning(stage, page)
     async with present(page):
@@ -218,7 +216,7 @@ async def test_a_procedure_that_sends_what_cannot_be_read_ends_at_rest_without_p
     assert "result" in await page.answer("commission.start", **SPIN)
 
 
-async def test_motord_bus_that_is_killed_leaves_the_robot_at_rest_and_disarmed(stage, connect):
+async def test_a_killed_motord_bus_leaves_the_robot_at_rest_and_disarmed(stage, connect):
     page = await connect()
     await turning(stage, page)
     os.kill(stage.robot.status()["bus"]["pid"], signal.SIGKILL)
