@@ -45,7 +45,7 @@ async def test_the_bridge_is_forward_backward_braked_and_without_power():
     assert level("pwm0") == level("pwm1") == 0.0
 
 
-async def test_a_loop_that_dies_stops_the_motor():
+async def test_a_dead_loop_stops_the_motor():
     async with running(spec_of()) as line:
         line.loop.enabled, line.loop.duty = True, {0: 0.5}
         await reaches(line, are("forward", 0.5), "forward")

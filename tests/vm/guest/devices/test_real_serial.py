@@ -40,7 +40,7 @@ def test_a_robot_on_a_uart_drives_and_comes_to_rest(tmp_path, simulator):
 
 
 @pytest.mark.parametrize("kind", ["by serial number", "by id"])
-def test_an_adapter_that_was_pulled_is_found_again_disarmed(tmp_path, simulator, kind):
+def test_a_pulled_adapter_is_found_again_and_disarmed(tmp_path, simulator, kind):
     by_id = next(p for p in os.listdir("/dev/serial/by-id") if ADAPTER_SERIAL in p)
     port = {"by serial number": f"usb:{ADAPTER_SERIAL}", "by id": f"/dev/serial/by-id/{by_id}"}
     with (
@@ -75,14 +75,14 @@ def test_the_kernel_counts_what_a_uart_received():
         os.close(fd)
 
 
-def test_an_ftdi_adapter_that_keeps_bytes_back_is_sent_not_to():
+def test_opening_an_ftdi_adapter_shortens_its_latency_timer():
     timer = Path("/sys/class/tty", Path(adapter()).name, "device/latency_timer")
     timer.write_text("16")
     open_port(spec_of(adapter(), 115200, "none", DirectionSpec())).close()
     assert int(timer.read_text()) == 1
 
 
-def test_a_plugged_adapter_has_a_short_latency_timer_by_the_udev_rule():
+def test_the_udev_rule_shortens_the_latency_timer_of_a_plugged_adapter():
     pull()
     plug()
     timer = Path("/sys/class/tty", Path(adapter()).name, "device/latency_timer")
@@ -97,7 +97,7 @@ def test_a_uart_hands_bytes_on_at_once():
         os.close(fd)
 
 
-def test_a_uart_that_cannot_turn_a_transceiver_reports_what_else_can():
+def test_a_uart_without_rs485_mode_is_refused_with_the_gpio_alternative():
     asked = DirectionSpec(kind=DirectionKind.KERNEL)
     with pytest.raises(PortError, match=r'not offered by this port .*direction = "gpio"'):
         open_port(spec_of(UART, 115200, "none", asked))

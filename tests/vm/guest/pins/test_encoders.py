@@ -71,7 +71,7 @@ async def test_every_edge_is_counted_forward_and_back_from_any_place(rig, begin)
 
 
 @pytest.mark.smoke
-async def test_a_wheel_that_turns_is_measured_and_one_that_stands_is_at_rest(rig):
+async def test_a_turning_wheel_is_measured_and_a_still_one_is_at_rest(rig):
     wheel = Wheel(rig)
     async with running(with_encoder(rig)) as line:
         await line.ready()
@@ -84,7 +84,7 @@ async def test_a_wheel_that_turns_is_measured_and_one_that_stands_is_at_rest(rig
         await until(lambda: line.loop.exchange.take_feedback(0).velocity_rad_s == 0.0, "rest")
 
 
-async def test_edges_of_before_the_line_was_opened_do_not_count(rig):
+async def test_edges_before_the_line_was_opened_do_not_count(rig):
     wheel = Wheel(rig)
     wheel.turn(13)
     async with running(with_encoder(rig)) as line:
@@ -92,7 +92,7 @@ async def test_edges_of_before_the_line_was_opened_do_not_count(rig):
         assert line.loop.exchange.take_feedback(0).count == 0
 
 
-async def test_a_channel_that_is_something_else_s_is_reported_with_joint_channel_and_owner(rig):
+async def test_an_encoder_channel_in_use_is_reported_with_joint_channel_and_owner(rig):
     fd = request_outputs(LABEL, [Wanted(line=B, purpose="a test")], "coffee machine")
     try:
         async with running(with_encoder(rig)) as line:

@@ -16,7 +16,7 @@ SMOKE = pytest.param("pwm", marks=pytest.mark.smoke)
 
 
 @pytest.mark.parametrize("kind", [SMOKE, *(kind for kind in KINDS if kind != "pwm")])
-def test_wheels_of_a_killed_daemon_come_to_rest_and_it_comes_back_disarmed(kind, capsys):
+def test_the_wheels_of_a_killed_daemon_rest_and_it_returns_disarmed(kind, capsys):
     name = f"killed-{kind}"
     with (
         KINDS[kind](name) as (sim, robot),

@@ -33,7 +33,7 @@ def test_the_unit_is_hardened():
     exposure("motord@demo.service")
 
 
-def test_the_unit_is_hardened_also_where_its_robot_needs_most():
+def test_the_unit_is_hardened_for_the_most_demanding_robot_too():
     robot = "pi4-encoders"
     drop_in = output("motord", "unit", f"/usr/share/motord/robots/{robot}.toml")
     assert "ReadWritePaths" in drop_in

@@ -39,7 +39,7 @@ def unit(drives):
 
 
 @pytest.mark.smoke
-def test_it_runs_on_time_as_a_user_without_rights(unit):
+def test_it_runs_in_real_time_as_an_unprivileged_user(unit):
     status = Path(f"/proc/{unit.main_pid()}/status").read_text().splitlines()
     found = dict(line.split(":\t", 1) for line in status if ":\t" in line)
     assert Path(f"/proc/{unit.main_pid()}").owner() == "motord"
@@ -52,7 +52,7 @@ def test_it_runs_on_time_as_a_user_without_rights(unit):
     unit.drive_on()
 
 
-def test_it_reaches_the_devices_of_motors_and_no_other(unit):
+def test_it_can_open_motor_devices_and_no_others(unit):
     assert properties(UNIT, "DevicePolicy")["DevicePolicy"] == "closed"
     # from inside its own limits: the disk's file is there, and opening it is refused by the kernel
     limits = ["-p", "DevicePolicy=closed", "-p", "DeviceAllow=char-ttyS rw"]
@@ -86,7 +86,7 @@ def test_the_second_process_may_have_the_lowest_real_time_priority_and_no_other(
     assert done.splitlines() == ["1", "Operation not permitted"]
 
 
-def test_members_of_its_group_command_it_and_nothing_else(unit):
+def test_only_members_of_its_group_command_it(unit):
     output("useradd", "--groups", "motord", "driver")
     output("useradd", "visitor")
     try:
@@ -117,7 +117,7 @@ def latched() -> str:
     return json.dumps(faults[-1]["MOTORD_FAULT"]) if faults else ""
 
 
-def test_the_journal_knows_the_line_the_joints_and_the_faults(unit):
+def test_the_journal_has_fields_for_line_joints_and_faults(unit):
     unit.drive_on()
     unit.sim.inject("fault:at_s=0,unit=1,channel=1,bit=2")
     unit.wait_for("fault")
