@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second process stands still while a program commands without a stamp, and goes on when
-none does any more: nothing that waited in a queue meanwhile moves the robot."""
+"""motord-bus stands still while a program sends commands without a stamp, and goes on after the
+program has ended: no command that was queued meanwhile moves the robot."""
 
 import contextlib
 import json
@@ -68,7 +68,7 @@ def by_rosbridge(port):
 
 
 def arms(stage):
-    """Whatever was before: a busy machine may have latched a fault."""
+    """Resets first: a busy machine may have latched a fault."""
     becomes_idle(stage)
     wait_until(lambda: stage.robot.arm(), "armed")
 
@@ -90,7 +90,7 @@ def test_commands_queued_while_motord_bus_stood_still_move_nothing(stage, port, 
     wait_until(lambda: stage.robot.status()["at_rest"], "rest")
     accepted = stage.robot.status()["commands"]["accepted"]
     os.kill(pid, signal.SIGCONT)
-    wait_until(lambda: refused(stage, name) > before, "what waited is refused")
+    wait_until(lambda: refused(stage, name) > before, "the queued commands are refused")
     status = stage.robot.status()
     assert status["commands"]["accepted"] == accepted
     assert status["at_rest"]

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Foxglove server that obeys: any client that connects may look; one that shows the token drives
-the robot and changes its limits."""
+"""A Foxglove server that takes commands: every client may watch; one with the token drives the
+robot and changes its limits."""
 
 import asyncio
 import contextlib
@@ -48,13 +48,14 @@ async def let_in(client):
 
 
 async def armed(client, **token):
-    """Again when a busy machine made a drive look unresponsive, or another lease has not ended."""
+    """Retried: a drive may look unresponsive on a busy machine, or another lease may not have
+    ended."""
     while not (await client.call("arm", **token))["success"]:
         await client.call("reset", **token)
 
 
 async def driven(stage, client, channel, message, **token):
-    """Until it moves."""
+    """Publishes until the robot moves."""
     while (state := stage.state()) != "moving":
         if state != "armed":
             await armed(client, **token)
@@ -63,7 +64,7 @@ async def driven(stage, client, channel, message, **token):
 
 
 async def complaint(client, about, ask):
-    """Of what is asked for; again, for complaints are rare."""
+    """The server's warning about `about`; `ask` is repeated, because warnings are rate-limited."""
     while True:
         await ask()
         with contextlib.suppress(TimeoutError):
@@ -155,7 +156,7 @@ async def test_an_unadvertised_channel_no_longer_commands(stage, port):
 
 
 async def test_other_clients_do_not_push_out_the_one_in_command(stage, port):
-    """However many channels they open, and connections come and go."""
+    """The others open many channels, and their connections come and go."""
     zero = {"linear": {"x": 0.0}, "angular": {"z": 0.0}}
 
     async def obeyed():
@@ -171,7 +172,7 @@ async def test_other_clients_do_not_push_out_the_one_in_command(stage, port):
             async with wired(port) as other:
                 for _ in range(100):
                     await other.advertise("/cmd_vel")
-                await other.call("reset_odometry")  # they were read
+                await other.call("reset_odometry")  # the channels were read
                 for _ in range(20):
                     await let_in(other)
             await obeyed()
@@ -185,7 +186,7 @@ async def test_a_channel_that_cannot_be_published_is_reported(stage, port, topic
 
 
 def of(value):
-    """That the one parameter which was asked for has it."""
+    """Whether the one requested parameter has this value."""
     return lambda answer: [one["value"] for one in answer["parameters"]] == [value]
 
 
@@ -193,7 +194,7 @@ async def test_limits_are_read_and_changed_and_changes_reach_subscribers(stage, 
     async with asyncio.timeout(DEADLINE_S), wired(port) as client, wired(port) as watcher:
         await let_in(client)
         while LIMIT not in (all_ := await client.parameters("getParameters", parameterNames=[])):
-            await asyncio.sleep(0.05)  # the daemon was not asked yet
+            await asyncio.sleep(0.05)  # motord-bus has not read the limits yet
         assert all_["base.track_m"] > 0
         await watcher.send("subscribeParameterUpdates", parameterNames=[LIMIT])
         value = all_[LIMIT] / 2
@@ -201,7 +202,7 @@ async def test_limits_are_read_and_changed_and_changes_reach_subscribers(stage, 
         assert await client.parameters("setParameters", parameters=change) == {LIMIT: value}
         assert stage.robot.call("params.get", names=[LIMIT]) == {LIMIT: value}
         await watcher.received("parameterValues", of(value))
-        stage.robot.call("params.set", **{LIMIT: all_[LIMIT]})  # by another way
+        stage.robot.call("params.set", **{LIMIT: all_[LIMIT]})  # through the local socket
         await watcher.received("parameterValues", of(all_[LIMIT]))
 
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MQTT against Eclipse Mosquitto: what is published and obeyed, and what a broken broker costs."""
+"""MQTT against Eclipse Mosquitto: what is published, what is commanded, and what a failing broker
+does."""
 
 import json
 import math
@@ -24,7 +25,8 @@ LEASE_S = 1.0
 ANSWER_WITHIN_S = 10.0
 READER = ("mosquitto_sub", "-W", f"{DEADLINE_S:.0f}", "-v",
           "-t", "site/r2/answer", "-t", "site/r2/odom")  # fmt: skip
-"""Answers, and odometry that shows that it is subscribed; it ends where the broker is silent."""
+"""Reads answers, and odometry, which shows that it is subscribed; ends when the broker is
+silent."""
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +53,7 @@ def inputs(stage):
 
 
 def ready(stage, but=None):
-    """Another second process than that one commands."""
+    """Waits until a motord-bus other than process `but` has its lease."""
     wait_until(
         lambda: (
             stage.robot.status()["bus"]["pid"] not in (None, but)
@@ -66,12 +68,12 @@ def accepted(stage):
 
 
 def called(stage, peer, method, **more):
-    """Ask by the broker, and wait for the answer to it; once more where the broker had just lost
-    the one who listens, as after a test that hung it."""
+    """Call a method by the broker, and wait for the answer; repeated where the broker had just lost
+    motord-bus, as after a test that hung it."""
     number, asked_s = os.urandom(4).hex(), -math.inf
     with subprocess.Popen([*READER, "-p", str(peer.port)], stdout=subprocess.PIPE) as reader:
         try:
-            for line in reader.stdout:  # it is subscribed: something has come
+            for line in reader.stdout:  # a first message shows that it is subscribed
                 if time.monotonic() - asked_s > ANSWER_WITHIN_S:
                     asked_s = time.monotonic()
                     call = {"token": TOKEN, "method": method, "id": number} | more
@@ -90,7 +92,7 @@ def twist(linear_m_s, age_s=0.0, **more):
 
 
 class Driving:
-    """Commands the robot by the broker, as long as it lasts."""
+    """Commands the robot by the broker while it is entered."""
 
     def __init__(self, peer, linear_m_s):
         self._peer, self._linear_m_s = peer, linear_m_s
@@ -123,7 +125,7 @@ class Driving:
 
 
 def armed(stage, peer):
-    """By the broker; again when a busy machine has made a drive look unresponsive."""
+    """Arms by the broker; retried, because a drive may look unresponsive on a busy machine."""
 
     def attempt():
         method = {"fault": "reset", "estop": "reset", "idle": "arm"}.get(stage.state())
@@ -195,12 +197,12 @@ def test_a_client_with_the_token_commands_wheels_by_joint_name(stage, peer):
         return stage.state() == "moving"
 
     wait_until(moving, "the wheels turn", 2 * DEADLINE_S)
-    stage.wait_for("armed", "fault")  # of a busy machine
+    stage.wait_for("armed", "fault")  # a fault of a busy machine
 
 
 def refusal_of(stage, peer, topic, command):
-    """Until it is counted. It is sent again: while a busy machine reconnects, the broker keeps
-    none."""
+    """Sends the command until its refusal is counted: while motord-bus reconnects on a busy
+    machine, the broker keeps no command."""
     refused = inputs(stage)["fleet"]["refused"]
 
     def attempt():
@@ -300,7 +302,7 @@ def test_an_emergency_stop_behind_many_calls_stops_and_every_call_is_answered(st
     calls.append({"token": TOKEN, "method": "estop", "id": names[-1]})
     with subprocess.Popen([*READER, "-p", str(peer.port)], stdout=subprocess.PIPE) as reader:
         try:
-            reader.stdout.readline()  # it is subscribed: something has come
+            reader.stdout.readline()  # a first message shows that it is subscribed
             subprocess.run(
                 ["mosquitto_pub", "-p", str(peer.port), "-t", "site/r2/call", "-q", "1", "-l"],
                 input="\n".join(map(json.dumps, calls)).encode(), check=True, timeout=30,

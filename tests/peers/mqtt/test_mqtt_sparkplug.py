@@ -86,11 +86,11 @@ def test_dcmd_carries_commands_and_ncmd_carries_calls(stage, peer):
         return stage.state() == "moving"
 
     wait_until(moving, "the robot moves", 2 * DEADLINE_S)
-    stage.wait_for("armed", "fault")  # of a busy machine
+    stage.wait_for("armed", "fault")  # a fault of a busy machine
 
 
 def test_a_killed_process_leaves_the_death_of_its_last_birth(stage, peer):
-    """A client that comes late knows by both, which are retained, that it is gone."""
+    """Birth and death are both retained, and show a late client that the process is gone."""
     born = retained(peer, f"spBv1.0/site/NBIRTH/{name(stage)}")["bdSeq"]
     pid = stage.robot.status()["bus"]["pid"]
     os.kill(pid, signal.SIGKILL)

@@ -30,7 +30,8 @@ def stage(tmp_path_factory):
 
 
 def released(stage):
-    """By the service; again where a request to stop came after it, as on a busy machine."""
+    """Resets by the service; repeated where a stop request arrived after it, as on a busy
+    machine."""
     wait_until(lambda: called("reset")["success"] and stage.state() == "idle", "idle")
 
 
@@ -39,7 +40,7 @@ def test_odometry_follows_the_commands_of_another_node(armed):
         peer("topic", f"rt{NAMESPACE}/odom", "Odometry") as ear,
         peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.2),
     ):
-        moved = ear.find(lambda sample: sample["twist"]["twist"]["linear"]["x"] > 0.1, "a way")
+        moved = ear.find(lambda sample: sample["twist"]["twist"]["linear"]["x"] > 0.1, "motion")
     assert moved["header"]["frame_id"] == "r2/odom"
     assert moved["child_frame_id"] == "r2/base_link"
     assert moved["twist"]["twist"]["angular"]["z"] > 0.0
@@ -141,7 +142,7 @@ def test_the_node_that_stopped_the_robot_is_named_with_its_reason(stage):
 def test_errors_are_on_rosout_for_a_late_subscriber_too(stage):
     assert called("estop")["success"]
     with peer("topic", "rt/rosout", "Log", "late") as ear:
-        # the history begins with warnings of the tests before this one
+        # the history begins with warnings of earlier tests
         error = ear.find(
             lambda log: (
                 log["level"] == 40
@@ -198,7 +199,7 @@ def test_transforms_are_on_the_shared_topic_with_the_robots_own_frames(stage):
 
 def test_the_graph_shows_one_node_with_all_its_endpoints(stage):
     with peer("topic", "ros_discovery_info", "Entities", "late") as ear:
-        # Others may be in the domain: a test's node ends with its last reference.
+        # Other nodes may be in the domain: a test's node ends with its last reference.
         (node,) = ear.find(
             lambda found: [
                 node
@@ -218,7 +219,7 @@ def test_every_endpoint_shows_its_type_and_its_hash(stage):
         arm = eye.find(
             lambda found: (
                 found["topic"].endswith("motord/armRequest")
-                and not found["user_data"].startswith("clientid=")  # of who calls it
+                and not found["user_data"].startswith("clientid=")  # of its callers
             ),
             "arm",
         )
@@ -234,7 +235,7 @@ def describe(type_hash, **more):
 
 
 def hash_of(description):
-    """Of a TypeDescription, as REP-2011 has it."""
+    """The hash of a TypeDescription by REP-2011."""
     described = json.loads(json.dumps(description))
     for one in (described["type_description"], *described["referenced_type_descriptions"]):
         for field in one["fields"]:
@@ -382,8 +383,8 @@ def test_absurd_commands_move_nothing_and_are_counted_with_their_sender(armed, s
     before, x_m = count(), armed.sim.truth().x_m
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", speed_m_s, 0.0, 0, "broken"):
         wait_until(lambda: count() > before + 10, "refusals")
-        # The graph may name it later than its first command comes.
-        wait_until(lambda: "input.ros2: /broken requests " in armed.logged(), "his name")
+        # Its name may arrive later than its first command.
+        wait_until(lambda: "input.ros2: /broken requests " in armed.logged(), "its name")
     assert armed.sim.truth().x_m == x_m
 
 
@@ -408,7 +409,7 @@ def test_commands_with_an_unusable_stamp_are_refused_at_once(armed, age_s):
 def test_a_reader_that_requests_more_than_is_offered_is_named(stage):
     row = f"rt{NAMESPACE}/odom: a reader is not served: it does not go with the durability"
     with peer("topic", f"rt{NAMESPACE}/odom", "Odometry", "late"):
-        wait_until(lambda: row in stage.logged(), "a word on durability")
+        wait_until(lambda: row in stage.logged(), "a log line on durability")
 
 
 def test_a_writer_of_another_type_is_named_with_the_type_to_use(stage):

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS 2 package of the bridge node: built by colcon and by pip, found by ROS 2's index, with
-nothing in its Python but the standard library (and rclpy, or the stand-in of it)."""
+"""The ROS 2 package of the bridge node: built by colcon and by pip, and found by ROS 2's index. Its
+Python has only the standard library and rclpy, or the stand-in of it."""
 
 import ast
 import os
@@ -82,7 +82,7 @@ def test_pip_installs_the_whole_package_and_nothing_else(by_pip):
 
 
 def test_the_package_installed_by_pip_serves_a_robot(by_pip, tmp_path):
-    """The installed program by its own Python, where nothing else of motord is."""
+    """The installed program runs in its own Python, without the rest of motord."""
     if REAL and FOLDER is None:
         pytest.skip("ROS 2's own Python is another")
     rclpy = tmp_path / "standin"

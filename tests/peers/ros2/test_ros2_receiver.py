@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""cmd_vel past Python: C in motord-bus takes it from DDS to the daemon."""
+"""cmd_vel without Python: C code in motord-bus passes it from DDS to the daemon."""
 
 import os
 import signal
@@ -37,7 +37,7 @@ def bus(stage):
 
 
 def judged(stage):
-    """Commands that the daemon's loop has got, and how many of them it refused for their age."""
+    """Commands that reached the daemon's loop, and how many of them it refused for their age."""
     commands = stage.robot.status()["commands"]
     old = commands["refused"]["age"]
     return commands["accepted"] + sum(commands["refused"].values()) - old, old
@@ -52,7 +52,7 @@ def test_c_receives_the_commands(stage):
 
 
 def test_only_the_receiving_thread_has_real_time_priority(stage):
-    """By the unit's LimitRTPRIO, or as here from outside."""
+    """The unit's LimitRTPRIO permits it; here the test sets it from outside."""
     set_policy(os.SCHED_FIFO, REALTIME_PRIORITY_MAX, bus(stage))
     tasks = Path(f"/proc/{bus(stage)}/task").iterdir()
     found = {
@@ -105,7 +105,7 @@ def test_a_command_refused_by_the_daemon_is_counted_there_and_moves_nothing(
 
 
 def test_commands_by_dds_and_by_python_go_out_under_one_lease(stage):
-    """Joints by Python, cmd_vel by C: no number is used twice."""
+    """Joint commands pass through Python, cmd_vel through C: no sequence number is used twice."""
 
     def out_of_order():
         return stage.robot.status()["commands"]["refused"]["sequence"]
@@ -121,7 +121,7 @@ def test_commands_by_dds_and_by_python_go_out_under_one_lease(stage):
 
 
 def test_commands_stop_while_python_stands_still_and_resume_with_it(stage):
-    """It would not receive an emergency stop by ROS 2."""
+    """A process whose Python stands still would not receive an emergency stop by ROS 2."""
 
     def accepted():
         return stage.robot.status()["commands"]["accepted"]
@@ -133,7 +133,7 @@ def test_commands_stop_while_python_stands_still_and_resume_with_it(stage):
         pid = bus(stage)
         os.kill(pid, signal.SIGWINCH)
         try:
-            wait_until(lambda: stage.robot.status()["at_rest"], "nobody commands any more")
+            wait_until(lambda: stage.robot.status()["at_rest"], "no source commands")
             before = accepted()
         finally:
             os.kill(pid, signal.SIGUSR2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node that several sections share goes on with the next of them when one fails."""
+"""A node that several sections share stays up when one of them fails."""
 
 import asyncio
 from types import SimpleNamespace

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Actions of the bridge node: served as their services and topics, as every ROS 2 client asks."""
+"""Actions of the bridge node, served as the services and topics that every ROS 2 client uses."""
 
 import math
 import uuid
@@ -19,7 +19,7 @@ from unique_identifier_msgs.msg import UUID  # noqa: E402
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 WAITING = 12
-"""For one result: more than a service of rclpy keeps answers by default."""
+"""Requests for one result: more than the answers that a service of rclpy keeps by default."""
 KINDS = {
     "drive_distance": actions.DriveDistance,
     "rotate": actions.Rotate,
@@ -35,7 +35,7 @@ def stage(tmp_path_factory):
 
 @pytest.fixture
 def armed(stage):
-    """A fault that a too busy machine latched meanwhile is reset."""
+    """A fault that a busy machine has latched meanwhile is reset."""
 
     def attempt():
         method = {"fault": "reset", "estop": "reset", "idle": "arm"}.get(stage.state())
@@ -104,7 +104,7 @@ def test_a_distance_is_driven_with_feedback_while_it_moves(armed):
     assert received
     assert bytes(received[-1].goal_id.uuid) == bytes(goal.number.uuid)
     wait_until(lambda: states and states[-1].status_list[-1].status == SUCCEEDED, "the state")
-    assert goal.result()[0] == SUCCEEDED  # one that asks again is answered again
+    assert goal.result()[0] == SUCCEEDED  # a repeated request is answered again
 
 
 def test_an_angle_is_turned(armed):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bridge node of machines with ROS 2 serves what motord-bus serves on DDS."""
+"""On a machine with ROS 2, the bridge node serves what motord-bus serves on DDS."""
 
 import contextlib
 import math
@@ -163,7 +163,7 @@ def test_a_command_with_an_unusable_stamp_is_not_passed_on(stage, stamp, why):
 
     for _ in range(20):
         publisher.publish(bad())
-    assert trigger(stage, "stop")[0]  # what was published before has been looked at
+    assert trigger(stage, "stop")[0]  # the bridge has handled the messages published before
     assert stage.robot.status()["commands"] == before
 
 
@@ -290,7 +290,7 @@ def test_an_estop_is_an_error_for_a_manager_and_no_transition_leads_out_of_it(st
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_the_end_of_a_bridge_ends_its_lease_and_the_robot_rests(stage, tmp_path, number):
-    """Beside the other one, under the same name."""
+    """Runs beside the other bridge, under the same name."""
     armed(stage)
     with bridge(
         tmp_path, "--socket", stage.socket, "--unstamped",
@@ -306,7 +306,7 @@ def test_the_end_of_a_bridge_ends_its_lease_and_the_robot_rests(stage, tmp_path,
         drive_until(stage, publisher, onward, lambda: stage.state() == "moving", "moving")
         other.process.send_signal(number)
         assert other.wait() == (0 if number == signal.SIGTERM else -signal.SIGKILL), other.logged()
-    wait_until(lambda: not stage.robot.status()["leases"], "nobody in command")
+    wait_until(lambda: not stage.robot.status()["leases"], "no source in command")
     stage.wait_for("armed", "fault")
     wait_until(lambda: stage.sim.truth().at_rest, "rest")
 
@@ -324,7 +324,7 @@ def test_commands_queued_while_the_bridge_stood_still_move_nothing(stage, tmp_pa
             return stage.robot.status()["commands"]["accepted"]
 
         def looked_at():
-            """What was published before has been taken or refused."""
+            """The bridge has accepted or refused all messages published before."""
             assert stage.operator.call("third/stop", Trigger).success
             return accepted()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bridge node's life: daemons that come, go and come back, and what it is started with."""
+"""Life of the bridge node: daemons that start, end and restart, and its arguments."""
 
 import contextlib
 import os
@@ -27,7 +27,7 @@ from motord.ros2_rclpy.__main__ import options_of
 
 @contextlib.contextmanager
 def restarted(stage, *settings, number=signal.SIGKILL):
-    """Killed in motion, and started at the same place."""
+    """Kills the daemon in motion, and starts it again with the same files."""
     stage.end(number)
     daemon = again(stage, *settings)
     try:
@@ -55,7 +55,7 @@ def test_after_a_restart_nothing_moves_before_it_is_armed_again(tmp_path):
             assert stage.state() == "idle"
             assert stage.sim.truth().at_rest
 
-            # It commands motion all the while: it has to command rest before a program can arm.
+            # The bridge still commands motion: it has to command rest before a program can arm.
             future = stage.operator.ask("motord/arm", Trigger)
             drive_until(stage, publisher, lambda: twist(0.2), future.done, "an answer")
             assert not future.result().success
@@ -95,7 +95,8 @@ def test_it_waits_for_a_daemon_and_logs_that_once(tmp_path):
 
 
 def test_its_arguments_and_parameter_files_are_checked_and_applied(tmp_path):
-    """An input of no known kind; a file of parameters; types of ours that were not built."""
+    """An unknown input, an unknown parameter, a parameter file, and message types that were not
+    built."""
     file = tmp_path / "bridge.yaml"
     file.write_text(
         "/**:\n  ros__parameters:\n    input: ros\n    limits:\n      linear_m_s: 0.3\n"
@@ -118,7 +119,7 @@ def test_its_arguments_and_parameter_files_are_checked_and_applied(tmp_path):
                 f"the limit of the file\n{other.logged()}",
             )
             if not REAL:
-                wait_until(lambda: "no motord_msgs in this ROS 2" in other.logged(), "a word")
+                wait_until(lambda: "no motord_msgs in this ROS 2" in other.logged(), "the message")
 
 
 @pytest.mark.parametrize(
@@ -146,7 +147,7 @@ def test_parameters_of_the_node_are_requests():
 
 
 def test_it_needs_only_the_standard_library():
-    """ROS brings its own Python, without what motord needs elsewhere."""
+    """ROS has its own Python, without motord's dependencies."""
     path = os.pathsep.join(str(ROOT / folder) for folder in ("daemon", "hal"))
     run = subprocess.run(
         [sys.executable, "-S", "-c", "import motord.ros2_rclpy.bridge, motord.ros2_rclpy.__main__"],

@@ -60,7 +60,7 @@ def test_each_type_has_the_hash_that_ros_2_computes(distribution):
 
 def test_a_node_reads_odometry_and_drives_the_robot(node, stage):
     def attempt():
-        """A fault that a too busy machine latched meanwhile is reset."""
+        """A fault that a busy machine has latched meanwhile is reset."""
         state = stage.state()
         if state in ("fault", "estop"):
             stage.robot.reset()
@@ -103,6 +103,6 @@ def test_wait_for_service_ends_at_its_time_out_and_the_client_is_named(node, sta
         listed = client.find(lambda sent: "listed" in sent, "the service in the graph")
         assert listed == {"listed": True, "available": False}
         line = f"answers: /{name} (Fast DDS) calls {NAMESPACE}/motord/arm: run"
-        wait_until(lambda: line in stage.logged(), "a word on its middleware")
+        wait_until(lambda: line in stage.logged(), "a log line on its middleware")
     assert "deserialization" not in stage.logged()
     assert stage.state() == "idle"

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Our ROS 2 node on Zenoh, seen by another session through a router of another process. That one
-encodes and decodes with rosbags, and knows keys and tokens from rmw_zenoh's design document."""
+"""Our ROS 2 node on Zenoh, tested by another session through a router in another process. The other
+session encodes and decodes with rosbags, and takes keys and tokens from rmw_zenoh's design
+document."""
 
 import asyncio
 import signal
@@ -46,7 +47,7 @@ LONG_BYTES = 20_000
 
 
 def sockets_hold_bytes():
-    """What a TCP connection holds at most in both of its sockets."""
+    """The most bytes that a TCP connection buffers in both of its sockets."""
     names = ("tcp_wmem", "tcp_rmem")
     return sum(int(Path("/proc/sys/net/ipv4", name).read_text().split()[2]) for name in names)
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Actions by ROS 2's ways over a real Zenoh router: requested by another session, whose messages
-another encoder makes."""
+"""Actions by ROS 2's protocol over a real Zenoh router, requested by a session with another
+encoder."""
 
 import threading
 

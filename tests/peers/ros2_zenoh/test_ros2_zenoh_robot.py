@@ -67,8 +67,8 @@ def test_an_emergency_stop_is_latched_and_arming_is_refused_with_the_reason(robo
 
 
 def asked(driver, name, service, request, response):
-    """Call a service of the node, its messages by the other encoder: `request` is a definition and
-    its values, `response` a definition."""
+    """Call a service of the node with the other encoder: `request` is a definition and its values,
+    `response` a definition."""
     package, short = service.split("/")
     key = f"5/r2/motord/{name}/{package}::srv::dds_::{short}_/{type_hash(f'{package}/srv/{short}')}"
     store = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)
@@ -145,5 +145,5 @@ def test_a_publisher_of_another_type_is_named_with_the_type_to_use(robot):
                 )
                 in stage.logged()
             ),
-            "a word on its type",
+            "a log line on its type",
         )

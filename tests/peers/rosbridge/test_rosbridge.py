@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rosbridge server: a program on roslibpy drives the robot; strangers and slow readers cost
-nothing."""
+"""The rosbridge server: a program on roslibpy drives the robot; strangers and slow readers do no
+harm."""
 
 import asyncio
 import contextlib
@@ -58,7 +58,7 @@ def bus(stage):
 
 
 async def exchanged(port, *requests, until, token=None):
-    """Send the requests; the first answer that is it."""
+    """Sends the requests; returns the first answer for which `until` is true."""
     query = f"?token={token}" if token else ""
     async with asyncio.timeout(DEADLINE_S):
         async with connect(f"ws://127.0.0.1:{port}/{query}") as client:
@@ -117,7 +117,7 @@ async def test_wheels_are_commanded_by_the_joints_names(stage, ports):
                     wait_until(armed, "armed")
                 await client.send(json.dumps(message))
                 await asyncio.sleep(0.05)
-    stage.wait_for("armed", "fault")  # of a busy machine
+    stage.wait_for("armed", "fault")  # a fault of a busy machine
     stage.robot.disarm()
 
 
@@ -135,7 +135,7 @@ async def test_a_client_without_the_token_cannot_connect(stage, ports, query):
 
 
 async def test_silent_strangers_make_room_for_a_client_with_the_token(tmp_path, monkeypatch):
-    monkeypatch.setattr(http_server, "ANSWER_WITHIN_S", 3600.0)  # none goes because it is silent
+    monkeypatch.setattr(http_server, "ANSWER_WITHIN_S", 3600.0)  # silence closes none
     port, count = free_port(), 3 * http_server.STRANGERS_MAX
     section = RosbridgeInput(kind="rosbridge", token_file=str(token_file(tmp_path)), port=port)
     runtime = Runtime(load_robot(DEMO), tmp_path / "no.sock")
@@ -290,7 +290,7 @@ async def test_it_serves_tls_with_the_certificate_of_the_robot_file(tmp_path):
 
 @contextlib.asynccontextmanager
 async def connect_again(url, context):
-    """Until it listens."""
+    """Connects, retried until the server listens."""
     while True:
         try:
             client = await connect(url, ssl=context)
