@@ -103,7 +103,7 @@ def test_every_ending_is_at_rest_and_without_power(stage, how):
 
 @pytest.mark.parametrize("how", ["Ctrl-C", "kill -9"])
 def test_spin_can_start_again_at_once(how, tmp_path):
-    """Its last command is still alive then, and does not hold the new ones back."""
+    """The lease of the first run still lives then, and does not hold the new one back."""
     with robot_of(tmp_path, copied(tmp_path), "input.socket.lease_s=5.0") as stage:
         for _ in range(2):
             with at_terminal("spin", "left", "--seconds", "10", "--socket", stage.socket) as screen:
@@ -187,7 +187,7 @@ MECANUM_SWAPPED = (
 
 @pytest.mark.long
 def test_diagonally_swapped_mecanum_wheels_are_found(tmp_path):
-    """Each wheel turns twice; the person names the one that turned both times."""
+    """Each wheel turns twice; the person names the wheel that turned both times."""
     file = copied(tmp_path, ROBOT.parent / "mecanum4.toml")
     with robot_of(tmp_path, file, truth=MECANUM_SWAPPED) as stage:
         with spinning(stage, "--all") as screen:

@@ -70,11 +70,11 @@ class Watcher:
 
 
 HELD_UP = ("no fresh set-points", "the robot stopped by itself")
-"""How it ends where a busy machine lets set-points or positions grow old: without power."""
+"""How a run ends without power where a busy machine lets set-points or positions grow old."""
 
 
 def spun(stage, driven, steering, *words):
-    """Exit status and text; again where a busy machine held it up, at most TRIES times."""
+    """Exit status and text; run again where a busy machine held it up, at most TRIES times."""
     for number in range(TRIES):
         if number:
             becomes_idle(stage)

@@ -70,7 +70,7 @@ def test_it_imports_only_the_standard_library():
 
 
 async def in_time(move):
-    """What it returns; again where it was held up, at most TRIES times."""
+    """The result of `move`, which is repeated where it was held up, at most TRIES times."""
     for _ in range(TRIES - 1):
         try:
             return await move()

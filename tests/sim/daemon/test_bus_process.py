@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second process: what it publishes, and that its end costs the robot nothing."""
+"""motord-bus: what it publishes, and that its end does not disturb the robot."""
 
 import json
 import os
@@ -18,7 +18,7 @@ from tests.sim.daemon_stage import DEADLINE_S, ROBOT, running, set_off, wait_unt
 from tests.sim.planted import offered
 
 FORK_FAULTS = 600
-"""What one fork of the daemon would cost the loop: docs/architecture.md."""
+"""Page faults of the loop that one fork of the daemon would cost: docs/architecture.md."""
 
 
 def free_port():
@@ -55,10 +55,10 @@ def scraped(port):
 
 
 def full(port):
-    """Figures, once the daemon's own word is among them."""
+    """Figures, once those of the daemon are among them."""
     return wait_until(
         lambda: found if (found := scraped(port)) and ("motord_commands_total",) in found else None,
-        "figures with the daemon's word",
+        "figures of the daemon",
     )
 
 
@@ -67,7 +67,7 @@ def bus(stage):
 
 
 def living(stage, but=None):
-    """The second process's number, when it is there and says so."""
+    """The process number of motord-bus, once it has reported."""
     return wait_until(
         lambda: (now := bus(stage)) and now["pid"] not in (None, but) and "inputs" in now and now,
         f"motord-bus\n{stage.logged()}",
@@ -79,7 +79,7 @@ def ticks(stage):
 
 
 def test_prometheus_reads_what_the_daemon_reports(stage, port):
-    # the figures are renewed after the state that the daemon has reported on its socket
+    # the figures lag behind the state that the daemon reports on its socket
     figures = wait_until(
         lambda: found if (found := full(port))["motord_state", "idle"] == 1.0 else None,
         "figures of an idle robot",
@@ -178,9 +178,9 @@ TICKS = 1500
 
 
 LOGGED_MAX = 10
-"""A line at most each 10 s, of thousands."""
+"""At most one line in 10 s is logged, of thousands."""
 TROUBLES = {"spin": "trouble begins", "chatter": "trouble begins", "flood": "no figures"}
-"""By their words in the log."""
+"""By the text that each leaves in the log."""
 
 
 @pytest.mark.parametrize("what", long_but(("flood",), TROUBLES))

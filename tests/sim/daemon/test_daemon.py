@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The daemon's life on simulated drives: what it lets happen, what it refuses, what it says."""
+"""The daemon on simulated drives: what it does, refuses and reports."""
 
 import contextlib
 import json
@@ -30,16 +30,16 @@ def everyone(tmp_path_factory):
 
 @pytest.fixture
 def stage(everyone):
-    """The same daemon for every test, brought back to rest, disarmed and well."""
+    """The same daemon for every test, brought back to rest, disarmed and without faults."""
     everyone.sim.clear_faults_script()
     wait_until(lambda: accepted(everyone.robot.disarm), "disarmed")
     everyone.wait_for("idle", "fault", "estop")
     wait_until(lambda: everyone.robot.status()["at_rest"], "rest")
-    wait_until(lambda: accepted(everyone.robot.reset), "nothing keeps it from a reset")
+    wait_until(lambda: accepted(everyone.robot.reset), "a reset")
     everyone.robot.params_set(**everyone.limits)
     everyone.wait_for("idle")
     wait_until(lambda: not everyone.robot.status()["leases"], "the last test's sources are gone")
-    # who was held in the test before, is held no more
+    # a source that the test before left held is released by this zero
     wait_until(lambda: accepted(lambda: everyone.robot.drive(0.0, 0.0)), "the loop takes commands")
     everyone.robot.release()
     everyone.sim.reset_truth()
@@ -47,7 +47,7 @@ def stage(everyone):
 
 
 def accepted(ask):
-    """Not while a drive that a busy machine has lost is set up again."""
+    """Whether the daemon accepts it: it refuses while a drive is set up again."""
     try:
         ask()
     except Refused:
@@ -56,7 +56,7 @@ def accepted(ask):
 
 
 class Source(threading.Thread):
-    """A program that sends a command again and again over a connection of its own."""
+    """A program that sends a command repeatedly over its own connection."""
 
     def __init__(self, stage, *command, **lease):
         super().__init__(daemon=True)
@@ -165,11 +165,11 @@ def test_a_lease_ends_with_its_connection(stage):
 def test_a_higher_priority_takes_the_command_and_gives_it_back(stage):
     with set_off(stage, owner="planner", priority=10) as planner:
         with Source(stage, 0.0, 1.0, owner="joystick", priority=50) as joystick:
-            wait_until(lambda: joystick.answers, "the joystick's word")
+            wait_until(lambda: joystick.answers, "an answer to the joystick")
             assert joystick.answers[0]["owner"] == "joystick"
             assert joystick.answers[0]["in_command"]
             planner.answers.clear()
-            wait_until(lambda: planner.answers, "the planner's word")
+            wait_until(lambda: planner.answers, "an answer to the planner")
             assert planner.answers[-1]["owner"] == "joystick"
             assert not planner.answers[-1]["in_command"]
         planner.answers.clear()
@@ -181,7 +181,7 @@ def test_an_emergency_stop_latches_until_reset_and_arm(stage):
         assert stage.robot.estop() == "estop"
         at_rest(stage)
         for attempt in (stage.robot.arm, stage.robot.reset):
-            with pytest.raises(Refused):  # the one is latched, the other sees the source go on
+            with pytest.raises(Refused):  # latched; the source still requests motion
                 attempt()
         assert stage.robot.status()["why"][0].startswith("requested by process")
         assert any("motord reset" in refusal for refusal in source.refusals)
@@ -220,7 +220,7 @@ def test_a_drive_fault_in_motion_is_latched_named_and_cleared_by_reset(stage):
     assert stage.robot.status()["faults"]
     wait_until(
         lambda: any("left" in reason for reason in stage.robot.status()["why"]),
-        "the drive is named, also when it was seen to be off before it reported why",
+        "the drive is named, also if it was seen off before it reported why",
     )
     with pytest.raises(Refused, match="motord reset"):
         stage.robot.arm()
@@ -247,7 +247,7 @@ def test_a_drive_that_does_not_arm_leaves_nothing_armed(stage):
         stage.robot.arm()
     stage.sim.clear_faults_script()
     wait_until(lambda: not any(power(stage)), "the power is off")
-    wait_until(lambda: drives(stage) == {"ready"}, "those that stopped answering are asked again")
+    wait_until(lambda: drives(stage) == {"ready"}, "unresponsive drives answer again")
     stage.wait_for("idle")
     assert stage.robot.arm() == "armed"
 
@@ -292,7 +292,7 @@ def test_a_pulled_cable_and_its_return_change_the_state(stage):
         stage.robot.arm()
     stage.sim.plug("rs485")
     stage.wait_for("idle")
-    # the stop that the cable cut off is finished first, within a second: arming waits for it
+    # the stop that the cable interrupted is finished first, within a second: arming waits
     wait_until(lambda: accepted(stage.robot.arm), "armed again")
     assert stage.state() == "armed"
 
@@ -305,7 +305,7 @@ def test_limits_change_in_motion_as_one_group_or_not_at_all(stage):
             stage.robot.params_set(**{"limits.linear_ms": 0.2})
         for name in ("limits.linear_m_s3", "drive.left.control_word"):
             with pytest.raises(ClientError, match=f"{name}: is too large a number"):
-                stage.robot.params_set(**{name: 10**400})  # no float, and there is no upper end
+                stage.robot.params_set(**{name: 10**400})  # no float, and no upper bound
         assert stage.robot.params_get() == stage.limits
         slow = {"limits.linear_m_s": 0.2, "limits.linear_m_s3": None}
         assert stage.robot.params_set(**slow) == slow
@@ -455,7 +455,7 @@ def test_an_idle_robot_logs_nothing(stage):
 
 
 def motord_at(stage, *arguments):
-    """The command line on this daemon."""
+    """Runs a command of the command line on this daemon."""
     return CliRunner().invoke(cli, [*arguments, "--socket", str(stage.socket)])
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a daemon starts and ends, and what is notified: each test has a daemon of its own."""
+"""How a daemon starts, ends and notifies its supervisor: each test has its own daemon."""
 
 import json
 import os
@@ -55,7 +55,7 @@ def test_a_daemon_that_hangs_feeds_no_watchdog(tmp_path, supervisor):
         stage.daemon.send_signal(signal.SIGSTOP)
         supervisor.settimeout(0.5)
         with pytest.raises(TimeoutError):
-            while True:  # what had been sent, and then nothing
+            while True:  # what was sent before, and then nothing
                 supervisor.recv(1000)
         stage.daemon.send_signal(signal.SIGCONT)
         supervisor.settimeout(DEADLINE_S)
@@ -90,8 +90,8 @@ SLOW_RAMP = ("limits.linear_deceleration_m_s2=0.06", "limits.linear_m_s3=inf")
 
 
 def status_without_the_ramp(stage, *faults):
-    """It ends by a second signal, and the lines stop their drives as they end, which these faults
-    disturb."""
+    """The exit status after a second signal: the lines stop their drives as they end, while these
+    faults disturb them."""
     moving(stage)
     stage.daemon.send_signal(signal.SIGTERM)
     wait_until(lambda: "comes to rest" in stage.logged(), "the first signal")

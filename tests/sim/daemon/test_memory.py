@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the daemon keeps in memory for good."""
+"""What the daemon locks in memory."""
 
 import re
 
@@ -22,7 +22,7 @@ def stage(tmp_path_factory):
 
 
 def stacks_kb(pid):
-    """What is in memory of each: anonymous, above a page that no code may touch."""
+    """Resident size of each stack: an anonymous mapping above a guard page."""
     found, guarded, is_stack = [], None, False
     with open(f"/proc/{pid}/smaps", encoding="ascii") as rows:
         for row in rows:

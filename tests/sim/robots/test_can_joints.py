@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot of joints on a CAN bus, whole: they go where they are commanded while their drives know
-where they are, and nowhere else."""
+"""A robot of joints on a CAN bus: a joint moves only while its drive has its reference position."""
 
 import contextlib
 
@@ -73,7 +72,7 @@ def test_a_joint_that_lost_its_reference_is_not_armed_and_does_not_move(stage):
             stage.robot.arm()
         except Refused as error:
             return "where tilt stands is not known" in str(error)
-        stage.robot.disarm()  # it has not yet been missed
+        stage.robot.disarm()  # the drive has not been missed yet
         return False
 
     assert wait_until(refusal, stage.logged())

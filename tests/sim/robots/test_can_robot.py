@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot on a CAN bus, whole: simulated drives in one process, the daemon in another."""
+"""A robot on a CAN bus: simulated drives in one process, the daemon in another."""
 
 import pytest
 from tests.sim.daemon_stage import patient_on_can

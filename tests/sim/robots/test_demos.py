@@ -23,7 +23,7 @@ ESTIMATED = {
     "two-single-drives": Source.SPEEDS,
     "waveshare-ugv": Source.SPEEDS,
 }
-"""The robots without position counters; the others are judged."""
+"""The robots without position counters; the odometry of the others is judged."""
 JOINTS = {"pan-tilt": {"pan": "position", "tilt": "position"}}
 """The robots without a base, and what each joint takes."""
 SENTENCES = {
@@ -38,8 +38,8 @@ SERIAL = (
 
 
 def patient(name):
-    """What waits longer than a busy machine is late. The checks of the feedback stay as they are:
-    a healthy robot passes them on any machine."""
+    """Time-outs longer than the delays of a busy machine. The checks of the feedback stay as they
+    are: a healthy robot passes them on any machine."""
     path = ROOT / f"config/robots/{name}.toml"
     robot = load_robot(path)
     yield "safety.feedback_timeout_s=3.0"

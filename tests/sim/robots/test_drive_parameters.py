@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers of the drives through the running daemon: who may read and write which, and when."""
+"""Registers of the drives through the running daemon: which may be read and written, and when."""
 
 import pytest
 from click.testing import CliRunner

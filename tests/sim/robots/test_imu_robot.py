@@ -23,14 +23,14 @@ def gyro(stage):
 
 
 def turned_and_slipped(stage):
-    """Half a turn to the left while the left wheels slip; how wrong the heading is afterwards."""
+    """Half a turn to the left while the left wheels slip; returns the error of the heading."""
     stage.wait_for("idle")
     stage.sim.inject("slip:side=0,part=0.8")
 
     def far_enough():
         with contextlib.suppress(Refused):
             status = stage.robot.status()
-            if status["state"] == "fault":  # of a machine that is too busy
+            if status["state"] == "fault":  # a fault of a busy machine
                 stage.robot.reset()
             if not status["armed"]:
                 stage.robot.arm()

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot without a base on simulated bus servos: its joints go where they are commanded, and
-nowhere else."""
+"""A robot without a base on simulated bus servos: its joints go to the commanded positions."""
 
 import json
 import math
@@ -21,7 +20,7 @@ SETTINGS = (
 )  # fmt: skip
 NEAR_RAD = 0.03
 LEASE_S = 5.0
-"""The longest: a process starts meanwhile."""
+"""The longest lease: a process starts meanwhile."""
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +153,7 @@ def test_only_limits_that_these_joints_have_are_listed(stage):
 
 @pytest.fixture(name="slowed")
 def _slowed(armed):
-    """Its pan joint moves at 0.3 rad/s; at the end as fast as before."""
+    """The pan joint is limited to 0.3 rad/s; the old limit is restored at the end."""
     before = armed.robot.params_get(PAN_SPEED)
     armed.robot.params_set(**{PAN_SPEED: 0.3})
     yield armed

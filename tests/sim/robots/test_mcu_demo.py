@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot on a board of one's own drives the course, as `motord demo --robot esp32` does."""
+"""A robot on a microcontroller board drives the course, as `motord demo --robot esp32` does."""
 
 import json
 import subprocess
@@ -9,7 +9,7 @@ from tests.sim.daemon_stage import ROOT
 
 ESP32 = (ROOT / "config/robots/esp32.toml").read_text(encoding="utf-8")
 PATIENT = "[safety]\nfeedback_timeout_s = 2.0\nheartbeat_timeout_s = 2.0\n"
-"""A busy machine is no fault."""
+"""A delay by a busy machine is no fault."""
 
 
 def test_a_robot_on_a_board_drives_the_course_with_accurate_odometry(tmp_path):

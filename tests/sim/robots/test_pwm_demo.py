@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot on two bridges at a computer's pins drives the course, as `motord demo --robot
-pi5-bts7960` does; and what its wheels do when the daemon is killed."""
+pi5-bts7960` does. Also: what its wheels do when the daemon is killed."""
 
 import json
 import re
@@ -14,7 +14,7 @@ from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, set_off, wait_unti
 
 ROBOT = ROOT / "config/robots/pi5-bts7960.toml"
 PATIENT = "\n[safety]\nfeedback_timeout_s = 2.0\nheartbeat_timeout_s = 2.0\n"
-"""A busy machine is no fault."""
+"""A delay by a busy machine is no fault."""
 SPEED_RAD_S = 5.0
 
 

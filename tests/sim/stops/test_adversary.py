@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A hand in the machine: what must not move a wheel, and what must not keep one from stopping."""
+"""Hostile clients and failures: none may move a wheel, and none may keep a wheel from stopping."""
 
 import contextlib
 import fcntl
@@ -31,7 +31,7 @@ def powered(stage):
 
 
 def reset(stage):
-    """As soon as it is taken: a drive may still be setting itself up."""
+    """Retried until it is accepted: a drive may still be in its set-up."""
 
     def taken():
         with contextlib.suppress(Refused):
@@ -65,7 +65,7 @@ def test_pending_calls_do_not_refuse_an_emergency_stop(tmp_path):
 
 
 def test_a_disarm_waits_for_the_ramp_of_a_fault(tmp_path):
-    """Power off in motion is a wheel that coasts."""
+    """A wheel that loses its power in motion coasts."""
     with running(tmp_path, *SLOW_RAMP, robot=SKID) as stage:
         set_off(stage)
         stage.sim.inject("silence:unit=2,for_s=1000")
@@ -114,7 +114,7 @@ def test_terminal_signals_end_the_daemon_at_rest_and_do_not_suspend_it(tmp_path,
 
 
 def test_a_source_that_reconnects_for_each_command_is_held_like_any_other(tmp_path):
-    """It went on asking through the stop, so it must not set off when the stop is done."""
+    """It sent commands through the stop, so it must not set off after the stop."""
     with running(tmp_path) as stage:
         set_off(stage)
         stage.robot.stop()
@@ -130,7 +130,7 @@ def test_a_source_that_reconnects_for_each_command_is_held_like_any_other(tmp_pa
 
 
 def test_drives_without_a_stop_report_do_not_restart_after_a_pause(tmp_path):
-    """A suspended daemon: the drives' watchdogs set the duty to 0, and its return writes none."""
+    """The daemon is suspended: the drives' watchdogs set the duty to 0, and no other follows."""
     with running(tmp_path, "safety.drive_watchdog_s=0.5", robot=FORWARD_ONLY) as stage:
         set_off(stage)
         stage.daemon.send_signal(signal.SIGSTOP)
@@ -174,7 +174,7 @@ def test_every_stop_action_ends_at_rest(tmp_path, action):
         set_off(stage)
         stage.robot.release()
         wait_until(lambda: stage.sim.truth().at_rest, "rest after the command")
-        wait_until(lambda: stage.state() in ("idle", "armed"), "the daemon sees it")
+        wait_until(lambda: stage.state() in ("idle", "armed"), "the daemon's state")
         assert stage.state() == ("idle" if action == "coast" else "armed")
         set_off(stage)
         stage.robot.estop()
@@ -189,7 +189,7 @@ def test_every_stop_action_ends_at_rest(tmp_path, action):
 
 
 def test_racing_requests_of_two_clients_end_disarmed(tmp_path):
-    """Arm, disarm, stop, reset and an emergency stop race; nothing moves afterwards."""
+    """Arm, disarm, stop, reset and an emergency stop race; afterwards nothing moves."""
     with running(tmp_path) as stage, raw_connection(stage) as one, raw_connection(stage) as two:
         stage.wait_for("idle")
         for _ in range(6):
@@ -313,7 +313,7 @@ def test_a_plug_pulled_for_a_moment_while_arming_leaves_the_robot_disarmed(tmp_p
             with contextlib.suppress(Refused):
                 return stage.robot.arm() == "armed"
 
-        wait_until(armed, "it arms again when asked to")
+        wait_until(armed, "armed by a new request")
 
 
 def test_a_limit_changed_in_motion_never_speeds_the_robot_up(tmp_path):

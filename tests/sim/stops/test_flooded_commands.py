@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A source that sends as many commands as it can, and one of higher priority beside it."""
+"""A source that sends as many commands as it can, and a source of higher priority beside it."""
 
 import asyncio
 import contextlib
@@ -35,8 +35,8 @@ def flood(stage):
 
 
 async def rest(stage):
-    """The pad says: rest, again and again, and at last gives the command back. Who commanded
-    meanwhile, and what was logged of the others."""
+    """The pad commands rest repeatedly, and then releases its lease. Returns the owners in command
+    meanwhile."""
     source, seen = Source(stage.socket, "pad"), []
     async with asyncio.TaskGroup() as tasks:
         holding = tasks.create_task(source.run())
@@ -56,7 +56,7 @@ async def rest(stage):
 
 
 def leases(stage):
-    """Their owners, who commands first."""
+    """Owners of the leases, the one in command first."""
     found = stage.robot.status()["leases"]
     for lease in found[1:]:
         assert lease["why"] == f"waits: {found[0]['owner']} has a higher priority"
@@ -88,8 +88,8 @@ def test_a_source_is_limited_to_the_rate_in_the_robot_file(tmp_path):
         stage.wait_for("idle")
         with flood(stage):
             wait_until(lambda: commander(stage) == "flood", "the flood commands")
-            wait_until(lambda: refused(stage) > 1000, "what is too often is refused")
-            # once the few that may come early have come
+            wait_until(lambda: refused(stage) > 1000, "commands above the rate are refused")
+            # after the few that may exceed the rate at first
             wait_until(
                 lambda: 0.0 < stage.robot.status()["leases"][0]["rate_hz"] < 60.0, "its rate"
             )

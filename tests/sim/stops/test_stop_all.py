@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`motord stop-all` after a daemon was killed at full speed: simulated drives, real signals.
 
-The drives' own watchdogs are set so long that what stops the wheels is what was sent.
+The drives' own watchdogs are so long that only the sent requests can stop the wheels.
 """
 
 import json
@@ -76,7 +76,7 @@ rate_hz = 1
 
 
 def stop_all(*settings, robot=ROBOT):
-    """Exit status, and what it says of the lines."""
+    """Exit status, and its report of the lines."""
     command = [sys.executable, "-m", "motord", "stop-all", str(robot), "--json"]
     command += [part for setting in settings for part in ("--set", setting)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, cwd=ROOT)
@@ -109,7 +109,7 @@ def test_drives_of_a_killed_daemon_stop_and_lose_their_power(stage):
 
 @pytest.fixture
 def where_it_looks(tmp_path, monkeypatch):
-    """A folder for sockets, as users have one."""
+    """The folder in which stop-all looks for running robots."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     folder = tmp_path / "motord"
     folder.mkdir(mode=0o700)
@@ -239,7 +239,7 @@ def test_can_drives_on_a_bus_that_is_a_socket_stop_too(tmp_path):
 
 
 def test_an_unexpected_error_on_one_line_does_not_spare_the_others(tmp_path):
-    """A chip whose files no kernel would write, before one whose bridge is left running."""
+    """The first chip's files are invalid; the second chip's bridge is left running."""
     for name, period in (("broken", "no number"), ("left_running", "50000")):
         for number in range(2):
             channel = tmp_path / name / f"pwm{number}"
@@ -277,7 +277,7 @@ SERVO_TORQUE, SERVO_MODE, SERVO_GOAL, VELOCITY_MODE = 40, 33, 46, 1
 
 
 def test_bus_servos_left_turning_stop_and_lose_their_torque(tmp_path):
-    """Nothing else would stop them: they have no watchdog. The maker's SDK has set them off."""
+    """They have no watchdog, so nothing else would stop them. The maker's SDK has started them."""
     robot = ROOT / "config/robots/two-bus-servos.toml"
     with start_simulator(robot, link_dir=tmp_path) as simulator:
         path = str(tmp_path / "servos")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Why the robot was stopped, and by what: in `status` and in the log."""
+"""The reason of a stop and its sender, in `status` and in the log."""
 
 import os
 from pathlib import Path

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stop, emergency stop and disarm get in whatever other clients do to the local socket, and
-whatever the daemon has run out of."""
+"""Stop, emergency stop and disarm get through, whatever other clients do to the local socket, and
+whatever resource the daemon lacks."""
 
 import contextlib
 import os
@@ -56,9 +56,9 @@ def is_off(stage):
 
 
 def at_rest_by(stage, method):
-    """Sent by the command while the wheels turn by a lease that goes on; it prints the state. A
-    flood starves the simulated drives, too: the fault of their silence may overtake a stop that
-    was received, and is the command's answer then."""
+    """Runs the command, which prints the state, while a lease keeps the wheels turning. A flood
+    starves the simulated drives too: a fault for their silence may overtake the stop, and is then
+    the answer."""
     done = motord(stage, method)
     wait_until(lambda: rests(stage), f"rest after {method}")
     if done.returncode == FAULT_LATCHED and "feedback_stale" in done.stderr:
@@ -72,7 +72,7 @@ def at_rest_by(stage, method):
 
 @contextlib.contextmanager
 def driven(stage):
-    """At speed, by a client of its own: the others may push each connection out."""
+    """Drives at speed by its own client: the others may push out any connection."""
     with stage.client() as client:
         stage.robot.close()
         stage.robot = client

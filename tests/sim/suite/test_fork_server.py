@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A program that the fork server forks is the one that exec would have started."""
+"""A program forked by the fork server is like one that exec has started."""
 
 import contextlib
 import importlib.util
@@ -24,7 +24,7 @@ SIMULATE = (sys.executable, "-m", "motord", "simulate", DEMO, "--stop-on-eof")
 
 @contextlib.contextmanager
 def simulator(**options):
-    """Ready, and with its first line."""
+    """A running simulator and its first line of output."""
     pipe = subprocess.PIPE
     with subprocess.Popen(SIMULATE, stdin=pipe, stdout=pipe, **options) as process:
         try:
@@ -44,12 +44,12 @@ def of(process, name):
 
 
 def is_forked(process):
-    """Its words are in the room that the fork server has for them."""
+    """Its command line is in the space that the fork server reserves for it."""
     return len(of(process, "cmdline").read_bytes()) > NAME_BYTES
 
 
 def both(what, *arguments):
-    """What a forked one has, and a real one."""
+    """The result with a forked program, and with one started by exec."""
     with started_from_nothing():
         real = what(*arguments)
     return what(*arguments), real
@@ -161,7 +161,7 @@ def test_the_daemon_of_a_demo_has_its_own_fork_server_and_none_of_the_demos_desc
             for pid in children(demo.pid):
                 tasks = Path(f"/proc/{pid}/task").glob("*/comm")
                 if "motord-loop\n" in [path.read_text(encoding="ascii") for path in tasks]:
-                    return pid  # all that was left behind is closed by then
+                    return pid  # all inherited descriptors are closed by then
         return None
 
     command = [sys.executable, "-m", "motord", "demo", "--seconds", "5"]

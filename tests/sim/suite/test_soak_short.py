@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A short soak: the robot of tests/soak, a moving one with four drives, in a few batches of seeded
-faults of every kind. The long one is `make soak`."""
+"""A short soak: the moving four-drive robot of tests/soak in a few batches of seeded faults of
+every kind. The long soak is `make soak`."""
 
 import re
 import sys
@@ -26,7 +26,7 @@ ENGINES = ("rt", "asyncio")
 
 @pytest.fixture(scope="module")
 def outcomes():
-    """Both engines at once."""
+    """Outcomes of both engines, run at once."""
     with ThreadPoolExecutor(len(ENGINES)) as pool:
         ran = pool.map(lambda engine: live(SEED, engine, FAULTS, BATCH), ENGINES)
         return dict(zip(ENGINES, ran, strict=True))
@@ -64,7 +64,7 @@ def test_the_limit_is_that_of_the_fastest_wheel_with_a_small_tolerance():
 
 
 class Journal:
-    """What drives have reported, without a simulator."""
+    """The journal of reported counts, without a simulator."""
 
     def __init__(self, **entries):
         self.entries = {int(unit.removeprefix("unit_")): rows for unit, rows in entries.items()}

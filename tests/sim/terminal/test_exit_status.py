@@ -30,7 +30,7 @@ def idle(stage):
         return stage.state() == "idle"
 
     wait_until(rests, "idle")
-    # A command that ended while it requested motion in vain bars its name until it has sent zero.
+    # A command that ended while its motion was refused has to send zero first.
     stage.robot.drive(0.0, 0.0, owner="motord-drive")
     stage.robot.release("motord-drive")
     return stage

@@ -46,7 +46,7 @@ def command(stage, *words):
 
 def ended(process):
     out, err = process.communicate(timeout=DEADLINE_S)
-    found = json.loads(out)  # one object, whatever the end
+    found = json.loads(out)  # one object for every ending
     return process.returncode, found, found.get("error", err)
 
 
@@ -55,7 +55,7 @@ def wait_for_motion(stage):
 
 
 def ended_in_time(stage, *words):
-    """And where the robot was before; again where it was held up, at most TRIES times."""
+    """The pose before and the result; run again where it was held up, at most TRIES times."""
     for _ in range(TRIES):
         before = stage.sim.truth()
         with command(stage, *words) as process:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the README shows works to the letter, in the environment that its two commands make."""
+"""The README's commands and programs work literally, in the environment that its two commands
+make."""
 
 import re
 import subprocess
@@ -10,7 +11,7 @@ from tests.sim.daemon_stage import DEADLINE_S, ROOT, TRIES, running, was_held_up
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 EXTRA_OF = {"motord top": "tui", "--plot": "plot"}
-"""What of it needs packages that `pip install motord` leaves out."""
+"""The parts that need packages which `pip install motord` leaves out."""
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ def stage(tmp_path_factory):
 
 
 def arm(stage):
-    """A fault that a too busy machine latched in the test before is reset."""
+    """A fault that a busy machine latched in the test before is reset."""
     with contextlib.suppress(Refused):
         if stage.state() == "fault":
             stage.robot.reset()

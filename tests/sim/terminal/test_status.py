@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `status` says of a whole daemon: typed for programs, in words for people."""
+"""The `status` of a daemon: typed for programs, and as text for people."""
 
 import dataclasses
 import json

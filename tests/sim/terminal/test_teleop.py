@@ -14,7 +14,7 @@ from tests.sim.pseudo_terminal import at_terminal
 from motord.client import ClientError
 
 RELEASED_S = 1.5
-"""Longer than a lease, and than a key that was pressed once counts."""
+"""Longer than a lease, and longer than one key press lasts."""
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +35,8 @@ def teleop(stage, **options):
 
 
 def hold(stage, terminal, key="w"):
-    """Until the wheels turn. A slow machine makes keys too old, or latches a fault that is reset
-    here. A key that stays down does not drive after either; then it is pressed again."""
+    """Holds keys until the wheels turn. On a slow machine keys get too old, or a fault is latched,
+    which is reset here. A held key does not drive after either; then it is pressed again."""
     seen = {"refusals": 0}
 
     def refusals():
@@ -157,7 +157,7 @@ def test_a_suspended_teleop_stops_the_robot(armed):
             terminal.type("w")  # waits in the terminal's buffer
         rests(armed)
         accepted = armed.robot.status()["commands"]["accepted"]
-        terminal.type("x")  # counts, though it came meanwhile
+        terminal.type("x")  # counts, although it was pressed meanwhile
         terminal.process.send_signal(signal.SIGCONT)
         terminal.exit_status()
         assert armed.robot.status()["commands"]["accepted"] - accepted <= 2

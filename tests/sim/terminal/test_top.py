@@ -23,7 +23,7 @@ def stage(tmp_path_factory):
 
 @contextlib.contextmanager
 def top(stage):
-    """On a robot that is idle, whatever the test before left."""
+    """`top` on an idle robot."""
     becomes_idle(stage)
     with at_terminal("top", "--socket", str(stage.socket), answers=False) as terminal:
         terminal.wait_for("joint")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`motord latency` on this machine: short runs of the real loop.
 
-No test looks at how fast it was."""
+No test judges the measured times."""
 
 import contextlib
 import itertools
@@ -35,7 +35,7 @@ COMMAND = [sys.executable, "-m", "motord", "latency"]
 DEADLINE_S = 60.0
 STOPPED_S = 0.2
 SEARCHED_S = 0.3
-"""Each of the measurements of a search: a thread is looked at every tenth of a second."""
+"""The length of each measurement of a search: threads are sampled every tenth of a second."""
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def report():
 
 
 def helpers():
-    """Processes that this one started for a measurement and that still run."""
+    """Running processes that this one has started for a measurement."""
     found = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -58,7 +58,7 @@ def helpers():
 
 
 def left_behind():
-    """Files of cyclictests that are dead."""
+    """Files of ended cyclictest processes."""
     files = Path("/dev/shm").glob("cyclictest*")
     return {f for f in files if not Path("/proc", f.name.removeprefix("cyclictest")).exists()}
 
@@ -136,7 +136,7 @@ def test_it_measures_under_load_and_leaves_nothing_behind(load):
 
 @pytest.fixture(scope="module")
 def recorded():
-    """Skips where the kernel keeps its records to itself."""
+    """Skips where the kernel does not show its scheduler records."""
     try:
         SwitchReader([0]).__exit__()
     except SwitchesUnknown as error:
@@ -256,7 +256,7 @@ def test_it_measures_outside_the_main_thread_too():
 
 @contextlib.contextmanager
 def running():
-    """A long run of the command that has begun to measure."""
+    """A long run of the command, once it measures."""
     with subprocess.Popen(
         [*COMMAND, "--seconds", "300", "--json"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT, text=True,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord trace` at whole daemons on simulated drives: a serial line in C, one in asyncio, a CAN
+"""`motord trace` on daemons with simulated drives: a serial line in C, one in asyncio, a CAN
 bus."""
 
 import json

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Procedures by the dashboard's socket: who may begin, answer and stop one, and what ends it."""
+"""Procedures by the dashboard's socket: which page may begin, answer and stop one, and what ends
+it."""
 
 import asyncio
 import contextlib
@@ -43,7 +44,7 @@ def record(one):
 
 
 async def question(page, *problems):
-    """The open one, with one of these problems where there are any."""
+    """The open question, with one of `problems` if any are given."""
 
     def asked(one):
         found = record(one).get("question")
@@ -54,7 +55,7 @@ async def question(page, *problems):
 
 @contextlib.asynccontextmanager
 async def present(page):
-    """What a page sends that is shown."""
+    """Sends the signs of life of a visible page."""
 
     async def signs():
         while True:
@@ -69,8 +70,8 @@ async def present(page):
 
 
 async def answered(page, value, enough):
-    """Give that answer to each question, as often as it is asked because the page seemed away,
-    until `enough` of what comes is true."""
+    """Answers each question, and again where the page seemed away, until `enough` is true of a
+    message."""
     given = 0
     while True:
 
@@ -88,7 +89,7 @@ async def answered(page, value, enough):
 
 
 async def turning(stage, page):
-    """A wheel turns, for so long that a test ends it; the page sends no sign any more."""
+    """A wheel turns longer than the test lasts; the page sends no more signs of life."""
     async with present(page):
         await page.answer("commission.start", **SPIN)
         await answered(page, value=True, enough=lambda _: fastest_rad_s(stage) > 0.5)
@@ -99,7 +100,7 @@ def fastest_rad_s(stage):
 
 
 def message_pipe(stage):
-    """What the procedure sends its messages to motord-bus by: its stdout is its log."""
+    """The pipe by which the procedure sends messages to motord-bus; its stdout is its log."""
     (procedure,) = bus_children(stage, "motord.commission.page.procedure")
     read = {target for _, target in pipes(stage.robot.status()["bus"]["pid"])}
     (found,) = (one for one, target in pipes(procedure) if target in read and one.name != "0")
@@ -108,7 +109,7 @@ def message_pipe(stage):
 
 def pipes(pid):
     for one in Path(f"/proc/{pid}/fd").iterdir():
-        with contextlib.suppress(OSError):  # it is closed by now
+        with contextlib.suppress(OSError):  # it has been closed meanwhile
             if (target := os.readlink(one)).startswith("pipe:"):
                 yield one, target
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot file by the dashboard's socket: who may read and write it, and what is refused."""
+"""The robot file by the dashboard's socket: which page may read and write it, and what is
+refused."""
 
 import asyncio
 import contextlib
@@ -192,5 +193,5 @@ async def test_a_killed_check_is_reported_and_the_next_one_answers(stage, connec
         return isinstance(one, dict) and one.get("answer") == 7 and one
 
     found = await page.until(killed)
-    assert "failed" in found.get("error", "failed")  # or it was quicker
+    assert "failed" in found.get("error", "failed")  # or it ended before the kill
     assert "result" in await page.answer("file.check", text="[")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The dashboard's socket, as a program without a browser sees it."""
+"""The dashboard's socket, used by a program without a browser."""
 
 import json
 import signal
@@ -22,7 +22,7 @@ def stage(tmp_path_factory, port):
 
 
 def frame(one):
-    """A frame's number."""
+    """The number of a frame."""
     return one if isinstance(one, int) else None
 
 

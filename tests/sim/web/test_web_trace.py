@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exchanges of a line on the dashboard: while a page shows them, and no longer."""
+"""The exchanges of a line on the dashboard, traced only while a page shows them."""
 
 from collections import deque
 
