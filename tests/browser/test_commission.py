@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commissioning in a real browser: the simulated robot differs from its file, and the page finds
-out; whatever ends a procedure ends it at rest and without power."""
+the differences. Every procedure ends at rest and without power."""
 
 import math
 import re
@@ -62,7 +62,7 @@ def wheels_turn(robot):
 
 
 def spinning(robot, page):
-    """The left wheel turns, for so long that a test ends it."""
+    """The left wheel turns longer than the test lasts."""
     open_page(page, SPIN)
     page.get_by_label("Wheels").select_option("left")
     fill(page, Time_for_each_wheel=10)
@@ -98,7 +98,7 @@ def test_swapped_wheels_are_found_and_put_right_in_the_file(browser, tmp_path):
     ):
 
         def seen():
-            """The other wheel turns, and backward: it is mounted on the other side."""
+            """The other wheel turns backward: it is mounted on the other side."""
             other = page.locator(".question").get_by_role("button", name="Another wheel")
             return "Another wheel" if other.count() else "Backward"
 
@@ -299,9 +299,9 @@ def test_a_filled_in_form_is_kept_while_the_link_is_lost(robot):
         start = page.get_by_role("button", name="Begin", exact=True)
         link.cut = True
         link.drop()
-        wait_until(lambda: start.count() and start.is_disabled(), "it cannot be begun")
+        wait_until(lambda: start.count() and start.is_disabled(), "Begin is disabled")
         link.cut = False
-        wait_until(start.is_enabled, "it can be begun again")
+        wait_until(start.is_enabled, "Begin is enabled again")
         assert page.get_by_label("Time for each wheel").input_value() == "7"
 
 
@@ -325,7 +325,7 @@ def test_another_page_shows_a_running_procedure_and_can_only_stop_it(robot):
         press_pad(other)
         wait_until(lambda: "is running" in other.locator(".notice").inner_text(), "it is refused")
         other.mouse.up()
-        wait_until(lambda: state_of(other) == "moving", "it is shown that the wheel goes on")
+        wait_until(lambda: state_of(other) == "moving", "the page shows that the wheel still turns")
         other.evaluate("location.hash = 'commission'")
         other.locator(".halt").click()
         rests_without_power(robot.stage)

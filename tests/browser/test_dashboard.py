@@ -27,7 +27,7 @@ def button(page, name):
 
 
 def arm(robot, page):
-    """By its button, again where a busy machine has let a drive answer late."""
+    """Arms by the button; pressed again where a drive answered late on a busy machine."""
 
     def attempt():
         state = state_of(page)
@@ -89,7 +89,7 @@ HIDE = """() => {
 
 
 def freeze(page):
-    """The processes of all pages stand still, as those of a computer that is suspended."""
+    """Stops the processes of all pages, like a suspend of the computer."""
     session = page.context.browser.new_browser_cdp_session()
     found = session.send("SystemInfo.getProcessInfo")["processInfo"]
     FROZEN.extend(row["id"] for row in found if row["type"] == "renderer")
@@ -139,11 +139,11 @@ def test_a_cut_link_stops_the_wheels_and_its_return_does_not_resume_a_hold(robot
         wait_until(lambda: page.locator(".chip.connected").count() == 1, "connected")
         page.mouse.move(300, 300)
         if hold is press_key:
-            page.keyboard.down("KeyW")  # again: what a keyboard sends while a key is held
+            page.keyboard.down("KeyW")  # the repeat of a held key
         assert not held(page)
         robot.wait_for_rest()
         page.mouse.up()
-        robot.set_off(page, hold)  # pressed again, it drives
+        robot.set_off(page, hold)  # a new press drives
 
 
 def test_a_slow_lossy_link_still_drives_and_stops(robot):
@@ -189,11 +189,11 @@ window.plug = (pressed) => {
         buttons: Array.from({length: 17}, (_, n) => ({pressed: pressed && n === 4, value: 0})),
     }];
 };"""
-"""The browser's interface; there is no gamepad here."""
+"""Replaces the browser's gamepad interface; no gamepad is needed."""
 
 
 def looked(page):
-    """The page has looked at its gamepads as they are now."""
+    """Waits until the page has read its gamepads."""
     seen = page.evaluate("window.looks")
     page.wait_for_function("seen => window.looks > seen + 1", arg=seen)
 
@@ -336,7 +336,7 @@ def test_exchanges_are_traced_only_while_they_are_shown(robot, page):
 def test_a_recording_is_started_stopped_downloaded_once_and_replayed(robot, page):
     page.evaluate("location.hash = 'log'")
     page.wait_for_selector(".recorder button")
-    if button(page, "Stop recording").count():  # left by a try that was too late
+    if button(page, "Stop recording").count():  # left by a try that came too late
         button(page, "Stop recording").click()
     button(page, "Start recording").click()
     files = page.locator(".recordings li", has_text="-manual.mcap")
@@ -386,7 +386,7 @@ def test_axe_finds_nothing(robot, width):
                 button(page, "Show live").click()
                 page.wait_for_selector(".exchanges tbody tr")
             assert axe_violations(page) == [], tab
-            page.emulate_media(color_scheme="dark")  # other colours, and nothing else
+            page.emulate_media(color_scheme="dark")  # only the colours differ
             assert axe_violations(page, "color-contrast") == [], (tab, "dark")
 
 
@@ -397,7 +397,7 @@ TAB_CHOSEN_EARLY = """(() => {
         setTimeout(() => then(performance.now()), 20);
     });
 })()"""
-"""Between what the page draws first and what it does after that."""
+"""Acts between the page's first drawing and what it does next."""
 
 
 def test_a_tab_chosen_right_after_the_first_drawing_is_shown(robot):
@@ -428,7 +428,7 @@ SPACE_EARLY = """new MutationObserver((_, observer) => {
     observer.disconnect();
     window.dispatchEvent(new KeyboardEvent('keydown', {code: 'Space'}));
 }).observe(document, {childList: true, subtree: true})"""
-"""As soon as there is a button, before the page does anything after its first drawing."""
+"""Presses the key as soon as there is a button, right after the page's first drawing."""
 
 
 def test_the_space_bar_works_right_after_the_first_drawing(robot):

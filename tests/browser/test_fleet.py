@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two robots in one page: two daemons, two dashboards, and their rules between them."""
+"""Two robots in one page: two daemons, and two dashboards with their rules for each other."""
 
 import contextlib
 import os

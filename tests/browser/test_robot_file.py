@@ -21,7 +21,7 @@ ROBOTS = sorted((ROOT / "config/robots").glob("*.toml"))
 
 @pytest.fixture(autouse=True)
 def file(robot):
-    """As it was, whatever a test has written."""
+    """The robot file, restored before each test."""
     before = robot.file.read_bytes()
     yield robot.file
     robot.file.write_bytes(before)
@@ -34,7 +34,7 @@ def button(page, name):
 
 
 def opened(page, text=None):
-    """The editor, with the file or with a text of one's own."""
+    """The open editor, with the file or with the given text."""
     page.evaluate("location.hash = 'file'")
     page.wait_for_selector(AREA)
     if text is not None:
@@ -43,7 +43,7 @@ def opened(page, text=None):
 
 
 def at_end_of(page, row):
-    """The cursor goes behind the first row that is this one."""
+    """Puts the cursor at the end of the first such row."""
     page.evaluate(
         """row => {
             const area = document.querySelector("textarea");
@@ -107,7 +107,7 @@ def test_keys_and_values_are_completed_with_the_keyboard_alone(page):
     assert page.locator(OPTIONS).count()
     page.keyboard.press("Escape")
     assert page.locator(OPTIONS).count() == 0
-    page.keyboard.press("Tab")  # no trap
+    page.keyboard.press("Tab")  # the keyboard leaves the editor
     assert page.evaluate("document.activeElement.tagName") != "TEXTAREA"
 
 
@@ -127,7 +127,7 @@ def test_enter_is_a_line_end_unless_a_completion_is_chosen(page):
 
 @pytest.fixture(scope="module")
 def programs(robot):
-    """A page whose functions are called, and nothing else."""
+    """A page of which only functions are called."""
     with robot.page() as page:
         yield page
 
