@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`make bench`: what motord costs and how late it is, beside what people use instead, in one run.
+"""`make bench`: the cost and the lateness of motord beside the alternatives, in one run.
 
 python -m tests.bench.run [--quick | --smoke] [--json] [--only core,wire,...] [--skip calibration]
 
 Ends with 1 only where something is wrong (a violation, a page fault, too many instructions), never
-because a machine is slow: the sentences say what was reached. `--smoke` runs every part as briefly
-as it can, to show that it runs: no figure is judged.
+because a machine is slow: the sentences report what was reached. `--smoke` runs every part as
+briefly as it can, to show that it runs: no figure is judged.
 """
 
 from __future__ import annotations

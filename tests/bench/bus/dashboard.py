@@ -46,7 +46,7 @@ async def viewer(port, until_s, counts):
 
 
 def watch(port, viewers, seconds):
-    """Frames that so many viewers have received."""
+    """The frames that this many viewers receive in this time."""
 
     async def run():
         counts = []
@@ -68,7 +68,7 @@ def cpu_s(pid):
 
 
 def cpu_share(stage, port, viewers, seconds):
-    """Of one core, of motord-bus and of the daemon."""
+    """Shares of one core that motord-bus and the daemon take."""
     pids = (stage.robot.status()["bus"]["pid"], stage.robot.status()["pid"])
     before = [cpu_s(pid) for pid in pids]
     began_s = time.monotonic()
@@ -112,7 +112,7 @@ def measure(seconds, rounds, times, heap_s, plots_s):
             stage.wait_for("idle")
             wait_until(lambda: listens(port), "the dashboard listens")
             wait_until(lambda: stage.robot.status()["bus"].get("pid"), "motord-bus")
-            time.sleep(min(3.0, seconds))  # what starts has started
+            time.sleep(min(3.0, seconds))  # every process has started
             none, one = (cpu_share(stage, port, count, seconds) for count in (0, 1))
             pairs = [
                 (lateness_us(stage, port, 0, seconds), lateness_us(stage, port, VIEWERS, seconds))

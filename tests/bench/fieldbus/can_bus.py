@@ -53,7 +53,8 @@ def cpu_ns() -> int:
 
 
 class Frames:
-    """How many have been on the bus, sent and received: of the drives, for who measures."""
+    """The number of frames sent and received on the bus, shared by the drives with the measuring
+    process."""
 
     def __init__(self, path: str) -> None:
         file = Path(f"{path}.frames")
@@ -70,7 +71,7 @@ class Frames:
 
 
 class Meter:
-    """CPU of this process and frames on the bus, from the making to `found`."""
+    """CPU of this process and frames on the bus, from the creation of this object to `found`."""
 
     def __init__(self, path: str) -> None:
         self._frames = Frames(path)
@@ -82,7 +83,7 @@ class Meter:
 
 # ---------------------------------------------------------------------------------- the other end
 def drives(path: str, seconds: float) -> None:
-    """Until its time is over, or the line closes the bus."""
+    """Runs the drives for this time, or until the line closes the bus."""
     frames = Frames(path)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as door:
         door.bind(path)
@@ -115,7 +116,7 @@ def speak(end: socket.socket, until_s: float, frames: Frames) -> None:
 
 # --------------------------------------------------------------------------------------- the sides
 async def with_line(engine: str, path: str, seconds: float) -> dict[str, int]:
-    """motord's, set up and at rest."""
+    """motord's line, set up and at rest."""
     from motord.config.drives.load import find_profile
     from motord_hal.fieldbus.open_line import open_line
     from motord_hal.fieldbus.ports import DriveState, JointSpec, LineSpec
@@ -160,7 +161,7 @@ def python_can_bus(path: str) -> Any:
             can.BusABC.__init__(self, path)
 
         def _apply_filters(self, filters: object) -> None:
-            self._is_filtered = True  # on a real bus the kernel does it
+            self._is_filtered = True  # on a real bus the kernel does this
 
     return BusOnPath()
 
@@ -209,7 +210,7 @@ async def with_python_can(path: str, seconds: float) -> dict[str, int]:
 
 
 def with_a_script(path: str, seconds: float) -> dict[str, int]:
-    """The least that can be done with python-can: its packing and its messages, no bus."""
+    """The smallest script on python-can: its packing and its messages, no bus."""
     import can
     from can.interfaces.socketcan.socketcan import build_can_frame, capture_message
 
@@ -263,7 +264,7 @@ def once(side: str, seconds: float) -> float:
 
 
 def measure(rounds: int, seconds: float) -> dict[str, list[float]]:
-    """By turns, so that a busy minute hurts all."""
+    """The sides take turns, so that a busy minute affects all."""
     found: dict[str, list[float]] = {side: [] for side in SIDES}
     for _ in range(rounds):
         for side, values in found.items():
