@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """CAN lines of both engines on interfaces of the kernel: two controllers that are cabled to each
-other, an interface that goes down, one that is taken away, one whose queue is full, and how long a
-set-point takes. What is sent on the bus is judged by the contract suite, on vcan.
+other, an interface that goes down, one that is removed, one with a full queue, and how long a
+set-point takes. The contract suite checks the frames on the bus, on vcan.
 
-QEMU's SJA1000 mixes up what follows a remote frame, which ODrives are asked by: those are at the
-other end of a vxcan, which is a cable without controllers.
+QEMU's SJA1000 corrupts what follows a remote frame, and motord sends remote frames to ODrives: so
+these are at the other end of a vxcan, which is a cable without controllers.
 """
 
 import math
@@ -80,7 +80,7 @@ async def drive(rig, peer):
 async def back_disarmed(rig, peer):
     await rig.ready()
     mark = len(peer.axes[0].velocities())
-    await until(lambda: len(peer.axes[0].velocities()) > mark + 3, "it is sent something")
+    await until(lambda: len(peer.axes[0].velocities()) > mark + 3, "a frame is sent")
     assert set(peer.axes[0].velocities()[mark:]) == {0.0}
     assert peer.axes[0].state == IDLE
 
@@ -164,7 +164,7 @@ async def test_can_fd_on_an_interface_without_it_is_refused_with_the_reason(kind
         peer = Peer(kind, (0,), "socketcan:classic0")
         spec = spec_of(peer, 0, data_baudrate=2_000_000)
         async with living(peer), running(spec) as rig:
-            await until(lambda: rig.events != [], "the line says something")
+            await until(lambda: rig.events != [], "an event of the line")
             assert rig.kinds() == [EventKind.LINE_LOST]
             assert "carries no CAN FD" in rig.events[0].text
     finally:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motor bridges on the kernel's own GPIO and PWM: what the pins are when the line says so, also
-when it is stopped, starved, killed, or its pins are another program's."""
+"""Motor bridges on the kernel's own GPIO and PWM: the levels of the pins when the line drives, and
+when it is stopped, starved or killed, or another program has its pins."""
 
 import asyncio
 import contextlib
@@ -44,12 +44,12 @@ pytestmark = [
 
 
 def fail_with(number):
-    """Let the PWM chip refuse everything with this errno; 0: nothing."""
+    """Makes the PWM chip refuse everything with this errno; 0: nothing."""
     FAILING.write_text(str(number))
 
 
 async def armed(line):
-    """Armed; a busy machine may hold the set-points up for longer than they live."""
+    """Arms, repeatedly if needed: a busy machine may delay set-points until they are too old."""
     async with asyncio.timeout(GENEROUS_S):
         while line.states() != {DriveState.ARMED}:
             await line.ready()
@@ -59,7 +59,8 @@ async def armed(line):
 
 
 async def reaches(line, condition, what):
-    """Armed, until it holds: a slow machine lets set-points get old, and the line stops then."""
+    """Keeps it armed until the condition holds: on a slow machine set-points get old, and the line
+    stops."""
     try:
         async with asyncio.timeout(GENEROUS_S):
             while not condition():
@@ -337,7 +338,7 @@ def test_stop_all_ends_what_kill_9_leaves_behind_on_every_bridge(rig, capsys):
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
 
         def held():
-            """Stopped while all of them turn: set-points of a slow machine get old now and then."""
+            """Stops it while all bridges are on: set-points of a slow machine get old at times."""
             child.send_signal(signal.SIGSTOP)
             os.waitpid(child.pid, os.WUNTRACED)
             if all_forward(rig):

@@ -31,7 +31,7 @@ def test_only_an_open_contact_is_an_emergency_stop():
 
 def test_a_broken_wire_stops_because_the_chip_pulls_the_line_up():
     with chip() as lines, looped(pull=Bias.PULL_UP) as loop:
-        assert lines.level(CONTACT) == 1.0  # by the request's bias: nothing drives it
+        assert lines.level(CONTACT) == 1.0  # by the bias of the request: nothing drives the line
         assert loop.read_state().faults == ("estop",)
 
 

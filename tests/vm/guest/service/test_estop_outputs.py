@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the emergency stop's contact to the pins of the motors, all of it the kernel's own."""
+"""From the emergency stop's contact to the pins of the motors, all of them the kernel's."""
 
 import time
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The daemon killed at full speed under systemd, for each kind of line: who stops the wheels, and
-that it comes back disarmed. Prints a row of docs/safety.md for each."""
+"""The daemon is killed at full speed under systemd, for each kind of line: what stops the wheels,
+and that it comes back disarmed. Prints a row of docs/safety.md for each."""
 
 import os
 import signal
@@ -12,7 +12,7 @@ from unit import prepared, started
 from unit_robots import KINDS
 
 SMOKE = pytest.param("pwm", marks=pytest.mark.smoke)
-"""The quickest, for nothing simulated has to keep its time."""
+"""The quickest kind, because nothing simulated has to keep time."""
 
 
 @pytest.mark.parametrize("kind", [SMOKE, *(kind for kind in KINDS if kind != "pwm")])

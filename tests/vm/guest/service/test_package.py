@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Debian package: what it puts where, and what is left when it has gone."""
+"""The Debian package: what it installs where, and what a removal leaves."""
 
 from pathlib import Path
 

@@ -30,8 +30,8 @@ def drives(simulator):
 
 @pytest.fixture
 def unit(drives):
-    """Running, idle, nothing wrong with its drives; the test before may have left it running: a
-    start costs an emulated machine ten seconds."""
+    """Running and idle, with its drives in order. It may still run from the test before: a start
+    takes an emulated machine ten seconds."""
     drives.clear_faults_script()
     with reached(NAME, drives) as unit:
         granted(unit.is_idle, "it is idle", unit.logged)
@@ -54,7 +54,7 @@ def test_it_runs_in_real_time_as_an_unprivileged_user(unit):
 
 def test_it_can_open_motor_devices_and_no_others(unit):
     assert properties(UNIT, "DevicePolicy")["DevicePolicy"] == "closed"
-    # from inside its own limits: the disk's file is there, and opening it is refused by the kernel
+    # within the unit's limits: the disk's device file exists, and the kernel refuses to open it
     limits = ["-p", "DevicePolicy=closed", "-p", "DeviceAllow=char-ttyS rw"]
     script = "exec 2>&1; head -c 1 /dev/vda | wc -c; dd if=/dev/ttyS1 iflag=noctty,nonblock count=0"
     done = output("systemd-run", "--quiet", "--pipe", "--wait", *limits, "sh", "-c", script)
@@ -94,7 +94,7 @@ def test_only_members_of_its_group_command_it(unit):
         # an emulated drive may take longer than the daemon waits
         wait_until(lambda: status_of(*arm) == 0, "armed by a member", unit.logged)
         output("runuser", "-u", "visitor", "--", "sh", "-c", "! motord disarm")
-        assert unit.state() != "idle"  # a drive of a busy machine may have been late: a fault
+        assert unit.state() != "idle"  # or a fault: a drive of a busy machine may have been late
     finally:
         output("userdel", "driver")
         output("userdel", "visitor")
@@ -157,7 +157,7 @@ def test_a_robot_file_with_mistakes_is_not_tried_again_and_again():
             output("systemctl", "start", "--no-block", "motord@bad.service")
 
             def failed():
-                time.sleep(0.5)  # each look costs the emulated machine a tenth of a second
+                time.sleep(0.5)  # each query takes the emulated machine 0.1 s
                 return properties("motord@bad.service", "ActiveState")["ActiveState"] == "failed"
 
             wait_until(failed, "it has failed")
