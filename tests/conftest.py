@@ -2,7 +2,7 @@
 """What every test folder shares. `MOTORD_RT_DIR` puts another build of the C core first (make san).
 Property tests have no deadline: a busy machine is no bug. Each run draws new cases, most of them in
 `make san`. Programs that tests start use bytecode: without it, each of some thousand starts
-compiles a hundred modules anew."""
+compiles a hundred modules again."""
 
 import contextlib
 import functools

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of deadlines mean something only while the machine gives every process its time. During
+"""Tests of deadlines are valid only while the machine gives every process its time. During
 each test a thread measures this. A test that fails while the machine was late is run again, at most
 three times, as long as its runs together took at most AGAIN_MAX_S; the summary names each with what
 was measured. A test that fails while the machine was in time, or that does not end, has failed.

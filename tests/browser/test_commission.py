@@ -43,7 +43,7 @@ def wheels(*settings):
 
 @pytest.fixture(scope="module")
 def robot(browser, tmp_path_factory):
-    """Its wheels are larger and closer to each other than its file says."""
+    """Its wheels are larger and closer to each other than in its file."""
     folder = tmp_path_factory.mktemp("commission")
     with dashboard_of(
         browser, folder, copied(folder), *SURE, sim_options=truth(*TRUTH)

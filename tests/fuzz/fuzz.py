@@ -38,7 +38,7 @@ FAILED = ROOT / "build/fuzz"
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("targets", nargs="*", default=list(TARGETS), metavar="TARGET",
-                        help=f"of {', '.join(TARGETS)}; none: all")  # fmt: skip
+                        help=f"{', '.join(TARGETS)}; default: all")  # fmt: skip
     parser.add_argument("--runs", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=None, help="default: a random one, printed")
     arguments = parser.parse_args()

@@ -28,7 +28,7 @@ def why_not():
 
 @dataclass
 class Cable:
-    """Between the namespace `there`, whose end has the address THERE, and `here`."""
+    """A cable between the namespace `there`, whose end has the address THERE, and `here`."""
 
     there: str
     here: str

@@ -2,7 +2,7 @@
 """make vm: builds the guest and the package, boots once, runs tests/vm/guest there, prints their
 output; then tests/vm/pi on an emulated Raspberry Pi 3. With --smoke only the guest's tests marked
 smoke run; with --build nothing is booted. Other arguments go to the guest's pytest, and the Pi is
-left out. Without root, Debian 12 on amd64 or QEMU's packages: one line that says why, and status 0.
+left out. Without root, Debian 12 on amd64 or QEMU's packages: the reason in one line, and status 0.
 
 Emulated, not virtualised: time in the guest means nothing, what the kernel does is real. How long
 the tests may take follows from how long the guest takes to boot and to install the package, which

@@ -106,8 +106,8 @@ def heap_bytes(browser, port, seconds):
     """JavaScript's heap on the page of plots: when its buffers are full, and at the end of this
     time.
 
-    Each is the least of several looks, each after a collection: what is being drawn or has just
-    arrived is alive at one look or another, and what has leaked at all of them."""
+    Each is the least of several samples, each after a collection: what is being drawn or has just
+    arrived is alive in some samples, and what has leaked is alive in all."""
     page = browser.new_page()
     page.goto(f"http://127.0.0.1:{port}/#plots")
     session = page.context.new_cdp_session(page)

@@ -3,15 +3,14 @@
  * master.
  *
  * A pty carries a frame in no time. Here a request has arrived when its bytes would have passed the
- * wire; the reply begins after the silence by which a drive knows that a frame has ended, and is
- * handed over when its last byte would have come. So one exchange takes (request + reply)
- * characters and two silences: that is the wire's limit, and what a client adds is its own. A
- * request that comes before the second silence is over is a violation (5 % are forgiven: clocks
- * round).
+ * wire; the reply begins after the silence that marks the end of a frame, and is handed over when
+ * its last byte would have come. So one exchange takes (request + reply) characters and two
+ * silences: that is the wire's limit, and what a client adds is its own. A request that comes
+ * before the second silence is over is a violation (5 % are forgiven: clocks round).
  *
  *     rtu_slave BAUDRATE GAP_US [PRIORITY]     prints the pty's name; then, for a line on stdin, a
- *     line of JSON: "stats" the counters, which begin anew; "changed" when the first one came since
- *     that changed a register
+ *     line of JSON: "stats" the counters, which restart at zero; "changed" the time of the first
+ *     request since then that changed a register
  */
 #include <errno.h>
 #include <fcntl.h>

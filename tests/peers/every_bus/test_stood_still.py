@@ -14,7 +14,7 @@ from tests.peers.ros2.ros2_stage import (
     LEASE_S,
     NAMESPACE,
     inputs,
-    nobody_commands,
+    no_source_commands,
     peer,
     ros2_stage,
 )
@@ -85,7 +85,7 @@ def test_commands_queued_while_motord_bus_stood_still_move_nothing(stage, port, 
         stage.wait_for("moving")
         stopped_s = time.monotonic()
         os.kill(pid, signal.SIGSTOP)
-        nobody_commands(stage)
+        no_source_commands(stage)
         wait_until(lambda: time.monotonic() > stopped_s + 2.0 * LEASE_S, "a long gap")
     wait_until(lambda: stage.robot.status()["at_rest"], "rest")
     accepted = stage.robot.status()["commands"]["accepted"]
@@ -97,7 +97,7 @@ def test_commands_queued_while_motord_bus_stood_still_move_nothing(stage, port, 
     assert status["bus"]["pid"] == pid
     with by(port):
         stage.wait_for("moving")
-    nobody_commands(stage)
+    no_source_commands(stage)
     stage.robot.disarm()
 
 
@@ -107,7 +107,7 @@ def test_commands_held_back_by_the_sender_move_nothing_whatever_its_clock(stage,
     with peer("twist", f"rt{NAMESPACE}/cmd_vel", SPEED_M_S, 0.0, ahead_s) as sender:
         stage.wait_for("moving")
         sender.say("held")
-        nobody_commands(stage)
+        no_source_commands(stage)
         sent = inputs(stage)["ros2"]["sent"]
         wait_until(lambda: inputs(stage).get("ros2", {}).get("sent", 0) > sent, "more of them")
         assert not stage.robot.status()["leases"]

@@ -7,12 +7,12 @@ library itself. It shares nothing with motord.
                                                  stamp 0; NODE: the writer's node in the graph
     ros2_peer.py DOMAIN bursts NAME V N          N TwistStamped at once for each line on stdin;
                                                  for the line `old`, one that is a minute old
-    ros2_peer.py DOMAIN frame NAME CHARS         20 TwistStamped a second, with so long a frame
+    ros2_peer.py DOMAIN frame NAME CHARS         20 TwistStamped a second, with a frame_id of CHARS
     ros2_peer.py DOMAIN plane NAME VX VY [plain]   20 TwistStamped a second, or Twist
     ros2_peer.py DOMAIN twist NAME V W [AHEAD_S] 20 Twist a second, by a clock ahead of ours; a
                                                  line on standard input: sent 3 s ago from now on
     ros2_peer.py DOMAIN joints NAME JOINT=SPEED ... [AGE_S]   20 JointState a second
-    ros2_peer.py DOMAIN say NAME TEXT [best [NODE]]  one String, again and again; best: best effort
+    ros2_peer.py DOMAIN say NAME TEXT [best [NODE]]  one String, repeatedly; best: best effort
     ros2_peer.py DOMAIN calls                    for each line on stdin, [NAME, TYPE, VALUES] in
                                                  JSON, one request; its reply as JSON
     ros2_peer.py DOMAIN act NAME TYPE [JSON]     one goal: accepted, feedback, result, each as JSON;

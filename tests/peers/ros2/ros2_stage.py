@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A daemon among ROS 2 nodes, and programs of another make that meet it there."""
+"""A daemon among ROS 2 nodes, and programs of another make that connect to it."""
 
 import contextlib
 import json
@@ -116,13 +116,13 @@ def called(name, kind="Trigger", **values):
     return caller.ask(f"{NAMESPACE}/motord/{name}", kind, values)
 
 
-def nobody_commands(stage):
+def no_source_commands(stage):
     wait_until(lambda: not stage.robot.status()["leases"], "the command's end")
 
 
 def settle(stage):
     """Disarmed and ready, also after a fault that a busy machine caused."""
-    nobody_commands(stage)
+    no_source_commands(stage)
 
     def settled():
         state = stage.state()

@@ -11,7 +11,7 @@ from tests.peers.ros2.ros2_stage import (
     NAMESPACE,
     called,
     inputs,
-    nobody_commands,
+    no_source_commands,
     peer,
     ros2_stage,
 )
@@ -75,7 +75,7 @@ def test_a_joint_command_moves_nothing_while_disarmed(stage):
     with peer("joints", f"rt{NAMESPACE}/joint_commands", "left=2.0"):
         wait_until(lambda: sent(stage) > before + 10, "commands")
         assert stage.state() == "idle"
-    nobody_commands(stage)
+    no_source_commands(stage)
 
 
 def test_the_robot_stops_when_the_other_node_leaves(armed):
@@ -90,7 +90,7 @@ def test_a_command_moves_nothing_while_disarmed(stage):
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
         wait_until(lambda: inputs(stage)["ros2"]["sent"] > accepted + 10, "commands")
         assert stage.state() == "idle"
-    nobody_commands(stage)
+    no_source_commands(stage)
 
 
 def test_services_answer_with_the_daemons_state_or_refusal(stage):
@@ -418,13 +418,13 @@ def test_a_writer_of_another_type_is_named_with_the_type_to_use(stage):
         " motord wants geometry_msgs/msg/TwistStamped (stamped = false takes Twist)"
     )
     with peer("twist", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
-        wait_until(lambda: row in stage.logged(), "a word on its type")
+        wait_until(lambda: row in stage.logged(), "a log line on its type")
 
 
 def test_a_reader_of_another_type_is_named(stage):
     with peer("topic", f"rt{NAMESPACE}/odom", "JointState"):
         row = f"rt{NAMESPACE}/odom: a reader of sensor_msgs/msg/JointState receives nothing"
-        wait_until(lambda: row in stage.logged(), "a word on its type")
+        wait_until(lambda: row in stage.logged(), "a log line on its type")
 
 
 def test_a_reader_that_hangs_does_not_disturb_the_others(stage):

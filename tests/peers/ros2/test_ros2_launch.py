@@ -145,7 +145,7 @@ def test_launch_starts_the_bridge_with_its_namespace_remaps_and_parameters(launc
     remaps = ["__node:=motord", "__ns:=/r2", "cmd_vel:=/cmd_vel_safe",
               "joint_commands:=joint_commands"]  # fmt: skip
     assert pairs(words, "-r") == remaps
-    assert "robot: '7'" in files[0], "a robot whose name is a number is named by a text"
+    assert "robot: '7'" in files[0], "a robot's name that is a number stays a text"
 
 
 def test_launch_needs_no_arguments(launched):

@@ -86,7 +86,7 @@ def test_it_waits_for_a_daemon_and_logs_that_once(tmp_path):
         bridge(tmp_path, "--socket", tmp_path / "daemon.sock") as waiting,
         operator() as person,
     ):
-        wait_until(lambda: "waiting for a daemon" in waiting.logged(), "a word")
+        wait_until(lambda: "waiting for a daemon" in waiting.logged(), "the message")
         with running(tmp_path, *SETTINGS) as stage:
             stage.bridge, stage.operator = waiting, person
             stage.wait_for("idle")

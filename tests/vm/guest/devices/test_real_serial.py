@@ -49,13 +49,13 @@ def test_a_pulled_adapter_is_found_again_and_disarmed(tmp_path, simulator, kind)
     ):
         stage.drive_on()
         before = adapter()
-        somebody = os.open(before, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        other = os.open(before, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         pull()
         stage.wait_for("fault")
         wait_until(lambda: sim.truth().at_rest, "the drive's own watchdog stops the wheels")
         plug()
         assert adapter() != before  # a process still holds the old number
-        os.close(somebody)
+        os.close(other)
         wait_until(lambda: stage.robot.status()["lines"]["rs485"]["state"] == "ready", "open again")
         assert stage.state() == "fault"
         assert stage.rests_without_power()
