@@ -272,7 +272,7 @@ def _imports(module, command):
         yield "motord.config.load"
     elif module in PEERS:
         yield module
-        del sys.modules[module]  # what it imports stays; it is run as __main__
+        del sys.modules[module]  # its imports stay; it is run as __main__
     elif module == "motord":
         yield "motord.cli"
         if where := importlib.import_module("motord.cli").COMMANDS.get(command):

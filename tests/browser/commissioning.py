@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A person who commissions a simulated robot on its dashboard: reads what the page shows, measures
-the simulator's truth, and answers."""
+"""A simulated person who commissions a robot on its dashboard: reads the page, measures the
+simulator's truth, and answers."""
 
 import contextlib
 import math

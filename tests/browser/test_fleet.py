@@ -53,7 +53,7 @@ def page(robots):
 
 
 def card(page, port):
-    """Of another robot, by its address."""
+    """The card of another robot, by its address."""
     return page.locator(".robot", has=page.locator(f"a[href='http://127.0.0.1:{port}']"))
 
 

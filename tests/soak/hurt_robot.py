@@ -46,7 +46,7 @@ TURNING_RAD_S = 0.5
 
 
 class Violation(Exception):
-    """The robot has done what it must not, or has not done what it must."""
+    """The robot did what it must not do, or did not do what it must do."""
 
 
 @dataclass(slots=True)
@@ -136,7 +136,7 @@ class HurtRobot:
     refusal: str = ""
     """What the daemon answered when it last refused to reset or to arm."""
 
-    # -------------------------------------------------------------------------------- what is
+    # -------------------------------------------------------------------------------- the state
     def status(self) -> dict[str, Any]:
         if self.daemon.poll() is not None:
             raise Violation(f"the daemon has ended with {self.daemon.returncode}")
@@ -148,7 +148,7 @@ class HurtRobot:
         wheels = self.sim.truth().joints.values()
         return any(abs(wheel.velocity_rad_s) > TURNING_RAD_S for wheel in wheels)
 
-    # ------------------------------------------------------------------------------- what is done
+    # ------------------------------------------------------------------------------- the actions
     def recover(self, end_s: float) -> bool:
         """Brings the robot to rest, resets, arms and drives again. False: not before `end_s`."""
         while time.monotonic() < end_s:
@@ -212,7 +212,7 @@ class HurtRobot:
         what = f"{found['state']}, {found['why']}, {found['faults']}, {joints}"
         return f"{what}; it last refused: {self.refusal}"
 
-    # ------------------------------------------------------------------------------- what is proved
+    # ------------------------------------------------------------------------------- the checks
     def check(self) -> None:
         """Raises Violation."""
         self.reported.check(self.sim)

@@ -220,7 +220,7 @@ class Driving:
                 while not self._end.wait(0.1):
                     self._say(writer.stdin)
             except BrokenPipeError:
-                pass  # they are killed, too
+                pass  # the broker may be killed
             finally:
                 writer.kill()
 

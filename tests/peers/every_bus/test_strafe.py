@@ -93,7 +93,7 @@ def leased(stage):
 
 
 async def nothing():
-    """A peer in a process of its own sends without being asked."""
+    """For a peer process, which sends by itself."""
 
 
 @contextlib.asynccontextmanager

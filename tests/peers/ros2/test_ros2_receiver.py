@@ -139,7 +139,7 @@ def test_commands_stop_while_python_stands_still_and_resume_with_it(stage):
             os.kill(pid, signal.SIGUSR2)
         wait_until(lambda: accepted() > before + 5, "commands go on")
     assert bus(stage) == pid
-    wait_until(lambda: ours(stage)["lost"] > lost, "what was lost is counted")
+    wait_until(lambda: ours(stage)["lost"] > lost, "the lost commands are counted")
 
 
 @pytest.fixture

@@ -74,7 +74,7 @@ def ros(folder):
 
 
 class Bridge:
-    """A process, and what it has logged."""
+    """The bridge's process and its log."""
 
     def __init__(self, log, *words, ros_args=(), environ=None, program=MODULE, python=PYTHON):
         self.log = log

@@ -46,7 +46,7 @@ def test_a_battery_is_reported_and_published_and_unknown_without_its_drives(tmp_
         stage.sim.pull()
         wait_until(lambda: level(stage) == "unknown", "unknown")
         assert stage.robot.status()["battery"]["voltage_v"] is None
-        wait_until(lambda: "the battery is unknown" in stage.logged(), "the log's word")
+        wait_until(lambda: "the battery is unknown" in stage.logged(), "the log line")
         stage.sim.plug()
         wait_until(lambda: level(stage) == "normal", "normal again")
 
@@ -77,7 +77,7 @@ def test_a_critical_battery_is_reported_and_by_default_does_not_stop_the_robot(
 ):
     with running(tmp_path, *EMPTY) as stage:
         wait_until(lambda: level(stage) == "critical", "critical")
-        wait_until(lambda: "the battery is critical" in stage.logged(), "the log's word")
+        wait_until(lambda: "the battery is critical" in stage.logged(), "the log line")
         stage.wait_for("idle")
         set_off(stage)
 
@@ -111,7 +111,7 @@ def test_a_moving_robot_comes_to_rest_when_its_battery_becomes_critical(tmp_path
 def test_a_missing_sensor_is_reported_once_and_the_battery_is_unknown(tmp_path):
     missing = ("battery.source=ina226", f"battery.bus={tmp_path / 'i2c'}", *FULL[1:])
     with running(tmp_path, *missing, STOPS) as stage:
-        wait_until(lambda: "the battery is unknown" in stage.logged(), "the log's word")
+        wait_until(lambda: "the battery is unknown" in stage.logged(), "the log line")
         assert stage.logged().count("there is no such I2C bus") == 1
         assert level(stage) == "unknown"
         stage.wait_for("idle")

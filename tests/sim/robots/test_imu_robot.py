@@ -95,10 +95,10 @@ def test_a_missing_chip_is_reported_once_and_the_wheels_give_the_heading(tmp_pat
     robot = tmp_path / "robot.toml"
     robot.write_text(text + '[imu]\nsource = "mpu6050"\nbus = "/nowhere/i2c-1"\n', encoding="utf-8")
     with running(tmp_path, robot=robot) as stage:
-        wait_until(lambda: "there is no such I2C bus" in stage.logged(), "the log's word")
+        wait_until(lambda: "there is no such I2C bus" in stage.logged(), "the log line")
         stage.wait_for("idle")
         stage.robot.arm()
-        wait_until(lambda: "the imu sends nothing" in stage.logged(), "the log's word")
+        wait_until(lambda: "the imu sends nothing" in stage.logged(), "the log line")
         assert stage.logged().count("there is no such I2C bus") == 1
         assert stage.robot.status()["imu"] is None
 

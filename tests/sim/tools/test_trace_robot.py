@@ -117,7 +117,7 @@ BOARDS = {
     "hoverboard-rover": ("set-points: target_", "feedback: ", "velocity_left .*voltage 3"),
     "sabertooth": ("write serial_timeout ", "motor_1 ", "motor_2 "),
 }
-"""Robot → what is sent, what comes, and names of the profile."""
+"""Robot → what is sent, what is received, and names of the profile."""
 
 
 @pytest.mark.parametrize("name", BOARDS)
