@@ -75,8 +75,7 @@ def pytest_addoption(parser):
 
 
 def is_without_long(config):
-    """Whether tests that only `make test-all` runs are left out; a test that you name is always
-    run."""
+    """Whether to leave out tests of `make test-all` only; a test that you name is always run."""
     return config.option.without_long and not config.option.file_or_dir
 
 

@@ -230,8 +230,7 @@ def _fork(end):
 
 
 def _prepare(module, words):
-    """Imports what the program and the programs that it starts import, and prepares what they
-    read."""
+    """Imports what the program and those that it starts import, and prepares what they read."""
     module = "motord" if module == HOGGED else module
     command = words[0] if module == "motord" and words else ""
     for other, *its_words in STARTS.get(command, ()):
@@ -248,8 +247,7 @@ def _prepare(module, words):
 
 
 def _enter(plain):
-    """Installs motord's modules as in a process that reads robot files itself, or in one that does
-    not."""
+    """Installs motord's modules for a process that reads robot files itself, or does not."""
     if _worlds.get("now") is plain:
         return
     modules = {

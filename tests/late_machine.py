@@ -22,8 +22,7 @@ CROWD = 2.0
 RUNS_MAX = 4
 AGAIN_MAX_S = 130.0
 CALM_LOOK_S, CALM_WITHIN_S = 0.5, 10.0
-"""The next run begins once the machine was in time for the first, at the latest after the
-second."""
+"""How long the machine has to be in time before the next run, and the longest wait for it."""
 _NAME = "late machine"
 _LOAD_FD = os.open("/proc/loadavg", os.O_RDONLY | os.O_CLOEXEC)
 """Never closed: some tests use up all descriptors."""
@@ -84,8 +83,7 @@ def calm_down():
 
 
 def hung(report):
-    """Whether pytest-timeout ended it: no machine is late for so long, and a new run would take as
-    long."""
+    """Whether pytest-timeout ended it: no machine is late so long, and a new run takes as long."""
     return "Failed: Timeout" in report.longreprtext
 
 

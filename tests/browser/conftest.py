@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot with a dashboard, and a headless Chromium. Where either is missing, these tests are
-skipped with the reason."""
+"""A robot with a dashboard, and a headless Chromium. Tests without either are skipped."""
 
 import shutil
 

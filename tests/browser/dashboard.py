@@ -37,8 +37,7 @@ STORAGE = """([origin, key, token, use]) => {
     localStorage.clear();
     if (token !== null) localStorage.setItem(key, token);
 }"""
-"""Runs before the scripts of each document: the first document finds only the token in its
-storage."""
+"""Runs before a document's scripts: the first document finds only the token in its storage."""
 SHOWN = """() => [document.body.innerText, ...performance.getEntriesByType('resource').map(
     ({ name, responseStatus, responseEnd }) => `${name} ${responseStatus} ${responseEnd} ms`,
 )].join("\\n")"""

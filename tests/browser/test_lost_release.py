@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An event after which the browser reports no release of a key or of the pad ends the drive at
+"""An event after which the browser reports no release of a key or the pad ends the drive at
 once."""
 
 import pytest

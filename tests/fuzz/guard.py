@@ -37,8 +37,7 @@ HOSTILE_S = 5.0
 replies ever more rarely."""
 LIVES_AT_ONCE = 4
 HONEST_PARTS = (0.0, 0.3, 0.7, 0.9)
-"""Part of valid replies in a life: where most are valid, a hostile one meets every kind of
-request."""
+"""Part of valid replies in a life: with many of them a hostile one meets every kind of request."""
 SPEED_RAD_S = 6.0
 WORDS = (b"\x00", b"\xff" * 4, bytes(300), b"\x01\x83\x00", b"\x01\x03\x02", b"\x55" * 600)
 

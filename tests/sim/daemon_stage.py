@@ -75,8 +75,7 @@ def patient_on_can(folder, name, profile):
 
 
 def wait_until(condition, what, deadline_s=DEADLINE_S):
-    """Calls `condition` until it is true, and returns its value; fails with `what` at the
-    deadline."""
+    """Calls `condition` until it is true; returns its value, or fails with `what`."""
     end_s = time.monotonic() + deadline_s
     while not (found := condition()):
         assert time.monotonic() < end_s, f"{what}: not within {deadline_s} s"
@@ -96,8 +95,7 @@ class Stage:
         return self.robot.status()["state"]
 
     def wait_for(self, *states):
-        """Waits for one of these states. A fault latched for LATCHED_S ends the wait: no other
-        state follows."""
+        """Waits for one of these states. A fault that stays latched for LATCHED_S fails."""
         latched_s = None
 
         def there():
@@ -122,8 +120,7 @@ class Stage:
 
 
 def set_off(stage, linear_m_s=0.4, fast_rad_s=3.0):
-    """Arms and drives until the wheels are fast; resets a fault that a busy machine latched
-    meanwhile."""
+    """Arms and drives until the wheels are fast; resets a fault of a busy machine."""
 
     def turning():
         with contextlib.suppress(Refused):
@@ -247,8 +244,7 @@ def running(
     sim_options=(),
     faults=(),
 ):
-    """A daemon. Its robot has a unique name: tests run side by side, and each name has one state
-    page."""
+    """A daemon. Its robot's name is unique, because each name has one state page."""
     with contextlib.ExitStack() as cleanup:
         sim, places = None, [f"line.rs485.port={json.dumps(str(folder / 'nothing'))}"]
         if simulated:

@@ -51,8 +51,7 @@ class Planted:
 
 
 def offered(folder, group, name, code, made_by):
-    """Writes a package with that code and entry point; returns the environment in which it is
-    found."""
+    """Writes a package with that code and entry point; returns the environment that finds it."""
     (folder / f"{name}_kind.py").write_text(code, encoding="ascii")
     info = folder / f"{name}_kind-1.0.dist-info"
     info.mkdir()

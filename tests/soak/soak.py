@@ -44,8 +44,7 @@ def lives(faults: int, seed: int, engine: str) -> list[tuple[int, str, int]]:
 
 
 def soak(arguments: argparse.Namespace) -> list[Outcome]:
-    """All lives, `workers` at once. Each robot is processes of its own; a thread only talks to
-    them."""
+    """All lives, `workers` at once. A thread only talks to a robot's own processes."""
     planned = lives(arguments.faults, arguments.seed, arguments.engine)
     lock, done = threading.Lock(), []
 

@@ -101,8 +101,7 @@ def _pty_like_a_uart() -> None:
 
 def delays_ms(hogs: int, bus_hogs: int, count: int, seed: int) -> tuple[list[float], int]:
     """The delay of each command, as datagram.delays_us, and the number that the daemon did not
-    accept. A fault ends it. The daemon shares one CPU with its hogs; motord-bus keeps the
-    others."""
+    accept. A fault ends it. The daemon and its hogs have one CPU, motord-bus the others."""
     chance, found = random.Random(seed), []
     with (
         tempfile.TemporaryDirectory() as made,

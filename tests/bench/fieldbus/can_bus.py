@@ -53,8 +53,7 @@ def cpu_ns() -> int:
 
 
 class Frames:
-    """The number of frames sent and received on the bus, shared by the drives with the measuring
-    process."""
+    """The frames sent and received on the bus, shared with the measuring process."""
 
     def __init__(self, path: str) -> None:
         file = Path(f"{path}.frames")

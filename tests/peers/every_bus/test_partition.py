@@ -30,8 +30,7 @@ CUT_S = 30.0
 MISSED_TICKS = 800
 CALM_SAMPLES = 3 * RATE_HZ
 PACE = 0.5
-"""Without a network, loop and lines keep at least this part of their pace; the rest is for a busy
-machine."""
+"""Part of their pace that loop and lines keep without a network, on a busy machine."""
 QUEUED_S = 1.0
 """Age up to which a sample may reach the broker: it was queued when the cable was plugged."""
 

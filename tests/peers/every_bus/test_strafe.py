@@ -239,8 +239,7 @@ def asked(direction_rad, distance_m=0.3):
 
 
 def carried_out(stage, direction_rad):
-    """The pose before, the result and the feedback; repeated like `in_time` where it was held
-    up."""
+    """The pose before, the result and the feedback; repeated like `in_time` if held up."""
     for _ in range(TRIES):
         with armed(stage), asked(direction_rad) as client:
             before = stage.sim.truth()

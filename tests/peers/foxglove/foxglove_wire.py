@@ -80,8 +80,7 @@ class Wire:
 
 @contextlib.asynccontextmanager
 async def wired(port, tls=None):
-    """A connection, retried until the server listens. `tls`: a context for a server with a
-    certificate."""
+    """A connection, retried until the server listens. `tls`: a context for its certificate."""
     while True:
         try:
             socket = await connect(

@@ -48,8 +48,7 @@ async def let_in(client):
 
 
 async def armed(client, **token):
-    """Retried: a drive may look unresponsive on a busy machine, or another lease may not have
-    ended."""
+    """Retried: a drive may look unresponsive on a busy machine, or another lease still lives."""
     while not (await client.call("arm", **token))["success"]:
         await client.call("reset", **token)
 

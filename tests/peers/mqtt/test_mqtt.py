@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MQTT against Eclipse Mosquitto: what is published, what is commanded, and what a failing broker
-does."""
+"""MQTT against Eclipse Mosquitto: publishing, commands, and the effects of a failing broker."""
 
 import json
 import math
@@ -25,8 +24,7 @@ LEASE_S = 1.0
 ANSWER_WITHIN_S = 10.0
 READER = ("mosquitto_sub", "-W", f"{DEADLINE_S:.0f}", "-v",
           "-t", "site/r2/answer", "-t", "site/r2/odom")  # fmt: skip
-"""Reads answers, and odometry, which shows that it is subscribed; ends when the broker is
-silent."""
+"""Reads answers, and odometry, which shows that it is subscribed; ends with a silent broker."""
 
 
 @pytest.fixture(scope="module")

@@ -30,8 +30,7 @@ def stage(tmp_path_factory):
 
 
 def released(stage):
-    """Resets by the service; repeated where a stop request arrived after it, as on a busy
-    machine."""
+    """Resets by the service; repeated where a busy machine delayed a stop request."""
     wait_until(lambda: called("reset")["success"] and stage.state() == "idle", "idle")
 
 

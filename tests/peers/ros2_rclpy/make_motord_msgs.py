@@ -62,8 +62,7 @@ class Build:
         return sorted((self.work / "made" / kind).rglob(pattern))
 
     def library(self, name, sources, *needs):
-        """Builds lib/libPACKAGE__NAME.so; `needs`: names of this package's libraries that it
-        links."""
+        """Builds lib/libPACKAGE__NAME.so; `needs`: the package's libraries that it links."""
         file = self.folder / "lib" / f"lib{PACKAGE}__{name}.so"
         self.link(file, sources, *needs)
 

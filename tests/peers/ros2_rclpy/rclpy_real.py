@@ -31,8 +31,7 @@ def site_of(folder):
 
 
 def environ_of(folder):
-    """The variables that its wheels would set at each start, before they start the program
-    again."""
+    """The variables that its wheels would set before they start the program again."""
     libraries = [folder / "lib", *site_of(folder).glob("ros_*.libs")]
     return {
         "LD_LIBRARY_PATH": os.pathsep.join(map(str, libraries)),

@@ -95,8 +95,7 @@ def test_it_waits_for_a_daemon_and_logs_that_once(tmp_path):
 
 
 def test_its_arguments_and_parameter_files_are_checked_and_applied(tmp_path):
-    """An unknown input, an unknown parameter, a parameter file, and message types that were not
-    built."""
+    """An unknown input or parameter, a parameter file, and message types that were not built."""
     file = tmp_path / "bridge.yaml"
     file.write_text(
         "/**:\n  ros__parameters:\n    input: ros\n    limits:\n      linear_m_s: 0.3\n"

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Actions by ROS 2's protocol over a real Zenoh router, requested by a session with another
-encoder."""
+"""ROS 2 actions over a real Zenoh router, requested by a session with another encoder."""
 
 import threading
 

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A Zenoh router in a process of its own, to be killed and started again.
 
-zenoh_router.py PORT [TLS_PORT FOLDER]: by TLS it accepts clients with a certificate of its
-authority."""
+zenoh_router.py PORT [TLS_PORT FOLDER]: by TLS it accepts only its authority's clients."""
 
 import asyncio
 import contextlib

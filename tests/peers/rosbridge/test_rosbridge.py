@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rosbridge server: a program on roslibpy drives the robot; strangers and slow readers do no
+"""The rosbridge server: a roslibpy program drives the robot; strangers and slow readers do no
 harm."""
 
 import asyncio

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord doctor` on a running daemon with simulated drives, and with a daemon that it starts
-itself."""
+"""`motord doctor` on a running daemon with simulated drives, and on one that it starts itself."""
 
 import json
 import subprocess

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A daemon on simulated drives whose feedback fails, or that ignore their set-points: on both
-engines."""
+"""A daemon on drives with failing feedback, or that ignore their set-points: on both engines."""
 
 import contextlib
 import math

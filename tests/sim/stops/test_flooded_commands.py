@@ -35,8 +35,7 @@ def flood(stage):
 
 
 async def rest(stage):
-    """The pad commands rest repeatedly, and then releases its lease. Returns the owners in command
-    meanwhile."""
+    """The pad commands rest, then releases its lease. Returns the owners in command meanwhile."""
     source, seen = Source(stage.socket, "pad"), []
     async with asyncio.TaskGroup() as tasks:
         holding = tasks.create_task(source.run())

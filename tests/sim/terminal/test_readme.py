@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The README's commands and programs work literally, in the environment that its two commands
-make."""
+"""The README's programs work literally, in the environment that its two commands make."""
 
 import re
 import subprocess

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Procedures by the dashboard's socket: which page may begin, answer and stop one, and what ends
-it."""
+"""Procedures by the dashboard's socket: which page begins, answers and stops one, what ends it."""
 
 import asyncio
 import contextlib
@@ -70,8 +69,7 @@ async def present(page):
 
 
 async def answered(page, value, enough):
-    """Answers each question, and again where the page seemed away, until `enough` is true of a
-    message."""
+    """Answers each question, also one asked again, until `enough` is true of a message."""
     given = 0
     while True:
 

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot file by the dashboard's socket: which page may read and write it, and what is
-refused."""
+"""The robot file by the dashboard's socket: which page reads and writes it, what is refused."""
 
 import asyncio
 import contextlib

@@ -88,8 +88,7 @@ class Bridge:
 
 
 def robot_file(folder, port, *, name="demo", **line):
-    """The robot of config/robots/demo.toml with time-outs longer than the delays of an emulated
-    machine."""
+    """The demo robot with time-outs longer than the delays of an emulated machine."""
     profile = ROBOT.parents[1] / "drives/zlac8015d.toml"
     text = profile.read_text(encoding="utf-8")
     slow = text.replace("turnaround_s = 0.005", "turnaround_s = 1.0")

@@ -59,8 +59,7 @@ async def armed(line):
 
 
 async def reaches(line, condition, what):
-    """Keeps it armed until the condition holds: on a slow machine set-points get old, and the line
-    stops."""
+    """Keeps it armed until the condition holds: old set-points of a slow machine stop it."""
     try:
         async with asyncio.timeout(GENEROUS_S):
             while not condition():

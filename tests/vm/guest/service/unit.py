@@ -48,8 +48,7 @@ class Unit(Stage):
 
 
 def connected(name, old_pid=0):
-    """A client; None as long as only the old process listens: unix(7), SO_PEERCRED. Cheaper than a
-    query of systemd."""
+    """A client; None while only the old process listens: SO_PEERCRED, cheaper than systemd."""
     path = Path(f"/run/motord/{name}.sock")
     with contextlib.suppress(ClientError, OSError), socket.socket(socket.AF_UNIX) as probe:
         probe.connect(str(path))

@@ -27,8 +27,7 @@ def _gid(key):
 
 
 class _Logger:
-    """Like rclpy, it refuses a call from one place in the source with another severity than
-    before."""
+    """Like rclpy, it refuses another severity from the same place in the source."""
 
     def __init__(self, name):
         self._name, self._places = name, {}
